@@ -1,10 +1,10 @@
-"""A thousand Pandas under computed torque, as a film: the picture at the top of the README.
+"""A thousand Pandas under computed torque, as a film: the figure at the top of the README.
 
     python examples/00_a_thousand_arms.py
 
-One scene steps all arms at once. Every arm has its own masses and its own friction; the one controller knows only the
-description, so both are disturbances. A wave runs through the reference of the arms. The film is one period of the
-wave, and repeats without a seam. Beside the arms are the torques of the orange one.
+One scene steps all arms at once. Every arm has its own masses and friction; the common controller uses the nominal
+model, so both are disturbances. A wave runs through the references of the arms. The film is one period of the wave, and
+loops seamlessly. The panels on the right show the torques of the orange arm.
 """
 
 import math

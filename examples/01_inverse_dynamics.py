@@ -1,10 +1,10 @@
-"""Inverse dynamics of a real robot, held against other libraries, an analytic solution and, if there is one, a log.
+"""Inverse dynamics of a real robot, compared with other libraries, an analytic solution and, if available, a log.
 
     python examples/01_inverse_dynamics.py
     python examples/01_inverse_dynamics.py --robot my_arm.urdf
     python examples/01_inverse_dynamics.py --log panda_exciting_traj1.csv
 
-Every comparison is a check with a limit; the exit status is 1 if one fails. Pictures go to `out/`.
+Every comparison is a check with a tolerance; the exit status is 1 if one fails. Figures are written to `out/`.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Closed form of the paper's two-link arm, tau = M qdd + c + g + Jt f_tip, beside the equations of a textbook.
+"""Closed form of the paper's two-link arm, tau = M qdd + c + g + Jt f_tip, compared with textbook equations.
 
     python examples/02_closed_form.py
 

@@ -1,9 +1,9 @@
-"""Computed torque of the Panda with the right and with 10 % wrong masses: two arms, one batch.
+"""Computed torque of the Panda with exact masses and with 10 % mass error: two arms in one batch.
 
     python examples/03_computed_torque.py
 
-Both arms are the same; their controllers are not. With the right masses the error of every joint decays as
-e'' + kd e' + kp e = 0, whatever the arm does. With wrong ones it stays, and what is left is the mismatch over kp.
+Both arms are the same; their controllers differ. With exact masses the error of every joint decays as
+e'' + kd e' + kp e = 0, for any motion. With wrong ones a steady error remains: the torque mismatch over kp.
 """
 
 import sys

@@ -1,10 +1,10 @@
-"""A scene, effect by effect: what each one does to a falling Panda, and what it costs per step.
+"""A scene, effect by effect: its influence on a falling Panda, and its cost per step.
 
     python examples/04_scene.py
 
-A bare scene assumes nothing. Each row of the table adds one effect to those above it, and shows the operations and the
-nanoseconds it adds to a step, the energy of the arm after the fall, and how far the arm ends from where it did without
-the effect. At the end the viscous friction of the arm is learned back from its motion, through the steps.
+A bare scene has no effects. Each row of the table adds one effect to those above it, and shows its operations and
+nanoseconds per step, the energy of the arm after the fall, and the change of the final position. Finally, the viscous
+friction of the arm is estimated from its motion by gradients through the steps.
 """
 
 import sys

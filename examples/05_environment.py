@@ -2,9 +2,9 @@
 
     python examples/05_environment.py [--device cuda]
 
-Every arm is its own: link masses and friction differ by up to 20 %, and the controller knows nothing of it. Actions are
-offsets of the joint positions that a computed-torque controller follows; the policy takes the way to the goal through
-the damped inverse of the Jacobian. `out/reach.gif` shows nine of the arms, `out/reach.png` the distances of them all.
+Link masses and friction of each arm differ by up to 20 %, unknown to the controller. Actions are offsets of the joint
+positions that a computed-torque controller tracks; the policy moves towards the goal with the damped inverse of the
+Jacobian. `out/reach.gif` shows nine of the arms, `out/reach.png` the distances of all.
 """
 
 import sys

@@ -1,18 +1,18 @@
-"""Learning what a model gets wrong: nine controllers of one arm, from no model to the true one.
+"""Learning model errors: nine controllers of one arm, from no model to the true one.
 
     python examples/06_residual_learning.py
     python examples/06_residual_learning.py --quick [--device cuda]
 
 The arm is simulated by MuJoCo, not by torchdq. Both read the xArm7's URDF, but MuJoCo's arm has other masses (each by
-10 to 20 %), a payload of 1.5 kg, rotor inertia, damping and dry friction, and two things that no model here has a term
-for: friction that is higher at low speed, and cables that pull. Motors lag by 5 ms, and all readings are noisy.
+10 to 20 %), a payload of 1.5 kg, rotor inertia, damping and dry friction, and two effects that no model here has a term
+for: friction that is higher at low speed, and cables that pull. Motors lag by 5 ms, and all measurements are noisy.
 Every seed is another such arm, with its own motions and networks.
 
-A model is learned from the readings of some motions, filtered as those of a real arm would be. What is chosen (sizes,
-weight decay, when to stop) is chosen on other motions, and the numbers are from yet others: the mean over joints of the
-squared torque error over the torque's variance, and the tracking error under tau = model(q, qd, qdd_des) + kp e + kd ed
-with the same kp and kd in every row. No row is a bound to the torque errors of all others: true parameters do not know
-what the filter does to the readings, and a network can learn that.
+A model is learned from measurements of some motions, filtered as those of a real arm would be. Hyperparameters (sizes,
+weight decay, early stopping) are selected on other motions, and the results are on yet others: the mean over joints of
+the squared torque error over the torque's variance, and the tracking error under
+tau = model(q, qd, qdd_des) + kp e + kd ed with the same kp and kd in every row. No row is a lower bound of the torque
+errors: true parameters do not model the effect of the filter on the measurements, and a network can learn it.
 """
 
 import json

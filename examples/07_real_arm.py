@@ -3,18 +3,18 @@
     python examples/07_real_arm.py --format ur10e --robot ur10e.urdf --train A.csv B.csv --test C.csv --json out.json
     python examples/07_real_arm.py --format panda --robot panda.urdf --train LOG.csv --split 0.6 --device cuda
 
-The number is RMSE over standard deviation of the measured torque, per joint, on test motions that nothing was chosen
-by. What is chosen is chosen on blocks of the training motions that were left out. Rows, a ladder of models:
+The number is RMSE over standard deviation of the measured torque, per joint, on test motions that were used for no
+choice. Models are selected on held-out blocks of the training motions. Rows:
 
     description          the URDF alone
-    + friction           viscous and Coulomb friction, offset and rotor inertia beside it
-    identified           least squares over all inertial parameters and friction, kept physical
-    chosen               what `identify` chooses among these and friction of other shapes
-    chosen + residual    the same and a small network per joint, kept where it helps (`fit`)
-    black box            a network from q, qd, qdd of all joints to torques, knowing nothing
+    + friction           with viscous and Coulomb friction, offset and rotor inertia
+    identified           least squares over all inertial parameters and friction, physically consistent
+    chosen               the selection of `identify` among these and other friction models
+    chosen + residual    the same with a small network per joint, where it helps (`fit`)
+    black box            a network from q, qd, qdd of all joints to torques, without a model
 
-The last row is the share of the test torques in the 95 % intervals of `IdentifiedWithResidual.predict`: near 95 % for
-motions of the same kind, less for others.
+The last row is the coverage of the 95 % intervals of `IdentifiedWithResidual.predict`: near 95 % for similar motions,
+less for others.
 """
 
 import json

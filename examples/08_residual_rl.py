@@ -1,23 +1,23 @@
-"""Reinforcement learning on top of computed torque: a policy adds what the controller does not know.
+"""Reinforcement learning on top of computed torque: a policy that compensates model errors.
 
     python examples/08_residual_rl.py [--quick] [--steps N] [--seeds N] [--device cuda] [--json FILE]
 
-A Panda follows sums of two sinusoids (`torchdq/Track-v0`, 2 s per episode) under a computed-torque controller that
-knows the rigid bodies as described, their gravity and their rotors. It does not know: 2 kg in the hand, link masses
-that differ by up to 10 % (the payload with them), strong friction (viscous and Stribeck) that differs by up to 20 %,
-and motors whose torques come one step late and with a lag. The policy, PPO of stable-baselines3, adds to the
-controller's torques up to a fifth of the torque limits: 17.4 N m at the joints 1 to 4, 2.4 N m at the joints 5 to 7.
-Its last layer starts at zero: before training it is the controller.
+A Panda tracks sums of two sinusoids (`torchdq/Track-v0`, 2 s per episode) under a computed-torque controller with the
+nominal rigid bodies, gravity and rotors. Unknown to it are 2 kg in the hand, link masses that differ by up to 10 % (the
+payload with them), strong friction (viscous and Stribeck) that differs by up to 20 %, and motors with a delay of one
+step and a lag. The policy, PPO of stable-baselines3, adds torques of up to a fifth of the torque limits: 17.4 N m at
+the joints 1 to 4, 2.4 N m at the joints 5 to 7. Its last layer is initialised with zeros: the untrained policy is the
+controller.
 
-It is trained on the environments' usual gains, 100 / 20, and once more on the best gains for this arm. Methods that do
-not learn have the same motors: higher gains; the true friction (the torques of its mean at the wanted velocity, as
-actions); and the true bodies, payload and masses of every episode included. Gains, kp with kd = 2 d sqrt(kp), are
-chosen on episodes of their own, by return; late torques are what keeps them low.
+It is trained with the default gains of the environments, 100 / 20, and once more with the best gains for this arm. The
+baselines without learning have the same motors: higher gains; the true friction (the torques of its mean at the desired
+velocity, as actions); and the true bodies, payload and masses of every episode included. Gains, kp with
+kd = 2 d sqrt(kp), are selected on separate episodes, by return; the delay of the torques limits them.
 
 Returns (at most 100) and tracking errors (root mean square over time and joints, mean over episodes) are of 512
-episodes that neither training nor the choice of gains saw. Intervals are 95 % bootstrap intervals of the mean: over
-seeds for trained policies (over episodes if there is one seed), over episodes for everything else.
-`out/residual_rl.png` shows the returns while the policies learn, and the error of one joint with and without them.
+episodes that were used neither for training nor for the choice of gains. Intervals are 95 % bootstrap intervals of the
+mean: over seeds for trained policies (over episodes if there is one seed), over episodes for everything else.
+`out/residual_rl.png` shows the returns during training, and the error of one joint with and without the policies.
 """
 
 import json

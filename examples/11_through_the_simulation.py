@@ -1,12 +1,12 @@
-"""A policy learned by gradients through the simulation, on one device or on several.
+"""A policy trained by gradients through the simulation, on one device or on several.
 
     python examples/11_through_the_simulation.py [--device cuda]
     torchrun --nproc-per-node 4 examples/11_through_the_simulation.py --device cuda
 
-Arms with friction and gravity start at rest in random postures, and a network that knows nothing of them learns to
-bring them to a wanted one within a second. Its gradient is that of the whole simulated second. Every process simulates
-its share of the arms, and gradients are summed over all of them, so the policy is that of a single process, but for
-rounding. `out/through_the_simulation.png` shows what it learned.
+Arms with friction and gravity start at rest in random postures, and a network learns from scratch to move them to a
+desired one within a second. Its gradient is that of the whole simulated second. Every process simulates its share of
+the arms, and gradients are summed over all processes, so that the policy is that of a single process up to rounding.
+`out/through_the_simulation.png` shows the result.
 """
 
 import sys

@@ -1,9 +1,9 @@
-"""A Panda on a satellite: the arm moves, the satellite turns the other way, and the momentum of both stays zero.
+"""A Panda on a satellite: the arm moves, the satellite counter-rotates, and the total momentum stays zero.
 
     python examples/12_satellite.py
 
-Nothing holds the base. The torques come from the blocks of the mass matrix (`reactions.py`), the motion from a scene
-without gravity; the picture shows how far the satellite turns and drifts while the arm goes out and comes back.
+The base is floating. The torques come from the blocks of the mass matrix (`reactions.py`), the motion from a scene
+without gravity; the figure shows rotation and drift of the satellite while the arm extends and returns.
 """
 
 import sys

@@ -1,10 +1,10 @@
-"""A cat falls on its back and lands on its feet: it turns over without any angular momentum.
+"""A cat falls on its back and lands on its feet: it turns over with zero angular momentum.
 
     python examples/13_falling_cat.py
 
 Two halves of a body, bent against each other, roll about their own axes at opposite rates. The angular momentum is zero
-at every instant and the shape at the end is that of the start, yet the whole cat has turned by half a turn (T. R. Kane,
-M. P. Scher, A dynamical explanation of the falling cat phenomenon, 1969). Gravity and free fall change nothing in it.
+at every instant and the final shape is the initial one, yet the whole cat has rotated by half a turn (T. R. Kane,
+M. P. Scher, A dynamical explanation of the falling cat phenomenon, 1969). Gravity and free fall have no influence.
 """
 
 import math

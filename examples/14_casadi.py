@@ -1,11 +1,11 @@
-"""A two-link arm swings up with motors too weak to hold it out, planned by CasADi and Ipopt on torques of torchdq.
+"""Swing-up of a two-link arm with weak motors, planned with CasADi and Ipopt on torques of torchdq.
 
     python examples/14_casadi.py
 
-The inverse dynamics of all knots are exported as one C function with its first and second derivatives, built by the C
-compiler and loaded by `casadi.external`, so that Ipopt takes exact Hessians. Unknown are positions, velocities and
-accelerations at knots; accelerations are linear between knots, so that what follows from them is exact, and the torques
-are bounded at every knot. The plan is checked outside of CasADi: by torchdq's forward dynamics at the knots, and by a
+The inverse dynamics of all knots is exported as one C function with its first and second derivatives, built by the C
+compiler and loaded by `casadi.external`, so that Ipopt uses exact Hessians. Unknowns are positions, velocities and
+accelerations at the knots; accelerations are linear between knots, so that the collocation is exact, and the torques
+are bounded at every knot. The plan is verified outside of CasADi: by torchdq's forward dynamics at the knots, and by a
 scene in which the planned torques alone move the arm.
 """
 

@@ -2,14 +2,14 @@
 
     python examples/15_real_time.py
 
-The arm differs from its description: other masses, and rotors and friction that the description does not have. A log
-of torques identifies it. The controller with what was found becomes C, and so does the simulated arm, a step of a scene
-with the true parameters. `real_time.c` runs both in a loop with a fixed period and notes, cycle by cycle, how late it
-woke and how long the controller computed. The same loop in Python tells whether the positions are right, and a
-controller that believes the description what identification was good for.
+The arm differs from its description: other masses, and rotors and friction that the description lacks. It is identified
+from a log of torques. The controller with the identified model is exported to C, and so is the simulated arm, a step of
+a scene with the true parameters. `real_time.c` runs both in a loop with a fixed period and records the latency and the
+computing time of every cycle. The same loop in Python verifies the positions, and a controller with the nominal model
+shows the benefit of identification.
 
-The controller takes about a microsecond. How late the loop wakes is up to the operating system: a machine that controls
-an arm runs a real-time kernel, and gives the loop a processor and a priority of its own.
+The controller takes about a microsecond. The latency of the loop depends on the operating system: a machine that
+controls an arm should run a real-time kernel, with a dedicated core and a high priority for the loop.
 """
 
 import shutil

@@ -4,12 +4,12 @@
     python examples/17_log_with_torques.py --robot arm.urdf --logs A.csv B.csv --test C.csv
     python examples/17_log_with_torques.py --robot ur10e --logs ur-20_02_06*.csv --test ur-20_02_19_14harm50sec.csv
 
-Without logs, an arm that differs from its description (masses, centres of mass, friction) is recorded first: a CSV file
-a motion, with columns and stamps as drivers write them. The rest is what any log needs: a `Layout` that names the
-columns, `read_log`, `smooth`, `identify`. The last log is for the test, which no number was found from; of a single log
-that is its last third. What is found is a robot, `found.robot`, with friction: `found.layer()` is a module of its
-torques, `Scene(found.robot, found.effects())` simulates it, and beside a URDF that was given, one with its numbers is
-written.
+Without logs, an arm that differs from its description (masses, centres of mass, friction) is recorded first: one CSV
+file per motion, with columns and time stamps like those of drivers. The steps are those for any log: a `Layout` that
+names the columns, reading, `smooth`, `identify`. The last log is the test set, or the last third of a single log. The
+result is a robot, `found.robot`, with friction: `found.layer()` is a module of its torques, and
+`Scene(found.robot, found.effects())` simulates it. If a URDF was given, one with the identified parameters is written
+next to it.
 """
 
 import sys

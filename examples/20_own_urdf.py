@@ -1,12 +1,11 @@
-"""First torques of an arm of one's own: its URDF, its report, checks of it, torques along a motion, and gradients.
+"""First torques of your own arm: its URDF, its report, checks, torques along a motion, and gradients.
 
     python examples/20_own_urdf.py
     python examples/20_own_urdf.py --robot my_arm.urdf
 
-Three checks do not need another robot library: the torques of an arm at rest are the slopes of its potential energy;
-the power of the torques is the rate of its energy; and the mass matrix has only positive eigenvalues. A fourth one
-compares the torques with Pinocchio's, if it is installed. The picture `out/own_urdf.png` shows what the torques of a
-motion are made of.
+Three checks need no other robot library: the torques of an arm at rest are the gradient of its potential energy; the
+power of the torques is the rate of its energy; and the eigenvalues of the mass matrix are positive. A fourth one
+compares the torques with Pinocchio, if it is installed. The figure `out/own_urdf.png` shows the terms of the torques.
 """
 
 import importlib.util

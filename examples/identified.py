@@ -1,4 +1,4 @@
-"""Table and picture of an identified robot: its torques in a motion it has not seen, beside the measured ones."""
+"""Table and picture of an identified robot: predicted and measured torques of a test motion."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Torques that move the joints of a robot whose base nobody holds; for the other examples."""
+"""Torques that move the joints of a robot with a floating base; for the other examples."""
 
 import torch
 from torch import Tensor

@@ -28,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 RATES = ROOT / "benchmarks" / "results" / "environments.json"
 SCRIPT = "benchmarks/environments.py"
 ROBOT = "panda"  # the default
+DATA = "positions"  # entry of a PNG file: positions of the joints at the moments
 SEED, MOMENTS = 3, (0, 15, 30, 60, 150)  # of the picture, in steps
 ACTIONS = {
     "torque": "torque of each joint",
@@ -221,20 +222,23 @@ for _ in range(50):
 
 
 def picture(task: str) -> bytes:
-    """PNG of one arm at some moments of an episode, under a simple policy."""
+    """PNG of one arm at some moments of an episode, under a simple policy, with its positions as numbers."""
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
     envs = ArmVectorEnv(1, task, ROBOT, action=ENVIRONMENTS[task].hint)  # type: ignore[arg-type]
     envs.reset(seed=SEED)
-    painter, frames = Painter(envs.robot, (240, 280)), []
+    painter, frames, positions = Painter(envs.robot, (240, 280)), [], []
     for step in range(MOMENTS[-1] + 1):
         now = situation(envs)
         if step in MOMENTS:
             target = now.goal[0] if now.goal.shape[1] == 3 else None
             frames.append(painter.frame(now.q[0], target, f"{now.time:g} s"))
+            positions.append([round(x, 4) for x in now.q[0].tolist()])
         envs.step(towards(now) if task == "reach" else torch.zeros(1, envs.robot.n))
-    file = io.BytesIO()
-    Image.fromarray(np.concatenate(frames, 1)).save(file, format="PNG", optimize=True)
+    file, data = io.BytesIO(), PngInfo()
+    data.add_text(DATA, json.dumps(positions))
+    Image.fromarray(np.concatenate(frames, 1)).save(file, format="PNG", optimize=True, pnginfo=data)
     return file.getvalue()
 
 

@@ -1,12 +1,13 @@
 """Pictures of curves, as small SVG files that are readable on light and on dark pages.
 
-A picture has a card of its own, light or dark as the reader's system is. Curves have names, `curve 1` and so on, under
-which `curves_of` reads them back from a file.
+A picture has its own card, light or dark like the reader's system. It also contains some points of its curves, which
+`curves_of` reads, so that a test compares data and not drawings.
 """
 
 from __future__ import annotations
 
 import io
+import json
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -53,6 +54,8 @@ OTHER = ("grey", "--")
 
 
 LONG = re.compile(r"\d+\.\d{3,}")  # of coordinates
+DATA = re.compile(r"<metadata>(.*?)</metadata>", re.DOTALL)  # points of the curves
+POINTS = 60  # of a curve, at least, if it has as many
 REFERENCES = ("without", "true", "rigid")  # curves that others are compared with
 
 
@@ -76,9 +79,9 @@ def svg(picture: Picture) -> str:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=SIZE, layout="constrained")
         axes = figure.add_subplot(xlabel=picture.x, ylabel=picture.y)
-        for k, ((words, curve), look) in enumerate(zip(picture.curves.items(), LOOKS, strict=False), 1):
+        for (words, curve), look in zip(picture.curves.items(), LOOKS, strict=False):
             colour, line = OTHER if words in REFERENCES else look
-            axes.plot(curve.x, curve.y, line, color=LIGHT[colour], label=words, gid=f"curve {k}")
+            axes.plot(curve.x, curve.y, line, color=LIGHT[colour], label=words)
         if len(picture.curves) > 1:
             figure.legend(loc="outside upper left", ncols=3)
         file = io.StringIO()
@@ -91,14 +94,24 @@ def svg(picture: Picture) -> str:
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = text.replace("<defs>", f"<defs>\n  <style>{style}</style>", 1)
     text = re.sub(r'"[^"]*"', lambda attribute: LONG.sub(_short, attribute.group()), text)
-    return re.sub(r" +$", "", text, flags=re.MULTILINE)
+    points = json.dumps([_points(curve) for curve in picture.curves.values()])
+    return re.sub(
+        r" +$", "", text.replace(" <defs>", f" <metadata>{points}</metadata>\n <defs>", 1), flags=re.MULTILINE
+    )
 
 
 def _short(number: re.Match[str]) -> str:
     return f"{float(number.group()):.2f}"
 
 
+def _points(curve: Curve) -> list[list[float]]:
+    """Some points of a curve, in four digits."""
+    every = max(1, len(curve.x) // POINTS)
+    rows = zip(np.asarray(curve.x, float)[::every], np.asarray(curve.y, float)[::every], strict=True)
+    return [[float(f"{x:.4g}"), float(f"{y:.4g}")] for x, y in rows]
+
+
 def curves_of(text: str) -> list[np.ndarray]:
-    """Points [k, 2] of the curves of an SVG file, in points of the picture."""
-    paths = re.findall(r'<g id="curve \d">\s*<path d="([^"]*)"', text)
-    return [np.array(re.findall(r"-?\d+\.?\d*", path), float).reshape(-1, 2) for path in paths]
+    """Points [k, 2] of the curves of an SVG file, in their units."""
+    match = DATA.search(text)
+    return [np.array(points) for points in json.loads(match[1])] if match else []

@@ -86,19 +86,17 @@ def test_a_picture_is_small_and_fetches_nothing(name):
 @pytest.mark.parametrize(
     "name", [n if n in DRAWN else pytest.param(n, marks=pytest.mark.exhaustive) for n in CHARACTERISTICS]
 )
-def test_a_picture_is_what_the_effect_does(name):
-    """Curves may move by less than a third of a point, since processors round differently."""
+def test_a_picture_shows_what_the_effect_does(name):
+    """Its data are compared, up to how processors round."""
     kept = curves_of((FOLDER / address(name).replace(".md", ".svg")).read_text(encoding="utf-8"))
     drawn = curves_of(svg(CHARACTERISTICS[name]()))
     assert [x.shape for x in kept] == [x.shape for x in drawn]
-    assert all(abs(a - b).max() < 0.3 for a, b in zip(kept, drawn, strict=True)), REMEDY
+    assert all(abs(a - b).max() < 1e-3 * abs(a).max() for a, b in zip(kept, drawn, strict=True)), REMEDY
 
 
 def test_curves_are_read_back_from_a_picture():
     (curve, flat) = curves_of(svg(Picture("x", "y", {"a": Curve([0, 1, 2], [0, 1, 0]), "b": Curve([0, 2], [0, 0])})))
-    assert curve.shape == (3, 2) and flat.shape == (2, 2)
-    assert curve[1, 0] == pytest.approx((curve[0, 0] + curve[2, 0]) / 2, abs=0.02)
-    assert curve[0, 1] == pytest.approx(flat[0, 1], abs=0.02) and curve[1, 1] < curve[0, 1]
+    assert curve.tolist() == [[0, 0], [1, 1], [2, 0]] and flat.tolist() == [[0, 0], [2, 0]]
 
 
 # --- what pages claim ------------------------------------------------------------------------------------------------

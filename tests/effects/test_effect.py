@@ -192,7 +192,6 @@ def test_every_effect_has_its_gradients_checked():
 
 def differentiable(effect, inputs, integrator, steps):
     """End of a rollout as a function of state, torque, inputs and parameters, and a point to take it at."""
-    names = list(effect.tensors()) if isinstance(effect, effects.Effect) else []
     names = [name for name in effect.SHAPES if isinstance(getattr(effect, name), torch.Tensor)]
     learned = [name for name, x in inputs.items() if x.requires_grad]
     robot = CASES["two_link"].robot
