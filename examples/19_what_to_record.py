@@ -120,7 +120,7 @@ def main(args: Args) -> Result:
 
     noise = found.parameters.noise * torch.randn(found.q.shape, dtype=torch.float64)
     tau = torques(found.q, found.qd, found.qdd) + noise
-    plain = Model(friction=(effects.Viscous(), effects.Coulomb(width=width)))
+    plain = Model(friction=(effects.Viscous(), effects.Coulomb(sign_width=width)))
     identified = identify(described, Samples(found.q, found.qd, found.qdd, tau), plain, prior=0.1, sign_width=width)
     truth = found.base @ torch.cat([real.inertial_parameters, viscous, coulomb])
     off = (found.base @ identified.parameters - truth) / found.base_errors

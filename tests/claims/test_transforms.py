@@ -41,7 +41,11 @@ FUNCTIONS = {
         "q qd qdd tau f_tip",
     ),
 }
-FRICTION = (effects.Stribeck(0.3, 0.4, width=0.5), effects.LoadDependent(0.1, width=0.5), effects.Viscous(0.7))
+FRICTION = (
+    effects.Stribeck(0.3, 0.4, sign_width=0.5),
+    effects.LoadDependent(0.1, sign_width=0.5),
+    effects.Viscous(0.7),
+)
 # the module, and what its forward takes
 MODULES = {
     "DQRNEA": (torchdq.DQRNEA, "q qd qdd f_tip"),

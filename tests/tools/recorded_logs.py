@@ -33,7 +33,7 @@ VISCOUS, COULOMB = torch.tensor([[0.3, 0.2], [0.8, 0.5]], dtype=F64)
 
 def plain(sign_width=WIDTH, **options):
     """Model of viscous and Coulomb friction."""
-    return Model((effects.Viscous(), effects.Coulomb(width=sign_width)), **options)
+    return Model((effects.Viscous(), effects.Coulomb(sign_width=sign_width)), **options)
 
 
 def fitted(robot, *rows, prior=1.0, sign_width=WIDTH, **options):

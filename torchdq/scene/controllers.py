@@ -19,7 +19,7 @@ from torchdq.robot.argument import require_robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments, constants, recorded
 
-__all__ = ["PD", "ComputedTorque", "Controller"]
+__all__ = ["PD", "ComputedTorqueController", "Controller"]
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ def found_on(name, rows, noise, seed=0, prior=1.0, **options):
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd + 2 * qd / (qd**2 + WIDTH**2).sqrt()
     size = noise * tau.std(0)
     measured = tau + size * torch.randn(tau.shape, dtype=torch.float64, generator=generator)
-    model = Model((effects.Viscous(), effects.Coulomb(width=WIDTH)), **options)
+    model = Model((effects.Viscous(), effects.Coulomb(sign_width=WIDTH)), **options)
     return identify(robot, Samples(q, qd, qdd, measured), model, prior, WIDTH)
 
 

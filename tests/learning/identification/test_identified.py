@@ -6,35 +6,31 @@ import numpy as np
 import pytest
 import torch
 from helpers import PAIR
+from recorded_logs import STEP, WIDTH, fitted, sign, states, torques
 from scipy.optimize import nnls
 
 import torchdq
 from torchdq import effects
-from torchdq.learning import Motion, identify
-from torchdq.learning.evaluate import FAIR, TorqueTrial, trial, with_file
+from torchdq.envs import Scene
+from torchdq.learning import Evaluation, Model, Motion, Samples, Verdict, evaluate, identify
+from torchdq.learning.evaluate import FAIR
 from torchdq.learning.identification.simple import _nonnegative
 
-WIDTH, STEP = 1e-2, 0.02
 
-
-def states(rows=600):
+def moved(rows=600):
     """Positions, velocities and accelerations [rows, 2]."""
-    t = STEP * torch.arange(rows, dtype=torch.float64)[:, None, None]
-    w = torch.tensor([[1.3, 2.9], [1.9, 0.7]], dtype=torch.float64)
-    a, p = torch.tensor([[0.9, 0.4], [0.6, 0.8]]).double(), torch.tensor([[0.0, 1.0], [2.0, 0.5]]).double()
-    angle = w * t + p
-    return (a * angle.sin()).sum(-1), (a * w * angle.cos()).sum(-1), -(a * w * w * angle.sin()).sum(-1)
+    return [x[0] for x in states(1, rows, seed=9)]
 
 
 def loaded(share):
     """Motion of a pair of links whose friction is in proportion to the load, and what was identified from it."""
     described = torchdq.Robot.from_urdf(PAIR)
-    q, qd, qdd = states()
+    q, qd, qdd = moved()
     load = torchdq.inverse_dynamics(described, q, qd, qdd)
-    tau = load + share * load.abs() * qd / torch.hypot(qd, torch.tensor(WIDTH).double())
+    tau = load + share * load.abs() * sign(qd)
     tau = tau + 0.01 * tau.std(0) * torch.randn(tau.shape, generator=torch.Generator().manual_seed(0)).double()
     friction = (effects.Viscous(), effects.Coulomb(sign_width=WIDTH), effects.LoadDependent(sign_width=WIDTH))
-    found = identify(described, q, qd, qdd, tau, friction=friction, prior=1.0, width=WIDTH)
+    found = fitted(described, q, qd, qdd, tau, friction=friction)
     signals = (x.numpy() for x in (q, qd, qdd, tau))
     return described, found, Motion(STEP * np.arange(len(q)), *signals), (q, qd, qdd, tau)
 
@@ -45,33 +41,33 @@ def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
     with pytest.warns(UserWarning, match="viscous and Coulomb friction alone; they stand for .*: load"):
         file = torchdq.Robot.from_urdf(found.to_urdf(PAIR))
     rigid = torchdq.inverse_dynamics(found.robot, q, qd, qdd)
-    whole, sign = found.predict(q, qd, qdd).tau - rigid, qd / torch.hypot(qd, torch.tensor(WIDTH).double())
+    whole, signs = found.predict(q, qd, qdd).tau - rigid, sign(qd)
     for j in range(2):
-        nearest, _ = nnls(torch.stack([qd[:, j], sign[:, j]], 1).numpy(), whole[:, j].numpy())
+        nearest, _ = nnls(torch.stack([qd[:, j], signs[:, j]], 1).numpy(), whole[:, j].numpy())
         assert np.allclose(
             [float(file.damping[j]), float(file.friction[j])], nearest, rtol=1e-3
         )  # loads are of the round before
-    measured = with_file(trial(described, found, [motion]), found.with_simple_friction(), found, [motion])
-    by_file = torchdq.inverse_dynamics(file, q, qd, qdd) + file.damping * qd + file.friction * sign
+    measured = evaluate(described, found, motion, found.with_simple_friction())
+    by_file = torchdq.inverse_dynamics(file, q, qd, qdd) + file.damping * qd + file.friction * signs
     assert torch.allclose(measured.file, (tau - by_file).square().mean(0).sqrt() / tau.std(0))
     # what the file had before: the viscous and Coulomb friction beside the other
-    before = torchdq.inverse_dynamics(found.robot, q, qd, qdd) + found.viscous * qd + found.coulomb * sign
+    before = torchdq.inverse_dynamics(found.robot, q, qd, qdd) + found.viscous * qd + found.coulomb * signs
     assert bool((measured.file < 0.7 * (tau - before).square().mean(0).sqrt() / tau.std(0)).all())
     assert bool((measured.found < 0.05).all()) and bool((measured.file > 2 * measured.found).all())
-    assert " by the file is " in measured.verdict and "with all that was found" in measured.verdict
+    assert " by the file is " in measured.summary and "With all that was found" in measured.summary
 
 
 def test_plain_friction_is_written_as_it_was_found():
     described = torchdq.Robot.from_urdf(PAIR)
-    q, qd, qdd = states()
+    q, qd, qdd = moved()
     tau = torchdq.inverse_dynamics(described, q, qd, qdd) + 0.5 * qd
-    found = identify(described, q, qd, qdd, tau, friction=True, prior=1.0)
+    found = fitted(described, q, qd, qdd, tau)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         file = torchdq.Robot.from_urdf(found.to_urdf(PAIR))
     assert torch.equal(file.damping, found.viscous) and torch.equal(file.friction, found.coulomb)
     # a robot without friction keeps that of its description
-    none = identify(described, q, qd, qdd, tau, friction=False, prior=1.0)
+    none = fitted(described, q, qd, qdd, tau, friction=None)
     assert torch.equal(none.simple, torch.stack([none.robot.damping, none.robot.friction]))
 
 
@@ -88,13 +84,37 @@ def test_no_friction_of_a_file_is_negative():
 
 
 def test_a_verdict_is_not_good_where_one_joint_of_the_file_is_far_off():
-    def of(*file):
-        size = torch.full((5,), 0.02)
+    def of(*file, found=0.02):
         errors = torch.tensor(file) if file else None
-        return TorqueTrial(tuple("abcde"), 5.0, torch.full((5,), 0.9), size, torch.ones(5), errors).verdict
+        return Evaluation(tuple("abcde"), 5.0, torch.full((5,), 0.9), torch.full((5,), found), torch.ones(5), errors)
 
-    assert of().startswith("Good: ") and "by the file" not in of()
-    assert of(0.02, 0.02, 0.02, 0.02, 0.02).startswith("Good: ")
+    assert of().verdict is Verdict.GOOD and "by the file" not in of().summary
+    assert of(0.02, 0.02, 0.02, 0.02, 0.02).verdict is Verdict.GOOD
     one = of(0.02, 0.02, 0.02, 0.02, FAIR + 0.1)
-    assert one.startswith("Fair: ") and "Worst is e with 40.0%, 2.0% with all that was found." in one
-    assert of(0.9, 0.9, 0.9, 0.9, 0.9).startswith("Keep the description: ")
+    assert one.verdict is Verdict.FAIR and "Worst is e with 40.0%, 2.0% with all that was found." in one.summary
+    assert of(*[0.9] * 5).verdict is Verdict.KEEP_DESCRIPTION and of(found=0.5).verdict is Verdict.POOR
+    for kind, some in ((Verdict.GOOD, of()), (Verdict.KEEP_DESCRIPTION, of(*[0.9] * 5))):
+        assert some.summary.startswith(f"{kind.value}: in 5.0 s") and str(some).endswith(some.summary)
+
+
+def test_a_layer_a_scene_and_a_file_have_all_that_was_found():
+    described = torchdq.Robot.from_urdf(PAIR)
+    real = described.replace(mass=described.mass * torch.tensor([1.2, 0.85], dtype=torch.float64))
+    q, qd, qdd = states(4, 600)
+    load = torchdq.inverse_dynamics(real, q, qd, qdd)
+    tau = torques(real, q, qd, qdd, size=0.01) + 0.1 * load.abs() * sign(qd) + torch.tensor([0.4, -0.3]).double()
+    found = identify(described, Samples(q, qd, qdd, tau), Model(offset=True))
+    assert found.coefficients("load") is not None
+    expected = found.predict(q, qd, qdd).tau
+    assert torch.allclose(found.layer()(q, qd, qdd), expected, rtol=1e-9, atol=1e-9)
+    assert torch.allclose(found.layer(learn=("mass",)).mass, found.robot.mass)
+    kinds = [type(effect) for effect in found.effects()]
+    assert kinds[0] is effects.Gravity and effects.LoadDependent in kinds and effects.Viscous in kinds
+    scene = Scene(found.robot, found.effects(), dt=1e-4)
+    state = scene.start(q[0, ::50], qd[0, ::50])
+    after = scene.step(state, expected[0, ::50] - found.offset)
+    assert torch.allclose((after.qd - state.qd) / 1e-4, qdd[0, ::50], atol=0.05 * float(qdd.std()))
+    with pytest.warns(UserWarning, match="no place for offset, left out; .* for friction of other shapes, too: load"):
+        text = found.to_urdf(PAIR)
+    again = torchdq.Robot.from_urdf(text)
+    assert torch.allclose(again.mass, found.robot.mass)

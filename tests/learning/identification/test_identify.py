@@ -14,21 +14,15 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from recorded_logs import WIDTH, fitted, plain, sign, with_findings
 
 import torchdq
 from torchdq.base import progress as notice
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.learning import identify
+from torchdq.learning import Samples, identify
 from torchdq.learning.identification import regression
 from torchdq.robot.check import consistency as physical
 from torchdq.robot.robot import arguments
-
-WIDTH = 1e-2
-
-
-def fitted(robot, *signals, friction=True, prior=1.0, **options):
-    """Robot identified without a choice of models."""
-    return identify(robot, *signals, friction=friction, prior=prior, **options)
 
 
 def double(x):
@@ -52,7 +46,7 @@ def altered(robot, seed=0):
 
 
 def torques(real, viscous, coulomb, offset, q, qd, qdd):
-    rub = viscous * qd + coulomb * qd / (qd**2 + WIDTH**2).sqrt()
+    rub = viscous * qd + coulomb * sign(qd)
     return torchdq.inverse_dynamics(real, q, qd, qdd) + rub + offset
 
 
@@ -99,9 +93,9 @@ def test_rotors_are_left_as_described_or_found():
     robot = torchdq.robots.load("panda").replace(armature=torch.full((7,), 0.3).double())
     q, qd, qdd = moving(7, 600)
     tau = torchdq.inverse_dynamics(robot.replace(armature=2 * robot.armature), q, qd, qdd)
-    kept = fitted(robot, q, qd, qdd, tau, friction=False)
+    kept = fitted(robot, q, qd, qdd, tau, friction=None)
     assert torch.equal(kept.robot.armature, robot.armature) and float(kept.rms[2:].min()) > 0.1
-    found = fitted(robot, q, qd, qdd, tau, friction=False, armature=True)
+    found = fitted(robot, q, qd, qdd, tau, friction=None, armature=True)
     assert torch.allclose(
         found.robot.armature[2:], 2 * robot.armature[2:], rtol=1e-6
     )  # those not beside a base inertia
@@ -203,11 +197,11 @@ def test_what_the_samples_do_not_tell_stays_as_described():
     real, robot = real.replace(gravity=torch.zeros(3).double()), robot.replace(gravity=torch.zeros(3).double())
     tau = torchdq.inverse_dynamics(real, q, qd, qdd)
     tau = tau * still + 0.01 * moving(7, 400, seed=3)[0]
-    with pytest.warns(UserWarning, match="6 of 7 joints never move"):
-        found = fitted(robot, q, qd, qdd, tau, prior=4.0)
-    assert not bool(found.excited[70:].reshape(2, 7)[:, :6].any())
-    told = found.base[:, :70].abs().amax(0).reshape(7, 10).amax(1)
-    assert told.nonzero()[:, 0].tolist() == [6]
+    found, findings = with_findings(fitted, robot, q, qd, qdd, tau, prior=4.0)
+    assert [x.subject for x in findings if x.code == "joint.unexcited"] == [*robot.joint_names[:6]]
+    assert not bool(found.identifiable[70:].reshape(2, 7)[:, :6].any())
+    identified = found.base[:, :70].abs().amax(0).reshape(7, 10).amax(1)
+    assert identified.nonzero()[:, 0].tolist() == [6]
     assert torch.allclose(found.robot.mass[:6], robot.mass[:6], rtol=1e-9)
     # the second link is described thinner than 1 % of its size
     size = robot.inertia[:6].abs().amax(1, keepdim=True)
@@ -243,7 +237,7 @@ def test_links_without_mass_points_and_impossible_ones():
     with pytest.raises(torchdq.UnphysicalError, match=r"identification needs .*\n  link 'panda_link5': .*triangle"):
         fitted(robot, q, qd, qdd, 0 * q)
     robot = robot.replace(on_unphysical="repair")
-    found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(panda, q, qd, qdd), friction=False)
+    found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(panda, q, qd, qdd), friction=None)
     assert_can_exist(found)
     assert float(found.robot.mass[2]) == 0 and not found.robot.inertia[2].any()
     left = torchdq.inverse_dynamics(panda, q, qd, qdd) - torchdq.inverse_dynamics(robot, q, qd, qdd)
@@ -264,12 +258,12 @@ def hardly_moving():
 
 
 def test_joints_that_do_not_move_are_named():
-    with pytest.warns(UserWarning, match=r"never move faster than width = 0\.01: joint2 \(3e-05 rad/s\).*excited"):
-        found = fitted(*hardly_moving(), armature=True)
-    excited = dict(zip(found.names, found.excited.tolist(), strict=True))
+    found, (one,) = with_findings(fitted, *hardly_moving(), armature=True)
+    assert (one.code, one.subject) == ("joint.unexcited", "joint2") and one.value == pytest.approx(3e-5, rel=0.01)
+    identifiable = dict(zip(found.names, found.identifiable.tolist(), strict=True))
     for name in ("rotor", "viscous", "coulomb"):
-        assert not excited[f"joint2 {name}"], name
-    assert excited["joint1 viscous"] and excited["joint1 coulomb"]
+        assert not identifiable[f"joint2 {name}"], name
+    assert identifiable["joint1 viscous"] and identifiable["joint1 coulomb"]
 
 
 def test_what_the_samples_decide_is_said_and_nothing_warned_when_all_joints_move():
@@ -280,21 +274,22 @@ def test_what_the_samples_decide_is_said_and_nothing_warned_when_all_joints_move
         warnings.simplefilter("error")
         found = fitted(robot, q, qd, qdd, tau, prior=2.0)
         one = fitted(robot, q[:1], qd[:1], qdd[:1], tau[:1])
-    assert bool(found.excited[70:].all())  # friction of all joints
+    assert bool(found.identifiable[70:].all())  # friction of all joints
     alone = (found.base != 0).sum(1) == 1  # base parameters of one term are told by themselves
     lead = [int(row.nonzero()[0]) for row in found.base[alone]]
-    assert len(lead) > 10 and bool(found.excited[lead].all())
-    assert not bool(found.excited[:4].any())  # mass and its moment of the first link, which turns about the vertical
-    assert int(one.excited.sum()) < int(found.excited.sum()) / 2
+    assert len(lead) > 10 and bool(found.identifiable[lead].all())
+    assert not bool(
+        found.identifiable[:4].any()
+    )  # mass and its moment of the first link, which turns about the vertical
+    assert int(one.identifiable.sum()) < int(found.identifiable.sum()) / 2
 
 
 def test_what_is_found_prints_as_a_table():
-    with pytest.warns(UserWarning, match="joint2"):
-        found = fitted(*hardly_moving(), armature=True, offset=True)
+    found, _ = with_findings(fitted, *hardly_moving(), armature=True, offset=True)
     lines = str(found).splitlines()
-    assert lines[0] == f"two_link, identified: {found.rank} combinations of {len(found.names)} parameters are told"
+    assert lines[0] == f"two_link, identified: {len(found.names)} parameters, rank {found.rank}"
     header = next(i for i, line in enumerate(lines) if line.startswith("parameter"))
-    assert lines[header].split() == ["parameter", "estimate", "standard", "error", "unit", "excited"]
+    assert lines[header].split() == ["parameter", "estimate", "standard", "error", "unit", "identifiable"]
     rows = lines[header + 1 : header + 1 + len(found.names)]
     assert [row.split("  ")[0] for row in rows] == list(found.names)
     at = found.names.index("joint2 viscous")
@@ -406,15 +401,15 @@ def test_what_it_does_not_take():
         fitted(robot, x, x, x / 0, x)
     with pytest.raises(ArgumentError, match="at least one sample"):
         fitted(robot, x[:0], x[:0], x[:0], x[:0])
-    for name in ("prior", "width"):
+    for name in ("prior", "sign_width"):
         for wrong in (0.0, -1, True, "1", float("nan")):
             with pytest.raises(ArgumentError, match=f"^{name} must be a positive number, found "):
-                fitted(robot, x, x, x, x, **{name: wrong})
+                identify(robot, Samples(x, x, x, x), plain(), **{name: wrong})
     with pytest.raises(ArgumentError, match="batch axes"):
         fitted(robot.replace(mass=robot.mass * torch.ones(3, 1).double()), x[:3], x[:3], x[:3], x[:3])
     with pytest.raises(ArgumentError, match="no mass"):
         empty = robot.replace(mass=0 * robot.mass, on_unphysical="ignore")
-        fitted(empty, x, x, x, x, friction=False)
+        fitted(empty, x, x, x, x, friction=None)
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -203,7 +203,8 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
     name = type(law).__name__
     own = {key: getattr(law, key) for key in law.SHAPES if key not in (*law.LINEAR, "warming")}
     alike = Term(f"{name.lower()} {parameter}", ("", ""), parameter=parameter, signed=parameter in law.SIGNED)
-    for term in (*reversed(SHAPES), COULOMB, VISCOUS):
+    # first, since saturating friction may have the same width; and last, since it is like all dry friction
+    for term in (COULOMB, *reversed(SHAPES), COULOMB, VISCOUS):
         known = None if term.effect is None else term.effect(width)
         if known == law and term.parameter == parameter:
             return term

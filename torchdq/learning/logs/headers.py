@@ -70,8 +70,8 @@ def _missing(columns: dict[str, list[str]], counts: Counter[str], heads: list[st
             claim = f"there are several columns {name!r}" if name in counts else f"there is no column {name!r}"
             code = "column.repeated" if name in counts else "column.missing"
             fault = Finding(code, "", f"{claim}; needed are columns {needed}", "", *_cure(name, heads))
-            lost = [signal for signal, names in columns.items() if not counts.keys() & {*names}]
-            return missing_signals(fault, lost, heads) if whole and name not in counts else fault
+            absent = [signal for signal, names in columns.items() if not counts.keys() & {*names}]
+            return missing_signals(fault, absent, heads) if whole and name not in counts else fault
     return None
 
 
@@ -87,19 +87,19 @@ def _more(columns: dict[str, list[str]], counts: Counter[str], layout: Layout, n
     return None
 
 
-def missing_signals(fault: Finding, lost: Collection[str], names: Sequence[str]) -> Finding:
+def missing_signals(fault: Finding, absent: Collection[str], names: Sequence[str]) -> Finding:
     """Fault with cures that name the models which are possible without some signals.
 
     Args:
         fault: the column or array that is missing.
-        lost: signals of which nothing is there.
+        absent: signals of which nothing is there.
         names: names of what is there.
     """
-    if "q" in lost or "time" in lost or not {"qd", "tau"} & {*lost}:
+    if "q" in absent or "time" in absent or not {"qd", "tau"} & {*absent}:
         return fault
-    velocities = "qd" in lost
+    velocities = "qd" in absent
     current = next((name for name in names if CURRENT.search(name)), None)
-    if "tau" not in lost:
+    if "tau" not in absent:
         cure = (
             "if velocities were not recorded, Layout(columns={'qd': None}) reads positions and torques: smooth makes "
             "velocities of the positions, and identify and fit work as with recorded ones"

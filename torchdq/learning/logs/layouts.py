@@ -130,7 +130,7 @@ class Layout:
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
 
     def _require_transmission(self) -> None:
-        """Raise unless motors can be told from joints; `transmission` becomes a tuple."""
+        """Raise unless motors and joints have a transmission with an inverse; `transmission` becomes a tuple."""
         object.__setattr__(self, "at_motors", names_of("at_motors", self.at_motors, SIGNALS[1:5], "signal"))
         expected = "numbers, one per joint, such as (0.01, -0.0125), or the rows of a square matrix"
         rows = list(self.transmission) if isinstance(self.transmission, Iterable) else [None]

@@ -22,7 +22,7 @@ from torchdq.learning.logs.read import Log
 from torchdq.learning.logs.samples import UNITS, Samples
 
 ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only
-SIGN_WIDTH = 1e-3  # velocity below which its sign is rounded, small beside what the filter rounds [rad/s or m/s]
+SIGN_WIDTH = 1e-3  # velocity below which its sign is rounded, small against what the filter rounds [rad/s or m/s]
 CUTOFF = 8.0  # [Hz] usual for the filters: arms of a metre hardly move faster
 SETTLED = 1.5  # periods of the cutoff at rest after which the filter has forgotten that the log begins or ends there
 FEWEST = 15  # rows that the filter needs

@@ -1,7 +1,7 @@
 """Signals of joints from those of the motors that drive them, through gears and coupled wrists.
 
-Joints' positions are linear in the motors', q = S m + q0, so that velocities and accelerations follow by S, and, no
-power being lost, torques at the joints are S^-T times those at the motors.
+Joints' positions are linear in the motors', q = S m + q0, so that velocities and accelerations follow by S, and, the
+transmission being lossless, torques at the joints are S^-T times those at the motors.
 """
 
 import numpy as np
