@@ -597,7 +597,9 @@ def test_an_exported_module_takes_any_batch_size(key):
     args = inputs(MODULES[key][1], 2, (3,))
     exported = torch.export.export(module, tuple(args), dynamic_shapes=[{0: batch} for _ in args])
     args = inputs(MODULES[key][1], 2, (11,))
-    assert same([exported.module()(*args)], [module(*args)])
+    # torch operations; a compiled program may round a product and a sum of friction at once
+    rounding = 16 * EPS[F64] if "friction" in key else 0.0
+    assert relative([exported.module()(*args)], [module(*args)]) <= rounding
 
 
 # --- modules ---------------------------------------------------------------------------------------------------------
