@@ -6,7 +6,7 @@
     train, test = train_test_split(motion, 0.6)
     found = identify(robot, train)                     # masses, inertias, friction, with errors
     print(evaluate(robot, found, test))                # a table, and a verdict
-    fit(model, stack_samples(train), epochs=100)       # a network or a layer, by gradients
+    fit(model, stack_samples(train), steps=2000)       # a network or a layer, by gradients
     fit_rollout(scene, Recording(time, q, {"torque": tau}), "Viscous.coefficient")  # parameters of a scene
 
 Nothing here is imported by `import torchdq`; scipy is imported by the functions that need it.

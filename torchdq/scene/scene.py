@@ -276,7 +276,7 @@ class Scene:
         wanted = [
             *self.spec.state,
             *(present or self.inputs),
-            *self.spec.computed(),
+            *self.computed,
             *(["noise"] if self.noises else []),
         ]
         taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
