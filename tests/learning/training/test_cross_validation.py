@@ -1,4 +1,4 @@
-"""A residual that is fitted: kept where it helps on rows it has not seen, silent elsewhere, with honest errors."""
+"""A residual that is fitted: active where it helps on rows it has not seen, silent elsewhere, with honest errors."""
 
 import warnings
 from itertools import pairwise
