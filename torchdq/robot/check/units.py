@@ -38,14 +38,6 @@ def warn(kind: str, findings: Sequence[Finding], stacklevel: int) -> None:
         warnings.warn(f"{kind} may have numbers in other units:\n  {lines}", stacklevel=stacklevel + 1)
 
 
-def degrees(subject: str, what: str, angles: Sequence[float]) -> Finding | None:
-    """Suspicion about angles of a placement [rad]."""
-    if all(abs(angle) <= TURN for angle in angles):
-        return None
-    found = " ".join(f"{angle:g}" for angle in angles)
-    return Finding("units.degrees", subject, f"{what} must be in rad", found, "is it in degrees?")
-
-
 def diagnostics(robot: RobotModel) -> list[Finding]:
     """Numbers that seem to be in other units than m, rad, kg and kg m^2; none inside of a transform.
 
