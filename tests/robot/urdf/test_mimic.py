@@ -160,6 +160,7 @@ def test_followers_that_end_nowhere_are_refused_and_bring_no_other_faults(mimics
         assert Robot.from_urdf(hand(*mimics), mimic="independent").n == 4
 
 
+@pytest.mark.case("U4")
 @pytest.mark.parametrize("more", ['<mimic joint="nobody"/>', "<mimic/>"])
 def test_a_follower_of_nobody_is_independent(more):
     text = hand("", more, mimic("index"))
