@@ -61,7 +61,7 @@ def diagnostics(robot: RobotModel) -> list[Finding]:
             bodies.append(_inertia(subjects[i], radius, length, "of all links together", "g m^2 or in kg cm^2"))
     kinds = dict(zip(robot.every_joint, robot.kinds, strict=True))
     for name, *ends in zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True):
-        # a coordinate that is no joint of its own moves several
+        # a coordinate without a joint of its own moves several
         if name in kinds and KINDS[kinds[name]].turns and any(TURNS[0] < abs(x) <= TURNS[1] for x in ends):
             shown = f"{ends[0]:g} to {ends[1]:g}"
             found.append(
