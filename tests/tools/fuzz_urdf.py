@@ -286,8 +286,8 @@ def main():
         if found.seconds > SECONDS or found.megabytes > MEGABYTES:
             bad.append(f"case {number}: {found.seconds:.2f} s, {found.megabytes:.0f} MB")
     print("\n".join(bad))
-    told = ", ".join(f"{kind} {count}" for kind, count in fates.most_common())
-    print(f"{arguments.cases} cases: {told}; at most {worst[0]:.2f} s and {worst[1]:.0f} MB; {len(bad)} bad")
+    named = ", ".join(f"{kind} {count}" for kind, count in fates.most_common())
+    print(f"{arguments.cases} cases: {named}; at most {worst[0]:.2f} s and {worst[1]:.0f} MB; {len(bad)} bad")
     return 1 if bad else 0
 
 

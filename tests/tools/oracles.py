@@ -309,7 +309,7 @@ def random_tree(n: int, seed: int, armature: bool = False) -> Case:
 
 # --- robots of example-robot-data ------------------------------------------------------------------------------------
 
-UNREADABLE = {"ur3": "exactly one link must be the base, carried by no joint; found 0"}  # an empty <robot>
+UNREADABLE = {"ur3": "exactly one link must be the base, carried by no joint, found 0"}  # an empty <robot>
 
 JOINTLESS = ("quadrotor_base", "iris_simple")  # flying bodies: nothing moves when the base is fixed
 

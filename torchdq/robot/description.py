@@ -48,7 +48,7 @@ class JointMap(NamedTuple):
     S: Tensor  # [links, n] positions of the joints per coordinate
 
     def followed(self, joint: str, coordinates: Sequence[str]) -> str:
-        """Words for the coordinates, named in their order, that a joint follows."""
+        """Coordinates, named in their order, that a joint follows, as a sum."""
         row = self.S[self.joint_names.index(joint)].tolist()
         return " + ".join(f"{x:g} {name}" for name, x in zip(coordinates, row, strict=True) if x) or "nothing"
 

@@ -34,7 +34,7 @@ def exact(cos: float, sin: float, angle: float) -> tuple[float, float]:
     return cos, sin
 
 
-@backend("eager")  # a few poses are not worth a compilation
+@backend("eager")  # compiling takes longer than a few poses
 def read(
     a: Sequence[float],
     alpha: Sequence[float],

@@ -16,7 +16,7 @@ from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, UNIT, distinct, indices, numbers, poses, table
 from torchdq.robot.description import RobotDescription, assemble, note
 
-# Pitches [m/rad] that are not worth a note: a thousandth of an atom, and what rounding leaves of l . m per size of m.
+# Pitches [m/rad] that are not noted: a thousandth of an atom, and what rounding leaves of l . m per size of m.
 ATOM, PRODUCTS = 1e-13, 32 * sys.float_info.epsilon
 
 
@@ -38,7 +38,7 @@ def joint(name: str, screw: Tensor) -> tuple[str, Tensor]:
     )
 
 
-@backend("eager")  # a few poses are not worth a compilation
+@backend("eager")  # compiling takes longer than a few poses
 def read(
     joint_screws: Any,
     link_poses: Any,

@@ -50,9 +50,9 @@ def from_urdf(
 
     Links on fixed joints are merged with their parents and stay as frames; the coordinate of a continuous joint is
     its angle. Meshes are never opened. Joint friction, damping and limits are read but are not part of the rigid-body
-    dynamics. Non-fatal errors of the file are recorded in `notes`; `report()` lists them. Words that seem misspelt,
-    elements given twice and mimic joints whose drivers are not in the file may change the dynamics: a warning names
-    them.
+    dynamics. Errors that are not fatal are recorded in `notes`, by code and subject; `report()` lists them. Elements
+    and attributes that seem misspelt, elements given twice and mimic joints whose drivers are not in the file may
+    change the dynamics: a warning names them.
 
     Args:
         source: path of the file, a file:// or package:// address, an open file, or the XML text itself.

@@ -177,8 +177,8 @@ def warned(load, *arguments, **options):
     return found, [line.strip() for warning in seen for line in str(warning.message).splitlines()[1:]]
 
 
-@pytest.mark.parametrize("a, b, told", [("0", "1", "b"), ("0.5", "0.5", "a, b"), ("1", "1", ""), ("0", "0", "")])
-def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, told):
+@pytest.mark.parametrize("a, b, named", [("0", "1", "b"), ("0.5", "0.5", "a, b"), ("1", "1", ""), ("0", "0", "")])
+def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, named):
     """MuJoCo relieves these bodies, and a robot has one gravity for all."""
     geom = "<geom size='1' contype='0' conaffinity='0'/>"
     ball = f"<joint type='slide'/>{geom}"
@@ -186,7 +186,7 @@ def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, told):
     stand = f"<body name='stand' gravcomp='1'>{geom}{bodies}</body>"
     text = f"<mujoco><worldbody>{stand}</worldbody></mujoco>"
     robot, lines = warned(torchdq.Robot.from_mjcf, text)
-    assert lines == [f"{told}: gravcomp ignored: gravity acts on them in full"] * bool(told)
+    assert lines == [f"{named}: gravcomp ignored: gravity acts on them in full"] * bool(named)
     assert set(lines) <= {*map(str, robot.notes)}
     for quiet in ({"gravity": None}, {"on_unphysical": "ignore"}):
         assert warned(torchdq.Robot.from_mjcf, text, **quiet)[1] == []
@@ -195,7 +195,7 @@ def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, told):
     mujoco.mj_forward(model, data)
     zero = torch.zeros(2, dtype=torch.float64)
     rises = torchdq.forward_dynamics(robot, zero, zero, zero, backend="eager").numpy()
-    assert np.allclose(rises, data.qacc, atol=1e-9) == (not told)
+    assert np.allclose(rises, data.qacc, atol=1e-9) == (not named)
 
 
 # --- joints that are locked or coupled -------------------------------------------------------------------------------

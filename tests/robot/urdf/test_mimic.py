@@ -160,6 +160,7 @@ def test_followers_that_end_nowhere_are_refused_and_bring_no_other_faults(mimics
         assert Robot.from_urdf(hand(*mimics), mimic="independent").n == 4
 
 
+@pytest.mark.case("U4")
 @pytest.mark.parametrize("more", ['<mimic joint="nobody"/>', "<mimic/>"])
 def test_a_follower_of_nobody_is_independent(more):
     text = hand("", more, mimic("index"))
@@ -224,8 +225,8 @@ def pair(driver, follower, factor=1, offset=0):
 def test_limits_of_a_coordinate_keep_its_followers_within_theirs(follower, how, expected, note):
     found = Robot.from_urdf(pair(limits(), follower, *how))
     assert [float(x) for x in found.limits] == [*expected, 4]
-    told = sentences(found, "limits.narrowed") + sentences(found, "limits.no_room")
-    assert len(told) == bool(note) and all(x.startswith(note) for x in told)
+    named = sentences(found, "limits.narrowed") + sentences(found, "limits.no_room")
+    assert len(named) == bool(note) and all(x.startswith(note) for x in named)
 
 
 def test_friction_of_followers_is_that_of_the_coordinate():
@@ -328,15 +329,15 @@ def test_a_lock_beyond_the_limits_is_warned_of(value, beyond):
         warnings.simplefilter("always")
         robot = Robot.from_urdf(arm(), lock={"elbow": value})
     assert [x.filename for x in seen if "locked beyond its limits: elbow" in str(x.message)] == [__file__] * beyond
-    told = [f"locked beyond their limits: elbow at {value:g}, limits [-1, 2]"] * beyond
-    assert sentences(robot, "lock.beyond_limits") == told
+    named = [f"locked beyond their limits: elbow at {value:g}, limits [-1, 2]"] * beyond
+    assert sentences(robot, "lock.beyond_limits") == named
 
 
 # --- locked followers ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "options, joints, told",
+    "options, joints, named",
     [
         ({"lock": {"thumb": 0.5}}, ("other",), "thumb at 0.5, index at -0.75, ring at -0.375, little at 0.5"),
         ({"joints": "other"}, ("other",), "thumb at 0, index at 0.25, ring at 0.125, little at 0"),
@@ -356,11 +357,11 @@ def test_a_lock_beyond_the_limits_is_warned_of(value, beyond):
         ({"joints": "thumb", "mimic": "independent"}, ("thumb",), "index at 0, ring at 0, little at 0, other at 0"),
     ],
 )
-def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them(options, joints, told):
+def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them(options, joints, named):
     robot = Robot.from_urdf(BESIDE, **options)
-    assert robot.joint_names == joints and locked(robot) == told
+    assert robot.joint_names == joints and locked(robot) == named
     assert (robot.joint_map is None) == (joints != ("thumb",) or "mimic" in options)
-    for name, at in (x.split(" at ") for x in told.split(", ")):
+    for name, at in (x.split(" at ") for x in named.split(", ")):
         assert same(position(robot, [0.0] * robot.n, f"{name}_link")[2], float(at)) or float(at) == 0
     apart = {"thumb": "index, little", "index": "ring"}.get(joints[0], "") if "mimic" in options else ""
     assert (("lock.mimic", apart) in codes(robot)) == bool(apart)

@@ -37,7 +37,7 @@ ROBOT = """
 
 @pytest.fixture
 def folder(tmp_path):
-    """Package of ROS with a robot that includes a file beside it, and one that includes it from the package."""
+    """Package of ROS with a robot that includes a file of its folder, and one that includes it from the package."""
     urdf = tmp_path / "rod_description" / "urdf"
     urdf.mkdir(parents=True)
     (urdf.parent / "package.xml").write_text("<package><name>rod_description</name></package>")

@@ -38,14 +38,6 @@ def warn(kind: str, findings: Sequence[Finding], stacklevel: int) -> None:
         warnings.warn(f"{kind} may have numbers in other units:\n  {lines}", stacklevel=stacklevel + 1)
 
 
-def degrees(subject: str, what: str, angles: Sequence[float]) -> Finding | None:
-    """Suspicion about angles of a placement [rad]."""
-    if all(abs(angle) <= TURN for angle in angles):
-        return None
-    found = " ".join(f"{angle:g}" for angle in angles)
-    return Finding("units.degrees", subject, f"{what} must be in rad", found, "is it in degrees?")
-
-
 def diagnostics(robot: RobotModel) -> list[Finding]:
     """Numbers that seem to be in other units than m, rad, kg and kg m^2; none inside of a transform.
 
@@ -69,7 +61,7 @@ def diagnostics(robot: RobotModel) -> list[Finding]:
             bodies.append(_inertia(subjects[i], radius, length, "of all links together", "g m^2 or in kg cm^2"))
     kinds = dict(zip(robot.every_joint, robot.kinds, strict=True))
     for name, *ends in zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True):
-        # a coordinate that is no joint of its own moves several
+        # a coordinate without a joint of its own moves several
         if name in kinds and KINDS[kinds[name]].turns and any(TURNS[0] < abs(x) <= TURNS[1] for x in ends):
             shown = f"{ends[0]:g} to {ends[1]:g}"
             found.append(

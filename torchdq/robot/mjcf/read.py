@@ -140,13 +140,13 @@ def _require_numbers(joints: Sequence[MjcfJoint], moves: Sequence[Follows]) -> N
             x = getattr(joint, name)
             if not abs(x) <= MOST or (name != "home" and x < 0):
                 expected = f"{name} must be finite{'' if name == 'home' else ' and not negative'}, at most {MOST:g}"
-                faults.append(Finding("number.invalid", subject, expected, f"{x:g}", severity="error"))
+                faults.append(Finding("number.invalid", subject, expected, f"{x:g}"))
         if not joint.lower <= joint.upper:
             expected = "range must be two numbers in order"
             faults.append(Finding("limits.reversed", subject, expected, f"{joint.lower}, {joint.upper}"))
         if not all(abs(x) <= MOST for x in moves[joint.row][1:]):
             expected, found = f"couplings of joints must be finite, at most {MOST:g}", f"{moves[joint.row][1:]}"
-            faults.append(Finding("number.invalid", subject, expected, found, severity="error"))
+            faults.append(Finding("number.invalid", subject, expected, found))
     _refuse(faults)
 
 
@@ -156,7 +156,7 @@ def _require_finite(description: RobotDescription) -> None:
     expected = f"must be finite, at most {MOST:g} in size"
     _refuse(
         [
-            Finding("number.invalid", "", f"{name} {expected}", f"{x.tolist()}", severity="error")
+            Finding("number.invalid", "", f"{name} {expected}", f"{x.tolist()}")
             for name, x in tensors.items()
             if not bool((x.abs() <= MOST).all())
         ]
@@ -166,4 +166,5 @@ def _require_finite(description: RobotDescription) -> None:
 def _refuse(faults: Sequence[Finding]) -> None:
     if faults:
         lines = "\n  ".join(map(str, faults))
-        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", findings=faults)
+        found = [x._replace(severity="error") for x in faults]
+        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", findings=found)

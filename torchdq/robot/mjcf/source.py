@@ -70,9 +70,8 @@ def _attempt(step: Callable[[], Any], needed: list[str] | None = None) -> Any:
     except Exception as error:  # MuJoCo raises ValueError, FatalError and, for some paths, others
         hint = ""
         if needed:
-            hint = (
-                f"; the masses of {', '.join(needed)} come from meshes: keep these files beside it, or add <inertial>"
-            )
+            names = ", ".join(needed)
+            hint = f"; the masses of {names} come from meshes: keep these files where it names them, or add <inertial>"
         raise DescriptionError(f"MuJoCo cannot compile the robot description: {str(error).strip()}{hint}") from error
 
 

@@ -6,17 +6,18 @@ import math
 import reprlib
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from typing import Any
 
 from torchdq.base.findings import Finding
 from torchdq.robot.assembly import Links
-from torchdq.robot.check.units import degrees
+from torchdq.robot.check.units import TURN
 from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.edit.locking import lock_notes
 from torchdq.robot.urdf.document import EXTENSIONS
-from torchdq.robot.urdf.elements import Elements, UrdfJoint
+from torchdq.robot.urdf.elements import Elements
 
 TAGS = {
     "robot": {"link", "joint"} | EXTENSIONS,
@@ -57,13 +58,18 @@ def diagnostics(
         free, moves: displacements of the joints, without and with locks.
         coupled: whether joints follow others by <mimic>.
     """
-    return [
-        *_ignored(root),
-        *_orphans(file, coupled),
-        *_degrees(file),
-        *_bodies(root, file, links, frames),
-        *_joints(root, file, links, free, moves, coupled),
-    ]
+    held = {
+        name: moves[joint.row].offset
+        for name, joint in file.joints.items()
+        if moves[joint.row].root is None and free[joint.row].root is not None
+    }
+    limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in held}
+    joints = _joints(root, file, links, coupled)
+    rows = [*_bodies(root, file, links, frames), *joints, *_standing(file, free, moves, held)]
+    found = [*_ignored(root), *_orphans(file, coupled), *_degrees(file), *lock_notes(held, limits)]
+    # of joints, and not of names, all may be meant
+    among = {code: len(links.links) for code, about, _ in joints if about and not isinstance(about[0], str)}
+    return [*found, *(note(*row, among.get(row[0], 0)) for row in rows if row[1])]
 
 
 # --- warnings --------------------------------------------------------------------------------------------------------
@@ -137,88 +143,72 @@ def _orphans(file: Elements, coupled: bool) -> Iterator[Finding]:
 
 def _degrees(file: Elements) -> Iterator[Finding]:
     """Angles of placements that are larger than a turn."""
-    for name, body in file.links.items():
-        if body and (finding := degrees(f"link {name!r}", "rpy of its inertial", body.origin.rpy)):
-            yield finding
-    for name, joint in file.joints.items():
-        if finding := degrees(f"joint {name!r}", "rpy", joint.origin.rpy):
-            yield finding
+    placed = [(f"link {name!r}", "rpy of its inertial", body.origin.rpy) for name, body in file.links.items() if body]
+    placed += [(f"joint {name!r}", "rpy", joint.origin.rpy) for name, joint in file.joints.items()]
+    for subject, what, rpy in placed:
+        if any(abs(angle) > TURN for angle in rpy):
+            found = " ".join(f"{angle:g}" for angle in rpy)
+            yield Finding("units.degrees", subject, f"{what} must be in rad", found, "is it in degrees?")
 
 
-# --- notes -----------------------------------------------------------------------------------------------------------
+# --- notes: code, what they are about, and what is so ----------------------------------------------------------------
+
+Row = tuple[str, Sequence[Any], str]
 
 
-def _bodies(root: ET.Element, file: Elements, links: Links, frames: Sequence[str]) -> list[Finding]:
-    """Notes on links: those left out or without numbers."""
-    moving = [frame.name for frame in links.frames if frame.link >= 0]
-    bodies = {name: file.links[name] for name in moving}
+def _bodies(root: ET.Element, file: Elements, links: Links, frames: Sequence[str]) -> list[Row]:
+    """Links that are left out or have no numbers."""
+    bodies = {frame.name: file.links[frame.name] for frame in links.frames if frame.link >= 0}
     empty = [x.get("name", "") for x in root.findall("link") if x.find("inertial") is not None]
     empty = [name for name in empty if file.links.get(name) is None and name not in file.unreadable]
     points = [name for name, body in bodies.items() if body and body.mass and not body.stated]
     fixed = [joint for joint in file.joints.values() if not joint.moves]
-    notes = (
-        note("frame.left_out", frames, "nothing carries it and it has neither body nor joint, left out"),
-        note("inertial.unreadable", [*file.unreadable], "<inertial> cannot be read, of a link that never moves"),
-        note("inertial.no_mass", empty, "<inertial> gives no <mass>, taken as massless"),
-        note("link.massless", [name for name, x in bodies.items() if x is None or x.mass == 0], "no mass"),
-        note("inertial.point", points, "mass without <inertia>, taken as a point at its centre of mass"),
-        Finding("joint.fixed", "", f"{len(fixed)} fixed joints lumped; their links are frames", severity="note"),
-    )
-    return [x for x in notes if x.subject or (fixed and x.code == "joint.fixed")]
+    return [
+        ("frame.left_out", frames, "nothing carries it and it has neither body nor joint, left out"),
+        ("inertial.unreadable", [*file.unreadable], "<inertial> cannot be read, of a link that never moves"),
+        ("inertial.no_mass", empty, "<inertial> gives no <mass>, taken as massless"),
+        ("link.massless", [name for name, x in bodies.items() if x is None or x.mass == 0], "no mass"),
+        ("inertial.point", points, "mass without <inertia>, taken as a point at its centre of mass"),
+        ("joint.fixed", [f"{len(fixed)} fixed joints"] * bool(fixed), "lumped; their links are frames"),
+    ]
 
 
-def _joints(
-    root: ET.Element, file: Elements, links: Links, free: Sequence[Follows], moves: Sequence[Follows], coupled: bool
-) -> list[Finding]:
-    """Notes on joints: what they ask for that rigid bodies do not do, and those that stand still."""
+def _joints(root: ET.Element, file: Elements, links: Links, coupled: bool) -> list[Row]:
+    """What joints ask for that rigid bodies do not do."""
     joints = [file.joints[link.joint.name] for link in links.links]
-    bounds = {
-        x.get("name", ""): x.find("limit") for x in root.findall("joint") if x.get("type") in ("revolute", "prismatic")
-    }
+    kinds = ("revolute", "prismatic")
+    bounds = {x.get("name", ""): x.find("limit") for x in root.findall("joint") if x.get("type") in kinds}
     partial = [
         f"{name} ({' and '.join(absent)})"
         for name, limit in bounds.items()
         if limit is not None and (absent := [key for key in ("lower", "upper") if key not in limit.attrib])
     ]
-
-    def of(code: str, wanted: Callable[[UrdfJoint], object], what: str) -> Finding:
-        return note(code, [joint for joint in joints if wanted(joint)], what, len(joints))
-
-    stuck = [joint for joint in file.joints.values() if joint.moves and free[joint.row].root is None]
-    held = {
-        name: moves[joint.row].offset
-        for name, joint in file.joints.items()
-        if moves[joint.row].root is None and free[joint.row].root is not None
-    }
-    apart = [
-        name
-        for name in held
-        if (mimic := file.joints[name].mimic)
-        and (driver := file.joints.get(mimic.joint))
-        and moves[driver.row].root is not None
-    ]
-    stand = ", ".join(f"{joint.name} at {free[joint.row].offset:g}" for joint in stuck)
     planar = [x.get("name", "") for x in root.findall("joint") if x.get("type") == "planar"]
-    notes = (
-        note(
-            "limits.missing",
-            [name for name, limit in bounds.items() if limit is None],
-            "no <limit>, taken as unlimited",
-        ),
-        note("limits.partial", partial, "left out of <limit>, taken as 0, as the format has it"),
-        note("joint.planar", planar, "planar, taken as two slides, x and y, and a turn"),
-        note("mimic.stuck", stuck, f"it follows nothing that moves: {stand}"),
-        note("lock.mimic", apart, "locked although the joint that it mimics moves"),
-        of("damping.unused", lambda j: j.damping, "viscous damping given but not simulated"),
-        of("friction.unused", lambda j: j.friction, "Coulomb friction given but not simulated"),
-        of("limits.unused", _limited, "limits given but not enforced"),
-        of("limits.zero", lambda j: j.lower == j.upper or 0 in (j.velocity, j.effort), "limits of zero leave no room"),
-        of("axis.scaled", lambda j: j.scaled, "axes scaled to unit length"),
-        of(f"{UNSIMULATED}mimic", lambda j: j.mimic and not coupled, "<mimic> not used, independent"),
-    )
-    limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in held}
-    return [*lock_notes(held, limits), *(x for x in notes if x.subject)]
+    zero = [x for x in joints if x.lower == x.upper or 0 in (x.velocity, x.effort)]
+    limited = [x for x in joints if any(map(math.isfinite, (x.lower, x.upper, x.velocity, x.effort or 0.0)))]
+    return [
+        ("limits.missing", [x for x, limit in bounds.items() if limit is None], "no <limit>, taken as unlimited"),
+        ("limits.partial", partial, "left out of <limit>, taken as 0, as the format has it"),
+        ("joint.planar", planar, "planar, taken as two slides, x and y, and a turn"),
+        ("damping.unused", [x for x in joints if x.damping], "viscous damping given but not simulated"),
+        ("friction.unused", [x for x in joints if x.friction], "Coulomb friction given but not simulated"),
+        ("limits.unused", limited, "limits given but not enforced"),
+        ("limits.zero", zero, "limits of zero leave no room"),
+        ("axis.scaled", [x for x in joints if x.scaled], "axes scaled to unit length"),
+        (f"{UNSIMULATED}mimic", [x for x in joints if x.mimic and not coupled], "<mimic> not used, independent"),
+    ]
 
 
-def _limited(joint: UrdfJoint) -> bool:
-    return any(x is not None and math.isfinite(x) for x in (joint.lower, joint.upper, joint.velocity, joint.effort))
+def _standing(
+    file: Elements, free: Sequence[Follows], moves: Sequence[Follows], held: Mapping[str, float]
+) -> list[Row]:
+    """Mimic joints that stand still, and those that are locked while their drivers move."""
+    stuck = [joint for joint in file.joints.values() if joint.moves and free[joint.row].root is None]
+    stand = ", ".join(f"{joint.name} at {free[joint.row].offset:g}" for joint in stuck)
+    mimics = {name: file.joints[name].mimic for name in held}
+    drivers = {name: file.joints.get(mimic.joint) for name, mimic in mimics.items() if mimic}
+    apart = [name for name, driver in drivers.items() if driver and moves[driver.row].root is not None]
+    return [
+        ("mimic.stuck", stuck, f"it follows nothing that moves: {stand}"),
+        ("lock.mimic", apart, "locked although the joint that it mimics moves"),
+    ]

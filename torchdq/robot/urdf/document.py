@@ -1,4 +1,4 @@
-"""Root element of a URDF file, told apart from the formats that are often passed instead."""
+"""Root element of a URDF file, distinguished from the formats that are often passed instead."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ class _Part(NamedTuple):
 
     def fault(self, code: str, expected: str, found: str = "", cure: str = "") -> None:
         """Add a fault."""
-        self.faults.append(Finding(code, self.subject, self.what + expected, found, cure, severity="error"))
+        self.faults.append(Finding(code, self.subject, self.what + expected, found, cure))
 
     def name(self, attribute: str) -> str:
         """Name in an attribute; empty if there is none."""

@@ -47,7 +47,7 @@ def motions(
         if coupled and name in path:
             circle = [*path][[*path].index(name) :]
             expected, shown = "it must not follow itself by <mimic>", f"the circle {listed(circle)}"
-            faults.append(Finding("mimic.circle", f"joint {name!r}", expected, shown, severity="error"))
+            faults.append(Finding("mimic.circle", f"joint {name!r}", expected, shown))
         for follower in reversed(path):
             joint, by = joints[follower], found.get(leaders.get(follower, ""))
             if follower in held:
@@ -58,7 +58,7 @@ def motions(
                 x = Follows(by.root if factor else None, factor, m.multiplier * by.offset + m.offset)
                 if coupled and not max(map(abs, x[1:])) <= MOST:
                     expected = f"it must not follow {m.joint!r} by more than {MOST:g} times"
-                    faults.append(Finding("mimic.large", f"joint {follower!r}", expected, severity="error"))
+                    faults.append(Finding("mimic.large", f"joint {follower!r}", expected))
             else:
                 x = Follows(joint.row, 1.0, 0.0) if kept is None or follower in kept else STILL
             found[follower] = x

@@ -34,7 +34,7 @@ def read(
     # bodies that never move need not be readable
     excused = set() if free or faults else below([base_link], children_of(found.joints, fixed=True))
     unreadable = [x for name, all_of in found.unreadable.items() if name not in excused for x in all_of]
-    if faults := [*unreadable, *found.faults, *faults]:
+    if faults := [x._replace(severity="error") for x in (*unreadable, *found.faults, *faults)]:
         lines = "\n  ".join(map(str, faults))
         raise DescriptionError(f"the robot description cannot be used:\n  {lines}", findings=faults)
     judged, findings = _physical(found, repair)

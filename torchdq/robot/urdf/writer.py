@@ -55,8 +55,8 @@ def to_urdf(robot: Robot, original: Any) -> str:
     >>> text = "<robot name='r'><link name='a'/><link name='b'><inertial><mass value='2'/></inertial></link>" + (
     ...     "<joint name='j' type='prismatic'><parent link='a'/><child link='b'/><limit upper='1'/></joint></robot>")
     >>> robot = torchdq.Robot.from_urdf(text)
-    >>> print(robot.replace(mass=1.5 * robot.mass).to_urdf(text)[30:88])
-    <link name='b'><inertial><mass value="3.0" /></inertial>
+    >>> print(robot.replace(mass=1.5 * robot.mass).to_urdf(text)[33:89])
+    <link name="b"><inertial><mass value="3.0" /></inertial>
     """
     text = text_of(original)
     options: dict[str, Any] = {"on_unphysical": "ignore", "base": "fixed" if robot.base_mass is None else "floating"}

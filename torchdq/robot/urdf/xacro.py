@@ -40,7 +40,7 @@ def expanded(path: Any, arguments: Any, packages: Any, defaults: Mapping[str, st
     imported("xacrodoc", "xacrodoc", *ASKED_BY)  # teaches xacro to find packages without ROS
     xacro = imported("xacro", "xacro", *ASKED_BY)
     if not isinstance(path, str | PathLike) or fsdecode(path).lstrip().startswith("<"):
-        raise ArgumentError(f"path must be the path of a xacro file, whose includes lie beside it, found {path!r:.300}")
+        raise ArgumentError(f"path must be the path of a xacro file, with its includes in place, found {path!r:.300}")
     content("xacro file", path, MOST_BYTES, DescriptionError, MissingFileError)
     file = Path(located(fsdecode(path), MissingFileError))
     own = {} if arguments is None else _strings("arguments", arguments)
