@@ -33,7 +33,8 @@ collect_ignore = ["far_device.py"]
 
 @pytest.fixture(autouse=True)
 def chosen_backend(request):
-    torch.manual_seed(0)  # of those that name no generator, whatever ran before
+    # of those that name no generator, whatever ran before; torch.manual_seed also notes for GPUs who called it, slowly
+    torch.default_generator.manual_seed(0)
     with torchdq.backend(getattr(request.module, "BACKEND", "eager")):
         yield
 

@@ -21,7 +21,7 @@ from torchdq.backends.compiler import BuildError
 from torchdq.backends.precision import Form, contiguous, largest_growth
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.program.program import Program
-from torchdq.program.transforms import alike, empty_on_cpu, transforming
+from torchdq.program.transforms import alike, dispatching, empty_on_cpu, transforming
 
 
 class OneSample(NamedTuple):
@@ -39,7 +39,7 @@ class OneSample(NamedTuple):
 
         Where errors grow too much, `out` has been written to, but nothing else.
         """
-        if present() not in ("auto", "c") or transforming():
+        if present() not in ("auto", "c") or transforming() or dispatching():
             return None
         found = [empty_on_cpu(*form) for form in self.forms] if out is None else out
         try:

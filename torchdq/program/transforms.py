@@ -85,7 +85,7 @@ def alike(forms: Sequence[tuple[tuple[int, ...], tuple[int, ...], torch.dtype]])
 
     It is false if one tensor comes twice, for tensors that require grad where torch records gradients, for views that
     torch negates later, for tensors in inference mode, and inside of all transforms and modes but forward-mode
-    differentiation.
+    differentiation and make_fx, whose tensors are plain ones.
     """
     if _guards is None:
         return lambda *tensors: False
