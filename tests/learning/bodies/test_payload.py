@@ -190,7 +190,7 @@ def exchanged(x, i, j):
         (
             lambda tau: exchanged(tau, 1, 2),
             ("shoulder_lift_joint", "elbow_joint"),
-            "far better fit with both exchanged",
+            "fit with both exchanged",
         ),
         (lambda tau: -tau, ("shoulder_lift_joint", "elbow_joint"), "is a sign, gain or column another"),
         (lambda tau: tau * torch.tensor([1, 1, 1.3, 1, 1, 1]), ("elbow_joint",), "is a sign, gain or column another"),
@@ -278,9 +278,7 @@ def test_motions_are_taken_as_their_rows_are():
     assert torch.equal(identify_payload(empty, motion).mass, identify_payload(empty, q, qd, qdd, tau).mass)
     with pytest.raises(ArgumentError, match="tau must be given with positions"):
         identify_payload(empty, q, qd, qdd)
-    with pytest.raises(
-        ArgumentError, match=r"motions must be Motion objects or Samples, found Layout; smooth\(log\) makes one"
-    ):
+    with pytest.raises(ArgumentError, match="motions must be Motion objects or Samples, found Layout"):
         identify(robot, Layout())
     rest = np.zeros((2, 2))
     log = read_log({"time": np.array([0.0, 0.01]), "q": rest, "qd": rest, "tau": rest})

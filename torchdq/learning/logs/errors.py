@@ -42,6 +42,7 @@ class LogWarning(_AboutLog, UserWarning):
 
     Silenced by `warnings.simplefilter("ignore", torchdq.learning.LogWarning)`.
 
+    >>> from torchdq.base.findings import Finding
     >>> print(LogWarning(Finding("torque.sign", "elbow", "the sign of tau must be that of the description")))
     elbow: the sign of tau must be that of the description
     """
