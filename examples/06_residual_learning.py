@@ -313,10 +313,10 @@ def candidates(nominal: torchdq.Robot, data: Samples, quick: bool) -> Iterator[t
     """Names and candidates of the models that are learned by gradient, in the order they are to be learned in."""
     grid = [(64, 1.0)] if quick else [(width, decay) for width in (64, 256) for decay in (0.3, 3.0)]
     yield BLACK, [Candidate(BlackBox(data, width), 3e-3, decay) for width, decay in grid]
-    fixed = torchdq.DQRNEA(nominal, friction_width=WIDTH)
+    fixed = torchdq.DQRNEA(nominal, sign_width=WIDTH)
     yield RESIDUAL, [Candidate(residual(fixed, data, inputs), 3e-3, decay=1.0) for inputs in ("joint", "all")]
     guess = nominal.replace(armature=torch.full((7,), 0.1, dtype=torch.float64))  # the URDF says nothing about rotors
-    physics = torchdq.DQRNEA(guess, learn=LEARNED, friction_width=WIDTH)
+    physics = torchdq.DQRNEA(guess, learn=LEARNED, sign_width=WIDTH)
     yield PHYSICS, [Candidate(physics, 2e-2, prior=1e-4)]
     yield BOTH, [Candidate(residual(deepcopy(physics), data, "joint"), 3e-3, prior=1e-4)]  # goes on from the last one
 

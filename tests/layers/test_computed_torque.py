@@ -354,9 +354,9 @@ def test_learned_friction_takes_the_place_of_that_of_the_description():
 def test_a_model_that_learned_no_friction_is_compensated_as_its_robot(friction, learn):
     """The described friction, unless it is switched off; the learned one instead where there is one; never both."""
     robot, state = rubbing(), random(5, 4, 2)
-    model = torchdq.DQRNEA(robot, learn=learn, friction_width=0.3)
+    model = torchdq.DQRNEA(robot, learn=learn, sign_width=0.3)
     found = torchdq.ComputedTorque(model, 25.0, 10.0, friction=friction)(*state)
-    alike = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=learn, friction_width=0.3, friction=friction)
+    alike = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=learn, sign_width=0.3, friction=friction)
     torch.testing.assert_close(found, alike(*state), rtol=1e-12, atol=1e-12)
     rigid = torchdq.ComputedTorque(robot, 25.0, 10.0, friction=False)(*state)
     qd = state[1]

@@ -292,7 +292,7 @@ REFUSED = [
     *({"learn": ("mass", bad)} for bad in ("viscous", "coulomb", "damping", "limits", "kp")),
     *({"learn": bad} for bad in (True, False, None, 1, [["mass"]], {"mass": True})),
     *({"backend": bad} for bad in ("fast", "C", 1)),
-    *({"friction_width": bad} for bad in (0.0, -1.0, math.nan, math.inf, "a", None)),
+    *({"sign_width": bad} for bad in (0.0, -1.0, math.nan, math.inf, "a", None)),
 ]
 
 
@@ -317,7 +317,7 @@ VISCOUS, COULOMB, WIDTH = double(3, 0.5, 2, 1, 0.2, 4), double(1, 2, 0.3, 4, 5, 
 
 def rubbing(kind, robot, learn=("friction",), **options):
     """A module with friction that is not its starting one."""
-    module = getattr(torchdq, kind)(robot, learn=learn, friction_width=WIDTH, **options)
+    module = getattr(torchdq, kind)(robot, learn=learn, sign_width=WIDTH, **options)
     module.viscous, module.coulomb = VISCOUS, COULOMB
     if "offset" in learn:
         with torch.no_grad():

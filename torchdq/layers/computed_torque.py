@@ -41,7 +41,7 @@ class ComputedTorque(RobotModule):
             goes on being learned with it.
         backend: as in `torchdq.functional`; None: as `torchdq.backend` says at the time of the call. A module has its
             own.
-        friction_width: velocity below which learned or described Coulomb friction is viscous [rad/s or m/s]. A module
+        sign_width: velocity below which learned or described Coulomb friction is viscous [rad/s or m/s]. A module
             has its own.
         friction: effects that are compensated, of `torchdq.effects` without a memory; True: the damping and the
             friction of the robot's description, as `torchdq.effects.Viscous` and `Coulomb` have them, where no friction
@@ -68,7 +68,7 @@ class ComputedTorque(RobotModule):
         kd: Tensor | float,
         learn: Sequence[str] = (),
         backend: BackendName | None = None,
-        friction_width: float = 1e-2,
+        sign_width: float = 1e-2,
         friction: bool | Sequence[Friction] = True,
     ):
         model = robot if isinstance(robot, nn.Module) and isinstance(getattr(robot, "robot", None), Robot) else None
@@ -79,15 +79,15 @@ class ComputedTorque(RobotModule):
         if model is not None:
             _require_torques(model, learn if others else (), effects)
             backend = getattr(model, "backend", backend)
-            friction_width = getattr(model, "friction_width", friction_width)
-        super().__init__(known, others, backend, friction_width, effects)
+            sign_width = getattr(model, "sign_width", sign_width)
+        super().__init__(known, others, backend, sign_width, effects)
         self.model, self._rigid = model, False
         if isinstance(model, InverseDynamics):
             self._friction = model._friction
         # the network of a residual learns all friction that its model leaves; other modules are taken as they are
         alone = model is None or isinstance(model, InverseDynamics)
         if friction is True and alone and not self._friction.effects:
-            self._friction = described(known, self.friction_width)
+            self._friction = described(known, self.sign_width)
         for name, value in (("kp", kp), ("kd", kd)):
             x = _gain(name, value, known.n).clone()
             if name in names:

@@ -23,7 +23,7 @@ class ForwardDynamics(RobotModule):
             "gravity", "armature", "home", "X_PB_home", "screw", "friction" and "offset". `prior` is the distance of
             the learned ones from their initial values.
         backend: as in `torchdq.functional`; None: as `torchdq.backend` says at the time of the call.
-        friction_width: velocity below which learned Coulomb friction is viscous [rad/s or m/s].
+        sign_width: velocity below which learned Coulomb friction is viscous [rad/s or m/s].
         precision: "auto" or "double", as in `torchdq.forward_dynamics`.
         friction: friction effects of `torchdq.effects` without a memory, the same as in a scene.
 
@@ -44,11 +44,11 @@ class ForwardDynamics(RobotModule):
         robot: Robot,
         learn: Sequence[str] = (),
         backend: BackendName | None = None,
-        friction_width: float = 1e-2,
+        sign_width: float = 1e-2,
         precision: Precision = "auto",
         friction: Sequence[Friction] = (),
     ):
-        super().__init__(robot, learn, backend, friction_width, friction)
+        super().__init__(robot, learn, backend, sign_width, friction)
         self.precision = check_precision(precision)
 
     def forward(

@@ -52,11 +52,11 @@ class RobotModule(nn.Module):
         robot: Robot,
         learn: Sequence[str] = (),
         backend: BackendName | None = None,
-        friction_width: float = 1e-2,
+        sign_width: float = 1e-2,
         friction: Sequence[Friction] = (),
     ):
         super().__init__()
-        require_number("friction_width", friction_width, positive=True)
+        require_number("sign_width", sign_width, positive=True)
         require_choice("backend", backend, (None, *get_args(BackendName)))
         if require_robot(robot).floating:
             raise ArgumentError(
@@ -66,8 +66,8 @@ class RobotModule(nn.Module):
         self._robot = robot
         self.learn = learnable(robot, learn)
         self.backend = backend
-        self.friction_width = float(friction_width)
-        self._friction = layer_friction(robot, friction, "friction" in self.learn, self.friction_width)
+        self.sign_width = float(sign_width)
+        self._friction = layer_friction(robot, friction, "friction" in self.learn, self.sign_width)
         self._rigid = not (self._friction.effects or "offset" in self.learn)  # its program is that of the function
         forms = {**CONSTRAINED, **{name: self._friction.constraint(name) for name in self._friction.learned}}
         self._initial: dict[str, Tensor] = {}  # unconstrained numbers by quantity, from which `prior` measures

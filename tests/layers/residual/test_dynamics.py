@@ -63,7 +63,7 @@ def test_the_network_learns_from_the_first_step(inputs):
 
 
 def test_features_are_what_is_written():
-    model = torchdq.DQRNEA(PANDA, friction_width=0.2)
+    model = torchdq.DQRNEA(PANDA, sign_width=0.2)
     q, qd, qdd, tau = random(4, 5, 7)
     signs = [qd / torch.sqrt(qd**2 + width**2) for width in (0.2, 1.0, 4.0)]
     expected = [qd, *signs, qdd, tau]

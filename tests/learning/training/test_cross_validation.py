@@ -313,7 +313,7 @@ def test_a_real_panda_is_explained_better_within_honest_intervals():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = identify(robot, train, Model(offset=True, armature=True), sign_width=0.02)
-        physics = torchdq.DQRNEA(found.robot, learn=("friction", "offset"), friction_width=0.02)
+        physics = torchdq.DQRNEA(found.robot, learn=("friction", "offset"), sign_width=0.02)
         physics.viscous, physics.coulomb, physics.offset = found.viscous, found.coulomb, found.offset
         torch.manual_seed(0)
         model = torchdq.ResidualDynamics(physics)

@@ -224,7 +224,7 @@ class ResidualDynamics(nn.Module):
         return self._columns(q, qd, qdd, tau.detach())
 
     def _columns(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
-        width = self.model.friction_width
+        width = self.model.sign_width
         directions = [smooth_sign(qd, number(w * width, qd)) for w in WIDTHS]
         # metres are no angles
         places = (q.sin().where(self.turns, q), q.cos().where(self.turns, 0.0)) if self.position else ()

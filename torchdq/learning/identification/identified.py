@@ -185,7 +185,7 @@ class Identified(NamedTuple):
         friction = _summed([one.steady(self.sign_width) for one in self.friction()])
         names = [*learn, "offset"] if self.offset is not None else list(learn)
         learned = tuple(dict.fromkeys(names))
-        layer = InverseDynamics(self.robot, learned, friction_width=self.sign_width, friction=friction)
+        layer = InverseDynamics(self.robot, learned, sign_width=self.sign_width, friction=friction)
         if self.offset is not None:
             layer.offset = self.offset
         return layer

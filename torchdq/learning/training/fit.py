@@ -310,5 +310,5 @@ def _warn_of(model: nn.Module, train: Samples) -> None:
     if rigid is None or any(batches(rigid.robot).values()) or rigid.robot.n != train.q.shape[1]:
         return
     model.eval()
-    if findings := diagnose(rigid.robot, rigid, train, rigid.friction_width):
+    if findings := diagnose(rigid.robot, rigid, train, rigid.sign_width):
         warnings.warn(LogWarning(*findings), stacklevel=3)
