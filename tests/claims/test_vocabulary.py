@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ("README.md", "CHANGELOG.md", "docs", "examples", "benchmarks/pages", "torchdq/effects")  # that are clean
+ROOMS = ("README.md", "CHANGELOG.md", "docs", "examples", "benchmarks/pages", "torchdq", "envs")
 
 # what is refused in text and what to say instead
 REFUSED = {

@@ -73,7 +73,7 @@ class Computation:
         return name
 
     def subject(self) -> str:
-        """Words after a shape in error messages, such as " for the 7 joints of robot 'panda'"."""
+        """Text after a shape in error messages, such as " for the 7 joints of robot 'panda'"."""
         return ""
 
 
@@ -138,7 +138,7 @@ def evaluate(
         rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
         found = run(layout.program, rows, layout.backend)
     except (AttributeError, RuntimeError):  # no check before, which would cost every call
-        batch_of(what, tensors)  # raises, naming an argument that is no tensor, or no dense one
+        batch_of(what, tensors)  # raises, naming an argument that is not a dense tensor
         raise
     narrow = given[0].dtype
     if narrow != layout.dtype:

@@ -45,7 +45,7 @@ class OneSample(NamedTuple):
         try:
             if not self.fits(*inputs, *found):
                 return None
-        except TypeError:  # these are no tensors, or not as many
+        except TypeError:  # not all are tensors, or there are fewer
             return None
         pointers = [x.data_ptr() for x in (*inputs, *found)]
         if out is not None and self._overlap(pointers, len(inputs)):

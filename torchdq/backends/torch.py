@@ -34,7 +34,7 @@ EAGER = Torch()
 
 
 class InterpretedKernel:
-    """Program run by torch, operation by operation, in place of a compiled one."""
+    """Program run by torch, operation by operation, instead of compiled."""
 
     def __init__(self, program: Program):
         self.program = program

@@ -1,4 +1,4 @@
-"""Findings: faults, notes and doubts as values, put into words once for Python and once for the command line."""
+"""Findings: faults, notes and diagnostics as values, rendered once for Python and once for the command line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Severity = Literal["ok", "note", "warning", "error"]
 
 
 class Finding(NamedTuple):
-    """A fault, a note or a doubt: what it is about, what was expected and found, and what to do about it.
+    """Fault, note or diagnostic: its subject, what was expected, what was found, and the cure.
 
     Compare findings by `code` and `subject`; the words may change.
 

@@ -21,7 +21,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def summary(title: str, signals: Mapping[str, tuple[Any, str]]) -> str:
-    """Table of signals in place of their numbers: shape, least, mean and greatest.
+    """Summary table of signals: shape, least, mean and greatest.
 
     Args:
         title: head of the first column.

@@ -1,4 +1,4 @@
-"""Words and units for the arguments and results of programs, by their names."""
+"""Descriptions and units of the arguments and results of programs, by their names."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -59,7 +59,7 @@ WORDS = {
 
 
 def words(name: str) -> str:
-    """Words and units for an argument or a result of a program; "" if nothing is known of its name.
+    """Description and unit of an argument or a result of a program; "" if nothing is known of its name.
 
     >>> words("dtau/dq")
     'derivatives of tau (rows) with respect to q (columns), row by row'

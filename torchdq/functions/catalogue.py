@@ -27,7 +27,7 @@ from torchdq.functions.recipe import (
     RecipeInputs,
     Results,
     joints,
-    worth_recording,
+    alternatives_to_record,
 )
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, record, replay, results
@@ -135,7 +135,7 @@ class Function(_Call, Computation):
         return f"robot.{name}" if name in SHAPES else name
 
     def subject(self) -> str:
-        """Words about the robot after a shape in error messages."""
+        """Text about the robot after a shape in error messages."""
         return f" for the {self.sizes['n']} joints of robot {self.constants.fields['name']!r}"
 
     def check(self, tensors: Mapping[str, Any]) -> None:
@@ -148,7 +148,7 @@ class Function(_Call, Computation):
         if not first.is_meta and self.constants.without_values():
             raise ArgumentError(
                 f"robot {self.constants.fields['name']!r} is on the device 'meta', where tensors have no values, and "
-                f"the arguments are on {first.device}; load the robot anew"
+                f"the arguments are on {first.device}; load the robot again"
             )
 
     def require_base(self) -> None:
@@ -189,7 +189,7 @@ def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
 
         return record(f"{formula.__name__}_{robot.name}", arguments, algorithm)
 
-    known = recipe.formulas if recipe.each else worth_recording(robot.n, recipe.formulas)
+    known = recipe.formulas if recipe.each else alternatives_to_record(robot.n, recipe.formulas)
     best = min(map(by, known), key=lambda p: p.count().total)
     wrt = DERIVATIVES.get(what.name)
     return best if wrt is None else derive.jacobian(best, wrt)

@@ -86,7 +86,7 @@ class RecipeInputs(NamedTuple):
         return [None if F is None else at.wrench(i, F) for i, F in enumerate(exerted)]
 
 
-def worth_recording(n: int, known: Sequence[Alternative]) -> Sequence[Alternative]:
+def alternatives_to_record(n: int, known: Sequence[Alternative]) -> Sequence[Alternative]:
     """Candidates to record: the dense one below 9 joints, both below 64, then only the O(n) one."""
     return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
 

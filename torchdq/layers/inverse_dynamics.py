@@ -15,7 +15,7 @@ class InverseDynamics(RobotModule):
     whatever damping and friction the description has. All of it is one program, that of `program()`.
 
     Learned quantities stay physical, whatever an optimiser does: masses, rotor inertias and friction stay positive, and
-    inertias are those of bodies that can exist. `module.mass` and so on are the present quantities, and assigning to
+    inertias stay physically consistent. `module.mass` and so on are the present quantities, and assigning to
     them sets them; the parameters are the unconstrained numbers behind them (`torchdq.layers.parametrizations`, by
     `torch.nn.utils.parametrize`), `module.parametrizations.mass.original`. Weight decay would pull those towards
     1 kg; `prior` pulls towards the nominal values. Other quantities are constants of the compiled programs, and not

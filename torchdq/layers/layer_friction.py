@@ -25,7 +25,7 @@ class LayerFriction(NamedTuple):
 
     effects: tuple[Friction, ...]  # resolved; what is learned has its initial value
     learned: Mapping[str, tuple[int, str]]  # position of the effect and its parameter, by the quantity's name
-    fixed: Parts  # the effects with a tensor, not named yet, in the place of everything that is learned
+    fixed: Parts  # the effects with a tensor, not named yet, for everything that is learned
 
     def parts(self, values: Mapping[str, Tensor]) -> Parts:
         """Effects for programs, with the present values of what is learned, by quantity."""

@@ -15,13 +15,13 @@ from torchdq.robot.fields import SHAPES
 
 # initial value of what the description does not give [SI]
 INITIAL = {"armature": 1e-3}
-BESIDE_THE_ROBOT = ("friction", "offset")  # learned torques that are not those of rigid bodies
+LAYER_TORQUES = ("friction", "offset")  # learned torques that are not those of rigid bodies
 
 
 def learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
     """Names in `learn`, each once; raises unless all are quantities that the robot has."""
     known = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
-    known += BESIDE_THE_ROBOT
+    known += LAYER_TORQUES
     names = (learn,) if isinstance(learn, str) else learn
     wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
     if wrong:
@@ -34,7 +34,7 @@ def learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
 
 
 def _cure(wrong: Any, known: Sequence[str]) -> str:
-    """Words for what may be meant by something that is not learned."""
+    """Cure for a value that is not a learnable quantity."""
     if isinstance(wrong, Mapping):
         return "; it takes names alone, and starts from the numbers of the robot: give others by robot.replace(...)"
     if not isinstance(wrong, str):

@@ -89,7 +89,7 @@ class Fraction(_Quantity):
 
 
 class PhysicalInertia(_Quantity):
-    """Inertias [..., 6] about the centre of mass (xx xy yy xz yz zz) of bodies that can exist.
+    """Inertias [..., 6] about the centre of mass (xx xy yy xz yz zz) that are physically consistent.
 
     A positive mass distribution is one whose second moments Sigma = tr(I)/2 1 - I are positive definite, which is that
     I is, and that no principal moment exceeds the sum of the others (P. M. Wensing, S. Kim, J.-J. E. Slotine, "Linear
@@ -133,7 +133,7 @@ class PhysicalInertia(_Quantity):
         """Unconstrained numbers [..., 6] of given inertias [..., 6].
 
         Principal second moments below 1e-6 of their sum are lifted to that: a thin rod or plate gets a thickness, and
-        an inertia that no body has becomes one that is close to it. With no inertia at all they become 1e-8 kg m^2.
+        an inertia that is not physically consistent becomes a consistent one close to it. With no inertia at all they become 1e-8 kg m^2.
 
         Raises:
             ArgumentError: a value is not finite.

@@ -108,12 +108,14 @@ class Recorded:
     @classmethod
     def __torch_function__(cls, function: Callable[..., Any], *_: Any) -> NoReturn:
         name = getattr(function, "__name__", str(function))
-        raise NumberError(f"a recorded number is no tensor, found one in torch.{name}; {FUNCTIONS}")
+        raise NumberError(f"a recorded number cannot be a tensor, found one in torch.{name}; {FUNCTIONS}")
 
     def __array_ufunc__(self, function: Any, method: str, *x: Any, **_: Any) -> Recorded | float:
         arithmetic = _ARITHMETIC.get(function.__name__)
         if arithmetic is None:
-            raise NumberError(f"a recorded number is no array, found one in numpy.{function.__name__}; {FUNCTIONS}")
+            raise NumberError(
+                f"a recorded number cannot be an array, found one in numpy.{function.__name__}; {FUNCTIONS}"
+            )
         a, b = (v if isinstance(v, Recorded) else _constant(v) for v in x)
         return arithmetic(a, b)  # a number of numpy on the left
 

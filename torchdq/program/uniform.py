@@ -8,11 +8,11 @@ from torchdq.numbers.record import Op, Recorded, Tape
 from torchdq.program.program import Argument, Program, finish, growths, outputs, results
 
 COMMON = "common"  # name of the row of values that all samples share
-WORTH = 0.03  # least part of its operations that a split must spare a sample
+LEAST_SAVED = 0.03  # least part of its operations that a split must spare a sample
 
 
 class Split(NamedTuple):
-    """Two programs in the place of one."""
+    """Two programs that replace one."""
 
     common: Program  # its one result is the row of values that all samples share
     rest: Program  # its last argument, which is uniform, is that row
@@ -36,7 +36,7 @@ def split(program: Program) -> Split | None:
     read.update(v[0] for result in outputs(program) for v in result.values if not isinstance(v, float))
     handed = [i for i in sorted(read) if same[i] and ops[i].operands]
     spared = sum(same[i] and bool(op.operands) for i, op in enumerate(ops)) - len(handed)
-    if spared <= WORTH * sum(bool(op.operands) for op in ops):
+    if spared <= LEAST_SAVED * sum(bool(op.operands) for op in ops):
         return None
     places = {i: Op("in", payload=(len(program.arguments), j)) for j, i in enumerate(handed)}
     first, second = Tape(), Tape()

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchdq.program.transforms import with_values, without_values
 
-version = attrgetter("_version")  # number of changes in place of all tensors in a tensor's storage
+version = attrgetter("_version")  # number of in-place changes of all tensors in a tensor's storage
 
 
 class Numbers(NamedTuple):
@@ -30,7 +30,7 @@ class Numbers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """Fields of a robot with plain numbers in place of tensors; equal if the digests are equal."""
+    """Fields of a robot with plain numbers instead of tensors; equal if the digests are equal."""
 
     digest: str
     fields: Mapping[str, Any]

@@ -20,7 +20,7 @@ from torchdq.effects.actuator import Actuator
 from torchdq.effects.sensor import Sensor
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
-from torchdq.functions.recipe import worth_recording
+from torchdq.functions.recipe import alternatives_to_record
 from torchdq.program.autodiff import jacobian
 from torchdq.program.program import Argument, Program, Result, record
 from torchdq.robot.fields import trailing
@@ -274,7 +274,7 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
         return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
 
-    best = min(map(by, worth_recording(spec.robot.n, (False, True))), key=lambda p: p.count().total)
+    best = min(map(by, alternatives_to_record(spec.robot.n, (False, True))), key=lambda p: p.count().total)
     steps = f"{what.stage} of {spec.dt:g} s" if what.stage == "step" else what.stage
     about = [f"effect {k}: {part(effect)}" for k, effect in enumerate(spec.effects)]
     about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]

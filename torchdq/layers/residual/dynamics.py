@@ -201,7 +201,7 @@ class ResidualDynamics(nn.Module):
         """Effects that simulate all that was learned, with `robot`: `Scene(model.robot, model.effects())`.
 
         Gravity and rotor inertia if the robot has them, the friction of its model, and `torchdq.effects.Residual`.
-        Learned masses, friction and so on are as they are now: after an update of the parameters, make the scene anew.
+        Learned masses, friction and so on are as they are now: after an update of the parameters, make the scene again.
         The network itself is always the present one.
 
         >>> import torchdq

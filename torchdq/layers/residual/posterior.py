@@ -58,7 +58,7 @@ class Posterior(nn.Module):
 
     def leverage(self, hidden: Tensor) -> Tensor:
         """h^T (H^T H + ridge)^-1 h [..., groups] of hidden features [..., groups, width]."""
-        return torch.einsum("...gh,ghk->...gk", beside_one(hidden.to(self.root)), self.root).square().sum(-1)
+        return torch.einsum("...gh,ghk->...gk", with_constant(hidden.to(self.root)), self.root).square().sum(-1)
 
     def errors(self, leverage: Tensor, factor: Tensor, distance: Tensor, weight: Tensor) -> Tensor:
         """Standard errors [..., n] of measured torques.
@@ -76,12 +76,12 @@ class Posterior(nn.Module):
     @torch.no_grad()
     def learn(self, hidden: Tensor, ridge: Tensor) -> None:
         """Take in hidden features [rows, groups, width] of training rows; `ridge` [groups] is the prior's weight."""
-        H = beside_one(hidden.to(self.root)).transpose(0, 1)
+        H = with_constant(hidden.to(self.root)).transpose(0, 1)
         one = torch.eye(H.shape[-1], dtype=H.dtype, device=H.device)
         e, V = torch.linalg.eigh(H.mT @ H + ridge[:, None, None] * one)
         self.root.copy_(V * e.clamp_min(1e-9 * e.amax()).rsqrt().unsqueeze(-2))
 
 
-def beside_one(hidden: Tensor) -> Tensor:
+def with_constant(hidden: Tensor) -> Tensor:
     """Hidden features with a one beside them, for the bias."""
     return torch.cat([hidden, torch.ones_like(hidden[..., :1])], -1)

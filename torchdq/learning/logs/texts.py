@@ -43,7 +43,7 @@ def text_table(path: Path, content: bytes, layout: Layout, rows: tuple[int, int]
     values: np.ndarray
     try:
         values = np.loadtxt(body, delimiter=",", usecols=used, comments=None, ndmin=2)
-    except ValueError:  # some cell is no number; NaN marks it
+    except ValueError:  # some cell is not numeric; NaN marks it
         cells = (line.split(",") for line in body)
         values = np.array([[float(row[i]) if is_number(row[i]) else math.nan for i in used] for row in cells])
     whole = ended or start + len(body) < len(lines) or len(heads) - 1 not in used

@@ -80,7 +80,7 @@ class PositiveNumbers(SignedNumbers):
 
 @dataclass(frozen=True)
 class Inertias(SignedNumbers):
-    """Inertias about centres of mass, six numbers each, of bodies that can exist."""
+    """Inertias about centres of mass, six numbers each, physically consistent."""
 
     def moved(self, value: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Inertias after a step in the coordinates in which all bodies can exist."""

@@ -24,7 +24,7 @@ TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about s
 POINT = 1e-14
 NOTHING = 1e-30  # the same without mass [kg m^2]: a bacterium has a hundred times more
 INDEFINITE, MASSLESS, TRIANGLE = "inertia.indefinite", "inertia.massless", "inertia.triangle"
-MISSHAPEN = (INDEFINITE, TRIANGLE)  # inertias that no body has; a repair takes the nearest possible ones
+MISSHAPEN = (INDEFINITE, TRIANGLE)  # not physically consistent; a repair takes the nearest inertias that are
 EXPECTED = {
     "body.finite": "mass and inertia must be finite",
     "mass.negative": "mass must not be negative",
@@ -84,7 +84,7 @@ def rounding(mass: Tensor) -> Tensor:
 
 
 def repaired(links: Sequence[str], mass: Tensor, inertia: Tensor) -> tuple[Tensor, list[Finding]]:
-    """Inertias [n, 3, 3] with those that no body has replaced by the nearest that one has, and notes of the changes.
+    """Inertias [n, 3, 3] with inconsistent ones replaced by the nearest consistent ones, and notes of the changes.
 
     Nearest is meant for the second moments E = tr(I)/2 1 - I, in the Frobenius norm: negative eigenvalues become zero.
     Masses [n] are those of the links; one that cannot be is left to the faults of `bodies`.

@@ -174,7 +174,7 @@ def _bodies(root: ET.Element, file: Elements, links: Links, frames: Sequence[str
 
 
 def _joints(root: ET.Element, file: Elements, links: Links, coupled: bool) -> list[Row]:
-    """What joints ask for that rigid bodies do not do."""
+    """Properties of joints that rigid-body dynamics do not include."""
     joints = [file.joints[link.joint.name] for link in links.links]
     kinds = ("revolute", "prismatic")
     bounds = {x.get("name", ""): x.find("limit") for x in root.findall("joint") if x.get("type") in kinds}
