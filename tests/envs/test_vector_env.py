@@ -254,8 +254,12 @@ def test_without_a_seed_episodes_differ():
         {"robot": "panda", "scale": None},
         {"task": "track", "action": "residual"},
         {"task": "track", "action": "reference", "randomise": {"mass": 0.3, "friction": 0.5, "payload": 1.0}},
-        {"effects": (effects.Gravity(), effects.Viscous(1.0), effects.FirstOrderLag(0.05), effects.CommandDelay(2), effects.Noise(0.01),
-                     effects.MeasurementDelay(2))},
+        {
+            "effects": (
+                *(effects.Gravity(), effects.Viscous(1.0), effects.FirstOrderLag(0.05), effects.CommandDelay(2)),
+                *(effects.Noise(0.01), effects.MeasurementDelay(2)),
+            )
+        },
     ],
     ids=["panda", "residual", "randomised", "memory"],
 )  # fmt: skip

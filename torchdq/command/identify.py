@@ -171,7 +171,7 @@ class IdCommand(RobotCommand):
     def _identified(self, robot: Robot, train: Sequence[Motion]) -> Identified:
         """Robot identified with the model that the options ask for."""
         width = 1e-2 if self.sign_width is None else self.sign_width
-        friction: Any = {"auto": "auto", "simple": (Viscous(), Coulomb(width=width)), "none": None}[self.friction]
+        friction: Any = {"auto": "auto", "simple": (Viscous(), Coulomb(sign_width=width)), "none": None}[self.friction]
         model = Model(friction, self.offset, self.rotors, self.estimate_gains)
         return identify(robot, train, model, self.prior, width)
 

@@ -26,8 +26,8 @@ from torchdq.functions.recipe import (
     Recipe,
     RecipeInputs,
     Results,
-    joints,
     alternatives_to_record,
+    joints,
 )
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, record, replay, results

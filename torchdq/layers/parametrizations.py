@@ -133,7 +133,8 @@ class PhysicalInertia(_Quantity):
         """Unconstrained numbers [..., 6] of given inertias [..., 6].
 
         Principal second moments below 1e-6 of their sum are lifted to that: a thin rod or plate gets a thickness, and
-        an inertia that is not physically consistent becomes a consistent one close to it. With no inertia at all they become 1e-8 kg m^2.
+        an inertia that is not physically consistent becomes a consistent one close to it. With no inertia at all they
+        become 1e-8 kg m^2.
 
         Raises:
             ArgumentError: a value is not finite.

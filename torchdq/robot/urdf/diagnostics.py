@@ -67,7 +67,7 @@ def diagnostics(
     joints = _joints(root, file, links, coupled)
     rows = [*_bodies(root, file, links, frames), *joints, *_standing(file, free, moves, held)]
     found = [*_ignored(root), *_orphans(file, coupled), *_degrees(file), *lock_notes(held, limits)]
-    # of joints, and not of names, all may be meant
+    # a note about joints, not about names, may be about all of them
     among = {code: len(links.links) for code, about, _ in joints if about and not isinstance(about[0], str)}
     return [*found, *(note(*row, among.get(row[0], 0)) for row in rows if row[1])]
 
@@ -153,10 +153,10 @@ def _degrees(file: Elements) -> Iterator[Finding]:
 
 # --- notes: code, what they are about, and what is so ----------------------------------------------------------------
 
-Row = tuple[str, Sequence[Any], str]
+NoteArguments = tuple[str, Sequence[Any], str]
 
 
-def _bodies(root: ET.Element, file: Elements, links: Links, frames: Sequence[str]) -> list[Row]:
+def _bodies(root: ET.Element, file: Elements, links: Links, frames: Sequence[str]) -> list[NoteArguments]:
     """Links that are left out or have no numbers."""
     bodies = {frame.name: file.links[frame.name] for frame in links.frames if frame.link >= 0}
     empty = [x.get("name", "") for x in root.findall("link") if x.find("inertial") is not None]
@@ -173,7 +173,7 @@ def _bodies(root: ET.Element, file: Elements, links: Links, frames: Sequence[str
     ]
 
 
-def _joints(root: ET.Element, file: Elements, links: Links, coupled: bool) -> list[Row]:
+def _joints(root: ET.Element, file: Elements, links: Links, coupled: bool) -> list[NoteArguments]:
     """Properties of joints that rigid-body dynamics do not include."""
     joints = [file.joints[link.joint.name] for link in links.links]
     kinds = ("revolute", "prismatic")
@@ -201,7 +201,7 @@ def _joints(root: ET.Element, file: Elements, links: Links, coupled: bool) -> li
 
 def _standing(
     file: Elements, free: Sequence[Follows], moves: Sequence[Follows], held: Mapping[str, float]
-) -> list[Row]:
+) -> list[NoteArguments]:
     """Mimic joints that stand still, and those that are locked while their drivers move."""
     stuck = [joint for joint in file.joints.values() if joint.moves and free[joint.row].root is None]
     stand = ", ".join(f"{joint.name} at {free[joint.row].offset:g}" for joint in stuck)
