@@ -5,12 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from difflib import SequenceMatcher, get_close_matches
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from typing import TypeGuard
-
-    from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 
 NEAR = 0.5  # share of letters in common from which a known name may be meant
 
@@ -20,7 +16,7 @@ class TorchdqError(Exception):
 
     def __init__(self, *args: object, findings: Iterable[Finding] = ()):
         super().__init__(*args)
-        self.findings: tuple[Finding, ...] = (*findings, *(x for x in args if _is_finding(x)))
+        self.findings: tuple[Finding, ...] = (*findings, *(x for x in args if isinstance(x, Finding)))
 
 
 class ArgumentError(TorchdqError, ValueError):
@@ -73,10 +69,6 @@ class UnknownNameError(TorchdqError, KeyError):
 
     def __str__(self) -> str:  # KeyError would print the quoted repr
         return self.message
-
-
-def _is_finding(x: object) -> TypeGuard[Finding]:
-    return hasattr(x, "code") and hasattr(x, "cure")
 
 
 def nearest(name: str, known: Iterable[str]) -> list[str]:

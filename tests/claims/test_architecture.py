@@ -27,6 +27,7 @@ from torchdq import functional
 PACKAGE, ENVS = ROOT / "torchdq", ROOT / "envs"
 
 FLOORS = {
+    "torchdq.findings": -1,
     "torchdq.errors": 0,
     "torchdq.base": 1,
     "torchdq.algebra": 1,

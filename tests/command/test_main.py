@@ -22,11 +22,11 @@ from places import ROOT
 
 import torchdq
 from torchdq.base import machine
-from torchdq.base.findings import Finding
 from torchdq.command.main import ABOUT, COMMANDS, INTERRUPTED, MISTAKE, USAGE, WELL, main
 from torchdq.command.outcome import Grid, Outcome, plain, write
 from torchdq.command.reports import health
 from torchdq.command.scene import KINDS, STEPPERS
+from torchdq.findings import Finding
 from torchdq.learning import LogError, read_log
 
 WIDE = 80  # columns of a terminal

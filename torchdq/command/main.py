@@ -20,7 +20,6 @@ from typing import Any
 import tyro
 
 from torchdq import __version__
-from torchdq.base.findings import merged
 from torchdq.command.accuracy import AccuracyCommand
 from torchdq.command.bench import BenchCommand
 from torchdq.command.command import Command
@@ -33,6 +32,7 @@ from torchdq.command.report import ReportCommand
 from torchdq.command.scene import SceneCommand
 from torchdq.command.view import ViewCommand
 from torchdq.errors import TorchdqError, nearest
+from torchdq.findings import merged
 from torchdq.learning import LogError, LogWarning
 
 COMMANDS: dict[str, type[Command]] = {

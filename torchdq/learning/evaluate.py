@@ -11,10 +11,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.findings import Finding
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.functional import inverse_dynamics
 from torchdq.learning.evaluation.diagnostics import diagnose
 from torchdq.learning.identification.identified import Identified

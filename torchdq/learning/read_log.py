@@ -6,7 +6,7 @@ import warnings
 
 import torch
 
-from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 from torchdq.learning.evaluation.diagnostics import beyond_limits
 from torchdq.learning.logs.errors import LogError, LogWarning
 from torchdq.learning.logs.layouts import Layout

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError, DescriptionError
+from torchdq.findings import Finding
 
 UNIT = 1e-9  # largest distance from 0 or 1 of a number that is taken as 0 or 1
 UNIT_SINGLE = 1e-5  # the same for numbers in single precision

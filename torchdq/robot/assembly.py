@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
-from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
+from torchdq.findings import Finding
 from torchdq.robot.arrays import double
 from torchdq.robot.bodies import NOTHING
 from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits, RobotDescription, note

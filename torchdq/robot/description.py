@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
+from torchdq.findings import Finding
 from torchdq.robot.arrays import IDENTITY, SIX, distinct, inertias, matrices, table
 from torchdq.robot.check import consistency
 

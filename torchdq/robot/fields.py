@@ -8,9 +8,9 @@ from typing import Any
 from torch import Tensor
 
 from torchdq.base.checks import DTYPES, is_dense
-from torchdq.base.findings import Finding
 from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.tree import BASE
+from torchdq.findings import Finding
 from torchdq.program.transforms import without_values
 from torchdq.robot.description import Frame, JointMap, Limits
 

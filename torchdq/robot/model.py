@@ -16,10 +16,10 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from torchdq.base.checks import DTYPES, destination, require_tensor
-from torchdq.base.findings import Finding
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
+from torchdq.findings import Finding
 from torchdq.robot.constants import Constants, stored, version
 from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits
 from torchdq.robot.fields import BASE_BODY, DESCRIBED, OPTIONAL, SHAPES, trailing

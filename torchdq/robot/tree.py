@@ -7,9 +7,9 @@ from functools import partial
 from typing import Any
 
 from torchdq.algebra.inertia import Inertia
-from torchdq.base.findings import Finding
 from torchdq.dynamics.joints import KINDS, Free
 from torchdq.dynamics.tree import Tree, on_base
+from torchdq.findings import Finding
 from torchdq.robot.check import consistency
 from torchdq.robot.fields import BASE_BODY, SHAPES
 from torchdq.robot.model import RobotModel, require_unchanged

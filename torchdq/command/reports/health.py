@@ -20,9 +20,9 @@ from torchdq.backends.choice import backend
 from torchdq.backends.compiler import BuildError, compiler
 from torchdq.base import machine
 from torchdq.base.caches import clear_caches
-from torchdq.base.findings import Finding, Severity
 from torchdq.base.progress import Progress
 from torchdq.errors import TorchdqError
+from torchdq.findings import Finding, Severity
 from torchdq.functions.compile import compile
 from torchdq.robot import shipped
 

@@ -19,12 +19,12 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_number
-from torchdq.base.findings import Finding, merged
 from torchdq.base.progress import Progress
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding, merged
 from torchdq.functional import inverse_dynamics, regressor, require_finite
 from torchdq.learning.bodies.nearest import curvature, nearest
 from torchdq.learning.evaluation.correlation import correlation_times

@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.functions.call import check
 from torchdq.learning.logs.motions import ENDS, Motion
 from torchdq.learning.logs.samples import Samples

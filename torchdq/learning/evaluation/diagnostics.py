@@ -18,8 +18,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.findings import Finding
 from torchdq.dynamics.friction import smooth_sign
+from torchdq.findings import Finding
 from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.robot import Robot
 

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from torchdq import effects
 from torchdq.base.checks import tensor_of
-from torchdq.base.findings import Finding
 from torchdq.base.tables import summary, table
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.identification.gains import Gains
 from torchdq.learning.identification.model_selection import ModelSelection

@@ -23,9 +23,9 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_number
-from torchdq.base.findings import Finding
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, of_motions, too_few
 from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, sampled, unexplained

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 from torchdq.learning.identification.augmented import AugmentedFit
 from torchdq.learning.identification.evidence import Evidence
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 from torchdq.learning.identification.augmented import AugmentedFit
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.identification.lags import lag_findings, lags

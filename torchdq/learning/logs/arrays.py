@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.headers import OTHER_NAMES, missing_signals
 from torchdq.learning.logs.layouts import NEEDED, SIGNALS, Layout, listed

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.tables import Table, rows_option
 

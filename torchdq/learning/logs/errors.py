@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from torchdq.base.findings import Finding, merged
 from torchdq.errors import TorchdqError
+from torchdq.findings import Finding, merged
 
 
 class _AboutLog(Exception):
@@ -42,7 +42,7 @@ class LogWarning(_AboutLog, UserWarning):
 
     Silenced by `warnings.simplefilter("ignore", torchdq.learning.LogWarning)`.
 
-    >>> from torchdq.base.findings import Finding
+    >>> from torchdq.findings import Finding
     >>> print(LogWarning(Finding("torque.sign", "elbow", "the sign of tau must be that of the description")))
     elbow: the sign of tau must be that of the description
     """

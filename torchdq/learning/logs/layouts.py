@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from torchdq.base.checks import names_of
-from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 
 SIGNALS = ("time", "q", "qd", "tau", "qdd", "command")
 NEEDED = SIGNALS[:4]  # unless a layout says that they were not recorded

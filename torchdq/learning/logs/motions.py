@@ -13,9 +13,9 @@ import numpy as np
 import torch
 
 from torchdq.base.checks import is_number, require_number
-from torchdq.base.findings import Finding
 from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.filters import derivative, even, low_pass
 from torchdq.learning.logs.read import Log

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 
 REACH = 3  # rows to both sides that a row is compared with: an outlier is shorter
 FAR = 20.0  # times the usual distance from these rows, from which a row is an outlier

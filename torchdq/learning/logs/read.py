@@ -10,10 +10,10 @@ import numpy as np
 
 from torchdq.base import sources
 from torchdq.base.checks import require_number
-from torchdq.base.findings import Finding
 from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.learning.logs.arrays import archive_table, arrays_table
 from torchdq.learning.logs.checks import jumps, require_numbers, require_radians, require_times
 from torchdq.learning.logs.errors import LogError, MissingLogError

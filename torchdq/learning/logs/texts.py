@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.headers import find_columns
 from torchdq.learning.logs.layouts import Layout, is_number

@@ -11,12 +11,12 @@ from torch import Tensor
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.base.checks import require_choice
-from torchdq.base.findings import Finding, Severity
 from torchdq.dynamics import crba
 from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.tree import Tree
 from torchdq.errors import UnphysicalError
+from torchdq.findings import Finding, Severity
 
 OnUnphysical = Literal["error", "warn", "repair", "ignore"]
 TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about six digits

@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.robot.arrays import first, matrices, not_unit, slack
 from torchdq.robot.check import consistency, units
 from torchdq.robot.fields import SHAPES, STRUCTURE, readable

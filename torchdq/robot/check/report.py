@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 from torchdq.robot.model import RobotModel, require_unchanged
 
 HEADER = ("joint", "kind", "link", "mass", "limits (not enforced)")

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.inertia import RigidBody
-from torchdq.base.findings import Finding
 from torchdq.dynamics.joints import KINDS
+from torchdq.findings import Finding
 from torchdq.program.transforms import without_values
 from torchdq.robot.model import RobotModel
 

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.algebra.inertia import RigidBody
-from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.robot import fields
 from torchdq.robot.arrays import matrices, poses
 from torchdq.robot.bodies import body_at, lumped

@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence, Set
 from typing import Any
 
 from torchdq.base.checks import matching, require_number
-from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 
 KIND = "movable joint"
 NEAR = 1e-6  # [rad or m] a position that close to a limit is within: files are printed with about six digits

@@ -14,9 +14,9 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.algebra.inertia import RigidBody
-from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.robot.arrays import IDENTITY
 from torchdq.robot.bodies import body_at, lumped, mixed
 from torchdq.robot.description import Frame, JointMap, Limits

@@ -8,8 +8,8 @@ from typing import Any
 
 from torch import Tensor
 
-from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.findings import Finding
 from torchdq.robot import fields
 from torchdq.robot.arrays import SIX, matrices
 from torchdq.robot.check import consistency, faults, units

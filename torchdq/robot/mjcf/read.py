@@ -14,8 +14,8 @@ from typing import Any, Literal, NamedTuple
 from torch import Tensor
 
 from torchdq.base.checks import require_choice
-from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError, DescriptionError
+from torchdq.findings import Finding
 from torchdq.robot.arrays import MOST, matrices
 from torchdq.robot.assembly import described
 from torchdq.robot.check import consistency

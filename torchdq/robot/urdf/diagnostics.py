@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 from torchdq.robot.assembly import Links
 from torchdq.robot.check.units import TURN
 from torchdq.robot.description import UNSIMULATED, note

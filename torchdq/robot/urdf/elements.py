@@ -11,7 +11,7 @@ from typing import NamedTuple
 from torchdq.algebra.inertia import Six
 from torchdq.algebra.quaternion import ZERO, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.base.findings import Finding
+from torchdq.findings import Finding
 from torchdq.robot.arrays import MOST
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.robot.arrays import MOST
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.edit.locking import positions, require_free, to_keep, warn_beyond_limits

@@ -7,9 +7,9 @@ from typing import Any
 
 import torch
 
-from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
+from torchdq.findings import Finding
 from torchdq.robot.arrays import SIX, double, matrices
 from torchdq.robot.assembly import described
 from torchdq.robot.check import consistency

@@ -13,8 +13,8 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
 from torchdq.algebra.quaternion import Pure, Quaternion
-from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
+from torchdq.findings import Finding
 from torchdq.robot.arrays import double
 from torchdq.robot.assembly import Links, MovingLink
 from torchdq.robot.bodies import NOTHING, merged
