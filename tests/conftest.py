@@ -28,7 +28,7 @@ LOOSE = 1e-4  # a criterion that is never approached closer than this says littl
 
 
 # it gives torch a device of its own, and would give it to every other test
-collect_ignore = ["far_device.py"]
+collect_ignore = ["tools/far_device.py"]
 
 
 @pytest.fixture(autouse=True)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import eager, random
+from kinds_of_programs import free
 from oracles import EPS, states
 from programs import FUNCTIONS, PANDA, TREE, TWO, on, tree
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
@@ -27,7 +28,7 @@ from torchdq.backends import call, precision
 from torchdq.backends import threads as pool
 from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.errors import ArgumentError
-from torchdq.functions.catalogue import RECIPES
+from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.program import autograd
 from torchdq.program.program import LARGEST_GROWTH, Argument, record
 from torchdq.robot.robot import arguments
@@ -673,8 +674,9 @@ def test_arguments_of_a_compiled_program_are_names_and_tensors():
 def test_a_compiled_program_needs_its_arguments(function):
     options = ["tip"] if function == "jacobian" else ()
     *others, last = [name for name, _, optional in RECIPES[function].arguments if not optional]
+    robot = free(TWO) if function.startswith(FLOATING) else TWO
     with pytest.raises(ArgumentError, match=rf"arguments of '{function}' must hold '{last}', found \["):
-        torchdq.compile(TWO, function, arguments=others, options=options)
+        torchdq.compile(robot, function, arguments=others, options=options)
 
 
 # --- other processors ------------------------------------------------------------------------------------------------

@@ -15,11 +15,11 @@ import pytest
 import torch
 
 import torchdq
-from torchdq import functional
 from torchdq.backends import c, c_library
 from torchdq.base import progress
 from torchdq.base.progress import Progress, warn_once
 from torchdq.envs import Scene
+from torchdq.functions import call
 from torchdq.learning import MotionLimits, Samples, excitation_trajectory, fit, read_log
 from torchdq.program import autodiff
 from torchdq.program import program as programs
@@ -245,7 +245,7 @@ def frame_by_frame(robot, name):
 def test_frames_one_by_one_are_told_once_when_their_programs_took_long(name, monkeypatch):
     torchdq.clear_caches()
     robot = torchdq.robots.load("panda")
-    monkeypatch.setattr(functional, "FIRST", 0.0)
+    monkeypatch.setattr(call, "FIRST", 0.0)
     ((text, file),) = frame_by_frame(robot, name)
     assert text.startswith(f"{name} built 3 programs in 0.") and "one for each frame of robot 'panda'; " in text
     assert file == __file__ and ("frame=[...] takes" in text) == (name == "forward_kinematics")
@@ -255,10 +255,10 @@ def test_frames_one_by_one_are_told_once_when_their_programs_took_long(name, mon
 
 def test_quick_programs_and_programs_that_are_there_are_no_reason_to_warn(monkeypatch):
     torchdq.clear_caches()
-    monkeypatch.setattr(functional, "FIRST", 1e9)
+    monkeypatch.setattr(call, "FIRST", 1e9)
     robot = torchdq.robots.load("panda")
     assert frame_by_frame(robot, "forward_kinematics") == []
-    monkeypatch.setattr(functional, "FIRST", 0.0)
+    monkeypatch.setattr(call, "FIRST", 0.0)
     assert frame_by_frame(robot, "forward_kinematics") == []  # nothing is built
 
 
@@ -267,7 +267,7 @@ def test_several_frames_come_from_one_program():
     robot, q = torchdq.robots.load("panda"), torch.ones(3, 7, dtype=torch.float64)
     names = ["tip", "panda_link3", "base"]
     found = torchdq.forward_kinematics(robot, q, names)
-    assert found.shape == (3, 3, 8) and functional.recordings() == 1
+    assert found.shape == (3, 3, 8) and call.recordings() == 1
     each = [torchdq.forward_kinematics(robot, q, name) for name in names]
     torch.testing.assert_close(found, torch.stack(each, -2), rtol=1e-14, atol=1e-14)
     assert torchdq.forward_kinematics(robot, q, ["tip"]).shape == (3, 1, 8)

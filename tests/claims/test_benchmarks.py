@@ -83,7 +83,7 @@ def test_numbers_of_checks_are_those_of_the_suite():
     assert f"agree with Pinocchio to {tolerance} on {robots} robots and {trees} random trees" in readme
     assert f"agree with Pinocchio to {tolerance}" in page
     assert f"on {robots} robots of `example-robot-data` and on {trees} random trees" in page
-    assert f"MuJoCo's own reading of {mujoco} of those files" in page
+    assert f"MuJoCo's own URDF reader agrees on {mujoco} of those files" in page
 
 
 def test_numbers_of_the_page_on_accuracy_are_those_of_the_results():

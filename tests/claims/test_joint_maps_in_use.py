@@ -160,7 +160,7 @@ def test_a_coordinate_that_moves_no_inertia_is_named():
         with pytest.raises(torchdq.SingularInertiaError, match=f"joint '{joint}' of robot 'two_link' moves no inertia"):
             torchdq.forward_dynamics(learned, z, z, z)
         with pytest.raises(torchdq.SingularInertiaError, match=f"joint '{joint}' of robot 'two_link' moves no inertia"):
-            torchdq.floating.forward_dynamics(inert.replace(**base).bake().replace(com=inert.com), X, z)
+            torchdq.floating.forward_dynamics(inert.replace(**base).bake().replace(com=inert.com), X, z, None, None, z)
     tied = robot.couple([[1.0], [1.0]], ["a"])
     assert torchdq.forward_dynamics(tied, z[:1], None, z[:1]).isfinite().all()
 

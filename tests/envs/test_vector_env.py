@@ -600,8 +600,9 @@ def test_a_state_that_other_effects_remember_is_refused():
     for envs in (lagging, late):
         envs.reset(seed=0)
     state = lagging.get_state()
-    assert state["memory of Lag"].shape == late.get_state()["memory of Delay"].shape
-    with pytest.raises(torchdq.ArgumentError, match=r"'memory of Delay'.*, found .*'memory of Lag'.*other effects"):
+    assert state["memory of FirstOrderLag"].shape == late.get_state()["memory of CommandDelay"].shape
+    found = r"'memory of CommandDelay'.*, found .*'memory of FirstOrderLag'.*other effects"
+    with pytest.raises(torchdq.ArgumentError, match=found):
         late.set_state(state)
 
 

@@ -108,7 +108,9 @@ def test_an_identified_robot_is_a_program_of_constants():
     layer = shifted(torchdq.DQRNEA(robot, ("mass", "friction")))
     given = rows("q", "qd", "qdd", n=2, samples=400)
     signals = {name: 4 * x for name, x in given.items()}
-    identified = torchdq.learning.identify(robot, *signals.values(), layer(*signals.values()).detach())
+    identified = torchdq.learning.identify(
+        robot, torchdq.learning.Samples(*signals.values(), layer(*signals.values()).detach())
+    )
     controller = torchdq.ComputedTorque(identified.robot, 30.0, 9.0)
     tracked = rows(*TRACKED, n=2)
     found = torchdq.compile(controller.program())(*tracked.values())

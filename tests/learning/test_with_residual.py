@@ -223,7 +223,7 @@ def test_what_it_does_not_take(bumpy):
     found, whole, parts = bumpy
     with pytest.raises(torchdq.ArgumentError, match="identified must be what identify returns, found Robot"):
         IdentifiedWithResidual(TWO, whole.residual)
-    with pytest.raises(torchdq.ArgumentError, match=r"found DQRNEA; ResidualDynamics\(identified.layer\(\)\) is one"):
+    with pytest.raises(torchdq.ArgumentError, match=r"found InverseDynamics; ResidualDynamics\(identified"):
         IdentifiedWithResidual(found, found.layer())
     with pytest.raises(torchdq.ArgumentError, match=r"found one that learns \['mass'\]"):
         IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer(learn=("mass",))))

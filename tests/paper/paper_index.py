@@ -487,13 +487,13 @@ SECTION_5_4 = (
     Row(
         "73",
         "feedback linearisation, tau = M a_c + c + g + J^T F_EF: one recursion",
-        "functions.formulas:computed_torque scene.controllers:ComputedTorque.torques",
+        "functions.formulas:computed_torque scene.controllers:ComputedTorqueController.torques",
         f"{CONTROL}_it_is_the_closed_form_with_the_commanded_acceleration",
     ),
     Row(
         "74",
         "which leaves qdd = a_c",
-        "functions.formulas:computed_torque scene.controllers:ComputedTorque.torques",
+        "functions.formulas:computed_torque scene.controllers:ComputedTorqueController.torques",
         f"{CONTROL}_the_robot_accelerates_as_commanded",
     ),
     Row(

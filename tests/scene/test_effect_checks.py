@@ -17,7 +17,7 @@ from torchdq.scene.integrators import RungeKutta4
 # parts of a description, and what the shipped arm without friction and limits says of each
 TAKING = {
     effects.Viscous(): ("coefficient from", "no damping", "coefficient is 0"),
-    effects.Coulomb(): ("level from", "no friction", "level is 0"),
+    effects.Coulomb(): ("coulomb from", "no friction", "coulomb is 0"),
     effects.Stribeck(static=0.0): ("coulomb from", "no friction", "coulomb is 0, static is 0"),
     effects.JointLimits(): ("lower and upper from", "no limits.lower and limits.upper", "lower is -inf, upper is inf"),
     effects.Saturation(): ("limit from", "no limits.effort", "limit is inf"),
@@ -66,7 +66,7 @@ def test_effects_that_act_are_not_reported():
         ({"dt": "fast"}, "dt must be a positive number"),
         ({"dt": True}, "dt must be a positive number, found True"),
         ({"substeps": True}, "substeps must be a whole number from 1, found True"),
-        ({"effects": (effects.CommandDelay(True),)}, "steps of Delay must be a whole number from 1, found True"),
+        ({"effects": (effects.CommandDelay(True),)}, "steps of CommandDelay must be a whole number from 1, found True"),
         ({"substeps": 0}, "substeps must be a whole number"),
         ({"substeps": 1.5}, "substeps must be a whole number"),
         ({"effects": (effects.Elastic(1.0, 0.0, 1.0),) * 2}, "must not hold Elastic twice"),
@@ -74,8 +74,8 @@ def test_effects_that_act_are_not_reported():
         ({"effects": (effects.Servo(1.0), effects.Servo(2.0))}, "the input 'target' belongs to 2 effects"),
         ({"effects": (effects.Push("base"),)}, "frame of Push is 'base', which is fixed to the base"),
         ({"effects": (effects.Push(axes="tool"),)}, "axes of Push must be 'world' or 'body'"),
-        ({"effects": (effects.CommandDelay(0),)}, "steps of Delay must be a whole number from 1"),
-        ({"effects": (effects.MeasurementDelay(1.5),)}, "steps of ReadingDelay must be a whole number from 1"),
+        ({"effects": (effects.CommandDelay(0),)}, "steps of CommandDelay must be a whole number from 1"),
+        ({"effects": (effects.MeasurementDelay(1.5),)}, "steps of MeasurementDelay must be a whole number from 1"),
         ({"effects": (effects.Viscous(-1.0),)}, "coefficient of Viscous must not be negative"),
         ({"effects": (effects.Viscous(math.nan),)}, "coefficient of Viscous must be finite"),
         ({"effects": (effects.Viscous([1.0, 2.0, 3.0]),)}, "coefficient of Viscous must be one number or 2, found 3"),
@@ -93,7 +93,7 @@ def test_effects_that_act_are_not_reported():
         ({"effects": (effects.Contact(sign_width=0.0),)}, "sign_width of Contact must be positive"),
         ({"effects": (effects.TorqueSpeed(1.0, 0.0),)}, "speed of TorqueSpeed must be positive"),
         ({"effects": (effects.QuantisedCommand(0.0),)}, "step of QuantisedCommand must be positive"),
-        ({"effects": (effects.JointLimits(1.0, -1.0),)}, "lower of Limits must not be above upper, found 1 and -1"),
+        ({"effects": (effects.JointLimits(1.0, -1.0),)}, "JointLimits must not be above upper, found 1 and -1"),
         ({"robot": PANDA, "effects": (effects.Payload(1.0, frame=PANDA.frame_names[0]),)}, "fixed to the base"),
         (
             {

@@ -160,7 +160,7 @@ def test_a_resting_arm_of_a_bare_scene_stays_where_it_is(integrator, robot):
 
 
 def test_a_bare_scene_has_no_rotors_limits_or_friction_of_its_robot():
-    limits = torchdq.robot.robot.Limits(*(double(-0.1, -0.1, -0.1) * sign for sign in (1, -1, -1, -1)))
+    limits = torchdq.robot.Limits(*(double(-0.1, -0.1, -0.1) * sign for sign in (1, -1, -1, -1)))
     described = TREE.replace(limits=limits, damping=double(9.0, 9.0, 9.0), friction=double(9.0, 9.0, 9.0))
     plain = TREE.replace(gravity=None, armature=None)
     q, qd, torque = random(3, 4, 3)

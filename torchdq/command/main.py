@@ -32,7 +32,7 @@ from torchdq.command.report import ReportCommand
 from torchdq.command.scene import SceneCommand
 from torchdq.command.view import ViewCommand
 from torchdq.errors import TorchdqError, nearest
-from torchdq.findings import merged
+from torchdq.findings import Finding, merged
 from torchdq.learning import LogError, LogWarning
 
 COMMANDS: dict[str, type[Command]] = {
@@ -140,8 +140,8 @@ def _words(error: Exception | str) -> str:
     """Message of an error or a warning, with cures in options; one of the system names the file first."""
     if isinstance(error, LogError | LogWarning):
         return error.text(command_line=True)
-    if findings := getattr(error, "findings", ()):
-        return merged(findings, command_line=True)
+    if isinstance(error, Exception) and any(isinstance(x, Finding) for x in error.args):
+        return merged([x for x in error.args if isinstance(x, Finding)], command_line=True)
     if isinstance(error, TorchdqError) or not isinstance(error, OSError) or error.filename is None:
         return str(error)
     return f"{str(error.filename)!r} cannot be used: {error.strerror}"

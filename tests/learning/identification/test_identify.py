@@ -437,4 +437,4 @@ def test_the_example_finds_the_arm(tmp_path, capsys):
     from matplotlib.image import imread
 
     assert imread(tmp_path / "new" / "identify.png")[..., :3].std() > 0.03
-    assert "can be told" in capsys.readouterr().out
+    assert "identifiable" in capsys.readouterr().out

@@ -244,16 +244,16 @@ def late():
 def test_delay_and_lag_are_identifiable_from_fast_commands(late):
     scene, log = late
     start = scene.replace(effects=(effects.Viscous(0.1), effects.FirstOrderLag(0.005)))
-    found = fit_rollout(start, log(1.0, 1e-4), ("delay", "Lag.time", "Viscous.coefficient"))
+    found = fit_rollout(start, log(1.0, 1e-4), ("delay", "FirstOrderLag.time", "Viscous.coefficient"))
     assert worst_z(found, 0.0137, 0.02, 0.02, 0.5, 0.5) < 4 and not found.unidentifiable
     assert found.delay == float(found.values["delay"]) and 0 < float(found.errors["delay"]) < 1e-3
 
 
 def test_delay_and_lag_are_named_as_unidentifiable_from_slow_commands(late):
     scene, log = late
-    found = fit_rollout(scene, log(0.1, 1e-2), ("delay", "Lag.time"))
-    assert found.values["delay"].isnan() and found.values["Lag.time"].isnan().all()
-    assert any("delay by" in text and "Lag.time" in text for text in found.unidentifiable)
+    found = fit_rollout(scene, log(0.1, 1e-2), ("delay", "FirstOrderLag.time"))
+    assert found.values["delay"].isnan() and found.values["FirstOrderLag.time"].isnan().all()
+    assert any("delay by" in text and "FirstOrderLag.time" in text for text in found.unidentifiable)
     assert "unidentifiable" in str(found)
 
 

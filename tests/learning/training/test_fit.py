@@ -312,8 +312,9 @@ def undisturbed() -> tuple[torch.Tensor, History]:
 
 
 @pytest.mark.parametrize("trials", helpers.thinned((8, 30), (8,)))
-def test_a_killed_run_loses_nothing(tmp_path, undisturbed, trials):
+def test_a_killed_run_loses_nothing(tmp_path, monkeypatch, undisturbed, trials):
     """Trials that are killed once or twice each at random moments, from before the first step to after the last."""
+    monkeypatch.setattr(fitting, "LOOK", 1)  # children write a checkpoint after every epoch
     fork = multiprocessing.get_context("fork")
     rng, reached = random.Random(0), []
     whole = math.inf  # moments are parts of what a whole run takes on this machine, at best
