@@ -6,17 +6,24 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from difflib import SequenceMatcher, get_close_matches
 
-from torchdq.findings import Finding
+from torchdq.findings import Finding, merged
 
 NEAR = 0.5  # share of letters in common from which a known name may be meant
 
 
 class TorchdqError(Exception):
-    """Base class of all torchdq errors; `findings` are the faults that it is raised for, as values."""
+    """Base class of all torchdq errors, raised with a message, findings, or both in this order."""
 
-    def __init__(self, *args: object, findings: Iterable[Finding] = ()):
-        super().__init__(*args)
-        self.findings: tuple[Finding, ...] = (*findings, *(x for x in args if isinstance(x, Finding)))
+    # no __init__: graphs of torch.compile break before exceptions that have one, and not at the call around them
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Faults that it is raised for, as values."""
+        return tuple(x for x in self.args if isinstance(x, Finding))
+
+    def __str__(self) -> str:
+        if self.args and isinstance(self.args[0], Finding):
+            return merged(self.findings)
+        return str(self.args[0]) if self.args else ""
 
 
 class ArgumentError(TorchdqError, ValueError):

@@ -20,7 +20,7 @@ from torchdq.backends.c import COMPILED
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
 from torchdq.dynamics.posed import Row
-from torchdq.functions.recipe import worth_recording
+from torchdq.functions.recipe import alternatives_to_record
 from torchdq.program.program import Argument, Program, record
 from torchdq.scene import integrators
 from torchdq.scene.integrators import Integrator, System
@@ -86,7 +86,7 @@ def _recorded(case: Case, name: str, of: Callable[..., dict[str, Any]]) -> Progr
 
         return record(f"{name}_{case.name}", arguments, algorithm)
 
-    return min(map(recorded, worth_recording(n, (False, True))), key=lambda p: p.count().total)
+    return min(map(recorded, alternatives_to_record(n, (False, True))), key=lambda p: p.count().total)
 
 
 # --- steps -----------------------------------------------------------------------------------------------------------

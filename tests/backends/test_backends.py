@@ -672,7 +672,7 @@ def test_arguments_of_a_compiled_program_are_names_and_tensors():
 
 @pytest.mark.parametrize("function", RECIPES)
 def test_a_compiled_program_needs_its_arguments(function):
-    options = ["tip"] if function == "jacobian" else ()
+    options = ["tip"] if function in ("jacobian", "floating.jacobian") else ()
     *others, last = [name for name, _, optional in RECIPES[function].arguments if not optional]
     robot = free(TWO) if function.startswith(FLOATING) else TWO
     with pytest.raises(ArgumentError, match=rf"arguments of '{function}' must hold '{last}', found \["):

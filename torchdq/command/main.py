@@ -140,8 +140,8 @@ def _words(error: Exception | str) -> str:
     """Message of an error or a warning, with cures in options; one of the system names the file first."""
     if isinstance(error, LogError | LogWarning):
         return error.text(command_line=True)
-    if isinstance(error, Exception) and any(isinstance(x, Finding) for x in error.args):
-        return merged([x for x in error.args if isinstance(x, Finding)], command_line=True)
+    if isinstance(error, TorchdqError) and isinstance(error.args[0], Finding):
+        return merged(error.findings, command_line=True)
     if isinstance(error, TorchdqError) or not isinstance(error, OSError) or error.filename is None:
         return str(error)
     return f"{str(error.filename)!r} cannot be used: {error.strerror}"

@@ -41,7 +41,7 @@ class RecipeInputs(NamedTuple):
         found = inert_joints(self.robot)
         if found:
             listed = "; ".join(map(str, found))
-            raise SingularInertiaError(f"robot {self.robot.name!r} cannot be accelerated: {listed}", findings=found)
+            raise SingularInertiaError(f"robot {self.robot.name!r} cannot be accelerated: {listed}", *found)
 
     def posed(self) -> Posed:
         """Robot at q, and at X_WB if its base is free."""

@@ -36,5 +36,5 @@ def require_bodies(robot: Robot, what: str) -> None:
             f"{what} needs inertias that bodies can have, found in robot {robot.name!r}\n  "
             + "\n  ".join(map(str, faults))
             + f"\nCorrect them; {consistency.NEAREST}, where a robot is loaded and in robot.replace.",
-            findings=faults,
+            *faults,
         )

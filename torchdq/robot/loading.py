@@ -264,7 +264,7 @@ def _named(source: Any) -> Iterator[None]:
         name = file_name(source)
         if not 0 < len(name) <= LONGEST_NAME or Path(name).name in str(error):
             raise
-        raise type(error)(f"{name}: {error}", findings=error.findings) from error
+        raise type(error)(f"{name}: {error}", *error.findings) from error
 
 
 def _robot(

@@ -11,8 +11,12 @@ class _AboutLog(Exception):
 
     def __init__(self, *found: Finding | str, where: str = ""):
         super().__init__(*found)
-        self.findings = tuple(one for one in found if isinstance(one, Finding))
         self.where = where
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings that it is about."""
+        return tuple(x for x in self.args if isinstance(x, Finding))
 
     def text(self, command_line: bool = False) -> str:
         """Text of the findings, with cures in Python's words or in options of the command line."""

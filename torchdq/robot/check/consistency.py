@@ -172,7 +172,7 @@ def refuse(robot: str, faults: Sequence[Finding], repaired: bool = False) -> NoR
     else:
         cure = "on_unphysical='warn' computes with these numbers all the same"
         cure += f", and {NEAREST}" if any(fault.code in MISSHAPEN for fault in faults) else ""
-    raise UnphysicalError(f"{_unphysical(robot, faults)}\nCorrect the description; {cure}.", findings=faults)
+    raise UnphysicalError(f"{_unphysical(robot, faults)}\nCorrect the description; {cure}.", *faults)
 
 
 def _unphysical(robot: str, faults: Sequence[Finding]) -> str:

@@ -167,4 +167,4 @@ def _refuse(faults: Sequence[Finding]) -> None:
     if faults:
         lines = "\n  ".join(map(str, faults))
         found = [x._replace(severity="error") for x in faults]
-        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", findings=found)
+        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *found)

@@ -36,7 +36,7 @@ def read(
     unreadable = [x for name, all_of in found.unreadable.items() if name not in excused for x in all_of]
     if faults := [x._replace(severity="error") for x in (*unreadable, *found.faults, *faults)]:
         lines = "\n  ".join(map(str, faults))
-        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", findings=faults)
+        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *faults)
     judged, findings = _physical(found, repair)
     moves = locked(found, still_free, coupled, kept, lock)
     links = links_of(judged, base_link, moves)
