@@ -151,7 +151,9 @@ def test_a_motion_that_repeats_itself_does_not_pass_for_others(seed):
     """Its network knows the recorded path, and blocks left out of one pass are in the next; regions are in none."""
     parts = [of_positions(seed, 6.0, passes=3)]
     model = layer(parts)
-    fit(model, parts, steps=150, **OPTIONS)
+    gain = fit(model, parts, steps=150, **OPTIONS).residual
+    on_blocks = gain.without.square() - gain.error.square()
+    assert (gain.gains < 0.8 * on_blocks).all()  # that of regions counts
     for k in range(3):
         test = of_positions(90 + k, 15.0)
         assert (error(model, test) <= 1.05 * error(model.model, test)).all()

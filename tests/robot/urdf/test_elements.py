@@ -2,6 +2,7 @@
 
 import re
 import time
+import tracemalloc
 
 import pytest
 import torch
@@ -129,9 +130,13 @@ def test_a_limit_may_be_as_large_as_a_number_can_be():
 @pytest.mark.parametrize("blank", [" ", " " * 99, "\n", ""])
 def test_millions_of_numbers_or_digits_are_refused_at_once_and_not_repeated(field, part, blank):
     text = arm(**{field: ("1" + blank) * (9_000_000 // (1 + len(blank))) + "x"})
+    tracemalloc.start()
     begin = time.thread_time()
     message = fault(text)[2]
-    assert time.thread_time() - begin < ENDLESS and f"{part} must be" in message and len(message) < 500
+    seconds, (_, most) = time.thread_time() - begin, tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert seconds < ENDLESS and f"{part} must be" in message and len(message) < 500
+    assert most < 10 * len(text)  # parsing takes half of that, lists of words far more
 
 
 @pytest.mark.case("U8")
