@@ -336,7 +336,7 @@ FILES = [
     ("PXR-USDC\0", "this is USD"),
     ("404: Not Found", "a server's answer that there is no such file"),
     ("solid part\n", "this is a mesh"),
-    ("name,mass\n", "found 'name,mass\\n' at its start; it does not begin with '<'"),
+    ("name,mass\n", "found 'name,mass\\n' at its start; it must begin with '<'"),
 ]
 
 

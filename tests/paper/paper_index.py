@@ -518,7 +518,7 @@ SECTION_5_4 = (
         "78",
         "the same with the errors named: e'' + K_D e' + K_P e = 0",
         "dynamics.tracking:commanded",
-        f"{CONTROL}_the_error_dies_as_its_equation_says",
+        f"{CONTROL}_the_error_follows_its_equation_all_the_way",
     ),
 )
 

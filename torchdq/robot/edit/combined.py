@@ -66,9 +66,7 @@ def _holding(robot: AnyRobot, mass: Any, com: Any, inertia: Any, at: Frame) -> A
     if all(fields.readable(x, False) for x in held):
         found = consistency.bodies(("payload",), held.mass.unsqueeze(-1), matrices(held.inertia).unsqueeze(-3))
         if found:
-            raise ArgumentError(
-                f"mass and inertia must be those of a body, xx xy yy xz yz zz: {found[0]}", *found
-            )
+            raise ArgumentError(f"mass and inertia must be those of a body, xx xy yy xz yz zz: {found[0]}", *found)
     changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
     suspicious = units.of_payload(robot, held) if measurable(robot, *held) else []
     units.warn(f"a payload of robot {robot.name!r}", suspicious, stacklevel=3)
