@@ -34,6 +34,7 @@ from torchdq.scene.integrators import (
 )
 
 F32, F64 = torch.float32, torch.float64
+AS_SHIPPED = True  # rounding decides where chaotic motions go: slopes are those of the shipped flags
 C = pytest.param("c", marks=pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"))
 every_backend = pytest.mark.parametrize("backend", ["eager", C])
 every_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=["f64", "f32"])
