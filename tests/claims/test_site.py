@@ -167,7 +167,8 @@ def test_a_public_function_has_an_example_that_runs(name):
     assert document.count(">>> ") > document.count(">>> import"), f"add an example to the docstring of {name}"
 
 
-IN_A_TABLE = "torchdq.convert."  # the layouts of arguments and results are one table, at the top of their page
+# layouts of arguments and results are one table, at the top of their page
+IN_A_TABLE = ("torchdq.convert.", "torchdq.dq.")
 
 
 @pytest.mark.parametrize("name", [name for name in FUNCTIONS if not name.startswith(IN_A_TABLE)])

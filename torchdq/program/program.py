@@ -141,7 +141,7 @@ def record(
         except TypeError as error:
             if Recorded.__name__ not in str(error):
                 raise
-            raise NumberError(f"this function does not take recorded numbers: {error}; {FUNCTIONS}") from error
+            raise NumberError(f"a recorded number is not accepted by this function: {error}; {FUNCTIONS}") from error
         factors = found.pop(GROWTH, ())
         return with_half_angles(finish(name, arguments, tape, found, summed, factors))
 
