@@ -1,7 +1,7 @@
 """Kernels of the GPU backend, compiled for GPUs without one: registers, spills, and the same text for AMD's compiler.
 
 Registers and spilled bytes are those of one version of the compiler, and of the architecture sm_90; other versions are
-only asked to compile. To write the table anew: python tests/backends/test_cuda_compile.py --write
+only asked to compile. To write the table again: python tests/backends/test_cuda_compile.py --write
 """
 
 import json

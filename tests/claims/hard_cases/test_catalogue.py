@@ -18,4 +18,4 @@ def test_no_case_is_both_held_and_left_out():
 
 
 def test_the_page_shows_every_case():
-    assert shown() == table(), "python tests/claims/hard_cases/catalogue.py writes it anew"
+    assert shown() == table(), "python tests/claims/hard_cases/catalogue.py writes it again"

@@ -17,7 +17,7 @@ import torch
 from recorded_logs import WIDTH, fitted, plain, sign, with_findings
 
 import torchdq
-from torchdq.base import progress as notice
+from torchdq.base import progress
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.learning import Samples, identify
 from torchdq.learning.identification import regression
@@ -332,8 +332,8 @@ def test_predictions_print_as_tables():
 def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd):
     robot = torchdq.robots.load("two_link")
     states, seen = moving(2, 200), []
-    monkeypatch.setattr(notice, "FIRST", 0.01)
-    monkeypatch.setattr(notice, "EVERY", 0.01)
+    monkeypatch.setattr(progress, "FIRST", 0.01)
+    monkeypatch.setattr(progress, "EVERY", 0.01)
     monkeypatch.setattr(regression, "CHUNK", 2 * 22 * 50)
     plain = regression.columns
 
@@ -353,7 +353,7 @@ def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd)
     time.sleep(0.1)
     assert capfd.readouterr().err == ""  # it has ended
     monkeypatch.undo()
-    monkeypatch.setattr(notice, "FIRST", 60.0)
+    monkeypatch.setattr(progress, "FIRST", 60.0)
     fitted(robot, *states, states[0])
     assert capfd.readouterr().err == ""
 
