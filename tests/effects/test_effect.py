@@ -9,6 +9,7 @@ import pytest
 import torch
 from effect_harness import CASES, agrees, bare, described, described_as, double
 from helpers import all_in_one
+from messages import refused
 
 import torchdq
 from torchdq.effects.joint import Impedance, JointEffect
@@ -46,7 +47,7 @@ def test_what_is_not_given_is_as_the_description_says(silent, spoken):
 
 @pytest.mark.parametrize("effect", [effects.RotorInertia(), effects.Elastic(10.0)], ids=["RotorInertia", "Elastic"])
 def test_what_neither_the_description_says_is_asked_for(effect):
-    with pytest.raises(torchdq.ArgumentError, match=f"inertia of {type(effect).__name__} must be given"):
+    with refused(torchdq.ArgumentError):
         Scene(described(), (effect,))
 
 
@@ -117,7 +118,7 @@ def test_a_parameter_that_is_a_tensor_is_checked_like_numbers(kind, name, bad):
         if message is None and (kind, name, bad) != (effects.TorqueSpeed, "stall", math.inf):
             assert made(kind, name, value).tensors()[name].shape == value.shape
             continue
-        with pytest.raises(torchdq.ArgumentError, match=f"{name} of {kind.__name__} must"):
+        with refused(torchdq.ArgumentError):
             made(kind, name, value)
 
 
@@ -263,28 +264,25 @@ def test_gradients_of_dry_friction_stay_finite_as_its_width_shrinks(width, qd, t
 
 
 @pytest.mark.parametrize(
-    ("effect", "message"),
+    "effect",
     [
-        (effects.Gravity(9.81), "acceleration of Gravity must have 3 components, found the number 9.81"),
-        (effects.Gravity(torch.tensor(9.81)), "acceleration of Gravity must have 3 components, found the number 9.81"),
-        (effects.Gravity(torch.tensor([9.81])), r"must have the shape \[..., 3\], found \(1,\)"),
-        (effects.Payload(1.0, com=0.1), "com of Payload must have 3 components"),
-        (effects.Payload(1.0, inertia=0.1), "inertia of Payload must have 6 components"),
-        (effects.Payload(1.0, inertia=(1.0, 1.0, 100.0, 0.0, 0.0, 0.0)), "must be physically consistent, inertia in"),
-        (effects.Payload(torch.ones(5), inertia=(0.01, 0.02, 0.015, 0.0, 0.0, 0.0)), "must be physically consistent"),
-        (effects.Stribeck(2.0, 1.0), "coulomb of Stribeck must not be above static, found 2 and 1"),
-        (
-            effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5),
-            "coulomb of Stribeck must not be above static, found 2 and 1.5 at joint 'elbow'",
-        ),
-        (effects.JointLimits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])), "found 1 and -1 at joint 'elbow'"),
-        (effects.CommandDelay(10**7), "steps of CommandDelay must be at most 500"),
-        (effects.TorqueSpeed(torch.tensor([math.inf, 5.0]), 3.0), "stall of TorqueSpeed must be finite as a tensor"),
+        effects.Gravity(9.81),
+        effects.Gravity(torch.tensor(9.81)),
+        effects.Gravity(torch.tensor([9.81])),
+        effects.Payload(1.0, com=0.1),
+        effects.Payload(1.0, inertia=0.1),
+        effects.Payload(1.0, inertia=(1.0, 1.0, 100.0, 0.0, 0.0, 0.0)),
+        effects.Payload(torch.ones(5), inertia=(0.01, 0.02, 0.015, 0.0, 0.0, 0.0)),
+        effects.Stribeck(2.0, 1.0),
+        effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5),
+        effects.JointLimits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])),
+        effects.CommandDelay(10**7),
+        effects.TorqueSpeed(torch.tensor([math.inf, 5.0]), 3.0),
     ],
 )
-def test_parameters_that_make_no_sense_are_refused(effect, message):
+def test_parameters_that_make_no_sense_are_refused(effect):
     robot = torchdq.robots.load("two_link").replace(joint_names=("shoulder", "elbow"))
-    with pytest.raises(torchdq.ArgumentError, match=message):
+    with refused(torchdq.ArgumentError):
         Scene(robot, (effect,))
 
 
@@ -299,7 +297,7 @@ def test_parameters_that_are_no_numbers_are_refused(given):
     """Words, truth values and tensors within a list, of which float() makes numbers."""
     name, parameter, wrong = given
     own, _ = TENSORS[name]()
-    with pytest.raises(torchdq.ArgumentError, match=f"^{parameter} of {name} must be a number.* or a tensor, found "):
+    with refused(torchdq.ArgumentError):
         Scene(CASES["two_link"].robot, (dataclasses.replace(own, **{parameter: wrong}),))
 
 
@@ -308,7 +306,7 @@ def test_parameters_without_values_are_named(name, parameter):
     own, inputs = TENSORS[name]()
     wrong = getattr(own, parameter).detach().to("meta")
     scene = Scene(CASES["two_link"].robot, (dataclasses.replace(own, **{parameter: wrong}),))
-    with pytest.raises(torchdq.ArgumentError, match=f"^{parameter} is on the device 'meta', where tensors have no val"):
+    with refused(torchdq.ArgumentError):
         scene.step(scene.start(p(0.1, 0.2).detach(), noise=inputs.get("noise")), **inputs)
 
 
@@ -317,7 +315,7 @@ def test_numbers_of_numpy_are_numbers():
     for x in given:
         assert Scene(robot, (effects.Viscous(x),)).effects[0].coefficient == (float(x), float(x))
     assert Scene(robot, (effects.Viscous(given[:2]),)).effects[0].coefficient == (0.5, 2.0)
-    with pytest.raises(torchdq.ArgumentError, match="acceleration of Gravity must have 3 components, found the number"):
+    with refused(torchdq.ArgumentError):
         Scene(robot, (effects.Gravity(np.float32(9.81)),))
 
 
@@ -345,11 +343,11 @@ class ByTorch(JointEffect):
 
 def test_own_effects_that_are_wrong_are_named():
     robot = torchdq.robots.load("two_link")
-    with pytest.raises(torchdq.ArgumentError, match="impedances of Few must return one Impedance for each of 2 joints"):
+    with refused(torchdq.ArgumentError):
         Scene(robot, (Few(),)).program()
     scene = Scene(robot, (ByTorch(),))
     for recorded in (scene.program, lambda: scene.step(scene.start(torch.zeros(2)))):
-        with pytest.raises(NumberError, match=r"recorded number .*use the functions of torchdq"):
+        with refused(NumberError):
             recorded()
 
 
@@ -365,5 +363,5 @@ class Mutable(JointEffect):
 
 @pytest.mark.parametrize("gains", [{"k": 1.0}, [1.0], {1.0}, np.ones(2), torch.ones(2)], ids=lambda x: type(x).__name__)
 def test_fields_of_effects_that_can_change_are_refused(gains):
-    with pytest.raises(torchdq.ArgumentError, match=r"gains of Mutable is a .*, which can change after"):
+    with refused(torchdq.ArgumentError):
         Scene(torchdq.robots.load("two_link"), (Mutable(gains),))

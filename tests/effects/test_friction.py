@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import FIXED, INERTIA, WHEEL, called, double, random
+from messages import refused
 from oracles import random_tree, shipped
 from scipy.integrate import solve_ivp
 
@@ -192,13 +193,11 @@ def test_friction_of_the_load_takes_power_in_every_state(seconds):
 
 
 def test_a_load_that_no_effect_asks_for_is_asked_for():
-    with pytest.raises(ArgumentError, match="load must be given for LoadDependent"):
+    with refused(ArgumentError):
         columns(TREE, effects.LoadDependent(), *random(2, 5, n))
-    with pytest.raises(
-        ArgumentError, match="coefficient of LoadDependent must be below 1, found 1: such a joint would"
-    ):
+    with refused(ArgumentError):
         Scene(ARM, (effects.LoadDependent(1.0),))
-    with pytest.raises(ArgumentError, match="effects must not hold LoadDependent twice"):
+    with refused(ArgumentError):
         Scene(ARM, (effects.LoadDependent(0.1), effects.LoadDependent(0.2)))
 
 
@@ -243,7 +242,7 @@ def test_coefficients_change_with_the_temperature(kind):
     warmed, plain = (Scene(TREE, part, integrator=ExplicitEuler(), dt=1.0) for part in parts)
     zero = torch.zeros(n, dtype=F64)
     assert torch.allclose(warmed.step(State(q, qd), load, temperature=zero).qd, plain.step(State(q, qd), load).qd)
-    with pytest.raises(ArgumentError, match="temperature must be given"):
+    with refused(ArgumentError):
         warmed.step(State(q, qd))
 
 
@@ -379,11 +378,11 @@ def test_bristles_along_a_log_are_those_of_the_simulation():
     unit = effects.LuGre(None, 5e-4, 1.5, 0.3)  # whose torque is its deflection
     found = columns(WHEEL, unit, q, qd, time=time)["coulomb"]
     assert z.abs().max() > 1.05 and (found - z).abs().max() < 0.02
-    with pytest.raises(ArgumentError, match="time must be given for LuGre, which has memory"):
+    with refused(ArgumentError):
         columns(WHEEL, unit, q, qd)
-    with pytest.raises(ArgumentError, match="time must increase"):
+    with refused(ArgumentError):
         columns(WHEEL, unit, q, qd, time=0 * time)
-    with pytest.raises(ArgumentError, match=r"q must be \[rows, n\] and time \[rows\] for LuGre"):
+    with refused(ArgumentError):
         columns(WHEEL, unit, q[None], qd[None], time=time)
 
 
@@ -481,7 +480,7 @@ def test_friction_that_a_layer_cannot_have_is_refused(friction, learn, message):
     if message is None:
         assert torchdq.DQRNEA(ARM, learn, friction=friction).friction == (friction.resolved(ARM),)
         return
-    with pytest.raises(ArgumentError, match=message):
+    with refused(ArgumentError):
         torchdq.DQRNEA(ARM, learn, friction=friction)
 
 
@@ -492,7 +491,7 @@ def test_the_friction_of_a_model_is_that_of_its_controller():
     given = random(5, 20, n, seed=12)
     apart, held = torchdq.ComputedTorque(robot, 9.0, 6.0, friction=(own,)), torchdq.ComputedTorque(model, 9.0, 6.0)
     assert torch.allclose(held(*given), apart(*given), rtol=1e-9, atol=1e-9)
-    with pytest.raises(ArgumentError, match="friction must be True or False for a module, which has its own"):
+    with refused(ArgumentError):
         torchdq.ComputedTorque(model, 9.0, 6.0, friction=(own,))
     described = torchdq.ComputedTorque(torchdq.DQRNEA(robot), 9.0, 6.0)
     plain = torchdq.ComputedTorque(robot, 9.0, 6.0, friction=False)

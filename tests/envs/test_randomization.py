@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from messages import refused
 from torch.distributions import Beta, LogNormal, Normal, Uniform
 
 import torchdq
@@ -130,42 +131,42 @@ def test_a_delay_between_steps_mixes_the_nearest_torques():
 
 
 def test_an_unknown_name_lists_all():
-    with pytest.raises(UnknownNameError, match="did you mean 'mass'") as caught:
+    with refused(UnknownNameError) as caught:
         make({"masses": 7.0})
     for name in (*SHORT, "Viscous.coefficient", "Noise.velocity", "ComputedTorqueController.kd"):
         assert name in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    "randomise, message",
+    "randomise",
     [
-        ({"mass": 1.5}, r"randomise\['mass'\] must be a fraction from 0 to 1, or a pair"),
-        ({"mass": True}, "must be a number, a pair"),
-        ({"mass": (True, 2)}, "must be a number, a pair"),
-        ({"mass": (1.2, 0.8)}, "must be a number, a pair"),
-        ({"mass": (0.8, 1.0, 1.2)}, "must be a number, a pair"),
-        ({"mass": "much"}, "must be a number, a pair"),
-        ({"mass": (0.0, 1.0)}, "must draw finite factors above 0, found some from 0 to 1"),
-        ({"mass": Normal(1.0, 0.3)}, "must draw finite factors above 0, found some from -0.5884"),
-        ({"mass": Beta(2.0, 2.0)}, r"must be a distribution with icdf\(\)"),
-        ({"mass": Uniform(torch.ones(3), 2 * torch.ones(3))}, "must be one distribution or 2 of them"),
-        ({"delay": -1}, "must be a number of time steps"),
-        ({"payload": (-1.0, 1.0)}, "must draw finite values from 0, found some from -1 to 1"),
-        ({"damping": 0.1, "friction": 0.1}, "'damping' and 'friction' both change coefficient"),
-        ({"Noise.velocity": 0.1}, "is a factor of zeros"),
-        ([("mass", 0.1)], "randomise must be a dict"),
+        {"mass": 1.5},
+        {"mass": True},
+        {"mass": (True, 2)},
+        {"mass": (1.2, 0.8)},
+        {"mass": (0.8, 1.0, 1.2)},
+        {"mass": "much"},
+        {"mass": (0.0, 1.0)},
+        {"mass": Normal(1.0, 0.3)},
+        {"mass": Beta(2.0, 2.0)},
+        {"mass": Uniform(torch.ones(3), 2 * torch.ones(3))},
+        {"delay": -1},
+        {"payload": (-1.0, 1.0)},
+        {"damping": 0.1, "friction": 0.1},
+        {"Noise.velocity": 0.1},
+        [("mass", 0.1)],
     ],
 )
-def test_wrong_ranges_are_refused(randomise, message):
-    with pytest.raises(ArgumentError, match=message):
+def test_wrong_ranges_are_refused(randomise):
+    with refused(ArgumentError):
         make(randomise)
 
 
 @pytest.mark.parametrize("name", ["damping", "armature", "gravity"])
 def test_a_factor_of_nothing_is_refused(name):
-    with pytest.raises(ArgumentError, match=rf"randomise\['{name}'\] needs the effect"):
+    with refused(ArgumentError):
         make({name: 0.1}, effects=())
-    with pytest.raises(ArgumentError, match="needs a controller with gains"):
+    with refused(ArgumentError):
         make({"gains": 0.1}, action="torque")
 
 
@@ -181,5 +182,5 @@ def test_a_payload_of_the_scene_does_not_grow_with_the_links():
 
 
 def test_delays_have_a_bound():
-    with pytest.raises(ArgumentError, match=r"'delay'\] must draw at most 500 time steps, found up to 600"):
+    with refused(ArgumentError):
         ArmVectorEnv(2, "reach", "two_link", scale=1.0, randomise={"delay": 600})

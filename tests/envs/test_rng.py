@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import pytest
 import torch
+from messages import refused
 
 from torchdq.envs.rng import SEEDS, Streams, seeded
 from torchdq.envs.row_selection import Indexed
@@ -118,5 +119,5 @@ def test_some_rows_are_seeded_again():
 
 @pytest.mark.parametrize("seed", [-1, SEEDS, 0.5, "0", [1, 2, 3], [0, None]])
 def test_wrong_seeds_are_refused(seed):
-    with pytest.raises(ArgumentError, match="seed must be"):
+    with refused(ArgumentError):
         seeded(seed, 2)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 import torch
+from messages import refused
 from small_envs import ROBOT, actions_of, make, steps
 
 import torchdq
@@ -129,7 +130,7 @@ def test_the_controller_may_be_ones_own():
     envs = make(4, "track", action="residual", controller=pd)
     envs.reset(seed=0)
     steps(envs, 3)
-    with pytest.raises(torchdq.ArgumentError, match="did you mean action='residual'"):
+    with refused(torchdq.ArgumentError):
         make(4, controller=pd)
 
 
@@ -178,47 +179,44 @@ def without(name):
 
 
 ROWS = [
-    (without("reference"), r"Changed.rows must return a dict of rows with observation, reward, reference, found obs"),
-    (lambda x: None, "Changed.rows must return a dict of rows with observation, reward, reference, found NoneType"),
-    (lambda x: {**x, "observation": x["observation"][:-1]}, "must return 'observation' of width 12, found 11"),
-    (lambda x: {**x, "reference": x["reference"][:-1]}, "must return 'reference' of width 6, found 5"),
-    (lambda x: {**x, "reward": [x["distance"][0]] * 2}, "must return 'reward' of width 1, found 2"),
-    (lambda x: {**x, "terminated": [1.0, 0.0]}, "must return 'terminated' of width 1, found 2"),
-    (
-        lambda x: {**x, "reward": x["distance"][0]},
-        r"'reward' as a list of numbers, found .*; a number x is the row \[x\]",
-    ),
-    (lambda x: {**x, "reward": [torch.zeros(1)]}, r"must return 'reward' as a list of numbers, found \[tensor"),
-    (lambda x: {**x, "q": [0.0, 0.0]}, "Changed.rows must not return a row 'q'"),
-    (lambda x: {**x, "clipped": [0.0]}, "Changed.rows must not return a row 'clipped'"),
+    without("reference"),
+    lambda x: None,
+    lambda x: {**x, "observation": x["observation"][:-1]},
+    lambda x: {**x, "reference": x["reference"][:-1]},
+    lambda x: {**x, "reward": [x["distance"][0]] * 2},
+    lambda x: {**x, "terminated": [1.0, 0.0]},
+    lambda x: {**x, "reward": x["distance"][0]},
+    lambda x: {**x, "reward": [torch.zeros(1)]},
+    lambda x: {**x, "q": [0.0, 0.0]},
+    lambda x: {**x, "clipped": [0.0]},
 ]
 
 
 STARTS = [
-    (without("goal"), r"Changed.start must return a dict of rows with q, qd, goal, found q, qd"),
-    (lambda x: {**x, "goal": x["goal"][:2]}, "Changed.start must return 'goal' of width 3, found 2"),
-    (lambda x: list(x), "Changed.start must return a dict of rows with q, qd, goal, found list"),
-    (lambda x: {**x, "torque": [0.0]}, "no row of a start that Changed.start may return named 'torque'"),
+    without("goal"),
+    lambda x: {**x, "goal": x["goal"][:2]},
+    lambda x: list(x),
+    lambda x: {**x, "torque": [0.0]},
 ]
 
 
 INPUTS = [
-    (without("goal"), "Changed.inputs must give the width of 'goal'"),
-    (lambda x: {**x, "action": 7}, "Changed.inputs .* may ask for {'action': 2, 'time': 1}, found .*7"),
-    (lambda x: {**x, "velocity": 2}, "Changed.inputs .* may ask for {'action': 2, 'time': 1}, found .*'velocity': 2"),
+    without("goal"),
+    lambda x: {**x, "action": 7},
+    lambda x: {**x, "velocity": 2},
 ]
 
 
-CHANGES = [(name, *row) for name, rows in (("rows", ROWS), ("start", STARTS), ("inputs", INPUTS)) for row in rows]
+CHANGES = [(name, row) for name, rows in (("rows", ROWS), ("start", STARTS), ("inputs", INPUTS)) for row in rows]
 
 
-@pytest.mark.parametrize("method, change, message", CHANGES)
-def test_a_task_that_returns_other_rows_is_refused(method, change, message):
+@pytest.mark.parametrize("method, change", CHANGES)
+def test_a_task_that_returns_other_rows_is_refused(method, change):
     def changed(self, *given):
         return change(getattr(Reach, method)(self, *given))
 
     task = dataclass(frozen=True)(type("Changed", (Reach,), {method: changed}))()
-    with pytest.raises(torchdq.TorchdqError, match=message):
+    with refused(torchdq.TorchdqError):
         make(2, task).reset(seed=0)
 
 
@@ -242,5 +240,5 @@ def test_a_task_whose_attributes_are_no_fields_is_refused():
         def __init__(self, weight):
             object.__setattr__(self, "weight", weight)
 
-    with pytest.raises(ArgumentError, match=r"task has the attributes weight.*make Weighted a dataclass"):
+    with refused(ArgumentError):
         ArmVectorEnv(2, Weighted(5.0), "two_link", scale=10.0)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 import torch
+from messages import refused
 
 import torchdq
 from torchdq.envs import ArmEnv, ArmVectorEnv, State, TorchTask, effects
@@ -176,34 +177,28 @@ def test_a_function_that_fails_ends_that_row_alone(name, bad):
 
 
 @pytest.mark.parametrize(
-    "task, message",
+    "task",
     [
-        (lambda: TorchTask("push"), "no task named 'push'"),
-        (lambda: TorchTask(observation=state), "bounds must be given with an observation"),
-        (lambda: TorchTask(observation=state, bounds=[(1, -1)]), r"bounds must be pairs \(lower, upper\)"),
-        (lambda: TorchTask(start=lambda robot, u: {}, draws=True), "draws must be a whole number from 0, found True"),
-        (lambda: TorchTask(reward=lambda now: 1.0), "reward of the task must be a tensor, found float"),
-        (lambda: TorchTask(reward=lambda now: now.q), r"reward of the task must have the shape \[5\], found \(5, 2\)"),
-        (
-            lambda: TorchTask(reward=lambda now: now.q.sum()),
-            r"reward of the task must have the shape \[5\], found \(\)",
-        ),
-        (
-            lambda: TorchTask(observation=state, bounds=BOUNDS[:3]),
-            r"observation of the task must have the shape \[5, 3\], found \(5, 4\)",
-        ),
-        (lambda: TorchTask(reward=lambda now: {"distance": now.q[:, 0]}), "must not name a term 'distance'"),
-        (lambda: TorchTask(reward=lambda now: {"clipped": now.q[:, 0]}), "must not name a term 'clipped'"),
-        (lambda: TorchTask(terminated=lambda now: now.q[:, 0]), "terminated must return a bool tensor of shape"),
-        (lambda: TorchTask(start=lambda robot, u: u), "start must return a dict of q, qd, goal, found Tensor"),
-        (lambda: TorchTask(start=lambda robot, u: {"x": u}), "no row that start may return named 'x'"),
-        (lambda: TorchTask(start=lambda robot, u: {"q": u}, draws=3), r"start's 'q' of the task must have the shape"),
-        (lambda: TorchTask(start=lambda robot, u: {"q": u / 0}, draws=2), "start's 'q' of the task must be finite"),
-        (lambda: TorchTask(observation=lambda now: state(now) / 0, bounds=BOUNDS), "must be finite at a start"),
+        lambda: TorchTask("push"),
+        lambda: TorchTask(observation=state),
+        lambda: TorchTask(observation=state, bounds=[(1, -1)]),
+        lambda: TorchTask(start=lambda robot, u: {}, draws=True),
+        lambda: TorchTask(reward=lambda now: 1.0),
+        lambda: TorchTask(reward=lambda now: now.q),
+        lambda: TorchTask(reward=lambda now: now.q.sum()),
+        lambda: TorchTask(observation=state, bounds=BOUNDS[:3]),
+        lambda: TorchTask(reward=lambda now: {"distance": now.q[:, 0]}),
+        lambda: TorchTask(reward=lambda now: {"clipped": now.q[:, 0]}),
+        lambda: TorchTask(terminated=lambda now: now.q[:, 0]),
+        lambda: TorchTask(start=lambda robot, u: u),
+        lambda: TorchTask(start=lambda robot, u: {"x": u}),
+        lambda: TorchTask(start=lambda robot, u: {"q": u}, draws=3),
+        lambda: TorchTask(start=lambda robot, u: {"q": u / 0}, draws=2),
+        lambda: TorchTask(observation=lambda now: state(now) / 0, bounds=BOUNDS),
     ],
 )
-def test_wrong_functions_are_refused(task, message):
-    with pytest.raises(torchdq.TorchdqError, match=message):
+def test_wrong_functions_are_refused(task):
+    with refused(torchdq.TorchdqError):
         make(task()).step(torch.zeros(5, 2))
 
 

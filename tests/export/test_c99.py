@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from exporting import COMPILERS, F64, STRICT, TWO, free, loaded, needs, passes_its_test, run, step, two_link
+from messages import refused
 
 import torchdq
 from torchdq.envs import Scene, effects
@@ -266,7 +267,7 @@ def test_a_full_disk_leaves_the_files_of_before(tmp_path, monkeypatch):
         write(path, data)
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(ArgumentError, match=r"folder must be one that files can be written to, .*: No space left"):
+    with refused(ArgumentError):
         compiled.export(tmp_path, "f", "own", batch=True)
     assert {path: path.read_text() for path in before} == before
     assert {*tmp_path.iterdir()} == {*before, tmp_path / "exported_f.cmake"}
@@ -366,14 +367,14 @@ def test_a_mass_matrix_that_is_not_positive_is_told_by_the_status(tmp_path):
 @pytest.mark.parametrize("name", ["two words", "double", "1st", "größe", "class"])
 def test_names_that_c_and_cpp_do_not_accept_are_refused(name, tmp_path):
     compiled = torchdq.compile(TWO, "inverse_dynamics")
-    with pytest.raises(ArgumentError, match="must be a name that C accepts"):
+    with refused(ArgumentError):
         compiled.export(tmp_path, name)
     assert compiled.export(tmp_path).function == "inverse_dynamics_two_link"
 
 
 @pytest.mark.parametrize("name", ["tgamma", "printf", "fmaxf", "SIN", "ROUND", "math", "in_q", "worst", "found_tau"])
 def test_names_that_the_exported_files_use_are_refused(name, tmp_path):
-    with pytest.raises(ArgumentError, match="name must"):
+    with refused(ArgumentError):
         torchdq.compile(TWO, "inverse_dynamics").export(tmp_path, name)
     assert not list(tmp_path.iterdir())
 
@@ -414,7 +415,7 @@ def test_two_functions_in_one_folder_are_built_and_tested_together(tmp_path):
 
 def test_functions_that_the_own_library_lacks_are_named(tmp_path):
     program = record("growing", [Argument("x", 1)], lambda x: {"y": (exp(x[0]),)})
-    with pytest.raises(ArgumentError, match=r"library must be 'math\.h' for growing, which takes exp"):
+    with refused(ArgumentError):
         CompiledProgram(program, F64, ((1,),)).export(tmp_path, "growing", "own")
 
 
@@ -458,5 +459,5 @@ def test_spans_of_a_batch_that_are_too_short_are_refused(tmp_path):
 
 
 def test_a_recorded_program_takes_no_function():
-    with pytest.raises(ArgumentError, match="is recorded already"):
+    with refused(ArgumentError):
         torchdq.compile(scene_step().program, "inverse_dynamics")

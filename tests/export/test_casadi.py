@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from exporting import COMPILERS, F64, STRICT, free, run, step, two_link
+from messages import refused
 
 import torchdq
 from torchdq import effects
@@ -450,28 +451,28 @@ def test_the_file_has_no_memory_loops_or_branches_and_says_how_it_is_built(tmp_p
 
 @pytest.mark.parametrize("name", ["arm__torques", "_arm", "jac", "null", "two words", "double"])
 def test_names_are_those_that_casadi_accepts(name, tmp_path):
-    with pytest.raises(ArgumentError, match="name must be"):
+    with refused(ArgumentError):
         PROGRAMS["energy"]().export(tmp_path, name, language="casadi")
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    "options",
     [
-        ({"language": "fortran"}, "language must be one of 'c', 'casadi'"),
-        ({"knots": 4}, "knots are for language 'casadi'"),
-        ({"language": "casadi", "knots": -1}, "knots must be"),
-        ({"language": "casadi", "knots": 2.5}, "knots must be"),
-        ({"language": "casadi", "knots": True}, "knots must be"),
-        ({"language": "casadi", "derivatives": 3}, "derivatives must be"),
+        {"language": "fortran"},
+        {"knots": 4},
+        {"language": "casadi", "knots": -1},
+        {"language": "casadi", "knots": 2.5},
+        {"language": "casadi", "knots": True},
+        {"language": "casadi", "derivatives": 3},
     ],
 )
-def test_other_options_are_refused(options, words, tmp_path):
-    with pytest.raises(ArgumentError, match=words):
+def test_other_options_are_refused(options, tmp_path):
+    with refused(ArgumentError):
         PROGRAMS["energy"]().export(tmp_path, **options)
 
 
 def test_numbers_are_of_double_precision(tmp_path):
-    with pytest.raises(ArgumentError, match=r"language 'casadi' takes programs in float64, found torch\.float32"):
+    with refused(ArgumentError):
         of("two_link", "mass_matrix", dtype="float32")().export(tmp_path, language="casadi")
 
 

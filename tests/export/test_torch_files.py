@@ -11,6 +11,7 @@ import sys
 import pytest
 import torch
 from helpers import random, thinned
+from messages import refused
 from torch import library as operators
 from torch import nn
 
@@ -253,9 +254,9 @@ def test_an_onnx_file_has_the_same_values_to_rounding(name, robot, tmp_path):
 @pytest.mark.parametrize("strict", [False, True])
 def test_programs_of_this_process_are_not_exported(strict):
     x = (random(3, 2),)
-    with pytest.raises(ArgumentError, match=r"'auto' or 'eager' for torch.export, found 'c'.*torch.compile takes them"):
+    with refused(ArgumentError):
         torch.export.export(torchdq.DQRNEA(TWO, backend="c"), x, strict=strict)
-    with pytest.raises(ArgumentError, match="found 'c'"), torchdq.backend("c"):
+    with refused(ArgumentError), torchdq.backend("c"):
         torch.export.export(torchdq.DQRNEA(TWO), x, strict=strict)
 
 
@@ -263,7 +264,7 @@ def test_programs_of_this_process_are_not_exported(strict):
 @pytest.mark.parametrize("transform", [torch.func.grad, torch.func.jacrev], ids=lambda f: f.__name__)
 def test_reverse_mode_in_an_exported_function_is_refused(transform, strict):
     energy = Traced(lambda q: transform(lambda q: torchdq.potential_energy(TWO, q).sum())(q))
-    with pytest.raises(ArgumentError, match=r"cannot trace torch.func.grad.*torchdq.dynamics_jacobian"):
+    with refused(ArgumentError):
         torch.export.export(energy, (random(3, 2),), strict=strict)
 
 
@@ -295,7 +296,7 @@ def refusals():
 @pytest.mark.parametrize("name", ["DormandPrince", "environment"])
 def test_what_depends_on_values_is_in_no_graph(name):
     function, x, words = refusals()[name]
-    with pytest.raises(ArgumentError, match=words):
+    with refused(ArgumentError):
         torch.export.export(Traced(function), (x,))
     with pytest.raises(torch._dynamo.exc.Unsupported, match=words):
         torch.compile(function, fullgraph=True, backend="eager")(x)

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from helpers import random
+from messages import refused
 
 import torchdq
 from torchdq import ArgumentError
@@ -39,11 +40,11 @@ def test_quantities_and_a_robot_have_common_batch_axes():
     q = random(4, 7)
     assert check(PANDA, q=q, qd=q[0]) == (4,)
     assert check(PANDA.replace(mass=PANDA.mass.expand(3, 1, 7)), ("f_tip",), q=q, f_tip=None) == (3, 4)
-    with pytest.raises(ArgumentError, match=r"qd must have the shape \[..., 7\] for the 7 joints of robot 'panda'"):
+    with refused(ArgumentError):
         check(PANDA, q=q, qd=q[:, :6])
-    with pytest.raises(ArgumentError, match="qd must be a tensor, found NoneType"):
+    with refused(ArgumentError):
         check(PANDA, ("f_tip",), q=q, qd=None, f_tip=None)
     inertia = torch.tensor([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
     free = PANDA.replace(base_mass=torch.tensor(1.0), base_com=torch.zeros(3), base_inertia=inertia)
-    with pytest.raises(ArgumentError, match="robot 'panda' must have a fixed base here"):
+    with refused(ArgumentError):
         check(free, q=q)

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from messages import refused
 
 import torchdq
 from torchdq.envs import effects
@@ -119,25 +120,25 @@ def test_an_identified_robot_is_a_program_of_constants():
 
 def test_networks_are_refused_with_the_way_to_export_them():
     layer = torchdq.ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("two_link")))
-    with pytest.raises(ArgumentError, match=r"ResidualDynamics has no program.*torch\.export or torch\.onnx"):
+    with refused(ArgumentError):
         layer.program()
-    with pytest.raises(ArgumentError, match=r"found a ResidualDynamics, whose network has no program"):
+    with refused(ArgumentError):
         torchdq.ComputedTorque(layer, 30.0, 9.0).program()
-    with pytest.raises(UnknownNameError, match="f_base"):
+    with refused(UnknownNameError):
         layer.model.program("f_base")
-    with pytest.raises(ArgumentError, match="parameters must be one of 'constants', 'arguments', found 'both'"):
+    with refused(ArgumentError):
         layer.model.program(parameters="both")
 
 
 def test_robots_and_friction_with_batch_axes_are_arguments_or_refused():
     robot = torchdq.robots.load("two_link")
     layer = torchdq.DQRNEA(robot.replace(mass=robot.mass * torch.ones(3, 1, dtype=F64)))
-    with pytest.raises(ArgumentError, match="mass of robot 'two_link' has batch axes"):
+    with refused(ArgumentError):
         layer.program()
     assert [a.uniform for a in layer.program(parameters="arguments").arguments] == [False] * 4
     layer = torchdq.DQRNEA(robot, "friction")
     layer.viscous = torch.ones(3, 2, dtype=F64)
-    with pytest.raises(ArgumentError, match="viscous has batch axes"):
+    with refused(ArgumentError):
         layer.program()
 
 

@@ -5,6 +5,7 @@ import warnings
 
 import pytest
 import torch
+from messages import refused
 from oracles import shipped
 
 import torchdq
@@ -213,25 +214,25 @@ def test_gains_that_were_identified_scale_the_torques():
     assert torch.allclose(ratio, torch.as_tensor(motions[0].tau) * found.gains.value)
     plain = identify(TWO, parts[0], Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
     other = IdentifiedWithResidual(plain, torchdq.ResidualDynamics(plain.layer()))
-    with pytest.raises(torchdq.ArgumentError, match="efforts of unknown gains"):
+    with refused(torchdq.ArgumentError):
         other.samples(motions[0])
-    with pytest.raises(torchdq.ArgumentError, match="motions must have torques"):
+    with refused(torchdq.ArgumentError):
         other.samples(as_motion(parts[0], tau=None))
 
 
 def test_what_it_does_not_take(bumpy):
     found, whole, parts = bumpy
-    with pytest.raises(torchdq.ArgumentError, match="identified must be what identify returns, found Robot"):
+    with refused(torchdq.ArgumentError):
         IdentifiedWithResidual(TWO, whole.residual)
-    with pytest.raises(torchdq.ArgumentError, match=r"found InverseDynamics; ResidualDynamics\(identified"):
+    with refused(torchdq.ArgumentError):
         IdentifiedWithResidual(found, found.layer())
-    with pytest.raises(torchdq.ArgumentError, match=r"found one that learns \['mass'\]"):
+    with refused(torchdq.ArgumentError):
         IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer(learn=("mass",))))
-    with pytest.raises(torchdq.ArgumentError, match="found one around another robot"):
+    with refused(torchdq.ArgumentError):
         IdentifiedWithResidual(found, torchdq.ResidualDynamics(torchdq.DQRNEA(TWO.replace(mass=2 * TWO.mass))))
     fresh = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
-    with pytest.raises(torchdq.ArgumentError, match=r"train it by torchdq\.learning\.fit"):
+    with refused(torchdq.ArgumentError):
         fresh.predict(*parts[0][:3])
-    with pytest.raises(torchdq.ArgumentError, match="tau must be given with positions"):
+    with refused(torchdq.ArgumentError):
         fresh.samples(*parts[0][:3])
     assert math.isfinite(float(fresh.samples(*parts[0]).tau.sum()))

@@ -13,6 +13,7 @@ import torch
 from helpers import compiled, eager
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messages import refused
 from oracles import EPS
 from torch.autograd import gradcheck, gradgradcheck
 
@@ -473,7 +474,7 @@ REFUSED = {
 @pytest.mark.parametrize("key", REFUSED)
 def test_what_a_program_cannot_record_is_refused_with_a_way_out(key):
     """A comparison that gave an answer would make the value of no sample a constant of the program."""
-    with pytest.raises(torchdq.NumberError, match=r"recorded number") as raised:
+    with refused(torchdq.NumberError) as raised:
         program(lambda x, y: REFUSED[key](x, y), 2)
     assert "torchdq.numbers.functions" in str(raised.value) or "arithmetic with numbers" in str(raised.value)
 

@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 import torch
 from helpers import double, eager, random
+from messages import refused
 from places import ROOT
 
 import torchdq
@@ -261,7 +262,7 @@ def test_formulations_that_are_timed_compute_the_same(monkeypatch):
         timed.require_agreement(group, eager)
         assert all(f.program.count().sines == 2 * timed.N for f in group)
     arm.d[3] += 1e-9
-    with pytest.raises(ArithmeticError, match="pose, UDQ by screws is off by"):
+    with refused(ArithmeticError):
         timed.require_agreement([poses[0], timed.poses(arm)[3]], eager)
 
     for f, nanoseconds in zip((*poses, *torques), (4.0, 5.0, 4.0, 3.0, 2.0, 4.0, 4.0, 3.0, 1.0), strict=True):

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 import torch
 from helpers import rods, thinned
+from messages import refused, warned
 from oracles import pinocchio_model, random_tree
 from scipy.integrate import solve_ivp
 
@@ -189,7 +190,7 @@ def test_the_panda_keeps_the_error_for_a_second_on_other_states():
 
 
 def test_a_falling_arm_is_held_no_longer_than_it_can_be():
-    with pytest.warns(UserWarning, match="'panda' cannot be held beyond 1.* s.*the recommendation is for 1"):
+    with warned(UserWarning):
         found = recommend_settings(PANDA, 0.1, 1000.0)
     assert 1.0 <= found.horizon <= 1.5 and 1e5 < found.growth <= 1e6
     assert found.step > 2e-4
@@ -215,7 +216,7 @@ def test_damping_lets_a_trajectory_be_held():
 
 def test_a_scene_is_held_for_some_of_its_steps():
     scene = Scene(PANDA, (effects.Gravity(),), dt=0.2)
-    with pytest.warns(UserWarning, match="cannot be held beyond 1"):
+    with warned(UserWarning):
         found = recommend_settings(scene, 0.1, 1.6)
     assert found.scene.dt * found.repeats == pytest.approx(0.2)
     assert 0.9 <= found.horizon <= 1.4
@@ -237,37 +238,28 @@ def test_it_says_what_it_recommends():
 
 
 @pytest.mark.parametrize(
-    ("ask", "message"),
+    "ask",
     [
-        (lambda robot: recommend_settings(robot, 0.0), "error must be a positive number"),
-        (lambda robot: recommend_settings(robot, 1e-3, -1.0), "horizon must be"),
-        (lambda robot: recommend_settings(robot, 1e-3, most_steps=0), "most_steps must be a whole number from 1"),
-        (lambda robot: recommend_settings(Scene(robot), 1e-3, None), "a scene needs a horizon"),
-        (lambda robot: recommend_settings("panda"), "torchdq.Robot"),
-        (lambda robot: recommend_settings(robot, True), "error must be a positive number"),
-        (
-            lambda robot: recommend_settings(robot.replace(mass=torch.ones(3, 2).double())),
-            "found batch axes .3,. of mass",
-        ),
-        (
-            lambda robot: recommend_settings(robot.replace(mass=torch.ones(3, 2).double()), 1e-2, None),
-            "batch axes .3,. of mass",
-        ),
-        (lambda robot: recommend_settings(robot, 1e-3, 0.1, torch.zeros(3, 2)), "state must be a torchdq.envs.State"),
-        (lambda robot: recommend_settings(robot, 1e-3, 0.1, torque=[1.0, 2.0]), "torque must be a tensor, found list"),
-        (
-            lambda robot: recommend_settings(robot, 1e-3, 0.1, torque=torch.tensor([1.0, math.nan])),
-            "torque must be finite",
-        ),
-        (lambda robot: recommend_settings(robot, 1e-3, None, torque=torch.zeros(2)), "without a horizon there is none"),
-        (lambda robot: recommend_settings(Scene(robot, dt=1e-6), 1e-3, 0.1), "the horizon holds 100000 steps"),
-        (lambda robot: recommend_settings(robot, 1e-17, 0.02), "at best"),
-        (lambda robot: recommend_settings(robot, 1e-18, None), "at best"),
-        (lambda robot: recommend_settings(Scene(robot, (effects.Servo(10.0, 1.0),)), 1e-3, 0.1), "must be given"),
+        lambda robot: recommend_settings(robot, 0.0),
+        lambda robot: recommend_settings(robot, 1e-3, -1.0),
+        lambda robot: recommend_settings(robot, 1e-3, most_steps=0),
+        lambda robot: recommend_settings(Scene(robot), 1e-3, None),
+        lambda robot: recommend_settings("panda"),
+        lambda robot: recommend_settings(robot, True),
+        lambda robot: recommend_settings(robot.replace(mass=torch.ones(3, 2).double())),
+        lambda robot: recommend_settings(robot.replace(mass=torch.ones(3, 2).double()), 1e-2, None),
+        lambda robot: recommend_settings(robot, 1e-3, 0.1, torch.zeros(3, 2)),
+        lambda robot: recommend_settings(robot, 1e-3, 0.1, torque=[1.0, 2.0]),
+        lambda robot: recommend_settings(robot, 1e-3, 0.1, torque=torch.tensor([1.0, math.nan])),
+        lambda robot: recommend_settings(robot, 1e-3, None, torque=torch.zeros(2)),
+        lambda robot: recommend_settings(Scene(robot, dt=1e-6), 1e-3, 0.1),
+        lambda robot: recommend_settings(robot, 1e-17, 0.02),
+        lambda robot: recommend_settings(robot, 1e-18, None),
+        lambda robot: recommend_settings(Scene(robot, (effects.Servo(10.0, 1.0),)), 1e-3, 0.1),
     ],
 )
-def test_what_cannot_be_is_named(ask, message):
-    with pytest.raises(torchdq.ArgumentError, match=message):
+def test_what_cannot_be_is_named(ask):
+    with refused(torchdq.ArgumentError):
         ask(ROBOTS["two_link"])
 
 
@@ -282,13 +274,13 @@ def test_no_trajectory_has_more_steps_than_are_allowed():
     reference(trial, SAFETY * 1e-3)
     assert max(int(re.search(r"(\d+) steps", text)[1]) for text in tried) <= 256
     assert recommend_settings(robot, 1e-3, 0.2, most_steps=2048).others == recommend_settings(robot, 1e-3, 0.2).others
-    with pytest.raises(torchdq.ArgumentError, match=r"can be computed to .* at best, not to 1\.0e-12"):
+    with refused(torchdq.ArgumentError):
         recommend_settings(robot, 1e-12, 0.2, most_steps=64)
 
 
 def test_inputs_that_a_scene_does_not_have_are_named():
     scene = Scene(ROBOTS["two_link"], (effects.Gravity(),))
-    with pytest.raises(torchdq.UnknownNameError, match=r"input of the scene.*'foo'"):
+    with refused(torchdq.UnknownNameError):
         recommend_settings(scene, error=1e-3, horizon=0.1, foo=torch.zeros(2))
 
 
@@ -296,5 +288,5 @@ def test_a_free_base_is_refused_at_once():
     body = {"base_mass": 2.0, "base_com": [0.0] * 3, "base_inertia": [0.1, 0.0, 0.1, 0.0, 0.0, 0.1]}
     robot = torchdq.robots.load("two_link")
     robot = robot.replace(**{name: torch.tensor(x, dtype=torch.float64) for name, x in body.items()})
-    with pytest.raises(torchdq.ArgumentError, match="must have a fixed base, found a free one"):
+    with refused(torchdq.ArgumentError):
         torchdq.recommend_settings(robot, error=1e-3, horizon=0.1)

@@ -6,6 +6,7 @@ Evidence: homogeneous matrices multiplied out here, and formulas of one-joint ro
 import math
 import warnings
 
+import messages
 import numpy as np
 import pytest
 import torch
@@ -77,54 +78,54 @@ def test_a_screw_jack_lifts_with_its_pitch():
     ids=["twice a line", "not quite a line", "nothing", "twice a translation", "half of each"],
 )
 def test_what_is_no_screw_is_refused_by_name(screw):
-    with pytest.raises(DescriptionError, match=r"joint 'knee': its screw must be a unit line .*found \[0\.0, 0\.0"):
+    with messages.refused(DescriptionError):
         one_joint(screw, joint_names=["knee"])
 
 
 @pytest.mark.parametrize(
-    "broken, named",
+    "broken",
     [
-        ({"mass": [1.0, 2.0]}, r"mass must have the shape \(1,\), found \(2,\)"),
-        ({"mass": ["heavy"]}, "mass must be an array of numbers"),
-        ({"mass": [math.nan]}, "mass must be finite"),
-        ({"com": [[0, 0]]}, r"com must have the shape \(1, 3\)"),
-        ({"com": [[0, 0, 0], [0]]}, "com must be an array of numbers"),
-        ({"inertia": [[1, 2, 3]]}, r"inertia must have the shape \(1, 6\)"),
-        ({"inertia": [[[1, 0, 0], [0.1, 1, 0], [0, 0, 1]]]}, "inertia matrices must be symmetric"),
-        ({"link_poses": [[0.0] * 8]}, "link_poses must be unit dual quaternions"),
-        ({"link_poses": [[1.0] * 7]}, r"link_poses must have the shape \(1, 8\)"),
-        ({"tip_pose": [0.0] * 8}, "tip_pose must be unit dual quaternions"),
-        ({"parents": [0]}, r"parents must hold, for each of 1 links, an earlier link or -1, found \(0,\)"),
-        ({"parents": [-1, 0]}, "parents must hold, for each of 1 links"),
-        ({"parents": [None]}, "parents must be an array of numbers"),
-        ({"parents": ["a"]}, "parents must be an array of numbers"),
-        ({"parents": [0.5]}, r"parents must be a row of whole numbers, found \[0.5\]"),
-        ({"parents": [math.nan]}, "parents must be a row of whole numbers"),
-        ({"parents": 5}, "parents must be a row of whole numbers, found 5"),
-        ({"joint_names": 5}, "joint_names must be 1 different names, found 5"),
-        ({"joint_names": "a"}, "joint_names must be 1 different names, found 'a'"),
-        ({"link_names": [["a"]]}, "link_names must be 1 different names"),
-        ({"name": 5}, "name must be a string, found 5"),
-        ({"mass": [1j]}, "mass must be an array of numbers: found complex numbers"),
-        ({"com": torch.ones(1, 3, dtype=torch.complex64)}, "com must be an array of numbers: found complex numbers"),
-        ({"mass": [1e300]}, r"mass must not exceed 1e\+50 in size, found 1e\+300"),
-        ({"home": [-1e300]}, r"home must not exceed 1e\+50 in size"),
-        ({"home": [0.0, 0.0]}, r"home must have the shape \(1,\)"),
-        ({"home": [math.inf]}, "home must be finite"),
-        ({"joint_names": []}, "joint_names must be 1 different names"),
-        ({"link_names": ["a", "b"]}, "link_names must be 1 different names"),
-        ({"link_names": ["tip"]}, "link_names must not be 'base' or 'tip'"),
-        ({"gravity": "down"}, "gravity must be an array of numbers"),
+        {"mass": [1.0, 2.0]},
+        {"mass": ["heavy"]},
+        {"mass": [math.nan]},
+        {"com": [[0, 0]]},
+        {"com": [[0, 0, 0], [0]]},
+        {"inertia": [[1, 2, 3]]},
+        {"inertia": [[[1, 0, 0], [0.1, 1, 0], [0, 0, 1]]]},
+        {"link_poses": [[0.0] * 8]},
+        {"link_poses": [[1.0] * 7]},
+        {"tip_pose": [0.0] * 8},
+        {"parents": [0]},
+        {"parents": [-1, 0]},
+        {"parents": [None]},
+        {"parents": ["a"]},
+        {"parents": [0.5]},
+        {"parents": [math.nan]},
+        {"parents": 5},
+        {"joint_names": 5},
+        {"joint_names": "a"},
+        {"link_names": [["a"]]},
+        {"name": 5},
+        {"mass": [1j]},
+        {"com": torch.ones(1, 3, dtype=torch.complex64)},
+        {"mass": [1e300]},
+        {"home": [-1e300]},
+        {"home": [0.0, 0.0]},
+        {"home": [math.inf]},
+        {"joint_names": []},
+        {"link_names": ["a", "b"]},
+        {"link_names": ["tip"]},
+        {"gravity": "down"},
     ],
 )
-def test_an_argument_that_does_not_fit_is_named(broken, named):
-    with pytest.raises(DescriptionError, match=named):
+def test_an_argument_that_does_not_fit_is_named(broken):
+    with messages.refused(DescriptionError):
         one_joint(LINE, **broken)
 
 
 @pytest.mark.parametrize("screws", [[], 3.0, [[0, 0, 1, 0, 0]], "z"], ids=["none", "a number", "five", "a word"])
 def test_joint_screws_are_an_array_of_sixes(screws):
-    with pytest.raises(DescriptionError, match="joint_screws"):
+    with messages.refused(DescriptionError):
         Robot.from_screws(screws, mass=[1.0], com=[[0, 0, 0]], inertia=[BALL])
 
 
@@ -143,7 +144,7 @@ def test_a_robot_does_not_change_with_the_arrays_it_was_made_of():
 
 
 def test_names_must_differ():
-    with pytest.raises(DescriptionError, match="joint_names must be 2 different names"):
+    with messages.refused(DescriptionError):
         Robot.from_screws(
             [LINE, SLIDE], mass=[1, 1], com=[[0, 0, 0]] * 2, inertia=[BALL] * 2, joint_names=["knee", "knee"]
         )

@@ -6,6 +6,7 @@ import pickle
 
 import pytest
 import torch
+from messages import refused
 from robots import BALL, F64, LINE, one_joint, panda, same, states, torques, two
 
 import torchdq
@@ -41,7 +42,7 @@ def test_no_function_modifies_a_robot(name):
 
 
 def test_assignment_names_replace():
-    with pytest.raises(torchdq.errors.FrozenError, match=r"robot\.replace\(mass=\.\.\.\)"):
+    with refused(torchdq.errors.FrozenError):
         panda().mass = torch.ones(7)
     with pytest.raises(dataclasses.FrozenInstanceError, match="a Robot does not change"):
         del panda().mass
@@ -54,24 +55,24 @@ def test_a_robot_is_in_double_precision_and_converted_as_tensors_of_torch_are():
         assert {x.dtype for x in tensors(cast).values()} == {torch.float32}
     for moved in (robot.to("meta"), robot.to(torch.device("meta")), robot.to(device="meta")):
         assert {x.device.type for x in tensors(moved).values()} == {"meta"}
-    with pytest.raises(ArgumentError, match="device must be a device that torch has"):
+    with refused(ArgumentError):
         robot.to("gpu")
-    with pytest.raises(ArgumentError, match="one device must be given, found 'cpu' and 'meta'"):
+    with refused(ArgumentError):
         robot.to("cpu", "meta")
-    with pytest.raises(torchdq.DtypeError, match=r"dtype must be torch\.float32"):
+    with refused(torchdq.DtypeError):
         robot.to(torch.float16)
 
 
 @pytest.mark.parametrize("device", ["cuda:99", "gpu", 3.5], ids=repr)
 def test_a_device_that_is_not_there_is_named(device):
-    with pytest.raises(ArgumentError, match=r"^device must be a device that torch has on this machine, which are cpu"):
+    with refused(ArgumentError):
         two().to(device=device)
 
 
 def test_a_robot_without_values_takes_no_arguments_with_values():
     robot = two().to("meta")
     for function in (torchdq.inverse_dynamics, torchdq.forward_kinematics, torchdq.mass_matrix):
-        with pytest.raises(torchdq.ArgumentError, match="is on the device 'meta', where tensors have no"):
+        with refused(torchdq.ArgumentError):
             function(robot, torch.zeros(2))
         assert function(robot, torch.zeros(2, device="meta")).is_meta
 
@@ -81,9 +82,7 @@ def test_tensors_without_values_make_results_without_values_or_are_named(field):
     robot = two()
     robot = robot.replace(**{field: getattr(robot, field).to("meta")})
     for function in (torchdq.inverse_dynamics, torchdq.mass_matrix):
-        with pytest.raises(
-            ArgumentError, match=f"^robot.{field} is on the device 'meta', where tensors have no values"
-        ):
+        with refused(ArgumentError):
             function(robot, torch.zeros(2))
         assert function(robot, torch.zeros(2, device="meta")).is_meta
     assert "2 joints" in repr(robot)
@@ -105,19 +104,16 @@ def test_the_tip_can_be_another_frame():
 
 @pytest.mark.parametrize("error", [KeyError, UnknownNameError])
 @pytest.mark.parametrize(
-    "use, named",
+    "use",
     [
-        (
-            lambda: panda().with_tip("panda_link9"),
-            "frame of robot 'panda' named 'panda_link9'; did you mean 'panda_",
-        ),
-        (lambda: panda().frame("tips"), "did you mean 'tip'"),
-        (lambda: panda().joint_index("joint3"), "joint of robot 'panda' named 'joint3'; did you mean 'panda_joint"),
+        lambda: panda().with_tip("panda_link9"),
+        lambda: panda().frame("tips"),
+        lambda: panda().joint_index("joint3"),
     ],
     ids=["tip", "frame", "joint"],
 )
-def test_a_name_that_does_not_exist_names_the_closest(use, named, error):
-    with pytest.raises(error, match=named):
+def test_a_name_that_does_not_exist_names_the_closest(use, error):
+    with refused(error):
         use()
 
 
@@ -168,9 +164,7 @@ def test_a_constant_that_was_changed_in_place_is_told_at_the_next_use(use):
     robot = two()
     uses(robot)[use]()
     robot.mass.mul_(2)
-    with pytest.raises(
-        ArgumentError, match=r"mass of robot 'two_link' was changed in place.* robot\.replace\(mass=\.\.\.\)"
-    ):
+    with refused(ArgumentError):
         uses(robot)[use]()
 
 
@@ -178,7 +172,7 @@ def test_a_constant_that_was_changed_in_place_is_told_at_the_next_use(use):
 def test_every_constant_is_watched(name):
     robot = two()
     tensors(robot)[name].fill_(3)
-    with pytest.raises(ArgumentError, match=f"{name.split('.')[0].split(' ')[0]}.* was changed in place"):
+    with refused(ArgumentError):
         torchdq.inverse_dynamics(robot, torch.ones(2, dtype=F64))
 
 
@@ -187,7 +181,7 @@ def test_a_scene_sees_that_its_robot_was_changed_in_place():
     scene, q = Scene(robot, (effects.Viscous(),)), torch.zeros(2, dtype=F64)
     scene.step(scene.start(q, q))
     robot.damping.add_(5.0)
-    with pytest.raises(ArgumentError, match="damping of robot 'two_link' was changed in place"):
+    with refused(ArgumentError):
         scene.step(scene.start(q, q))
 
 
@@ -198,7 +192,7 @@ def test_copies_are_watched_too(copied, field):
     robot = copied(original)
     assert torch.equal(torques(robot), torques(original))
     (robot.mass if field == "mass" else robot.limits.lower).fill_(3)
-    with pytest.raises(ArgumentError, match=f"{field} of robot 'two_link' was changed in place"):
+    with refused(ArgumentError):
         torques(robot)
     torques(original)
 
@@ -222,7 +216,7 @@ def test_a_replaced_tensor_may_be_changed_in_place():
     with torch.no_grad():
         mass.mul_(2)
     assert not torch.equal(torchdq.inverse_dynamics(learned, q), before)
-    with pytest.raises(ArgumentError, match="mass of robot 'two_link' was changed in place"):
+    with refused(ArgumentError):
         torchdq.inverse_dynamics(robot, q)
 
 
@@ -237,7 +231,7 @@ def test_other_replaced_tensors_are_copied(field):
     assert torch.equal(pick(getattr(changed, field)), pick(getattr(robot, field)))
     Scene(changed)
     pick(getattr(changed, field)).fill_(7.0)
-    with pytest.raises(ArgumentError, match=f"{field} of robot 'two_link' was changed in place"):
+    with refused(ArgumentError):
         Scene(changed)
 
 
@@ -246,7 +240,7 @@ def test_robots_of_inference_mode_are_watched():
         robot = two().replace(mass=torch.ones(2, dtype=F64)).bake()
         torques(robot)
     robot.mass.mul_(2)
-    with pytest.raises(ArgumentError, match="changed in place"):
+    with refused(ArgumentError):
         torques(robot)
 
 
@@ -254,7 +248,7 @@ def test_robots_of_inference_mode_are_watched():
 def test_a_constant_that_requires_grad_is_told_at_the_next_use(use):
     robot = two()
     robot.mass.requires_grad_()
-    with pytest.raises(ArgumentError, match=r"mass of robot 'two_link' requires grad.*robot\.replace\(mass=mass\)"):
+    with refused(ArgumentError):
         uses(robot)[use]()
     tau = torchdq.inverse_dynamics(robot.replace(mass=robot.mass), torch.ones(2, dtype=F64))
     tau.sum().backward()
@@ -266,7 +260,7 @@ def test_a_constant_that_requires_grad_is_told_at_the_next_use(use):
 @pytest.mark.parametrize("backend", ["auto", "eager"])
 def test_a_robot_made_of_a_tensor_that_requires_grad_is_told(backend):
     robot = one_joint(LINE, mass=torch.ones(1, dtype=F64, requires_grad=True))
-    with pytest.raises(ArgumentError, match="mass of robot 'robot' requires grad"):
+    with refused(ArgumentError):
         torchdq.inverse_dynamics(robot, torch.ones(1, dtype=F64), backend=backend)
 
 
@@ -278,5 +272,5 @@ def test_writes_that_torch_does_not_count_change_nothing(way):
     (robot.mass.data if way == "data" else robot.mass.numpy())[:] = 5.0
     assert robot.mass._version == 0 and torch.equal(torchdq.inverse_dynamics(robot, q), before)
     robot.mass[:] = 5.0
-    with pytest.raises(ArgumentError, match=r"mass of robot .* was changed in place"):
+    with refused(ArgumentError):
         torchdq.inverse_dynamics(robot, q)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from messages import refused
 from places import DATA
 from robots import F64, matrices, same, states, torques, two
 
@@ -20,7 +21,7 @@ SHIPPED = torchdq.robots.names()
 
 
 def test_an_unknown_robot_names_the_closest():
-    with pytest.raises(UnknownNameError, match="no shipped robot named 'pumas'; did you mean 'puma560'"):
+    with refused(UnknownNameError):
         torchdq.robots.load("pumas")
 
 

@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 import torch
 from helpers import called, double, random
+from messages import refused
 from scenes import ARM, KD, KP, PANDA, TREE
 
 import torchdq
@@ -123,10 +124,10 @@ def test_gains_may_be_learned():
 
 @pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
 def test_a_model_that_is_no_single_robot_with_these_joints_is_refused(controller):
-    with pytest.raises(torchdq.ArgumentError, match=f"model of {controller.__name__} must have the 2 joints"):
+    with refused(torchdq.ArgumentError):
         Scene(ARM, controller=controller(1.0, 1.0, PANDA))
     many = ARM.replace(mass=ARM.mass * double(1.0, 2.0)[:, None])
-    with pytest.raises(torchdq.ArgumentError, match=rf"model of {controller.__name__} must be one robot, .* its mass"):
+    with refused(torchdq.ArgumentError):
         Scene(ARM, controller=controller(1.0, 1.0, many))
 
 
@@ -155,6 +156,6 @@ def test_a_model_is_copied_when_a_scene_is_made(controller):
 @pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
 def test_a_model_that_requires_grad_is_refused(controller):
     learned = ARM.replace(mass=ARM.mass.clone().requires_grad_())
-    with pytest.raises(ArgumentError, match=rf"model of {controller.__name__} must have constants.* mass .*model.bake"):
+    with refused(ArgumentError):
         Scene(ARM, controller=controller(1.0, 1.0, learned))
     Scene(ARM, controller=controller(1.0, 1.0, learned.bake()))

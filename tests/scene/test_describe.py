@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from messages import refused, warned
 from scenes import ARM, PANDA, TREE
 
 import torchdq
@@ -74,7 +75,7 @@ def test_what_a_robot_has_no_field_for_is_listed():
       <body name="c" pos="1 0 0"><joint name="k"/><geom size="1"/></body></body></worldbody>
       <equality><connect name="loop" body1="c" body2="b" anchor="0 0 0"/></equality>
       <actuator><motor name="m" joint="j"/></actuator></mujoco>"""
-    with pytest.warns(UserWarning, match="gravcomp"):
+    with warned(UserWarning):
         robot = torchdq.Robot.from_mjcf(text)
     carried = pickle.loads(pickle.dumps(torchdq.robots.load("two_link").attach(robot, "link2")))
     for form, start in ((robot, ""), (robot.lock("k"), ""), (carried, f"{robot.name}: ")):
@@ -178,14 +179,14 @@ def test_the_dtype_of_a_description_may_be_a_name(dtype):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
+    "wrong",
     [
-        ({"dtype": "float16"}, "dtype must be torch.float32 or torch.float64, found 'float16'"),
-        ({"batch": 0}, "batch must be a whole number from 1, found 0"),
-        ({"seconds": None}, "seconds must be a finite number from 0, found None"),
-        ({"seconds": -1}, "seconds must be a finite number from 0, found -1"),
+        {"dtype": "float16"},
+        {"batch": 0},
+        {"seconds": None},
+        {"seconds": -1},
     ],
 )
-def test_wrong_arguments_of_a_description_are_named(wrong, message):
-    with pytest.raises(torchdq.TorchdqError, match=message):
+def test_wrong_arguments_of_a_description_are_named(wrong):
+    with refused(torchdq.TorchdqError):
         Scene(ARM).describe(**{"batch": 2, "seconds": 0.0, **wrong})

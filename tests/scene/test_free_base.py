@@ -8,6 +8,7 @@ import pytest
 import torch
 from free_flyers import case, motion
 from helpers import called
+from messages import refused
 
 import torchdq
 from torchdq import dq, floating
@@ -98,7 +99,7 @@ def test_an_adaptive_integrator_keeps_momentum_and_energy():
 
 
 def test_integrators_that_do_not_serve_free_bases_say_why():
-    with pytest.raises(torchdq.ArgumentError, match="StoermerVerlet: its momenta are those of joint positions"):
+    with refused(torchdq.ArgumentError):
         Scene(case("tree2").robot, integrator=StoermerVerlet())
 
 
@@ -315,9 +316,9 @@ def test_a_state_of_another_base_is_refused():
     c, m = case("tree2"), motion(case("tree2"))
     free = Scene(c.robot)
     fixed = Scene(c.robot.replace(base_mass=None, base_com=None, base_inertia=None))
-    with pytest.raises(torchdq.ArgumentError, match="X_WB"):
+    with refused(torchdq.ArgumentError):
         fixed.start(m["q"], X_WB=m["X_WB"])
-    with pytest.raises(torchdq.ArgumentError, match="X_WB"):
+    with refused(torchdq.ArgumentError):
         free.step(fixed.start(m["q"]))
     assert np.array_equal(free.start(m["q"]).X_WB.numpy(), UPRIGHT.expand(3, 8).numpy())
 
@@ -325,7 +326,7 @@ def test_a_state_of_another_base_is_refused():
 @pytest.mark.parametrize("scale", [0.0, 1.001, 2.0])
 def test_a_start_at_a_pose_that_is_not_unit_is_refused(scale):
     scene = Scene(rigid_body(), ())
-    with pytest.raises(torchdq.ArgumentError, match="X_WB must be unit dual quaternions"):
+    with refused(torchdq.ArgumentError):
         scene.start(torch.zeros(scene.n, dtype=torch.float64), X_WB=scale * torch.eye(8, dtype=torch.float64)[0])
 
 

@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 import torch
 from helpers import FIXED, INERTIA, WHEEL, called, double, random, thinned
+from messages import refused
 from oracles import shipped
 from scenes import ARM, TREE, rolled, swinging, trace
 from scipy.integrate import solve_ivp
@@ -168,16 +169,16 @@ def test_repeated_steps_in_double_precision_round_once():
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    "make",
     [
-        (lambda: Repeated(RungeKutta4(), 2.5), "times of Repeated must be a whole number"),
-        (lambda: Repeated(RungeKutta4, 3), "integrator of Repeated must be one that can be recorded"),
-        (lambda: Repeated(DormandPrince(), 3), "integrator of Repeated must be one that can be recorded"),
-        (lambda: Scene(ARM, integrator=DormandPrince(), substeps=2), "substeps are those of a recorded integrator"),
+        lambda: Repeated(RungeKutta4(), 2.5),
+        lambda: Repeated(RungeKutta4, 3),
+        lambda: Repeated(DormandPrince(), 3),
+        lambda: Scene(ARM, integrator=DormandPrince(), substeps=2),
     ],
 )
-def test_what_cannot_be_repeated_is_named(make, message):
-    with pytest.raises(torchdq.ArgumentError, match=message):
+def test_what_cannot_be_repeated_is_named(make):
+    with refused(torchdq.ArgumentError):
         make()
 
 
@@ -210,22 +211,22 @@ def test_an_adaptive_step_drives_and_senses_as_a_recorded_one_does(compiled):
 
 
 @pytest.mark.parametrize(
-    "integrator, name, expected",
+    "integrator",
     [
-        (lambda: DormandPrince(0.0, 1e-9), "rtol", "a positive number, found 0.0"),
-        (lambda: DormandPrince(1e-9, -1.0), "atol", "a positive number, found -1.0"),
-        (lambda: DormandPrince("1e-9"), "rtol", "a positive number, found '1e-9'"),
-        (lambda: DormandPrince(most=0), "most", "a whole number from 1, found 0"),
-        (lambda: StoermerVerlet(True), "iterations of StoermerVerlet", "a whole number from 1, found True"),
+        lambda: DormandPrince(0.0, 1e-9),
+        lambda: DormandPrince(1e-9, -1.0),
+        lambda: DormandPrince("1e-9"),
+        lambda: DormandPrince(most=0),
+        lambda: StoermerVerlet(True),
     ],
 )
-def test_numbers_of_integrators_are_checked(integrator, name, expected):
-    with pytest.raises(torchdq.ArgumentError, match=f"^{name} must be {expected}"):
+def test_numbers_of_integrators_are_checked(integrator):
+    with refused(torchdq.ArgumentError):
         integrator()
 
 
 def test_an_adaptive_step_has_no_count_of_operations():
-    with pytest.raises(torchdq.ArgumentError, match="DormandPrince"):
+    with refused(torchdq.ArgumentError):
         Scene(ARM, integrator=DormandPrince()).count()
 
 

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from helpers import double, random
+from messages import refused
 from scenes import ARM, TREE
 
 import torchdq
@@ -75,9 +76,7 @@ def test_a_step_of_a_free_base_is_differentiated_by_torch_in_place_of_linearize(
     scene = Scene(torchdq.robots.load("two_link").replace(**body), (effects.Gravity(),), dt=0.01)
     X_WB = torchdq.dq.exp(random(6, seed=5))
     state = scene.start(random(2), random(2, seed=1), X_WB=X_WB, V_WB_B=random(6, seed=2))
-    with pytest.raises(
-        torchdq.ArgumentError, match=r"must have a fixed base .*torch\.func\.jacrev.*finite differences"
-    ):
+    with refused(torchdq.ArgumentError):
         scene.linearize(state)
     rows, torque = state.rows(), random(2, seed=3)
     names, widths = tuple(rows), [x.shape[-1] for x in rows.values()]

@@ -7,6 +7,7 @@ from collections import OrderedDict
 import pytest
 import torch
 from helpers import double, random
+from messages import refused, warned
 from scenes import ARM, equal, rich, uniform
 
 import torchdq
@@ -114,7 +115,7 @@ def test_rows_are_finite_one_by_one():
 
 
 def test_a_rollout_of_which_rows_diverge_warns():
-    with pytest.warns(UserWarning, match=r"1 of 2 rows left .*, the first at step \d+ of 300; scene.check"):
+    with warned(UserWarning):
         states = DIVERGING.rollout(start(), steps=300)
     assert DIVERGING.finite(states)[-1].tolist() == [True, False]
     with warnings.catch_warnings():
@@ -122,7 +123,7 @@ def test_a_rollout_of_which_rows_diverge_warns():
         assert DIVERGING.rollout(start(), steps=300, nonfinite="ignore").q.shape == (300, 2, 2)
         assert DIVERGING.rollout(start(), steps=3).q.shape == (3, 2, 2)
     nonfinite_before = start()._replace(q=double((0.0, 0.0), (math.nan, 0.0)))
-    with pytest.warns(UserWarning, match="1 of 2 rows have a non-finite initial state") as found:
+    with warned(UserWarning) as found:
         DIVERGING.rollout(nonfinite_before, steps=3)
     assert len(found) == 1
 
@@ -145,7 +146,7 @@ def test_transforms_have_no_values_to_look_at():
 
     q = random(4, 2)
     assert torch.equal(torch.func.vmap(end)(q), end(q))
-    with pytest.raises(torchdq.ArgumentError, match="nonfinite='stop' reads values"):
+    with refused(torchdq.ArgumentError):
         torch.func.vmap(lambda q: end(q, nonfinite="stop"))(q)
 
 
@@ -212,18 +213,17 @@ def rolled(policy, checkpoint):
 
 
 def test_a_policy_that_remembers_is_refused_where_it_is_called_again():
-    message = "policy must depend on the state alone where checkpoint is not 0.*other torques the second.*checkpoint=0"
     rolled(Filter(), 0).backward()
     with torch.no_grad():
         rolled(Filter(), 3)  # nothing is called again
     end = rolled(Filter(), 3)
-    with pytest.raises(torchdq.ArgumentError, match=message):
+    with refused(torchdq.ArgumentError):
         end.backward()
     # a batch norm counts the states that it has seen
     norm = torch.nn.Sequential(torch.nn.Linear(2, 2), torch.nn.BatchNorm1d(2)).double()
     policy = torch.nn.Sequential(OrderedDict(measured=Position(), norm=norm))
     rolled(policy, 0).backward()
-    with pytest.raises(torchdq.ArgumentError, match=r"found that it changes its buffer 'norm\.1\..*policy\.eval\(\)"):
+    with refused(torchdq.ArgumentError):
         rolled(policy, 3)
     policy.eval()
     rolled(policy, 3).backward()
@@ -245,38 +245,32 @@ Q = torch.zeros(3, 2, dtype=torch.float64)
 
 
 @pytest.mark.parametrize(
-    "call, message",
+    "call",
     [
-        (lambda s: s.step(Q, Q), "state must be a torchdq.envs.State, found Tensor; scene.start"),
-        (lambda s: s.step((Q, Q), Q), "state must be a torchdq.envs.State, found tuple"),
-        (lambda s: s.rollout(Q, steps=2), "state must be a torchdq.envs.State, found Tensor"),
-        (lambda s: s.energy(Q), "state must be a torchdq.envs.State, found Tensor"),
-        (lambda s: s.finite(None), "state must be a torchdq.envs.State, found NoneType"),
-        (lambda s: s.linearize(Q), "state must be a torchdq.envs.State, found Tensor"),
-        (lambda s: s.step(State(Q, None)), "qd of the state must be a tensor, found NoneType"),
-        (lambda s: s.energy(State([0.0], Q)), "q of the state must be a tensor, found list"),
-        (lambda s: s.rollout(s.start(Q), steps=2.5), "steps must be a whole number from 0, found 2.5"),
-        (lambda s: s.rollout(s.start(Q), steps=2, checkpoint=0.5), "checkpoint must be a whole number from 0, found"),
-        (lambda s: s.rollout(s.start(Q), lambda x: x.q, 2), "torque must be a tensor, found a function; .* as policy"),
-        (lambda s: s.rollout(s.start(Q), torch.tensor(1.0)), r"torque must have the shape \[steps, ...\], found \(\)"),
-        (lambda s: s.rollout(s.start(Q), [[1.0, 2.0]]), "torque must be a tensor, found list"),
-        (lambda s: s.rollout(s.start(Q), policy=lambda x: x.q), "steps must be given where there is no torque"),
-        (lambda s: s.rollout(s.start(Q), steps=3, torque=torch.zeros(4, 2)), "steps and the first axes of the inputs"),
-        (lambda s: s.rollout(s.start(Q), steps=-1), "steps must be a whole number from 0"),
-        (lambda s: s.rollout(s.start(Q), Q, policy=lambda x: x.q), "torque and policy exclude each other"),
-        (lambda s: s.rollout(s.start(Q), steps=2, policy=Q), "policy must be a function of the state"),
-        (lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: None), "policy must return torques, a tensor"),
-        (
-            lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: Q[:, :1]),
-            r"policy must return torques, .*\[..., 2\]",
-        ),
-        (lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: x.q.float()), r"policy .* found torch.float32 of"),
-        (
-            lambda s: s.rollout(s.start(Q), steps=2, nonfinite="keep"),
-            "nonfinite must be one of 'warn', 'stop', 'ignore'",
-        ),
+        lambda s: s.step(Q, Q),
+        lambda s: s.step((Q, Q), Q),
+        lambda s: s.rollout(Q, steps=2),
+        lambda s: s.energy(Q),
+        lambda s: s.finite(None),
+        lambda s: s.linearize(Q),
+        lambda s: s.step(State(Q, None)),
+        lambda s: s.energy(State([0.0], Q)),
+        lambda s: s.rollout(s.start(Q), steps=2.5),
+        lambda s: s.rollout(s.start(Q), steps=2, checkpoint=0.5),
+        lambda s: s.rollout(s.start(Q), lambda x: x.q, 2),
+        lambda s: s.rollout(s.start(Q), torch.tensor(1.0)),
+        lambda s: s.rollout(s.start(Q), [[1.0, 2.0]]),
+        lambda s: s.rollout(s.start(Q), policy=lambda x: x.q),
+        lambda s: s.rollout(s.start(Q), steps=3, torque=torch.zeros(4, 2)),
+        lambda s: s.rollout(s.start(Q), steps=-1),
+        lambda s: s.rollout(s.start(Q), Q, policy=lambda x: x.q),
+        lambda s: s.rollout(s.start(Q), steps=2, policy=Q),
+        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: None),
+        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: Q[:, :1]),
+        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: x.q.float()),
+        lambda s: s.rollout(s.start(Q), steps=2, nonfinite="keep"),
     ],
 )
-def test_a_wrong_state_or_rollout_is_refused(call, message):
-    with pytest.raises(torchdq.ArgumentError, match=message):
+def test_a_wrong_state_or_rollout_is_refused(call):
+    with refused(torchdq.ArgumentError):
         call(Scene(ARM, (effects.Gravity(),)))

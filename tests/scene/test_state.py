@@ -6,6 +6,7 @@ import warnings
 import pytest
 import torch
 from helpers import random
+from messages import refused, warned
 from scenes import ARM, PANDA, equal, inputs_of, rich, uniform
 
 import torchdq
@@ -47,7 +48,7 @@ def test_limits_that_are_tensors_are_compared_row_by_row():
     upper = torch.full((3, 7), 100.0).double()
     upper[2] = 3.0
     scene = Scene(PANDA, (effects.JointLimits(lower=-100.0, upper=upper),))
-    with pytest.warns(UserWarning, match="1 of 3 rows start far outside .*: joint 'panda_joint1' is at 50"):
+    with warned(UserWarning):
         scene.start(torch.full((3, 7), 50.0).double())
 
 
@@ -55,28 +56,23 @@ def test_limits_that_are_tensors_are_compared_row_by_row():
 def test_rows_that_are_not_finite_at_the_start_are_named(value):
     scene = Scene(PANDA, (effects.Gravity(),))
     start = scene.start(moved(1, 3, value))
-    expected = f"1 of 3 rows have a non-finite .*: the first is row 1, where q of joint 'panda_joint4' is {value:g}"
-    with pytest.warns(UserWarning, match=expected):
+    with warned(UserWarning):
         scene.rollout(start, steps=1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         scene.rollout(start, steps=1, nonfinite="ignore")
         scene.rollout(scene.start(HOME), steps=1)
-    with pytest.warns(
-        UserWarning, match=r"1 of 1 rows have a non-finite initial state .*: qd of joint 'panda_joint1' is nan"
-    ):
+    with warned(UserWarning):
         scene.rollout(scene.start(HOME[0], moved(0, 0, math.nan)[0]), steps=1)
 
 
 def test_a_check_takes_no_state_that_is_not_finite():
     for q in (moved(1, 2, math.nan), moved(0, 3, math.inf)):
         state = SCENE.begin({"q": q, "qd": torch.zeros_like(q)}, {})[0]
-        with pytest.warns(UserWarning, match="1 of 3 rows have a non-finite initial state.*; the others are checked"):
+        with warned(UserWarning):
             SCENE.check(state, seconds=0.05)
         bad = state._replace(q=state.q[[0, 1]] + math.nan, qd=state.qd[[0, 1]])
-        with pytest.raises(
-            torchdq.ArgumentError, match=r"state must be finite .* 2 of 2 rows have a non-finite initial state"
-        ):
+        with refused(torchdq.ArgumentError):
             SCENE.check(bad)
 
 
@@ -105,17 +101,17 @@ def test_a_start_reads_the_sensors_once():
 
 
 @pytest.mark.parametrize(
-    "q, qd, message",
+    ("q", "qd"),
     [
-        ([0.0, 0.0], None, "q must be a tensor, found list"),
-        (torch.zeros(3), None, r"q must have the shape \[..., 2\]"),
-        (torch.zeros(2, dtype=torch.int64), None, "q must be float32 or float64"),
-        (torch.zeros(2), torch.zeros(2, dtype=torch.float64), "qd is torch.float64 but q is torch.float32"),
-        (torch.zeros(3, 2), torch.zeros(4, 2), "batch axes of the arguments must broadcast"),
+        ([0.0, 0.0], None),
+        (torch.zeros(3), None),
+        (torch.zeros(2, dtype=torch.int64), None),
+        (torch.zeros(2), torch.zeros(2, dtype=torch.float64)),
+        (torch.zeros(3, 2), torch.zeros(4, 2)),
     ],
 )
-def test_a_start_that_does_not_fit_is_refused_by_name(q, qd, message):
-    with pytest.raises((torchdq.ArgumentError, torchdq.DtypeError), match=message):
+def test_a_start_that_does_not_fit_is_refused_by_name(q, qd):
+    with refused((torchdq.ArgumentError, torchdq.DtypeError)):
         Scene(ARM).start(q, qd)
 
 

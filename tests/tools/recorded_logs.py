@@ -56,7 +56,7 @@ def codes(findings):
 
 
 @contextmanager
-def refused(code, subject="", words=""):
+def log_refused(code, subject="", words=""):
     """Context in which a log is refused, by a fault of this code and subject, with these words in its text."""
     with pytest.raises(LogError) as raised:
         yield

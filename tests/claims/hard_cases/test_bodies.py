@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 import torch
 from helpers import double, random
+from messages import refused
 from oracles import EPS, pinocchio_model, random_tree, states
 
 import torchdq
@@ -123,7 +124,7 @@ def with_finger(n, mass, com, inertia=(0,) * 6, rotor=None):
 def test_accelerations_of_a_joint_that_moves_nothing_are_refused_by_name(kind, n, backend):
     robot, q = with_finger(n, **EMPTY[kind]), torch.zeros(n, dtype=F64)
     assert torchdq.inverse_dynamics(robot, q, q, q, backend=backend).isfinite().all()  # needs no inverse
-    with pytest.raises(SingularInertiaError, match=r"joint 'finger'.* moves no inertia"):
+    with refused(SingularInertiaError):
         torchdq.forward_dynamics(robot, q, q, q, backend=backend)
 
 

@@ -18,6 +18,7 @@ import pinocchio as pin
 import pytest
 import torch
 from helpers import double, one_thread  # noqa: F401
+from messages import refused
 from oracles import EPS, Case, over, size_of_torques, states, worst
 
 import torchdq
@@ -149,7 +150,7 @@ def test_a_joint_that_moves_nothing_has_torques_but_no_accelerations(backend):
     expected = torchdq.inverse_dynamics(plain, *(x[:, :2] for x in (s.q, s.qd, s.qdd)), backend=backend)
     assert torch.equal(tau[:, 2], torch.zeros(5, dtype=F64))
     assert (tau[:, :2] - expected).abs().max() <= 64 * EPS[F64] * expected.abs().max()
-    with pytest.raises(SingularInertiaError, match="knuckle"):
+    with refused(SingularInertiaError):
         torchdq.forward_dynamics(robot, s.q, s.qd, tau, backend=backend)
 
 
@@ -231,9 +232,7 @@ def test_mimic_joints_of_every_kind_move_by_themselves_and_are_told(which, kind)
 @pytest.mark.parametrize("number", ["multiplier", "offset"])
 def test_a_mimic_joint_with_a_number_that_is_none_is_refused(number):
     text = arm().replace(LIMIT, LIMIT + f'<mimic joint="elbow" {number}="nan"/>', 1)
-    with pytest.raises(
-        DescriptionError, match=f"joint 'shoulder': mimic {number} must be a finite number, found 'nan'"
-    ):
+    with refused(DescriptionError):
         Robot.from_urdf(text)
 
 
@@ -256,7 +255,7 @@ def test_a_number_is_read_to_its_last_bit(text):
 @pytest.mark.case("U2")
 @pytest.mark.parametrize("number", ["-1", "-1e-300", "-0.5e-9"])
 def test_a_mass_below_zero_is_refused_whatever_its_size(number):
-    with pytest.raises(UnphysicalError, match="link 'upper': mass must not be negative"):
+    with refused(UnphysicalError):
         Robot.from_urdf(arm(upper=number))
 
 
@@ -317,7 +316,7 @@ def test_an_axis_of_any_length_is_one_of_unit_length_and_is_told(size, kind, mar
 @pytest.mark.parametrize("axis", ["0 0 0", "-0 0 0.0", "1e-10 0 0", "1e-320 1e-320 0"])
 @pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
 def test_an_axis_without_a_direction_is_refused_where_it_matters(kind, axis):
-    with pytest.raises(DescriptionError, match="joint 'j': axis must have a direction"):
+    with refused(DescriptionError):
         Robot.from_urdf(urdf(link("base", None), link("a"), joint("j", "base", "a", kind, axis)))
     assert Robot.from_urdf(arm(link("a"), joint("j", "lower", "a", "fixed", axis, more=""))).n == 2
 
@@ -331,7 +330,7 @@ def test_limits_of_nothing_are_limits():
     q, torque = double(0.3, 0.7), double(5.0, -5.0)
     held = Scene(robot, (effects.Saturation(),))
     assert torch.equal(held.step(held.start(q), torque).qd, torch.zeros(2, dtype=F64))
-    with pytest.raises(torchdq.ArgumentError, match="speed of TorqueSpeed must be positive"):
+    with refused(torchdq.ArgumentError):
         Scene(robot, (effects.TorqueSpeed(),))
     pushed = Scene(robot, (effects.JointLimits(),)).step(held.start(q)).qd
     assert pushed[0] > 0  # back to the only place that is allowed
@@ -341,7 +340,7 @@ def test_limits_of_nothing_are_limits():
 @pytest.mark.parametrize("lower, upper", [("1", "-1"), ("1e-300", "0"), ("0.1", "0.09999999999999999")])
 def test_reversed_limits_are_refused_however_little(lower, upper):
     text = arm().replace('lower="-1" upper="2"', f'lower="{lower}" upper="{upper}"', 1)
-    with pytest.raises(DescriptionError, match=r"joint 'shoulder': lower limit .* is above upper limit"):
+    with refused(DescriptionError):
         Robot.from_urdf(text)
 
 

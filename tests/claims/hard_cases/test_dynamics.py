@@ -14,6 +14,7 @@ import pinocchio as pin
 import pytest
 import torch
 from helpers import DOWN, double, random, rod_axes, rods, thinned
+from messages import refused
 from oracles import EPS, Case, over, random_tree, shipped, size_of_torques, states
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vmap
 
@@ -371,7 +372,7 @@ def test_speeds_whose_squares_overflow_are_seen_in_their_own_row(backend):
                 found, before = (f(robot, q, v, qdd) for v in (fast, qd))
                 assert not found[2].isfinite().all()
                 assert found[[0, 1, 3]].equal(before[[0, 1, 3]])
-                with pytest.raises(ArgumentError, match="tau must be finite"):
+                with refused(ArgumentError):
                     require_finite(tau=found)
 
 

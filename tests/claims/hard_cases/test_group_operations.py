@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import random
+from messages import refused
 from oracles import EPS, random_tree, states
 from torch.autograd.functional import hessian, jacobian
 
@@ -382,7 +383,7 @@ def test_an_axis_of_a_file_becomes_a_unit_vector_and_the_report_says_so(kind, le
 @pytest.mark.case("G14")
 @pytest.mark.parametrize("axis", ["0 0 0", "1e-10 0 0", "nan 0 1"])
 def test_an_axis_without_a_direction_is_refused(axis):
-    with pytest.raises(DescriptionError, match=r"joint 'j': axis .*must"):
+    with refused(DescriptionError):
         torchdq.Robot.from_urdf(ARM.format(kind="revolute", axis=axis))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import double, one_thread, random  # noqa: F401
+from messages import refused
 from oracles import EPS, random_tree
 from torch.func import hessian, jacfwd, jacrev, vmap
 
@@ -170,11 +171,9 @@ def test_a_scene_of_a_free_body_without_joints_takes_steps(backend):
 @pytest.mark.case("P1")
 def test_nothing_that_moves_is_no_scene_no_environment_and_no_picture():
     for make in (lambda: Scene(ROCK), lambda: ArmVectorEnv(2, "track", ROCK)):
-        with pytest.raises(
-            ArgumentError, match=r"'rock' must have a joint that moves or a free base .*, found neither"
-        ):
+        with refused(ArgumentError):
             make()
-    with pytest.raises(ArgumentError, match="'rock' must have a joint to be drawn, found none"):
+    with refused(ArgumentError):
         Skeleton(ROCK)
 
 
@@ -403,7 +402,7 @@ def test_under_autocast_values_and_derivatives_are_the_same_bits(half, key, back
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.int64, torch.int32, torch.bool], ids=str)
 def test_half_precision_and_integers_are_refused_by_name(dtype, key, backend):
     x = [v.to(dtype) for v in states(2, 4)]
-    with torchdq.backend(backend), pytest.raises(DtypeError, match=r"^q must be float32 or float64.* found torch\."):
+    with torchdq.backend(backend), refused(DtypeError):
         FUNCTIONS[key](ARM, *x)
 
 
@@ -430,14 +429,14 @@ def test_integers_of_a_description_are_the_numbers_that_they_are():
 def test_a_scene_does_not_mix_dtypes_or_devices(backend):
     scene = Scene(ARM, (effects.Gravity(), effects.Servo(3.0)), backend=backend)
     q, qd, torque = states(2, 4)
-    for change, error, message in (
-        ({"qd": qd.float()}, DtypeError, "qd is torch.float32 but q is torch.float64"),
-        ({"torque": torque.float()}, DtypeError, r"torque is torch\.float32 but q is torch\.float64"),
-        ({"target": q.float()}, DtypeError, r"target is torch\.float32 but q is torch\.float64"),
-        ({"torque": torque.to("meta")}, ArgumentError, "torque is on meta but q is on cpu"),
+    for change, error in (
+        ({"qd": qd.float()}, DtypeError),
+        ({"torque": torque.float()}, DtypeError),
+        ({"target": q.float()}, DtypeError),
+        ({"torque": torque.to("meta")}, ArgumentError),
     ):
         given = {"q": q, "qd": qd, "torque": torque, "target": q} | change
-        with pytest.raises(error, match=message):
+        with refused(error):
             scene.step(State(given["q"], given["qd"]), given["torque"], target=given["target"])
 
 
@@ -470,7 +469,7 @@ def test_shapes_that_would_broadcast_to_the_wrong_thing_are_refused(shape, backe
             lambda: Scene(ARM).step(State(q, q), wrong),
             lambda: Scene(ARM).step(State(q, wrong)),
         ):
-            with pytest.raises(ArgumentError, match=r"must have the shape \[\.\.\., 2\].*found \("):
+            with refused(ArgumentError):
                 call()
 
 

@@ -14,6 +14,7 @@ import pinocchio as pin
 import pytest
 import torch
 from helpers import FIXED, INERTIA, WHEEL, called, double, one_thread, random  # noqa: F401
+from messages import warned
 from oracles import EPS, pinocchio_model, shipped
 from scenes import ARM, rolled, swinging, trace
 from scipy.integrate import solve_ivp
@@ -247,7 +248,7 @@ def test_a_tolerance_below_rounding_ends_and_costs_no_more_than_one_at_it(dtype,
 
 @pytest.mark.case("T5")
 def test_a_tolerance_below_rounding_is_reported():
-    with pytest.warns(UserWarning, match="rtol"):
+    with warned(UserWarning):
         evaluations(1e-12, 1e-30, F32, T=0.1)
 
 

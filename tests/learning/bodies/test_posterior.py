@@ -9,6 +9,7 @@ import math
 import oracles
 import pytest
 import torch
+from messages import refused
 
 import torchdq
 from torchdq.envs import Scene, effects
@@ -179,13 +180,13 @@ def test_a_scene_simulates_all_of_them_at_once():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    "arguments",
     [
-        ({"identified": 3}, "identified must be what identify returns, found int"),
-        ({"n": 0}, "n must be"),
-        ({"most": -1.0}, "most must be a finite number from 0"),
+        {"identified": 3},
+        {"n": 0},
+        {"most": -1.0},
     ],
 )
-def test_other_arguments_are_refused(found, arguments, words):
-    with pytest.raises(ArgumentError, match=words):
+def test_other_arguments_are_refused(found, arguments):
+    with refused(ArgumentError):
         posterior_samples(**{"identified": found, "n": 3, **arguments})

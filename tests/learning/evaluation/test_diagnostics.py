@@ -7,6 +7,7 @@ import warnings
 import pytest
 import torch
 from helpers import thinned
+from messages import refused
 from recorded_logs import codes, fitted, plain, recorded, with_findings
 
 import torchdq
@@ -236,12 +237,12 @@ def test_rows_that_leap_away_have_a_finding_and_are_not_dropped():
 
 def test_a_model_is_one():
     robot, data = recorded("two_link")
-    with pytest.raises(torchdq.ArgumentError, match="model must be a Model"):
+    with refused(torchdq.ArgumentError):
         identify(robot, data, "auto")
-    for options, message in (
-        ({"friction": "yes"}, "friction must be None, 'auto', or a sequence of friction effects, .* found 'yes'"),
-        ({"friction": True}, "friction must be None, 'auto', or .*found True"),
-        ({"offset": "yes"}, "offset must be True, False or 'auto', found 'yes'"),
+    for options in (
+        {"friction": "yes"},
+        {"friction": True},
+        {"offset": "yes"},
     ):
-        with pytest.raises(torchdq.ArgumentError, match=message):
+        with refused(torchdq.ArgumentError):
             Model(**options)

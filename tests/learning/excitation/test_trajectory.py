@@ -13,6 +13,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from messages import refused, warned
 
 import torchdq
 from torchdq import effects
@@ -166,55 +167,52 @@ def test_own_functions_keep_the_arm_where_they_say():
 
 
 @pytest.mark.parametrize(
-    ("limits", "words"),
+    "limits",
     [
-        (MotionLimits(velocity=1.0, effort=1.0), "position of joint 'joint1' .* lower below upper, found -inf to inf"),
-        (MotionLimits(-1.0, [1.0, -2.0], 1.0, effort=1.0), "position of joint 'joint2'.* found -1 to -2 rad; give"),
-        (MotionLimits(-1.0, 1.0, effort=50.0), r"velocity of joint 'joint1' .*inf rad/s; give MotionLimits\(velocity"),
-        (MotionLimits(-1.0, 1.0, [1.0, 2.0]), "effort of joint 'joint1' .* found inf N m"),
-        (MotionLimits(-1.0, 1.0, 1.0, -3.0, 50.0), "acceleration of joint 'joint1' .* found -3"),
-        (MotionLimits(-1.0, 1.0, [1.0, 2.0, 3.0], effort=1.0), r"velocity must be one number or 2, found .*\(3,\)"),
-        (MotionLimits(-0.1, 0.1, 1.0, effort=[60.0, 1.0]), "joint 'joint2' needs .* of 0.9 N m"),
-        (
-            MotionLimits(-1.0, 1.0, 1.0, effort=99.0, workspace=[HalfSpace("tip", (1, 0, 0), 3.0)]),
-            "workspace is left by 1 m",
-        ),
+        MotionLimits(velocity=1.0, effort=1.0),
+        MotionLimits(-1.0, [1.0, -2.0], 1.0, effort=1.0),
+        MotionLimits(-1.0, 1.0, effort=50.0),
+        MotionLimits(-1.0, 1.0, [1.0, 2.0]),
+        MotionLimits(-1.0, 1.0, 1.0, -3.0, 50.0),
+        MotionLimits(-1.0, 1.0, [1.0, 2.0, 3.0], effort=1.0),
+        MotionLimits(-0.1, 0.1, 1.0, effort=[60.0, 1.0]),
+        MotionLimits(-1.0, 1.0, 1.0, effort=99.0, workspace=[HalfSpace("tip", (1, 0, 0), 3.0)]),
     ],
 )
-def test_limits_that_are_missing_or_cannot_be_kept_are_named(limits, words):
-    with pytest.raises(ArgumentError, match=words):
+def test_limits_that_are_missing_or_cannot_be_kept_are_named(limits):
+    with refused(ArgumentError):
         excitation_trajectory(torchdq.robots.load("two_link"), 5.0, limits, restarts=4)
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    "changes",
     [
-        ({"period": 3.0}, "period must be a whole part of seconds.* give seconds=6"),
-        ({"harmonics": 1}, "harmonics must be a whole number from 2"),
-        ({"noise": [1.0, -1.0]}, "noise must be one positive number or 2"),
-        ({"limits": 3}, "limits must be MotionLimits, found int"),
-        ({"seconds": 0.0}, "seconds must be a positive number"),
+        {"period": 3.0},
+        {"harmonics": 1},
+        {"noise": [1.0, -1.0]},
+        {"limits": 3},
+        {"seconds": 0.0},
     ],
 )
-def test_other_arguments_are_checked(changes, words):
-    with pytest.raises(ArgumentError, match=words):
+def test_other_arguments_are_checked(changes):
+    with refused(ArgumentError):
         excitation_trajectory(
             torchdq.robots.load("two_link"), **{"seconds": 5.0, "limits": LIMITS, "restarts": 4} | changes
         )
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    "make",
     [
-        (lambda: HalfSpace("tip", (0, 0, 0), 1.0), "normal .* must be a direction"),
-        (lambda: HalfSpace("tip", (0, 0), 1.0), "normal must be three numbers"),
-        (lambda: Box("tip", (0, 0, 0), (1, 0, 1)), "lower of the box of frame 'tip' must be below upper"),
-        (lambda: MotionLimits(share=1.2), "share must be at most 1"),
-        (lambda: MotionLimits(workspace=HalfSpace("tip", (0, 0, 1), 0.0)), "workspace must be a sequence"),
+        lambda: HalfSpace("tip", (0, 0, 0), 1.0),
+        lambda: HalfSpace("tip", (0, 0), 1.0),
+        lambda: Box("tip", (0, 0, 0), (1, 0, 1)),
+        lambda: MotionLimits(share=1.2),
+        lambda: MotionLimits(workspace=HalfSpace("tip", (0, 0, 1), 0.0)),
     ],
 )
-def test_parts_of_limits_are_checked(make, words):
-    with pytest.raises(ArgumentError, match=words):
+def test_parts_of_limits_are_checked(make):
+    with refused(ArgumentError):
         make()
 
 
@@ -224,11 +222,11 @@ def test_limits_in_degrees_are_told_with_their_joints():
         warnings.simplefilter("error")
         MotionLimits().bounds(robot)
         MotionLimits(velocity=1.0, lower=-1.0, upper=1.0, effort=60.0).bounds(torchdq.robots.load("two_link"))
-    with pytest.warns(UserWarning, match="panda_joint2 -90 to 90 rad instead of -1.76 to 1.76.*in degrees"):
+    with warned(UserWarning):
         MotionLimits(lower=-90, upper=90).bounds(robot)
-    with pytest.warns(UserWarning, match="panda_joint1 120 rad/s instead of 2.17"):
+    with warned(UserWarning):
         MotionLimits(velocity=120.0).bounds(robot)
-    with pytest.warns(UserWarning, match="joint1 -90 to 90 rad instead of -12.6 to 12.6"):
+    with warned(UserWarning):
         MotionLimits(lower=-90, upper=90, velocity=1.0, effort=60.0).bounds(torchdq.robots.load("two_link"))
 
 
@@ -344,13 +342,13 @@ def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_p
     assert np.isnan(measured).sum() == 2 and len(measured) == 2 * 501 + 2
     assert np.nanmax(abs(measured - predicted)) < 0.02 * np.nanmax(abs(measured))
     figure.savefig(tmp_path / "torques.png")
-    with pytest.raises(ArgumentError, match="motions must be of the 7 joints of 'panda', found 2"):
+    with refused(ArgumentError):
         plot_torques(found, Motion(motion.time, *(x[:, :2] for x in motion[1:5])))
-    with pytest.raises(ArgumentError, match="identified must be what identify returns, found Robot"):
+    with refused(ArgumentError):
         plot_torques(panda, motion)
 
 
 def test_a_plot_without_matplotlib_says_what_to_install(exciting, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    with pytest.raises(MissingLibraryError, match="matplotlib"):
+    with refused(MissingLibraryError):
         exciting[0].plot()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import PAIR
+from messages import warned
 from recorded_logs import STEP, WIDTH, fitted, sign, states, torques
 from scipy.optimize import nnls
 
@@ -38,7 +39,7 @@ def loaded(share):
 def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
     described, found, motion, (q, qd, qdd, tau) = loaded(0.4)
     assert float(found.coefficients("load").min()) > 0.3
-    with pytest.warns(UserWarning, match="viscous and Coulomb friction alone; they stand for .*: load"):
+    with warned(UserWarning):
         file = torchdq.Robot.from_urdf(found.to_urdf(PAIR))
     rigid = torchdq.inverse_dynamics(found.robot, q, qd, qdd)
     whole, signs = found.predict(q, qd, qdd).tau - rigid, sign(qd)
@@ -114,7 +115,7 @@ def test_a_layer_a_scene_and_a_file_have_all_that_was_found():
     state = scene.start(q[0, ::50], qd[0, ::50])
     after = scene.step(state, expected[0, ::50] - found.offset)
     assert torch.allclose((after.qd - state.qd) / 1e-4, qdd[0, ::50], atol=0.05 * float(qdd.std()))
-    with pytest.warns(UserWarning, match="no place for offset, left out; .* for friction of other shapes, too: load"):
+    with warned(UserWarning):
         text = found.to_urdf(PAIR)
     again = torchdq.Robot.from_urdf(text)
     assert torch.allclose(again.mass, found.robot.mass)

@@ -8,6 +8,7 @@ import warnings
 
 import pytest
 import torch
+from messages import refused
 from places import DATA
 from recorded_logs import (
     COULOMB,
@@ -140,14 +141,14 @@ def test_effects_have_terms_of_their_own_laws():
     ]
     again = fitted(ROBOT, q, qd, qdd, tau)
     assert [*again.terms] == [*fitted(ROBOT, q, qd, qdd, tau, friction=again.friction()).terms]
-    for friction, words in [
-        (effects.Gravity(), "friction must be None, 'auto', or a sequence of friction effects"),
-        (effects.Viscous(warming=0.1), "friction must not be warming, since logs have no temperature"),
-        (effects.LuGre(ratio=1.5), "one deflection for all joints, ratio=1"),
+    for friction in [
+        effects.Gravity(),
+        effects.Viscous(warming=0.1),
+        effects.LuGre(ratio=1.5),
     ]:
-        with pytest.raises(ArgumentError, match=words):
+        with refused(ArgumentError):
             names(friction)
-    with pytest.raises(ArgumentError, match="memory=False"):
+    with refused(ArgumentError):
         fitted(ROBOT, q, qd, qdd, tau, friction=(effects.LuGre(),), memory=False)
 
 

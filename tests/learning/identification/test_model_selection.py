@@ -10,6 +10,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from messages import refused
 from places import DATA
 from recorded_logs import (
     COULOMB,
@@ -231,13 +232,13 @@ def test_motions_and_samples_say_the_same():
     assert torch.allclose(a.predict(motions).tau.reshape(q.shape), b.predict(q, qd, qdd).tau, atol=1e-6)
     both = identify(ROBOT, [motions[0], *(Samples(*(x[k] for x in (q, qd, qdd, tau))) for k in (1, 2))])
     assert torch.allclose(both.parameters, b.parameters, rtol=1e-6, atol=1e-9)
-    with pytest.raises(ArgumentError, match="qd must not be given with motions"):
+    with refused(ArgumentError):
         a.predict(motions, qd)
-    with pytest.raises(ArgumentError, match="qdd must be given with positions"):
+    with refused(ArgumentError):
         a.predict(q, qd)
-    with pytest.raises(ArgumentError, match="motions must be at least one"):
+    with refused(ArgumentError):
         identify(ROBOT, [])
-    with pytest.raises(ArgumentError, match=r"which has 6 joints, found one with 2"):
+    with refused(ArgumentError):
         identify(torchdq.robots.load("ur10e"), motions)
 
 

@@ -5,7 +5,8 @@ import sys
 import numpy as np
 import pytest
 import torch
-from recorded_logs import RATE, arrays, names, refused, sines, table, written
+from messages import refused
+from recorded_logs import RATE, arrays, log_refused, names, sines, table, written
 from recordings import LAYOUTS
 
 from torchdq.errors import ArgumentError, MissingLibraryError
@@ -83,7 +84,7 @@ def test_positions_alone_give_the_velocities_and_accelerations():
     assert motion.tau is None and motion.direction is None and motion.cutoff_tau is None
     (first,), _ = train_test_split(motion, 0.5)
     assert len(first.q) == -(-len(motion.q) // 2) and "tau" not in str(motion)
-    with pytest.raises(ArgumentError, match=r"motions must have torques, found none .*fit_rollout"):
+    with refused(ArgumentError):
         stack_samples(motion)
     np.testing.assert_allclose(smooth(read_log(known | {"qd": None})).tau, smooth(read_log(known)).tau)
 
@@ -122,21 +123,17 @@ def test_frequencies_may_be_chosen():
 
 
 @pytest.mark.parametrize(
-    ("options", "message", "option"),
+    ("options", "option"),
     [
-        *(({"rate": x}, r"rate must leave rows of the \S+ s of motion", None) for x in (1e-9, 5e-324)),
-        ({"rate": 0}, "rate must be a positive number, found 0", None),
-        *(
-            ({name: x}, rf"{name} must be between 0 and \d+\.?\d* Hz, half the rate, found ", "--cutoff")
-            for name in ("cutoff_qd", "cutoff_tau")
-            for x in ("8", 600.0, 0.0)
-        ),
-        ({"sign_width": -1.0}, "sign_width must be a positive number", None),
-        ({"delay": 9.0}, r"delay must be shorter than the log, which lasts \S+ s", "--delay"),
+        *(({"rate": x}, None) for x in (1e-9, 5e-324)),
+        ({"rate": 0}, None),
+        *(({name: x}, "--cutoff") for name in ("cutoff_qd", "cutoff_tau") for x in ("8", 600.0, 0.0)),
+        ({"sign_width": -1.0}, None),
+        ({"delay": 9.0}, "--delay"),
     ],
 )
-def test_arguments_are_checked(log, options, message, option):
-    with pytest.raises(ArgumentError, match=message) as raised:
+def test_arguments_are_checked(log, options, option):
+    with refused(ArgumentError) as raised:
         smooth(log, **options)
     assert option is None or option in raised.value.findings[0].option
 
@@ -172,19 +169,19 @@ def test_ends_in_motion_are_left_out_and_too_little_motion_is_refused():
     found = smooth(read_log({name: x[:1700] for name, x in whole.items()}))  # it ends while it moves
     assert found.time[0] < 0.5 and found.time[-1] <= 1.7 - motions.ENDS
     for rows, words in ((slice(850), "more than 1 s"), (slice(700, 1200), "more than 1.5 s")):
-        with refused("log.short", words=f"{words} of motion are needed, found 0."):
+        with log_refused("log.short", words=f"{words} of motion are needed, found 0."):
             smooth(read_log({name: x[rows] for name, x in whole.items()}))
-    with refused("log.short", words="more than 1.5 s of motion are needed, found 1.02 s"):
+    with log_refused("log.short", words="more than 1.5 s of motion are needed, found 1.02 s"):
         smooth(of(table(1.0)))
     still = table()
     still[:, 8:15] = 0.0
-    with refused("log.still"):
+    with log_refused("log.still"):
         smooth(of(still))
 
 
 def test_without_scipy_the_message_says_so(log, monkeypatch):
     monkeypatch.setitem(sys.modules, "scipy.signal", None)
-    with pytest.raises(MissingLibraryError, match="smooth needs scipy, which is not installed; pip install scipy"):
+    with refused(MissingLibraryError):
         smooth(log)
 
 
@@ -199,10 +196,10 @@ def test_a_single_motion_is_cut_with_a_gap(log):
     np.testing.assert_array_equal(after.tau[-1], whole.tau[-1])
     (usual,), _ = train_test_split([whole])
     assert len(usual.time) == np.ceil(2 / 3 * len(whole.time))
-    with pytest.raises(ArgumentError, match=r"share must leave rows on both sides of the cut of \d+ rows"):
+    with refused(ArgumentError):
         train_test_split(whole, 0.99)
     for share in (0.0, 1.0, -1.0, "0.5"):
-        with pytest.raises(ArgumentError, match="share must be between 0 and 1, found"):
+        with refused(ArgumentError):
             train_test_split(whole, share)
 
 
@@ -228,9 +225,9 @@ def test_samples_are_the_rows_of_all_motions(log, dtype):
         expected = np.concatenate([getattr(part, name) for part in parts])
         torch.testing.assert_close(x, torch.tensor(expected, dtype=dtype), rtol=0, atol=0)
     assert torch.equal(stack_samples(parts[0], dtype).q, found.q[: len(parts[0].q)])
-    with pytest.raises(ArgumentError, match=r"motions must be of one arm, found motions of \[3, 7\] joints"):
+    with refused(ArgumentError):
         stack_samples([parts[0], parts[0]._replace(q=parts[0].q[:, :3])])
-    with pytest.raises(ArgumentError, match="found motions of no joints"):
+    with refused(ArgumentError):
         stack_samples([])
 
 
@@ -246,8 +243,8 @@ def test_they_print_as_tables(log):
 
 @pytest.mark.parametrize("wrong", ["std.csv", None, 3])
 def test_neither_logs_nor_motions_are_named(wrong):
-    with pytest.raises(ArgumentError, match=r"log must be a Log, found .*read_log\(path\)"):
+    with refused(ArgumentError):
         smooth(wrong)
     for function in (stack_samples, train_test_split):
-        with pytest.raises(ArgumentError, match=r"motions must be Motion objects, found .*smooth\(log\)"):
+        with refused(ArgumentError):
             function(wrong)

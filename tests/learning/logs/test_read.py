@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from recorded_logs import arrays, codes, names, recordings, refused, sines, table, with_findings, written
+from messages import refused
+from recorded_logs import arrays, codes, log_refused, names, recordings, sines, table, with_findings, written
 from recordings import LAYOUTS, layout_of
 
 import torchdq
@@ -131,15 +132,15 @@ def test_logs_are_read_at_a_rate(wrong):
     assert np.allclose(np.diff(found.time), 0.02) and len(found.time) == pytest.approx(250, abs=3)
     for name, x in slow(found.time).items():
         np.testing.assert_allclose(getattr(found, name)[10:-10], x[10:-10], atol=1e-3)
-    with pytest.raises(ArgumentError, match="rate must be"):
+    with refused(ArgumentError):
         read_log(slow(np.arange(0, 5, 1e-3)), rate=wrong)
-    with refused("log.rows"):
+    with log_refused("log.rows"):
         read_log(slow(np.arange(0, 0.025, 1e-3)), rate=100.0)
 
 
 def test_a_log_may_be_checked_against_its_robot():
     robot = torchdq.robots.load("panda")
-    with refused("log.joints"):
+    with log_refused("log.joints"):
         read_log(arrays(), robot=robot)
     known = arrays(7)
     known["q"] = known["q"] * [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1] + robot.limits.lower.numpy() / 2
@@ -187,39 +188,39 @@ def test_bad_logs_are_refused_by_row_and_column(log, edit, code, subject, words)
     lines = log.read_text().splitlines()
     edit(lines)
     log.write_text("\n".join(lines) + "\n")
-    with refused(code, subject, words):
+    with log_refused(code, subject, words):
         read_log(log)
 
 
 def test_the_layout_and_the_rows_are_checked(log):
-    with refused("column.missing", words="'pos_meas1'"):
+    with log_refused("column.missing", words="'pos_meas1'"):
         read_log(log, LAYOUTS["double_pendulum"])
-    with refused("log.rows"):
+    with log_refused("log.rows"):
         read_log(log, rows=(100_000, 100_010))
-    with refused("log.joints", words="7 joints are needed, found 9"):
+    with log_refused("log.joints", words="7 joints are needed, found 9"):
         read_log(written(log, table(n=9), names(9)), LAYOUTS["panda"])
     for rows in (5, (20, 10), (1.5, 100), (0, 10.0), (True, 10), ("0", "9"), (0, None), (-1, 5)):
-        with pytest.raises(ArgumentError, match=r"rows must be a first row .* whole numbers, found"):
+        with refused(ArgumentError):
             read_log(log, rows=rows)
-    with pytest.raises(ArgumentError, match=r"layout must be a Layout, found dict"):
+    with refused(ArgumentError):
         read_log(log, {"time": "stamp"})
-    with pytest.raises(ArgumentError, match="gain must have 9 numbers, one per joint, found 2"):
+    with refused(ArgumentError):
         read_log(log, Layout(gain=(1.0, 2.0)))
     assert issubclass(LogError, TorchdqError) and LogError.__module__ == LogWarning.__module__ == "torchdq.learning"
 
 
 def test_what_is_no_log_at_all_is_refused(tmp_path):
     for error in (FileNotFoundError, LogError, MissingLogError):
-        with pytest.raises(error, match=r"there is no file .*missing\.csv"):
+        with refused(error):
             read_log(tmp_path / "missing.csv")
-    with pytest.raises(LogError, match=r"the log .* cannot be read: .*directory"):
+    with refused(LogError):
         read_log(tmp_path)
-    with pytest.raises(LogError, match="only file:/// and package:// addresses"):
+    with refused(LogError):
         read_log("https://host/log.csv")
-    with pytest.raises(LogError, match="the log is empty"):
+    with refused(LogError):
         read_log(b"")
     for source in (None, 5, ["log.csv"]):
-        with pytest.raises(ArgumentError, match="the log must be a path"):
+        with refused(ArgumentError):
             read_log(source)
 
 
@@ -227,7 +228,7 @@ def test_rows_are_named_as_in_the_file_when_only_some_are_read(log):
     lines = log.read_text().splitlines()
     cell(217, 11, "nan")(lines)
     log.write_text("\n".join(lines))
-    with refused("cell.number", "'qd3'", "row 217"):
+    with log_refused("cell.number", "'qd3'", "row 217"):
         read_log(log, rows=(200, 300))
     read_log(log, rows=(216, 300))
 
@@ -250,7 +251,7 @@ DEGREES = 180 / np.pi
 def test_wrong_units_are_refused_by_column(tmp_path, columns, factor, code, subject, words):
     rows = table()
     rows[:, list(columns)] *= factor
-    with refused(code, subject, words):
+    with log_refused(code, subject, words):
         read_log(written(tmp_path / "log.csv", rows, names(7)))
 
 
@@ -263,21 +264,21 @@ def test_small_motions_in_degrees_are_found_by_their_rates(tmp_path, signal, col
     if column is not None:
         rows[:, column] *= DEGREES
         source = written(tmp_path / "log.csv", rows, names(7))
-    with refused("columns.rate", words=words):
+    with log_refused("columns.rate", words=words):
         read_log(source)
 
 
 def test_positions_that_follow_the_velocity_of_another_joint_are_refused():
     time, rates = np.linspace(0.0, 10.0, 1001), np.arange(1.0, 8.0)
     q, qd = np.sin(np.outer(time, rates)), rates * np.cos(np.outer(time, rates))
-    with refused("columns.order", "'q2'", "it changes as qd3 says, not as qd2"):
+    with log_refused("columns.order", "'q2'", "it changes as qd3 says, not as qd2"):
         read_log({"time": time, "q": q[:, [0, 2, 1, 3, 4, 5, 6]], "qd": qd, "tau": q})
 
 
 def test_a_joint_that_turns_far_has_a_layout_that_allows_it():
     known = arrays(1)
     known["q"] = known["q"] + 100.0
-    with refused("q.unit", words="pass a Layout that allows it, by farthest"):
+    with log_refused("q.unit", words="pass a Layout that allows it, by farthest"):
         read_log(known)
     assert read_log(known, Layout(farthest=np.inf)).q.max() > 100
 
@@ -361,7 +362,7 @@ def test_a_malformed_log_is_refused_with_the_cure(tmp_path, way):
     content, code, words = MALFORMED[way]
     path = tmp_path / "log"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with refused(code, words=words):
+    with log_refused(code, words=words):
         read_log(path)
 
 
@@ -373,7 +374,7 @@ def test_an_archive_that_is_damaged_anywhere_is_read_or_refused(tmp_path, change
     for at in range(2, len(whole), 7):
         with contextlib.suppress(LogError):
             read_log(whole[:at] + bytes([whole[at] ^ change[0]]) + whole[at + 1 :])
-    with refused("log.damaged"):
+    with log_refused("log.damaged"):
         read_log(whole[: len(whole) // 2])
 
 
@@ -383,7 +384,7 @@ def test_an_archive_cannot_run_anything(tmp_path):
             return (Path.touch, (tmp_path / "sprung",))
 
     np.savez(tmp_path / "log.npz", **{**arrays(), "q": np.array([Trap()], dtype=object)})
-    with refused("log.damaged"):
+    with log_refused("log.damaged"):
         read_log(tmp_path / "log.npz")
     assert not (tmp_path / "sprung").exists()
 
@@ -405,11 +406,11 @@ def test_an_archive_cannot_run_anything(tmp_path):
 )
 def test_bad_arrays_are_refused(tmp_path, change, code, subject, words):
     known = {k: x for k, x in {**arrays(), **change}.items() if x is not ...}
-    with refused(code, subject, words):
+    with log_refused(code, subject, words):
         read_log(known)
     if all(isinstance(x, np.ndarray) for x in known.values()):
         np.savez(tmp_path / "log.npz", **known)
-        with refused(code, subject, words):
+        with log_refused(code, subject, words):
             read_log(tmp_path / "log.npz")
 
 
@@ -498,14 +499,14 @@ def test_parts_of_a_log_whose_time_jumps_are_named():
     time = np.concatenate([np.arange(100), 40 + np.arange(100), 500 + np.arange(50)]) * 0.01
     q = np.sin(np.stack([time, 2 * time], 1))
     log = {"time": time, "q": q, "qd": None, "tau": q + np.arange(250)[:, None]}
-    with refused("time.backwards", words="rows=(0, 100) of 0.99 s or rows=(100, 200) of 0.99 s or rows=(200, 250)"):
+    with log_refused("time.backwards", words="rows=(0, 100) of 0.99 s or rows=(100, 200) of 0.99 s or rows=(200, 250)"):
         read_log(log)
     again = log | {"tau": q}  # the rows from 100 to 159 are those from 40 to 99
     words = "rows 100 to 159 repeat rows 40 to 99; leave them out: read rows=(0, 100) and rows=(160, 250)"
-    with refused("time.backwards", words=words):
+    with log_refused("time.backwards", words=words):
         read_log(again)
     assert len(read_log(again, rows=(0, 100)).time) == 100
-    with refused("time.gap", words="rows=(160, 200) of 0.39 s or rows=(200, 250)"):
+    with log_refused("time.gap", words="rows=(160, 200) of 0.39 s or rows=(200, 250)"):
         read_log(again, rows=(160, 250))
 
 
@@ -536,7 +537,7 @@ def test_recordings_are_read(name, layout, rows, rate):
 def test_spoilt_rows_of_a_recording_are_left_out_by_rows():
     path = recordings("ur10e_innopolis/ur-20_02_19_15harm50secLoad.csv")
     for rows in (None, (1, 6106)):
-        with refused("time.backwards", words="rows=(10, 6106) of 64.1 s"):
+        with log_refused("time.backwards", words="rows=(10, 6106) of 64.1 s"):
             read_log(path, layout_of(path), rows)
     assert len(read_log(path, layout_of(path), (10, 6106)).time) > 5000
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import helpers
 import pytest
 import torch
+from messages import refused
 from torch import nn
 
 import torchdq
@@ -201,42 +202,36 @@ def spoilt(value: float) -> Samples:
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    "options",
     [
-        ({"steps": 0}, "steps must be a whole number from 1, found 0"),
-        ({"steps": 2.5}, "steps must be a whole number from 1, found 2.5"),
-        ({"steps": True}, "steps must be a whole number from 1, found True"),
-        ({"steps": 3, "batch": 0}, "batch must be a whole number from 1"),
-        ({"steps": 3, "batch": "8"}, "batch must be a whole number from 1, found '8'"),
-        ({"steps": 3, "rate": math.nan}, "rate must be a positive number, found nan"),
-        ({"steps": 3, "rate": "fast"}, "rate must be a positive number, found 'fast'"),
-        ({"steps": 3, "prior": -1}, "prior must be a finite number from 0, found -1"),
-        ({"steps": 3, "decay": -0.1}, "decay must be a finite number from 0, found -0.1"),
-        ({"steps": 3, "seed": 0.5}, "seed must be a whole number from 0, found 0.5"),
-        (
-            {"steps": 3, "model": nn.Identity()},
-            r"model has no parameters to fit; name tensors of the robot in its learn",
-        ),
-        ({"steps": 3, "train": spoilt(math.nan)}, r"train\.qd must be finite, found nan in row 7, joint 2; leave"),
-        ({"steps": 3, "valid": spoilt(math.inf)}, r"valid\.qd must be finite, found inf in row 7, joint 2; leave"),
-        ({"steps": 3, "train": data()[:3]}, r"train must be Samples\(q, qd, qdd, tau\), found 3 entries"),
-        (
-            {"steps": 3, "train": Samples(*(x.numpy() for x in data()))},
-            r"train\.q must be a tensor, found ndarray; use torch\.as_tensor",
-        ),
-        ({"steps": 3, "valid": data()._replace(tau=data().tau.tolist())}, r"valid\.tau must be a tensor, found list"),
-        ({"steps": 3, "train": None}, r"train must be Samples\(q, qd, qdd, tau\), found NoneType"),
-        ({"steps": 3, "valid": data()._asdict()}, r"valid must be Samples\(q, qd, qdd, tau\), found dict"),
-        ({"steps": 3, "train": data()._replace(qd=torch.zeros(200, 3))}, r"train\.qd must be .*\[200, 2\] as train\.q"),
-        ({"steps": 3, "train": data(0)}, r"train\.q must be real numbers \[N, n\] with N > 0, found .*\[0, 2\]"),
-        ({"steps": 3, "valid": Samples(*(x[:, :1] for x in data()))}, "valid must have the 2 joints of train, found 1"),
-        ({"steps": 3, "train": data()._replace(tau=torch.ones(200, 2))}, r"train\.tau must change from row to row"),
-        ({"steps": 3, "train": Samples(*(x.new_ones(9, 6) for x in data()))}, r"train\.tau must change"),
+        {"steps": 0},
+        {"steps": 2.5},
+        {"steps": True},
+        {"steps": 3, "batch": 0},
+        {"steps": 3, "batch": "8"},
+        {"steps": 3, "rate": math.nan},
+        {"steps": 3, "rate": "fast"},
+        {"steps": 3, "prior": -1},
+        {"steps": 3, "decay": -0.1},
+        {"steps": 3, "seed": 0.5},
+        {"steps": 3, "model": nn.Identity()},
+        {"steps": 3, "train": spoilt(math.nan)},
+        {"steps": 3, "valid": spoilt(math.inf)},
+        {"steps": 3, "train": data()[:3]},
+        {"steps": 3, "train": Samples(*(x.numpy() for x in data()))},
+        {"steps": 3, "valid": data()._replace(tau=data().tau.tolist())},
+        {"steps": 3, "train": None},
+        {"steps": 3, "valid": data()._asdict()},
+        {"steps": 3, "train": data()._replace(qd=torch.zeros(200, 3))},
+        {"steps": 3, "train": data(0)},
+        {"steps": 3, "valid": Samples(*(x[:, :1] for x in data()))},
+        {"steps": 3, "train": data()._replace(tau=torch.ones(200, 2))},
+        {"steps": 3, "train": Samples(*(x.new_ones(9, 6) for x in data()))},
     ],
 )
-def test_arguments_are_checked(options, message):
+def test_arguments_are_checked(options):
     arguments = {"model": Network(), "train": data(), **options}
-    with pytest.raises(ArgumentError, match=message):
+    with refused(ArgumentError):
         fit(arguments.pop("model"), arguments.pop("train"), **arguments)
 
 
@@ -245,14 +240,14 @@ def test_a_model_of_other_torques_is_refused():
         def forward(self, q, qd, qdd):
             return super().forward(q, qd, qdd)[..., :1]
 
-    with pytest.raises(ArgumentError, match=r"model must return torques \[200, 2\], found \[200, 1\]"):
+    with refused(ArgumentError):
         fit(Wrong(), data(), steps=1)
 
     class Constant(Network):
         def forward(self, q, qd, qdd):
             return super().forward(q, qd, qdd).detach()
 
-    with pytest.raises(ArgumentError, match="the torques of the model do not depend on its parameters"):
+    with refused(ArgumentError):
         fit(Constant(), data(), steps=1)
 
 
@@ -275,11 +270,8 @@ class Breaking(Network):
 @pytest.mark.parametrize("gradient", [False, True])
 def test_numbers_that_are_not_finite_end_the_run_and_spare_the_checkpoint(tmp_path, gradient):
     path = tmp_path / "run.pt"
-    what = r"the gradient for 'layers\.0\.bias' is not finite" if gradient else "the error is nan"
     model = Breaking(18, gradient)
-    with pytest.raises(
-        TrainingError, match=rf"step 18: {what}, in the batch of the 32 rows (\d+, ){{5}}\.\.\. of train"
-    ):
+    with refused(TrainingError):
         fit(model, data(), steps=50, batch=32, checkpoint=path)
     assert torch.load(path)["optimiser"]["step"] == 14  # two epochs of seven batches
     assert weights(model).isfinite().all() and all(p.grad is None for p in model.parameters())
@@ -287,7 +279,7 @@ def test_numbers_that_are_not_finite_end_the_run_and_spare_the_checkpoint(tmp_pa
 
 def test_a_validation_error_that_is_not_finite_ends_the_run(tmp_path):
     huge = data()._replace(tau=torch.full((200, 2), 1e30))
-    with pytest.raises(TrainingError, match="step 2: the error on valid is inf"):
+    with refused(TrainingError):
         fit(Network(), data(), huge, steps=10, batch=100, checkpoint=tmp_path / "run.pt")
     assert not (tmp_path / "run.pt").exists()
 
@@ -389,31 +381,28 @@ def written(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    "options",
     [
-        ({"model": Network(9)}, r"model is Network\("),
-        (
-            {"model": Network(dropout=0.3)},
-            r"model is Network\(.*p=0\.2.* there and .*p=0\.3.* here",
-        ),
-        ({"train": data(seed=2)}, r"train is \[200, 2\] torch\.float32 samples with SHA-256 \w+ there and .* here"),
-        ({"train": data(201)}, r"train is \[200, 2\] .* there and \[201, 2\]"),
-        ({"valid": data(50, seed=2)}, r"valid is \[50, 2\] torch\.float32 samples with SHA-256 \w+ there and"),
-        ({"valid": None}, r"valid is \[50, 2\] .* there and None here"),
-        ({"steps": 7}, "steps is 6 there and 7 here; call fit as that run did, or name another file"),
-        ({"batch": 33}, "batch is 32 there and 33 here"),
-        ({"rate": 0.1}, "rate is 0.01 there and 0.1 here"),
-        ({"decay": 0.1}, "decay is 0.0 there and 0.1 here"),
-        ({"prior": 1.0}, "prior is 0.0 there and 1.0 here"),
-        ({"seed": 6}, "seed is 5 there and 6 here"),
+        {"model": Network(9)},
+        {"model": Network(dropout=0.3)},
+        {"train": data(seed=2)},
+        {"train": data(201)},
+        {"valid": data(50, seed=2)},
+        {"valid": None},
+        {"steps": 7},
+        {"batch": 33},
+        {"rate": 0.1},
+        {"decay": 0.1},
+        {"prior": 1.0},
+        {"seed": 6},
     ],
 )
-def test_a_checkpoint_of_another_run_is_refused_by_name(written, options, message):
+def test_a_checkpoint_of_another_run_is_refused_by_name(written, options):
     before = written.read_bytes()
     arguments = {"model": Network(), "train": data(), "valid": data(50, seed=1), **OPTIONS, "steps": 6, **options}
     model = arguments.pop("model")
     start = weights(model).clone()
-    with pytest.raises(CheckpointError, match=r"checkpoint .*run\.pt is of another run: " + message):
+    with refused(CheckpointError):
         fit(model, arguments.pop("train"), arguments.pop("valid"), checkpoint=written, **arguments)
     assert written.read_bytes() == before and torch.equal(weights(model), start)
 
@@ -426,7 +415,7 @@ def test_a_checkpoint_of_a_model_of_another_robot_is_refused(tmp_path, change):
     train = data(dtype=torch.float64)
     fit(DQRNEA(robot, learn="offset"), train, **settings)
     fit(DQRNEA(robot, learn="offset", backend="eager"), train, **settings)  # another backend is no other run
-    with pytest.raises(CheckpointError, match=r"run\.pt is of another run: " + name):
+    with refused(CheckpointError):
         fit(DQRNEA(other, learn="offset"), train, **settings)
 
 
@@ -435,7 +424,7 @@ def test_a_checkpoint_that_does_not_fit_the_model_leaves_it_alone(tmp_path, writ
     del state["model"]["layers.3.bias"]
     torch.save(state, path)
     before = weights(model).clone()
-    with pytest.raises(CheckpointError, match=r"run\.pt does not fit the model: [^;]*layers\.3\.bias"):
+    with refused(CheckpointError):
         run(path, model, steps=6)
     assert torch.equal(weights(model), before) and model.training
 
@@ -452,9 +441,7 @@ def test_files_that_are_no_checkpoints_are_refused(tmp_path, written):
         contents.append(path.read_bytes())
     for content in contents:
         path.write_bytes(content)
-        with pytest.raises(
-            CheckpointError, match=r"run\.pt is (damaged, or not a checkpoint of fit; remove|of another run)"
-        ):
+        with refused(CheckpointError):
             run(path)
         assert path.read_bytes() == content
     assert not (tmp_path / "sprung").exists()

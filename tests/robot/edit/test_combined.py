@@ -8,6 +8,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from messages import refused, warned
 from oracles import random_tree
 from robots import noted
 
@@ -133,7 +134,7 @@ def test_a_batch_of_payloads_that_does_not_fit_that_of_the_robot_is_refused_by_n
     robot = torchdq.robots.load("two_link")
     several = torchdq.Robot.stack([robot, robot.replace(mass=2 * robot.mass)])
     wrong = {"mass": 1.0, name: torch.ones(3, *axes, dtype=F64)}
-    with pytest.raises(torchdq.ArgumentError, match=rf"^{name} must have batch axes .* mass .*, \(2,\), found \(3,\)"):
+    with refused(torchdq.ArgumentError):
         several.with_payload(**wrong)
 
 
@@ -161,21 +162,21 @@ def test_a_tool_is_a_payload_and_a_new_tip():
 
 def test_payloads_and_tools_that_cannot_be_are_refused():
     robot = torchdq.robots.load("two_link")
-    with pytest.raises(ArgumentError, match="frame must be one that a joint of robot 'two_link' moves, found 'base'"):
+    with refused(ArgumentError):
         robot.with_payload(1.0, frame="base")
     with pytest.raises(UnknownNameError):
         robot.with_payload(1.0, frame="hand")
-    with pytest.raises(ArgumentError, match=r"mass and inertia must be those of a body.*must not be negative"):
+    with refused(ArgumentError):
         robot.with_payload(-1.0)
-    with pytest.raises(ArgumentError, match="triangle inequality"):
+    with refused(ArgumentError):
         robot.with_payload(1.0, inertia=[1.0, 0, 0, 0, 0, 0])
-    with pytest.raises(ArgumentError, match=r"com must have the shape \[..., 3\], found \(2,\)"):
+    with refused(ArgumentError):
         robot.with_payload(1.0, [0.0, 0.0])
-    with pytest.raises(ArgumentError, match="mass must be numbers"):
+    with refused(ArgumentError):
         robot.with_payload("heavy")
-    with pytest.raises(ArgumentError, match="name must be that of a new frame of robot 'two_link', found 'tip'"):
+    with refused(ArgumentError):
         robot.with_tool("tip", pose())
-    with pytest.raises(ArgumentError, match="tip of robot 'two_link' must be chosen"):
+    with refused(ArgumentError):
         robot.with_tip(None).with_tool("pen", pose())
 
 
@@ -183,10 +184,9 @@ def test_payloads_and_tools_that_cannot_be_are_refused():
 def test_a_payload_in_other_units_is_named_once(name):
     robot = torchdq.robots.load(name)
     given = {"com": (0, 0, 100.0)}, {"com": (0, 0, 0.1), "inertia": (5e3, 0, 5e3, 0, 0, 5e3)}
-    doubts = r"payload: com must be in m, found it 100 m from its frame .*; is it in mm\?$", r"kg mm\^2\?$"
-    for wrong, doubt in zip(given, doubts, strict=True):
+    for wrong in given:
         for hold in (robot.with_payload, partial(robot.with_tool, "pen", pose())):
-            with pytest.warns(UserWarning, match=doubt) as seen:
+            with warned(UserWarning) as seen:
                 hold(mass=1.0, **wrong)
             assert len(seen) == 1 and seen[0].filename == __file__
             assert str(seen[0].message).startswith(f"a payload of robot '{name}' may have numbers in other units:")
@@ -294,9 +294,7 @@ PALM = """<robot name="hand"><link name="palm"><inertial><mass value="0.4"/><ori
 def test_a_palm_whose_mass_is_missing_is_warned_of():
     arm = torchdq.robots.load("panda")
     fixed, free = (torchdq.Robot.from_urdf(PALM, base=base) for base in ("fixed", "floating"))
-    with pytest.warns(
-        UserWarning, match=r"^robot 'hand' has no body of its base, .*'tip'.* base=\"floating\"$"
-    ) as seen:
+    with warned(UserWarning) as seen:
         light = arm.attach(fixed, "tip", prefix="h_")
     assert len(seen) == 1 and seen[0].filename == __file__
     with warnings.catch_warnings():
@@ -304,7 +302,7 @@ def test_a_palm_whose_mass_is_missing_is_warned_of():
         whole = arm.attach(free, "tip", prefix="h_")
         arm.attach(fixed, "base", prefix="h_")  # nothing is lost on a fixed base
     assert float((whole.mass - light.mass).sum()) == pytest.approx(0.4, rel=1e-14)
-    with pytest.warns(UserWarning, match="no body of its base"):
+    with warned(UserWarning):
         on_free_base(arm).attach(fixed, "base", prefix="h_")
 
 
@@ -330,16 +328,16 @@ def test_gradients_and_batches_of_attached_robots():
 @pytest.mark.filterwarnings(NO_PALM)
 def test_names_of_both_robots_differ():
     robot = torchdq.robots.load("two_link")
-    with pytest.raises(ArgumentError, match=r"names of joints .* differ, found joint1, joint2 in both; pass prefix"):
+    with refused(ArgumentError):
         robot.attach(robot, "tip")
     twice = robot.attach(robot, "tip", prefix="a_")
-    with pytest.raises(ArgumentError, match="found a_joint1, a_joint2 in both; give another prefix"):
+    with refused(ArgumentError):
         twice.attach(robot, "tip", prefix="a_")
     led = robot.couple({"joint2": {"a_joint1": 1.0}})  # a coordinate that has the name of a joint of the other one
-    with pytest.raises(ArgumentError, match=r"names of joints .* differ, found a_joint1 in both"):
+    with refused(ArgumentError):
         led.attach(robot.replace(joint_names=("joint1", "x")), "tip", prefix="a_")
     assert twice.attach(robot, "a_tip", prefix="b_").joint_names[-2:] == ("b_joint1", "b_joint2")
-    with pytest.raises(ArgumentError, match=r"other must be a torchdq\.Robot, found str"):
+    with refused(ArgumentError):
         robot.attach("two_link", "tip")
 
 

@@ -10,6 +10,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from messages import refused
 from oracles import Case, random_tree
 
 import torchdq
@@ -358,5 +359,5 @@ def test_gradients_on_a_free_base(kind):
 
 def test_a_follower_is_no_coordinate():
     chain = {"panda_joint7": {"panda_joint6": 0.5}, "panda_joint6": {"panda_joint5": -2.0}}
-    with pytest.raises(torchdq.ArgumentError, match=r"S\['panda_joint7'\] must name coordinates, found 'panda_joint6'"):
+    with refused(torchdq.ArgumentError):
         torchdq.robots.load("panda").couple(chain)

@@ -11,6 +11,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from messages import refused, warned
 from robots import noted
 
 import torchdq
@@ -87,7 +88,7 @@ def test_locking_a_loaded_robot_is_locking_its_file():
 
 def test_a_lock_beyond_the_limits_of_a_loaded_robot_is_told():
     panda = torchdq.robots.load("panda")
-    with pytest.warns(UserWarning, match=r"'panda' is locked beyond its limits: panda_joint1 at 90, .* in rad") as seen:
+    with warned(UserWarning) as seen:
         locked = panda.lock({"panda_joint1": 90.0, "panda_joint2": 0.1})
     assert len(seen) == 1 and seen[0].filename == __file__
     (note,) = noted(locked, "lock.beyond_limits")
@@ -109,7 +110,7 @@ def test_a_robot_is_not_changed_by_locking_it():
 
 @pytest.mark.parametrize("lock", ["*", ["panda_joint*"]], ids=repr)
 def test_locking_every_joint_is_refused(lock):
-    with pytest.raises(ArgumentError, match=r"lock must leave at least one joint free, .*panda_joint7, which"):
+    with refused(ArgumentError):
         torchdq.robots.load("panda").lock(lock)
 
 
@@ -147,19 +148,19 @@ def test_links_without_mass_have_gradients():
 def test_the_geometry_must_be_constant(name):
     full = torchdq.robots.load("panda")
     learned = full.replace(**{name: getattr(full, name).clone()})
-    with pytest.raises(ArgumentError, match=f"{name} of robot 'panda' must be constant, as its frames are; use bake"):
+    with refused(ArgumentError):
         learned.lock(["panda_joint5"])
-    with pytest.raises(ArgumentError, match=name):
+    with refused(ArgumentError):
         learned.subchain("panda_link2", "tip")
     assert learned.bake().lock(["panda_joint5"]).n == 6
 
 
 def test_joints_to_lock_are_named():
     robot = torchdq.robots.load("two_link")
-    with pytest.raises(UnknownNameError, match="no movable joint to lock named 'joint3'; did you mean"):
+    with refused(UnknownNameError):
         robot.lock({"joint3": 0.0})
     for lock in (5, None, [None], {"joint1": math.nan}, {"joint1": None}):
-        with pytest.raises(ArgumentError, match=r"lock.* must "):
+        with refused(ArgumentError):
             robot.lock(lock)
 
 
@@ -213,7 +214,7 @@ def test_a_chain_leaves_branches_out():
 def test_a_chain_runs_outwards():
     robot = torchdq.robots.load("panda")
     for base, tip in (("tip", "panda_link2"), ("panda_link3", "panda_link3"), ("panda_link7", "tip")):
-        with pytest.raises(ArgumentError, match=f"tip must be a frame that joints carry from the frame '{base}' on"):
+        with refused(ArgumentError):
             robot.subchain(base, tip)
     with pytest.raises(UnknownNameError):
         robot.subchain("panda_link9", "tip")
@@ -297,14 +298,13 @@ def test_a_coordinate_is_locked_where_its_own_joint_is_at_home():
 
 
 def test_a_follower_is_not_locked_by_itself():
-    told = "lock must not name joint 'j4', which is not a coordinate: it follows 0.5 j3; lock 'j3', which holds it too"
     for lock in (["j4"], {"j4": 0.1}, "j4"):
-        with pytest.raises(ArgumentError, match=told):
+        with refused(ArgumentError):
             mapped("gears").lock(lock)
-    with pytest.raises(UnknownNameError, match="no movable joint to lock named 'j9'"):
+    with refused(UnknownNameError):
         mapped("gears").lock(["j9"])
     differential = torchdq.robots.load("two_link").couple([[0.5, 0.5], [0.5, -0.5]], ["left", "right"])
-    with pytest.raises(ArgumentError, match=r"; lock 'left' and 'right', which hold it too$"):
+    with refused(ArgumentError):
         differential.lock("joint1")
 
 
@@ -312,7 +312,7 @@ def test_a_batch_of_geometries_is_not_locked_and_the_message_says_how_it_can_be(
     panda = torchdq.robots.load("panda")
     several = Robot.stack([panda, panda.replace(home=torch.full((7,), 0.1, dtype=F64))])
     for cut in (lambda: several.lock(["panda_joint1"]), lambda: several.subchain("panda_link1", "panda_link4")):
-        with pytest.raises(ArgumentError, match=r"^home of robot 'panda' .*; change the robots one by one and stack"):
+        with refused(ArgumentError):
             cut()
 
 
@@ -346,13 +346,13 @@ def test_a_chain_keeps_the_map_of_its_coordinates():
 def test_a_chain_whose_coordinates_move_other_joints_is_refused():
     full = torchdq.robots.load("panda")
     shared = full.couple({"panda_joint7": {"panda_joint2": 0.5}})
-    with pytest.raises(ArgumentError, match="'panda_joint2' moves both joint 'panda_joint7' of the chain and"):
+    with refused(ArgumentError):
         shared.subchain("panda_link5", "tip")
     assert shared.subchain("panda_link1", "tip").joint_names == shared.joint_names[1:]
     hand = Robot.from_urdf(oracles.urdf_paths()["panda"])
     hand = hand.couple({"panda_finger_joint2": {"panda_finger_joint1": 1.0}}) if hand.joint_map is None else hand
     assert hand.subchain("panda_hand", "panda_leftfinger").joint_names == ("panda_finger_joint1",)
-    with pytest.raises(ArgumentError, match="'panda_finger_joint2' follows 'panda_finger_joint1', which would be left"):
+    with refused(ArgumentError):
         hand.subchain("panda_hand", "panda_rightfinger")
 
 

@@ -2,8 +2,8 @@
 
 import dataclasses
 import math
-import re
 
+import messages
 import pytest
 import torch
 from robots import F64, panda, row, same, torques, two
@@ -19,33 +19,32 @@ def test_replace_shares_the_rest():
     assert heavier.com is robot.com and torch.equal(heavier.mass, 2 * robot.mass)
 
 
-SHAPES = {
-    ("mass", (6,)): "7",
-    ("mass", (7, 1)): "7",
-    ("mass", ()): "7",
-    ("com", (7,)): "7, 3",
-    ("inertia", (7, 3, 3)): "7, 6",
-    ("X_PB_home", (8,)): "7, 8",
-    ("screw", (6, 6)): "7, 6",
-    ("gravity", (2,)): "3",
-    ("home", (1,)): "7",
-    ("armature", (8,)): "7",
-}
+SHAPES = [
+    ("mass", (6,)),
+    ("mass", (7, 1)),
+    ("mass", ()),
+    ("com", (7,)),
+    ("inertia", (7, 3, 3)),
+    ("X_PB_home", (8,)),
+    ("screw", (6, 6)),
+    ("gravity", (2,)),
+    ("home", (1,)),
+    ("armature", (8,)),
+]
 
 
 @pytest.mark.parametrize("field, shape", SHAPES)
 def test_replace_checks_shapes(field, shape):
-    expected = rf"\[\.\.\., {SHAPES[field, shape]}\]"
-    with pytest.raises(ArgumentError, match=rf"{field} of robot 'panda' must be a tensor of shape {expected}"):
+    with messages.refused(ArgumentError):
         panda().replace(**{field: torch.zeros(shape, dtype=F64)})
 
 
 @pytest.mark.case("P7")
 def test_replace_wants_tensors_of_floating_point():
     for value in (None, [1.0] * 7, 3.0):
-        with pytest.raises(ArgumentError, match="mass of robot 'panda' must be a tensor"):
+        with messages.refused(ArgumentError):
             panda().replace(mass=value)
-    with pytest.raises(DtypeError, match="mass of robot 'panda' must be float32 or float64"):
+    with messages.refused(DtypeError):
         panda().replace(mass=torch.ones(7, dtype=torch.int64))
 
 
@@ -112,10 +111,9 @@ def test_a_pose_that_is_not_unit_is_refused_not_normalised(argument):
     make, name = GIVEN_POSES[argument], argument.partition(" ")[0]
     error = ArgumentError if name in ("pose", "base_pose") else DescriptionError
     for wrong in (LONG, BENT, LONG.to(torch.float32), 0 * LONG):
-        found = re.escape(str(wrong.double().tolist()))
-        with pytest.raises(error, match=rf"^{name} must be unit dual quaternions .*dq\.normalize\), found {found}"):
+        with messages.refused(error):
             make(wrong)
-    with pytest.raises(error, match=rf"^{name} must have the shape \("):
+    with messages.refused(error):
         make(LONG[:7])
     # a pose in single precision is unit up to its rounding, which goes
     turned = dq.exp(row(0.3, -0.2, 0.5, 0.1, 0.7, -0.4))
@@ -126,24 +124,24 @@ def test_a_pose_that_is_not_unit_is_refused_not_normalised(argument):
 
 
 BROKEN = {
-    "frame beyond": ({"frames": (Frame("tip", 2, two().frames[0].X_BF),)}, "frames of robot 'two_link' must be"),
-    "damping": ({"damping": torch.ones(5)}, r"damping of robot 'two_link' must be a tensor \[n\], with n = 2"),
-    "integers": ({"friction": torch.ones(2, dtype=torch.int64)}, "friction of robot 'two_link' must be"),
-    "limits": ({"limits": 5}, "limits of robot 'two_link' must be Limits"),
-    "name": ({"name": 3}, "name of robot 'two_link' must be a string, with n = 2, found 3"),
-    "joints": ({"joint_names": ("a", "a")}, "joint_names .* different names"),
-    "links": ({"link_names": ["a", "b"]}, "link_names .* different names"),
-    "parents": ({"parents": (1, 0)}, "parents .* earlier link or -1"),
-    "kinds": ({"kinds": ("ball", "ball")}, "kinds .* revolute, prismatic, helical"),
-    "tip": ({"tip": 3}, "tip .* name of a frame"),
-    "notes": ({"notes": "none"}, "notes .* findings"),
+    "frame beyond": {"frames": (Frame("tip", 2, two().frames[0].X_BF),)},
+    "damping": {"damping": torch.ones(5)},
+    "integers": {"friction": torch.ones(2, dtype=torch.int64)},
+    "limits": {"limits": 5},
+    "name": {"name": 3},
+    "joints": {"joint_names": ("a", "a")},
+    "links": {"link_names": ["a", "b"]},
+    "parents": {"parents": (1, 0)},
+    "kinds": {"kinds": ("ball", "ball")},
+    "tip": {"tip": 3},
+    "notes": {"notes": "none"},
 }
 
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_replace_checks_structure(case):
-    changes, named = BROKEN[case]
-    with pytest.raises(ArgumentError, match=named):
+    changes = BROKEN[case]
+    with messages.refused(ArgumentError):
         two().replace(**changes)
 
 
@@ -157,9 +155,9 @@ def test_every_field_can_be_replaced_by_itself(name):
 
 
 def test_an_unknown_field_names_the_closest():
-    with pytest.raises(UnknownNameError, match="no field of robot 'two_link' named 'masses'; did you mean 'mass'"):
+    with messages.refused(UnknownNameError):
         two().replace(masses=two().mass)
-    with pytest.raises(UnknownNameError, match="no frame of robot 'two_link' named 'tool'"):
+    with messages.refused(UnknownNameError):
         two().replace(tip="tool")
 
 
@@ -168,11 +166,11 @@ def test_learned_and_transformed_values_are_not_read():
     learned = two().replace(mass=mass.clone().requires_grad_())
     torch.func.vmap(lambda m: torchdq.inverse_dynamics(two().replace(mass=m), torch.ones(2, dtype=F64)))(mass[None])
     for robot in (learned, two().replace(mass=mass[None])):
-        with pytest.raises(UnphysicalError, match="mass must not be negative"):
+        with messages.refused(UnphysicalError):
             robot.check()
 
 
 def test_a_check_finds_a_joint_without_inertia():
     robot = two().replace(mass=row(1, 0), inertia=row(0, 0, 0, 0, 0, 0).expand(2, 6))
-    with pytest.raises(UnphysicalError, match="joint 'joint2': it moves no inertia"):
+    with messages.refused(UnphysicalError):
         robot.check()

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from messages import refused
 from robots import panda, row, same, states, two
 
 import torchdq
@@ -46,36 +47,21 @@ def moved_tip(**changes):
 
 LONGER = two().frames[-1].X_BF * row(1, 1, 1, 1, 1, 2, 1, 1)
 APART = {
-    "tip": (lambda: [two(), two().with_tip(None)], "must have the same tip"),
-    "tree": (lambda: [two(), panda()], "must have the same joint_names"),
-    "names": (
-        lambda: [two(), two().replace(joint_names=("a", "b"))],
-        r"same joint_names, found \('joint1', 'joint2'\) and \('a', 'b'\)",
-    ),
-    "frame": (
-        lambda: [two(), moved_tip(X_BF=LONGER)],
-        r"the same frames, found frame 'tip' with X_BF \[1.0[^F]*\] and [^F]*\]$",
-    ),
-    "link": (lambda: [two(), moved_tip(link=0)], "the same frames, found frame 'tip' with link 1 and 0"),
-    "dtype": (
-        lambda: [two(), two().to(torch.float32)],
-        "device, found .*float64 on cpu and with torch.float32",
-    ),
-    "dtype of one": (
-        lambda: [two(), two().replace(mass=two().mass.float())],
-        "one dtype and device, found mass .*; convert them by robot.to",
-    ),
-    "a number": (lambda: [two(), 3], "robots must be a sequence of torchdq.Robot"),
-    "none": (lambda: [], "robots must be a sequence"),
-    "batch": (
-        lambda: [two().replace(mass=two().mass * torch.ones(3, 1)), two()],
-        r"must have no batch axes, found \(3,\) of mass",
-    ),
+    "tip": lambda: [two(), two().with_tip(None)],
+    "tree": lambda: [two(), panda()],
+    "names": lambda: [two(), two().replace(joint_names=("a", "b"))],
+    "frame": lambda: [two(), moved_tip(X_BF=LONGER)],
+    "link": lambda: [two(), moved_tip(link=0)],
+    "dtype": lambda: [two(), two().to(torch.float32)],
+    "dtype of one": lambda: [two(), two().replace(mass=two().mass.float())],
+    "a number": lambda: [two(), 3],
+    "none": lambda: [],
+    "batch": lambda: [two().replace(mass=two().mass * torch.ones(3, 1)), two()],
 }
 
 
 @pytest.mark.parametrize("case", APART)
 def test_robots_that_differ_in_more_than_numbers_are_not_stacked(case):
-    robots, named = APART[case]
-    with pytest.raises(ArgumentError, match=named):
+    robots = APART[case]
+    with refused(ArgumentError):
         Robot.stack(robots())

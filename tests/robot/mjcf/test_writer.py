@@ -8,6 +8,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from messages import refused, warned
 
 import torchdq
 
@@ -118,21 +119,18 @@ def test_the_body_of_a_free_base_is_written():
 
 
 MJCF_REFUSED = {
-    "locked": (lambda r: r.lock(["b"]), "joint_names of robot 'robot' must be that of the original"),
-    "effort": (lambda r: with_limit(r, "effort", 1, 3.0), "effort limit of joint 'b' has no place in an MJCF file"),
-    "velocity": (lambda r: with_limit(r, "velocity", 0, 3.0), "velocity limit of joint 'a' has no place"),
-    "half a range": (
-        lambda r: with_limit(r, "upper", 0, 3.0),
-        "limits of joint 'a' must both be finite, found -inf and 3",
-    ),
-    "too light": (lambda r: r.replace(mass=0.1 * r.mass), "must be at least that of the bodies without joints"),
+    "locked": lambda r: r.lock(["b"]),
+    "effort": lambda r: with_limit(r, "effort", 1, 3.0),
+    "velocity": lambda r: with_limit(r, "velocity", 0, 3.0),
+    "half a range": lambda r: with_limit(r, "upper", 0, 3.0),
+    "too light": lambda r: r.replace(mass=0.1 * r.mass),
 }
 
 
 @pytest.mark.parametrize("name", MJCF_REFUSED)
 def test_a_robot_that_has_no_place_in_mjcf_is_refused(name):
-    change, message = MJCF_REFUSED[name]
-    with pytest.raises(torchdq.ArgumentError, match=re.escape(message)):
+    change = MJCF_REFUSED[name]
+    with refused(torchdq.ArgumentError):
         change(read(MJCF)).to_mjcf(MJCF)
 
 
@@ -142,15 +140,15 @@ def test_numbers_that_the_compiler_overrules_are_refused():
     )
     robot = read(text)
     assert robot.to_mjcf(text) == text
-    with pytest.raises(torchdq.ArgumentError, match="must be those of its geoms, because the file says so"):
+    with refused(torchdq.ArgumentError):
         robot.replace(mass=2 * robot.mass).to_mjcf(text)
 
 
 def test_numbers_that_others_overrule_are_refused():
     text = MJCF.replace("<default>", '<compiler settotalmass="9"/><default>', 1)
-    with pytest.warns(UserWarning, match="settotalmass"):
+    with warned(UserWarning):
         robot = read(text)
-        with pytest.raises(torchdq.ArgumentError, match=r"mass of robot .* cannot be written: a"):
+        with refused(torchdq.ArgumentError):
             robot.replace(mass=2 * robot.mass).to_mjcf(text)
 
 
@@ -163,7 +161,7 @@ def test_bodies_of_other_files_are_not_written(tmp_path):
     path.write_text("<mujoco><worldbody><include file='parts/body.xml'/></worldbody></mujoco>")
     robot = read(path)
     assert robot.to_mjcf(path) == path.read_text()
-    with pytest.raises(torchdq.ArgumentError, match=r"holds its bodies itself, .* found 0 of 1"):
+    with refused(torchdq.ArgumentError):
         robot.replace(mass=2 * robot.mass).to_mjcf(path)
     path.write_text(f"<mujoco><include file='parts/soft.xml'/><worldbody>{body}</worldbody></mujoco>")
     robot = read(path)
@@ -174,5 +172,5 @@ def test_bodies_of_other_files_are_not_written(tmp_path):
 def test_urdf_is_not_written_as_mjcf():
     text = oracles.rigid_bodies("panda")
     robot = read(text)
-    with pytest.raises(torchdq.ArgumentError, match="must be an MJCF file"):
+    with refused(torchdq.ArgumentError):
         robot.replace(mass=2 * robot.mass).to_mjcf(text)

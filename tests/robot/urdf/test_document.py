@@ -7,6 +7,7 @@ import time
 
 import pytest
 import torch
+from messages import refused
 from urdf_text import also, arm, fixed, joint, link, torques, urdf
 
 import torchdq
@@ -135,7 +136,7 @@ def test_errors_of_a_file_name_it(tmp_path):
     assert [x.code for x in caught.value.findings] == ["number.invalid"]
     path.write_text("<mujoco><worldbody>")
     pytest.importorskip("mujoco")
-    with pytest.raises(DescriptionError, match=f"{path}.*MuJoCo cannot compile|MuJoCo cannot .*{path.name}"):
+    with refused(DescriptionError):
         torchdq.Robot.from_mjcf(path)
 
 

@@ -12,6 +12,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from messages import refused, warned
 from urdf_text import (
     FOLLOWING,
     LIMIT,
@@ -152,7 +153,7 @@ def test_a_long_chain_of_followers_is_composed():
     ],
 )
 def test_followers_that_end_nowhere_are_refused_and_bring_no_other_faults(mimics, code, subject, words):
-    with pytest.raises(DescriptionError, match="cannot be used") as caught:
+    with refused(DescriptionError) as caught:
         Robot.from_urdf(hand(*mimics))
     (found,) = caught.value.findings
     assert (found.code, found.subject) == (code, subject) and words in str(found)
@@ -164,7 +165,7 @@ def test_followers_that_end_nowhere_are_refused_and_bring_no_other_faults(mimics
 @pytest.mark.parametrize("more", ['<mimic joint="nobody"/>', "<mimic/>"])
 def test_a_follower_of_nobody_is_independent(more):
     text = hand("", more, mimic("index"))
-    with pytest.warns(UserWarning, match="index"):
+    with warned(UserWarning):
         found = Robot.from_urdf(text)
     assert found.joint_names == ("index", "little", "thumb") and len(found.joint_map.S) == 4
     assert ("mimic.orphan", "joint 'index'") in codes(found, ("warning",))
@@ -183,7 +184,7 @@ def test_a_follower_at_no_multiple_or_of_a_fixed_joint_stays_at_its_offset(multi
     assert frame.link == -1 and same(torchdq.dq.translation(frame.X_BF), [0, 0, 1])
     found = Robot.from_urdf(also(link("plate") + fixed("bolt", "base", "plate"), hand("", mimic("bolt", 1, 0.5))))
     assert ("mimic.stuck", "index") in codes(found) and found.joint_names == ("little", "ring", "thumb")
-    with pytest.raises(UnknownNameError, match="movable joint to lock named 'index'"):
+    with refused(UnknownNameError):
         Robot.from_urdf(hand("", mimic("thumb", multiplier, 0.5)), lock="index")
 
 
@@ -285,39 +286,30 @@ def test_joints_that_are_not_kept_are_locked_at_zero_or_elsewhere(joints, waist)
 
 
 REFUSED = [
-    (
-        {"lock": {"shoulder": 0.1, "elbow": 0.2}},
-        r"lock must leave at least one joint free, .* locks shoulder, elbow, which",
-    ),
-    ({"lock": "*"}, "lock must leave at least one joint free"),
-    ({"joints": []}, "joints must name at least one joint to keep, found none; known: shoulder"),
-    ({"joints": ()}, "joints must name at least one joint to keep"),
-    ({"lock": {"elbows": 0.0}}, "no movable joint to lock named 'elbows'; did you mean 'elbow'"),
-    ({"joints": ["elb"]}, "no movable joint named 'elb'"),
-    ({"joints": "arm*"}, r"no movable joint named 'arm\*'"),
-    ({"joints": ["elbow"], "lock": ["elbow"]}, "joints and lock must not name the same joint, found elbow in both"),
-    ({"lock": {"elbow": -1e300}}, r"lock\['elbow'\] must not exceed 1e\+50 in size, found -1e\+300"),
-    *(
-        ({"lock": {"elbow": x}}, r"lock\['elbow'\] must be a finite number, found ")
-        for x in (math.nan, math.inf, 10**400, None, "0.4", True, [0.4])
-    ),
-    *(
-        ({"lock": x}, r"lock must .*found .*known: shoulder, elbow")
-        for x in (True, 5, 0.4, [5], [None], {5: 0.4}, b"elbow")
-    ),
-    *(({"joints": x}, r"joints must be a name, a pattern .*known: shoulder") for x in (5, {"elbow": 0.0}, [5])),
+    {"lock": {"shoulder": 0.1, "elbow": 0.2}},
+    {"lock": "*"},
+    {"joints": []},
+    {"joints": ()},
+    {"lock": {"elbows": 0.0}},
+    {"joints": ["elb"]},
+    {"joints": "arm*"},
+    {"joints": ["elbow"], "lock": ["elbow"]},
+    {"lock": {"elbow": -1e300}},
+    *({"lock": {"elbow": x}} for x in (math.nan, math.inf, 10**400, None, "0.4", True, [0.4])),
+    *({"lock": x} for x in (True, 5, 0.4, [5], [None], {5: 0.4}, b"elbow")),
+    *({"joints": x} for x in (5, {"elbow": 0.0}, [5])),
 ]
 
 
 @pytest.mark.filterwarnings("ignore:.*locked beyond")
-@pytest.mark.parametrize("options, message", REFUSED)
-def test_what_is_locked_or_kept_is_named(options, message):
-    with pytest.raises((ArgumentError, UnknownNameError), match=message):
+@pytest.mark.parametrize("options", REFUSED)
+def test_what_is_locked_or_kept_is_named(options):
+    with refused((ArgumentError, UnknownNameError)):
         Robot.from_urdf(arm(), **options)
 
 
 def test_a_fixed_joint_cannot_be_locked_and_a_body_alone_has_none_to_keep_or_to_lock():
-    with pytest.raises(UnknownNameError, match="movable joint to lock named 'elbow'"):
+    with refused(UnknownNameError):
         Robot.from_urdf(chain_of_three(fixed("elbow", "upper", "lower")), lock={"elbow": 0.0})
     alone = urdf(link("base"))
     assert Robot.from_urdf(alone, joints=[]).n == Robot.from_urdf(alone, lock=[]).n == 0
@@ -368,27 +360,27 @@ def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them(opt
 
 
 @pytest.mark.parametrize(
-    "arguments, named",
+    "arguments",
     [
-        ({"lock": "index"}, "lock must not name 'index' without 'thumb', which it follows"),
-        ({"lock": {"ring": 0.1}}, "lock must not name 'ring' without 'thumb'"),
-        ({"joints": "ring"}, "joints must not name 'ring' without 'thumb'"),
-        ({"joints": "index", "lock": {"thumb": 0.5}}, "joints must not name 'index' without 'thumb'"),
+        {"lock": "index"},
+        {"lock": {"ring": 0.1}},
+        {"joints": "ring"},
+        {"joints": "index", "lock": {"thumb": 0.5}},
     ],
 )
-def test_a_follower_is_not_locked_or_kept_alone(arguments, named):
-    with pytest.raises(ArgumentError, match=named) as caught:
+def test_a_follower_is_not_locked_or_kept_alone(arguments):
+    with refused(ArgumentError) as caught:
         Robot.from_urdf(BESIDE, **arguments)
     assert "pass mimic='independent'" in str(caught.value)
     assert Robot.from_urdf(BESIDE, mimic="independent", **arguments).joint_names
 
 
 def test_followers_are_not_locked_beyond_all_numbers_nor_are_all_joints():
-    with pytest.raises(ArgumentError, match=r"lock must leave .* locks thumb, index, ring, little, which are all"):
+    with refused(ArgumentError):
         Robot.from_urdf(FOLLOWING, lock="thumb")
     with (
-        pytest.warns(UserWarning, match="locked beyond"),
-        pytest.raises(ArgumentError, match=r"lock\['index'\] .*e\+60"),
+        warned(UserWarning),
+        refused(ArgumentError),
     ):
         Robot.from_urdf(hand("", mimic("thumb", "1e40")), lock={"thumb": 1e20})
 

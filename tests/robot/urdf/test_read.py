@@ -2,11 +2,13 @@
 
 import math
 
+import messages
 import numpy as np
 import oracles
 import pinocchio as pin
 import pytest
 import torch
+from messages import warned
 from urdf_text import (
     EPS,
     LIMIT,
@@ -267,10 +269,10 @@ def test_the_tip_is_the_only_leaf_that_moves_or_the_one_that_is_named():
     assert "no tip chosen among left2, right1; name one with tip=" in str(robot.report())
     for chosen in (Robot.from_urdf(tree(), tip="left2"), robot.with_tip("left2"), robot.replace(tip="left2")):
         assert chosen.tip == "left2" and ("tip.missing", "") not in codes(chosen)
-    with pytest.warns(UserWarning, match="has no body of its base"):
+    with warned(UserWarning):
         other = Robot.from_urdf(arm()).attach(robot, "lower", prefix="b_")
     assert other.tip == "lower" and not any(code == "tip.missing" for code, _ in codes(other))
-    with pytest.raises(UnknownNameError, match="named 'right'; did you mean 'right1'"):
+    with messages.refused(UnknownNameError):
         Robot.from_urdf(tree(), tip="right")
 
 
@@ -282,13 +284,13 @@ def test_gravity_is_what_is_asked_for():
     robot = Robot.from_urdf(arm(), gravity=None)
     assert robot.gravity is None and bool((torchdq.inverse_dynamics(robot, torch.ones(2, dtype=F64)) == 0).all())
     for gravity in ((0, 0, math.nan), (0, 0), (0, 0, -9.81, 0)):
-        with pytest.raises(DescriptionError if len(gravity) == 3 else ArgumentError, match="gravity"):
+        with messages.refused(DescriptionError if len(gravity) == 3 else ArgumentError):
             Robot.from_urdf(arm(), gravity=gravity)
 
 
 @pytest.mark.parametrize("name, value", [("base", "free"), ("base", None), ("mimic", "geared"), ("mimic", True)])
 def test_choices_are_named(name, value):
-    with pytest.raises(ArgumentError, match=f"{name} must be one of '.*', found {value!r}"):
+    with messages.refused(ArgumentError):
         Robot.from_urdf(arm(), **{name: value})
 
 
@@ -342,13 +344,13 @@ def test_every_unphysical_body_is_named_at_once():
 def test_an_inertia_that_only_breaks_the_triangle_inequality_is_read_with_a_warning(largest, scale):
     """Its torques are those of the file, linear in the inertia as all torques are; `check` is the strict way."""
     inertia = np.array([0.1, 0, 0.1, 0, 0, largest]) * scale
-    with pytest.warns(UserWarning, match="triangle") as caught:
+    with warned(UserWarning) as caught:
         robot = Robot.from_urdf(arm(inertia=inertia))
     assert "on_unphysical='repair'" in str(caught[0].message) and caught[0].filename == __file__
     assert robot.inertia[0].tolist() == inertia.tolist() and ("inertia.triangle", "link 'upper'") in codes(robot)
     half, rest = (Robot.from_urdf(arm(inertia=x), on_unphysical="ignore") for x in (inertia / 2, 0 * inertia))
     assert same(torques(robot) + torques(rest), 2 * torques(half), 1e-12)
-    with pytest.raises(UnphysicalError, match="triangle"):
+    with messages.refused(UnphysicalError):
         robot.check()
 
 
@@ -446,7 +448,7 @@ def test_a_joint_that_moves_nothing_has_torques_and_poses_but_no_accelerations(c
         lambda: torchdq.error_growth(robot, q),
         lambda: torchdq.nn.ForwardDynamics(robot)(q, qd, tau),
     ):
-        with pytest.raises(SingularInertiaError, match="knuckle"):
+        with messages.refused(SingularInertiaError):
             needs()
 
 
@@ -461,7 +463,7 @@ def test_only_links_that_move_are_judged():
 
 @pytest.mark.case("I3")
 def test_a_warning_or_the_report_can_take_the_place_of_the_error(recwarn):
-    with pytest.warns(UserWarning, match="link 'upper': mass must not be negative, found -1 kg") as caught:
+    with warned(UserWarning) as caught:
         robot = Robot.from_urdf(arm(mass=-1.0), on_unphysical="warn")
     assert robot.mass[0] == -1.0 and caught[0].filename == __file__  # the caller's line
     recwarn.clear()
@@ -471,7 +473,7 @@ def test_a_warning_or_the_report_can_take_the_place_of_the_error(recwarn):
     light = Robot.from_urdf(arm(mass=0.0, inertia=(0,) * 6), gravity=(0, 0, 0))
     # torques are linear in the mass and the inertia of a link
     assert same(torques(robot) + torques(mirrored), 2 * torques(light), 1e-12)
-    with pytest.raises(ArgumentError, match="on_unphysical must be one of 'error', 'warn', 'repair', 'ignore'"):
+    with messages.refused(ArgumentError):
         Robot.from_urdf(arm(), on_unphysical="mend")
 
 
@@ -576,15 +578,15 @@ def test_a_cure_that_cannot_help_is_not_named():
     _, message = refused(arm(inertia=BROKEN["large product"]))
     assert "on_unphysical='repair'" in message and "'warn'" in message
     robot = Robot.from_urdf(arm())
-    with pytest.raises(ArgumentError, match=r"inertia of robot .* must be that of one robot to be repaired"):
+    with messages.refused(ArgumentError):
         robot.replace(mass=robot.mass * torch.ones(3, 1, dtype=F64), on_unphysical="repair")
 
 
 def test_robots_from_tables_are_repaired_as_well():
     arguments = [[[0, 0, 1, 0, 0, 0]], [1.0], [[0.1, 0, 0]]]
-    with pytest.warns(UserWarning, match="triangle"):
+    with warned(UserWarning):
         Robot.from_screws(*arguments, [BROKEN["triangle"]])
-    with pytest.raises(UnphysicalError, match="positive definite"):
+    with messages.refused(UnphysicalError):
         Robot.from_screws(*arguments, [BROKEN["large product"]])
     for robot in (
         Robot.from_screws(*arguments, [BROKEN["triangle"]], on_unphysical="repair"),

@@ -1,11 +1,11 @@
 """URDF files that are written back: only the numbers that were changed differ, and read again they are the robot's."""
 
-import re
 from functools import partial
 
 import oracles
 import pytest
 import torch
+from messages import refused
 from urdf_text import mimic, random_elements, urdf
 from written_files import TOLERANCE, changed, differences, require_equal, with_limit, with_rows
 
@@ -130,26 +130,26 @@ def test_a_robot_that_was_read_with_some_joints_is_written():
 
 
 REFUSED = {
-    "locked": (lambda r: r.lock({"wrist": 0.4}), "of robot 'two' must be that of the original"),
-    "cut": (lambda r: r.subchain("upper", "point"), "of robot 'two' must be that of the original"),
-    "moved": (lambda r: r.replace(X_PB_home=r.X_PB_home * -1), "X_PB_home of robot 'two' must be that of the original"),
-    "batch": (lambda r: r.replace(mass=r.mass.expand(2, -1)), "mass of robot 'two' must have no batch axes"),
-    "rotor": (lambda r: r.replace(armature=r.mass), "armature of joint 'shoulder' has no place in a URDF file"),
-    "too light": (lambda r: r.replace(mass=0.1 * r.mass), "must be at least that of the links on fixed joints"),
-    "infinite": (lambda r: with_limit(r, "effort", 0, torch.inf), "effort of joint 'shoulder' must be finite"),
-    "continuous": (lambda r: with_limit(r, "upper", 1, 2.0), "upper limit of joint 'wrist' has no place in the file"),
+    "locked": lambda r: r.lock({"wrist": 0.4}),
+    "cut": lambda r: r.subchain("upper", "point"),
+    "moved": lambda r: r.replace(X_PB_home=r.X_PB_home * -1),
+    "batch": lambda r: r.replace(mass=r.mass.expand(2, -1)),
+    "rotor": lambda r: r.replace(armature=r.mass),
+    "too light": lambda r: r.replace(mass=0.1 * r.mass),
+    "infinite": lambda r: with_limit(r, "effort", 0, torch.inf),
+    "continuous": lambda r: with_limit(r, "upper", 1, 2.0),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_robot_that_has_no_place_in_the_file_is_refused(name):
-    change, message = REFUSED[name]
-    with pytest.raises(torchdq.ArgumentError, match=re.escape(message)):
+    change = REFUSED[name]
+    with refused(torchdq.ArgumentError):
         change(read(TEXT)).to_urdf(TEXT)
 
 
 def test_a_faulty_original_is_refused_as_by_the_reader():
     with pytest.raises(torchdq.DescriptionError):
         read(TEXT).to_urdf("<robot")
-    with pytest.raises(torchdq.DescriptionError, match="must not be negative"):
+    with refused(torchdq.DescriptionError):
         read(TEXT).to_urdf(TEXT.replace('damping="0.1"', 'damping="-1"'))

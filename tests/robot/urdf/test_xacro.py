@@ -5,6 +5,7 @@ import types
 
 import pytest
 import torch
+from messages import refused
 
 import torchdq
 
@@ -61,49 +62,47 @@ def test_arguments_are_those_of_the_file(folder):
     assert robot.joint_names == ("wrist",)
     robot = torchdq.Robot.from_xacro(str(folder / "rod.xacro"), arguments={"mass": 3})
     assert robot.mass.tolist() == [3.0]
-    with pytest.raises(
-        torchdq.UnknownNameError, match=r"no argument of .*rod.xacro' named 'hnad'; did you mean 'hand'"
-    ):
+    with refused(torchdq.UnknownNameError):
         torchdq.Robot.from_xacro(folder / "rod.xacro", {"hnad": True})
-    with pytest.raises(torchdq.ArgumentError, match="arguments must be a mapping"):
+    with refused(torchdq.ArgumentError):
         torchdq.Robot.from_xacro(folder / "rod.xacro", ["hand"])
 
 
 def test_packages_are_searched_where_they_are_said_to_be(folder, monkeypatch):
     elsewhere = folder.parents[1] / "elsewhere.xacro"
-    with pytest.raises(torchdq.DescriptionError, match=r"cannot expand .*; say where 'rod_description' is"):
+    with refused(torchdq.DescriptionError):
         torchdq.Robot.from_xacro(elsewhere)
     robot = torchdq.Robot.from_xacro(elsewhere, packages={"rod_description": folder.parent})
     assert robot.joint_names == ("shoulder",)
-    with pytest.raises(torchdq.DescriptionError, match=r"cannot expand .*rod_description"):
+    with refused(torchdq.DescriptionError):
         torchdq.Robot.from_xacro(elsewhere)  # nothing is remembered
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("<robot", "xacro cannot expand .*ExpatError"),
-        ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:nothing/></robot>', "unknown macro"),
-        ('<robot name="${1 / 0}" xmlns:xacro="http://www.ros.org/wiki/xacro"/>', "xacro cannot expand"),
-        ("<robot name='r'/>", "the robot has no links"),
+        "<robot",
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:nothing/></robot>',
+        '<robot name="${1 / 0}" xmlns:xacro="http://www.ros.org/wiki/xacro"/>',
+        "<robot name='r'/>",
     ],
 )
-def test_files_that_expand_to_no_robot_are_refused(tmp_path, text, message):
+def test_files_that_expand_to_no_robot_are_refused(tmp_path, text):
     (tmp_path / "robot.xacro").write_text(text)
-    with pytest.raises(torchdq.DescriptionError, match=message):
+    with refused(torchdq.DescriptionError):
         torchdq.Robot.from_xacro(tmp_path / "robot.xacro")
 
 
 def test_a_path_is_needed(tmp_path):
-    with pytest.raises(torchdq.ArgumentError, match="path must be the path of a xacro file"):
+    with refused(torchdq.ArgumentError):
         torchdq.Robot.from_xacro("<robot/>")
-    with pytest.raises(torchdq.errors.MissingFileError, match="there is no file"):
+    with refused(torchdq.errors.MissingFileError):
         torchdq.Robot.from_xacro(tmp_path / "none.xacro")
 
 
 def test_without_xacrodoc_a_message_says_what_to_install(monkeypatch, folder):
     monkeypatch.setitem(sys.modules, "xacrodoc", None)
-    with pytest.raises(torchdq.MissingLibraryError, match=r"needs xacrodoc, .*pip install 'torchdq\[xacro\]'"):
+    with refused(torchdq.MissingLibraryError):
         torchdq.Robot.from_xacro(folder / "rod.xacro")
 
 
@@ -155,14 +154,14 @@ def test_a_name_finds_a_file_of_any_format(names):
 
 
 def test_names_without_a_file_are_refused(names, monkeypatch):
-    with pytest.raises(torchdq.UnknownNameError, match="named 'plane_description'; did you mean 'plain_description'"):
+    with refused(torchdq.UnknownNameError):
         torchdq.Robot.from_name("plane_description")
-    with pytest.raises(torchdq.ArgumentError, match="name must be a string"):
+    with refused(torchdq.ArgumentError):
         torchdq.Robot.from_name(3)
-    with pytest.raises(torchdq.DescriptionError, match="must have a URDF, xacro or MJCF file, found none"):
+    with refused(torchdq.DescriptionError):
         torchdq.Robot.from_name("empty_description")
-    with pytest.raises(torchdq.DescriptionError, match="cannot fetch 'broken_description': no network"):
+    with refused(torchdq.DescriptionError):
         torchdq.Robot.from_name("broken_description")
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
-    with pytest.raises(torchdq.MissingLibraryError, match=r"robot_descriptions, .*pip install 'torchdq\[names\]'"):
+    with refused(torchdq.MissingLibraryError):
         torchdq.Robot.from_name("plain_description")
