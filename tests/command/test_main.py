@@ -272,7 +272,9 @@ def test_a_process_ends_at_ctrl_c(here):
 def test_a_reader_that_leaves_early_is_no_fault(here):
     command = f"{sys.executable} -m torchdq report arm.urdf | true; exit ${{PIPESTATUS[0]}}"
     found = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=300)
-    assert (found.returncode, found.stderr) == (0, "")
+    assert found.returncode == 0 and not re.sub(
+        r"torchdq: .* s \.\.\.\n", "", found.stderr
+    )  # a slow machine has progress
 
 
 def test_what_libraries_print_is_not_in_the_output(here, capsys, monkeypatch):

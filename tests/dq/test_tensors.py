@@ -240,7 +240,7 @@ def test_a_wrong_shape_is_named(key, name):
     given = arguments(key, (2,))
     shapes = [(2, 5), (), (2, 5, 5)] if given[name].ndim == 2 else [(2, 5), (4,), (2, 5, 5), (), (8,)]
     for shape in shapes:
-        with refused(ArgumentError):
+        with refused(ArgumentError, name=name, found=shape):
             call(key, {**given, name: torch.ones(shape, dtype=F64)})
 
 
@@ -248,7 +248,7 @@ def test_a_wrong_shape_is_named(key, name):
 @pytest.mark.parametrize("dtype", [torch.int64, torch.bool, torch.complex128])
 def test_a_wrong_dtype_is_named(key, name, dtype):
     given = arguments(key, (2,))
-    with refused(DtypeError):
+    with refused(DtypeError, name=name, found=dtype):
         call(key, {**given, name: given[name].to(dtype)})
 
 
@@ -258,7 +258,7 @@ def test_what_is_not_a_tensor_is_named(key, name):
     for wrong in (given[name].tolist(), given[name].numpy(), None):
         if wrong is None and name == "com":
             continue  # None is allowed there: the centre of mass is the origin
-        with refused(ArgumentError):
+        with refused(ArgumentError, name=name, found=type(wrong).__name__):
             call(key, {**given, name: wrong})
 
 

@@ -118,7 +118,7 @@ def test_a_parameter_that_is_a_tensor_is_checked_like_numbers(kind, name, bad):
         if message is None and (kind, name, bad) != (effects.TorqueSpeed, "stall", math.inf):
             assert made(kind, name, value).tensors()[name].shape == value.shape
             continue
-        with refused(torchdq.ArgumentError):
+        with refused(torchdq.ArgumentError, parameter=f"{name} of {kind.__name__}"):
             made(kind, name, value)
 
 
@@ -297,7 +297,7 @@ def test_parameters_that_are_no_numbers_are_refused(given):
     """Words, truth values and tensors within a list, of which float() makes numbers."""
     name, parameter, wrong = given
     own, _ = TENSORS[name]()
-    with refused(torchdq.ArgumentError):
+    with refused(torchdq.ArgumentError, parameter=f"{parameter} of {name}", found=repr(wrong)):
         Scene(CASES["two_link"].robot, (dataclasses.replace(own, **{parameter: wrong}),))
 
 
@@ -306,7 +306,7 @@ def test_parameters_without_values_are_named(name, parameter):
     own, inputs = TENSORS[name]()
     wrong = getattr(own, parameter).detach().to("meta")
     scene = Scene(CASES["two_link"].robot, (dataclasses.replace(own, **{parameter: wrong}),))
-    with refused(torchdq.ArgumentError):
+    with refused(torchdq.ArgumentError, parameter=parameter):
         scene.step(scene.start(p(0.1, 0.2).detach(), noise=inputs.get("noise")), **inputs)
 
 

@@ -174,7 +174,7 @@ def test_what_is_no_gain_is_refused_by_name_everywhere(gain, bad):
         lambda: torchdq.envs.Scene(robot, controller=controllers.ComputedTorqueController(**gains)),
         lambda: torchdq.envs.Scene(robot, controller=controllers.PD(**gains)),
     ):
-        with refused((torchdq.ArgumentError, torchdq.DtypeError)):
+        with refused((torchdq.ArgumentError, torchdq.DtypeError), gain=gain):
             made()
 
 

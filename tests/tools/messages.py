@@ -1,12 +1,15 @@
 """What errors and warnings say, in one reviewed snapshot: tests/messages.json.
 
-    with refused(ArgumentError):  # raises it, and says what the snapshot holds for this place in this test
+    with refused(ArgumentError):  # raises it, and says what the snapshot holds for this test
+        robot.replace(mass=-1)
+    with refused(ArgumentError, name="mass", found=-1):  # "{name} must ..., found {found}" in it
         robot.replace(mass=-1)
     with warned(UserWarning):
         ...
 
-`pytest --update-messages` (with `-n` as well) writes what the tests that ran have said; its diff is to be read. What
-differs between machines is normalised: folders, addresses, lines of tests, versions, and digits of rounded results.
+`pytest --update-messages FILE...` (with `-n` as well) writes what the tests of these files say; its diff is to be read.
+Parameters of a test that all say the same stand once. What differs between machines is normalised: folders, addresses,
+lines of tests, versions, digits of rounded results, and what other libraries say.
 """
 
 import json
@@ -31,102 +34,126 @@ _SAME_EVERYWHERE = [
     (r"\b\d+\.\d+\.\d+(\+\w+)?\b", "<version>"),
     (r"-?\b\d+(\.\d+)?e-(0[89]|[1-9]\d)\b", "<rounding>"),
     (r"\b\d+\.\d{5,}(e[+-]\d+)?\b", "<number>"),
+    (r"\b\d{40,}\b", "<long number>"),
+    (r"\b[0-9a-f]{64}\b", "<digest>"),
+    (r"\.build-\w+", ".build-<random>"),
+    (r"can't convert np\.ndarray[^;)]*", "<torch>"),
+    (r"Error\(s\) in loading state_dict[^;]*", "<torch>"),
+    (r"which are [\w, ]*, found (\S+) \([^)]*\)", r"which are <devices>, found \1 (<torch>)"),
+    (r"XML parse error[^;]*|Error: Error opening[^;]*", "<mujoco>"),
+    (r"(XacroException|ExpatError): [^;]*", "<xacro>"),
 ]
 
 
-def normalised(text: str) -> str:
-    """A message without what differs between machines."""
+def normalised(text: str, named: dict[str, object]) -> str:
+    """A message without what differs between machines, and with the name of each value that it must hold."""
+    for name, value in named.items():
+        # the article of "must be a tensor" is not the argument a
+        found = re.subn(rf"(?<!\w)(?<!\bbe ){re.escape(str(value))}(?!\w)", f"{{{name}}}", text)
+        assert found[1], f"{value} is not in the message: {text}"
+        text = found[0]
     for pattern, same in _SAME_EVERYWHERE:
         text = re.sub(pattern, same, text)
     return text
 
 
 class Snapshot:
-    """Plugin of pytest that knows which test runs, what it has said so far, and what it is to say."""
+    """Plugin of pytest that knows which test runs, what it has said so far, and what it is to say.
+
+    `held` and `said` hold, of a file, of a test, its different messages in order; `held` has the name of a test without
+    parameters where all say the same.
+    """
 
     def __init__(self, config):
         self.updating = config.getoption("--update-messages")
-        self.held = (
-            json.loads(FILE.read_text()) if FILE.exists() else {}
-        )  # of a file, of a test: what it says, in order
+        self.held = json.loads(FILE.read_text()) if FILE.exists() else {}
         self.said: dict[str, dict[str, list[str]]] = {}
-        self.collected: dict[str, list[str]] = {}  # of the files that are collected as a whole
         self.file = self.test = ""
         self.of_workers = []
 
-    def heard(self, message: str) -> None:
-        """Compare the next message of the running test to the snapshot's, where what is repeated stands once."""
-        said, message = self.said.setdefault(self.file, {}).setdefault(self.test, []), normalised(message)
-        if said[-1:] == [message]:
-            return
-        said.append(message)
-        if self.updating:
-            return
-        held = self.held.get(self.file, {}).get(self.test, [])
-        if held[len(said) - 1 : len(said)] != said[-1:]:
-            expected = held[len(said) - 1] if len(said) <= len(held) else "nothing in the snapshot"
+    def expected(self) -> list[str]:
+        """What the running test is to say."""
+        held = self.held.get(self.file, {})
+        return held.get(self.test) or held.get(_function(self.test), [])
+
+    def heard(self, text: str, named: dict[str, object]) -> None:
+        """Compare a message of the running test to the snapshot."""
+        said, message = self.said.setdefault(self.file, {}).setdefault(self.test, []), normalised(text, named)
+        if message not in said:
+            said.append(message)
+        if not self.updating and message not in self.expected():
+            expected = "\n          ".join(self.expected()) or "nothing in the snapshot"
             pytest.fail(
                 f"a message differs from tests/messages.json; if it is meant so: pytest --update-messages {self.file}\n"
-                f"expected: {expected}\nfound:    {said[-1]}"
+                f"expected: {expected}\nfound:    {message}"
             )
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item):
         self.file, _, self.test = item.nodeid.partition("::")
-        self.said.get(self.file, {}).pop(self.test, None)
+        said = self.said.setdefault(self.file, {})
+        said.pop(self.test, None)
         try:
             result = yield
         except BaseException:
-            self.said.get(self.file, {}).pop(self.test, None)  # it has not said all
+            said.pop(self.test, None)  # it has not said all
             raise
-        said, held = (of.get(self.file, {}).get(self.test, []) for of in (self.said, self.held))
-        if not self.updating and len(said) < len(held):
-            pytest.fail(f"tests/messages.json holds {len(held)} messages of this test, which has said {len(said)}")
+        if not self.updating and (missing := set(self.expected()) - set(said.get(self.test, ()))):
+            pytest.fail(f"tests/messages.json holds messages that this test has not said: {sorted(missing)}")
         return result
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_collection_modifyitems(self, config, items):
-        """Before any is deselected."""
-        if not any("::" in argument for argument in config.args):
-            for item in items:
-                file, _, test = item.nodeid.partition("::")
-                self.collected.setdefault(file, []).append(test)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node):
-        self.of_workers.append(getattr(node, "workeroutput", {}).get("messages", ({}, {})))
+        self.of_workers.append(getattr(node, "workeroutput", {}).get("messages", {}))
 
     def pytest_sessionfinish(self, session):
         if hasattr(session.config, "workeroutput"):
-            session.config.workeroutput["messages"] = (self.said, self.collected)
+            session.config.workeroutput["messages"] = self.said
             return
-        for said, collected in self.of_workers:
-            self.collected.update(collected)
+        for said in self.of_workers:
             for file, tests in said.items():
                 self.said.setdefault(file, {}).update(tests)
         if self.updating:
-            self._write()
+            self.write()
 
-    def _unused(self):
-        """Entries of files or tests that are no more."""
-        for file, tests in self.held.items():
-            if not (ROOT / file).exists():
-                yield from ((file, test) for test in tests)
-            elif file in self.collected:
-                yield from ((file, test) for test in tests.keys() - set(self.collected[file]))
-
-    def _write(self) -> None:
-        for file, test in list(self._unused()):
-            del self.held[file][test]
+    def write(self) -> None:
+        """Replace what the tests that ran have said, with all of their parameters; tests that are no more go."""
         for file, tests in self.said.items():
-            self.held.setdefault(file, {}).update(tests)
-        rows = {file: dict(sorted(tests.items())) for file, tests in sorted(self.held.items()) if tests}
-        FILE.write_text(json.dumps(rows, indent=1, ensure_ascii=False) + "\n")
+            ran, text = {_function(test) for test in tests}, (ROOT / file).read_text()
+            kept = {
+                test: says
+                for test, says in self.held.get(file, {}).items()
+                if _function(test) not in ran and f"def {_function(test)}(" in text
+            }
+            self.held[file] = {**kept, **tests}
+        rows = {file: _shared(tests) for file, tests in sorted(self.held.items()) if tests and (ROOT / file).exists()}
+        files = [
+            f" {json.dumps(file)}: {{\n"
+            + ",\n".join(f"  {json.dumps(test)}: {_lines(says)}" for test, says in sorted(tests.items()))
+            + "\n }"
+            for file, tests in rows.items()
+        ]
+        FILE.write_text("{\n" + ",\n".join(files) + "\n}\n")
 
-    def pytest_terminal_summary(self, terminalreporter):
-        if not self.updating:
-            for file, test in self._unused():
-                terminalreporter.write_line(f"tests/messages.json has what no test says: {file}::{test}")
+
+def _function(test: str) -> str:
+    """Name of a test without its parameters."""
+    return test.partition("[")[0]
+
+
+def _shared(tests: dict[str, list[str]]) -> dict[str, list[str]]:
+    """Messages of the tests of a file, once for all parameters of a test that say the same."""
+    functions: dict[str, dict[str, list[str]]] = {}
+    for test, says in tests.items():
+        functions.setdefault(_function(test), {})[test] = says
+    same = {name: all(says == next(iter(of.values())) for says in of.values()) for name, of in functions.items()}
+    return {name if same[name] else test: says for name, of in functions.items() for test, says in of.items() if says}
+
+
+def _lines(says: list[str]) -> str:
+    """JSON of messages, each on a line of its own where there are several."""
+    rows = [json.dumps(message, ensure_ascii=False) for message in says]
+    return f"[{rows[0]}]" if len(rows) == 1 else "[\n   " + ",\n   ".join(rows) + "\n  ]"
 
 
 _snapshot: Snapshot
@@ -140,17 +167,17 @@ def install(config) -> None:
 
 
 @contextmanager
-def refused(error: type[BaseException] | tuple[type[BaseException], ...]):
-    """Error of this class with the message of the snapshot, as `pytest.raises` gives it."""
+def refused(error: type[BaseException] | tuple[type[BaseException], ...], **named):
+    """Error of this class with the message of the snapshot and the named values in it, as `pytest.raises` gives it."""
     with pytest.raises(error) as caught:
         yield caught
-    _snapshot.heard(str(caught.value))
+    _snapshot.heard(str(caught.value), named)
 
 
 @contextmanager
-def warned(category: type[Warning] = UserWarning):
+def warned(category: type[Warning] = UserWarning, **named):
     """One warning or several of this class, each with the message of the snapshot; what was recorded."""
     with pytest.warns(category) as caught:
         yield caught
     for message in dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, category)):
-        _snapshot.heard(message)
+        _snapshot.heard(message, named)

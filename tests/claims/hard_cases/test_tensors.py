@@ -402,7 +402,7 @@ def test_under_autocast_values_and_derivatives_are_the_same_bits(half, key, back
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.int64, torch.int32, torch.bool], ids=str)
 def test_half_precision_and_integers_are_refused_by_name(dtype, key, backend):
     x = [v.to(dtype) for v in states(2, 4)]
-    with torchdq.backend(backend), refused(DtypeError):
+    with torchdq.backend(backend), refused(DtypeError, found=dtype):
         FUNCTIONS[key](ARM, *x)
 
 
@@ -469,7 +469,7 @@ def test_shapes_that_would_broadcast_to_the_wrong_thing_are_refused(shape, backe
             lambda: Scene(ARM).step(State(q, q), wrong),
             lambda: Scene(ARM).step(State(q, wrong)),
         ):
-            with refused(ArgumentError):
+            with refused(ArgumentError, found=shape):
                 call()
 
 
