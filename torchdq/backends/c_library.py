@@ -1,7 +1,7 @@
 """C source compiled into a function, by way of a library that the cache keeps.
 
 A library is kept after it was loaded once. One in memory is unloaded with the last reference to its function.
-`$TORCHDQ_CFLAGS` holds further arguments of the compiler, which come last: -O1 compiles in half the time.
+`$TORCHDQ_CFLAGS` holds further arguments of the compiler, which come last: -Og compiles in a third of the time.
 """
 
 import _ctypes
