@@ -6,6 +6,7 @@ import urllib.request
 import pytest
 import torch
 from messages import refused
+from urdf_text import joint, link, urdf
 
 import torchdq
 from torchdq.envs.render import LINK, MOST_ARMS, TARGET, Painter, Skeleton, Viewer, save_gif
@@ -17,26 +18,16 @@ Image = pytest.importorskip("PIL.Image")
 
 POSE = [0.3, -0.5, 0.2, -2.0, 0.1, 1.8, 0.4]
 
-INERTIAL = (
-    '<inertial><origin xyz="0 0 0.03"/><mass value="1"/>'
-    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-)
-
 
 def gripper():
     """A wrist with two fingers that slide apart."""
-    links = "".join(f'<link name="{name}">{INERTIAL}</link>' for name in ("wrist", "left", "right"))
-    joints = "".join(
-        f'<joint name="{child}_joint" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="0 0 {z}"/><axis xyz="{axis}"/><limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>'
-        f"</joint>"
-        for child, parent, kind, z, axis, lower, upper in (
-            ("wrist", "base", "revolute", 0.1, "0 0 1", -3, 3),
-            ("left", "wrist", "prismatic", 0.2, "0 1 0", 0, 0.1),
-            ("right", "wrist", "prismatic", 0.2, "0 -1 0", 0, 0.1),
-        )
-    )
-    return torchdq.Robot.from_urdf(f'<robot name="gripper"><link name="base"/>{links}{joints}</robot>')
+    hand = [link(name, xyz=(0, 0, 0.03)) for name in ("wrist", "left", "right")]
+    joints = [
+        joint("turn", "base", "wrist", xyz=(0, 0, 0.1)),
+        joint("open", "wrist", "left", "prismatic", xyz=(0, 0, 0.2), axis=(0, 1, 0)),
+        joint("shut", "wrist", "right", "prismatic", xyz=(0, 0, 0.2), axis=(0, -1, 0)),
+    ]
+    return torchdq.Robot.from_urdf(urdf(link("base", mass=None), *hand, *joints, name="gripper"))
 
 
 @pytest.fixture(scope="module")
@@ -70,10 +61,10 @@ def test_points_are_where_the_kinematics_put_them(name):
 def test_joints_lie_on_their_axes(panda):
     for robot in (panda, torchdq.robots.load("puma560"), torchdq.robots.load("two_link")):
         skeleton, q = Skeleton(robot), torch.zeros(robot.n)
-        for i, joint in enumerate(skeleton.joints):
+        for i, point in enumerate(skeleton.joints):
             turned = q.clone()
             turned[i] = 1.0
-            assert skeleton.points(turned)[0, joint] == pytest.approx(skeleton.points(q)[0, joint], abs=1e-12)
+            assert skeleton.points(turned)[0, point] == pytest.approx(skeleton.points(q)[0, point], abs=1e-12)
 
 
 def test_every_link_of_a_tree_has_a_line_from_its_parent():
@@ -144,22 +135,22 @@ def test_a_robot_whose_position_is_not_finite_is_left_out(painter):
 # --- refusals --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shape", [(6,), (0, 7), (MOST_ARMS + 1, 7), (2, 2, 7), ()])
-def test_positions_of_a_wrong_shape_are_refused(painter, shape):
+POSITIONS = [torch.zeros(shape) for shape in ((6,), (0, 7), (MOST_ARMS + 1, 7), (2, 2, 7), ())]
+TARGETS = [torch.zeros(shape) for shape in ((2,), (3, 3), (1, 1, 3))]
+FRAMES = [[], [np.zeros((4, 4, 3))], [np.zeros((4, 4), np.uint8)], [np.zeros((s, 4, 3), np.uint8) for s in (4, 5)]]
+MISUSE = [
+    *(lambda painter, q=q: painter.frame(q) for q in POSITIONS),
+    *(lambda painter, target=target: painter.frame([POSE, POSE], target) for target in TARGETS),
+    *(lambda painter, size=size: Painter(painter.skeleton.robot, size) for size in ((400,), (0, 400), (400.0, 400.0))),
+    *(lambda painter, frames=frames: save_gif(frames, "never.gif") for frames in FRAMES),
+    *(lambda painter, fps=fps: save_gif([painter.frame(POSE)], "never.gif", fps) for fps in (0, 51, float("nan"))),
+]
+
+
+@pytest.mark.parametrize("call", MISUSE)
+def test_wrong_arguments_are_refused(painter, call):
     with refused(torchdq.ArgumentError):
-        painter.frame(torch.zeros(shape))
-
-
-@pytest.mark.parametrize("shape", [(2,), (3, 3), (1, 1, 3)])
-def test_targets_of_a_wrong_shape_are_refused(painter, shape):
-    with refused(torchdq.ArgumentError):
-        painter.frame([POSE, POSE], torch.zeros(shape))
-
-
-@pytest.mark.parametrize("size", [(400,), (0, 400), (400.0, 400.0)])
-def test_a_wrong_size_is_refused(panda, size):
-    with refused(torchdq.ArgumentError):
-        Painter(panda, size)
+        call(painter)
 
 
 @pytest.mark.parametrize(
@@ -186,20 +177,6 @@ def test_a_film_has_all_its_images(painter, tmp_path):
         assert film.n_frames == 5
         assert film.size == (400, 400)
         assert film.info["duration"] == 50
-
-
-@pytest.mark.parametrize(
-    "frames", [[], [np.zeros((4, 4, 3))], [np.zeros((4, 4), np.uint8)], [np.zeros((s, 4, 3), np.uint8) for s in (4, 5)]]
-)
-def test_frames_that_make_no_film_are_refused(frames, tmp_path):
-    with refused(torchdq.ArgumentError):
-        save_gif(frames, tmp_path / "film.gif")
-
-
-@pytest.mark.parametrize("fps", [0, 51, float("nan")])
-def test_a_wrong_rate_is_refused(fps, tmp_path):
-    with refused(torchdq.ArgumentError):
-        save_gif([np.zeros((4, 4, 3), np.uint8)], tmp_path / "film.gif", fps)
 
 
 def test_the_live_view_is_served_until_it_is_closed(panda):

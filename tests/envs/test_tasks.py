@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import pytest
 import torch
 from messages import refused
-from small_envs import ROBOT, actions_of, make, steps
+from small_envs import ROBOT, actions_of, make, started, steps
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, effects
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import at_least
 from torchdq.scene import controllers
 from torchdq.scene.defaults import nominal_robot
 
@@ -27,16 +28,14 @@ def test_the_end_effector_is_observed_where_it_is_and_the_goal_is_within_reach()
     assert torch.allclose(observations[:, :14], sines, atol=1e-14)
     assert torch.allclose(observations[:, -3:], tip, atol=1e-12)
     assert torch.allclose(observations[:, -6:-3], envs._buffers["goal"] - tip, atol=1e-12)
-    assert (envs._buffers["goal"] - torch.tensor([0, 0, 0.333])).norm(
-        dim=1
-    ).max() < 1.2  # an arm's length from its shoulder
+    shoulder = torch.tensor([0, 0, 0.333])
+    assert (envs._buffers["goal"] - shoulder).norm(dim=1).max() < 1.2  # the length of the arm
     lower, upper = envs.robot.limits[:2]
     assert bool(((q > lower) & (q < upper)).all())
 
 
 def test_reaching_is_rewarded_by_distance():
-    envs = make(50, dtype=torch.float64)
-    envs.reset(seed=0)
+    envs = started(50, dtype=torch.float64)
     action = next(actions_of(envs)).double()
     observations, rewards, _, _, info = envs.step(action)
     d = observations[:, -6:-3].norm(dim=1)
@@ -47,12 +46,12 @@ def test_reaching_is_rewarded_by_distance():
 
 def test_what_is_seen_is_measured_and_what_is_rewarded_is_true():
     envs = make(5, effects=(effects.Gravity(), effects.Bias(0.3, 0.1)), dtype=torch.float64)
-    observations, _ = envs.reset(seed=0)
-    assert torch.allclose(observations[:, 0], (envs._buffers["q"][:, 0] + 0.3).sin(), atol=1e-12)
-    observations, *_, info = envs.step(torch.zeros(5, 2))
-    assert torch.allclose(observations[:, 0], (envs._buffers["q"][:, 0] + 0.3).sin(), atol=1e-12)
-    tip = torchdq.dq.translation(torchdq.forward_kinematics(ROBOT, envs._buffers["q"], ROBOT.tip))
-    assert torch.allclose(info["distance"], (envs._buffers["goal"] - tip).norm(dim=1), atol=1e-6)
+    for call in (lambda: envs.reset(seed=0), lambda: envs.step(torch.zeros(5, 2))):
+        observations, *_, info = call()
+        now = envs.get_state()
+        assert torch.allclose(observations[:, 0], (now["q"][:, 0] + 0.3).sin(), atol=1e-12)
+    tip = torchdq.dq.translation(torchdq.forward_kinematics(ROBOT, now["q"], ROBOT.tip))
+    assert torch.allclose(info["distance"], (now["goal"] - tip).norm(dim=1), atol=1e-6)
 
 
 def test_a_goal_can_be_reached():
@@ -88,8 +87,7 @@ def test_the_reference_is_smooth_and_within_limits():
 
 def errors(**arguments):
     """Root mean square error after two seconds of a controller that is left alone."""
-    envs = make(20, "track", action="residual", **arguments)
-    envs.reset(seed=0)
+    envs = started(20, "track", action="residual", **arguments)
     for _ in range(100):
         *_, info = envs.step(torch.zeros(20, 2))
     return info["error"].square().mean().sqrt().item()
@@ -105,8 +103,7 @@ def test_a_controller_that_is_left_alone_tracks_with_the_true_model_and_not_with
 
 
 def test_a_residual_pushes_an_arm_that_stands_still_by_itself():
-    envs = make(10, "reach", action="residual", effects=(effects.Gravity(),))
-    envs.reset(seed=0)
+    envs = started(10, "reach", action="residual", effects=(effects.Gravity(),))
     start = envs._buffers["q"].clone()
     for _ in range(50):
         envs.step(torch.zeros(10, 2))
@@ -116,8 +113,7 @@ def test_a_residual_pushes_an_arm_that_stands_still_by_itself():
 
 
 def test_a_reference_action_moves_the_arm_on():
-    envs = make(10, "reach", action="reference", effects=(effects.Gravity(),), scale=None)
-    envs.reset(seed=0)
+    envs = started(10, "reach", action="reference", effects=(effects.Gravity(),), scale=None)
     start = envs._buffers["q"].clone()
     for _ in range(50):
         envs.step(torch.tensor([1.0, -0.5]).expand(10, 2))
@@ -127,8 +123,7 @@ def test_a_reference_action_moves_the_arm_on():
 
 def test_the_controller_may_be_ones_own():
     pd = controllers.PD(200.0, 40.0, nominal_robot(make(1, effects=(effects.Gravity(),)).scene))
-    envs = make(4, "track", action="residual", controller=pd)
-    envs.reset(seed=0)
+    envs = started(4, "track", action="residual", controller=pd)
     steps(envs, 3)
     with refused(torchdq.ArgumentError):
         make(4, controller=pd)
@@ -140,14 +135,11 @@ class Fall(Reach):
 
     def rows(self, view):
         """With an end."""
-        from torchdq.numbers.functions import at_least
-
         return {**super().rows(view), "terminated": [at_least(-0.5, view.q[0])]}
 
 
 def test_a_task_may_be_ones_own_and_end_episodes():
-    envs = make(5, Fall(), effects=(effects.Gravity(),))
-    envs.reset(seed=0)
+    envs = started(5, Fall(), effects=(effects.Gravity(),))
     ended = torch.zeros(5, dtype=torch.bool)
     for _ in range(200):
         _, _, terminated, _, info = envs.step(torch.zeros(5, 2))
@@ -166,8 +158,7 @@ class Undefined(Reach):
 
 
 def test_a_reward_that_is_not_a_number_is_a_failure():
-    envs = make(5, Undefined(), effects=())
-    envs.reset(seed=0)
+    envs = started(5, Undefined(), effects=())
     _, rewards, terminated, _, info = envs.step(torch.zeros(5, 2))
     assert bool(info["nonfinite"].all()) and bool(terminated.all()) and rewards.tolist() == [-1000] * 5
     assert info["where"].shape == (5, 2)
@@ -178,39 +169,30 @@ def without(name):
     return lambda x: {k: v for k, v in x.items() if k != name}
 
 
-ROWS = [
-    without("reference"),
-    lambda x: None,
-    lambda x: {**x, "observation": x["observation"][:-1]},
-    lambda x: {**x, "reference": x["reference"][:-1]},
-    lambda x: {**x, "reward": [x["distance"][0]] * 2},
-    lambda x: {**x, "terminated": [1.0, 0.0]},
-    lambda x: {**x, "reward": x["distance"][0]},
-    lambda x: {**x, "reward": [torch.zeros(1)]},
-    lambda x: {**x, "q": [0.0, 0.0]},
-    lambda x: {**x, "clipped": [0.0]},
-]
+CHANGES = {
+    "rows": [
+        without("reference"),
+        lambda x: None,
+        lambda x: {**x, "observation": x["observation"][:-1]},
+        lambda x: {**x, "reference": x["reference"][:-1]},
+        lambda x: {**x, "reward": [x["distance"][0]] * 2},
+        lambda x: {**x, "terminated": [1.0, 0.0]},
+        lambda x: {**x, "reward": x["distance"][0]},
+        lambda x: {**x, "reward": [torch.zeros(1)]},
+        lambda x: {**x, "q": [0.0, 0.0]},
+        lambda x: {**x, "clipped": [0.0]},
+    ],
+    "start": [
+        without("goal"),
+        lambda x: {**x, "goal": x["goal"][:2]},
+        lambda x: list(x),
+        lambda x: {**x, "torque": [0.0]},
+    ],
+    "inputs": [without("goal"), lambda x: {**x, "action": 7}, lambda x: {**x, "velocity": 2}],
+}
 
 
-STARTS = [
-    without("goal"),
-    lambda x: {**x, "goal": x["goal"][:2]},
-    lambda x: list(x),
-    lambda x: {**x, "torque": [0.0]},
-]
-
-
-INPUTS = [
-    without("goal"),
-    lambda x: {**x, "action": 7},
-    lambda x: {**x, "velocity": 2},
-]
-
-
-CHANGES = [(name, row) for name, rows in (("rows", ROWS), ("start", STARTS), ("inputs", INPUTS)) for row in rows]
-
-
-@pytest.mark.parametrize("method, change", CHANGES)
+@pytest.mark.parametrize("method, change", [(name, one) for name, changes in CHANGES.items() for one in changes])
 def test_a_task_that_returns_other_rows_is_refused(method, change):
     def changed(self, *given):
         return change(getattr(Reach, method)(self, *given))

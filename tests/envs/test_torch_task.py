@@ -7,27 +7,18 @@ from dataclasses import dataclass
 import pytest
 import torch
 from messages import refused
+from small_envs import ROBOT, actions_of, same, started
 
 import torchdq
-from torchdq.envs import ArmEnv, ArmVectorEnv, State, TorchTask, effects
+from torchdq.envs import ArmEnv, State, TorchTask, effects
 from torchdq.envs.tasks import Reach
 
-BOT = torchdq.robots.load("two_link")
 BOUNDS = [(-math.inf, math.inf)] * 4
 
 
 def make(task, num_envs=5, **arguments):
-    """Vector environment of a small robot, reset."""
-    given = {"robot": BOT, "scale": 20.0, "effects": (effects.Viscous(1.0),), **arguments}
-    envs = ArmVectorEnv(num_envs, task, **given)
-    envs.reset(seed=0)
-    return envs
-
-
-def actions(envs, number):
-    """Random actions."""
-    generator = torch.Generator().manual_seed(0)
-    return [2 * torch.rand(envs.num_envs, 2, generator=generator) - 1 for _ in range(number)]
+    """Vector environment of a small robot with some friction, reset."""
+    return started(num_envs, task, **{"effects": (effects.Viscous(1.0),), **arguments})
 
 
 @dataclass(frozen=True)
@@ -52,7 +43,7 @@ def state(now):
 
 def test_a_reward_of_tensors_is_the_recorded_one():
     recorded, torched = make(Gentle()), make(TorchTask("reach", gentle))
-    for action in actions(recorded, 5):
+    for action, _ in zip(actions_of(recorded), range(5), strict=False):
         a, b = recorded.step(action), torched.step(action)
         assert torch.equal(a[0], b[0]) and torch.allclose(a[1], b[1], rtol=1e-6, atol=1e-6)
         assert torch.allclose(a[4]["energy"], torched._buffers["qd"].square().sum(1), rtol=1e-5)
@@ -62,7 +53,7 @@ def test_terms_of_a_reward_are_summed_and_land_in_info():
     terms = {"closer": lambda now: -now.rows["distance"], "slower": lambda now: -0.1 * now.qd.square().sum(1)}
     named = make(TorchTask("reach", lambda now: {name: term(now) for name, term in terms.items()}))
     summed = make(TorchTask("reach", lambda now: sum(term(now) for term in terms.values())))
-    for action in actions(named, 3):
+    for action, _ in zip(actions_of(named), range(3), strict=False):
         (_, found, *_, info), (_, expected, *_) = named.step(action), summed.step(action)
         assert torch.equal(found, expected) and torch.equal(info["closer"] + info["slower"], found)
         assert torch.equal(info["closer"], -info["distance"])
@@ -107,11 +98,10 @@ def test_the_robot_of_a_row_is_the_one_that_is_simulated(randomise):
 
 def test_an_observation_of_tensors_has_its_own_space():
     envs = make(TorchTask("reach", observation=state, bounds=BOUNDS))
-    first, _ = envs.reset(seed=1)
-    assert envs.single_observation_space.shape == (4,) and first.shape == (5, 4)
-    assert torch.equal(first, torch.cat([envs._buffers["q"], envs._buffers["qd"]], 1))
-    observations, *_ = envs.step(torch.ones(5, 2))
-    assert torch.equal(observations, torch.cat([envs._buffers["q"], envs._buffers["qd"]], 1))
+    assert envs.single_observation_space.shape == (4,)
+    for observations in (envs.reset(seed=1)[0], envs.step(torch.ones(5, 2))[0]):
+        now = envs.get_state()
+        assert torch.equal(observations, torch.cat([now["q"], now["qd"]], 1))
 
 
 def test_episodes_end_where_a_function_says():
@@ -140,16 +130,16 @@ def test_starts_may_be_chosen_among_several():
 def test_a_row_is_the_single_environment():
     task = TorchTask("reach", gentle, state, lambda now: now.q[:, 0] > 1.0, above, BOUNDS, 4)
     many = make(task, 7, max_episode_steps=10)
-    one = ArmEnv(task=task, robot=BOT, scale=20.0, effects=(effects.Viscous(1.0),), max_episode_steps=10)
+    one = ArmEnv(task=task, robot=ROBOT, scale=20.0, effects=(effects.Viscous(1.0),), max_episode_steps=10)
     observations, _ = many.reset(seed=10)
-    assert one.reset(seed=13)[0].tolist() == observations[3].tolist()
-    for action in actions(many, 30):
+    assert same(one.reset(seed=13)[0], observations[3])
+    for action, _ in zip(actions_of(many), range(30), strict=False):
         observations, rewards, terminated, truncated, info = many.step(action)
         seen, reward, ended, cut, _ = one.step(action[3].numpy())
-        assert seen.tolist() == info.get("final_obs", observations)[3].tolist()
-        assert (reward, ended, cut) == (rewards[3].item(), terminated[3].item(), truncated[3].item())
+        assert same(seen, info.get("final_obs", observations)[3])
+        assert (reward, ended, cut) == (rewards[3], terminated[3], truncated[3])
         if ended or cut:
-            assert one.reset()[0].tolist() == observations[3].tolist()
+            assert same(one.reset()[0], observations[3])
 
 
 @pytest.mark.parametrize(
@@ -200,31 +190,3 @@ def test_a_function_that_fails_ends_that_row_alone(name, bad):
 def test_wrong_functions_are_refused(task):
     with refused(torchdq.TorchdqError):
         make(task()).step(torch.zeros(5, 2))
-
-
-def test_a_policy_is_found_by_trying():
-    # the cross-entropy method on two gains of a linear policy, one try per row, towards q = (0.5, -0.5)
-    target = torch.tensor([0.5, -0.5])
-    task = TorchTask(
-        "reach",
-        lambda now: -(now.q - target).square().sum(1),
-        state,
-        start=lambda robot, u: {"q": u - 0.5},
-        bounds=BOUNDS,
-        draws=2,
-    )
-    envs = make(task, 64, max_episode_steps=None)
-    generator = torch.Generator().manual_seed(0)
-    mean, spread, returns = torch.zeros(2), torch.ones(2), []
-    for _ in range(6):
-        gains = mean + spread * torch.randn(64, 2, generator=generator)
-        observations, _ = envs.reset(seed=0)
-        total = torch.zeros(64)
-        for _ in range(60):
-            error, rate = target - observations[:, :2], observations[:, 2:]
-            observations, rewards, *_ = envs.step(gains[:, :1] * error - gains[:, 1:] * rate)
-            total += rewards
-        best = gains[total.topk(10).indices]
-        mean, spread = best.mean(0), best.std(0) + 0.05
-        returns.append(total.mean().item())
-    assert mean[0] > 0.5 and returns[-1] > 0.4 * returns[0]  # from swinging about to staying there

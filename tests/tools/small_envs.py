@@ -13,6 +13,13 @@ def make(num_envs=5, task="reach", **arguments):
     return ArmVectorEnv(num_envs, task, **{"robot": ROBOT, "scale": 20.0, **arguments})
 
 
+def started(num_envs=5, task="reach", **arguments):
+    """Vector environment of a small robot, reset with the seed 0."""
+    envs = make(num_envs, task, **arguments)
+    envs.reset(seed=0)
+    return envs
+
+
 def actions_of(envs, seed=0):
     """Random actions, within their bounds, that do not end."""
     generator = torch.Generator().manual_seed(seed)
