@@ -99,8 +99,8 @@ def test_the_robot_of_a_row_is_the_one_that_is_simulated(randomise):
 def test_an_observation_of_tensors_has_its_own_space():
     envs = make(TorchTask("reach", observation=state, bounds=BOUNDS))
     assert envs.single_observation_space.shape == (4,)
-    for observations in (envs.reset(seed=1)[0], envs.step(torch.ones(5, 2))[0]):
-        now = envs.get_state()
+    for call in (lambda: envs.reset(seed=1), lambda: envs.step(torch.ones(5, 2))):
+        observations, now = call()[0], envs.get_state()
         assert torch.equal(observations, torch.cat([now["q"], now["qd"]], 1))
 
 

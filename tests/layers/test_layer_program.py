@@ -44,9 +44,7 @@ LAYERS = {
     "controller": (lambda: torchdq.ComputedTorque(described(), 30.0, torch.arange(1.0, 8.0)), TRACKED),
     "without friction": (lambda: torchdq.ComputedTorque(described(), 30.0, 9.0, friction=False), TRACKED),
     "learned gains": (
-        lambda: torchdq.ComputedTorque(
-            described(), torch.arange(1.0, 8.0), 5.0, learn=("kp", "kd", "mass", "friction")
-        ),
+        lambda: torchdq.ComputedTorque(described(), torch.arange(1.0, 8.0), 5.0, ("kp", "kd", "mass", "friction")),
         TRACKED,
     ),
     "controller of a layer": (
@@ -118,28 +116,30 @@ def test_an_identified_robot_is_a_program_of_constants():
     torch.testing.assert_close(found, controller(*tracked.values()), rtol=1e-11, atol=1e-11)
 
 
-def test_networks_are_refused_with_the_way_to_export_them():
-    layer = torchdq.ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("two_link")))
-    with refused(ArgumentError):
-        layer.program()
-    with refused(ArgumentError):
-        torchdq.ComputedTorque(layer, 30.0, 9.0).program()
-    with refused(UnknownNameError):
-        layer.model.program("f_base")
-    with refused(ArgumentError):
-        layer.model.program(parameters="both")
-
-
-def test_robots_and_friction_with_batch_axes_are_arguments_or_refused():
+def test_robots_with_batch_axes_are_arguments():
     robot = torchdq.robots.load("two_link")
     layer = torchdq.DQRNEA(robot.replace(mass=robot.mass * torch.ones(3, 1, dtype=F64)))
+    assert [a.uniform for a in layer.program(parameters="arguments").arguments] == [False] * 4
     with refused(ArgumentError):
         layer.program()
-    assert [a.uniform for a in layer.program(parameters="arguments").arguments] == [False] * 4
     layer = torchdq.DQRNEA(robot, "friction")
     layer.viscous = torch.ones(3, 2, dtype=F64)
     with refused(ArgumentError):
         layer.program()
+
+
+MISUSE = [
+    lambda network: network.program(),
+    lambda network: torchdq.ComputedTorque(network, 30.0, 9.0).program(),
+    lambda network: network.model.program("f_base"),
+    lambda network: network.model.program(parameters="both"),
+]
+
+
+@pytest.mark.parametrize("call", MISUSE)
+def test_what_has_no_program_is_refused_with_the_way_to_export_it(call):
+    with refused((ArgumentError, UnknownNameError)):
+        call(torchdq.ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("two_link"))))
 
 
 @pytest.mark.parametrize(

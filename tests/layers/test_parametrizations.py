@@ -8,6 +8,7 @@ import copy
 import io
 import math
 import pickle
+from functools import partial
 
 import helpers
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 import torch
 from helpers import double, random, thinned
 from messages import refused
-from oracles import random_tree, shipped, states
+from oracles import EPS, random_tree, shipped, states
 from torch.func import functional_call
 from torch.nn.utils.parametrize import type_before_parametrizations
 
@@ -29,7 +30,6 @@ from torchdq.robot.check.consistency import inert_joints
 from torchdq.scene.integrators import ExplicitEuler
 
 F32, F64 = torch.float32, torch.float64
-EPS = {F32: 2.0**-23, F64: 2.0**-52}
 EVERYTHING = ("mass", "com", "inertia", "friction", "armature", "offset")
 TREE = random_tree(6, seed=3).robot
 ROBOTS = {**{name: shipped(name).robot for name in ("panda", "ur10e")}, "tree": TREE}
@@ -96,19 +96,13 @@ def test_free_numbers_come_back(form, columns, dtype):
     assert float((back - x).abs().max()) < 1e4 * EPS[dtype]
 
 
-@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
-@pytest.mark.parametrize("dtype", [F32, F64], ids=str)
-def test_a_positive_number_comes_back(scale, dtype):
-    x = (scale * random(100, seed=3).exp()).to(dtype)
-    assert float((Positive()(Positive().right_inverse(x)) / x - 1).abs().max()) < 32 * EPS[dtype]
-
-
 @pytest.mark.parametrize("flat", [1.0, 0.1, 0.01])
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 @pytest.mark.parametrize("dtype", [F32, F64], ids=str)
-def test_a_body_that_exists_comes_back(scale, flat, dtype):
-    inertia = (scale * bodies(40, 2, seed=4, flat=flat)).to(dtype)
-    form = PhysicalInertia()
+def test_a_positive_number_and_a_body_that_exists_come_back(scale, flat, dtype):
+    x = (scale * random(100, seed=3).exp()).to(dtype)
+    assert float((Positive()(Positive().right_inverse(x)) / x - 1).abs().max()) < 32 * EPS[dtype]
+    inertia, form = (scale * bodies(40, 2, seed=4, flat=flat)).to(dtype), PhysicalInertia()
     error = (form(form.right_inverse(inertia)) - inertia).abs().amax(-1) / inertia.abs().amax(-1)
     assert float(error.max()) < 16 * EPS[dtype]
 
@@ -157,13 +151,6 @@ def test_a_body_at_or_beyond_the_limit_becomes_one_near_by(kind, scale):
         assert float((found - inertia).abs().max()) < 3e-6 * scale * 3
     if kind == "point":
         assert np.allclose(matrices(found), 2e-8 * np.eye(3), rtol=1e-12)
-
-
-@pytest.mark.parametrize("form", [Positive(), PhysicalInertia()], ids=["positive", "inertia"])
-@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
-def test_what_is_not_finite_is_refused(form, bad):
-    with refused(torchdq.ArgumentError):
-        form.right_inverse(torch.full((6,), bad, dtype=F64))
 
 
 @pytest.mark.case("I4")
@@ -287,7 +274,6 @@ def test_gradients_of_the_free_numbers_are_finite_differences():
     assert torch.autograd.gradcheck(torques, values, fast_mode=True)
 
 
-KNOWN = "learn must name what robot 'panda' has among ['X_PB_home'"
 REFUSED = [
     *({"learn": ("mass", bad)} for bad in ("viscous", "coulomb", "damping", "limits", "kp")),
     *({"learn": bad} for bad in (True, False, None, 1, [["mass"]], {"mass": True})),
@@ -298,16 +284,12 @@ REFUSED = [
 
 @pytest.mark.parametrize("options", REFUSED, ids=str)
 def test_an_option_that_a_layer_cannot_take_is_named(options):
-    ((name, value),) = options.items()
     makers = [torchdq.DQRNEA, torchdq.ForwardDynamics]
-    if not isinstance(value, tuple):  # a controller learns its gains
-        makers.append(lambda robot, **options: torchdq.ComputedTorque(robot, 1.0, 1.0, **options))
+    if not isinstance(options.get("learn"), tuple):  # a controller learns its gains
+        makers.append(partial(torchdq.ComputedTorque, kp=1.0, kd=1.0))
     for make in makers:
-        with refused(torchdq.ArgumentError) as raised:
+        with refused(torchdq.ArgumentError):
             make(ROBOTS["panda"], **options)
-        if name == "learn":
-            assert str(raised.value).startswith(KNOWN) and "'friction', 'offset'" in str(raised.value)
-            assert not isinstance(value, tuple) or f"found {value[1]!r}" in str(raised.value)
 
 
 # --- friction and offset ---------------------------------------------------------------------------------------------
@@ -496,21 +478,6 @@ def test_a_batch_of_robots_learns_side_by_side():
 # --- learning --------------------------------------------------------------------------------------------------------
 
 
-def test_masses_and_friction_of_a_two_link_arm_are_found_from_torques():
-    true = torchdq.robots.load("two_link")
-    wrong = true.replace(mass=true.mass * double(1.8, 0.4))
-    q, qd, qdd = random(3, 200, 2, seed=25)
-    tau = torchdq.inverse_dynamics(true, q, qd, qdd) + 0.7 * qd + 0.3 * qd / torch.sqrt(qd**2 + 1e-4)
-    module = torchdq.DQRNEA(wrong, learn=("mass", "friction"))
-    optimiser = torch.optim.Adam(module.parameters(), lr=0.05)
-    for _ in range(800):
-        optimiser.zero_grad()
-        (module(q, qd, qdd) - tau).square().mean().backward()
-        optimiser.step()
-    for found, expected in ((module.mass, true.mass), (module.viscous, 0.7), (module.coulomb, 0.3)):
-        assert float((found / expected - 1).abs().max()) < 1e-3
-
-
 def test_a_whole_arm_is_found_from_torques_but_for_what_torques_do_not_show():
     true, n = ROBOTS["ur10e"], 6
     wrong = true.replace(mass=true.mass * random(6, seed=26).mul(0.3).exp())
@@ -532,20 +499,21 @@ def test_a_whole_arm_is_found_from_torques_but_for_what_torques_do_not_show():
     assert objections(module.mass, module.inertia) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("mass", [math.nan, 1.0]),
-        ("mass", [1.0, -2.0]),
-        ("armature", [1.0, -2.0]),
-        ("viscous", [1.0, -2.0]),
-        ("coulomb", [1.0, -2.0]),
-        ("inertia", [[math.inf] * 6] * 2),
-        ("inertia", [[1.0] * 5] * 2),
-    ],
-)
+WRONG = {
+    "mass": ([math.nan, 1.0], [math.inf, 1.0], [1.0, -2.0], [1.0] * 3),
+    "armature": ([1.0, -2.0],),
+    "viscous": ([1.0, -2.0], [1.0] * 3),
+    "coulomb": ([1.0, -2.0],),
+    "inertia": ([[math.nan] * 6] * 2, [[math.inf] * 6] * 2, [[1.0] * 5] * 2),
+    "offset": ([1.0] * 3,),
+    "com": ([[1.0] * 3] * 3,),
+}
+
+
+@pytest.mark.parametrize("name, value", [(name, x) for name, values in WRONG.items() for x in values])
 def test_a_quantity_that_cannot_be_set_is_named(name, value):
-    module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("mass", "inertia", "friction", "armature"))
+    learn = ("mass", "com", "inertia", "friction", "armature", "offset")
+    module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=learn)
     before = getattr(module, name).detach()
     for one in (module, pickle.loads(pickle.dumps(module))):
         with refused(torchdq.ArgumentError):
@@ -574,8 +542,6 @@ def test_assigning_to_what_is_not_learned_is_refused(name):
     layer = torchdq.DQRNEA(ROBOTS["panda"], learn=("mass",))
     with refused(torchdq.ArgumentError):
         setattr(layer, name, torch.ones(7, dtype=torch.float64))
-    layer.mass = 2 * layer.mass.detach()
-    assert torch.allclose(layer.robot.mass, 2 * ROBOTS["panda"].mass)
 
 
 def test_learned_quantities_are_assigned_in_their_shape():
@@ -586,6 +552,3 @@ def test_learned_quantities_are_assigned_in_their_shape():
     layer.mass = torch.tensor([1.5, 2.5])
     assert layer.mass.tolist() == layer.robot.mass.tolist() == pytest.approx([1.5, 2.5])
     assert torch.allclose(layer.parametrizations.mass.original, double(1.5, 2.5).log())
-    for name, wrong in (("viscous", 3), ("mass", 3), ("offset", 3), ("com", (3, 3))):
-        with refused(torchdq.ArgumentError):
-            setattr(layer, name, torch.ones(wrong))

@@ -199,22 +199,6 @@ def test_standardised_features_have_no_mean_and_spread_one():
     assert torch.allclose(layer.torque_scale, tau.flatten(0, 1).std(0, correction=0), rtol=1e-12)
 
 
-def test_standardisation_is_part_of_the_state():
-    layer = trained(PANDA, "joint")
-    x = random(3, 20, 7)
-    layer.standardise(*x, 3 * random(20, 7, seed=9))
-    other = ResidualDynamics(torchdq.DQRNEA(PANDA), hidden=(8, 5)).double()
-    other.load_state_dict(layer.state_dict())
-    assert torch.equal(other(*x), layer(*x))
-
-
-@pytest.mark.parametrize("shape", [(7,), (1, 7)])
-def test_one_sample_has_no_spread(shape):
-    layer = ResidualDynamics(torchdq.DQRNEA(PANDA))
-    with refused(torchdq.ArgumentError):
-        layer.standardise(*random(4, *shape))
-
-
 # --- as a module -----------------------------------------------------------------------------------------------------
 
 
@@ -242,23 +226,23 @@ def test_a_network_of_ones_own_is_taken_as_it_is():
     assert torch.allclose(found.float(), every(features.flatten(-2)), rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [(PANDA,), (None, None, "joints"), (None, None, "joint", (32, 0))],
-    ids=lambda x: x if isinstance(x, str) else "",
-)
-def test_wrong_arguments_are_refused_by_name(arguments):
-    model, *rest = arguments
+MISUSE = {
+    "model": lambda model: ResidualDynamics(model.robot),
+    "inputs": lambda model: ResidualDynamics(model, inputs="joints"),
+    "hidden": lambda model: ResidualDynamics(model, hidden=(32, 0)),
+    "one sample": lambda model: ResidualDynamics(model).standardise(*random(4, 7)),
+    "one row": lambda model: ResidualDynamics(model).standardise(*random(4, 1, 7)),
+    "errors": lambda model: ResidualDynamics(model).predict(*random(3, 5, 7)),
+    "width of a joint": lambda model: ResidualDynamics(model, torch.nn.Linear(6, 2))(*random(3, 5, 7)),
+    "one width for all": lambda model: ResidualDynamics(model, torch.nn.Linear(42, 1), "all")(*random(3, 5, 7)),
+    "width of all": lambda model: ResidualDynamics(model, torch.nn.Linear(42, 6), "all")(*random(3, 5, 7)),
+}
+
+
+@pytest.mark.parametrize("call", MISUSE)
+def test_wrong_arguments_are_refused_by_name(call):
     with refused(torchdq.ArgumentError):
-        ResidualDynamics(torchdq.DQRNEA(PANDA) if model is None else model, *rest)
-
-
-@every_kind
-def test_a_traced_graph_equals_the_layer(inputs):
-    layer, x = trained(TWO, inputs, learn=("friction",)), random(3, 5, 2)
-    torch._dynamo.reset()
-    found = torch.compile(layer, backend="aot_eager", fullgraph=True)(*x)
-    assert torch.allclose(found, layer(*x), rtol=1e-12, atol=1e-12)
+        MISUSE[call](torchdq.DQRNEA(PANDA))
 
 
 # --- learning --------------------------------------------------------------------------------------------------------
@@ -285,13 +269,3 @@ def test_it_learns_what_the_model_has_no_word_for():
     q, qd, qdd = 0.9 * random(3, 500, 2, seed=11)
     error = (layer.residual(q, qd, qdd) - gears(q, qd)).square().mean()
     assert error.item() < 0.05 * float(gears(q, qd).square().mean())
-
-
-@pytest.mark.parametrize(
-    ("inputs", "network"),
-    [("joint", torch.nn.Linear(6, 2)), ("all", torch.nn.Linear(42, 1)), ("all", torch.nn.Linear(42, 6))],
-)
-def test_a_network_of_another_width_is_refused(inputs, network):
-    layer = ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("panda")), network, inputs)
-    with refused(torchdq.ArgumentError):
-        layer(*torch.ones(3, 5, 7))
