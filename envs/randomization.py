@@ -157,7 +157,11 @@ def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) 
         if name not in ADDED and not any(bool(x.any()) for r in found for x in r.bases.values()):
             raise ArgumentError(f"randomise[{name!r}] is a factor of zeros and would change nothing; leave it out")
         for r in found:
-            _require_shapes(name, r)
+            if span.distribution is not None and tuple(span.distribution.batch_shape) not in ((), (1,), (r.width,)):
+                raise ArgumentError(
+                    f"randomise[{name!r}] must be one distribution or {r.width} of them, found the shape "
+                    f"{tuple(span.distribution.batch_shape)}"
+                )
         drawn += found
     for r in drawn:
         scene = _with_rows(scene, r)
@@ -239,16 +243,6 @@ def _span(name: str, x: Any, like: Tensor) -> Span:
     if name == "delay" and span.upper > MOST_LATE:
         raise ArgumentError(f"{what} must draw at most {MOST_LATE} time steps, found up to {span.upper:g}")
     return span
-
-
-def _require_shapes(name: str, randomised: Randomised) -> None:
-    """Raise unless a distribution gives one value for each number."""
-    distribution, width = randomised.span.distribution, randomised.width
-    if distribution is not None and tuple(distribution.batch_shape) not in ((), (1,), (width,)):
-        raise ArgumentError(
-            f"randomise[{name!r}] must be one distribution or {width} of them, found the shape "
-            f"{tuple(distribution.batch_shape)}"
-        )
 
 
 # --- scenes ----------------------------------------------------------------------------------------------------------

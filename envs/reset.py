@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -16,7 +16,7 @@ from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams, seeded
 from torchdq.envs.row_selection import Masked, SomeRows
 from torchdq.envs.tasks import Checked
-from torchdq.envs.torch_task import Functions
+from torchdq.envs.torch_task import Functions, require_finite_start
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES
@@ -26,7 +26,6 @@ from torchdq.scene.scene import Scene
 from torchdq.scene.spec import Task
 
 
-@dataclass(frozen=True, eq=False)
 class Reset:
     """Random start of the episodes of a scene and a task.
 
@@ -37,17 +36,13 @@ class Reset:
         functions: functions of tensors that replace parts of the task; None: there are none.
     """
 
-    scene: Scene
-    checked: Checked
-    randomised: tuple[Randomised, ...]
-    functions: Functions | None
-    opening: Scene = field(init=False, repr=False)  # the scene with the effects that act at a start
-    robot: Robot = field(init=False, repr=False)  # the scene's, without batch axes
-
-    def __post_init__(self) -> None:
-        acting = [e for e in self.scene.effects if e.SLOT == "sensor" or e.memory(self.scene.n)]
-        object.__setattr__(self, "opening", self.scene.replace(effects=acting, controller=None))
-        object.__setattr__(self, "robot", mean_robot(self.scene.robot))
+    def __init__(
+        self, scene: Scene, checked: Checked, randomised: tuple[Randomised, ...], functions: Functions | None
+    ) -> None:
+        self.scene, self.checked, self.randomised, self.functions = scene, checked, randomised, functions
+        acting = [effect for effect in scene.effects if effect.SLOT == "sensor" or effect.memory(scene.n)]
+        self.opening = scene.replace(effects=acting, controller=None)
+        self.robot = mean_robot(scene.robot)
 
     def __call__(self, rows: SomeRows, streams: Streams, dtype: torch.dtype) -> dict[str, Tensor]:
         """Buffers of new episodes, by name, shape [k, ...]; drawn parameters are written into the scene.
@@ -69,14 +64,16 @@ class Reset:
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
         if own is not None:
             fresh.update(own.started(u_own, looks))
-        steps = torch.zeros(rows.number, dtype=torch.int32, device=u.device)
+        steps = torch.zeros(len(u), dtype=torch.int32, device=u.device)
         fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
         opening = _of_rows(self.opening, rows)
         given = task_inputs(task, fresh, opening)
         state, seen = opening.begin({"q": fresh["q"], "qd": fresh["qd"]}, given, noise, self.checked)
         if own is not None:
             now = own.now(state, fresh["goal"], steps, seen, scene=lambda: _of_rows(self.scene, rows))
-            seen["observation"] = own.first(now, looks)
+            seen["observation"] = own.observed(now)
+            if looks:
+                require_finite_start("observation", seen["observation"])
         return fresh | state.rows() | {"observation": seen["observation"], "reference": seen["reference"]}
 
     def blank(

@@ -16,11 +16,6 @@ class Indexed(NamedTuple):
 
     indices: Tensor
 
-    @property
-    def number(self) -> int:
-        """Number of rows that are computed."""
-        return len(self.indices)
-
     def of(self, x: Tensor) -> Tensor:
         """These rows of a tensor [N, ...], shape [k, ...]."""
         return x[self.indices]
@@ -38,11 +33,6 @@ class Masked(NamedTuple):
     """Rows by a mask [N]; what is computed is computed for all of them."""
 
     mask: Tensor
-
-    @property
-    def number(self) -> int:
-        """Number of rows that are computed."""
-        return len(self.mask)
 
     def of(self, x: Tensor) -> Tensor:
         """All rows of a tensor [N, ...]."""

@@ -122,56 +122,30 @@ class TorchTask:
             object.__setattr__(self, "bounds", tuple(map(tuple, pairs.tolist())))
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedRobot:
-    """Robot of a scene with its gravity and rotors, its payloads, and all that is drawn for an episode.
-
-    Args:
-        robot: with everything that all episodes share.
-        differing: names of the tensors that differ from episode to episode, or from row to row.
-    """
-
-    robot: Robot
-    differing: tuple[str, ...]
-
-    @classmethod
-    def of(cls, scene: Scene, device: torch.device) -> SimulatedRobot:
-        """Robot of a scene, with tensors on a device."""
-        stage, n = Stage(scene.spec, "bodies"), scene.n
-        taken = [Argument("q", n), *(Argument(name, math.prod(stage.axes(name))) for name in scene.parameters)]
-        found = {result.name: result.values for result in stage.program(tuple(taken)).results}
-        same = {name: row for name, row in found.items() if all(isinstance(x, float) for x in row)}
-        known: dict[str, Any] = {"gravity": None, "armature": None}
-        for name, row in same.items():
-            known[name] = torch.tensor(row, dtype=torch.float64).reshape(trailing(SHAPES[name], scene.robot.sizes))
-        differing = tuple(name for name in found if name not in same)
-        described = scene.robot._with(**{name: x for name, x in known.items() if name not in differing})
-        whole = described if batches(described) else described.bake()
-        return cls(whole.to(device=device), differing)
-
-    def __call__(self, scene: Scene, q: Tensor) -> Robot:
-        """Robot of the rows of a scene, in the dtype of their positions q [N, n]."""
-        if not self.differing:
-            return self.robot
-        rows = scene.evaluate("bodies", {"q": q})
-        sizes = self.robot.sizes
-        changes = {name: rows[name].reshape(-1, *trailing(SHAPES[name], sizes)) for name in self.differing}
-        return self.robot._with(**changes)
-
-
 class Functions(NamedTuple):
     """Functions of a task for the scene of its environments."""
 
     task: TorchTask
     scene: Scene
     robot: Robot  # as described
-    simulated: SimulatedRobot
+    simulated: Robot  # with the scene's gravity, rotors and payloads, and all else that episodes share
+    differing: tuple[str, ...]  # names of its tensors that differ from episode to episode, or from row to row
 
     @classmethod
     def of(cls, task: TorchTask, robot: Robot, scene: Scene, device: torch.device) -> Functions:
         """Functions of a task for a scene, which may simulate more than the robot as described."""
+        stage = Stage(scene.spec, "bodies")
+        taken = [Argument("q", scene.n), *(Argument(name, math.prod(stage.axes(name))) for name in scene.parameters)]
+        found = {result.name: result.values for result in stage.program(tuple(taken)).results}
+        same = {name: row for name, row in found.items() if all(isinstance(x, float) for x in row)}
+        differing = tuple(name for name in found if name not in same)
+        known: dict[str, Any] = {name: None for name in ("gravity", "armature") if name not in differing}
+        for name, row in same.items():
+            known[name] = torch.tensor(row, dtype=torch.float64).reshape(trailing(SHAPES[name], scene.robot.sizes))
+        described = scene.robot._with(**known)
+        whole = described if batches(described) else described.bake()
         near = robot if robot.mass.device == device else robot.to(device=device)
-        return cls(task, scene, near, SimulatedRobot.of(scene, device))
+        return cls(task, scene, near, whole.to(device=device), differing)
 
     def now(
         self,
@@ -188,12 +162,20 @@ class Functions(NamedTuple):
         action = torch.zeros_like(state.q) if action is None else action
 
         def simulated() -> Robot:
-            return self.simulated(self.scene if scene is None else scene(), state.q)
+            if not self.differing:
+                return self.simulated
+            simulated_scene = self.scene if scene is None else scene()
+            bodies = simulated_scene.evaluate("bodies", {"q": state.q})
+            shapes = {name: trailing(SHAPES[name], self.robot.sizes) for name in self.differing}
+            return self.simulated._with(**{name: bodies[name].reshape(-1, *shape) for name, shape in shapes.items()})
 
         return Now(state.q, state.qd, q, qd, goal, time, action, rows, simulated)
 
     def started(self, u: Tensor, looks: bool) -> dict[str, Tensor]:
-        """Rows of the start that the task defines, of random numbers [N, draws]; `looks`: as in `first`."""
+        """Rows of the start that the task defines, of random numbers [N, draws].
+
+        Raises if one is not finite; unless the host `looks`, such an episode fails at its first step.
+        """
         if self.task.start is None:
             return {}
         found, widths = self.task.start(self.robot, u), {"q": self.robot.n, "qd": self.robot.n, "goal": None}
@@ -204,18 +186,8 @@ class Functions(NamedTuple):
                 raise UnknownNameError("row that start may return", name, widths)
         rows = {name: _row(f"start's {name!r}", x, (len(u), widths[name]), u) for name, x in found.items()}
         for name, x in rows.items() if looks else ():
-            _require_finite(f"start's {name!r}", x)
+            require_finite_start(f"start's {name!r}", x)
         return rows
-
-    def first(self, now: Now, looks: bool) -> Tensor:
-        """Observation [N, k] at the start of episodes.
-
-        Raises if one is not finite; unless the host `looks`, such an episode fails at its first step.
-        """
-        found = self.observed(now)
-        if looks:
-            _require_finite("observation", found)
-        return found
 
     def observed(self, now: Now) -> Tensor:
         """Observation [N, k]."""
@@ -260,7 +232,7 @@ def _warn_of_faults(now: Now, rows: Mapping[str, Tensor]) -> None:
             )
 
 
-def _require_finite(name: str, x: Tensor) -> None:
+def require_finite_start(name: str, x: Tensor) -> None:
     """Raise unless all numbers at the start of an episode are finite; later ones end the episode as a failure."""
     if not bool(x.isfinite().all()):
         row, column = (~x.isfinite()).nonzero()[0].tolist()

@@ -214,11 +214,17 @@ class ArmVectorEnv(VectorEnv):
                 raise ResetNeeded("a first reset must be of all environments; call reset() without a reset_mask")
         buffers = dict(self._buffers) or self._blank()
         if seed is not None:
-            buffers.update(self._seeded(buffers, seed, mask)._asdict())
+            seeds = seeds_of(seed.tolist() if isinstance(seed, Tensor | np.ndarray) else seed, self.num_envs)
+            if isinstance(seed, Integral):
+                super().reset(seed=int(seed))
+            mask_of_seeds = mask & torch.tensor([s is not None for s in seeds], device=self.device)
+            fresh = seeded([s or 0 for s in seeds], self.num_envs, self.device)
+            buffers |= self._streams(buffers).with_rows(Masked(mask_of_seeds), fresh)._asdict()
         buffers = self._begun(buffers, self._some(mask))
         self._keep(buffers)
         self._unreset = self._any(buffers["finished"])
-        self._show()
+        if self.render_mode == "human":
+            self._frames()
         return self._out(buffers["observation"]), {}
 
     @torch.no_grad()
@@ -268,7 +274,8 @@ class ArmVectorEnv(VectorEnv):
             any_done = False
         self._keep(buffers)
         self._unreset = any_done
-        self._show()
+        if self.render_mode == "human":
+            self._frames()
         found = (buffers["observation"], reward, terminated, truncated, info)
         return found if self.output == "torch" else tuple(self._out(x) for x in found)
 
@@ -278,7 +285,7 @@ class ArmVectorEnv(VectorEnv):
         if self.render_mode is None:
             raise ArgumentError("render_mode must be 'rgb_array' or 'human' to render; it is chosen at construction")
         self._started("render")
-        return self._shown()
+        return self._frames()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the view, if there is one."""
@@ -286,11 +293,7 @@ class ArmVectorEnv(VectorEnv):
             self._painter.close()
         self._painter = None
 
-    def _show(self) -> None:
-        if self.render_mode == "human":
-            self._shown()
-
-    def _shown(self) -> tuple[np.ndarray, ...] | None:
+    def _frames(self) -> tuple[np.ndarray, ...] | None:
         from torchdq.envs.render import Painter, Viewer
 
         if self._painter is None:
@@ -367,17 +370,6 @@ class ArmVectorEnv(VectorEnv):
         if self.output == "torch":
             return x
         return {k: self._out(v) for k, v in x.items()} if isinstance(x, dict) else x.cpu().numpy()
-
-    def _seeded(self, buffers: Mapping[str, Tensor], seed: Any, mask: Tensor) -> Streams:
-        """Random numbers with the rows of a mask seeded."""
-        if isinstance(seed, Tensor | np.ndarray):
-            seed = seed.tolist()
-        seeds = seeds_of(seed, self.num_envs)
-        if isinstance(seed, Integral):
-            super().reset(seed=int(seed))
-        given = torch.tensor([s is not None for s in seeds], device=self.device)
-        fresh = seeded([s or 0 for s in seeds], self.num_envs, self.device)
-        return self._streams(buffers).with_rows(Masked(mask & given), fresh)
 
     def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The task's rows after a step, and the buffers."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn, get_args
 
 import torch
@@ -14,15 +14,14 @@ from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_choice, require_number, require_tensor
 from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import friction
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, nearest
 from torchdq.functions.call import Precision, function_of, with_tensors
 from torchdq.layers.layer_friction import layer_friction
 from torchdq.layers.layer_program import GAINS, OWN, LayerFunction, Parameters, program
-from torchdq.layers.learnable import initial_values, learnable
 from torchdq.layers.parametrizations import PhysicalInertia, Positive, restored
 from torchdq.program.program import Program
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_robot
+from torchdq.robot.argument import require_bodies, require_robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import constants
 
@@ -32,6 +31,8 @@ CONSTRAINED: dict[str, type[Positive | PhysicalInertia]] = {
     "armature": Positive,
     "inertia": PhysicalInertia,
 }
+INITIAL = {"armature": 1e-3, "offset": 0.0}  # initial value of what the description does not give [SI]
+LAYER_TORQUES = ("friction", "offset")  # learned torques that are not those of rigid bodies
 SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the shift of its centre of mass [m]
 
 
@@ -72,7 +73,7 @@ class RobotModule(nn.Module):
         forms = {**CONSTRAINED, **{name: self._friction.constraint(name) for name in self._friction.learned}}
         self._initial: dict[str, Tensor] = {}  # unconstrained numbers by quantity, from which `prior` measures
         for name in self.learn:
-            start = self._friction.initial() if name == "friction" else initial_values(robot, name)
+            start = self._friction.initial() if name == "friction" else {name: initial_value(robot, name)}
             for quantity, value in start.items():
                 self.register_parameter(quantity, nn.Parameter(value))
                 form = forms.get(quantity)
@@ -238,3 +239,39 @@ class RobotModule(nn.Module):
         lists = dict(modules.pop("parametrizations").items())  # type: ignore[union-attr,operator]
         state = {**self.__dict__, "_modules": modules}
         return restored, (parametrize.type_before_parametrizations(self), state, lists)
+
+
+def learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
+    """Names in `learn`, each once; raises unless all are quantities that the robot has."""
+    known = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
+    known += LAYER_TORQUES
+    names = (learn,) if isinstance(learn, str) else learn
+    wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
+    if wrong:
+        raise ArgumentError(
+            f"learn must name what robot {robot.name!r} has among {known}, found {wrong[0]!r}{_cure(wrong[0], known)}"
+        )
+    if "inertia" in names:
+        require_bodies(robot, "learning inertias")
+    return tuple(dict.fromkeys(names))
+
+
+def _cure(wrong: Any, known: Sequence[str]) -> str:
+    """Cure for a value that is not a learnable quantity."""
+    if isinstance(wrong, Mapping):
+        return "; it takes names alone, and starts from the numbers of the robot: give others by robot.replace(...)"
+    if not isinstance(wrong, str):
+        return ""
+    if wrong in ("damping", "viscous", "coulomb", "stribeck"):
+        return "; 'friction' learns viscous and Coulomb friction, from the damping and the friction of the robot on"
+    if wrong in ("kp", "kd"):
+        return "; gains are learned by torchdq.ComputedTorque alone"
+    close = nearest(wrong, known)
+    return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
+
+
+def initial_value(robot: Robot, name: str) -> Tensor:
+    """Initial value of a quantity, but for friction."""
+    if name == "offset" or getattr(robot, name) is None:
+        return torch.full_like(robot.damping, INITIAL[name])
+    return getattr(robot, name).detach().clone()

@@ -36,7 +36,8 @@ class Learned:
         self.factor = scales.weight.to(x) * domain(scales.of_state(x))  # [..., n], which r does not change
         of_features = (scales.spread, scales.middle, scales.range)
         spread, self.middle, self.range = (self._last(y.to(x).reshape(x.shape[-2:])) for y in of_features)
-        self.still, self.moving = self._first(x), self._last(x)  # features that r does not change, and that it does
+        # features that r does not change, as the network sees them, and those that it does
+        self.still, self.moving = self._first(scales.within_range(x)), self._last(x)
         # what r subtracts from those, [..., groups, changes, n]
         self.columns = directions.to(x).reshape(*directions.shape[:-3], *spread.shape, n) / spread.unsqueeze(-1)
 
@@ -61,23 +62,25 @@ class Learned:
 
     def _network(self, moved: Tensor) -> Tensor:
         """Torques [..., n] of the network without limit."""
-        x = self._joined(self._within_range(moved), self._first(self.scales.within_range(self._joined(moved))))
-        return self.scales.torques(x, self.network)
+        return self._outputs(self._within_range(moved))
 
     def _linearised(self, moved: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
         """`_network`, and how it changes along directions [..., groups, changes, n] of the features, [..., n, n]."""
-        x = self._joined(self._within_range(moved), self._first(self.scales.within_range(self._joined(moved))))
-
-        def network(x: Tensor) -> Tensor:
-            return self.scales.torques(x, self.network)
+        inside = self._within_range(moved)
 
         def changed(direction: Tensor) -> Tensor:
-            return torch.func.jvp(network, (x,), (self._joined(direction, torch.zeros_like(self.still)),))[1]
+            return torch.func.jvp(self._outputs, (inside,), (direction,))[1]
 
         if not torch.compiler.is_compiling():
             load_forward_mode()
         # forward mode, because torch refuses reverse mode inside of a checkpoint
-        return network(x), torch.func.vmap(changed)(along.movedim(-1, 0)).movedim(0, -1)
+        return self._outputs(inside), torch.func.vmap(changed)(along.movedim(-1, 0)).movedim(0, -1)
+
+    def _outputs(self, inside: Tensor) -> Tensor:
+        """Torques [..., n] of the network for features that r changes, within their range."""
+        joints = (inside.shape[-1] // 2, -1)
+        x = torch.cat([part.unflatten(-1, joints) for part in (self.still, inside)], -1)
+        return self.scales.torques(x.flatten(-2), self.network)
 
     def _moved(self, r: Tensor) -> Tensor:
         """Features [..., groups, changes] that r changes, scaled."""
@@ -99,12 +102,6 @@ class Learned:
         """Torques [..., n] of the model among the features that r changes."""
         return moved[..., 1::2].flatten(-2)
 
-    def _joined(self, moved: Tensor, still: Tensor | None = None) -> Tensor:
-        """All features [..., groups, features]."""
-        joints = (moved.shape[-1] // 2, -1)
-        parts = (self.still if still is None else still, moved)
-        return torch.cat([x.unflatten(-1, joints) for x in parts], -1).flatten(-2)
-
     def _with_offset(self, torques: Tensor) -> Tensor:
         return torques if self.offset is None else torques + self.offset
 
@@ -124,8 +121,7 @@ class Prepared(Learned):
             factor = scale if k == len(weights) - 1 else 2.0
             biases[k] = factor * (biases[k] - weight.sum(-1, keepdim=True) if k else biases[k])
             weights[k] = factor * (2 * weight if k else weight)
-        still = self._first(scales.within_range(self._joined(self.moving)))
-        self.start = torch.baddbmm(biases[0], self._first(weights[0]), _samples_last(still))
+        self.start = torch.baddbmm(biases[0], self._first(weights[0]), _samples_last(self.still))
         self.first, self.weights, self.biases = self._last(weights[0]), weights[1:], biases[1:]
 
     def _network(self, moved: Tensor) -> Tensor:
