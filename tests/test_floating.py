@@ -419,38 +419,6 @@ def test_a_traced_graph():
 
 
 @SOME
-def test_momentum_changes_by_external_forces_alone(name):
-    """Gravity and the wrench on the base, whatever the joint torques are."""
-    c, m = case(name), motion(case(name))
-    A, qdd = floating.forward_dynamics(c.robot, **m.pick(*TWIST, "tau", "f_base"))
-    rate = floating.momentum_rate(c.robot, **m.pick(*TWIST), A_WB_B=A, qdd=qdd)
-    X, mass = m["X_WB"], pin.computeTotalMass(c.model)
-    force, moment = (dq.rotate(dq.rotation(X), f) for f in m["f_base"].split(3, -1))
-    lever = dq.translation(X) - floating.centre_of_mass(c.robot, X, m["q"])
-    near(rate.linear, force + mass * c.robot.gravity, size_of(c, m), rounding(c, m))
-    near(rate.angular, moment + torch.linalg.cross(lever, force), size_of(c, m), rounding(c, m))
-
-
-@SOME
-def test_power_is_the_rate_of_energy(name):
-    """The derivative of T + U along the motion is the power of wrench and torques."""
-    c, m = case(name), motion(case(name))
-    A, qdd = floating.forward_dynamics(c.robot, **m.pick(*TWIST, "tau", "f_base"))
-
-    def energy(X, q, V, qd):
-        return floating.kinetic_energy(c.robot, X, q, V, qd) + floating.potential_energy(c.robot, X, q)
-
-    at = tuple(m.pick(*TWIST).values())
-    along = ((displaced(at[0]) @ at[2][..., None])[..., 0], at[3], A, qdd)
-    leaves = [x.clone().requires_grad_() for x in at]
-    grads = torch.autograd.grad(energy(*leaves).sum(), leaves, materialize_grads=True)
-    found = sum((g * d).sum(-1) for g, d in zip(grads, along, strict=True))
-    power = dq.power(m["f_base"], at[2]) + (m["tau"] * at[3]).sum(-1)
-    size = sum((g * d).abs().sum(-1) for g, d in zip(grads, along, strict=True)).max().item()
-    near(found, power, size, rounding(c, m))
-
-
-@SOME
 def test_the_axes_of_the_world_do_not_matter(name):
     """Turn and shift the world, and its gravity with it: forces and accelerations in the robot's axes stay."""
     c, m = case(name), motion(case(name))
@@ -464,22 +432,6 @@ def test_the_axes_of_the_world_do_not_matter(name):
         near(found, expected, expected.abs().max().item(), rounding(c, m))
     h, before = found_by("momentum", turned, there), found_by("momentum", c, m)
     near(h.angular, dq.rotate(dq.rotation(X_NW), before.angular), 100.0)
-
-
-@pytest.mark.parametrize("name", ["tree3", "tree7", "solo12"])
-def test_a_very_heavy_base_does_not_move(name):
-    """The limit of a fixed base, whose gravity is that of the world in its axes."""
-    c, m = case(name), motion(case(name))
-    heavy = c.robot.replace(base_mass=torch.tensor(1e9).double(), base_com=torch.zeros(3).double(),
-                            base_inertia=torch.tensor([1e9, 0, 1e9, 0, 0, 1e9]).double())  # fmt: skip
-    weight = 1e9 * dq.rotate(dq.conj(m["X_WB"])[..., :4], c.robot.gravity)
-    f_base = torch.cat([-weight, torch.zeros(3, 3)], -1)
-    X, q, _, qd = m.pick(*TWIST).values()
-    A, qdd = floating.forward_dynamics(heavy, X, q, 0 * m["V_WB_B"], qd, m["tau"], f_base=f_base)
-    gravity = dq.rotate(dq.conj(X)[..., :4], c.robot.gravity)
-    expected = torchdq.forward_dynamics(fixed(c.robot).replace(gravity=gravity), q, qd, m["tau"])
-    near(A, 0 * A, expected.abs().max().item(), 1e-6)
-    near(qdd, expected, expected.abs().max().item(), 1e-5)
 
 
 # --- hard cases ------------------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """What is learned stays physical, is what it says it is, and can be learned.
 
-That a body can exist is decided by the principal moments of its inertia, by numpy; friction is what a scene with the
-same effects simulates, and formulas are written out here.
+That a body can exist is decided by the principal moments of its inertia, by numpy; formulas are written out here. That
+friction is what a scene with the same effects simulates is held by effects/test_friction.py.
 """
 
 import copy
@@ -21,13 +21,10 @@ from torch.func import functional_call
 from torch.nn.utils.parametrize import type_before_parametrizations
 
 import torchdq
-from torchdq import effects
-from torchdq.envs import Scene
 from torchdq.functions import posed
 from torchdq.layers.parametrizations import PhysicalInertia, Positive
 from torchdq.nn import RobotModule
 from torchdq.robot.check.consistency import inert_joints
-from torchdq.scene.integrators import ExplicitEuler
 
 F32, F64 = torch.float32, torch.float64
 EVERYTHING = ("mass", "com", "inertia", "friction", "armature", "offset")
@@ -115,14 +112,6 @@ def test_the_free_numbers_are_the_triangle_of_the_second_moments():
     second = L @ L.T
     expected = np.trace(second) * np.eye(3) - second
     assert np.allclose(matrices(PhysicalInertia()(x)), expected, rtol=1e-14, atol=1e-14)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_units_change_the_logarithms_only_and_all_alike(seed):
-    inertia, form = bodies(3, seed=seed), PhysicalInertia()
-    change = form.right_inverse(1e4 * inertia) - form.right_inverse(inertia)
-    expected = np.log(1e2) * double(1, 0, 1, 0, 0, 1)
-    assert torch.allclose(change, expected.expand_as(change), rtol=0.0, atol=1e-10)
 
 
 DEGENERATE = {
@@ -295,63 +284,35 @@ def test_an_option_that_a_layer_cannot_take_is_named(options):
 # --- friction and offset ---------------------------------------------------------------------------------------------
 
 VISCOUS, COULOMB, WIDTH = double(3, 0.5, 2, 1, 0.2, 4), double(1, 2, 0.3, 4, 5, 0.6), 0.05
+OFFSET = double(1, -2, 3, -4, 5, -6)  # of any sign
 
 
-def rubbing(kind, robot, learn=("friction",), **options):
-    """A module with friction that is not its starting one."""
-    module = getattr(torchdq, kind)(robot, learn=learn, sign_width=WIDTH, **options)
-    module.viscous, module.coulomb = VISCOUS, COULOMB
-    if "offset" in learn:
-        with torch.no_grad():
-            module.offset.copy_(random(6, seed=11))
+def rubbing(kind, learn=("friction", "offset"), **options):
+    """A module with friction and offset that are not its starting ones."""
+    module = getattr(torchdq, kind)(TREE, learn=learn, sign_width=WIDTH, **options)
+    module.viscous, module.coulomb, module.offset = VISCOUS, COULOMB, OFFSET
     return module
 
 
 def test_friction_and_offset_are_their_formulas():
     q, qd, qdd = random(3, 30, 6, seed=10)
     qd[0] = 0.0
-    module = rubbing("DQRNEA", TREE)
-    expected = VISCOUS * qd + COULOMB * qd / torch.sqrt(qd**2 + WIDTH**2)
+    module, expected = rubbing("DQRNEA"), VISCOUS * qd + COULOMB * qd / torch.sqrt(qd**2 + WIDTH**2)
     assert torch.allclose(module.friction_torque(qd), expected, rtol=1e-13, atol=1e-15)
-    assert torch.allclose(
-        module(q, qd, qdd), torchdq.inverse_dynamics(TREE, q, qd, qdd) + expected, rtol=1e-13, atol=1e-12
-    )
-    assert torch.equal(module(q), torchdq.inverse_dynamics(TREE, q))
+    rigid = torchdq.inverse_dynamics(TREE, q, qd, qdd)
+    assert torch.allclose(module(q, qd, qdd), rigid + expected + OFFSET, rtol=1e-13, atol=1e-12)
+    assert torch.allclose(module(q), torchdq.inverse_dynamics(TREE, q) + OFFSET, rtol=1e-13, atol=1e-12)
     assert not torchdq.DQRNEA(TREE).friction_torque(qd).any() and module.friction_torque(qd.float()).dtype == F32
-    module, offset = torchdq.DQRNEA(TREE, learn="offset"), double(1, -2, 3, -4, 5, -6)  # of any sign
-    module.offset = offset
-    assert torch.allclose(module(q, qd, qdd), torchdq.inverse_dynamics(TREE, q, qd, qdd) + offset, rtol=1e-13)
 
 
-def test_friction_is_what_a_scene_with_the_same_effects_must_overcome():
-    """The scene, driven by the layer's torques, accelerates as was asked for."""
-    q, qd, qdd = random(3, 20, 6, seed=12)
-    tau = rubbing("DQRNEA", TREE)(q, qd, qdd).detach()
-    friction = effects.Viscous(VISCOUS.tolist()), effects.Coulomb(COULOMB.tolist(), WIDTH)
-    dt = 1e-3
-    scene = Scene(TREE, (effects.Gravity(), *friction), integrator=ExplicitEuler(), dt=dt)
-    start = scene.start(q, qd)
-    found = (scene.step(start, torque=tau).qd - qd) / dt
-    assert torch.allclose(found, qdd, rtol=1e-8, atol=1e-8)
-    without = Scene(TREE, (effects.Gravity(),), integrator=ExplicitEuler(), dt=dt)
-    assert float(((without.step(start, torque=tau).qd - qd) / dt - qdd).abs().max()) > 1.0
-
-
-@pytest.mark.parametrize("learn", [("friction",), ("friction", "offset", "armature", "mass")], ids=str)
-def test_forward_dynamics_is_the_way_back(learn):
-    q, qd, qdd = random(3, 20, 6, seed=13)
-    tau = rubbing("DQRNEA", TREE, learn)(q, qd, qdd)
-    found = rubbing("ForwardDynamics", TREE, learn)(q, qd, tau)
+@pytest.mark.parametrize("learn", [("friction", "offset"), ("friction", "offset", "armature", "mass")], ids=str)
+def test_forward_dynamics_is_the_way_back_and_the_controller_compensates_at_the_measured_velocity(learn):
+    q, qd, qdd, q_des, qd_des = random(5, 20, 6, seed=13)
+    back = rubbing("ForwardDynamics", learn)
+    found = back(q, qd, rubbing("DQRNEA", learn)(q, qd, qdd))
     assert torch.allclose(found, qdd, rtol=1e-9, atol=1e-9)
-
-
-def test_the_controller_compensates_at_the_measured_velocity():
-    learn = ("friction", "offset")
-    q, qd, q_des, qd_des, qdd_des = random(5, 20, 6, seed=14)
-    tau = rubbing("ComputedTorque", TREE, learn, kp=9.0, kd=6.0)(q, qd, q_des, qd_des, qdd_des)
-    found = rubbing("ForwardDynamics", TREE, learn)(q, qd, tau)
-    expected = qdd_des + 6.0 * (qd_des - qd) + 9.0 * (q_des - q)
-    assert torch.allclose(found, expected, rtol=1e-8, atol=1e-8)
+    found = back(q, qd, rubbing("ComputedTorque", learn, kp=9.0, kd=6.0)(q, qd, q_des, qd_des, qdd))
+    assert torch.allclose(found, qdd + 6.0 * (qd_des - qd) + 9.0 * (q_des - q), rtol=1e-8, atol=1e-8)
 
 
 # --- prior -----------------------------------------------------------------------------------------------------------

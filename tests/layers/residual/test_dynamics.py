@@ -243,29 +243,3 @@ MISUSE = {
 def test_wrong_arguments_are_refused_by_name(call):
     with refused(torchdq.ArgumentError):
         MISUSE[call](torchdq.DQRNEA(PANDA))
-
-
-# --- learning --------------------------------------------------------------------------------------------------------
-
-
-def gears(q, qd):
-    """What the model has no word for: cogging, and friction that rises with the square of the velocity."""
-    return 0.5 * (3 * q).sin() + 0.2 * qd * qd.abs()
-
-
-def test_it_learns_what_the_model_has_no_word_for():
-    torch.manual_seed(0)
-    q, qd, qdd = random(3, 2000, 2, seed=10)
-    tau = torchdq.inverse_dynamics(TWO, q, qd, qdd) + gears(q, qd)
-    layer = ResidualDynamics(torchdq.DQRNEA(TWO), hidden=(16, 16), position=True)
-    layer.standardise(q, qd, qdd, tau)
-    optimiser = torch.optim.Adam(layer.parameters(), lr=1e-2)
-    for k in range(400):
-        rows = torch.arange(k * 250, (k + 1) * 250) % 2000
-        optimiser.zero_grad()
-        with torchdq.backend("auto"):
-            (layer(q[rows], qd[rows], qdd[rows]) - tau[rows]).square().mean().backward()
-        optimiser.step()
-    q, qd, qdd = 0.9 * random(3, 500, 2, seed=11)
-    error = (layer.residual(q, qd, qdd) - gears(q, qd)).square().mean()
-    assert error.item() < 0.05 * float(gears(q, qd).square().mean())
