@@ -72,8 +72,7 @@ class Skeleton:
         self.robot = robot.replace(**first).to(torch.float64, "cpu")
         self.joints: list[int] = []  # point on the axis of each joint
         self.tip: int | None = None  # point of the end effector
-        self.lines: list[tuple[int, int]] = []
-        self.links: list[int] = []  # link of each line
+        self.lines: list[tuple[int, int]] = []  # points at their ends
         self._frames: list[int] = []  # frame that each point but the base is fixed to
         self._offsets: list[Tensor] = []  # position of the point in that frame [m]
 
@@ -83,25 +82,21 @@ class Skeleton:
         for i, (name, parent) in enumerate(zip(robot.link_names, robot.parents, strict=True)):
             origins.append(self._point(name, torch.zeros(3)))
             self.joints.append(self._point(name, axes[i]) if axes[i].norm() > 1e-6 else origins[i])
-            self._line(i, 0 if parent == BASE else origins[parent], self.joints[i])
+            self.lines.append((0 if parent == BASE else origins[parent], self.joints[i]))
             if self.joints[i] != origins[i]:
-                self._line(i, self.joints[i], origins[i])
+                self.lines.append((self.joints[i], origins[i]))
         if tip is not None:
             self.tip = self._point(tip.name, torch.zeros(3))
-            self._line(tip.link, 0 if tip.link == BASE else origins[tip.link], self.tip)
+            self.lines.append((0 if tip.link == BASE else origins[tip.link], self.tip))
         for i, name in enumerate(robot.link_names):
             ends_in_tip = tip is not None and tip.link == i and translation(tip.X_BF).norm() > 1e-6
             if i not in robot.parents and not ends_in_tip:
-                self._line(i, origins[i], self._point(name, self.robot.com[i]))
+                self.lines.append((origins[i], self._point(name, self.robot.com[i])))
 
     def _point(self, frame: str, offset: Tensor) -> int:
         self._frames.append(self.robot.frame_names.index(frame))
         self._offsets.append(offset.double())
         return len(self._frames)
-
-    def _line(self, link: int, start: int, end: int) -> None:
-        self.links.append(link)
-        self.lines.append((start, end))
 
     def points(self, q: Any, most: int | None = None) -> np.ndarray:
         """Positions [k, points, 3] in the base frame [m] at q [rad or m], shape [n] or, with k <= most, [k, n]."""
@@ -147,10 +142,10 @@ class Painter:
         self._figure = _library("matplotlib.figure").Figure(figsize=(size[0] / 72, size[1] / 72), dpi=72)
         self._canvas = _library("matplotlib.backends.backend_agg").FigureCanvasAgg(self._figure)
 
-    def project(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Pixels [k, ..., 2] from the lower left corner, and nearness [k, ...], of positions [k, ..., 3] of k arms.
 
-        Nearness is measured toward the camera from the middle of the view, in its radii.
+        Nearness is measured toward the camera from the middle of the view, in its radii, whose size in pixels is third.
         """
         arms, (width, height) = len(x), self.size
         columns = max(range(1, arms + 1), key=lambda c: min(width / c, height / math.ceil(arms / c)))
@@ -158,12 +153,8 @@ class Painter:
         at = np.arange(arms)
         centres = np.array([0.0, height]) + (np.stack([at % columns, -1 - at // columns], -1) + 0.5) * cell
         seen = (x - self.middle) @ self._camera / self.radius
-        return centres.reshape(-1, *(1,) * (x.ndim - 2), 2) + seen[..., :2] * self._scale(arms), seen[..., 2]
-
-    def _scale(self, arms: int) -> float:
-        """Pixels of a radius of the view."""
-        rows = ((c, math.ceil(arms / c)) for c in range(1, arms + 1))
-        return max(min(self.size[0] / c, self.size[1] / r) for c, r in rows) / 2.1
+        pixels = centres.reshape(-1, *(1,) * (x.ndim - 2), 2) + seen[..., :2] * cell.min() / 2.1
+        return pixels, seen[..., 2], cell.min() / 2.1
 
     def frame(self, q: Any, target: Any = None, text: str | None = None) -> np.ndarray:
         """Image [height, width, 3], uint8, of one robot or of k <= 16 of them.
@@ -221,14 +212,14 @@ class Painter:
 
         Widths and biases are in radii of the view.
         """
-        pixels, nearness = self.project(np.concatenate([ends for ends, *_ in strokes], 1))
+        pixels, nearness, scale = self.project(np.concatenate([ends for ends, *_ in strokes], 1))
         pixels[..., 1, 0] += 0.01  # a stroke without length would not be drawn
         numbers, arms = [ends.shape[1] for ends, *_ in strokes], len(pixels)
         widths, colours, biases = (np.repeat(column, numbers) for column in list(zip(*strokes, strict=True))[1:])
         order = np.argsort((nearness.mean(-1) + biases).ravel(), kind="stable")
         lines = self._artists.LineCollection(
             pixels.reshape(-1, 2, 2)[order],
-            linewidths=np.tile(widths, arms)[order] * self._scale(arms),
+            linewidths=np.tile(widths, arms)[order] * scale,
             colors=np.tile(colours, arms)[order],
             capstyle="round",
             snap=False,

@@ -217,9 +217,9 @@ class ArmVectorEnv(VectorEnv):
             seeds = seeds_of(seed.tolist() if isinstance(seed, Tensor | np.ndarray) else seed, self.num_envs)
             if isinstance(seed, Integral):
                 super().reset(seed=int(seed))
-            mask_of_seeds = mask & torch.tensor([s is not None for s in seeds], device=self.device)
+            given = mask & torch.tensor([s is not None for s in seeds], device=self.device)
             fresh = seeded([s or 0 for s in seeds], self.num_envs, self.device)
-            buffers |= self._streams(buffers).with_rows(Masked(mask_of_seeds), fresh)._asdict()
+            buffers |= self._streams(buffers).with_rows(Masked(given), fresh)._asdict()
         buffers = self._begun(buffers, self._some(mask))
         self._keep(buffers)
         self._unreset = self._any(buffers["finished"])

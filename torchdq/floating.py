@@ -116,8 +116,7 @@ def inverse_dynamics(
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
     ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> inverse_dynamics(robot, X_WB, q).F_B[1]  # the weight of 4 kg
+    >>> inverse_dynamics(robot, torch.eye(8)[0], torch.zeros(2)).F_B[1]  # the weight of 4 kg
     tensor(39.2400)
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
@@ -168,8 +167,7 @@ def mass_matrix(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | No
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
     ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> mass_matrix(robot, X_WB, q).base[3:, 3:].diagonal()  # 2 kg and two links of 1 kg
+    >>> mass_matrix(robot, torch.eye(8)[0], torch.zeros(2)).base[3:, 3:].diagonal()  # 2 kg and two links of 1 kg
     tensor([4., 4., 4.])
     """
     (M,) = function_of("floating.mass_matrix", robot, {"X_WB": X_WB, "q": q}, backend)
@@ -205,8 +203,7 @@ def error_growth(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | N
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
     ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> error_growth(robot, X_WB, q) > 1
+    >>> error_growth(robot, torch.eye(8)[0], torch.zeros(2)) > 1
     tensor(True)
     """
     return function_of("floating.error_growth", robot, {"X_WB": X_WB, "q": q}, backend)[0]
@@ -230,8 +227,7 @@ def regressor(
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
     ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> regressor(robot, X_WB, q).shape  # eight rows of forces, three bodies of ten parameters
+    >>> regressor(robot, torch.eye(8)[0], torch.zeros(2)).shape  # eight rows of forces, three bodies of ten parameters
     torch.Size([8, 30])
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
@@ -284,8 +280,7 @@ def centre_of_mass(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName |
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
     ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> centre_of_mass(robot, X_WB, q)
+    >>> centre_of_mass(robot, torch.eye(8)[0], torch.zeros(2))
     tensor([0.5000, 0.0000, 0.0000])
     """
     return function_of("floating.centre_of_mass", robot, {"X_WB": X_WB, "q": q}, backend)[0]
@@ -359,8 +354,7 @@ def forward_kinematics(
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
     ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> torchdq.dq.translation(forward_kinematics(robot, X_WB, q, robot.tip))
+    >>> torchdq.dq.translation(forward_kinematics(robot, torch.eye(8)[0], torch.zeros(2), robot.tip))
     tensor([2., 0., 0.])
     """
     return poses("floating.forward_kinematics", robot, {"X_WB": X_WB, "q": q}, frame, backend)
@@ -386,8 +380,7 @@ def jacobian(
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
     ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> jacobian(robot, X_WB, q, robot.tip).shape
+    >>> jacobian(robot, torch.eye(8)[0], torch.zeros(2), robot.tip).shape
     torch.Size([6, 8])
     """
     return of_one_frame("floating.jacobian", robot, {"X_WB": X_WB, "q": q}, (frame, expressed), backend)

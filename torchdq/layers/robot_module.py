@@ -91,7 +91,8 @@ class RobotModule(nn.Module):
                     f"{name} is not learned by this layer, so assigning to it would change nothing; make the layer "
                     f"with learn={(*self.learn, source)}, or with robot.replace(...)"
                 )
-        if isinstance(value, Tensor) and "_initial" in self.__dict__ and name in self._learned_quantities():
+        made = "_initial" in self.__dict__ and isinstance(value, Tensor)
+        if made and (name in self._parameters or parametrize.is_parametrized(self, name)):
             present = getattr(self, name)
             joints = value.shape[-present.ndim :][:1]
             if joints != present.shape[:1] and value.ndim:
@@ -104,11 +105,6 @@ class RobotModule(nn.Module):
                         present.copy_(value)  # an optimiser goes on with it
                     return
         super().__setattr__(name, value)
-
-    def _learned_quantities(self) -> set[str]:
-        """Names of the tensors that are learned."""
-        constrained = self._modules.get("parametrizations", nn.ModuleDict())
-        return {*self._parameters, *constrained}  # type: ignore[misc]
 
     @property
     def robot(self) -> Robot:

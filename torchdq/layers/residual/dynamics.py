@@ -142,14 +142,14 @@ class ResidualDynamics(nn.Module):
         self, q: Tensor, qd: Tensor, qdd: Tensor | None = None, f_tip: Tensor | None = None, f_ext: Tensor | None = None
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.inverse_dynamics`."""
-        tau, rest = self._parts(q, qd, qdd, f_tip, f_ext)
-        return tau + rest
+        tau = self.model(q, qd, qdd, f_tip, f_ext)
+        return tau + self.correction(self.features(q, qd, qdd, tau))
 
     def residual(
         self, q: Tensor, qd: Tensor, qdd: Tensor | None = None, f_tip: Tensor | None = None, f_ext: Tensor | None = None
     ) -> Tensor:
         """Torques [..., n] that the network adds to those of the model."""
-        return self._parts(q, qd, qdd, f_tip, f_ext)[1]
+        return self.correction(self.features(q, qd, qdd, self.model(q, qd, qdd, f_tip, f_ext)))
 
     @torch.no_grad()
     def predict(
@@ -209,15 +209,9 @@ class ResidualDynamics(nn.Module):
         >>> print(*[type(effect).__name__ for effect in model.effects()])
         Gravity Viscous Coulomb Residual
         """
-        robot, inner = self.robot, self.model
-        found: list[Effect] = [] if robot.gravity is None else [Gravity()]
-        found += [] if robot.armature is None else [RotorInertia()]
-        return (*found, *inner.friction, Residual(self))
-
-    def _parts(self, q: Tensor, qd: Tensor, qdd: Tensor | None, *wrenches: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Torques of the model, and those of the network."""
-        tau = self.model(q, qd, qdd, *wrenches)
-        return tau, self.correction(self.features(q, qd, qdd, tau))
+        found: list[Effect] = [] if self.robot.gravity is None else [Gravity()]
+        found += [] if self.robot.armature is None else [RotorInertia()]
+        return (*found, *self.model.friction, Residual(self))
 
     def features(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
         """Features of every joint [..., n, 6 or 8], before scaling; tau [..., n] are the torques of the model."""
@@ -267,11 +261,9 @@ class ResidualDynamics(nn.Module):
     def leverage(self, x: Tensor) -> Tensor:
         """How little the training rows tell the network's last layer, for scaled features; see `Posterior.leverage`."""
         inner = perceptrons(self.network)
-        return (
-            x.new_zeros(x.shape[:-1])
-            if inner is None
-            else self.posterior.leverage(inner.last_hidden(self.scales.within_range(x)))
-        )
+        if inner is None:
+            return x.new_zeros(x.shape[:-1])
+        return self.posterior.leverage(inner.last_hidden(self.scales.within_range(x)))
 
     @torch.no_grad()
     def standardise(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> None:
