@@ -9,8 +9,7 @@ RobotModule       base of the first three
 """
 
 from torchdq.layers.computed_torque import ComputedTorque
-from torchdq.layers.forward_dynamics import ForwardDynamics
-from torchdq.layers.inverse_dynamics import DQRNEA, InverseDynamics
+from torchdq.layers.dynamics import DQRNEA, ForwardDynamics, InverseDynamics
 from torchdq.layers.residual import PredictedTorques, ResidualDynamics
 from torchdq.layers.robot_module import RobotModule
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import pytest
 import torch
 from messages import refused
-from small_envs import ROBOT, actions_of, same, started
+from small_envs import actions_of, started
 
 import torchdq
-from torchdq.envs import ArmEnv, State, TorchTask, effects
+from torchdq.envs import State, TorchTask, effects
 from torchdq.envs.tasks import Reach
 
 BOUNDS = [(-math.inf, math.inf)] * 4
@@ -125,21 +125,6 @@ def test_starts_may_be_chosen_among_several():
     q, qd = envs._buffers["q"], envs._buffers["qd"]
     assert bool((qd == 0.5).all()) and bool((q.abs() <= 1).all())
     assert abs(q[:, 1].abs().mean() - 2 / 3) < 0.05 and abs(q[:, 0].abs().mean() - 1 / 2) < 0.05
-
-
-def test_a_row_is_the_single_environment():
-    task = TorchTask("reach", gentle, state, lambda now: now.q[:, 0] > 1.0, above, BOUNDS, 4)
-    many = make(task, 7, max_episode_steps=10)
-    one = ArmEnv(task=task, robot=ROBOT, scale=20.0, effects=(effects.Viscous(1.0),), max_episode_steps=10)
-    observations, _ = many.reset(seed=10)
-    assert same(one.reset(seed=13)[0], observations[3])
-    for action, _ in zip(actions_of(many), range(30), strict=False):
-        observations, rewards, terminated, truncated, info = many.step(action)
-        seen, reward, ended, cut, _ = one.step(action[3].numpy())
-        assert same(seen, info.get("final_obs", observations)[3])
-        assert (reward, ended, cut) == (rewards[3], terminated[3], truncated[3])
-        if ended or cut:
-            assert same(one.reset()[0], observations[3])
 
 
 @pytest.mark.parametrize(

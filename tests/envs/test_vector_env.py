@@ -27,6 +27,15 @@ from torchdq.scene.defaults import default_effects
 
 BACKEND = "auto"
 TASKS = pytest.mark.parametrize("task", ["reach", "track"])
+IN_TORCH = TorchTask(
+    "reach",
+    reward=lambda now: -now.q.square().sum(1),
+    observation=lambda now: torch.cat([now.q_measured, now.qd_measured], 1),
+    terminated=lambda now: now.q[:, 0] > 1.0,
+    start=lambda robot, u: {"q": 2 * u - 1},
+    bounds=[(-math.inf, math.inf)] * 4,
+    draws=2,
+)
 
 
 def stacked(limits=False):
@@ -219,21 +228,21 @@ def test_without_a_seed_episodes_differ():
     assert len({tuple(row.tolist()) for row in first}) == 5
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"robot": "panda", "scale": None},
-        {"task": "track", "action": "residual"},
-        {"task": "track", "action": "reference", "randomise": {"mass": 0.3, "friction": 0.5, "payload": 1.0}},
-        {
-            "effects": (
-                *(effects.Gravity(), effects.Viscous(1.0), effects.FirstOrderLag(0.05), effects.CommandDelay(2)),
-                *(effects.Noise(0.01), effects.MeasurementDelay(2)),
-            )
-        },
-    ],
-    ids=["panda", "residual", "randomised", "memory"],
-)  # fmt: skip
+MEMORY = (effects.Viscous(1.0), effects.FirstOrderLag(0.05), effects.CommandDelay(2), effects.MeasurementDelay(2))
+KINDS = {
+    "panda": {"robot": "panda", "scale": None},
+    "residual": {"task": "track", "action": "residual"},
+    "randomised": {
+        "task": "track",
+        "action": "reference",
+        "randomise": {"mass": 0.3, "friction": 0.5, "payload": 1.0},
+    },
+    "memory": {"effects": (effects.Gravity(), *MEMORY, effects.Noise(0.01))},
+    "in torch": {"task": IN_TORCH, "effects": (effects.Viscous(1.0),)},
+}
+
+
+@pytest.mark.parametrize("arguments", KINDS.values(), ids=KINDS)
 def test_a_row_is_the_single_environment(arguments):
     many = make(21, max_episode_steps=60, **arguments)
     arguments = {"robot": ROBOT, "scale": 20.0, **arguments}
@@ -265,10 +274,10 @@ def test_every_row_may_have_its_own_seed_and_one_whose_seed_is_none_continues():
 
 def test_effects_remember_at_the_beginning_what_they_do_in_a_scene():
     envs = started(effects=(effects.MeasurementDelay(2), effects.Elastic(100.0, 1.0, 0.1), effects.CommandDelay(1)))
-    expected = envs.scene.start(envs._buffers["q"], envs._buffers["qd"])
-    assert torch.equal(envs._buffers["memory"], expected.memory) and torch.equal(
-        envs._buffers["reading"], expected.reading
-    )
+    found = envs.get_state()
+    expected = envs.scene.start(found["q"], found["qd"])
+    (memory,) = (x for name, x in found.items() if name.startswith("memory of "))
+    assert torch.equal(memory, expected.memory) and torch.equal(found["reading"], expected.reading)
     assert expected.memory.shape == (5, 4 + 2 + 8)
 
 
@@ -321,9 +330,6 @@ def test_finished_rows_wait_to_be_reset():
         envs.step(torch.zeros(5, 2))
     envs.reset(options={"reset_mask": terminated | truncated})
     envs.step(torch.zeros(5, 2))
-
-
-IN_TORCH = TorchTask("reach", reward=lambda now: -now.q.square().sum(1))
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)

@@ -15,7 +15,7 @@ from torchdq.dynamics.tracking import commanded
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import check
-from torchdq.layers.inverse_dynamics import InverseDynamics
+from torchdq.layers.dynamics import InverseDynamics
 from torchdq.layers.layer_friction import described
 from torchdq.layers.layer_program import GAINS
 from torchdq.layers.robot_module import RobotModule

@@ -13,7 +13,7 @@ from torchdq.dynamics.friction import smooth_sign
 from torchdq.effects import Effect, Gravity, Residual, RotorInertia
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
-from torchdq.layers.inverse_dynamics import InverseDynamics
+from torchdq.layers.dynamics import InverseDynamics
 from torchdq.layers.residual.domain import OPEN, Domain
 from torchdq.layers.residual.gate import CHANGED, Gate
 from torchdq.layers.residual.networks import Joined, Perceptrons, perceptrons
