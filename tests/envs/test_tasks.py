@@ -102,44 +102,44 @@ def test_a_controller_that_is_left_alone_tracks_with_the_true_model_and_not_with
     assert min(heavy, stuck, varied) > 3 * right
 
 
-def test_a_residual_pushes_an_arm_that_stands_still_by_itself():
-    envs = started(10, "reach", action="residual", effects=(effects.Gravity(),))
-    start = envs._buffers["q"].clone()
-    for _ in range(50):
-        envs.step(torch.zeros(10, 2))
-    assert torch.allclose(envs._buffers["q"], start, atol=1e-3)
-    envs.step(torch.ones(10, 2))
-    assert bool((envs._buffers["q"][:, 1] != start[:, 1]).all())
+def rolled(envs, actions, number=50):
+    """Positions before and after a number of equal steps."""
+    before = envs.get_state()["q"]
+    for _ in range(number):
+        envs.step(torch.tensor(actions).expand(10, 2))
+    return before, envs.get_state()["q"]
 
 
-def test_a_reference_action_moves_the_arm_on():
-    envs = started(10, "reach", action="reference", effects=(effects.Gravity(),), scale=None)
-    start = envs._buffers["q"].clone()
-    for _ in range(50):
-        envs.step(torch.tensor([1.0, -0.5]).expand(10, 2))
-    moved = envs._buffers["q"] - start  # in a second, at five times an offset of 0.4 and -0.2
-    assert torch.allclose(moved, torch.tensor([2.0, -1.0]), rtol=0.2)
+def test_an_arm_stands_still_by_itself_a_residual_pushes_it_and_a_reference_moves_it_on():
+    pushed = started(10, "reach", action="residual", effects=(effects.Gravity(),))
+    before, after = rolled(pushed, [0.0, 0.0])
+    assert torch.allclose(after, before, atol=1e-3)
+    before, after = rolled(pushed, [1.0, 1.0], 1)
+    assert bool((after[:, 1] != before[:, 1]).all())
+    moved = started(10, "reach", action="reference", effects=(effects.Gravity(),), scale=None)
+    before, after = rolled(moved, [1.0, -0.5])  # for a second, at five times an offset of 0.4 and -0.2
+    assert torch.allclose(after - before, torch.tensor([2.0, -1.0]), rtol=0.2)
 
 
 def test_the_controller_may_be_ones_own():
     pd = controllers.PD(200.0, 40.0, nominal_robot(make(1, effects=(effects.Gravity(),)).scene))
-    envs = started(4, "track", action="residual", controller=pd)
-    steps(envs, 3)
+    steps(started(4, "track", action="residual", controller=pd), 3)
     with refused(torchdq.ArgumentError):
         make(4, controller=pd)
 
 
-@dataclass(frozen=True)
-class Fall(Reach):
-    """An episode that ends when the first joint turns beyond an angle."""
+def changed(method, change):
+    """Task of which a method returns something else, a function of what it returns and of its arguments."""
 
-    def rows(self, view):
-        """With an end."""
-        return {**super().rows(view), "terminated": [at_least(-0.5, view.q[0])]}
+    def other(self, *given):
+        return change(getattr(Reach, method)(self, *given), *given)
+
+    return dataclass(frozen=True)(type("Changed", (Reach,), {method: other}))()
 
 
 def test_a_task_may_be_ones_own_and_end_episodes():
-    envs = started(5, Fall(), effects=(effects.Gravity(),))
+    fall = changed("rows", lambda rows, view: {**rows, "terminated": [at_least(-0.5, view.q[0])]})
+    envs = started(5, fall, effects=(effects.Gravity(),))
     ended = torch.zeros(5, dtype=torch.bool)
     for _ in range(200):
         _, _, terminated, _, info = envs.step(torch.zeros(5, 2))
@@ -148,18 +148,9 @@ def test_a_task_may_be_ones_own_and_end_episodes():
     assert bool(ended.any())
 
 
-@dataclass(frozen=True)
-class Undefined(Reach):
-    """A reward that is not a number."""
-
-    def rows(self, view):
-        """Without a reward, and with a row of two for `info`."""
-        return {**super().rows(view), "reward": [math.nan], "where": view.q}
-
-
 def test_a_reward_that_is_not_a_number_is_a_failure():
-    envs = started(5, Undefined(), effects=())
-    _, rewards, terminated, _, info = envs.step(torch.zeros(5, 2))
+    undefined = changed("rows", lambda rows, view: {**rows, "reward": [math.nan], "where": view.q})
+    _, rewards, terminated, _, info = started(5, undefined, effects=()).step(torch.zeros(5, 2))
     assert bool(info["nonfinite"].all()) and bool(terminated.all()) and rewards.tolist() == [-1000] * 5
     assert info["where"].shape == (5, 2)
 
@@ -194,12 +185,8 @@ CHANGES = {
 
 @pytest.mark.parametrize("method, change", [(name, one) for name, changes in CHANGES.items() for one in changes])
 def test_a_task_that_returns_other_rows_is_refused(method, change):
-    def changed(self, *given):
-        return change(getattr(Reach, method)(self, *given))
-
-    task = dataclass(frozen=True)(type("Changed", (Reach,), {method: changed}))()
     with refused(torchdq.TorchdqError):
-        make(2, task).reset(seed=0)
+        started(2, changed(method, lambda x, *_: change(x)))
 
 
 def test_limits_hold_a_usual_arm():

@@ -16,7 +16,7 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from messages import refused
-from small_envs import ROBOT, actions_of, make, same, started, steps
+from small_envs import ALL_DRAWN, PARTS, ROBOT, actions_of, make, same, started, steps
 
 import torchdq
 from torchdq.backends import c_library as build
@@ -232,11 +232,7 @@ MEMORY = (effects.Viscous(1.0), effects.FirstOrderLag(0.05), effects.CommandDela
 KINDS = {
     "panda": {"robot": "panda", "scale": None},
     "residual": {"task": "track", "action": "residual"},
-    "randomised": {
-        "task": "track",
-        "action": "reference",
-        "randomise": {"mass": 0.3, "friction": 0.5, "payload": 1.0},
-    },
+    "randomised": {"task": "track", "action": "residual", "effects": PARTS, "randomise": ALL_DRAWN},
     "memory": {"effects": (effects.Gravity(), *MEMORY, effects.Noise(0.01))},
     "in torch": {"task": IN_TORCH, "effects": (effects.Viscous(1.0),)},
 }
@@ -507,13 +503,8 @@ def test_saved_environments_go_on_as_if_nothing_had_been(task, tmp_path):
         "task": task,
         "action": "residual",
         "max_episode_steps": 30,
-        "randomise": {"mass": 0.2, "friction": 0.2, "payload": 1.0},
-        "effects": (
-            *default_effects(ROBOT),
-            effects.FirstOrderLag(0.05),
-            effects.Noise(0.01, 0.01),
-            effects.MeasurementDelay(1),
-        ),
+        "randomise": ALL_DRAWN,
+        "effects": (*PARTS, effects.FirstOrderLag(0.05), effects.MeasurementDelay(1)),
     }
     envs = started(**made)
     steps(envs, 100)

@@ -46,31 +46,24 @@ def test_the_robot_accelerates_as_commanded(name, loaded):
     assert ((found - expected).abs().amax(-1) <= 100 * robot.n * EPS[F64] * amplified).all()
 
 
-def test_it_is_the_closed_form_with_the_commanded_acceleration():
+PER_JOINT = torch.linspace(4.0, 25.0, 7, dtype=F64)
+GIVEN = {
+    "numbers": (9.0, 5.0),
+    "one per joint": (PER_JOINT, PER_JOINT.sqrt()),
+    "a number and one per joint": (9.0, PER_JOINT),
+    "one per row": tuple(random(2, 4, 7, seed=2).abs()),
+}
+
+
+@pytest.mark.parametrize("gains", GIVEN.values(), ids=GIVEN)
+def test_it_is_the_closed_form_with_the_commanded_acceleration(gains):
     robot, (q, qd, q_des, qd_des, qdd_des) = ARMS["panda"], random(5, 4, 7)
     f_tip = random(4, 6, seed=1)
     M, c, g, Jt = torchdq.closed_form(robot, q, qd)
-    a = commanded(q, qd, q_des, qd_des, qdd_des, 9.0, 5.0)
+    a = commanded(q, qd, q_des, qd_des, qdd_des, *gains)
     expected = torch.einsum("bij,bj->bi", M, a) + c + g + torch.einsum("bij,bj->bi", Jt, f_tip)  # (73)
-    found = torchdq.computed_torque(robot, q, qd, q_des, qd_des, qdd_des, 9.0, 5.0, f_tip)
+    found = torchdq.computed_torque(robot, q, qd, q_des, qd_des, qdd_des, *gains, f_tip)
     assert (found - expected).abs().max() <= 1000 * EPS[F64] * expected.abs().max()
-
-
-@pytest.mark.parametrize("kp, kd", [(double(25.0, 100.0), double(10.0, 20.0)), (25.0, double(10.0, 20.0))])
-def test_gains_may_be_one_per_joint(kp, kd):
-    robot, (q, qd, q_des, qd_des, qdd_des) = ARMS["two_link"], random(5, 3, 2)
-    found = torchdq.computed_torque(robot, q, qd, q_des, qd_des, qdd_des, kp, kd)
-    a = commanded(q, qd, q_des, qd_des, qdd_des, kp, kd)
-    expected = torchdq.inverse_dynamics(robot, q, qd, a)
-    # the program may round a product and a sum at once
-    assert float((found - expected).abs().max()) <= 8 * EPS[F64] * float(expected.abs().max())
-
-
-def test_gains_may_be_one_per_row():
-    robot, state = ARMS["two_link"], random(5, 3, 2)
-    kp, kd = random(2, 3, 2, seed=1).abs()
-    rows = [torchdq.computed_torque(robot, *state[:, i], kp[i], kd[i]) for i in range(3)]
-    assert torch.equal(torchdq.computed_torque(robot, *state, kp, kd), torch.stack(rows))
 
 
 # --- the module ------------------------------------------------------------------------------------------------------

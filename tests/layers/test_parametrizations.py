@@ -48,18 +48,14 @@ def objections(mass, inertia):
     moments = np.linalg.eigvalsh(inertia)
     slack = 16 * eps * moments.sum(-1)
     second = np.linalg.eigvalsh(np.trace(inertia, axis1=-2, axis2=-1)[..., None, None] / 2 * np.eye(3) - inertia)
-    found = []
-    if not (np.isfinite(moments).all() and bool(mass.isfinite().all())):
-        found.append("not finite")
-    if not bool((mass > 0).all()):
-        found.append("mass")
-    if not (moments[..., 0] >= -slack).all():
-        found.append("definite")
-    if not (moments[..., 2] <= moments[..., 0] + moments[..., 1] + slack).all():
-        found.append("triangle")
-    if not (second[..., 0] >= -slack).all():
-        found.append("second moments")
-    return found
+    sound = {
+        "not finite": np.isfinite(moments).all() and bool(mass.isfinite().all()),
+        "mass": bool((mass > 0).all()),
+        "definite": (moments[..., 0] >= -slack).all(),
+        "triangle": (moments[..., 2] <= moments[..., 0] + moments[..., 1] + slack).all(),
+        "second moments": (second[..., 0] >= -slack).all(),
+    }
+    return [fault for fault, fine in sound.items() if not fine]
 
 
 def bodies(*batch, seed=0, flat=1.0):

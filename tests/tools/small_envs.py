@@ -1,11 +1,17 @@
 """Small vector environments, random actions for them, and equality of what they return, for several test files."""
 
 import torch
+from torch.distributions import LogNormal
 
 import torchdq
-from torchdq.envs import ArmVectorEnv
+from torchdq.envs import ArmVectorEnv, effects
 
 ROBOT = torchdq.robots.load("two_link")
+PARTS = (effects.Gravity(), effects.RotorInertia(0.1), effects.Viscous(2.0), effects.Coulomb(0.5), effects.Noise(0.01))
+ALL_DRAWN = {
+    **{"mass": 0.2, "com": 0.02, "friction": (0.5, 2.0), "gravity": LogNormal(0.0, 0.02), "armature": 0.5},
+    **{"gains": 0.1, "delay": (0.0, 2.0), "payload": 0.5, "Noise.position": 0.5},
+}  # of environments with a controller and these parts
 
 
 def make(num_envs=5, task="reach", **arguments):
