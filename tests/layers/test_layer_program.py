@@ -1,5 +1,7 @@
 """Programs of layers and controllers are what the layers compute, with what they learned as constants or arguments."""
 
+import inspect
+
 import pytest
 import torch
 from messages import refused
@@ -29,45 +31,24 @@ def shifted(layer):
     return layer
 
 
-def described():
-    """Robot with friction in its description."""
-    robot = torchdq.robots.load("panda")
-    return robot.replace(damping=torch.linspace(0.1, 0.7, 7, dtype=F64), friction=torch.full((7,), 0.3, dtype=F64))
-
-
+PANDA = torchdq.robots.load("panda")
+DESCRIBED = PANDA.replace(damping=torch.linspace(0.1, 0.7, 7, dtype=F64), friction=torch.full((7,), 0.3, dtype=F64))
 TRACKED = ("q", "qd", "q_des", "qd_des", "qdd_des")
-LAYERS = {
-    "inverse": (lambda: torchdq.DQRNEA(torchdq.robots.load("panda"), LEARN), ("q", "qd", "qdd")),
-    "forward": (lambda: torchdq.ForwardDynamics(torchdq.robots.load("panda"), LEARN), ("q", "qd", "tau")),
-    "nothing learned": (lambda: torchdq.InverseDynamics(torchdq.robots.load("panda")), ("q", "qd", "qdd")),
-    "offset alone": (lambda: torchdq.ForwardDynamics(torchdq.robots.load("panda"), "offset"), ("q", "qd", "tau")),
-    "controller": (lambda: torchdq.ComputedTorque(described(), 30.0, torch.arange(1.0, 8.0)), TRACKED),
-    "without friction": (lambda: torchdq.ComputedTorque(described(), 30.0, 9.0, friction=False), TRACKED),
-    "learned gains": (
-        lambda: torchdq.ComputedTorque(described(), torch.arange(1.0, 8.0), 5.0, ("kp", "kd", "mass", "friction")),
-        TRACKED,
-    ),
-    "controller of a layer": (
-        lambda: torchdq.ComputedTorque(shifted(torchdq.DQRNEA(described(), LEARN)), 30.0, 9.0, learn="kd"),
-        TRACKED,
-    ),
-}
-
-
 RUBBING = (effects.Directional(0.3, 0.2), effects.LoadDependent(0.1), effects.Ripple(0.5, 0.1, -0.2))
-LAYERS |= {
-    "friction": (
-        lambda: torchdq.DQRNEA(torchdq.robots.load("panda"), friction=(effects.Stribeck(0.3, 0.4), *RUBBING)),
-        ("q", "qd", "qdd"),
+LAYERS = {
+    "inverse": lambda: torchdq.DQRNEA(PANDA, LEARN),
+    "forward": lambda: torchdq.ForwardDynamics(PANDA, LEARN),
+    "nothing learned": lambda: torchdq.InverseDynamics(PANDA),
+    "offset alone": lambda: torchdq.ForwardDynamics(PANDA, "offset"),
+    "controller": lambda: torchdq.ComputedTorque(DESCRIBED, 30.0, torch.arange(1.0, 8.0)),
+    "without friction": lambda: torchdq.ComputedTorque(DESCRIBED, 30.0, 9.0, friction=False),
+    "learned gains": lambda: torchdq.ComputedTorque(
+        DESCRIBED, torch.arange(1.0, 8.0), 5.0, learn=("kp", "kd", "mass", "friction")
     ),
-    "friction forward": (
-        lambda: torchdq.ForwardDynamics(torchdq.robots.load("panda"), ("friction", "offset"), friction=RUBBING),
-        ("q", "qd", "tau"),
-    ),
-    "friction controlled": (
-        lambda: torchdq.ComputedTorque(described(), 30.0, 9.0, learn="friction", friction=RUBBING),
-        TRACKED,
-    ),
+    "controller of a layer": lambda: torchdq.ComputedTorque(shifted(torchdq.DQRNEA(DESCRIBED, LEARN)), 30.0, 9.0, "kd"),
+    "friction": lambda: torchdq.DQRNEA(PANDA, friction=(effects.Stribeck(0.3, 0.4), *RUBBING)),
+    "friction forward": lambda: torchdq.ForwardDynamics(PANDA, ("friction", "offset"), friction=RUBBING),
+    "friction controlled": lambda: torchdq.ComputedTorque(DESCRIBED, 30.0, 9.0, learn="friction", friction=RUBBING),
 }
 
 
@@ -80,11 +61,9 @@ def quantity(layer, name):
 @pytest.mark.parametrize("parameters", ["constants", "arguments"])
 @pytest.mark.parametrize("name", LAYERS)
 def test_the_program_of_a_layer_computes_what_the_layer_does(name, parameters):
-    make, inputs = LAYERS[name]
-    layer = shifted(make())
-    wrenches = ("f_tip",)
-    given = rows(*inputs, *wrenches)
-    program = layer.program(*wrenches, parameters=parameters)
+    layer = shifted(LAYERS[name]())
+    given = rows(*(name for name in inspect.signature(layer.forward).parameters if name != "f_ext"))
+    program = layer.program("f_tip", parameters=parameters)
     extra = [a for a in program.arguments if a.name not in given]
     assert all(a.uniform for a in extra) and bool(extra) == (
         parameters == "arguments" and bool(list(layer.parameters()))
@@ -96,8 +75,8 @@ def test_the_program_of_a_layer_computes_what_the_layer_does(name, parameters):
 
 
 def test_friction_is_in_the_program_once():
-    controller = torchdq.ComputedTorque(described(), 30.0, 9.0)
-    plain = torchdq.ComputedTorque(described(), 30.0, 9.0, friction=False)
+    controller = torchdq.ComputedTorque(DESCRIBED, 30.0, 9.0)
+    plain = torchdq.ComputedTorque(DESCRIBED, 30.0, 9.0, friction=False)
     count = [torchdq.compile(layer.program()).count() for layer in (controller, plain)]
     assert count[0].roots == 7 and count[1].roots == 0
 
