@@ -92,13 +92,13 @@ class Snapshot:
     def pytest_runtest_call(self, item):
         self.file, _, self.test = item.nodeid.partition("::")
         said = self.said.setdefault(self.file, {})
-        said.pop(self.test, None)
+        said[self.test] = []
         try:
             result = yield
         except BaseException:
-            said.pop(self.test, None)  # it has not said all
+            said.pop(self.test)  # it has not said all
             raise
-        if not self.updating and (missing := set(self.expected()) - set(said.get(self.test, ()))):
+        if not self.updating and (missing := set(self.expected()) - set(said[self.test])):
             pytest.fail(f"tests/messages.json holds messages that this test has not said: {sorted(missing)}")
         return result
 
@@ -126,7 +126,11 @@ class Snapshot:
                 if _function(test) not in ran and f"def {_function(test)}(" in text
             }
             self.held[file] = {**kept, **tests}
-        rows = {file: _shared(tests) for file, tests in sorted(self.held.items()) if tests and (ROOT / file).exists()}
+        rows = {
+            file: _shared(tests)
+            for file, tests in sorted(self.held.items())
+            if any(tests.values()) and (ROOT / file).exists()
+        }
         files = [
             f" {json.dumps(file)}: {{\n"
             + ",\n".join(f"  {json.dumps(test)}: {_lines(says)}" for test, says in sorted(tests.items()))
