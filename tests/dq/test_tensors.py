@@ -245,18 +245,11 @@ def test_a_wrong_dtype_or_type_is_named(key, name):
             call(key, {**given, name: wrong})
 
 
-PRODUCTS = {
-    "a quaternion times a dual one": lambda: dq.mul(torch.ones(4), torch.ones(8)),
-    "a dual quaternion times one": lambda: dq.mul(torch.ones(8), torch.ones(4)),
-    "a vector times a screw": lambda: dq.cross(torch.ones(3), torch.ones(6)),
-    "matrices that do not fit": lambda: dq.matmul(torch.ones(2, 3, 8), torch.ones(2, 3, 8)),
-}
-
-
-@pytest.mark.parametrize("product", PRODUCTS)
-def test_products_of_different_kinds_are_refused(product):
-    with refused(ArgumentError):
-        PRODUCTS[product]()
+def test_products_of_different_kinds_are_refused():
+    pairs = [(dq.mul, (4,), (8,)), (dq.mul, (8,), (4,)), (dq.cross, (3,), (6,)), (dq.matmul, (2, 3, 8), (2, 3, 8))]
+    for product, a, b in pairs:
+        with refused(ArgumentError):
+            product(torch.ones(a), torch.ones(b))
 
 
 def test_numbers_may_be_python_numbers():
