@@ -108,7 +108,7 @@ def test_dual_quaternions_are_an_associative_algebra(x, y, z, s):
 def test_conjugation_reverses_products(x, y):
     assert dq.conj(dq.mul(x, y)) == dq.mul(dq.conj(y), dq.conj(x))
     assert dq.conj(dq.conj(x)) == x
-    assert dq.add(x, dq.conj(x)) == tuple((2 * quat.re(part), 0, 0, 0) for part in x)
+    assert dq.add(x, dq.conj(x)) == tuple((2 * part[0], 0, 0, 0) for part in x)
 
 
 @claim
@@ -381,7 +381,7 @@ def test_none_stands_for_zero():
     a, b, c = (random_matrix(rng, 3, 3, random_dq) for _ in range(3))
     # a lower triangle, a diagonal and an empty row, so that sums of none, one and several terms all occur
     lower = tuple(tuple(x if j <= i else None for j, x in enumerate(row)) for i, row in enumerate(a))
-    diagonal = matrix.diagonal([b[0][0], None, b[2][2]])
+    diagonal = ((b[0][0], None, None), (None, None, None), (None, None, b[2][2]))
     zero = (dq.ZERO, dq.ZERO)
     for left, right in itertools.product((lower, diagonal, c), repeat=2):
         full = matrix.matmul(fill(left, zero), fill(right, zero))
@@ -494,9 +494,6 @@ def test_the_inertia_transform_is_mass_times_velocity_and_tensor_times_rate(seed
     found = Inertia(mass, tuple(mass * com), rows(second)).momentum(a)
     expected = pin.Inertia(mass, com, inertia) * pin.Motion(v, w)
     assert np.allclose(flat(found), from_pin(expected), rtol=0, atol=size)
-    printed = inertia.copy()
-    printed[2, 2] = inertia[1, 2]  # I_z as printed in (30)
-    assert np.abs(np.array(Inertia(mass, None, rows(printed.T)).momentum(a)[1]) - inertia @ w).max() > 1e-3
 
 
 @pytest.mark.parametrize("seed", range(5))
