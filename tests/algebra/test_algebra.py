@@ -14,13 +14,13 @@ import pytest
 import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from oracles import se3
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import elementary, matrix, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.inertia import Inertia, Moments, RigidBody, six
 from torchdq.numbers.count import cost
-from torchdq.paper.printed import accelerated, net_wrench
 from torchdq.paper.tables import body, dual_quaternion, motion, number, operator, quaternion, tensor, vector
 
 EPS = 2.0**-52
@@ -108,7 +108,7 @@ def test_dual_quaternions_are_an_associative_algebra(x, y, z, s):
 def test_conjugation_reverses_products(x, y):
     assert dq.conj(dq.mul(x, y)) == dq.mul(dq.conj(y), dq.conj(x))
     assert dq.conj(dq.conj(x)) == x
-    assert dq.add(x, dq.conj(x)) == tuple((2 * quat.re(part), 0, 0, 0) for part in x)
+    assert dq.add(x, dq.conj(x)) == tuple((2 * part[0], 0, 0, 0) for part in x)
 
 
 @claim
@@ -140,14 +140,13 @@ def test_screws_have_the_inner_and_cross_product_of_their_products(a, b):  # (6)
 
 
 @claim
-@given(screws, screws, screws)
-def test_screws_are_a_lie_algebra(a, b, c):
-    def bracket(x, y):
-        return screw.cross(x, y)
-
-    assert bracket(a, b) == screw.neg(bracket(b, a))
-    jacobi = screw.add(screw.add(bracket(a, bracket(b, c)), bracket(b, bracket(c, a))), bracket(c, bracket(a, b)))
-    assert jacobi == ((0, 0, 0), (0, 0, 0))
+@given(screws, screws, screws, whole)
+def test_screws_are_a_lie_algebra(a, b, c, s):
+    assert np.array_equal(flat(screw.add(a, screw.scale(s, b))), np.array(flat(a)) + s * np.array(flat(b)))
+    assert screw.sub(a, b) == screw.add(a, screw.neg(b))
+    assert screw.cross(a, b) == screw.neg(screw.cross(b, a))
+    turns = [screw.cross(x, screw.cross(y, z)) for x, y, z in ((a, b, c), (b, c, a), (c, a, b))]
+    assert screw.add(screw.add(*turns[:2]), turns[2]) == screw.ZERO  # Jacobi
 
 
 @claim
@@ -157,13 +156,6 @@ def test_power_is_the_dual_part_of_the_inner_product(wrench, twist):  # (7), (48
     assert screw.power(wrench, twist) == np.dot(wrench[0], twist[1]) + np.dot(wrench[1], twist[0])
     assert screw.double_geodesic(wrench, twist) == np.dot(flat(wrench), flat(twist))
     assert screw.swap(screw.swap(twist)) == twist
-
-
-@claim
-@given(screws, screws, whole)
-def test_screws_are_a_vector_space(a, b, s):
-    assert np.array_equal(flat(screw.add(a, screw.scale(s, b))), np.array(flat(a)) + s * np.array(flat(b)))
-    assert screw.sub(a, b) == screw.add(a, screw.neg(b))
 
 
 # --- Hamilton operators ----------------------------------------------------------------------------------------------
@@ -389,7 +381,7 @@ def test_none_stands_for_zero():
     a, b, c = (random_matrix(rng, 3, 3, random_dq) for _ in range(3))
     # a lower triangle, a diagonal and an empty row, so that sums of none, one and several terms all occur
     lower = tuple(tuple(x if j <= i else None for j, x in enumerate(row)) for i, row in enumerate(a))
-    diagonal = matrix.diagonal([b[0][0], None, b[2][2]])
+    diagonal = ((b[0][0], None, None), (None, None, None), (None, None, b[2][2]))
     zero = (dq.ZERO, dq.ZERO)
     for left, right in itertools.product((lower, diagonal, c), repeat=2):
         full = matrix.matmul(fill(left, zero), fill(right, zero))
@@ -475,21 +467,19 @@ def from_pin(spatial):
     return np.concatenate(parts if isinstance(spatial, pin.Force) else parts[::-1])
 
 
-def to_se3(x):
-    return pin.SE3(np.array(quat.rotation_columns(x[0])).T, np.array(dq.translation(x)))
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_adjoint_and_composition_are_those_of_pinocchio(seed):
     rng = np.random.default_rng(seed)
     x, y = random_pose(rng), random_pose(rng)
     w, v = rng.standard_normal((2, 3))
     a = (tuple(w), tuple(v))
-    placement = to_se3(x)
+    placement = se3(flat(x))
     tolerance = 32 * EPS * 10
     assert np.allclose(flat(ad(x, a)), from_pin(placement.act(pin.Motion(v, w))), rtol=0, atol=tolerance)
     assert np.allclose(flat(ad(x, a)), from_pin(placement.act(pin.Force(w, v))), rtol=0, atol=tolerance)
-    assert np.allclose((to_se3(x) * to_se3(y)).homogeneous, to_se3(dq.mul(x, y)).homogeneous, rtol=0, atol=tolerance)
+    assert np.allclose(
+        (se3(flat(x)) * se3(flat(y))).homogeneous, se3(flat(dq.mul(x, y))).homogeneous, rtol=0, atol=tolerance
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -504,9 +494,6 @@ def test_the_inertia_transform_is_mass_times_velocity_and_tensor_times_rate(seed
     found = Inertia(mass, tuple(mass * com), rows(second)).momentum(a)
     expected = pin.Inertia(mass, com, inertia) * pin.Motion(v, w)
     assert np.allclose(flat(found), from_pin(expected), rtol=0, atol=size)
-    printed = inertia.copy()
-    printed[2, 2] = inertia[1, 2]  # I_z as printed in (30)
-    assert np.abs(np.array(Inertia(mass, None, rows(printed.T)).momentum(a)[1]) - inertia @ w).max() > 1e-3
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -521,7 +508,7 @@ def test_carried_inertia_is_that_of_pinocchio_and_exactly_symmetric(seed, centre
     own = Inertia(mass, first, second)
     there = own.carried(screw.columns(x), dq.translation(x))
     m, h, carried = there
-    expected = to_se3(x).act(pin.Inertia(mass, com, inertia))
+    expected = se3(flat(x)).act(pin.Inertia(mass, com, inertia))
     assert m == mass
     assert np.allclose(h, mass * expected.lever, rtol=0, atol=32 * EPS * 10)
     tensor = about_origin(mass, expected.lever, expected.inertia)
@@ -595,64 +582,25 @@ def test_one_source_gives_the_same_results_on_every_kind_of_number(kind):
         assert abs(e - float(f)) <= 4 * EPS * size
 
 
-def test_multi_precision_results_have_all_their_digits():
-    with mp.workdps(DIGITS):
-        third = mp.mpf(1) / 3
-        x = dq.from_pose((2 * third, third, -2 * third, mp.mpf(0)), (third, mp.mpf(1) / 7, mp.mpf(-2) / 11))
-        a = ((third, mp.mpf(2) / 7, mp.mpf(1)), (mp.mpf(1) / 13, mp.mpf(5), mp.mpf(3) / 17))
-        y = dq.mul(x, x)
-        assert close(ad(y, a), ad(x, ad(x, a)))
-        assert close(dq.norm2(y), (1, 0))
-        assert not close(ad(y, a), ad(x, ad(x, a)), 0) or not close(dq.norm2(y), (1, 0), 0)
-
-
 # --- counts ----------------------------------------------------------------------------------------------------------
-
-
-def four(make):
-    return tuple(make() for _ in range(4))
-
-
-def eight(make):
-    return (*four(make), *four(make))
 
 
 HAMILTON = (quat.hamilton_left_matrix, quat.hamilton_right_matrix, quat.hamilton_left, quat.hamilton_right)
 
 COUNTS = [
-    # result, multiplications, additions: the measured column of the cost tables
-    ("quaternion sum", lambda: quat.add(quaternion(), quaternion()), 0, 4),
-    ("quaternion times number", lambda: quat.scale(number(), quaternion()), 4, 0),
-    ("quaternion product (1)", lambda: quat.mul(quaternion(), quaternion()), 16, 12),
+    # result, multiplications, additions; more operations are in the tables of the paper, `paper/test_cost.py`
     ("quaternion conjugate", lambda: quat.conj(quaternion()), 0, 0),
     ("quaternion norm", lambda: quat.norm2(quaternion()), 4, 3),
-    ("inner product (3)", lambda: quat.dot(vector(), vector()), 3, 2),
-    ("cross product (4)", lambda: quat.cross(vector(), vector()), 6, 3),
-    ("rotated vector", lambda: quat.rotate(quaternion(), vector()), 15, 15),
     ("rotation matrix", lambda: quat.rotation_columns(quaternion()), 9, 15),
     ("Hamilton matrices and vectors (19), (22)", lambda: [h(quaternion()) for h in HAMILTON], 0, 0),
-    ("T4 (20)", lambda: quat.t4(four(quaternion), quaternion()), 16, 12),
-    ("T4 of h+ (23)", lambda: quat.t4(quat.hamilton_left(quaternion()), quaternion()), 16, 12),
-    ("dual quaternion sum", lambda: dq.add(dual_quaternion(), dual_quaternion()), 0, 8),
-    ("dual quaternion times number", lambda: dq.scale(number(), dual_quaternion()), 8, 0),
-    ("dual quaternion product", lambda: dq.mul(dual_quaternion(), dual_quaternion()), 48, 40),
     ("dual quaternion norm", lambda: dq.norm2(dual_quaternion()), 8, 7),
-    ("T8 (21)", lambda: dq.t8(eight(dual_quaternion), dual_quaternion()), 64, 56),
     ("dual h+ applied (24)", lambda: dq.apply(dq.hamilton_left(dual_quaternion()), dual_quaternion()), 48, 40),
     ("dual h- applied (24)", lambda: dq.apply(dq.hamilton_right(dual_quaternion()), dual_quaternion()), 48, 40),
-    ("dual cross product (6)", lambda: screw.cross(motion(), motion()), 18, 12),
-    ("double geodesic product (7)", lambda: screw.double_geodesic(motion(), motion()), 6, 5),
-    ("dual inner product (16)", lambda: screw.inner(motion(), motion()), 9, 7),
-    ("power (48)", lambda: screw.power(motion(), motion()), 6, 5),
     ("screw times number", lambda: screw.scale(number(), motion()), 6, 0),
-    ("columns A_P, A_D (34), (35)", lambda: screw.columns(dual_quaternion()), 39, 36),
-    ("adjoint from the columns (36)", lambda: screw.ad(operator(), motion()), 27, 21),
     ("inverse columns", lambda: screw.inverse(operator()), 0, 0),
     ("composed columns", lambda: screw.compose(operator(), operator()), 81, 63),
     ("inertia transform, centred (30)", lambda: body().momentum(motion()), 12, 6),
     ("inertia transform", lambda: Inertia(number(), vector(), tensor()).momentum(motion()), 24, 18),
-    ("acceleration (44)", lambda: accelerated(motion(), number(), number(), operator(), motion(), motion()), 57, 45),
-    ("momentum rate (45)", lambda: net_wrench(body(), motion(), motion()), 42, 30),
     ("revolute exponential (27)", lambda: screw.exp_revolute(motion(), number(), number()), 6, 0),
     ("prismatic exponential (27)", lambda: screw.exp_prismatic(vector(), number()), 4, 0),
     ("adjoint of the identity", lambda: screw.ad(screw.IDENTITY, motion()), 0, 0),
@@ -661,14 +609,8 @@ COUNTS = [
 
 
 @pytest.mark.parametrize(("make", "multiplications", "additions"), [pytest.param(*c[1:], id=c[0]) for c in COUNTS])
-def test_an_operation_costs_what_the_tables_say(make, multiplications, additions):
+def test_an_operation_costs_no_more_than_it_must(make, multiplications, additions):
     assert cost(make())[:2] == (multiplications, additions)
-
-
-def test_the_adjoint_by_two_products_costs_more_than_twice_as_much():  # x m x*, without the real part of the result
-    x, m = dual_quaternion(), motion()
-    products = dq.mul(dq.mul(x, pure(m)), dq.conj(x))
-    assert cost(tuple(quat.im(part) for part in products))[:2] == (72, 58)
 
 
 def test_a_structural_zero_costs_nothing():

@@ -28,7 +28,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from itertools import accumulate
@@ -297,7 +297,7 @@ def killed(mutant: Mutant, outcome: Outcome) -> bool:
     return outcome.result in (KILLED, AT_IMPORT) or (mutant.name.startswith("!") and outcome.result in (LATE, CRASHED))
 
 
-def spread(work, items: Iterable, copies: list[Copy], title: str, console: Console) -> list:
+def spread(work, items: list, copies: list[Copy], title: str, console: Console) -> list:
     """Results of the work on every item, in their order, each item with a copy that nobody else uses."""
     free: SimpleQueue[Copy] = SimpleQueue()
     for copy in copies:
@@ -311,14 +311,7 @@ def spread(work, items: Iterable, copies: list[Copy], title: str, console: Conso
             free.put(copy)
 
     with ThreadPoolExecutor(len(copies)) as pool:
-        futures = [pool.submit(one, item) for item in items]
-        try:
-            for _ in track(as_completed(futures), title, len(futures), console=console, transient=True):
-                pass
-            return [future.result() for future in futures]
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        return list(track(pool.map(one, items), title, len(items), console=console, transient=True))
 
 
 def examine(copy: Copy, mutant: Mutant) -> Outcome:

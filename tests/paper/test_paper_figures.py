@@ -25,7 +25,7 @@ from torchdq.paper.closed_form import closed_form
 for needed in ("matplotlib", "tyro"):
     pytest.importorskip(needed, reason="the examples need the extra 'examples'")
 from matplotlib.image import imread  # noqa: E402
-from oracles import pinocchio_model  # noqa: E402
+from oracles import Case, pinocchio_model  # noqa: E402
 
 figures = import_module("10_paper_figures")
 
@@ -71,49 +71,39 @@ def test_the_reference_rests_at_both_ends_and_is_differentiated_right():
 
 @pytest.mark.parametrize("kinds", ["R", "P", "H", "RPH"])
 @pytest.mark.parametrize("n", [1, 2, 3, 7, 16, 42])
-def test_formulations_of_the_torques_agree_on_chains(n, kinds):
-    chain, tip = cost.chain(n, kinds)
-    robot = cost.robot(chain, tip)
-    q, qd, qdd = random(3, 1, n, seed=n)
-    recursion = torchdq.inverse_dynamics(robot, q, qd, qdd)
-    assert relative(figures.homogeneous_rnea(chain, q, qd, qdd), recursion) < 1e-12
-    if n <= 7:
-        assert relative(figures.closed_form(robot, q, qd, qdd), recursion) < 1e-12
-    # on floats, because to record so many operators takes long
-    (floats,), (rates,) = q.tolist(), qd.tolist()
-    Ad = kinematics.adjoints(kinematics.joint_poses(chain, [None, *map(half, floats)]))
-    M, c, g, _ = closed_form(chain, Ad, rates)
-    *M, c, g = (double(*(x or 0.0 for x in row)) for row in (*M, c, g))  # None: zero by structure
-    assert relative(torch.stack(M) @ qdd[0] + c + g, recursion[0]) < 1e-12
-
-
-@pytest.mark.parametrize("kinds", ["R", "P", "H", "RPH"])
-@pytest.mark.parametrize("n", [1, 2, 3, 7, 16, 42])
-def test_baselines_agree_with_this_package_and_with_pinocchio_with_a_wrench_at_the_tip(n, kinds):
+def test_formulations_of_the_torques_agree_with_this_package_and_with_pinocchio(n, kinds):
     chain, tip = cost.chain(n, kinds)
     robot = cost.robot(chain, tip)
     (q, qd, qdd), f = random(3, n, seed=n), random(6, seed=n + 1)
-    ours = torchdq.inverse_dynamics(robot, q, qd, qdd, f_tip=f)
-
-    model = pinocchio_model(robot)
-    frame = model.frames[model.getFrameId("tip")]
-    on_links = [pin.Force.Zero() for _ in range(model.njoints)]
-    on_links[frame.parentJoint] = -frame.placement.act(pin.Force(f[:3].numpy(), f[3:].numpy()))
-    configuration = np.concatenate(  # an unbounded joint is its cosine and sine
-        [[x] if joint.nq == 1 else [math.cos(x), math.sin(x)] for joint, x in zip(model.joints[1:], q, strict=True)]
-    )
-    expected = pin.rnea(model, model.createData(), configuration, qd.numpy(), qdd.numpy(), on_links)
-    assert relative(ours, expected) < 1e-12
-
     floats, rates, accelerations, wrench = (x.tolist() for x in (q, qd, qdd, f))
+    halves = [None, *map(half, floats)]
+
+    recursion = torchdq.inverse_dynamics(robot, q, qd, qdd)
+    assert relative(figures.homogeneous_rnea(chain, q[None], qd[None], qdd[None])[0], recursion) < 1e-12
+    if n <= 7:
+        assert relative(figures.closed_form(robot, q[None], qd[None], qdd[None])[0], recursion) < 1e-12
+    # on floats, because to record so many operators takes long
+    Ad = kinematics.adjoints(kinematics.joint_poses(chain, halves))
+    M, c, g, _ = closed_form(chain, Ad, rates)
+    *M, c, g = (double(*(x or 0.0 for x in row)) for row in (*M, c, g))  # None: zero by structure
+    assert relative(torch.stack(M) @ qdd + c + g, recursion) < 1e-12
+
+    # with a wrench at the tip
+    case = Case(robot, pinocchio_model(robot))
+    frame = case.model.frames[case.model.getFrameId("tip")]
+    on_links = [pin.Force.Zero() for _ in range(case.model.njoints)]
+    on_links[frame.parentJoint] = -frame.placement.act(pin.Force(f[:3].numpy(), f[3:].numpy()))
+    data, at = case.model.createData(), case.configuration(floats)
+    expected = pin.rnea(case.model, data, at, qd.numpy(), qdd.numpy(), on_links)
+    assert relative(torchdq.inverse_dynamics(robot, q, qd, qdd, f_tip=f), expected) < 1e-12
+
     back = [homogeneous.Displacement(-x, -math.sin(x), 1 - math.cos(x), math.sin(x) - x) for x in floats]
     outer = homogeneous.matrix(dual_quaternion.conj(tip))
-    by_matrices = homogeneous.rnea(
-        homogeneous.bodies(chain), chain.gravity, back, rates, accelerations, outer, wrench[3:] + wrench[:3]
-    )
+    bodies, swapped = homogeneous.bodies(chain), wrench[3:] + wrench[:3]
+    by_matrices = homogeneous.rnea(bodies, chain.gravity, back, rates, accelerations, outer, swapped)
     assert relative(by_matrices, expected) < 1e-12
 
-    Ad_tip, halves = printed.vectors(printed.columns(tip)), [None, *map(half, floats)]
+    Ad_tip = printed.vectors(printed.columns(tip))
     as_printed = printed.rnea(chain, halves, rates, accelerations, Ad_tip, (wrench[:3], wrench[3:]))
     assert relative(as_printed, expected) < 1e-12
 

@@ -130,10 +130,6 @@ def states():
 inertias = pytest.mark.parametrize("transverse", [0.0, ROD], ids=["no-inertia", "rod"])
 
 
-def test_the_shipped_arm_has_the_rods_inertia():
-    assert torch.equal(torchdq.robots.load("two_link").inertia, two_link(ROD).inertia)
-
-
 @ways
 @inertias
 @pytest.mark.parametrize("row", range(len(TWO_LINK)))
@@ -164,70 +160,36 @@ def test_a_batch_axis_of_robots_gives_both_inertias_at_once(transverse):
 
 def test_two_link_constants():
     robot = two_link(ROD)
+    assert torch.equal(torchdq.robots.load("two_link").inertia, robot.inertia)
     close(robot.screw, double([[0, 0, 1, 0, 0.5, 0]] * 2), 1e-15)
     close(robot.X_PB_home, double([[1, 0, 0, 0, 0, 0.25, 0, 0], [1, 0, 0, 0, 0, 0.5, 0, 0]]), 1e-15)
     close(robot.frame("tip").X_BF, double([1, 0, 0, 0, 0, 0.25, 0, 0]), 1e-15)
 
 
-@pytest.fixture(scope="module")
-def links():
-    """Twist V, acceleration A and wrench F of each link in the state of row 4, as tensors [2, 6]."""
+def test_two_link_twists_accelerations_and_wrenches():
+    """Those of each link in the state of row 4, (angular, linear) and (force, moment)."""
     q, qd, qdd, *_ = (x[3] for x in states())
-    tree = two_link(ROD).tree()
-    half = 0.5 * q
+    tree, half = two_link(ROD).tree(), 0.5 * q
     coordinates = [None, *(Coordinate(q[i], half[i].cos(), half[i].sin()) for i in range(2))]
     Ad = adjoints(joint_poses(tree, coordinates))
     V, A = rnea.outward(tree, Ad, qd.unbind(), qdd.unbind())
     F = rnea.inward(tree, Ad, V, A, [None] * 3)
-    return [torch.stack([torch.stack([*s[0], *s[1]]) for s in screws[1:]]) for screws in (V, A, F)]
-
-
-def test_two_link_twists(links):
-    expected = [[0, 0, 0.5, 0, 0.25, 0], [0, 0, -0.6, -0.322108843619, 0.082421093642, 0]]
-    close(links[0], double(expected), TOLERANCE)
-
-
-def test_two_link_accelerations(links):
+    V, A, F = (torch.stack([torch.stack([*s[0], *s[1]]) for s in screws[1:]]) for screws in (V, A, F))
+    close(V, double([[0, 0, 0.5, 0, 0.25, 0], [0, 0, -0.6, -0.322108843619, 0.082421093642, 0]]), TOLERANCE)
     expected = [[0, 0, 1.2, 2.899053227348, 9.971850958322, 0], [0, 0, 3.5, -5.01391836574, 11.349099247929, 0]]
-    close(links[1], double(expected), TOLERANCE)
+    close(A, double(expected), TOLERANCE)
+    first = [6.41281581365, 21.998134928095, 0, 0, 0, 12.175990928603]
+    close(F, double([first, [-4.964465709554, 11.5423645541, 0, 0, 0, 0.291666666667]]), TOLERANCE)
 
 
-def test_two_link_wrenches(links):
-    expected = [
-        [6.41281581365, 21.998134928095, 0, 0, 0, 12.175990928603],
-        [-4.964465709554, 11.5423645541, 0, 0, 0, 0.291666666667],
-    ]
-    close(links[2], double(expected), TOLERANCE)
-
-
-# --- its terms -------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def terms():
-    return torchdq.closed_form(two_link(ROD), double([0.3, -0.7]), double([0.5, -1.1]))
-
-
-RECORDED_M = [[2.431508853951156, 0.715754426975578], [0.715754426975578, 0.333333333333333]]
-
-
-def test_two_link_mass_matrix(terms):
-    close(terms.M, double(RECORDED_M), 4e-15)
-
-
-def test_two_link_composite_mass_matrix():
-    close(torchdq.mass_matrix(two_link(ROD), double([0.3, -0.7])), double(RECORDED_M), 4e-15)
-
-
-def test_two_link_coriolis_torques(terms):
+def test_two_link_terms():
+    q, qd = double([0.3, -0.7]), double([0.5, -1.1])
+    terms = torchdq.closed_form(two_link(ROD), q, qd)
+    M = double([[2.431508853951156, 0.715754426975578], [0.715754426975578, 0.333333333333333]])
+    close(terms.M, M, 4e-15)
+    close(torchdq.mass_matrix(two_link(ROD), q), M, 4e-15)
     close(terms.c, double([0.035431972799, -0.080527210905]), TOLERANCE)
-
-
-def test_two_link_gravity_torques(terms):
     close(terms.g, double([18.575580613067, 4.517804175584]), TOLERANCE)
-
-
-def test_two_link_wrench_torques(terms):
     close(terms.Jt @ in_tip_frame(double([2.0, -3.0, 0.7])), double([-5.882961936329, -2.3]), TOLERANCE)
 
 
@@ -303,14 +265,11 @@ def spatial_chain():
     )
 
 
-def test_the_spatial_chain_has_every_kind_of_joint():
-    assert spatial_chain().kinds == ("revolute", "prismatic", "helical", "revolute")
-
-
 @ways
 @pytest.mark.parametrize("load", WRENCHES)
 def test_spatial_torques(load, way):
     wrench, expected = (double(x) for x in WRENCHES[load])
+    assert spatial_chain().kinds == ("revolute", "prismatic", "helical", "revolute")
     close(way(spatial_chain(), double(Q), double(QD), double(QDD), wrench), expected, TOLERANCE)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.algebra.quaternion import Number, Pure, Quaternion
+from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 
 X, Y, Z = 0, 1, 2  # axes of a frame
@@ -65,14 +65,9 @@ def ad(axis: int, angle: DualAngle, m: Screw) -> Screw:
     return shift(unit(axis, angle.shift), turned)  # (33) with x of (27)
 
 
-def rotor(axis: int, half: Angle) -> Quaternion:
-    """Unit quaternion of a rotation about an axis, from half of the angle."""
-    return (half[0], *unit(axis, half[1]))
-
-
 def times(x: DualQuaternion, axis: int, half: Angle, d: Number) -> DualQuaternion:
     """Product x exp(k theta^/2) of a pose and an elementary screw, from half of the angle and the translation d [m]."""
     p, e = x
-    r = rotor(axis, half)
+    r = (half[0], *unit(axis, half[1]))
     moved = quat.add(e, quat.mul(p, (0.0, *unit(axis, 0.5 * d))))
     return (quat.mul(p, r), quat.mul(moved, r))  # (27), (28)

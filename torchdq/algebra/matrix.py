@@ -64,12 +64,6 @@ def combine(m: Matrix, numbers: Sequence[Number]) -> tuple[Screw | None, ...]:
     return matvec(m, numbers, lambda s, x: screw.scale(x, s), screw.add)
 
 
-def diagonal(entries: Sequence) -> Matrix:
-    """Diagonal matrix; the other entries are None."""
-    n = len(entries)
-    return tuple(tuple(entries[i] if i == j else None for j in range(n)) for i in range(n))
-
-
 def hermitian(operators: Matrix) -> Matrix:
     """Conjugate transpose L^H of a matrix of adjoint operators: the transpose, with every operator inverted.
 

@@ -60,11 +60,6 @@ def norm2(q) -> Number:
     return total
 
 
-def re(q: Quaternion) -> Number:
-    """Real component of a quaternion."""
-    return q[0]
-
-
 def im(q: Quaternion) -> Pure:
     """Imaginary component of a quaternion, a pure quaternion."""
     return q[1:]

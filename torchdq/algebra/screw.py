@@ -3,8 +3,7 @@
 A twist is (angular, linear) and a wrench (force, moment), both about the origin of the frame they are expressed in.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
@@ -73,7 +72,7 @@ def columns(x: DualQuaternion) -> Adjoint:
     half = quat.im(quat.mul(xd, quat.conj(xp)))
     p = quat.add(half, half)
     a_p = quat.rotation_columns(xp)  # (34), erratum 34
-    a_d = _three([quat.cross(p, e) for e in a_p])  # (35), erratum 35
+    a_d = tuple(quat.cross(p, e) for e in a_p)  # (35), erratum 35
     return (a_p, a_d)
 
 
@@ -90,13 +89,8 @@ def columns_times(m: Columns, v: Pure) -> Pure:
     return (m00 * x + m01 * y + m02 * z, m10 * x + m11 * y + m12 * z, m20 * x + m21 * y + m22 * z)
 
 
-def _three(items: Sequence) -> tuple[Any, Any, Any]:
-    a, b, c = items
-    return (a, b, c)
-
-
 def _transpose(m: Columns) -> Columns:
-    return _three(list(zip(*m, strict=True)))
+    return tuple(zip(*m, strict=True))
 
 
 def ad(a: Adjoint, m: Screw) -> Screw:
@@ -112,8 +106,8 @@ def inverse(a: Adjoint) -> Adjoint:
 
 def compose(a: Adjoint, b: Adjoint) -> Adjoint:
     """Columns of xy from those of x and y: Ad(xy) = Ad(x) Ad(y)."""
-    p = _three([columns_times(a[0], e) for e in b[0]])
-    d = _three([quat.add(columns_times(a[0], f), columns_times(a[1], e)) for e, f in zip(b[0], b[1], strict=True)])
+    p = tuple(columns_times(a[0], e) for e in b[0])
+    d = tuple(quat.add(columns_times(a[0], f), columns_times(a[1], e)) for e, f in zip(b[0], b[1], strict=True))
     return (p, d)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from functools import wraps
 
 from torchdq.algebra import screw
-from torchdq.algebra.screw import Adjoint, Screw
+from torchdq.algebra.screw import Screw
 
 
 def lift(f: Callable) -> Callable:
@@ -36,12 +36,6 @@ def add(*terms: Screw | None) -> Screw | None:
 def difference(a: Sequence, b: Sequence) -> list:
     """Difference a - b, entry by entry; where b is None, it is a."""
     return [x if y is None else x - y for x, y in zip(a, b, strict=True)]
-
-
-@lift
-def ad_inverse(a: Adjoint, m: Screw) -> Screw:
-    """Adjoint Ad(x*) m from the columns of x."""
-    return screw.ad(screw.inverse(a), m)
 
 
 cross = lift(screw.cross)

@@ -61,14 +61,8 @@ from torchdq.convert.pinocchio import (
     velocity_from_pinocchio,
     velocity_to_pinocchio,
 )
-from torchdq.convert.quaternions import (
-    from_xyzw,
-    to_xyzw,
-)
-from torchdq.convert.scipy import (
-    from_scipy,
-    to_scipy,
-)
+from torchdq.convert.rows import from_xyzw, to_xyzw
+from torchdq.convert.scipy import from_scipy, to_scipy
 
 __all__ = [
     "acceleration_from_isaac",

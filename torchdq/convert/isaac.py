@@ -6,8 +6,7 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.base.checks import require_choice
-from torchdq.convert.quaternions import from_xyzw, to_xyzw
-from torchdq.convert.rows import cross, parts, row, to_base
+from torchdq.convert.rows import cross, from_xyzw, parts, row, to_base, to_xyzw
 from torchdq.dq.components import unit
 
 QuaternionOrder = Literal["wxyz", "xyzw"]

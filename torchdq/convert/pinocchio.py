@@ -10,8 +10,7 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.base.checks import destination
 from torchdq.base.optional import imported
-from torchdq.convert.quaternions import from_xyzw, to_xyzw
-from torchdq.convert.rows import parts, row
+from torchdq.convert.rows import from_xyzw, parts, row, to_xyzw
 from torchdq.dq.components import checked, unit
 from torchdq.errors import ArgumentError
 

@@ -9,8 +9,6 @@ of a dual quaternion within rounding of the given one, and may differ by eps ove
 `log_shortest` never comes there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from functools import partial

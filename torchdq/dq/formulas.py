@@ -1,7 +1,5 @@
 """Formulas of the algebra on tensors, as one program each: a call takes microseconds, and gradients of all orders."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 

@@ -5,8 +5,6 @@ and are constant in B. The coordinate of a joint with one degree of freedom is a
 coordinates of a free joint are the pose of B in P. A fixed joint has no coordinates and no screws; it costs nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol

@@ -102,18 +102,11 @@ def arctangent(y: Value, x: Value, single: bool) -> Value:
     steep = at_least(t, _EIGHTH)
     u = select(steep, (t - 1.0) / (t + 1.0), t)
     z = u * u
-    high, low = _pi_in_two(single)
+    high = float.fromhex("0x1.921fb6p+1") if single else math.pi
+    low = math.pi - high if single else 1.2246467991473532e-16  # the rounding error of pi
     r = 0.25 * high * steep + ((u - u * (z * polynomial(_ARCTANGENT, z))) + 0.25 * low * steep)
     r = select(below(size, y), 0.5 * high - (r - 0.5 * low), r)
     return select(below(x, 0.0), high - (r - low), r)
-
-
-def _pi_in_two(single: bool) -> tuple[float, float]:
-    """Pi rounded to the precision, and the rounding error."""
-    if not single:
-        return math.pi, 1.2246467991473532e-16
-    high = float.fromhex("0x1.921fb6p+1")
-    return high, math.pi - high
 
 
 def absolute(x: Value) -> Value:

@@ -5,8 +5,6 @@ operations of arithmetic, whose signs the recorder simplifies. A new operation i
 `numbers.functions`.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Callable, Mapping

@@ -3,8 +3,6 @@
 `torchdq cost` prints it.
 """
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Callable, Sequence

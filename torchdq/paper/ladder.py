@@ -4,8 +4,6 @@ Every step computes the same torques of the same robot. What changes from one to
 recorded program, and derived in docs/how-it-works.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple

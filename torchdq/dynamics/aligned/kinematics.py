@@ -1,7 +1,5 @@
 """Positions, directions, poses and Jacobians in aligned frames."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ change of frame is a sequence of planar rotations with 4 multiplications each; a
 besides those for the matrix.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

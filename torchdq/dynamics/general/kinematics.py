@@ -7,7 +7,6 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.screw import Adjoint, Screw
-from torchdq.algebra.structural import ad_inverse
 from torchdq.dynamics.tree import WORLD, Link, Tree, freedoms, path
 
 
@@ -34,7 +33,7 @@ def adjoints(X_PB: Sequence[DualQuaternion | None]) -> tuple[Adjoint | None, ...
 
 def to_link(Ad_PB: Adjoint | None, m: Screw | None) -> Any:
     """Screw in the link's frame, given in the parent's; `Ad_PB` is None if the frames coincide."""
-    return m if Ad_PB is None else ad_inverse(Ad_PB, m)
+    return m if Ad_PB is None or m is None else screw.ad(screw.inverse(Ad_PB), m)
 
 
 def to_parent(Ad_PB: Adjoint | None, m: Screw | None) -> Any:

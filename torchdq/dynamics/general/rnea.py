@@ -88,14 +88,6 @@ def rnea(
     tau: list[Number | None] = []
     for F_i, link in zip(F, tree.links, strict=True):
         tau += [None] * link.joint.nv if F_i is None else link.joint.project(F_i)  # (48), erratum A1
-    return with_rotors(tree, tau, qdd)
-
-
-def with_rotors(tree: Tree, tau: Sequence[Number | None], qdd: Sequence[Number] | None) -> list[Number | None]:
-    """Generalised forces including those that accelerate the rotors."""
-    result = list(tau)
-    for link in tree.links:
         if link.armature is not None and qdd is not None:
-            k = link.v.start
-            result[k] = (0.0 if result[k] is None else result[k]) + link.armature * qdd[k]
-    return result
+            tau[-1] = (0.0 if tau[-1] is None else tau[-1]) + link.armature * qdd[link.v.start]
+    return tau
