@@ -83,7 +83,7 @@ def test_a_push_that_is_not_given_is_none_and_costs_nothing():
 def test_drag_resists_the_motion_of_every_link(name, form):
     b = bare(name)
     ranges = {"linear": (0.1, 1.0), "quadratic": (0.1, 1.0), "angular": (0.01, 0.2), "sign_width": (0.01, 0.5)}
-    parameters, values = forms_of(ranges, form, b.n, {"sign_width": None})
+    parameters, values = forms_of(ranges, form, b.n)
     torques = np.zeros((SAMPLES, b.n))
     for k, i in itertools.product(range(SAMPLES), range(b.n)):
         at = at_frame(b, b.robot.link_names[i], k)
@@ -93,8 +93,6 @@ def test_drag_resists_the_motion_of_every_link(name, form):
         force = -(values["linear"][k, i] + values["quadratic"][k, i] * speed) * v
         moment = np.cross(arm, force) - values["angular"][k, i] * at.spin
         torques[k] += at.jacobian.T @ np.concatenate([force, moment])
-    if form == "list":
-        parameters["sign_width"] = float(values["sign_width"][0])
     assert agrees(b, effects.Drag(**parameters), torques=torques)
 
 

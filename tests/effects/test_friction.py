@@ -9,6 +9,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from effect_harness import FRICTION, forms_of, over_width
 from helpers import FIXED, INERTIA, WHEEL, called, double, random
 from messages import refused
 from oracles import random_tree, shipped
@@ -26,44 +27,31 @@ TREE = random_tree(6, seed=3, armature=True).robot
 n = TREE.n
 
 
-def row(low, high, seed):
-    return tuple(np.random.default_rng(seed).uniform(low, high, n).tolist())
+def law_of(kind):
+    """Friction of one of the kinds whose torque is a damping, and its torque."""
+    ranges, formula = FRICTION[kind]
+    parameters, values = forms_of(ranges, "list", n)
+    values = {name: x[0] for name, x in values.items()}
+    return getattr(effects, kind)(**parameters), lambda q, qd, load: formula(q, qd, **values)[0] * qd
 
 
-def sign(qd, width):
-    return qd / np.sqrt(qd**2 + width**2)
+GEAR, _ = forms_of({"coefficient": (0.1, 0.9)}, "list", n)
+TEETH, _ = forms_of({"period": (0.3, 2.0), "sine": (-1.0, 1.0), "cosine": (-1.0, 1.0)}, "list", n)
+
+
+def rippling(q, qd, load):
+    period, sine, cosine = map(np.array, TEETH.values())
+    return sine * np.sin(2 * np.pi * q / period) + cosine * np.cos(2 * np.pi * q / period)
 
 
 # effect, and the torque that overcomes it, of position, velocity and load
 LAWS = {
-    "Viscous": (effects.Viscous(row(0.1, 2, 1)), lambda q, qd, load: np.array(row(0.1, 2, 1)) * qd),
-    "Quadratic": (effects.Quadratic(row(0.1, 2, 1)), lambda q, qd, load: np.array(row(0.1, 2, 1)) * qd * np.abs(qd)),
-    "Coulomb": (effects.Coulomb(row(0.1, 2, 1), 0.2), lambda q, qd, load: np.array(row(0.1, 2, 1)) * sign(qd, 0.2)),
-    "Directional": (
-        effects.Directional(row(0.1, 2, 1), row(0.1, 2, 2), 0.2),
-        lambda q, qd, load: (
-            np.array(row(0.1, 2, 1)) * sign(qd, 0.2) * (1 + sign(qd, 0.2)) / 2
-            + np.array(row(0.1, 2, 2)) * sign(qd, 0.2) * (1 - sign(qd, 0.2)) / 2
-        ),
-    ),
-    "Stribeck": (
-        effects.Stribeck(row(0.1, 1, 1), row(1, 2, 2), 0.5, 0.2),
-        lambda q, qd, load: (
-            (np.array(row(0.1, 1, 1)) + np.array(np.subtract(row(1, 2, 2), row(0.1, 1, 1))) / (1 + (qd / 0.5) ** 2))
-            * sign(qd, 0.2)
-        ),
-    ),
+    **{kind: law_of(kind) for kind in FRICTION},
     "LoadDependent": (
-        effects.LoadDependent(row(0.1, 0.9, 1), 0.2),
-        lambda q, qd, load: np.array(row(0.1, 0.9, 1)) * np.abs(load) * sign(qd, 0.2),
+        effects.LoadDependent(**GEAR, sign_width=0.2),
+        lambda q, qd, load: np.array(GEAR["coefficient"]) * np.abs(load) * qd * over_width(qd, 0.2),
     ),
-    "Ripple": (
-        effects.Ripple(row(0.3, 2, 1), row(-1, 1, 2), row(-1, 1, 3)),
-        lambda q, qd, load: (
-            np.array(row(-1, 1, 2)) * np.sin(2 * np.pi * q / np.array(row(0.3, 2, 1)))
-            + np.array(row(-1, 1, 3)) * np.cos(2 * np.pi * q / np.array(row(0.3, 2, 1)))
-        ),
-    ),
+    "Ripple": (effects.Ripple(**TEETH), rippling),
 }
 TOGETHER = tuple(effect for effect, _ in LAWS.values())
 
@@ -131,7 +119,7 @@ def test_inverse_and_forward_dynamics_of_a_layer_agree(kind):
 def test_friction_that_needs_no_velocity_is_there_at_rest():
     ripple = LAWS["Ripple"][0]
     q = random(5, n, seed=6)
-    layer = torchdq.DQRNEA(TREE, friction=(ripple,))
+    layer = torchdq.DQRNEA(TREE, friction=ripple)  # one effect, without a sequence
     torque = layer(q) - torchdq.inverse_dynamics(TREE, q)
     assert alike(torque, LAWS["Ripple"][1](q.numpy(), 0 * q.numpy(), None), 1e3)
     assert torchdq.ForwardDynamics(TREE, friction=(ripple,))(q, None, layer(q)).abs().max() < 1e-9
@@ -192,13 +180,24 @@ def test_friction_of_the_load_takes_power_in_every_state(seconds):
         assert (torque * ends <= 1e-9 * torque.abs().amax() * ends.abs().amax()).all()
 
 
-def test_a_load_that_no_effect_asks_for_is_asked_for():
+MISUSE = {
+    "no load": lambda q, time: columns(TREE, effects.LoadDependent(), *random(2, 5, n)),
+    "friction that locks": lambda q, time: Scene(ARM, (effects.LoadDependent(1.0),)),
+    "load twice": lambda q, time: Scene(ARM, (effects.LoadDependent(0.1), effects.LoadDependent(0.2))),
+    "no temperature": lambda q, time: Scene(ARM, (effects.Viscous(1.0, warming=-0.1),)).step(State(*random(2, 2))),
+    "no times": lambda q, time: columns(WHEEL, effects.LuGre(), q, q),
+    "times that stand still": lambda q, time: columns(WHEEL, effects.LuGre(), q, q, time=0 * time),
+    "several motions": lambda q, time: columns(WHEEL, effects.LuGre(), q[None], q[None], time=time),
+    "model's friction twice": lambda q, time: torchdq.ComputedTorque(
+        torchdq.DQRNEA(ARM, friction=effects.Viscous(0.1)), 9.0, 6.0, friction=effects.Viscous(0.1)
+    ),
+}
+
+
+@pytest.mark.parametrize("what", MISUSE)
+def test_what_friction_needs_is_asked_for(what):
     with refused(ArgumentError):
-        columns(TREE, effects.LoadDependent(), *random(2, 5, n))
-    with refused(ArgumentError):
-        Scene(ARM, (effects.LoadDependent(1.0),))
-    with refused(ArgumentError):
-        Scene(ARM, (effects.LoadDependent(0.1), effects.LoadDependent(0.2)))
+        MISUSE[what](random(9, 1), torch.linspace(0.0, 1.0, 9, dtype=F64))
 
 
 # --- ripple ----------------------------------------------------------------------------------------------------------
@@ -242,8 +241,6 @@ def test_coefficients_change_with_the_temperature(kind):
     warmed, plain = (Scene(TREE, part, integrator=ExplicitEuler(), dt=1.0) for part in parts)
     zero = torch.zeros(n, dtype=F64)
     assert torch.allclose(warmed.step(State(q, qd), load, temperature=zero).qd, plain.step(State(q, qd), load).qd)
-    with refused(ArgumentError):
-        warmed.step(State(q, qd))
 
 
 def test_friction_of_one_scene_shares_the_temperature():
@@ -378,12 +375,6 @@ def test_bristles_along_a_log_are_those_of_the_simulation():
     unit = effects.LuGre(None, 5e-4, 1.5, 0.3)  # whose torque is its deflection
     found = columns(WHEEL, unit, q, qd, time=time)["coulomb"]
     assert z.abs().max() > 1.05 and (found - z).abs().max() < 0.02
-    with refused(ArgumentError):
-        columns(WHEEL, unit, q, qd)
-    with refused(ArgumentError):
-        columns(WHEEL, unit, q, qd, time=0 * time)
-    with refused(ArgumentError):
-        columns(WHEEL, unit, q[None], qd[None], time=time)
 
 
 def test_bristles_are_rows_of_a_batch_and_are_remembered():
@@ -455,31 +446,20 @@ def test_layers_learn_what_friction_is_linear_in():
     assert torch.equal(layer.friction[3].coefficient, layer.loaddependent_coefficient)
 
 
-@pytest.mark.parametrize(
-    "friction, learn, message",
-    [
-        ((effects.LuGre(1.0),), (), "friction of a layer must not be LuGre, whose torque depends on the motion before"),
-        (
-            (effects.Viscous(1.0, warming=0.01),),
-            (),
-            "friction of a layer must not be warming, since a layer has no temp",
-        ),
-        ((effects.Gravity(),), (), "friction must be a sequence of friction effects, such as"),
-        (effects.Viscous(1.0), (), None),
-        ((effects.LoadDependent(0.1), effects.LoadDependent(0.1)), (), "friction must not hold LoadDependent twice"),
-        (
-            (effects.Stribeck(1.0, 2.0),),
-            "friction",
-            "learn must not name 'friction' with Stribeck among it, whose coul",
-        ),
-        ((effects.Coulomb(1.0), effects.Coulomb(1.0)), "friction", "learn must not name 'friction' with Coulomb twice"),
-        ((effects.Directional(),), (), "forward of Directional must be given"),
-    ],
-)
-def test_friction_that_a_layer_cannot_have_is_refused(friction, learn, message):
-    if message is None:
-        assert torchdq.DQRNEA(ARM, learn, friction=friction).friction == (friction.resolved(ARM),)
-        return
+LAYER = {  # friction that a layer cannot have, and what it learns
+    "with memory": ((effects.LuGre(1.0),), ()),
+    "of a temperature": ((effects.Viscous(1.0, warming=0.01),), ()),
+    "another effect": ((effects.Gravity(),), ()),
+    "load twice": ((effects.LoadDependent(0.1), effects.LoadDependent(0.1)), ()),
+    "learned with an order": ((effects.Stribeck(1.0, 2.0),), "friction"),
+    "learned twice": ((effects.Coulomb(1.0), effects.Coulomb(1.0)), "friction"),
+    "without coefficients": ((effects.Directional(),), ()),
+}
+
+
+@pytest.mark.parametrize("what", LAYER)
+def test_friction_that_a_layer_cannot_have_is_refused(what):
+    friction, learn = LAYER[what]
     with refused(ArgumentError):
         torchdq.DQRNEA(ARM, learn, friction=friction)
 
@@ -491,8 +471,6 @@ def test_the_friction_of_a_model_is_that_of_its_controller():
     given = random(5, 20, n, seed=12)
     apart, held = torchdq.ComputedTorque(robot, 9.0, 6.0, friction=(own,)), torchdq.ComputedTorque(model, 9.0, 6.0)
     assert torch.allclose(held(*given), apart(*given), rtol=1e-9, atol=1e-9)
-    with refused(ArgumentError):
-        torchdq.ComputedTorque(model, 9.0, 6.0, friction=(own,))
     described = torchdq.ComputedTorque(torchdq.DQRNEA(robot), 9.0, 6.0)
     plain = torchdq.ComputedTorque(robot, 9.0, 6.0, friction=False)
     assert torch.allclose(described(*given) - plain(*given), 0.5 * given[1], atol=1e-9)

@@ -6,69 +6,17 @@ import math
 import numpy as np
 import pytest
 import torch
-from effect_harness import CASES, FORMS, SAMPLES, agrees, bare, close, double, forms_of, pinocchio
+from effect_harness import CASES, FORMS, JOINT, TARGET, agrees, bare, close, double, forms_of, pinocchio
 
 import torchdq
 from torchdq.envs import Scene, State, effects
 from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit, SemiImplicitEuler
 
 
-def limits_impedance(q, qd, lower, upper, stiffness, dissipation):
-    below, above = np.maximum(lower - q, 0), np.maximum(q - upper, 0)
-    growing = np.where(below > 0, qd <= 0, qd >= 0)
-    beyond = below + above
-    return stiffness * dissipation * beyond * growing, stiffness * (beyond > 0), np.clip(q, lower, upper)
-
-
-def over_width(qd, width):
-    return 1.0 / np.sqrt(qd**2 + np.broadcast_to(width, (SAMPLES,))[:, None] ** 2)
-
-
-# damping, stiffness and rest by parameters
-JOINT = {
-    "Viscous": ({"coefficient": (0.1, 2.0)}, lambda q, qd, coefficient: (coefficient, 0 * q, 0 * q)),
-    "Coulomb": (
-        {"coulomb": (0.1, 2.0), "sign_width": (0.1, 1.0)},
-        lambda q, qd, coulomb, sign_width: (coulomb * over_width(qd, sign_width), 0 * q, 0 * q),
-    ),
-    "Quadratic": ({"coefficient": (0.1, 2.0)}, lambda q, qd, coefficient: (coefficient * np.abs(qd), 0 * q, 0 * q)),
-    "Directional": (
-        {"forward": (0.5, 1.0), "backward": (1.0, 2.0), "sign_width": (0.1, 1.0)},
-        lambda q, qd, forward, backward, sign_width: (
-            0.5
-            * (forward + backward + (forward - backward) * qd * over_width(qd, sign_width))
-            * over_width(qd, sign_width),
-            0 * q,
-            0 * q,
-        ),
-    ),
-    "Stribeck": (
-        {"coulomb": (0.5, 1.0), "static": (1.0, 2.0), "velocity": (0.5, 2.0), "sign_width": (0.1, 1.0)},
-        lambda q, qd, coulomb, static, velocity, sign_width: (
-            (coulomb + (static - coulomb) / (1 + (qd / velocity) ** 2)) * over_width(qd, sign_width),
-            0 * q,
-            0 * q,
-        ),
-    ),
-    "Spring": (
-        {"stiffness": (1.0, 20.0), "rest": (-1.0, 1.0)},
-        lambda q, qd, stiffness, rest: (0 * q, stiffness, rest),
-    ),
-    "Servo": ({"kp": (1.0, 20.0), "kd": (0.1, 2.0)}, lambda q, qd, kp, kd: (kd, kp, TARGET[:, : q.shape[-1]])),
-    "JointLimits": (
-        {"lower": (-0.5, -0.1), "upper": (0.1, 0.5), "stiffness": (10.0, 50.0), "dissipation": (0.1, 2.0)},
-        limits_impedance,
-    ),
-}
-TARGET = np.random.default_rng(5).normal(size=(SAMPLES, 7))
-
-
 def joint_effect(b, kind, form):
     """An effect, its inputs, and the damping, stiffness and rest that its formula gives in the states."""
     ranges, formula = JOINT[kind]
-    parameters, values = forms_of(ranges, form, b.n, {"sign_width": None})
-    if form == "list" and "sign_width" in parameters:
-        parameters["sign_width"] = float(values["sign_width"][0])
+    parameters, values = forms_of(ranges, form, b.n)
     inputs = {"target": double(TARGET[:, : b.n])} if kind == "Servo" else {}
     return getattr(effects, kind)(**parameters), inputs, formula(b.q.numpy(), b.qd.numpy(), **values)
 
@@ -131,13 +79,6 @@ def test_limits_never_pull(side, qd):
     assert torque * side < 0
     assert abs(torque) >= 1e4 * 0.01 * (1 - 1e-9)  # at least that of the spring
     assert (abs(torque) > 1e4 * 0.01 * (1 + 1e-9)) == (qd * side > 0)  # damped only while it goes deeper
-
-
-@pytest.mark.case("T11")
-def test_limits_are_continuous_at_the_limit():
-    sizes = [abs(limit_torque(1.0 + depth, 2.0)) for depth in (1e-3, 1e-6, 1e-9)]
-    assert sizes[0] == pytest.approx(1e3 * sizes[1], rel=1e-3)
-    assert sizes[2] < 1e-4
 
 
 @pytest.mark.filterwarnings("ignore:.*it acts on no joint:UserWarning")  # held by test_scene.py

@@ -396,40 +396,32 @@ def test_a_controller_and_a_rollout_by_a_policy_see_it():
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "parts",
-    [
-        (nn.Linear(2, 2),),
-        (effects.Residual(3.0),),
-        (effects.Residual(nn.Bilinear),),
-        (effects.Residual(torchdq.DQRNEA(ARM)),),
-        (effects.Residual(imitated(0, 0.1, PANDA)),),
-        (effects.Residual(torch.add, 0),),
-        (effects.Residual(torch.add), effects.Residual(torch.mul)),
-    ],
-)
-def test_models_that_cannot_act_are_refused_by_name(parts):
+def returning(result):
+    scene = Scene(ARM, (effects.Residual(lambda q, qd: result),))
+    return scene.step(scene.start(torch.zeros(4, 2)))
+
+
+ADDING = Scene(ARM, (effects.Residual(torch.add),))
+MISUSE = {
+    "module as an effect": lambda: Scene(ARM, (nn.Linear(2, 2),)),
+    "number": lambda: Scene(ARM, (effects.Residual(3.0),)),
+    "class": lambda: Scene(ARM, (effects.Residual(nn.Bilinear),)),
+    "model of all bodies": lambda: Scene(ARM, (effects.Residual(torchdq.DQRNEA(ARM)),)),
+    "model of another robot": lambda: Scene(ARM, (effects.Residual(imitated(0, 0.1, PANDA)),)),
+    "no iterations": lambda: Scene(ARM, (effects.Residual(torch.add, 0),)),
+    "two models": lambda: Scene(ARM, (effects.Residual(torch.add), effects.Residual(torch.mul))),
+    "model that returns nothing": lambda: returning(None),
+    "torques of three joints": lambda: returning(torch.ones(3)),
+    "torques of one row": lambda: returning(torch.ones(2)),
+    "torques from elsewhere": lambda: ADDING.step(ADDING.start(torch.zeros(2)), residual=torch.zeros(2)),
+    "recommended settings": lambda: torchdq.recommend_settings(ADDING),
+}
+
+
+@pytest.mark.parametrize("what", MISUSE)
+def test_what_a_residual_cannot_be_is_refused(what):
     with refused(ArgumentError):
-        Scene(ARM, parts)
-
-
-@pytest.mark.parametrize("bad", [None, torch.ones(3), torch.ones(2)])
-def test_what_a_model_returns_is_checked(bad):
-    scene = Scene(ARM, (effects.Residual(lambda q, qd: bad),))
-    with refused(ArgumentError):
-        scene.step(scene.start(torch.zeros(4, 2)))
-
-
-def test_nobody_else_gives_its_torques():
-    scene = Scene(ARM, (effects.Residual(torch.add),))
-    with refused(ArgumentError):
-        scene.step(scene.start(torch.zeros(2)), residual=torch.zeros(2))
-
-
-def test_no_step_is_recommended_for_a_network():
-    scene = Scene(ARM, (effects.Residual(torch.add),))
-    with refused(ArgumentError):
-        torchdq.recommend_settings(scene)
+        MISUSE[what]()
 
 
 def test_a_network_without_a_solution_is_told():
