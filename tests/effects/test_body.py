@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from effect_harness import CASES, FORMS, SAMPLES, accelerations, agrees, bare, close, double, forms_of, pinocchio
+from effect_harness import CASES, FORMS, SAMPLES, agrees, bare, double, forms_of
 
 import torchdq
 from torchdq.envs import Scene, State, effects
@@ -47,20 +47,6 @@ def test_a_push_is_the_torque_of_its_jacobian(name, frame, axes):
         turn = np.eye(3) if axes == "world" else at.rotation
         torques.append(at.jacobian.T @ np.concatenate([turn @ push[k, :3], turn @ push[k, 3:]]))
     assert agrees(b, effects.Push(frame, axes), torques=np.array(torques), push=double(push))
-
-
-def test_a_push_is_an_external_wrench():
-    """The same wrench through torchdq's own `f_ext`, which acts on links in their frames."""
-    b = bare("tree")
-    link = b.n - 1
-    push = double(np.random.default_rng(2).normal(size=(SAMPLES, 6)))
-    f_ext = torch.zeros(SAMPLES, b.n, 6, dtype=torch.float64)
-    f_ext[:, link] = push
-    robot = b.robot.replace(gravity=torch.zeros(3, dtype=torch.float64), armature=None)
-    expected = torchdq.forward_dynamics(robot, b.q, b.qd, b.u, f_ext=f_ext)
-    assert close(
-        accelerations(b, effects.Push(b.robot.link_names[link], "body"), push=push), expected, pinocchio(b).size
-    )
 
 
 def test_wrenches_on_a_link_add_up():
