@@ -1,6 +1,5 @@
 """Joint effects: springs, servos, limits and memoryless friction have the torques of their formulas."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -110,26 +109,3 @@ def test_friction_only_takes_power(kind):
     each = tau * qd if kind != "Drag" else (tau * qd).sum(-1)  # the drag of a link acts on all joints below it
     assert (each <= 1e-12 * tau.abs().amax() * qd.abs().amax()).all()
     assert (each < 0).double().mean() > 0.9
-
-
-@pytest.mark.case("T10")
-@pytest.mark.parametrize("width", [1e-2, 1e-6])
-@pytest.mark.parametrize("kind", ["Viscous", "Coulomb", "Stribeck"])
-def test_an_arm_never_gains_energy_from_friction_when_integrated_implicitly(kind, width):
-    """Friction takes h D v'^2 and more out of a step; what rigid bodies alone gain by rounding and order is left aside.
-
-    The arm moves slowly, so that Coriolis torques, which a first-order step gets wrong by dt |v|^3, are small.
-    """
-    robot = CASES["two_link"].robot
-    effect = FRICTION[kind] if kind == "Viscous" else dataclasses.replace(FRICTION[kind], sign_width=width)
-    generator = torch.Generator().manual_seed(2)
-    q, qd = torch.randn(2, 50, 2, generator=generator, dtype=torch.float64)
-    scene = Scene(robot, (effect,), integrator=LinearlyImplicit(), dt=1e-3)
-    state = scene.start(q, 0.1 * qd)
-    energies = [scene.energy(state)[:, 0]]
-    for _ in range(300):
-        state = scene.step(state)
-        energies.append(scene.energy(state)[:, 0])
-    energies = torch.stack(energies)
-    assert (energies[1:] <= energies[:-1] * (1 + 1e-12) + 1e-18).all()
-    assert (energies[-1] < energies[0]).all()

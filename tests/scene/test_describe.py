@@ -38,11 +38,11 @@ def test_the_cost_of_the_controller_is_described():
 
 ASKED = {
     "gravity": (effects.Gravity(),),
-    "damping of j0, j1": (effects.Viscous(),),
-    "dry friction of j0, j1": (effects.Coulomb(), effects.Stribeck(static=1.0)),
-    "position limits of j0, j1": (effects.JointLimits(),),
-    "torque limits of j0, j1": (effects.Saturation(), effects.TorqueSpeed()),
-    "velocity limits of j0, j1": (effects.TorqueSpeed(),),
+    "damping of joint1, joint2": (effects.Viscous(),),
+    "dry friction of joint1, joint2": (effects.Coulomb(), effects.Stribeck(static=1.0)),
+    "position limits of joint1, joint2": (effects.JointLimits(),),
+    "torque limits of joint1, joint2": (effects.Saturation(), effects.TorqueSpeed()),
+    "velocity limits of joint1, joint2": (effects.TorqueSpeed(),),
     "rotor inertia": (effects.RotorInertia(), effects.Elastic(10.0)),
 }
 

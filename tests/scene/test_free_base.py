@@ -83,13 +83,20 @@ def test_momentum_and_energy_over_ten_thousand_steps():
 
 
 @pytest.mark.parametrize("parts", [(), (effects.Elastic(30.0, 0.2, 0.5),)], ids=["rigid", "elastic"])
-@pytest.mark.parametrize("integrator", [Repeated(RungeKutta4(), 4), DormandPrince(1e-11, 1e-13)], ids=called)
-def test_integrators_that_are_not_recorded_serve_free_bases_too(integrator, parts):
+@pytest.mark.parametrize(
+    ("integrator", "tolerance"),
+    [
+        (Repeated(RungeKutta4(), 4), 1e-5),
+        (Repeated(LinearlyImplicit(), 500), 1e-3),
+        (DormandPrince(1e-11, 1e-13), 1e-8),
+    ],
+    ids=str,
+)
+def test_integrators_that_are_not_recorded_serve_free_bases_too(integrator, tolerance, parts):
     c, m = case("tree2"), motion(case("tree2"))
     scene = Scene(c.robot, (effects.Gravity(), *parts), integrator=integrator, dt=0.05)
     fine = scene.replace(integrator=RungeKutta4(), dt=0.0025)
     found, expected = scene.step(begun(scene, m)), after(fine, begun(fine, m), 0.05)
-    tolerance = 1e-8 if isinstance(integrator, DormandPrince) else 1e-5
     for name, x in found.rows().items():
         assert (x - expected.rows()[name]).abs().max() <= tolerance
 
@@ -307,13 +314,3 @@ def test_what_a_free_base_does_not_have_is_refused(what):
 
 def test_a_start_is_upright_unless_a_pose_is_given():
     assert torch.equal(FREE.start(motion(case("tree2"))["q"]).X_WB, UPRIGHT.expand(3, 8))
-
-
-def test_elastic_joints_on_a_free_base_move_alike_with_every_integrator():
-    robot, found = case("tree2").robot, []
-    for integrator in (LinearlyImplicit(), RungeKutta4()):
-        scene = Scene(robot, (effects.Elastic(10.0, 0.1, 0.1),), integrator=integrator, dt=1e-4)
-        q = torch.linspace(0.1, 0.2, robot.n, dtype=torch.float64)
-        found.append(scene.rollout(scene.start(q, q), steps=100))
-    assert torch.allclose(found[0].q[-1], found[1].q[-1], atol=1e-4)
-    assert torch.allclose(found[0].V_WB_B[-1], found[1].V_WB_B[-1], atol=1e-3)

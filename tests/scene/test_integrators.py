@@ -203,7 +203,7 @@ def test_an_adaptive_step_drives_and_senses_as_a_recorded_one_does(compiled):
     assert a.memory.abs().min(0).values.max() > 0
 
 
-# --- energy and reversal ---------------------------------------------------------------------------------------------
+# --- energy ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.case("T2")
@@ -214,13 +214,6 @@ def test_the_band_of_the_energy_is_narrower_by_four_at_half_the_step(compiled):
         energy = scene.energy(trace(scene, swinging(), steps)).sum(-1)
         bands.append(float((energy - energy[0]).abs().max()))
     assert bands[0] / bands[1] == pytest.approx(4.0, rel=0.2)
-
-
-@pytest.mark.case("T3")
-def test_a_motion_of_semi_implicit_euler_played_back_does_not(compiled):
-    scene = Scene(ARM, (effects.Gravity(),), integrator=SemiImplicitEuler(), dt=1e-3)
-    there = rolled(scene, swinging(), 1000)
-    assert distance(rolled(scene, State(there.q, -there.qd), 1000)[:1], swinging()[:1]) > 1e-4
 
 
 # --- dry friction ----------------------------------------------------------------------------------------------------

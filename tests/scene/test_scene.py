@@ -26,7 +26,6 @@ from torchdq.scene import recording as plans
 from torchdq.scene.controllers import PD, ComputedTorqueController
 from torchdq.scene.integrators import (
     DormandPrince,
-    ExplicitEuler,
     RungeKutta4,
     SemiImplicitEuler,
     StoermerVerlet,
@@ -103,7 +102,7 @@ def test_an_effect_costs_what_its_description_says(kind):
     assert (second.effect, second.slot) == (kind, effect.SLOT)
     assert sum(cost.operations for cost in description.costs) == description.total.operations == scene.count().total
     # moved, or folded into constants
-    free = (effects.CommandDelay, effects.MeasurementDelay, effects.Payload, effects.MassScale)
+    free = (effects.CommandDelay, effects.MeasurementDelay, effects.MassScale, effects.RotorInertia)
     assert (second.operations == 0) == isinstance(effect, free)
 
 
@@ -115,16 +114,6 @@ def test_a_resting_arm_of_a_bare_scene_stays_where_it_is(integrator, robot):
     state = Scene(robot, integrator=integrator).rollout(State(q, torch.zeros_like(q)), steps=3)
     assert torch.equal(state.q, q.expand(3, *q.shape))
     assert not state.qd.any()
-
-
-def test_a_bare_scene_has_no_rotors_limits_or_friction_of_its_robot():
-    limits = torchdq.robot.Limits(*(double(-0.1, -0.1, -0.1) * sign for sign in (1, -1, -1, -1)))
-    described = TREE.replace(limits=limits, damping=double(9.0, 9.0, 9.0), friction=double(9.0, 9.0, 9.0))
-    plain = TREE.replace(gravity=None, armature=None)
-    q, qd, torque = random(3, 4, 3)
-    found = Scene(described, integrator=ExplicitEuler(), dt=1.0).step(State(q, qd), torque).qd - qd
-    expected = torchdq.forward_dynamics(plain, q, qd, torque)
-    assert torch.allclose(found, expected, rtol=1e-11, atol=1e-11)
 
 
 STRICT = Scene(ARM, (effects.Servo(1.0), effects.Push(), effects.CommandDelay(1), effects.Noise(0.1)), PD(1.0, 1.0))

@@ -14,8 +14,8 @@ import pinocchio as pin
 import torch
 from oracles import Case, random_tree, shipped, states
 
-import torchdq
 from torchdq.envs import Scene, effects
+from torchdq.robot import Limits
 from torchdq.scene.integrators import ExplicitEuler
 
 EPS = 2.0**-52
@@ -251,35 +251,18 @@ def constant(kind):
     return replace(effect, **{name: x.tolist() for name, x in effect.tensors().items()}), inputs
 
 
-# --- a robot whose file gives friction and limits ---
+# --- a robot that is described in everything but rotors --------------------------------------------------------------
 
-URDF = """
-<robot name="described">
-  <link name="base"/>
-  {links}
-</robot>"""
-LINK = """
-  <link name="l{i}"><inertial><origin xyz="0.1 0 -0.3"/><mass value="1.5"/>
-    <inertia ixx="0.02" iyy="0.03" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="j{i}" type="revolute"><parent link="{parent}"/><child link="l{i}"/>
-    <origin xyz="0 0 -0.5" rpy="0.3 0 0.2"/><axis xyz="0 1 0"/>
-    <limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="{velocity}"/>
-    <dynamics damping="{damping}" friction="{friction}"/></joint>"""
-DESCRIBED = [
-    {"lower": -0.4, "upper": 0.3, "effort": 4.0, "velocity": 2.0, "damping": 0.5, "friction": 0.25},
-    {"lower": -1.0, "upper": 0.1, "effort": 2.0, "velocity": 3.0, "damping": 0.125, "friction": 0.75},
-]
+LIMITS = {"lower": [-0.4, -1.0], "upper": [0.3, 0.1], "velocity": [2.0, 3.0], "effort": [4.0, 2.0]}
+DESCRIBED = {**LIMITS, "damping": [0.5, 0.125], "friction": [0.25, 0.75]}
 
 
 @cache
 def described():
-    """Robot of a file that gives damping, friction and limits."""
-    links = [LINK.format(i=i, parent=f"l{i - 1}" if i else "base", **joint) for i, joint in enumerate(DESCRIBED)]
-    return torchdq.Robot.from_urdf(URDF.format(links="".join(links)))
-
-
-def described_as(key):
-    return [joint[key] for joint in DESCRIBED]
+    """Robot whose description has damping, friction and limits."""
+    given = {name: double(x) for name, x in DESCRIBED.items()}
+    limits = Limits(**{name: given.pop(name) for name in LIMITS})
+    return CASES["two_link"].robot.replace(limits=limits, **given)
 
 
 U = double(np.random.default_rng(7).normal(size=(12, 2)) * 3)  # commands, or states
