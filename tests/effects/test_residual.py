@@ -332,7 +332,7 @@ def test_a_description_tells_the_size_of_the_network_and_what_it_adds_to(model, 
     assert found.outside == (f"{line} and other effects",)
     assert "\ncomputed outside the program, and not among the operations:\n- Residual: a " in str(found)
     assert [cost.effect for cost in found.costs] == ["bare step", "Viscous", "Residual"]
-    assert found.costs[-1].nanoseconds > 0
+    assert found.costs[-1].nanoseconds > 0 or not isinstance(model, torchdq.ResidualDynamics)  # others take no time
     assert Scene(ARM).describe(batch=1, seconds=0.0).outside == ()
 
 

@@ -40,10 +40,10 @@ class Stepping(Candidate):
 class Recommendation:
     """Recommended way to compute accelerations; `print` it."""
 
-    dtype: torch.dtype  # of states and inputs
+    dtype: torch.dtype  # dtype of states and inputs
     precision: Precision  # to give to `forward_dynamics`, `ForwardDynamics` or `Scene`
     backend: str  # that runs it here: "c" or "eager"
-    method: str  # of the accelerations, which the program chooses by itself: "mass matrix" or "articulated bodies"
+    method: str  # algorithm, which the program chooses by itself: "mass matrix" or "articulated bodies"
     error: float  # predicted, up to the horizon [rad or m]; without a horizon, of accelerations, relative
     nanoseconds: float  # measured time of an integrator's step, or of a call, per robot of a batch of 4096
     others: tuple[Candidate, ...]  # candidates that meet the error, the cheapest first
@@ -67,8 +67,8 @@ class Recommendation:
 class SceneRecommendation(Recommendation):
     """Recommended way to compute trajectories; `print` it."""
 
-    integrator: Integrator  # of the scene
-    step: float  # of the integrator [s]
+    integrator: Integrator  # integrator of the scene
+    step: float  # step of the integrator [s]
     scene: Scene  # with all of this; torques are held for `repeats` of its steps if the scene that was given is longer
     repeats: int  # steps of `scene` in one of the scene that was given, or in an eighth of the horizon for a robot
     horizon: float  # time up to which the error is kept [s]

@@ -16,6 +16,7 @@ from torchdq.functions.posed import posed
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
+from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments, constants, recorded
 
 __all__ = ["PD", "ComputedTorqueController", "Controller"]
@@ -78,6 +79,10 @@ class Feedback(Controller):
         if believed.n != robot.n:
             raise ArgumentError(f"{what} must have the {robot.n} joints of robot {robot.name!r}, found {believed.n}")
         for name in arguments(believed):
+            if getattr(believed, name).ndim > len(SHAPES[name]):
+                raise ArgumentError(
+                    f"{what} must be one robot, found batch axes of its {name}; its tensors are constants"
+                )
             if getattr(believed, name).requires_grad:
                 raise ArgumentError(
                     f"{what} must have constants, which get no gradient, found a {name} that requires grad; use "
