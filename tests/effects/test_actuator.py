@@ -39,13 +39,6 @@ def test_saturation_is_exactly_its_limit_beyond_it():
     assert torch.equal(scene.step(state, u).qd, unbounded.step(state, u).qd)
 
 
-@pytest.mark.filterwarnings("ignore:.*it acts on no joint:UserWarning")  # held by test_scene.py
-def test_saturation_without_limits_costs_nothing():
-    robot = CASES["two_link"].robot
-    for effect in (effects.Saturation(), effects.TorqueSpeed()):
-        assert Scene(robot, (effect,)).program().ops == Scene(robot).program().ops
-
-
 # ranges of the parameters, and torques behind the actuator for commands u and velocities v
 MEMORYLESS = {
     "TorqueSpeed": (

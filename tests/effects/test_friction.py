@@ -9,6 +9,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from effect_harness import FRICTION, forms_of, over_width
 from helpers import FIXED, INERTIA, WHEEL, called, double, random
 from messages import refused
 from oracles import random_tree, shipped
@@ -26,44 +27,31 @@ TREE = random_tree(6, seed=3, armature=True).robot
 n = TREE.n
 
 
-def row(low, high, seed):
-    return tuple(np.random.default_rng(seed).uniform(low, high, n).tolist())
+def law_of(kind):
+    """Friction of one of the kinds whose torque is a damping, and its torque."""
+    ranges, formula = FRICTION[kind]
+    parameters, values = forms_of(ranges, "list", n)
+    values = {name: x[0] for name, x in values.items()}
+    return getattr(effects, kind)(**parameters), lambda q, qd, load: formula(q, qd, **values)[0] * qd
 
 
-def sign(qd, width):
-    return qd / np.sqrt(qd**2 + width**2)
+GEAR, _ = forms_of({"coefficient": (0.1, 0.9)}, "list", n)
+TEETH, _ = forms_of({"period": (0.3, 2.0), "sine": (-1.0, 1.0), "cosine": (-1.0, 1.0)}, "list", n)
+
+
+def rippling(q, qd, load):
+    period, sine, cosine = map(np.array, TEETH.values())
+    return sine * np.sin(2 * np.pi * q / period) + cosine * np.cos(2 * np.pi * q / period)
 
 
 # effect, and the torque that overcomes it, of position, velocity and load
 LAWS = {
-    "Viscous": (effects.Viscous(row(0.1, 2, 1)), lambda q, qd, load: np.array(row(0.1, 2, 1)) * qd),
-    "Quadratic": (effects.Quadratic(row(0.1, 2, 1)), lambda q, qd, load: np.array(row(0.1, 2, 1)) * qd * np.abs(qd)),
-    "Coulomb": (effects.Coulomb(row(0.1, 2, 1), 0.2), lambda q, qd, load: np.array(row(0.1, 2, 1)) * sign(qd, 0.2)),
-    "Directional": (
-        effects.Directional(row(0.1, 2, 1), row(0.1, 2, 2), 0.2),
-        lambda q, qd, load: (
-            np.array(row(0.1, 2, 1)) * sign(qd, 0.2) * (1 + sign(qd, 0.2)) / 2
-            + np.array(row(0.1, 2, 2)) * sign(qd, 0.2) * (1 - sign(qd, 0.2)) / 2
-        ),
-    ),
-    "Stribeck": (
-        effects.Stribeck(row(0.1, 1, 1), row(1, 2, 2), 0.5, 0.2),
-        lambda q, qd, load: (
-            (np.array(row(0.1, 1, 1)) + np.array(np.subtract(row(1, 2, 2), row(0.1, 1, 1))) / (1 + (qd / 0.5) ** 2))
-            * sign(qd, 0.2)
-        ),
-    ),
+    **{kind: law_of(kind) for kind in FRICTION},
     "LoadDependent": (
-        effects.LoadDependent(row(0.1, 0.9, 1), 0.2),
-        lambda q, qd, load: np.array(row(0.1, 0.9, 1)) * np.abs(load) * sign(qd, 0.2),
+        effects.LoadDependent(**GEAR, sign_width=0.2),
+        lambda q, qd, load: np.array(GEAR["coefficient"]) * np.abs(load) * qd * over_width(qd, 0.2),
     ),
-    "Ripple": (
-        effects.Ripple(row(0.3, 2, 1), row(-1, 1, 2), row(-1, 1, 3)),
-        lambda q, qd, load: (
-            np.array(row(-1, 1, 2)) * np.sin(2 * np.pi * q / np.array(row(0.3, 2, 1)))
-            + np.array(row(-1, 1, 3)) * np.cos(2 * np.pi * q / np.array(row(0.3, 2, 1)))
-        ),
-    ),
+    "Ripple": (effects.Ripple(**TEETH), rippling),
 }
 TOGETHER = tuple(effect for effect, _ in LAWS.values())
 
@@ -131,7 +119,7 @@ def test_inverse_and_forward_dynamics_of_a_layer_agree(kind):
 def test_friction_that_needs_no_velocity_is_there_at_rest():
     ripple = LAWS["Ripple"][0]
     q = random(5, n, seed=6)
-    layer = torchdq.DQRNEA(TREE, friction=(ripple,))
+    layer = torchdq.DQRNEA(TREE, friction=ripple)  # one effect, without a sequence
     torque = layer(q) - torchdq.inverse_dynamics(TREE, q)
     assert alike(torque, LAWS["Ripple"][1](q.numpy(), 0 * q.numpy(), None), 1e3)
     assert torchdq.ForwardDynamics(TREE, friction=(ripple,))(q, None, layer(q)).abs().max() < 1e-9
@@ -161,12 +149,12 @@ def test_a_load_that_drives_meets_less_friction_than_one_that_is_driven(torque):
 
 
 @pytest.mark.parametrize("integrator", FIXED[1:], ids=called)
-@pytest.mark.parametrize("start", ["moving", "at rest"])
-def test_friction_of_the_load_never_gives_energy(integrator, start):
-    """An arm under constant torques, which lift it and are driven backwards as it swings; they have a potential."""
+def test_friction_of_the_load_never_gives_energy(integrator):
+    """Arms under constant torques, which lift them and are driven backwards as they swing; half start at rest."""
     scene = Scene(ARM, (effects.Gravity(), effects.LoadDependent(0.6, 0.05)), integrator=integrator, dt=2e-4)
     (q, qd), u = random(2, 20, 2, seed=7), double(6.0, -2.0)
-    state = scene.start(q, qd if start == "moving" else 0 * qd)
+    qd[10:] = 0
+    state = scene.start(q, qd)
     energies, backwards = [], []
     for _ in range(100):
         energies.append(scene.energy(state).sum(-1) - (u * state.q).sum(-1))
@@ -192,13 +180,24 @@ def test_friction_of_the_load_takes_power_in_every_state(seconds):
         assert (torque * ends <= 1e-9 * torque.abs().amax() * ends.abs().amax()).all()
 
 
-def test_a_load_that_no_effect_asks_for_is_asked_for():
+MISUSE = {
+    "no load": lambda q, time: columns(TREE, effects.LoadDependent(), *random(2, 5, n)),
+    "friction that locks": lambda q, time: Scene(ARM, (effects.LoadDependent(1.0),)),
+    "load twice": lambda q, time: Scene(ARM, (effects.LoadDependent(0.1), effects.LoadDependent(0.2))),
+    "no temperature": lambda q, time: Scene(ARM, (effects.Viscous(1.0, warming=-0.1),)).step(State(*random(2, 2))),
+    "no times": lambda q, time: columns(WHEEL, effects.LuGre(), q, q),
+    "times that stand still": lambda q, time: columns(WHEEL, effects.LuGre(), q, q, time=0 * time),
+    "several motions": lambda q, time: columns(WHEEL, effects.LuGre(), q[None], q[None], time=time),
+    "model's friction twice": lambda q, time: torchdq.ComputedTorque(
+        torchdq.DQRNEA(ARM, friction=effects.Viscous(0.1)), 9.0, 6.0, friction=effects.Viscous(0.1)
+    ),
+}
+
+
+@pytest.mark.parametrize("what", MISUSE)
+def test_what_friction_needs_is_asked_for(what):
     with refused(ArgumentError):
-        columns(TREE, effects.LoadDependent(), *random(2, 5, n))
-    with refused(ArgumentError):
-        Scene(ARM, (effects.LoadDependent(1.0),))
-    with refused(ArgumentError):
-        Scene(ARM, (effects.LoadDependent(0.1), effects.LoadDependent(0.2)))
+        MISUSE[what](random(9, 1), torch.linspace(0.0, 1.0, 9, dtype=F64))
 
 
 # --- ripple ----------------------------------------------------------------------------------------------------------
@@ -242,8 +241,6 @@ def test_coefficients_change_with_the_temperature(kind):
     warmed, plain = (Scene(TREE, part, integrator=ExplicitEuler(), dt=1.0) for part in parts)
     zero = torch.zeros(n, dtype=F64)
     assert torch.allclose(warmed.step(State(q, qd), load, temperature=zero).qd, plain.step(State(q, qd), load).qd)
-    with refused(ArgumentError):
-        warmed.step(State(q, qd))
 
 
 def test_friction_of_one_scene_shares_the_temperature():
@@ -315,17 +312,15 @@ def test_the_error_of_bristles_in_an_implicit_step_halves_with_it():
 def test_bristles_reach_the_stationary_deflection_at_any_stiffness(bend, dt):
     """A wheel that a torque holds at a speed, in both directions, and one at rest under less than its friction."""
     ratio, slow, settling = 1.5, 5.0, 0.01
-    parts = (effects.LuGre(LEVEL, bend, ratio, slow, settling), effects.Servo(0.0, 1e5))
-    scene = Scene(WHEEL, (*parts, effects.RotorInertia(1e9)), dt=dt)
+    lugre = effects.LuGre(LEVEL, bend, ratio, slow, settling)
+    scene, moved = Scene(WHEEL, (lugre, effects.RotorInertia(1e9)), dt=dt), Scene(WHEEL, (lugre,), dt=1e-9)
     for v in (3.0, -3.0):
-        state = scene.start(double(0.0), double(v))
+        state = scene.start(double(0.0))
         g = 1 + (ratio - 1) * math.exp(-((v / slow) ** 2))
-        scene_of = Scene(WHEEL, (parts[0], effects.RotorInertia(1e9)), dt=dt)
         for _ in range(30):
-            state = scene_of.step(state._replace(qd=double(v)))
+            state = scene.step(state._replace(qd=double(v)))
         assert float(state.memory) == pytest.approx(math.copysign(g, v), rel=1e-6)
         # the torque on the wheel is that of the deflection
-        moved = Scene(WHEEL, (parts[0],), integrator=LinearlyImplicit(), dt=1e-9)
         slowed = moved.step(state._replace(qd=double(v)))
         assert float(slowed.qd - v) * INERTIA / 1e-9 == pytest.approx(-LEVEL * math.copysign(g, v), rel=1e-4)
     held = Scene(WHEEL, (effects.LuGre(LEVEL, bend),), dt=dt)
@@ -378,12 +373,6 @@ def test_bristles_along_a_log_are_those_of_the_simulation():
     unit = effects.LuGre(None, 5e-4, 1.5, 0.3)  # whose torque is its deflection
     found = columns(WHEEL, unit, q, qd, time=time)["coulomb"]
     assert z.abs().max() > 1.05 and (found - z).abs().max() < 0.02
-    with refused(ArgumentError):
-        columns(WHEEL, unit, q, qd)
-    with refused(ArgumentError):
-        columns(WHEEL, unit, q, qd, time=0 * time)
-    with refused(ArgumentError):
-        columns(WHEEL, unit, q[None], qd[None], time=time)
 
 
 def test_bristles_are_rows_of_a_batch_and_are_remembered():
@@ -400,15 +389,12 @@ def test_bristles_are_rows_of_a_batch_and_are_remembered():
 @pytest.mark.parametrize("integrator", [RungeKutta4(), LinearlyImplicit(), DormandPrince(1e-9)], ids=called)
 def test_bristles_move_with_a_free_base(integrator):
     """A base of a million tons is a fixed one."""
-    body = '<inertia ixx="{0}" iyy="{0}" izz="{0}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    link = '<link name="l{0}"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>' + body.format(0.1)
-    joint = '<joint name="j{0}" type="continuous"><parent link="l{1}"/><child link="l{0}"/><axis xyz="0 1 1"/></joint>'
-    links = "".join(link.format(i) for i in (1, 2)) + joint.format(1, 0) + joint.format(2, 1)
-    urdf = f'<robot name="heavy"><link name="l0"><inertial><mass value="1e9"/>{body.format(1e9)}{links}</robot>'
+    zero, body = torch.zeros(3, dtype=F64), torch.tensor([1e9, 0, 1e9, 0, 0, 1e9], dtype=F64)
+    floating = ARM.replace(base_mass=torch.tensor(1e9, dtype=F64), base_com=zero, base_inertia=body)
     parts, u = (effects.LuGre(0.5, 0.01, settling=0.01), effects.LoadDependent(0.2)), double(2.0, -1.0)
     found = []
-    for base in ("fixed", "floating"):
-        scene = Scene(torchdq.Robot.from_urdf(urdf, base=base), parts, integrator=integrator, dt=1e-3)
+    for robot in (ARM, floating):
+        scene = Scene(robot, parts, integrator=integrator, dt=1e-3)
         state = scene.start(double(0.3, -0.5))
         for _ in range(40):
             state = scene.step(state, u)
@@ -429,14 +415,14 @@ def test_layers_learn_what_friction_is_linear_in():
         effects.LoadDependent(0.3),
         effects.Ripple(1.0, -0.1, 0.2),
     )
-    layer = torchdq.DQRNEA(TREE, "friction", friction=parts)
+    layer = torchdq.DQRNEA(ARM, "friction", friction=parts)
     names = ("viscous", "quadratic_coefficient", "directional_forward", "directional_backward")
     names += ("loaddependent_coefficient", "ripple_sine", "ripple_cosine")
     assert {
         name.removeprefix("parametrizations.").removesuffix(".original") for name, _ in layer.named_parameters()
     } == {*names}
-    q, qd, qdd = random(3, 300, n, seed=11)
-    truth = torchdq.DQRNEA(TREE, friction=(effects.Viscous(0.7), *parts[1:3], effects.LoadDependent(0.2), parts[4]))
+    q, qd, qdd = random(3, 300, 2, seed=11)
+    truth = torchdq.DQRNEA(ARM, friction=(effects.Viscous(0.7), *parts[1:3], effects.LoadDependent(0.2), parts[4]))
     tau = truth(q, qd, qdd)
     optimiser = torch.optim.LBFGS(
         layer.parameters(), max_iter=1500, history_size=100, line_search_fn="strong_wolfe", tolerance_change=1e-15
@@ -449,37 +435,26 @@ def test_layers_learn_what_friction_is_linear_in():
         return value
 
     optimiser.step(loss)
-    assert torch.allclose(layer.loaddependent_coefficient, torch.full((n,), 0.2, dtype=F64), atol=1e-3)
-    assert torch.allclose(layer.viscous, torch.full((n,), 0.7, dtype=F64), atol=1e-3)
+    assert torch.allclose(layer.loaddependent_coefficient, double(0.2, 0.2), atol=1e-3)
+    assert torch.allclose(layer.viscous, double(0.7, 0.7), atol=1e-3)
     assert [type(effect) for effect in layer.friction] == [type(effect) for effect in parts]
     assert torch.equal(layer.friction[3].coefficient, layer.loaddependent_coefficient)
 
 
-@pytest.mark.parametrize(
-    "friction, learn, message",
-    [
-        ((effects.LuGre(1.0),), (), "friction of a layer must not be LuGre, whose torque depends on the motion before"),
-        (
-            (effects.Viscous(1.0, warming=0.01),),
-            (),
-            "friction of a layer must not be warming, since a layer has no temp",
-        ),
-        ((effects.Gravity(),), (), "friction must be a sequence of friction effects, such as"),
-        (effects.Viscous(1.0), (), None),
-        ((effects.LoadDependent(0.1), effects.LoadDependent(0.1)), (), "friction must not hold LoadDependent twice"),
-        (
-            (effects.Stribeck(1.0, 2.0),),
-            "friction",
-            "learn must not name 'friction' with Stribeck among it, whose coul",
-        ),
-        ((effects.Coulomb(1.0), effects.Coulomb(1.0)), "friction", "learn must not name 'friction' with Coulomb twice"),
-        ((effects.Directional(),), (), "forward of Directional must be given"),
-    ],
-)
-def test_friction_that_a_layer_cannot_have_is_refused(friction, learn, message):
-    if message is None:
-        assert torchdq.DQRNEA(ARM, learn, friction=friction).friction == (friction.resolved(ARM),)
-        return
+LAYER = {  # friction that a layer cannot have, and what it learns
+    "with memory": ((effects.LuGre(1.0),), ()),
+    "of a temperature": ((effects.Viscous(1.0, warming=0.01),), ()),
+    "another effect": ((effects.Gravity(),), ()),
+    "load twice": ((effects.LoadDependent(0.1), effects.LoadDependent(0.1)), ()),
+    "learned with an order": ((effects.Stribeck(1.0, 2.0),), "friction"),
+    "learned twice": ((effects.Coulomb(1.0), effects.Coulomb(1.0)), "friction"),
+    "without coefficients": ((effects.Directional(),), ()),
+}
+
+
+@pytest.mark.parametrize("what", LAYER)
+def test_friction_that_a_layer_cannot_have_is_refused(what):
+    friction, learn = LAYER[what]
     with refused(ArgumentError):
         torchdq.DQRNEA(ARM, learn, friction=friction)
 
@@ -491,8 +466,6 @@ def test_the_friction_of_a_model_is_that_of_its_controller():
     given = random(5, 20, n, seed=12)
     apart, held = torchdq.ComputedTorque(robot, 9.0, 6.0, friction=(own,)), torchdq.ComputedTorque(model, 9.0, 6.0)
     assert torch.allclose(held(*given), apart(*given), rtol=1e-9, atol=1e-9)
-    with refused(ArgumentError):
-        torchdq.ComputedTorque(model, 9.0, 6.0, friction=(own,))
     described = torchdq.ComputedTorque(torchdq.DQRNEA(robot), 9.0, 6.0)
     plain = torchdq.ComputedTorque(robot, 9.0, 6.0, friction=False)
     assert torch.allclose(described(*given) - plain(*given), 0.5 * given[1], atol=1e-9)

@@ -53,7 +53,7 @@ def full(row):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-@pytest.mark.parametrize("form", ["constant", "tensor", "batched"])
+@pytest.mark.parametrize("form", ["constant", "tensor", "batched", "masses"])
 @pytest.mark.parametrize("frame", ["tip", "link"])
 @pytest.mark.parametrize("name", CASES)
 def test_a_payload_is_a_body_more(name, frame, form):
@@ -63,6 +63,7 @@ def test_a_payload_is_a_body_more(name, frame, form):
     rng = np.random.default_rng(3)
     rows = SAMPLES if form == "batched" else 1
     mass, com = rng.uniform(0.5, 3.0, rows), rng.normal(size=(rows, 3)) * 0.2
+    masses = mass[0] + np.arange(SAMPLES) if form == "masses" else np.resize(mass, SAMPLES)
     spread = rng.normal(size=(rows, 3, 3)) * 0.1
     second = spread @ spread.swapaxes(-1, -2) * mass[:, None, None]  # of a body about its centre of mass
     inertia = np.trace(second, axis1=-2, axis2=-1)[:, None, None] * np.eye(3) - second
@@ -71,27 +72,16 @@ def test_a_payload_is_a_body_more(name, frame, form):
     for k in range(SAMPLES):
         model = pin.Model(b.model)
         at = model.frames[b.case.frame_id(frame)]
-        held = pin.Inertia(mass[k % rows], com[k % rows], inertia[k % rows])
+        held = pin.Inertia(masses[k], com[k % rows], inertia[k % rows])
         model.appendBodyToJoint(at.parentJoint, held, at.placement)
         models.append(model)
     parameters = {
         "constant": lambda: (float(mass[0]), com[0].tolist(), six[0].tolist()),
         "tensor": lambda: (double(mass[0]), double(com[0]), double(six[0])),
         "batched": lambda: (double(mass), double(com), double(six)),
+        "masses": lambda: (double(masses), com[0].tolist(), six[0].tolist()),
     }[form]()
     assert agrees(b, effects.Payload(*parameters, frame=frame), model=models)
-
-
-def test_payloads_of_many_masses_with_the_rest_constant():
-    b = bare("panda")
-    mass = np.linspace(0.0, 4.0, SAMPLES)
-    models = [pin.Model(b.model) for _ in mass]
-    for model, m in zip(models, mass, strict=True):
-        at = model.frames[b.case.frame_id(b.robot.end_effector().name)]
-        model.appendBodyToJoint(
-            at.parentJoint, pin.Inertia(m, np.array([0.0, 0.0, 0.1]), np.zeros((3, 3))), at.placement
-        )
-    assert agrees(b, effects.Payload(double(mass), (0.0, 0.0, 0.1)), model=models)
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -1,6 +1,5 @@
 """Learned torques in a scene: what a network has learned acts on the joints as the physics would that it learned."""
 
-import itertools
 import warnings
 
 import gymnasium
@@ -18,7 +17,7 @@ from torchdq.effects.residual import BLOCK
 from torchdq.envs import ArmVectorEnv, Scene, State, effects
 from torchdq.errors import ArgumentError
 from torchdq.layers.residual.recorded import Learned, Prepared
-from torchdq.scene import controllers
+from torchdq.scene import controllers, stability
 from torchdq.scene.integrators import DormandPrince, ExplicitEuler, LinearlyImplicit, Repeated, RungeKutta4
 
 ARM, PANDA = shipped("two_link").robot, shipped("panda").robot
@@ -71,12 +70,12 @@ def test_a_network_that_learned_viscous_friction_is_that_friction_to_first_order
     expected = exact.step(exact.start(q, qd)).q
     errors = []
     learned = effects.Residual(imitated(0, 0.8))
-    for steps in (50, 100, 200):
+    for steps in (50, 100):
         scene = Scene(ARM, (*parts, learned), integrator=RungeKutta4(), dt=seconds / steps)
         with torch.no_grad():
             errors.append(float((scene.rollout(scene.start(q, qd), steps=steps).q[-1] - expected).abs().max()))
     assert errors[0] < 1e-2
-    assert all(1.8 < a / b < 2.2 for a, b in itertools.pairwise(errors))
+    assert 1.8 < errors[0] / errors[1] < 2.2
 
 
 @pytest.mark.parametrize("inertia", [0.01, 1.0, 100.0])
@@ -109,7 +108,7 @@ def test_an_arm_that_learned_from_friction_moves_as_the_arm_with_that_friction()
     """A network trained on torques of friction that its model does not know; a motion that it was not trained on."""
     generator = torch.Generator().manual_seed(3)
     ranges = double(2, 4, 10)[:, None, None]
-    q, qd, qdd = (2 * torch.rand(3, 2000, 2, generator=generator, dtype=torch.float64) - 1) * ranges
+    q, qd, qdd = (2 * torch.rand(3, 500, 2, generator=generator, dtype=torch.float64) - 1) * ranges
     tau = torchdq.inverse_dynamics(ARM, q, qd, qdd) + 1.5 * qd + 0.5 * qd / (qd * qd + 0.04).sqrt()
     torch.manual_seed(0)
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM), hidden=(16,)).double()
@@ -128,15 +127,6 @@ def test_an_arm_that_learned_from_friction_moves_as_the_arm_with_that_friction()
             ends.append(scene.rollout(scene.start(double(0.2, -0.3)), torque).q)
     without, true, learned = ends
     assert float((learned - true).abs().max()) < 0.05 * float((without - true).abs().max())
-
-
-def test_friction_that_was_learned_takes_energy_out():
-    robot = ARM.replace(gravity=None)
-    scene = Scene(robot, (effects.Residual(imitated(0, 0.5, robot)),), dt=2e-3)
-    state = scene.start(random(4, 2), random(4, 2, seed=1))
-    with torch.no_grad():
-        energies = torch.cat([scene.energy(state)[None], scene.energy(scene.rollout(state, steps=100))])[..., 0]
-    assert (energies[1:] < energies[:-1]).all()
 
 
 @pytest.mark.parametrize("integrator", EVERY, ids=called)
@@ -337,21 +327,17 @@ def test_it_costs_a_sum_per_joint_and_its_program_serves_every_network():
     ids=["ResidualDynamics", "module", "function"],
 )
 def test_a_description_tells_the_size_of_the_network_and_what_it_adds_to(model, words):
-    found = Scene(ARM, (effects.Viscous(0.1), effects.Residual(model))).describe(batch=1, seconds=0.0)
+    found = Scene(ARM, (effects.Viscous(0.1), effects.Residual(model))).describe(batch=8, seconds=5.0)
     line = f"Residual: a {words}, run by torch once per step, adds to the joint torques of the rigid bodies"
     assert found.outside == (f"{line} and other effects",)
     assert "\ncomputed outside the program, and not among the operations:\n- Residual: a " in str(found)
+    assert [cost.effect for cost in found.costs] == ["bare step", "Viscous", "Residual"]
+    assert found.costs[-1].nanoseconds > 0 or not isinstance(model, torchdq.ResidualDynamics)  # others take no time
     assert Scene(ARM).describe(batch=1, seconds=0.0).outside == ()
 
 
-def test_a_description_names_it_and_times_the_network_too():
-    scene = Scene(ARM, (effects.Viscous(0.1), effects.Residual(imitated(0, 0.1))))
-    found = scene.describe(batch=8, seconds=5.0)
-    assert [cost.effect for cost in found.costs] == ["bare step", "Viscous", "Residual"]
-    assert found.costs[-1].nanoseconds > 0
-
-
-def test_a_check_of_the_step_counts_its_torques():
+def test_a_check_of_the_step_counts_its_torques(monkeypatch):
+    monkeypatch.setattr(stability, "FEW", 64)  # of trials of shorter steps, none of which hold
     model = imitated(0, -400.0)  # a torque that grows with the velocity
     assert Scene(ARM).check(Scene(ARM).start(double(0.1, 0.2)), seconds=0.2)
     scene = Scene(ARM, (effects.Residual(model),))
@@ -396,40 +382,32 @@ def test_a_controller_and_a_rollout_by_a_policy_see_it():
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "parts",
-    [
-        (nn.Linear(2, 2),),
-        (effects.Residual(3.0),),
-        (effects.Residual(nn.Bilinear),),
-        (effects.Residual(torchdq.DQRNEA(ARM)),),
-        (effects.Residual(imitated(0, 0.1, PANDA)),),
-        (effects.Residual(torch.add, 0),),
-        (effects.Residual(torch.add), effects.Residual(torch.mul)),
-    ],
-)
-def test_models_that_cannot_act_are_refused_by_name(parts):
+def returning(result):
+    scene = Scene(ARM, (effects.Residual(lambda q, qd: result),))
+    return scene.step(scene.start(torch.zeros(4, 2)))
+
+
+ADDING = Scene(ARM, (effects.Residual(torch.add),))
+MISUSE = {
+    "module as an effect": lambda: Scene(ARM, (nn.Linear(2, 2),)),
+    "number": lambda: Scene(ARM, (effects.Residual(3.0),)),
+    "class": lambda: Scene(ARM, (effects.Residual(nn.Bilinear),)),
+    "model of all bodies": lambda: Scene(ARM, (effects.Residual(torchdq.DQRNEA(ARM)),)),
+    "model of another robot": lambda: Scene(ARM, (effects.Residual(imitated(0, 0.1, PANDA)),)),
+    "no iterations": lambda: Scene(ARM, (effects.Residual(torch.add, 0),)),
+    "two models": lambda: Scene(ARM, (effects.Residual(torch.add), effects.Residual(torch.mul))),
+    "model that returns nothing": lambda: returning(None),
+    "torques of three joints": lambda: returning(torch.ones(3)),
+    "torques of one row": lambda: returning(torch.ones(2)),
+    "torques from elsewhere": lambda: ADDING.step(ADDING.start(torch.zeros(2)), residual=torch.zeros(2)),
+    "recommended settings": lambda: torchdq.recommend_settings(ADDING),
+}
+
+
+@pytest.mark.parametrize("what", MISUSE)
+def test_what_a_residual_cannot_be_is_refused(what):
     with refused(ArgumentError):
-        Scene(ARM, parts)
-
-
-@pytest.mark.parametrize("bad", [None, torch.ones(3), torch.ones(2)])
-def test_what_a_model_returns_is_checked(bad):
-    scene = Scene(ARM, (effects.Residual(lambda q, qd: bad),))
-    with refused(ArgumentError):
-        scene.step(scene.start(torch.zeros(4, 2)))
-
-
-def test_nobody_else_gives_its_torques():
-    scene = Scene(ARM, (effects.Residual(torch.add),))
-    with refused(ArgumentError):
-        scene.step(scene.start(torch.zeros(2)), residual=torch.zeros(2))
-
-
-def test_no_step_is_recommended_for_a_network():
-    scene = Scene(ARM, (effects.Residual(torch.add),))
-    with refused(ArgumentError):
-        torchdq.recommend_settings(scene)
+        MISUSE[what]()
 
 
 def test_a_network_without_a_solution_is_told():

@@ -45,17 +45,6 @@ def test_noise_is_drawn_anew_and_from_torchs_generator():
     assert not torch.equal(once, twice)
 
 
-def test_the_gradient_of_a_standard_deviation_is_the_draw():
-    q, qd = double([[0.3, -0.4]]), double([[1.0, 2.0]])
-    position, velocity = (double(x).requires_grad_() for x in SPREAD.values())
-    noise = double([[0.2, 0.7, 0.9, 0.4]])
-    state = read(effects.Noise(position, velocity), q, qd, noise)
-    state.reading.sum().backward()
-    radius, angle = (-2 * noise[0, 0::2].log()).sqrt(), 2 * math.pi * noise[0, 1::2]
-    assert torch.allclose(position.grad, radius * angle.cos(), rtol=1e-14, atol=1e-14)
-    assert torch.allclose(velocity.grad, radius * angle.sin(), rtol=1e-14, atol=1e-14)
-
-
 def test_two_noises_of_a_reading_are_drawn_apart():
     rest, noise = torch.zeros(2, dtype=torch.float64), double([0.2, 0.7, 0.9, 0.4, 0.5, 0.1, 0.3, 0.8])
     kinds = (effects.Noise(0.1, 0.2), effects.Noise(0.3, 0.5))

@@ -5,6 +5,7 @@ with pinocchio's under the torques, wrenches or changed bodies that the effect s
 the largest torque, turned into accelerations by the inverse of the mass matrix.
 """
 
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -13,8 +14,8 @@ import pinocchio as pin
 import torch
 from oracles import Case, random_tree, shipped, states
 
-import torchdq
-from torchdq.envs import Scene
+from torchdq.envs import Scene, effects
+from torchdq.robot import Limits
 from torchdq.scene.integrators import ExplicitEuler
 
 EPS = 2.0**-52
@@ -120,51 +121,148 @@ def given(form, low, high, size, seed):
     if form == "batched":
         values = rng.uniform(low, high, (SAMPLES, *trailing))
         return Given(double(values), values)
-    values = rng.uniform(low, high) * np.ones(trailing) if form == "number" else rng.uniform(low, high, trailing)
-    parameter = {"number": float(values.flat[0]) if trailing else float(values), "list": values.tolist()}.get(
-        form, double(values)
+    values = (
+        np.full(trailing, rng.uniform(low, high)) if form == "number" else np.array(rng.uniform(low, high, trailing))
     )
-    return Given(parameter, np.broadcast_to(values, (SAMPLES, *trailing)))
+    parameters = {"number": float(values.flat[0]), "list": values.tolist(), "tensor": double(values)}
+    return Given(parameters[form], np.broadcast_to(values, (SAMPLES, *trailing)))
 
 
-def forms_of(ranges, form, n, sizes=None):
-    """Parameters of an effect by name, and their values."""
+def forms_of(ranges, form, n):
+    """Parameters of an effect by name, and their values; a width is one number, whatever the form."""
     found = {
-        name: given(form, low, high, (sizes or {}).get(name, n), seed)
+        name: given(form, low, high, None if name == "sign_width" else n, seed)
         for seed, (name, (low, high)) in enumerate(ranges.items())
     }
     return {name: g.parameter for name, g in found.items()}, {name: g.values for name, g in found.items()}
 
 
-# --- a robot whose file gives friction and limits ---
+# --- formulas of effects at the joints: ranges of the parameters; damping, stiffness and rest in a state --------------
 
-URDF = """
-<robot name="described">
-  <link name="base"/>
-  {links}
-</robot>"""
-LINK = """
-  <link name="l{i}"><inertial><origin xyz="0.1 0 -0.3"/><mass value="1.5"/>
-    <inertia ixx="0.02" iyy="0.03" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="j{i}" type="revolute"><parent link="{parent}"/><child link="l{i}"/>
-    <origin xyz="0 0 -0.5" rpy="0.3 0 0.2"/><axis xyz="0 1 0"/>
-    <limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="{velocity}"/>
-    <dynamics damping="{damping}" friction="{friction}"/></joint>"""
-DESCRIBED = [
-    {"lower": -0.4, "upper": 0.3, "effort": 4.0, "velocity": 2.0, "damping": 0.5, "friction": 0.25},
-    {"lower": -1.0, "upper": 0.1, "effort": 2.0, "velocity": 3.0, "damping": 0.125, "friction": 0.75},
-]
+TARGET = np.random.default_rng(5).normal(size=(SAMPLES, 7))  # of servos
+
+
+def over_width(qd, width):
+    return 1.0 / np.sqrt(qd**2 + np.asarray(width)[..., None] ** 2)
+
+
+def directional(q, qd, forward, backward, sign_width):
+    slope = over_width(qd, sign_width)
+    return 0.5 * (forward + backward + (forward - backward) * qd * slope) * slope, 0 * q, 0 * q
+
+
+def stribeck(q, qd, coulomb, static, velocity, sign_width):
+    level = coulomb + (static - coulomb) / (1 + (qd / velocity) ** 2)
+    return level * over_width(qd, sign_width), 0 * q, 0 * q
+
+
+def limits(q, qd, lower, upper, stiffness, dissipation):
+    below, above = np.maximum(lower - q, 0), np.maximum(q - upper, 0)
+    growing = np.where(below > 0, qd <= 0, qd >= 0)
+    beyond = below + above
+    return stiffness * dissipation * beyond * growing, stiffness * (beyond > 0), np.clip(q, lower, upper)
+
+
+FRICTION = {
+    "Viscous": ({"coefficient": (0.1, 2.0)}, lambda q, qd, coefficient: (coefficient, 0 * q, 0 * q)),
+    "Quadratic": ({"coefficient": (0.1, 2.0)}, lambda q, qd, coefficient: (coefficient * np.abs(qd), 0 * q, 0 * q)),
+    "Coulomb": (
+        {"coulomb": (0.1, 2.0), "sign_width": (0.1, 1.0)},
+        lambda q, qd, coulomb, sign_width: (coulomb * over_width(qd, sign_width), 0 * q, 0 * q),
+    ),
+    "Directional": ({"forward": (0.5, 1.0), "backward": (1.0, 2.0), "sign_width": (0.1, 1.0)}, directional),
+    "Stribeck": (
+        {"coulomb": (0.5, 1.0), "static": (1.0, 2.0), "velocity": (0.5, 2.0), "sign_width": (0.1, 1.0)},
+        stribeck,
+    ),
+}
+JOINT = {
+    **FRICTION,
+    "Spring": (
+        {"stiffness": (1.0, 20.0), "rest": (-1.0, 1.0)},
+        lambda q, qd, stiffness, rest: (0 * q, stiffness, rest),
+    ),
+    "Servo": ({"kp": (1.0, 20.0), "kd": (0.1, 2.0)}, lambda q, qd, kp, kd: (kd, kp, TARGET[:, : q.shape[-1]])),
+    "JointLimits": (
+        {"lower": (-0.5, -0.1), "upper": (0.1, 0.5), "stiffness": (10.0, 50.0), "dissipation": (0.1, 2.0)},
+        limits,
+    ),
+}
+
+
+# --- every effect of two joints: parameters as tensors that require gradients, and the inputs that it needs -----------
+
+
+def p(*x):
+    """Tensor that requires gradients."""
+    return double(x if len(x) > 1 else x[0]).requires_grad_()
+
+
+def warm():
+    return {"temperature": p(12.0, -7.0)}
+
+
+EVERY = {
+    "Gravity": lambda: (effects.Gravity(p(1.0, -9.0, 2.0)), {}),
+    "RotorInertia": lambda: (effects.RotorInertia(p(0.1, 0.2)), {}),
+    "Payload": lambda: (effects.Payload(p(0.7), p(0.1, 0.2, 0.0), p(0.02, 0.0, 0.02, 0.0, 0.0, 0.03)), {}),
+    "MassScale": lambda: (effects.MassScale(p(0.8, 1.3)), {}),
+    "Viscous": lambda: (effects.Viscous(p(0.3, 0.5), warming=p(0.02, 0.01)), warm()),
+    "Quadratic": lambda: (effects.Quadratic(p(0.3, 0.5), warming=p(0.02, 0.01)), warm()),
+    "Coulomb": lambda: (effects.Coulomb(p(0.3, 0.5), p(0.1), warming=p(0.02, 0.01)), warm()),
+    "Directional": lambda: (effects.Directional(p(0.3, 0.5), p(0.6, 0.2), p(0.1), warming=p(0.02, 0.01)), warm()),
+    "Stribeck": lambda: (
+        effects.Stribeck(p(0.3, 0.5), p(0.6, 0.8), p(0.1, 0.2), p(0.1), warming=p(0.02, 0.01)),
+        warm(),
+    ),
+    "LoadDependent": lambda: (effects.LoadDependent(p(0.3, 0.2), p(0.1), warming=p(0.02, 0.01)), warm()),
+    "LuGre": lambda: (
+        effects.LuGre(p(0.3, 0.5), p(0.2, 0.3), p(1.5, 1.2), p(0.7, 0.9), p(0.1, 0.05), warming=p(0.02, 0.01)),
+        warm(),
+    ),
+    "Ripple": lambda: (effects.Ripple(p(0.3, 0.5), p(0.3, -0.5), p(-0.2, 0.1), warming=p(0.02, 0.01)), warm()),
+    "Spring": lambda: (effects.Spring(p(3.0, 5.0), p(0.1, -0.2)), {}),
+    "Servo": lambda: (effects.Servo(p(3.0, 5.0), p(0.2, 0.1)), {"target": p(0.5, 0.1)}),
+    "JointLimits": lambda: (effects.JointLimits(p(-0.5, -0.6), p(0.2, 0.5), p(30.0, 50.0), p(1.0, 2.0)), {}),
+    "Elastic": lambda: (effects.Elastic(p(30.0, 50.0), p(0.3, 0.1), p(0.2, 0.3)), {}),
+    "Push": lambda: (effects.Push(axes="body"), {"push": p(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)}),
+    "Drag": lambda: (effects.Drag(p(0.3, 0.1), p(0.2, 0.4), p(0.01, 0.02), p(0.1)), {}),
+    "Contact": lambda: (
+        effects.Contact(None, p(1.5), p(0.28, 0.96, 0.0), p(40.0), p(0.5), p(0.6), p(0.2)),
+        {},
+    ),
+    "Saturation": lambda: (effects.Saturation(p(1.0, 5.0)), {}),
+    "TorqueSpeed": lambda: (effects.TorqueSpeed(p(1.0, 5.0), p(3.0, 4.0)), {}),
+    "FirstOrderLag": lambda: (effects.FirstOrderLag(p(0.05, 0.1)), {}),
+    "CommandDelay": lambda: (effects.CommandDelay(1), {}),
+    "DeadBand": lambda: (effects.DeadBand(p(0.3, 0.4)), {}),
+    "Noise": lambda: (effects.Noise(p(0.1, 0.2), p(0.3, 0.4)), {"noise": double([0.3, 0.6, 0.2, 0.9])}),
+    "Bias": lambda: (effects.Bias(p(0.1, 0.2), p(0.3, 0.4)), {}),
+    "MeasurementDelay": lambda: (effects.MeasurementDelay(1), {}),
+    "QuantisedCommand": lambda: (effects.QuantisedCommand(p(0.3, 0.4)), {}),
+    "Residual": lambda: (effects.Residual(torch.mul), {}),
+    "QuantisedReading": lambda: (effects.QuantisedReading(p(0.03, 0.04), p(0.3, 0.4)), {}),
+}
+
+
+def constant(kind):
+    """An effect with numbers as parameters, and its inputs."""
+    effect, inputs = EVERY[kind]()
+    return replace(effect, **{name: x.tolist() for name, x in effect.tensors().items()}), inputs
+
+
+# --- a robot that is described in everything but rotors --------------------------------------------------------------
+
+LIMITS = {"lower": [-0.4, -1.0], "upper": [0.3, 0.1], "velocity": [2.0, 3.0], "effort": [4.0, 2.0]}
+DESCRIBED = {**LIMITS, "damping": [0.5, 0.125], "friction": [0.25, 0.75]}
 
 
 @cache
 def described():
-    """Robot of a file that gives damping, friction and limits."""
-    links = [LINK.format(i=i, parent=f"l{i - 1}" if i else "base", **joint) for i, joint in enumerate(DESCRIBED)]
-    return torchdq.Robot.from_urdf(URDF.format(links="".join(links)))
-
-
-def described_as(key):
-    return [joint[key] for joint in DESCRIBED]
+    """Robot whose description has damping, friction and limits."""
+    given = {name: double(x) for name, x in DESCRIBED.items()}
+    limits = Limits(**{name: given.pop(name) for name in LIMITS})
+    return CASES["two_link"].robot.replace(limits=limits, **given)
 
 
 U = double(np.random.default_rng(7).normal(size=(12, 2)) * 3)  # commands, or states

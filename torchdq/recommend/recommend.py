@@ -91,7 +91,10 @@ def recommend_settings(
         raise ArgumentError("a scene needs a horizon; without a horizon, pass scene.robot")
     if horizon is None and (state is not None or inputs):
         raise ArgumentError("state and inputs are those of a trajectory, and without a horizon there is none")
-    scene = _falling(what, horizon or 1.0) if isinstance(what, Robot) else what
+    scene = what
+    if isinstance(what, Robot):  # falling, as `forward_dynamics` knows it
+        rotors = () if what.armature is None else (RotorInertia(),)
+        scene = Scene(what, (Gravity(), *rotors), dt=(horizon or 1.0) / 8)
     if not isinstance(scene, Scene):
         raise ArgumentError(
             f"what must be a torchdq.Robot or a torchdq.envs.Scene, found {type(what).__name__}; load a robot with "
@@ -126,12 +129,6 @@ def _require_supported(scene: Scene, inputs: Mapping[str, Tensor]) -> None:
             "a scene must be without effects.Residual, whose torque is held over dt whatever the integrator; ask about "
             "the scene without it, and halve dt until the motion with it stays the same"
         )
-
-
-def _falling(robot: Robot, horizon: float) -> Scene:
-    """Scene of the robot as `forward_dynamics` knows it."""
-    rotors = () if robot.armature is None else (RotorInertia(),)
-    return Scene(robot, (Gravity(), *rotors), dt=horizon / 8)
 
 
 # --- trajectories -----------------------------------------------------------------------------------------------------

@@ -40,20 +40,13 @@ class Stepping(Candidate):
 class Recommendation:
     """Recommended way to compute accelerations; `print` it."""
 
-    dtype: torch.dtype
-    """dtype of states and inputs."""
-    precision: Precision
-    """`precision` to give to `forward_dynamics`, `ForwardDynamics` or `Scene`."""
-    backend: str
-    """Backend that runs it here: "c" or "eager"."""
-    method: str
-    """Algorithm of the accelerations: "mass matrix" or "articulated bodies". The program chooses it by itself."""
-    error: float
-    """Predicted error up to the horizon [rad or m]; without a horizon, of accelerations, relative."""
-    nanoseconds: float
-    """Measured time of an integrator's step, or of a call, per robot of a batch of 4096, on this machine."""
-    others: tuple[Candidate, ...]
-    """Candidates that meet the error, the cheapest first."""
+    dtype: torch.dtype  # dtype of states and inputs
+    precision: Precision  # to give to `forward_dynamics`, `ForwardDynamics` or `Scene`
+    backend: str  # that runs it here: "c" or "eager"
+    method: str  # algorithm, which the program chooses by itself: "mass matrix" or "articulated bodies"
+    error: float  # predicted, up to the horizon [rad or m]; without a horizon, of accelerations, relative
+    nanoseconds: float  # measured time of an integrator's step, or of a call, per robot of a batch of 4096
+    others: tuple[Candidate, ...]  # candidates that meet the error, the cheapest first
 
     def __str__(self) -> str:
         return self._text((), "call")
@@ -74,20 +67,13 @@ class Recommendation:
 class SceneRecommendation(Recommendation):
     """Recommended way to compute trajectories; `print` it."""
 
-    integrator: Integrator
-    """Integrator of the scene."""
-    step: float
-    """Step of the integrator [s]."""
-    scene: Scene
-    """Scene with all of this; torques are held for `repeats` of its steps if the scene that was given is longer."""
-    repeats: int
-    """Steps of `scene` in one of the scene that was given, or in one of the parts of the horizon for a robot."""
-    horizon: float
-    """Time up to which the error is kept [s]."""
-    limit: str
-    """Why that is shorter than the horizon that was asked for; "": it is not."""
-    growth: float
-    """Factor by which a small change of the start grows until then; a large one asks for small steps."""
+    integrator: Integrator  # integrator of the scene
+    step: float  # step of the integrator [s]
+    scene: Scene  # with all of this; torques are held for `repeats` of its steps if the scene that was given is longer
+    repeats: int  # steps of `scene` in one of the scene that was given, or in an eighth of the horizon for a robot
+    horizon: float  # time up to which the error is kept [s]
+    limit: str  # why that is shorter than the horizon that was asked for; "": it is not
+    growth: float  # factor by which a small change of the start grows until then; a large one asks for small steps
 
     def __str__(self) -> str:
         lines = [f"integrator  {type(self.integrator).__name__}, steps of {self.step:.3g} s"]

@@ -14,7 +14,7 @@ from torchdq.effects.effect import owned
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.model import batches
-from torchdq.scene.scene import Scene
+from torchdq.scene.model import SceneModel
 
 ROTOR = 0.1  # where a description has none; common for geared arms [kg m^2 or kg]
 DAMPING = 1.0  # likewise [N m s/rad or N s/m]
@@ -45,7 +45,7 @@ def default_effects(robot: Robot) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def nominal_robot(scene: Scene) -> Robot:
+def nominal_robot(scene: SceneModel) -> Robot:
     """Rigid bodies as a controller may know them: as described, with the scene's gravity and rotors.
 
     It does not know friction, payloads, or what differs between episodes or robots.

@@ -18,7 +18,7 @@ from torchdq.base.timing import measure
 from torchdq.effects.effect import Effect
 from torchdq.robot import Robot
 from torchdq.robot.description import UNSIMULATED
-from torchdq.scene.scene import Scene
+from torchdq.scene.model import SceneModel
 from torchdq.scene.state import State, initial_motion
 
 MEASURED = 0.2  # longest time of measuring each effect [s]
@@ -64,8 +64,20 @@ class Description(NamedTuple):
         return "\n".join(lines) + f"\n({self.measured_on}){outside}\n\ndescribed, and not simulated:\n{left_out}"
 
 
-def describe(scene: Scene, batch: int, dtype: torch.dtype | str, seconds: float) -> Description:
-    """Description of a scene; see `Scene.describe`."""
+def describe(
+    scene: SceneModel, batch: int = 4096, dtype: torch.dtype | str = torch.float64, seconds: float = 10.0
+) -> Description:
+    """Simulated effects, the cost of each in a step, and what the scene leaves out of the description.
+
+    Effects are added one after the other to the bare step; each costs the difference it makes. The times are
+    medians of differences of steps that took turns; a cost within their spread prints as a bound, "< 3.1".
+
+    Args:
+        batch: samples per step of which the time is taken, on torch's present number of threads; that of the
+            parameters if they differ from sample to sample.
+        dtype: dtype of those samples.
+        seconds: time for all of it, compiling included [s]; effects it does not last for print "-". 0: no times.
+    """
     require_count("batch", batch)
     require_number("seconds", seconds, least=0)
     end = time.monotonic() + seconds
@@ -126,7 +138,7 @@ def _difference(times: Sequence[float], before: Sequence[float] | None) -> tuple
     return max(0.0, middle), (upper - lower) / 2
 
 
-def _step(scene: Scene, batch: int, dtype: torch.dtype) -> Callable[[], State]:
+def _step(scene: SceneModel, batch: int, dtype: torch.dtype) -> Callable[[], State]:
     """Step of a batch of random states, to be timed."""
     generator = torch.Generator().manual_seed(0)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Generic, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,8 +18,8 @@ from torch import Tensor
 from torchdq.backends.call import batch_of, evaluate
 from torchdq.errors import ArgumentError
 from torchdq.scene.integrators import Unrecorded
+from torchdq.scene.model import AnyScene, SceneModel
 from torchdq.scene.recording import Stage
-from torchdq.scene.scene import Scene
 from torchdq.scene.state import State, require_state
 
 
@@ -33,8 +33,24 @@ class Linearization(NamedTuple):
     B: Tensor  # [..., s, n] derivative with respect to the torques
 
 
-def linearize(scene: Scene, state: State, given: Mapping[str, Tensor | None]) -> Linearization:
-    """Jacobian matrices of a step; see `Scene.linearize`."""
+def linearize(
+    scene: SceneModel, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor | None
+) -> Linearization:
+    """Derivatives of the state after a step, with respect to the state before it and the torques: `A, B`.
+
+    A free base is refused, since its pose has 8 components for 6 directions. There `torch.func.jacrev` of `step`
+    gives the derivatives in these components.
+
+    Args:
+        state: states, shape [..., n]; derivatives are those of every row by itself.
+        torque, noise, inputs: as in `step`.
+
+    >>> import torch, torchdq
+    >>> scene = torchdq.Scene(torchdq.robots.load("two_link"), dt=0.01)
+    >>> A, B = scene.linearize(scene.start(torch.zeros(5, 2)))
+    >>> A.shape, B.shape
+    (torch.Size([5, 4, 4]), torch.Size([5, 4, 2]))
+    """
     require_state(state)
     if scene.robot.floating:
         raise ArgumentError(
@@ -42,17 +58,17 @@ def linearize(scene: Scene, state: State, given: Mapping[str, Tensor | None]) ->
             "components for 6 directions; differentiate scene.step with torch.func.jacrev, which gives the derivatives "
             "in these components, or take finite differences of it"
         )
-    scene.spec.require_inputs(name for name in given if name != "noise")
-    inputs = {name: x for name, x in given.items() if x is not None}
-    batch_of(Stage(scene.spec, "step"), {**state.rows(), **inputs})  # raises, naming what does not fit
-    torque = inputs.pop("torque", state.q.new_zeros(scene.n))
+    scene.spec.require_inputs(inputs)
+    torque = state.q.new_zeros(scene.n) if torque is None else torque
+    given = {name: x for name, x in {**inputs, "noise": noise}.items() if x is not None}
+    batch_of(Stage(scene.spec, "step"), {**state.rows(), "torque": torque, **given})  # raises, naming what does not fit
     parts = [*state.rows().values(), torque]
-    batch = torch.broadcast_shapes(*(x.shape[:-1] for x in (*parts, *inputs.values())), *scene.batches.values())
+    batch = torch.broadcast_shapes(*(x.shape[:-1] for x in (*parts, *given.values())), *scene.batches.values())
     names, widths = tuple(state.rows()), [x.shape[-1] for x in parts]
 
     def after(z: Tensor) -> Tensor:
         *rows, u = z.split(widths, -1)
-        stepped = scene.step(State(**dict(zip(names, rows, strict=True))), u, **inputs)
+        stepped = scene.step(State(**dict(zip(names, rows, strict=True))), u, **given)
         return torch.cat(list(stepped.rows().values()), -1)
 
     ends, pull, *_ = torch.func.vjp(after, torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1))
@@ -65,7 +81,7 @@ def linearize(scene: Scene, state: State, given: Mapping[str, Tensor | None]) ->
 
 
 @dataclass(frozen=True)
-class StepMap:
+class StepMap(Generic[AnyScene]):
     """Step of a scene as a function of rows [N, s], each the q, qd and memory of a state, and its derivatives.
 
     Args:
@@ -73,7 +89,7 @@ class StepMap:
         inputs: names of the inputs that are given at every step.
     """
 
-    scene: Scene
+    scene: AnyScene
     inputs: tuple[str, ...]
 
     def __post_init__(self) -> None:

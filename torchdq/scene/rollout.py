@@ -16,7 +16,7 @@ from torchdq.base.checks import require_choice, require_count, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
-from torchdq.scene.scene import Scene
+from torchdq.scene.model import SceneModel
 from torchdq.scene.state import State, nonfinite_rows, require_state
 
 LONG = 50  # steps from which a rollout reports its progress
@@ -25,15 +25,37 @@ Nonfinite = Literal["warn", "stop", "ignore"]
 
 
 def rollout(
-    scene: Scene,
+    scene: SceneModel,
     state: State,
-    series: Mapping[str, Tensor],
-    steps: int | None,
-    policy: Policy | None = None,
+    torque: Tensor | None = None,
+    steps: int | None = None,
     checkpoint: int = 0,
+    policy: Policy | None = None,
     nonfinite: Nonfinite = "warn",
+    **inputs: Tensor | None,
 ) -> State:
-    """States after each step; see `Scene.rollout`."""
+    """States after each of a number of steps, shape [steps, ...].
+
+    Args:
+        state: initial state; it is not part of the result.
+        torque: [steps, ..., n]; None: none, for `steps` steps.
+        steps: number of steps; None: as many as there are torques.
+        checkpoint: for the gradient, one state in so many is kept, and the others are computed again; 0 keeps the
+            inputs of every step.
+        policy: function of the state that returns the torques of a step, shape [..., n], instead of `torque`; a
+            module, for instance. Where there are sensors it should look at `state.measured`. With a checkpoint it
+            is called again for the gradient, and must remember nothing: no filter, counter or batch norm.
+        nonfinite: "warn": warn if rows are not finite at the start, or no longer at the end; "stop": end before
+            the first step after which a row is no longer finite; "ignore": neither.
+        inputs: as in `step`, shape [steps, ...].
+
+    >>> import torch, torchdq
+    >>> scene = torchdq.Scene(torchdq.robots.load("two_link"))
+    >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s: -4 * s.q - s.qd).q.shape
+    torch.Size([50, 3, 2])
+    """
+    scene.spec.require_inputs(name for name in inputs if name != "noise")
+    series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
     require_state(state)
     require_choice("nonfinite", nonfinite, get_args(Nonfinite))
     total = _length(series, steps, policy)
@@ -47,7 +69,7 @@ def rollout(
     start = state.finite() if nonfinite != "ignore" and not unseen else state.q.new_zeros((), dtype=torch.bool)
     notice = Progress(f"rollout of {total} steps")
     if warned and (message := nonfinite_rows(state, scene.robot)):
-        warnings.warn(message, stacklevel=3)
+        warnings.warn(message, stacklevel=2)
 
     def diverged(state: State) -> Tensor:
         """Rows that were finite at the start, and are not."""
@@ -86,7 +108,7 @@ def rollout(
         warnings.warn(
             f"{int(rows.sum())} of {rows.numel()} rows left the finite range, the first at step {step} of {total}; "
             f"scene.check(state, seconds) finds a step or an integrator that is stable",
-            stacklevel=3,
+            stacklevel=2,
         )
     return State._make(None if rows[0] is None else torch.stack(rows) for rows in zip(*found, strict=True))
 

@@ -12,7 +12,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,8 +22,8 @@ from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
+from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
-from torchdq.scene.scene import Scene
 from torchdq.scene.state import State, nonfinite_rows, require_state
 
 GROWTH = 1.001  # factor per step from which motions count as growing
@@ -81,8 +81,25 @@ class Check:
         return "\n".join(lines)
 
 
-def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tensor | None]) -> Check:
-    """Stability of a scene's steps from a state on; see `Scene.check`."""
+def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tensor | None) -> Check:
+    """Whether the steps are short enough for the stiffness and damping that is there; if not, what holds.
+
+    A step must let the springs and dampers at the joints settle, as they are at the state and along a trial run
+    from it; and all rows of that run must stay below 1e6 rad or m, and 1e6 rad/s or m/s. Computed in float64.
+
+    Args:
+        state: states to start from.
+        seconds: duration of the trial run [s].
+        inputs: as in `step`, the same at every step; a controller without `reference` holds the start.
+
+    >>> import torch, torchdq
+    >>> from torchdq import effects
+    >>> from torchdq.scene import integrators
+    >>> parts = (effects.Viscous(500.0),)
+    >>> scene = torchdq.Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.SemiImplicitEuler())
+    >>> print(scene.check(scene.start(torch.zeros(2)), seconds=0.1))  # doctest: +ELLIPSIS
+    steps of 0.01 s with SemiImplicitEuler() do not hold...
+    """
     require_state(state)
     require_number("seconds", seconds, positive=True)
     scene.spec.require_inputs(inputs)
@@ -92,7 +109,7 @@ def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tenso
     if unusable := nonfinite_rows(state, scene.robot):
         if not bool(state.finite().any()):
             raise ArgumentError(f"state must be finite to start a trial run from, found: {unusable}")
-        warnings.warn(f"{unusable}; the others are checked", stacklevel=3)
+        warnings.warn(f"{unusable}; the others are checked", stacklevel=2)
     given = {name: x.double() for name, x in inputs.items() if x is not None}
     trial = _Trial(scene.replace(substeps=1), state.to(torch.float64), given, intervals)
     integrator, times = scene.integrator, scene.substeps
@@ -118,7 +135,7 @@ def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tenso
 class _Trial:
     """A scene with an initial state and inputs that stay, over a number of its steps."""
 
-    scene: Scene
+    scene: SceneModel
     state: State
     inputs: Mapping[str, Tensor]
     intervals: int
@@ -141,9 +158,9 @@ class _Trial:
         """Largest growth of a motion, the joint that moves in it, and the rows that diverge."""
         adaptive = isinstance(integrator, DormandPrince)
         scene = self.scene.replace(integrator=integrator if adaptive else Repeated(integrator, times))
-        series = {name: x.expand(self.intervals, *x.shape) for name, x in self._inputs().items()}
+        series: dict[str, Any] = {name: x.expand(self.intervals, *x.shape) for name, x in self._inputs().items()}
         with torch.no_grad():
-            path = rollout(scene, self.state, series, self.intervals, nonfinite="ignore")
+            path = rollout(scene, self.state, steps=self.intervals, nonfinite="ignore", **series)
         begins = self.state.finite()
         moving = [x for name, x in path.rows().items() if name in scene.spec.moving]
         ends = path.finite() & (torch.cat(moving, -1).abs() < FAR).all(-1)

@@ -1,0 +1,281 @@
+"""Fields and step of a scene: a robot and the effects that are simulated, stepped on tensors.
+
+Below everything that takes many steps or looks at them; `scene.Scene` adds that to it as methods.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Self, TypeVar, get_args
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.call import evaluate
+from torchdq.backends.choice import BackendName
+from torchdq.base.caches import PROGRAMS, Bounded
+from torchdq.base.checks import require_choice, require_count, require_number, require_object
+from torchdq.effects.effect import Effect
+from torchdq.errors import ArgumentError
+from torchdq.functions.call import Precision, check_precision
+from torchdq.program.program import Argument, Count, Program
+from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
+from torchdq.robot.robot import arguments, constants, recorded
+from torchdq.scene.controllers import Controller
+from torchdq.scene.effect_checks import require_supported_base, resolved_effects
+from torchdq.scene.integrators import Integrator, LinearlyImplicit, Unrecorded
+from torchdq.scene.recording import Stage
+from torchdq.scene.spec import CONTROLLER, ROBOT, SceneSpec, Task
+from torchdq.scene.state import State, initial_motion, outside_limits, require_state
+from torchdq.scene.system import TensorSystem
+
+_interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
+
+
+@dataclass(frozen=True, eq=False)
+class SceneModel:
+    """Fields of a scene, its step, and its programs; see `Scene`."""
+
+    robot: Robot
+    effects: Sequence[Effect] = ()
+    controller: Controller | None = None
+    integrator: Integrator = field(default_factory=LinearlyImplicit)
+    dt: float = 0.01
+    substeps: int = 1
+    backend: BackendName | None = None
+    precision: Precision = "auto"
+    spec: SceneSpec = field(init=False, repr=False)
+    noises: int = field(init=False, repr=False)  # random numbers that a step consumes
+    computed: dict[str, int] = field(init=False, repr=False)  # rows that a scene computes before a step, with widths
+    parameters: dict[str, Tensor] = field(init=False, repr=False)  # tensors of all parts, by "owner.name"
+
+    def __post_init__(self) -> None:
+        require_robot(self.robot)
+        if self.controller is not None:
+            require_object("controller", self.controller, Controller, "torchdq.scene.controllers", "PD(kp=9.0, kd=1.0)")
+        require_object("integrator", self.integrator, Integrator, "torchdq.scene.integrators", "RungeKutta4()")
+        require_number("dt", self.dt, positive=True)
+        require_count("substeps", self.substeps)
+        check_precision(self.precision)
+        require_choice("backend", self.backend, (None, *get_args(BackendName)))
+        if self.substeps > 1 and isinstance(self.integrator, Unrecorded):
+            raise ArgumentError(
+                f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
+                f"give them to Repeated, DormandPrince chooses its own"
+            )
+        require_supported_base(self.robot, self.controller, self.integrator)
+        resolved = resolved_effects(self.effects, self.robot)
+        controller = None if self.controller is None else self.controller.resolved(self.robot)
+        spec = SceneSpec(
+            recorded(constants(self.robot)),
+            tuple(name for name in arguments(self.robot) if name not in ("gravity", "armature")),
+            tuple(effect.template() for effect in resolved),
+            None if controller is None else controller.template(),
+            self.integrator,
+            float(self.dt),
+            self.substeps,
+        )
+        object.__setattr__(self, "effects", resolved)
+        object.__setattr__(self, "controller", controller)
+        object.__setattr__(self, "spec", _interned.setdefault(spec, spec))
+        found = {f"{ROBOT}.{name}": getattr(self.robot, name) for name in spec.arguments}
+        parts = () if controller is None else ((CONTROLLER, controller),)
+        for owner, part in (*parts, *enumerate(resolved)):
+            found.update({f"{owner}.{name}": x for name, x in part.tensors().items()})
+        object.__setattr__(self, "noises", spec.noises)
+        object.__setattr__(self, "computed", spec.computed())
+        object.__setattr__(self, "parameters", found)
+
+    # --- inputs and parameters ---
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    @property
+    def inputs(self) -> dict[str, int]:
+        """Names and widths of everything that may be given at a step."""
+        return self.spec.inputs()
+
+    @property
+    def batches(self) -> dict[str, tuple[int, ...]]:
+        """Batch axes of the tensors of robot, controller and effects by their names; () where samples share one."""
+        stage, found = Stage(self.spec, "step"), self.parameters
+        return {stage.label(name): tuple(x.shape[: x.ndim - len(stage.axes(name))]) for name, x in found.items()}
+
+    def replace(self, **changes: Any) -> Self:
+        """Scene with some fields replaced; tensors of equal shapes need no new program."""
+        return replace(self, **changes)
+
+    def to(self, device: torch.device | str) -> Self:
+        """Scene whose parameters that are tensors are on a device; a step would copy them there every time."""
+        if all(x.device == torch.device(device) for x in self.parameters.values()):
+            return self
+        robot = self.robot.replace(**{name: getattr(self.robot, name).to(device) for name in arguments(self.robot)})
+        controller, *effects = [
+            None if part is None else replace(part, **{name: x.to(device) for name, x in part.tensors().items()})
+            for part in (self.controller, *self.effects)
+        ]
+        return self.replace(robot=robot, controller=controller, effects=effects)
+
+    # --- time ---
+
+    def start(
+        self,
+        q: Tensor,
+        qd: Tensor | None = None,
+        noise: Tensor | None = None,
+        X_WB: Tensor | None = None,
+        V_WB_B: Tensor | None = None,
+    ) -> State:
+        """Initial state, effects at rest, sensors read once; positions far outside `effects.JointLimits` are warned of.
+
+        Args:
+            q: positions [rad or m], shape [..., n].
+            qd: velocities [rad/s or m/s], shape [..., n]; None: at rest.
+            noise: random numbers for the sensors, as in `step`.
+            X_WB: pose of a free base in the world, shape [..., 8]; None: at the origin.
+            V_WB_B: twist (angular, linear) of a free base in its axes [rad/s, m/s], shape [..., 6]; None: at rest.
+        """
+        moved = initial_motion(self.spec, {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B})
+        if message := outside_limits(moved["q"], self.effects, self.robot):
+            warnings.warn(message, stacklevel=2)
+        return self.begin(moved, {}, noise)[0]
+
+    def begin(
+        self,
+        moved: Mapping[str, Tensor],
+        inputs: Mapping[str, Tensor],
+        noise: Tensor | None = None,
+        task: Task | None = None,
+    ) -> tuple[State, dict[str, Tensor]]:
+        """Initial state, and rows that a task computes from it.
+
+        Args:
+            moved: positions and velocities, by their names in a state.
+            inputs, noise, task: as in `advance`.
+        """
+        if task is None and not self.spec.senses and not self.spec.remembers:
+            return State(**moved), {}
+        state, rows = _split(self.evaluate("begin", self._with_noise({**moved, **inputs}, noise), task))
+        return state._replace(**moved), rows
+
+    def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
+        """State after `dt`.
+
+        Args:
+            state: from `start` or an earlier step.
+            torque: commanded torques [N m or N], shape [..., n], constant over the step; they add to the controller's.
+                None: none.
+            noise: uniform random numbers in (0, 1), shape [..., `noises`]; None: drawn from torch's generator if the
+                sensors need them.
+            inputs: inputs of controller and effects, by name; see `inputs`.
+        """
+        return self.advance(state, {"torque": torque, **inputs}, noise)[0]
+
+    def advance(
+        self,
+        state: State,
+        inputs: Mapping[str, Tensor | None],
+        noise: Tensor | None = None,
+        task: Task | None = None,
+    ) -> tuple[State, dict[str, Tensor]]:
+        """State after `dt`, and rows that a task computes from it in the same program."""
+        require_state(state)
+        self.spec.require_inputs(inputs, task)
+        present = {name: x for name, x in inputs.items() if x is not None}
+        if not isinstance(self.integrator, Unrecorded):
+            if self.computed:
+                system, *_ = self.drive(state, present, task)
+                present |= {name: system.inputs[name] for name in self.computed}
+            return _split(self.evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
+        dtype = state.q.dtype
+        if self.precision == "double" and dtype == torch.float32:
+            # the integrator's own arithmetic is double as well
+            present, state = {name: x.double() for name, x in present.items()}, state.to(torch.float64)
+            noise = None if noise is None else noise.double()
+        system, x, v, rows = self.drive(state, present, task)
+        x, v = self.integrator.flow(system, x, v, self.dt)
+        sensed = self.evaluate("sense", self._with_noise({"x": x, "v": v, **rows, **present}, noise), task)
+        return _split({name: x.to(dtype) for name, x in sensed.items()})
+
+    def drive(
+        self, state: State, inputs: Mapping[str, Tensor], task: Task | None = None
+    ) -> tuple[TensorSystem, Tensor, Tensor, dict[str, Tensor]]:
+        """Equations of motion over a step, the positions x and velocities v to integrate, and the rows for `sense`."""
+        rows = self.evaluate("drive", {**state.rows(), **inputs}, task)
+        x, v = rows.pop("x"), rows.pop("v")
+        acting = {name: inputs[name] for effect in self.effects for name in effect.inputs(self.n) if name in inputs}
+        system = TensorSystem(self.spec, self.evaluate, {**acting, "u": rows["u"]})
+        for effect in self.effects:
+            for name in effect.computed(self.n):
+                accelerations = partial(system.under, x, v, name)
+                torques = effect.torques(state.q, state.qd, accelerations)  # type: ignore[attr-defined]
+                system = replace(system, inputs={**system.inputs, name: torques})
+        return system, x, v, rows
+
+    def finite(self, state: State) -> Tensor:
+        """True for every row of a state whose numbers are all finite, shape [...]."""
+        require_state(state)
+        return state.finite()
+
+    def energy(self, state: State) -> Tensor:
+        """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
+        require_state(state)
+        return self.evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
+
+    # --- programs ---
+
+    def program(self, *present: str, task: Task | None = None) -> Program:
+        """Program of a step at which the inputs of those names are given; by default, all."""
+        if isinstance(self.integrator, Unrecorded):
+            name = type(self.integrator).__name__
+            raise ArgumentError(f"a step of {name} is not one program, and has no count of operations")
+        stage = Stage(self.spec, "step", task)
+        wanted = [
+            *self.spec.state,
+            *(present or self.inputs),
+            *self.computed,
+            *(["noise"] if self.noises else []),
+        ]
+        taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
+        if self.controller is not None and "reference" not in wanted:
+            raise ArgumentError("reference must be among the inputs of a scene with a controller")
+        for name, x in self.parameters.items():
+            axes = stage.axes(name)
+            taken.append(Argument(name, math.prod(axes), x.ndim == len(axes)))
+        return stage.program(tuple(taken))
+
+    def count(self) -> Count:
+        """Operations of a step."""
+        return self.program().count()
+
+    def evaluate(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
+        """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
+        constants(self.robot)  # raises if they were changed in place
+        tensors = {**given, **self.parameters}
+        return evaluate(Stage(self.spec, stage, task), tensors, self.backend, self.precision == "double")
+
+    def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
+        """Inputs with the random numbers that the sensors need."""
+        if not self.noises:
+            return given
+        if noise is None:
+            like = next(iter(given.values()))
+            # 1 - [0, 1) lies in (0, 1], and the logarithm of 0 is infinite
+            noise = 1 - torch.rand(*like.shape[:-1], self.noises, dtype=like.dtype, device=like.device)
+        return {**given, "noise": noise}
+
+
+AnyScene = TypeVar("AnyScene", bound=SceneModel)
+
+
+def _split(rows: dict[str, Tensor]) -> tuple[State, dict[str, Tensor]]:
+    """State and the task's rows, of the rows of a program."""
+    return State(**{name: rows.pop(name) for name in State._fields if name in rows}), rows
