@@ -206,6 +206,13 @@ def batches(robot: RobotModel) -> dict[str, tuple[int, ...]]:
     return {name: batch for name, batch in axes.items() if batch}
 
 
+def factors(robot: RobotModel) -> Tensor:
+    """Positions of all joints per coordinate, [links, n]."""
+    if robot.joint_map is not None:
+        return robot.joint_map.S
+    return torch.eye(robot.n, dtype=robot.screw.dtype, device=robot.screw.device)
+
+
 def require_shapes(robot: RobotModel) -> None:
     """Raise unless the physical tensors of a robot are tensors of their shapes and of a dtype of the package."""
     n = len(robot.joint_names)

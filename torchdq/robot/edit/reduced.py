@@ -22,7 +22,7 @@ from torchdq.robot.bodies import body_at, lumped, mixed
 from torchdq.robot.description import Frame, JointMap, Limits
 from torchdq.robot.edit.locking import lock_notes, positions, require_free, warn_beyond_limits
 from torchdq.robot.fields import BASE_BODY
-from torchdq.robot.model import AnyRobot, RobotModel, batches
+from torchdq.robot.model import AnyRobot, RobotModel, batches, factors
 
 PER_LINK = {"screw": -2, "home": -1}  # fields by the axis of the links
 PER_COORDINATE = {"armature": -1, "damping": -1, "friction": -1}  # fields by the axis of the coordinates
@@ -225,13 +225,6 @@ def _stacked(rows: Sequence[Tensor], none: Tensor, axis: int = -2) -> Tensor:
 
 
 # --- also for robots that are put together ---------------------------------------------------------------------------
-
-
-def factors(robot: RobotModel) -> Tensor:
-    """Positions of all joints per coordinate, [links, n]."""
-    if robot.joint_map is not None:
-        return robot.joint_map.S
-    return torch.eye(robot.n, dtype=robot.screw.dtype, device=robot.screw.device)
 
 
 def home_of(robot: RobotModel, name: str) -> float:
