@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.joints import KINDS, Coordinate
+from torchdq.dynamics.joints import KINDS
 from torchdq.robot.edit.couplings import JointCoupling
 from torchdq.robot.mjcf.source import MjcfModel
 
@@ -37,11 +35,6 @@ class MjcfJoint(NamedTuple):
     def single(self) -> bool:
         """Truth of having one coordinate."""
         return self.kind in KINDS
-
-    def displaced(self, x: float) -> DualQuaternion:
-        """Pose of the body that is displaced by x [rad or m], in the frame of the body at home."""
-        motion = KINDS[self.kind](self.screw).motion(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)))
-        return dual_quaternion.ONE if motion is None else motion
 
 
 def joints_of(of: MjcfModel) -> list[MjcfJoint]:

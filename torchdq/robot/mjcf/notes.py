@@ -9,11 +9,12 @@ from typing import Any
 
 from torchdq.dynamics.tree import BASE
 from torchdq.findings import Finding
+from torchdq.robot.assembly import STILL
 from torchdq.robot.check.units import TURN
 from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import FREE, MjcfJoint, actuators_at, names_of
-from torchdq.robot.mjcf.links import WORLD, ModelLinks
+from torchdq.robot.mjcf.links import ModelLinks
 from torchdq.robot.mjcf.source import MjcfModel
 
 _URDF = re.compile(r"\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b", re.DOTALL)  # text whose root is that of a URDF
@@ -137,9 +138,11 @@ def _ignored(
         for x in free
         if m.dof_armature[(dof := int(m.jnt_dofadr[x.row])) : dof + 6].any()
     ]
-    names, still = names_of(of, "BODY", m.nbody), WORLD if free else BASE
+    names, still = names_of(of, "BODY", m.nbody), STILL if free else BASE
     relieved = [
-        names[i] for i, (link, _) in enumerate(bodies.placed) if link != still and m.body_gravcomp[i] * m.body_mass[i]
+        names[i]
+        for i, (link, _) in enumerate(bodies.of.places)
+        if link != still and m.body_gravcomp[i] * m.body_mass[i]
     ]
     if falls and relieved and _relieved(of) != {1.0}:
         what = "gravcomp ignored: gravity acts on them in full"

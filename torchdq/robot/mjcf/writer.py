@@ -115,7 +115,8 @@ def _inside(element: ET.Element, *tags: str) -> Iterator[ET.Element]:
 
 def _write_body(first: Mjcf, elements: Sequence[ET.Element], changed: ChangedBody) -> None:
     """Write the body of a link, less the bodies without joints that are part of it."""
-    placed, links, link = first.bodies.placed, first.bodies.of, changed.link
+    links, link = first.bodies.of, changed.link
+    placed = links.places
     name = links.frames[0].name if link == BASE else links.links[link].name
     parts = [i for i in range(1, len(placed)) if placed[i][0] == link]
     if first.of.weighed:

@@ -11,14 +11,14 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import SIX, double, matrices
-from torchdq.robot.assembly import described
+from torchdq.robot.assembly import described, linked
 from torchdq.robot.check import consistency
 from torchdq.robot.description import RobotDescription, note
 from torchdq.robot.urdf.diagnostics import diagnostics
 from torchdq.robot.urdf.document import root_of
 from torchdq.robot.urdf.elements import Elements, elements
 from torchdq.robot.urdf.mimic import locked, motions
-from torchdq.robot.urdf.tree import below, children_of, links_of, rooted
+from torchdq.robot.urdf.tree import below, children_of, rooted, segments_of
 
 
 def read(
@@ -39,7 +39,7 @@ def read(
         raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *faults)
     judged, findings = _physical(found, repair)
     moves = locked(found, still_free, coupled, kept, lock)
-    links = links_of(judged, base_link, moves)
+    links = linked(segments_of(judged, base_link, moves), moves)
     moving = {frame.name for frame in links.frames if free or frame.link != BASE}
     unphysical = [x for name, all_of in findings.items() if name in moving for x in all_of]
     body = links.bodies[BASE]

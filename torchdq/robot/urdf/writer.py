@@ -24,7 +24,7 @@ from torchdq.robot.model import RobotModel, factors
 from torchdq.robot.urdf.document import text_of
 from torchdq.robot.urdf.elements import ENTRIES, Inertial, elements
 from torchdq.robot.urdf.read import read
-from torchdq.robot.urdf.tree import pose
+from torchdq.robot.urdf.tree import body_of, pose
 from torchdq.robot.xml_text import add, parsed, written
 
 
@@ -94,9 +94,9 @@ def _write_body(
     rest = NOTHING
     for name, X in parts.items():
         if name != carrying:
-            rest = merged(rest, _body(described[name]).moved((tuple(X[:4]), tuple(X[4:]))))
+            rest = merged(rest, _in_link(described[name]).moved((tuple(X[:4]), tuple(X[4:]))))
     own, inertial = described[carrying], links[carrying].find("inertial")
-    new = changed.written(_body(own), rest, inertial is None, f"link {carrying!r}", "links on fixed joints")
+    new = changed.written(_in_link(own), rest, inertial is None, f"link {carrying!r}", "links on fixed joints")
     if inertial is None:
         inertial = add(links[carrying], "inertial")
     if "inertia" in new:
@@ -110,11 +110,10 @@ def _write_body(
         _set(inertial, "origin", {"xyz": digits(new["com"])})
 
 
-def _body(inertial: Inertial | None) -> RigidBody:
+def _in_link(inertial: Inertial | None) -> RigidBody:
     """Body of an <inertial> element in the frame of its link."""
-    if inertial is None:
-        return NOTHING
-    return RigidBody(inertial.mass, quat.ZERO, inertial.inertia).moved(pose(inertial.origin))
+    body, X = body_of(inertial)
+    return body.moved(X)
 
 
 def _set(parent: ET.Element, tag: str, attributes: Mapping[str, str]) -> None:
