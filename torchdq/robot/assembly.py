@@ -83,7 +83,7 @@ def linked(segments: Sequence[Segment], moves: Sequence[Follows], free: int | No
     for i, (name, parent, X_PB, joints, body, X_BC) in enumerate(segments):
         link, X = (BASE if free is None else STILL, dual_quaternion.ONE) if parent is None else places[parent]
         X = _unit(dual_quaternion.mul(X, X_PB))
-        moving = [joint for joint in joints if moves[joint.row].root is not None]
+        moving = [joint for joint in joints if moves[joint.row].leader is not None]
         for joint in joints:
             if joint in moving:
                 links.append(MovingLink(name if joint is moving[-1] else f"{name} before {joint.name}", link, joint, X))
@@ -122,10 +122,10 @@ def described(
         notes: findings of the reader.
     """
     carrying = [link.joint for link in of.links]
-    n, roots = len(carrying), [joint for joint in carrying if moves[joint.row].root == joint.row]
+    n, roots = len(carrying), [joint for joint in carrying if moves[joint.row].leader == joint.row]
     following: dict[int | None, list[Any]] = {root.row: [] for root in roots}
     for joint in carrying:
-        following[moves[joint.row].root].append(joint)
+        following[moves[joint.row].leader].append(joint)
     findings = [*notes]
     numbers = [_coordinate(root, [(x, moves[x.row]) for x in following[root.row]], findings) for root in roots]
     rows = (
@@ -134,7 +134,7 @@ def described(
     lower, upper, velocity, effort, damping, friction, armature = rows
     homes: dict[int | None, float] = {root.row: root.home for root in roots}
     # at q, a joint that follows is displaced by factor (q - home of its root) + offset = (S q) - home
-    home = double([x.factor * homes[x.root] - x.offset for x in (moves[joint.row] for joint in carrying)])
+    home = double([x.factor * homes[x.leader] - x.offset for x in (moves[joint.row] for joint in carrying)])
     joint_map = None
     if len(roots) < n:
         S, equations = double([[0.0] * len(roots)] * n), []

@@ -261,7 +261,6 @@ class Robot(RobotModel):
             gravity, on_unphysical: as in `from_urdf`.
         """
         bodies = dict(mass=mass, com=com, inertia=inertia, home=home, link_names=link_names, name=name)
-        bodies["repair"] = on_unphysical == "repair"
         description = screws.read(joint_screws, link_poses, tip_pose, parents, joint_names, **bodies)
         return cls._of(description, None, gravity, on_unphysical)
 
@@ -299,7 +298,6 @@ class Robot(RobotModel):
             joint_names, link_names, name, gravity, on_unphysical: as in `from_screws`.
         """
         bodies = dict(mass=mass, com=com, inertia=inertia, link_names=link_names, name=name)
-        bodies["repair"] = on_unphysical == "repair"
         description = dh.read(a, alpha, d, theta, convention, kinds, tip_pose, joint_names, **bodies)
         return cls._of(description, None, gravity, on_unphysical)
 
@@ -316,9 +314,12 @@ class Robot(RobotModel):
         robot = cls(**vars(description), gravity=g)
         if tip is not None:
             robot = robot.with_tip(tip)
-        wrong = [x for x in description.notes if x.severity == "error" or x.code == consistency.TRIANGLE]
+        if on_unphysical == "repair":
+            inertias, notes = replaced.repaired(robot)
+            robot = dataclasses.replace(robot, **inertias, notes=notes, _constants=None, _storages=())
+        wrong = [x for x in robot.notes if x.severity == "error" or x.code == consistency.TRIANGLE]
         consistency.complain(robot.name, wrong, on_unphysical)
-        warned = [x for x in description.notes if x.severity == "warning" and x not in wrong]
+        warned = [x for x in robot.notes if x.severity == "warning" and x not in wrong]
         suspicions = [*(x for x in warned if x.code.startswith("units.")), *units.diagnostics(robot)]
         if on_unphysical != "ignore":
             units.warn(f"robot {robot.name!r}", suspicions, stacklevel=3)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchdq.base.checks import require_number
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.robot import model
 from torchdq.robot.arrays import double, numbers, table, words
 from torchdq.robot.check import consistency, faults
 from torchdq.robot.description import JointMap, Limits
@@ -82,7 +83,7 @@ def couple(
         new["limits"] = _limits(robot, alone, shift, names)
     else:
         new["limits"] = _given_limits(robot, limits, len(names))
-    before = torch.eye(robot.n, dtype=factors.dtype) if robot.joint_map is None else robot.joint_map.S.to(factors)
+    before = model.factors(robot).to(factors)
     if bool(shift.any()):
         home, moved = robot.home, (before @ shift).to(robot.mass)
         new["home"] = (0.0 if home is None else home) - moved

@@ -61,7 +61,7 @@ def diagnostics(
     held = {
         name: moves[joint.row].offset
         for name, joint in file.joints.items()
-        if moves[joint.row].root is None and free[joint.row].root is not None
+        if moves[joint.row].leader is None and free[joint.row].leader is not None
     }
     limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in held}
     joints = _joints(root, file, links, coupled)
@@ -134,7 +134,7 @@ def _short(name: str) -> str:
 def _orphans(file: Elements, coupled: bool) -> Iterator[Finding]:
     """Moving joints that mimic a joint that is not in the file."""
     for name, joint in file.joints.items():
-        if coupled and joint.moves and joint.mimic and (driver := joint.mimic.joint) not in file.joints:
+        if coupled and joint.moves and joint.mimic and (driver := joint.mimic.leader) not in file.joints:
             close = get_close_matches(driver, [other for other in file.joints if other != name], n=1)
             meant = f"is {close[0]!r} meant?" if close else ""
             what = f"it mimics {reprlib.repr(driver)}, which is not in the file, and is taken as independent"
@@ -203,11 +203,11 @@ def _standing(
     file: Elements, free: Sequence[Follows], moves: Sequence[Follows], held: Mapping[str, float]
 ) -> list[NoteArguments]:
     """Mimic joints that stand still, and those that are locked while their drivers move."""
-    stuck = [joint for joint in file.joints.values() if joint.moves and free[joint.row].root is None]
+    stuck = [joint for joint in file.joints.values() if joint.moves and free[joint.row].leader is None]
     stand = ", ".join(f"{joint.name} at {free[joint.row].offset:g}" for joint in stuck)
     mimics = {name: file.joints[name].mimic for name in held}
-    drivers = {name: file.joints.get(mimic.joint) for name, mimic in mimics.items() if mimic}
-    apart = [name for name, driver in drivers.items() if driver and moves[driver.row].root is not None]
+    drivers = {name: file.joints.get(mimic.leader) for name, mimic in mimics.items() if mimic}
+    apart = [name for name, driver in drivers.items() if driver and moves[driver.row].leader is not None]
     return [
         ("mimic.stuck", stuck, f"it follows nothing that moves: {stand}"),
         ("lock.mimic", apart, "locked although the joint that it mimics moves"),

@@ -29,16 +29,16 @@ def read(
     root = root_of(source)
     found = elements(root)
     faults: list[Finding] = []
-    still_free = motions(found.joints, coupled, faults)
     base_link, frames = rooted(found, faults)
+    still_free = motions(found.joints, coupled, faults)
     # bodies that never move need not be readable
     excused = set() if free or faults else below([base_link], children_of(found.joints, fixed=True))
     unreadable = [x for name, all_of in found.unreadable.items() if name not in excused for x in all_of]
     if faults := [x._replace(severity="error") for x in (*unreadable, *found.faults, *faults)]:
         lines = "\n  ".join(map(str, faults))
         raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *faults)
-    judged, findings = _physical(found, repair)
     moves = locked(found, still_free, coupled, kept, lock)
+    judged, findings = _physical(found, repair)
     links = linked(segments_of(judged, base_link, moves), moves)
     moving = {frame.name for frame in links.frames if free or frame.link != BASE}
     unphysical = [x for name, all_of in findings.items() if name in moving for x in all_of]

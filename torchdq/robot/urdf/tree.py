@@ -83,7 +83,7 @@ def segments_of(file: Elements, base: str, moves: Sequence[Follows]) -> list[Seg
     while waiting:
         joint = waiting.pop()
         # the effort of a joint that follows is its driver's
-        own = joint if moves[joint.row].root == joint.row else joint._replace(effort=None)
+        own = joint if moves[joint.row].leader == joint.row else joint._replace(effort=None)
         at[joint.child] = len(found)
         found.append(
             Segment(joint.child, at[joint.parent], pose(joint.origin), (own,), *body_of(file.links[joint.child]))
