@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
@@ -21,8 +22,16 @@ from torchdq.robot.urdf.elements import Elements, Inertial, Origin, UrdfJoint, l
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def rooted(file: Elements, faults: list[Finding]) -> tuple[str, list[str]]:
-    """Link that no joint carries, and others that are only frames; faults keep links and joints from being one tree."""
+class Rooted(NamedTuple):
+    """Base of a tree of links."""
+
+    base: str  # link that no joint carries
+    frames: list[str]  # others that no joint carries, which are left out
+    still: set[str]  # links that never move
+
+
+def rooted(file: Elements, faults: list[Finding]) -> Rooted:
+    """Base of the links of a file; faults keep links and joints from being one tree."""
     links = file.links
     carried: dict[str, str] = {}  # link -> joint that carries it
     children = children_of(file.joints)
@@ -45,7 +54,9 @@ def rooted(file: Elements, faults: list[Finding]) -> tuple[str, list[str]]:
     reached = below([*roots, *(parent for parent in children if parent not in links)], children)
     if loose := [link for link in links if link not in reached]:
         faults.append(Finding("link.loop", "", f"links {listed(loose)} hang in a loop"))
-    return (bases[0] if bases else ""), [link for link in roots if link not in bases]
+    base = bases[0] if bases else ""
+    still = below([base], children_of(file.joints, fixed=True))
+    return Rooted(base, [link for link in roots if link not in bases], still)
 
 
 def _massive(body: Inertial | None) -> bool:
