@@ -21,7 +21,7 @@ from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits, RobotDescription, note
 from torchdq.robot.edit.couplings import Follows
 
-STILL = -2  # link of what stands still apart from a free base
+APART = -2  # link of what stands still apart from a free base
 NEAR = 1e-6  # difference of limits that is not noted: files are printed with about six digits
 
 
@@ -81,7 +81,7 @@ def linked(segments: Sequence[Segment], moves: Sequence[Follows], free: int | No
     places: list[tuple[int, DualQuaternion]] = []
     bodies: dict[int, RigidBody] = {}
     for i, (name, parent, X_PB, joints, body, X_BC) in enumerate(segments):
-        link, X = (BASE if free is None else STILL, dual_quaternion.ONE) if parent is None else places[parent]
+        link, X = (BASE if free is None else APART, dual_quaternion.ONE) if parent is None else places[parent]
         X = _unit(dual_quaternion.mul(X, X_PB))
         moving = [joint for joint in joints if moves[joint.row].leader is not None]
         for joint in joints:
@@ -96,7 +96,7 @@ def linked(segments: Sequence[Segment], moves: Sequence[Follows], free: int | No
         places.append((link, X))
         bodies[link] = merged(bodies.get(link, NOTHING), body.moved(dual_quaternion.mul(X, X_BC)))
     named = [*zip([x.name for x in segments], places, strict=True)]
-    frames = [Frame(name, link, double((*r, *d))) for name, (link, (r, d)) in named if link != STILL]
+    frames = [Frame(name, link, double((*r, *d))) for name, (link, (r, d)) in named if link != APART]
     parents = {x.parent for x in segments}
     leaves = [name for i, (name, (link, _)) in enumerate(named) if link >= 0 and i not in parents]
     return Links(links, bodies, places, frames, leaves)

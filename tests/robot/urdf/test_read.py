@@ -87,23 +87,6 @@ def test_free_bases_of_real_robots_are_those_of_pinocchio(name):
 
 
 @pytest.mark.case("U5")
-def test_a_fixed_link_adds_its_inertia_by_the_parallel_axis_theorem():
-    # two equal balls of 1 kg, 0.6 m apart along x: the centre lies between them, 0.3 m from each
-    ball = (0.01, 0, 0.01, 0, 0, 0.01)
-    links = link("upper", 1.0, ball, (0, 0, 0)) + link("ball", 1.0, ball, (0.1, 0, 0))
-    on = fixed("mount", "upper", "ball", (0.5, 0, 0))
-    for robot in (
-        Robot.from_urdf(urdf(link("base", None), links, joint("shoulder", "base", "upper"), on)),
-        Robot.from_urdf(urdf(link("base", None), links, fixed("f", "base", "upper"), on), base="floating"),
-    ):
-        body = (
-            (robot.mass, robot.com, robot.inertia) if robot.n else (robot.base_mass, robot.base_com, robot.base_inertia)
-        )
-        assert same(body[1].flatten(), [0.3, 0, 0])
-        assert same(body[2].flatten(), [0.02, 0, 0.02 + 2 * 0.09, 0, 0, 0.02 + 2 * 0.09]) and float(body[0].sum()) == 2
-
-
-@pytest.mark.case("U5")
 @pytest.mark.parametrize("on", ["base", "upper", "lower"])
 def test_a_massless_link_on_a_fixed_joint_changes_no_torque_and_is_a_frame(on):
     robot = Robot.from_urdf(also(link("tool", None) + fixed("mount", on, "tool", (0.3, -0.2, 0.1), (0.4, 0.5, 0.6))))

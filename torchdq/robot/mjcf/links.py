@@ -11,7 +11,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, double
-from torchdq.robot.assembly import STILL, Links, Segment, linked
+from torchdq.robot.assembly import APART, Links, Segment, linked
 from torchdq.robot.description import Frame
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import MjcfJoint, names_of
@@ -43,7 +43,7 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
         segments.append(Segment(names[i], int(m.body_parentid[i]), X, own, body_of(of, i)))
     found = linked(segments, moves, base)
     for link in found.links:
-        if link.parent == STILL:
+        if link.parent == APART:
             raise DescriptionError(
                 f"everything that moves must hang on the free body {names[base or 0]!r}, found that joint "
                 f"{link.joint.name!r} carries {link.name!r} apart from it; lock that joint, or hold the free body with "
@@ -51,18 +51,18 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
             )
     carried = {link.joint.body for link in found.links} | {base}
     sites = [(name, *found.places[m.site_bodyid[i]], i) for i, name in enumerate(_site_names(of, names))]
-    left_out = [name for name, (link, _) in zip(names[1:], found.places[1:], strict=True) if link == STILL]
+    left_out = [name for name, (link, _) in zip(names[1:], found.places[1:], strict=True) if link == APART]
     frames = [
         Frame(name, link, double(sum(dual_quaternion.mul(X, _pose(m.site_quat[i], m.site_pos[i])), ())))
         for name, link, X, i in sites
-        if link != STILL
+        if link != APART
     ]
     taken = {*names, *(name for name, *_ in sites)}
     frames += [Frame(link.name, i, IDENTITY) for i, link in enumerate(found.links) if link.name not in taken]
     return ModelLinks(
         found._replace(frames=[*found.frames, *frames]),
         sum(i not in carried for i in range(1, m.nbody)),
-        [*left_out, *(name for name, link, *_ in sites if link == STILL)],
+        [*left_out, *(name for name, link, *_ in sites if link == APART)],
     )
 
 

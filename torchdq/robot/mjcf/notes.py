@@ -9,7 +9,7 @@ from typing import Any
 
 from torchdq.dynamics.tree import BASE
 from torchdq.findings import Finding
-from torchdq.robot.assembly import STILL
+from torchdq.robot.assembly import APART
 from torchdq.robot.check.units import TURN
 from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
@@ -138,7 +138,7 @@ def _ignored(
         for x in free
         if m.dof_armature[(dof := int(m.jnt_dofadr[x.row])) : dof + 6].any()
     ]
-    names, still = names_of(of, "BODY", m.nbody), STILL if free else BASE
+    names, still = names_of(of, "BODY", m.nbody), APART if free else BASE
     relieved = [
         names[i]
         for i, (link, _) in enumerate(bodies.of.places)
