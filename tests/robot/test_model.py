@@ -38,6 +38,10 @@ def test_no_function_modifies_a_robot(name):
     torchdq.jacobian(robot, q, "tip")
     torchdq.inverse_dynamics(robot, q.float())
     robot.replace(mass=2 * robot.mass).to(torch.float32).with_tip("base").report()
+    robot.lock([robot.joint_names[0]])
+    robot.subchain(robot.link_names[0], "tip")
+    palm = {"base_mass": torch.tensor(0.5), "base_com": torch.zeros(3), "base_inertia": torch.zeros(6)}
+    robot.with_payload(1.0).with_tool("pen", robot.frame("tip").X_BF).attach(two().replace(**palm), "pen", prefix="o_")
     assert all(torch.equal(x, before[key]) for key, x in tensors(robot).items())
 
 

@@ -12,7 +12,7 @@ from torchdq.command.outcome import Outcome
 from torchdq.command.robots import NamedRobot, robot_of
 from torchdq.errors import ArgumentError
 from torchdq.robot.check.consistency import OnUnphysical
-from torchdq.robot.loading import Base
+from torchdq.robot.robot import Base
 
 RobotName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
 Dtype = Literal["float64", "float32"]

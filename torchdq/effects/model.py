@@ -17,7 +17,7 @@ from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.arrays import matrices
 from torchdq.robot.check.consistency import bodies
-from torchdq.robot.loading import GRAVITY
+from torchdq.robot.robot import GRAVITY
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,7 @@
-"""Descriptions of robots from links, joints and bodies in numbers: the common end of the readers of URDF and MJCF."""
+"""Descriptions of robots from segments in numbers: the common end of the readers of URDF and MJCF.
+
+Segments that no joint moves are fixed to the link that carries them, and a segment on several joints is several links.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,33 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from torchdq.algebra import dual_quaternion
+from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
+from torchdq.dynamics.joints import KINDS, Coordinate
 from torchdq.dynamics.tree import BASE
 from torchdq.findings import Finding
 from torchdq.robot.arrays import double
-from torchdq.robot.bodies import NOTHING
+from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits, RobotDescription, note
 from torchdq.robot.edit.couplings import Follows
 
+APART = -2  # link of what stands still apart from a free base
 NEAR = 1e-6  # difference of limits that is not noted: files are printed with about six digits
+
+
+class Segment(NamedTuple):
+    """Body of a description, and the joints between it and the segment that carries it."""
+
+    name: str
+    parent: int | None  # place in the row of segments; None: the root, which stands still
+    X_PB: DualQuaternion  # pose in the frame of the parent, all joints at home
+    # from the parent on; each with name, row, kind, screw, home, lower, upper, velocity, effort, damping, friction and
+    # armature; effort is None where nothing acts on the joint itself
+    joints: Sequence[Any] = ()
+    body: RigidBody = NOTHING
+    X_BC: DualQuaternion = dual_quaternion.ONE  # pose of the frame in which the body is given
 
 
 class MovingLink(NamedTuple):
@@ -23,8 +43,6 @@ class MovingLink(NamedTuple):
 
     name: str
     parent: int
-    # with name, row, kind, screw, home, lower, upper, velocity, effort, damping, friction and armature; effort is None
-    # where nothing acts on the joint itself
     joint: Any
     X_PB: DualQuaternion  # at home
 
@@ -34,8 +52,9 @@ class Links(NamedTuple):
 
     links: list[MovingLink]
     bodies: Mapping[int, RigidBody]  # by link; that of the base too
+    places: list[tuple[int, DualQuaternion]]  # link of every segment, and its pose there
     frames: list[Frame]
-    leaves: list[str]  # moving bodies that carry no others
+    leaves: list[str]  # moving segments that carry no others
 
 
 class CoordinateNumbers(NamedTuple):
@@ -48,6 +67,46 @@ class CoordinateNumbers(NamedTuple):
     damping: float
     friction: float
     armature: float
+
+
+def linked(segments: Sequence[Segment], moves: Sequence[Follows], free: int | None = None) -> Links:
+    """Links that joints move, with the segments that are fixed to them.
+
+    Args:
+        segments: those of the description, each after its parent.
+        moves: displacement of every joint, by row.
+        free: segment that is a free base, apart from which nothing moves; None: the root is the base.
+    """
+    links: list[MovingLink] = []
+    places: list[tuple[int, DualQuaternion]] = []
+    bodies: dict[int, RigidBody] = {}
+    for i, (name, parent, X_PB, joints, body, X_BC) in enumerate(segments):
+        link, X = (BASE if free is None else APART, dual_quaternion.ONE) if parent is None else places[parent]
+        X = _unit(dual_quaternion.mul(X, X_PB))
+        moving = [joint for joint in joints if moves[joint.row].leader is not None]
+        for joint in joints:
+            if joint in moving:
+                links.append(MovingLink(name if joint is moving[-1] else f"{name} before {joint.name}", link, joint, X))
+                link, X = len(links) - 1, dual_quaternion.ONE
+            elif x := moves[joint.row].offset:
+                at = Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x))
+                X = _unit(dual_quaternion.mul(X, KINDS[joint.kind](joint.screw).motion(at)))
+        if i == free:
+            link, X = BASE, dual_quaternion.ONE
+        places.append((link, X))
+        bodies[link] = merged(bodies.get(link, NOTHING), body.moved(dual_quaternion.mul(X, X_BC)))
+    named = [*zip([x.name for x in segments], places, strict=True)]
+    frames = [Frame(name, link, double((*r, *d))) for name, (link, (r, d)) in named if link != APART]
+    parents = {x.parent for x in segments}
+    leaves = [name for i, (name, (link, _)) in enumerate(named) if link >= 0 and i not in parents]
+    return Links(links, bodies, places, frames, leaves)
+
+
+def _unit(X: DualQuaternion) -> DualQuaternion:
+    """Pose without the rounding of its norm, with w >= 0."""
+    (r, d), n = X, math.sqrt(quat.norm2(X[0]))
+    s = math.copysign(1.0 / n, r[0]) if r[0] else 1.0 / n
+    return (quat.scale(s, r), quat.scale(s, d))
 
 
 def described(
@@ -63,10 +122,10 @@ def described(
         notes: findings of the reader.
     """
     carrying = [link.joint for link in of.links]
-    n, roots = len(carrying), [joint for joint in carrying if moves[joint.row].root == joint.row]
+    n, roots = len(carrying), [joint for joint in carrying if moves[joint.row].leader == joint.row]
     following: dict[int | None, list[Any]] = {root.row: [] for root in roots}
     for joint in carrying:
-        following[moves[joint.row].root].append(joint)
+        following[moves[joint.row].leader].append(joint)
     findings = [*notes]
     numbers = [_coordinate(root, [(x, moves[x.row]) for x in following[root.row]], findings) for root in roots]
     rows = (
@@ -75,7 +134,7 @@ def described(
     lower, upper, velocity, effort, damping, friction, armature = rows
     homes: dict[int | None, float] = {root.row: root.home for root in roots}
     # at q, a joint that follows is displaced by factor (q - home of its root) + offset = (S q) - home
-    home = double([x.factor * homes[x.root] - x.offset for x in (moves[joint.row] for joint in carrying)])
+    home = double([x.factor * homes[x.leader] - x.offset for x in (moves[joint.row] for joint in carrying)])
     joint_map = None
     if len(roots) < n:
         S, equations = double([[0.0] * len(roots)] * n), []

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.findings import Finding
-from torchdq.robot.arrays import IDENTITY, SIX, distinct, inertias, matrices, table
+from torchdq.robot.arrays import IDENTITY, distinct, inertias, matrices, table
 from torchdq.robot.check import consistency
 
 NO_TIP = "tip.missing"  # code of a note that goes when a tip is chosen
@@ -46,11 +46,6 @@ class JointMap(NamedTuple):
 
     joint_names: tuple[str, ...]  # names of all joints, one per link
     S: Tensor  # [links, n] positions of the joints per coordinate
-
-    def followed(self, joint: str, coordinates: Sequence[str]) -> str:
-        """Coordinates, named in their order, that a joint follows, as a sum."""
-        row = self.S[self.joint_names.index(joint)].tolist()
-        return " + ".join(f"{x:g} {name}" for name, x in zip(coordinates, row, strict=True) if x) or "nothing"
 
 
 @dataclass(frozen=True)
@@ -95,7 +90,6 @@ def assemble(
     com: Any,
     inertia: Any,
     home: Any = None,
-    repair: bool = False,
 ) -> RobotDescription:
     """Description without limits or friction, with a frame per link, one at the tip and one at the base."""
     n = len(parents)
@@ -105,7 +99,6 @@ def assemble(
     if {"base", "tip"} & set(links):
         raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
     mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), inertias(inertia, n)
-    I, notes = consistency.repaired(links, mass, matrices(inertia)) if repair else (matrices(inertia), [])
     zero = torch.zeros(n, dtype=torch.float64, device="cpu")
     infinite = zero + torch.inf
     at_links = (Frame(link, i, IDENTITY) for i, link in enumerate(links))
@@ -119,12 +112,12 @@ def assemble(
         screw=screw,
         mass=mass,
         com=com,
-        inertia=I[:, *SIX],
+        inertia=inertia,
         limits=Limits(-infinite, infinite, infinite, infinite),
         damping=zero,
         friction=zero,
         frames=(Frame("base", BASE, IDENTITY), *at_links, Frame("tip", n - 1, X_BE)),
         tip="tip",
         home=None if home is None else table("home", home, n),
-        notes=(*consistency.bodies(links, mass, I), *notes),
+        notes=tuple(consistency.bodies(links, mass, matrices(inertia))),
     )

@@ -6,7 +6,7 @@ Below everything that reads, checks or changes robots; `robot.Robot` adds that t
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from operator import methodcaller
 from typing import Any, TypeVar
@@ -204,6 +204,24 @@ def batches(robot: RobotModel) -> dict[str, tuple[int, ...]]:
     """Batch axes, by name, of the tensors of a robot that have some."""
     axes = {name: tuple(x.shape[: x.ndim - len(SHAPES[name])]) for name, x in present(robot, SHAPES).items()}
     return {name: batch for name, batch in axes.items() if batch}
+
+
+def factors(robot: RobotModel) -> Tensor:
+    """Positions of all joints per coordinate, [links, n]."""
+    if robot.joint_map is not None:
+        return robot.joint_map.S
+    return torch.eye(robot.n, dtype=robot.screw.dtype, device=robot.screw.device)
+
+
+def followed(robot: RobotModel, joint: str) -> dict[str, float]:
+    """Factors of the coordinates that a joint follows, by name."""
+    row = factors(robot)[robot.every_joint.index(joint)].tolist()
+    return {name: x for name, x in zip(robot.joint_names, row, strict=True) if x}
+
+
+def sum_of(factors: Mapping[str, float]) -> str:
+    """Sum of coordinates, in words."""
+    return " + ".join(f"{x:g} {name}" for name, x in factors.items()) or "nothing"
 
 
 def require_shapes(robot: RobotModel) -> None:

@@ -12,7 +12,7 @@ from torchdq.dynamics.tree import Tree, on_base
 from torchdq.findings import Finding
 from torchdq.robot.check import consistency
 from torchdq.robot.fields import BASE_BODY, SHAPES
-from torchdq.robot.model import RobotModel, require_unchanged
+from torchdq.robot.model import RobotModel, factors, require_unchanged
 
 
 def general_tree(robot: RobotModel, values: Callable[[str], Any], free: bool = False) -> Tree:
@@ -45,10 +45,8 @@ def inert_joints(robot: RobotModel) -> list[Finding]:
     """Faults of coordinates that move no inertia in any position, whatever the base does."""
     known = robot.every_joint
     faults = consistency.inert_joints(known, general_tree(robot, partial(plain, robot)))
-    if robot.joint_map is None:
-        return list(faults.values())
     rotors = [0.0] * robot.n if robot.armature is None else robot.armature.tolist()
-    followers = [[known[i] for i in column.nonzero().flatten().tolist()] for column in robot.joint_map.S.T]
+    followers = [[known[i] for i in column.nonzero().flatten().tolist()] for column in factors(robot).T]
     return [
         faults[names[0]]
         for names, rotor in zip(followers, rotors, strict=True)

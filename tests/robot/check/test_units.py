@@ -94,14 +94,6 @@ def test_replaced_numbers_in_other_units_are_named_once(field, factor, found):
         robot.replace(**{field: torch.stack([value, value])})
 
 
-def test_a_table_of_lengths_in_mm_is_named(silent):
-    robot = torchdq.robots.load("two_link")
-    bodies = {"mass": robot.mass, "com": robot.com, "inertia": robot.inertia}
-    torchdq.Robot.from_dh([0.3, 0.3], [0.0, 0.0], [0.2, 0.0], [0.0, 2 * math.pi], **bodies)
-    with refused(UserWarning):
-        torchdq.Robot.from_dh([300, 300], [0.0, 0.0], [200, 0.0], [0.0, 0.0], **bodies)
-
-
 @pytest.mark.parametrize("lower, upper", [(-170, 170), (-45, 0.0), (0.0, 360), (-1e16, 90)])
 def test_limits_in_degrees_are_suspected(lower, upper):
     with warned(UserWarning) as seen:
@@ -117,62 +109,67 @@ def test_limits_of_some_turns_and_those_that_stand_for_none_are_not_suspected(lo
     torchdq.Robot.from_urdf(hinge(lower, upper, kind))
 
 
-def test_replaced_limits_in_degrees_are_suspected_and_those_of_a_slide_are_not(silent):
-    robot, slide = (torchdq.Robot.from_urdf(hinge(kind=kind)) for kind in ("revolute", "prismatic"))
-    slide.replace(limits=slide.limits._replace(upper=double([25.0])))
-    with refused(UserWarning):
-        robot.replace(limits=robot.limits._replace(upper=double([180.0])))
+def table(a=0.3, d=0.2, n=2, **bodies):
+    """Arm by a table of Denavit and Hartenberg."""
+    ones = {"mass": [1.0] * n, "com": [[0.1, 0.0, 0.0]] * n, "inertia": [[0.01, 0, 0.01, 0, 0, 0.01]] * n}
+    return torchdq.Robot.from_dh([a] * n, [0.0] * n, [d] + [0.0] * (n - 1), [2 * math.pi] * n, **(ones | bodies))
 
 
-def test_placements_in_degrees_are_suspected(silent):
-    for angles in ({"rpy": (0, 0, 90)}, {"turned": (-180, 0, 0)}):
-        robot = torchdq.Robot.from_urdf(hinge(**angles), on_unphysical="ignore")
-        about = "joint 'j'" if "rpy" in angles else "link 'rod'"
-        assert suspicions(robot) == {("units.degrees", about)} and "is it in degrees?" in str(robot.report())
-        with refused(UserWarning):
-            torchdq.Robot.from_urdf(hinge(**angles))
-    torchdq.Robot.from_urdf(hinge(rpy=(0, 0, 6.28318)))
+def limited(kind, upper):
+    robot = torchdq.Robot.from_urdf(hinge(kind=kind))
+    return robot.replace(limits=robot.limits._replace(upper=double([upper])))
 
 
-def test_ranges_in_radians_in_a_file_in_degrees_are_suspected(silent):
+def larger(name, factor):
+    robot = torchdq.robots.load(name)
+    return robot.replace(inertia=factor * robot.inertia)
+
+
+def ranged(upper, angle=""):
+    """MJCF file whose ranges are in degrees."""
     pytest.importorskip("mujoco")
-    text = (
-        "<mujoco>{}<worldbody><body name='a'><joint name='j' range='-1.57 {}'/><geom size='0.1'/></body></worldbody>"
-        "</mujoco>"
-    )
+    body = f"<body name='a'><joint name='j' range='-1.57 {upper}'/><geom size='0.1'/></body>"
+    return torchdq.Robot.from_mjcf(f"<mujoco>{angle}<worldbody>{body}</worldbody></mujoco>")
+
+
+SUSPECTED = {
+    "lengths in mm": lambda: table(300, 200),
+    "limits in degrees": lambda: limited("revolute", 180.0),
+    "a joint turned in degrees": lambda: torchdq.Robot.from_urdf(hinge(rpy=(0, 0, 90))),
+    "a body turned in degrees": lambda: torchdq.Robot.from_urdf(hinge(turned=(-180, 0, 0))),
+    "ranges in radians": lambda: ranged(3.14),
+    **{f"inertias of {name}": lambda name=name: larger(name, 1e3) for name in ("panda", "ur10e", "puma560")},
+    "one inertia": lambda: arm("inertia", factor=90.0),
+    # without joints at a distance, the size of the body itself is what its centre of mass is compared with
+    "an arm of one link in mm": lambda: torchdq.Robot.from_urdf(hinge(kind="continuous", com=(300, 0, 0))),
+}
+UNSUSPECTED = {
+    "lengths in m": table,
+    "limits of a slide": lambda: limited("prismatic", 25.0),
+    "a whole turn": lambda: torchdq.Robot.from_urdf(hinge(rpy=(0, 0, 6.28318))),
+    "ranges in degrees": lambda: ranged(90),
+    "ranges in a file in radians": lambda: ranged(3.14, "<compiler angle='radian'/>"),
+    **{f"inertias of {name}": lambda name=name: larger(name, 10) for name in ("panda", "ur10e", "puma560")},
+    "a disc on a short axle": lambda: table(0.05, n=1, com=[[0.0, 0, 0]], inertia=[[0.5, 0, 0.5, 0, 0, 1.0]]),
+    "rods on short axles": lambda: table(0.05, n=3, com=[[0.5, 0, 0]] * 3, inertia=[[1e-4, 0, 0.09, 0, 0, 0.09]] * 3),
+    "a long chain of short links": lambda: table(n=400),
+    "an arm of one link": lambda: torchdq.Robot.from_urdf(hinge(kind="continuous")).check(),
+}
+
+
+@pytest.mark.parametrize("case", SUSPECTED)
+def test_numbers_in_other_units_are_suspected(case, silent):
     with refused(UserWarning):
-        torchdq.Robot.from_mjcf(text.format("", "3.14"))
-    assert suspicions(torchdq.Robot.from_mjcf(text.format("", "3.14"), on_unphysical="ignore"))
-    torchdq.Robot.from_mjcf(text.format("", "90"))
-    torchdq.Robot.from_mjcf(text.format("<compiler angle='radian'/>", "3.14"))
+        SUSPECTED[case]()
 
 
-def test_a_long_chain_of_short_links_is_not_suspected(silent):
-    n = 400
-    bodies = {"mass": [1.0] * n, "com": [[0.1, 0.0, 0.0]] * n, "inertia": [[0.01, 0.0, 0.01, 0.0, 0.0, 0.01]] * n}
-    torchdq.Robot.from_dh([0.3] * n, [0.0] * n, [0.0] * n, [0.0] * n, **bodies)
+@pytest.mark.parametrize("case", UNSUSPECTED)
+def test_numbers_that_a_robot_may_have_are_not_suspected(case, silent):
+    UNSUSPECTED[case]()
 
 
 def test_what_is_unphysical_by_consent_is_only_noted(silent):
     assert suspicions(arm("com", on_unphysical="ignore")) == {("units.com", "link 'link2'")}
-
-
-@pytest.mark.parametrize("name", ["panda", "ur10e", "puma560"])
-def test_inertias_a_thousand_times_too_large_are_suspected(name, silent):
-    robot = torchdq.robots.load(name)
-    robot.replace(inertia=10 * robot.inertia)
-    with refused(UserWarning):
-        robot.replace(inertia=1e3 * robot.inertia)
-
-
-def test_one_inertia_a_thousand_times_too_large_is_suspected_where_no_link_is_so_large(silent):
-    with refused(UserWarning):
-        arm("inertia", factor=90.0)
-    # a disc on a short axle, and rods on short ones
-    disc = {"mass": [1.0], "com": [[0.0, 0, 0]], "inertia": [[0.5, 0, 0.5, 0, 0, 1.0]]}
-    torchdq.Robot.from_dh([0.05], [0.0], [0.0], [0.0], **disc)
-    rods = {"mass": [1.0] * 3, "com": [[0.5, 0, 0]] * 3, "inertia": [[1e-4, 0, 0.09, 0, 0, 0.09]] * 3}
-    torchdq.Robot.from_dh([0.05] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 3, **rods)
 
 
 def test_a_batch_is_suspected_for_one_of_its_robots():
@@ -180,13 +177,6 @@ def test_a_batch_is_suspected_for_one_of_its_robots():
     batch = robot.replace(com=torch.stack([robot.com, robot.com * double([[1.0], [1.0], [1e3]])]))
     with warned(UserWarning):
         batch.check()
-
-
-def test_a_file_in_mm_of_an_arm_of_one_link_is_suspected(silent):
-    """Without joints at a distance, the size of the body itself is what its centre of mass is compared with."""
-    torchdq.Robot.from_urdf(hinge(kind="continuous")).check()
-    with refused(UserWarning):
-        torchdq.Robot.from_urdf(hinge(kind="continuous", com=(300, 0, 0)))
 
 
 def clear(robot):

@@ -12,8 +12,7 @@ import pytest
 import torch
 from urdf_text import fixed, joint, link, urdf
 
-import torchdq
-from torchdq import Robot, dq
+from torchdq import dq
 from torchdq.robot.urdf import read as urdf_reader
 
 NAMES = [name for name in oracles.urdf_paths() if name not in oracles.UNREADABLE]
@@ -72,24 +71,3 @@ def test_a_tree_may_be_deep_and_poses_stay_unit():
     X = torch.stack([frame.X_BF for frame in urdf_reader.read(comb(2000, "fixed")).frames])
     assert float((X[:, :4].norm(dim=-1) - 1).abs().max()) < 1e-15
     assert float((X[:, :4] * X[:, 4:]).sum(-1).abs().max()) < 1e-12 * float(X[:, 4:].abs().max())
-
-
-def test_a_locked_robot_moves_as_the_whole_one_does():
-    path = oracles.urdf_paths()["baxter"]
-    whole = Robot.from_urdf(path, on_unphysical="ignore")
-    at = {name: 0.3 + 0.1 * i for i, name in enumerate(whole.joint_names[::3])}
-    part = Robot.from_urdf(path, on_unphysical="ignore", lock=at)
-    assert part.joint_names == tuple(name for name in whole.joint_names if name not in at)
-    g = torch.Generator().manual_seed(0)
-    q = torch.randn(5, part.n, generator=g, dtype=torch.float64)
-    full = torch.stack(
-        [
-            q[:, part.joint_index(name)] if name not in at else torch.full((5,), at[name], dtype=torch.float64)
-            for name in whole.joint_names
-        ],
-        -1,
-    )
-    kept = [whole.joint_index(name) for name in part.joint_names]
-    M = torchdq.mass_matrix(whole, full, backend="eager")[:, kept][:, :, kept]
-    found = torchdq.mass_matrix(part, q, backend="eager")
-    assert float((found - M).abs().max()) < 1e-13 * float(M.abs().max())

@@ -62,10 +62,9 @@ def test_arguments_are_those_of_the_file(folder):
     assert robot.joint_names == ("wrist",)
     robot = torchdq.Robot.from_xacro(str(folder / "rod.xacro"), arguments={"mass": 3})
     assert robot.mass.tolist() == [3.0]
-    with refused(torchdq.UnknownNameError):
-        torchdq.Robot.from_xacro(folder / "rod.xacro", {"hnad": True})
-    with refused(torchdq.ArgumentError):
-        torchdq.Robot.from_xacro(folder / "rod.xacro", ["hand"])
+    for wrong in ({"hnad": True}, ["hand"]):
+        with refused((torchdq.UnknownNameError, torchdq.ArgumentError)):
+            torchdq.Robot.from_xacro(folder / "rod.xacro", wrong)
 
 
 def test_packages_are_searched_where_they_are_said_to_be(folder, monkeypatch):
@@ -78,26 +77,21 @@ def test_packages_are_searched_where_they_are_said_to_be(folder, monkeypatch):
         torchdq.Robot.from_xacro(elsewhere)  # nothing is remembered
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "<robot",
-        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:nothing/></robot>',
-        '<robot name="${1 / 0}" xmlns:xacro="http://www.ros.org/wiki/xacro"/>',
-        "<robot name='r'/>",
-    ],
-)
-def test_files_that_expand_to_no_robot_are_refused(tmp_path, text):
-    (tmp_path / "robot.xacro").write_text(text)
+HEAD = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+TEXTS = ["<robot", f"<robot {HEAD}><xacro:nothing/></robot>", f'<robot name="${{1 / 0}}" {HEAD}/>', "<robot name='r'/>"]
+
+
+@pytest.mark.parametrize("k", range(len(TEXTS)))
+def test_files_that_expand_to_no_robot_are_refused(tmp_path, k):
+    (tmp_path / "robot.xacro").write_text(TEXTS[k])
     with refused(torchdq.DescriptionError):
         torchdq.Robot.from_xacro(tmp_path / "robot.xacro")
 
 
 def test_a_path_is_needed(tmp_path):
-    with refused(torchdq.ArgumentError):
-        torchdq.Robot.from_xacro("<robot/>")
-    with refused(torchdq.errors.MissingFileError):
-        torchdq.Robot.from_xacro(tmp_path / "none.xacro")
+    for path in ("<robot/>", tmp_path / "none.xacro"):
+        with refused((torchdq.ArgumentError, torchdq.errors.MissingFileError)):
+            torchdq.Robot.from_xacro(path)
 
 
 def test_without_xacrodoc_a_message_says_what_to_install(monkeypatch, folder):
@@ -154,14 +148,9 @@ def test_a_name_finds_a_file_of_any_format(names):
 
 
 def test_names_without_a_file_are_refused(names, monkeypatch):
-    with refused(torchdq.UnknownNameError):
-        torchdq.Robot.from_name("plane_description")
-    with refused(torchdq.ArgumentError):
-        torchdq.Robot.from_name(3)
-    with refused(torchdq.DescriptionError):
-        torchdq.Robot.from_name("empty_description")
-    with refused(torchdq.DescriptionError):
-        torchdq.Robot.from_name("broken_description")
+    for name in ("plane_description", 3, "empty_description", "broken_description"):
+        with refused(torchdq.TorchdqError):
+            torchdq.Robot.from_name(name)
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
     with refused(torchdq.MissingLibraryError):
         torchdq.Robot.from_name("plain_description")

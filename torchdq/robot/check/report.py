@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from torchdq.findings import Finding
-from torchdq.robot.model import RobotModel, require_unchanged
+from torchdq.robot.model import RobotModel, followed, require_unchanged, sum_of
 
 HEADER = ("joint", "kind", "link", "mass", "limits (not enforced)")
 
@@ -44,8 +44,8 @@ def report(robot: RobotModel) -> Report:
 
 def _range(robot: RobotModel, joint: str) -> str:
     """Limits of a joint that is a coordinate; of another one, the coordinates that it follows."""
-    followed = f"1 {joint}" if robot.joint_map is None else robot.joint_map.followed(joint, robot.joint_names)
-    if followed != f"1 {joint}":
-        return f"follows {followed}"
+    leaders = followed(robot, joint)
+    if leaders != {joint: 1.0}:
+        return f"follows {sum_of(leaders)}"
     i = robot.joint_index(joint)
     return f"[{float(robot.limits.lower[..., i].min()):.4g}, {float(robot.limits.upper[..., i].max()):.4g}]"

@@ -17,7 +17,7 @@ from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.joints import KINDS
 from torchdq.findings import Finding
 from torchdq.program.transforms import without_values
-from torchdq.robot.model import RobotModel
+from torchdq.robot.model import RobotModel, factors
 
 # Every robot of example-robot-data and of this package stays below a suspicion by a factor: of eight for lengths; for
 # sizes of bodies, where files have placeholders such as 1 kg m^2 in a humanoid, of 1.6.
@@ -104,7 +104,7 @@ def _length(robot: RobotModel) -> float:
     """Longest way [m] from the base along the joints to a frame, with sliding joints at their ends."""
     steps, axes = _steps(robot), _largest(robot.screw[..., 3:].norm(dim=-1))
     bounds = torch.stack([x.abs().where(x.isfinite(), 0.0) for x in (robot.limits.lower, robot.limits.upper)])
-    ends = _largest(bounds if robot.joint_map is None else bounds @ robot.joint_map.S.abs().mT)
+    ends = _largest(bounds @ factors(robot).abs().mT)
     ways = [0.0] * (len(robot.link_names) + 1)  # the last is that of the base, whose index is -1
     for i, (parent, joint) in enumerate(zip(robot.parents, [KINDS[kind] for kind in robot.kinds], strict=True)):
         # a frame that is off its axis is carried around it

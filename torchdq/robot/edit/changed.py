@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,6 +21,42 @@ from torchdq.robot.model import RobotModel, batches, require_unchanged, values
 WRITTEN = (*fields.BODIES, "limits", "damping", "friction", "armature")
 UNWRITTEN = ("name", "gravity", "tip", "notes")
 CLOSE = {torch.float64: 1e-12, torch.float32: 1e-6}  # as parts of the largest number of a field
+
+
+class ChangedBody(NamedTuple):
+    """Body of a link, or of a free base, that was changed."""
+
+    link: int
+    body: RigidBody
+    changed: tuple[bool, bool, bool]  # its mass, centre of mass and inertia
+
+    def written(self, own: RigidBody, carried: RigidBody, whole: bool, name: str, parts: str) -> dict[str, Any]:
+        """Mass, centre of mass and inertia that an element of a file must get, where it must get one.
+
+        Args:
+            own: body of the element in the file.
+            carried: all others that are fixed to it.
+            whole: whether the file gives the element no body.
+            name, parts: the element, and those that it carries, in words.
+
+        Raises:
+            ArgumentError: the element would have less than no mass.
+        """
+        mass, com, inertia = self.changed
+        alone = carried == NOTHING
+        left = self.body if alone else without(self.body, carried)
+        if mass and left.mass < 0:
+            raise ArgumentError(
+                f"mass of {name} must be at least that of the {parts} that it carries, {carried.mass:g} kg, found "
+                f"{self.body.mass:g} kg; change their masses in the file"
+            )
+        # what did not change stays without the rounding of a sum and a difference
+        new = {
+            "mass": (mass, left.mass if mass else own.mass),
+            "com": (com or (mass and not alone), left.com if mass or com else own.com),
+            "inertia": (inertia or not alone, left.inertia),
+        }
+        return {part: x for part, (wanted, x) in new.items() if wanted or whole}
 
 
 class ChangedJoint(NamedTuple):
@@ -51,43 +87,16 @@ def require_same_tree(robot: RobotModel, original: RobotModel) -> None:
             )
 
 
-def changed_bodies(robot: RobotModel, original: RobotModel) -> Iterator[tuple[int, RigidBody, tuple[bool, bool, bool]]]:
-    """Links whose bodies were changed: the link or BASE, the new body, and whether each of its parts was changed."""
-    links = [*range(len(robot.link_names)), *([BASE] if robot.floating else [])]
-    for link in links:
+def changed_bodies(robot: RobotModel, original: RobotModel) -> list[ChangedBody]:
+    """Bodies that were changed."""
+    found = []
+    for link in [*range(len(robot.link_names)), *([BASE] if robot.floating else [])]:
         own, theirs = body_at(robot, link), body_at(original, link)
         changed = tuple(not equal(a.detach(), b.to(a)) for a, b in zip(own, theirs, strict=True))
         if any(changed):
             mass, com, inertia = (x.detach().double().tolist() for x in own)
-            yield link, RigidBody(mass, tuple(com), tuple(inertia)), changed  # type: ignore[misc]
-
-
-def own_body(
-    own: RigidBody, carried: RigidBody, new: RigidBody, changed: tuple[bool, bool, bool], name: str, parts: str
-) -> tuple[RigidBody, bool]:
-    """Body that an element of a file must have, and whether it carries no others.
-
-    Args:
-        own: body of the element in the file.
-        carried: all others that are fixed to it.
-        new: the common body to be written.
-        changed: whether the mass, the centre of mass and the inertia differ from the file's.
-        name: the element, in words.
-        parts: those that it carries, in words.
-
-    Raises:
-        ArgumentError: the element would have less than no mass.
-    """
-    alone = carried == NOTHING
-    left = new if alone else without(new, carried)
-    # what did not change stays without the rounding of a sum and a difference
-    mass = left.mass if changed[0] else own.mass
-    if mass < 0:
-        raise ArgumentError(
-            f"mass of {name} must be at least that of the {parts} that it carries, {carried.mass:g} kg, found "
-            f"{new.mass:g} kg; change their masses in the file"
-        )
-    return RigidBody(mass, left.com if any(changed[:2]) else own.com, left.inertia), alone
+            found.append(ChangedBody(link, RigidBody(mass, tuple(com), tuple(inertia)), changed))  # type: ignore[arg-type]
+    return found
 
 
 def digits(numbers: Iterable[float]) -> str:
@@ -95,54 +104,39 @@ def digits(numbers: Iterable[float]) -> str:
     return " ".join(map(repr, numbers))
 
 
-def changed_joints(robot: RobotModel, original: RobotModel) -> Iterator[ChangedJoint]:
+def changed_joints(robot: RobotModel, original: RobotModel) -> list[ChangedJoint]:
     """Numbers of joints that were changed; raises if one is not finite."""
-    for name, own, theirs in _per_joint(robot, original):
-        for joint, old, new, differs in zip(
-            robot.joint_names, theirs.tolist(), own.detach().double().tolist(), own != theirs.to(own), strict=True
-        ):
-            if not differs:
-                continue
+    found = []
+    for name, own, theirs in _pairs(robot, original, ("damping", "friction", "armature", "limits")):
+        for i in (own != theirs.to(own)).nonzero().flatten().tolist():
+            joint, old, new = robot.joint_names[i], float(theirs[i]), float(own[i])
             if not math.isfinite(new):
                 raise ArgumentError(
                     f"{name} of joint {joint!r} must be finite to be written, found {new:g}, in the original {old:g}"
                 )
-            yield ChangedJoint(joint, name, old, new)
-
-
-def grouped(changes: Iterable[ChangedJoint]) -> dict[str, list[ChangedJoint]]:
-    """Changes by the name of their joint."""
-    found: dict[str, list[ChangedJoint]] = {}
-    for change in changes:
-        found.setdefault(change.joint, []).append(change)
+            found.append(ChangedJoint(joint, name, old, new))
     return found
-
-
-def _per_joint(robot: RobotModel, original: RobotModel) -> Iterator[tuple[str, Tensor, Tensor]]:
-    """Name, own numbers and those of the original of every field with a number per joint."""
-    for name in ("damping", "friction", "armature"):
-        own, theirs = getattr(robot, name), getattr(original, name)
-        if own is not None or theirs is not None:
-            zero = original.damping * 0
-            yield name, zero if own is None else own, zero if theirs is None else theirs
-    for name, own, theirs in zip(robot.limits._fields, robot.limits, original.limits, strict=True):
-        yield name, own, theirs
 
 
 def require_read_back(robot: RobotModel, again: RobotModel) -> None:
     """Raise unless a robot that was written and read again has the numbers of the robot."""
-    for name in WRITTEN:
-        own, theirs = getattr(robot, name), getattr(again, name)
-        pairs = zip(own, theirs, strict=True) if name == "limits" else [(own, theirs)]
-        for a, b in pairs:
-            a = b * 0 if a is None and b is not None else a
-            b = a * 0 if b is None and a is not None else b
-            if a is None or _close(a.detach(), b.to(a)):
-                continue
+    for name, own, theirs in _pairs(robot, again, WRITTEN):
+        if not _close(own.detach(), theirs.to(own)):
             raise ArgumentError(
                 f"{name} of robot {robot.name!r} cannot be written: a robot that is read from the text would have "
-                f"{b.tolist()} instead of {a.tolist()}"
+                f"{theirs.tolist()} instead of {own.tolist()}"
             )
+
+
+def _pairs(robot: RobotModel, other: RobotModel, names: Iterable[str]) -> Iterator[tuple[str, Tensor, Tensor]]:
+    """Numbers of two robots, by field; those that only one of them has are zero in the other."""
+    for name in names:
+        own, theirs = getattr(robot, name), getattr(other, name)
+        if name == "limits":
+            yield from zip(own._fields, own, theirs, strict=True)
+        elif own is not None or theirs is not None:
+            zero = torch.zeros_like(theirs if own is None else own)
+            yield name, zero if own is None else own, zero if theirs is None else theirs
 
 
 def _close(a: Tensor, b: Tensor) -> bool:

@@ -19,10 +19,9 @@ from torchdq.robot.arrays import matrices, poses
 from torchdq.robot.bodies import body_at, lumped
 from torchdq.robot.check import consistency, faults, units
 from torchdq.robot.description import Frame, JointMap, Limits
-from torchdq.robot.edit.reduced import factors
 from torchdq.robot.edit.replaced import measurable, replace
 from torchdq.robot.fields import BASE_BODY, LINK_BODY
-from torchdq.robot.model import AnyRobot, RobotModel, batches
+from torchdq.robot.model import AnyRobot, RobotModel, batches, factors
 
 JOINED = {"screw": 2, "home": 1, "armature": 1, "damping": 1, "friction": 1}  # fields that are joined as they are
 NAMED = {"link_names": "links", "frame_names": "frames"}

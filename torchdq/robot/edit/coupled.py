@@ -15,6 +15,7 @@ from torchdq.robot.arrays import double, numbers, table, words
 from torchdq.robot.check import consistency, faults
 from torchdq.robot.description import JointMap, Limits
 from torchdq.robot.model import AnyRobot, RobotModel
+from torchdq.robot.model import factors as factors_of
 
 SAME = 1e-12  # part of the largest number below which a number of S is rounding
 
@@ -81,8 +82,12 @@ def couple(
             _require_absent(robot, f"limits.{bound}", getattr(robot.limits, bound).isfinite(), several, "limits")
         new["limits"] = _limits(robot, alone, shift, names)
     else:
-        new["limits"] = _given_limits(robot, limits, len(names))
-    before = torch.eye(robot.n, dtype=factors.dtype) if robot.joint_map is None else robot.joint_map.S.to(factors)
+        rows = numbers("limits", limits, ArgumentError).to(robot.mass)
+        if rows.ndim < 2 or (rows.shape[0], rows.shape[-1]) != (len(Limits._fields), len(names)):
+            expected = f"(lower, upper, velocity, effort), each of {len(names)} numbers"
+            raise ArgumentError(f"limits must be four rows {expected}, found the shape {tuple(rows.shape)}")
+        new["limits"] = Limits(*rows)
+    before = factors_of(robot).to(factors)
     if bool(shift.any()):
         home, moved = robot.home, (before @ shift).to(robot.mass)
         new["home"] = (0.0 if home is None else home) - moved
@@ -150,21 +155,6 @@ def _require_absent(
                 f"{what} of joint {name!r} of robot {robot.name!r} must be absent, since the joint follows several "
                 f"coordinates and none of them would have it alone; pass {argument or what}= for the new coordinates"
             )
-
-
-def _given_limits(robot: RobotModel, given: Sequence[Any], count: int) -> Limits:
-    """Limits of coordinates from four rows."""
-    rows = tuple(given) if isinstance(given, list | tuple) else ()
-    if len(rows) != len(Limits._fields):
-        raise ArgumentError(
-            f"limits must be four rows (lower, upper, velocity, effort), each of {count} numbers, found {given!r}"
-        )
-    named = {f"limits.{name}": row for name, row in zip(Limits._fields, rows, strict=True)}
-    found = {name: numbers(name, row, ArgumentError).to(robot.mass) for name, row in named.items()}
-    for name, x in found.items():
-        if x.shape[-1:] != (count,):
-            raise ArgumentError(f"{name} must have the shape [..., {count}], found {tuple(x.shape)}")
-    return Limits(*found.values())
 
 
 def _limits(robot: RobotModel, alone: Tensor, shift: Tensor, names: Sequence[str]) -> Limits:

@@ -22,7 +22,7 @@ from torchdq.robot.bodies import body_at, lumped, mixed
 from torchdq.robot.description import Frame, JointMap, Limits
 from torchdq.robot.edit.locking import lock_notes, positions, require_free, warn_beyond_limits
 from torchdq.robot.fields import BASE_BODY
-from torchdq.robot.model import AnyRobot, RobotModel, batches
+from torchdq.robot.model import AnyRobot, RobotModel, batches, factors, followed, sum_of
 
 PER_LINK = {"screw": -2, "home": -1}  # fields by the axis of the links
 PER_COORDINATE = {"armature": -1, "damping": -1, "friction": -1}  # fields by the axis of the coordinates
@@ -191,16 +191,12 @@ def _require_constant_geometry(robot: RobotModel) -> None:
 
 def _require_coordinates(robot: RobotModel, lock: Any) -> None:
     """Raise if joints to lock are named that follow coordinates."""
-    if robot.joint_map is None or not isinstance(lock, Collection):
-        return
-    for name in (lock,) if isinstance(lock, str) else lock:
+    for name in (lock,) if isinstance(lock, str) or not isinstance(lock, Collection) else lock:
         if name in robot.every_joint and name not in robot.joint_names:
-            row = robot.joint_map.S[robot.every_joint.index(name)].tolist()
-            leaders = [repr(leader) for leader, factor in zip(robot.joint_names, row, strict=True) if factor]
-            hold = "which hold it too" if len(leaders) > 1 else "which holds it too"
+            leaders = followed(robot, name)
             raise ArgumentError(
-                f"lock must not name joint {name!r}, which is not a coordinate: it follows "
-                f"{robot.joint_map.followed(name, robot.joint_names)}; lock {' and '.join(leaders)}, {hold}"
+                f"lock must not name joint {name!r}, which is not a coordinate: it follows {sum_of(leaders)}; lock "
+                f"{' and '.join(map(repr, leaders))}, which {'hold' if len(leaders) > 1 else 'holds'} it too"
             )
 
 
@@ -227,17 +223,8 @@ def _stacked(rows: Sequence[Tensor], none: Tensor, axis: int = -2) -> Tensor:
 # --- also for robots that are put together ---------------------------------------------------------------------------
 
 
-def factors(robot: RobotModel) -> Tensor:
-    """Positions of all joints per coordinate, [links, n]."""
-    if robot.joint_map is not None:
-        return robot.joint_map.S
-    return torch.eye(robot.n, dtype=robot.screw.dtype, device=robot.screw.device)
-
-
 def home_of(robot: RobotModel, name: str) -> float:
     """Position at home [rad or m] of a coordinate: of the joint with its name if it moves that one alone, else zero."""
     if robot.home is None or name not in robot.every_joint:
         return 0.0
-    i = robot.every_joint.index(name)
-    unit = [float(known == name) for known in robot.joint_names]
-    return float(robot.home[i]) if factors(robot)[i].tolist() == unit else 0.0
+    return float(robot.home[robot.every_joint.index(name)]) if followed(robot, name) == {name: 1.0} else 0.0

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import equal
-from torchdq.robot.description import Frame, JointMap, Limits
+from torchdq.robot.description import Limits
 from torchdq.robot.edit.replaced import replace
 from torchdq.robot.fields import SHAPES
-from torchdq.robot.model import AnyRobot, RobotModel, batches, present, require_unchanged, values
+from torchdq.robot.model import AnyRobot, batches, present, require_unchanged, values
 
 # fields that the robots of a stack may have different values of
 STACKED = (*SHAPES, "limits", "damping", "friction")
@@ -54,8 +54,10 @@ def stack(cls: type[AnyRobot], robots: Sequence[AnyRobot]) -> AnyRobot:
         if name in ("name", "notes") or all(equal(value, other) for other in found):
             continue
         if name not in STACKED:
-            two = _difference(first, value, next(x for x in found if not equal(value, x)))
-            raise ArgumentError(f"robots of a stack must have the same {name}, found {two}")
+            pair = value, next(x for x in found if not equal(value, x))
+            if all(isinstance(x, tuple) for x in pair) and len(pair[0]) == len(pair[1]):  # what differs in them
+                pair = next(two for two in zip(*pair, strict=True) if not equal(*two))
+            raise ArgumentError(f"robots of a stack must have the same {name}, found {pair[0]} and {pair[1]}")
         changes[name] = Limits(*map(_stacked, zip(*found, strict=True))) if name == "limits" else _stacked(found)
     if not {*SHAPES} & {*changes}:  # equal robots are several, too
         changes["mass"] = _stacked([robot.mass for robot in robots])
@@ -66,19 +68,3 @@ def _stacked(found: Sequence[Tensor | None]) -> Tensor:
     """Tensors along a new leading axis; absent ones are zero."""
     zero = torch.zeros_like(next(x for x in found if x is not None))
     return torch.stack(torch.broadcast_tensors(*(zero if x is None else x for x in found)))
-
-
-def _difference(robot: RobotModel, a: Any, b: Any) -> str:
-    """Two different values of a field, in words; of frames or joints with the same names, those that differ."""
-    if isinstance(a, JointMap) and isinstance(b, JointMap) and a.joint_names == b.joint_names:
-        follows = [(name, *(x.followed(name, robot.joint_names) for x in (a, b))) for name in a.joint_names]
-        return "; ".join(f"joint {j!r} that follows {x} in one and {y} in another" for j, x, y in follows if x != y)
-    if isinstance(a, JointMap) or isinstance(b, JointMap):
-        return " and ".join("none" if x is None else f"one of the joints {', '.join(x.joint_names)}" for x in (a, b))
-    pairs = [*zip(a, b, strict=False)] if isinstance(a, tuple) and isinstance(b, tuple) else []
-    if not pairs or len(a) != len(b) or not all(isinstance(x, Frame) and x.name == y.name for x, y in pairs):
-        return f"{a} and {b}"
-    x, y = next(pair for pair in pairs if not equal(*pair))
-    if x.link != y.link:
-        return f"frame {x.name!r} with link {x.link} and {y.link}"
-    return f"frame {x.name!r} with X_BF {x.X_BF.tolist()} and {y.X_BF.tolist()}"

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.joints import KINDS, Coordinate
-from torchdq.robot.edit.couplings import JointCoupling
+from torchdq.dynamics.joints import KINDS
+from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.source import MjcfModel
 
 FREE, BALL = "free", "ball"
@@ -37,11 +35,6 @@ class MjcfJoint(NamedTuple):
     def single(self) -> bool:
         """Truth of having one coordinate."""
         return self.kind in KINDS
-
-    def displaced(self, x: float) -> DualQuaternion:
-        """Pose of the body that is displaced by x [rad or m], in the frame of the body at home."""
-        motion = KINDS[self.kind](self.screw).motion(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)))
-        return dual_quaternion.ONE if motion is None else motion
 
 
 def joints_of(of: MjcfModel) -> list[MjcfJoint]:
@@ -135,7 +128,7 @@ def _force(of: MjcfModel, k: int) -> float:
 class Equalities(NamedTuple):
     """Equality constraints of a model that are active from the start."""
 
-    couplings: list[JointCoupling]
+    couplings: list[tuple[str, int, Follows]]  # name, joint that follows, and how
     others: list[str]  # kind and name of those that are no linear couplings of joints, or are disabled by a flag
 
 
@@ -153,7 +146,7 @@ def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
         linear = kind == of.mujoco.mjtEq.mjEQ_JOINT and (second < 0 or not any(more))
         if linear and not off and joints[first].single and (second < 0 or joints[second].single):
             leader, factor = (None, 0.0) if second < 0 else (second, a1)
-            found.append(JointCoupling(name, first, leader, factor, a0))
+            found.append((name, first, Follows(leader, factor, a0)))
         else:
             others.append(f"{kind.name.removeprefix('mjEQ_').lower()} {name!r}")
     return Equalities(found, others)

@@ -9,17 +9,13 @@ from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
-from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
-from torchdq.robot.arrays import double
-from torchdq.robot.assembly import Links, MovingLink
-from torchdq.robot.bodies import NOTHING, merged
+from torchdq.robot.arrays import IDENTITY, double
+from torchdq.robot.assembly import APART, Links, Segment, linked
 from torchdq.robot.description import Frame
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import MjcfJoint, names_of
 from torchdq.robot.mjcf.source import MjcfModel
-
-WORLD = -2  # index of what stands still, apart from a free base
 
 
 class ModelLinks(NamedTuple):
@@ -28,7 +24,6 @@ class ModelLinks(NamedTuple):
     of: Links
     lumped: int  # bodies that are part of others
     left_out: list[str]  # bodies and sites that stand still, apart from a free base
-    placed: list[tuple[int, DualQuaternion]]  # link of each body of the model, and its pose there
 
 
 def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> ModelLinks:
@@ -40,61 +35,44 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
         moves: displacement of each of them.
         base: body that is the free base; None: the base is the world.
     """
-    m = of.model
-    names = names_of(of, "BODY", m.nbody)
-    links: list[MovingLink] = []
-    bodies: dict[int, RigidBody] = {}
-    placed = [(BASE if base is None else WORLD, dual_quaternion.ONE)]  # link of each body, and its pose there
-    lumped = 0
-    for body in range(1, m.nbody):
-        link, X = placed[m.body_parentid[body]]
-        X = dual_quaternion.mul(X, _pose(m.body_quat[body], m.body_pos[body]))
-        own = [joint for joint in joints if joint.body == body]
-        moving = [joint for joint in own if joint.single and moves[joint.row].root is not None]
-        for joint in own:
-            if joint in moving:
-                if link == WORLD:
-                    _refuse_apart(names[base or 0], names[body], joint)
-                name = names[body] if joint is moving[-1] else f"{names[body]} before {joint.name}"
-                links.append(MovingLink(name, link, joint, X))
-                link, X = len(links) - 1, dual_quaternion.ONE
-            elif joint.single:
-                X = dual_quaternion.mul(X, joint.displaced(moves[joint.row].offset))
-        if body == base:
-            link, X = BASE, dual_quaternion.ONE
-        elif not moving:
-            lumped += 1
-        placed.append((link, X))
-        bodies[link] = merged(bodies.get(link, NOTHING), body_of(of, body).moved(X))
-    sites = _sites(of, names, placed)
-    everything = [*zip(names, placed, strict=True), *sites]
-    found = [(name, *at) for name, at in everything]
-    taken = {name for name, _, _ in found}
-    between = [(x.name, i, dual_quaternion.ONE) for i, x in enumerate(links) if x.name not in taken]
-    parents = set(m.body_parentid.tolist())
-    frames = [Frame(name, link, double((*X[0], *X[1]))) for name, link, X in (*found, *between) if link != WORLD]
-    leaves = [names[i] for i in range(m.nbody) if i not in parents and placed[i][0] >= 0]
+    m, names = of.model, names_of(of, "BODY", of.model.nbody)
+    segments = [Segment(names[0], None, dual_quaternion.ONE)]
+    for i in range(1, m.nbody):
+        own = [joint for joint in joints if joint.body == i and joint.single]
+        X = _pose(m.body_quat[i], m.body_pos[i])
+        segments.append(Segment(names[i], int(m.body_parentid[i]), X, own, body_of(of, i)))
+    found = linked(segments, moves, base)
+    for link in found.links:
+        if link.parent == APART:
+            raise DescriptionError(
+                f"everything that moves must hang on the free body {names[base or 0]!r}, found that joint "
+                f"{link.joint.name!r} carries {link.name!r} apart from it; lock that joint, or hold the free body with "
+                "base='fixed'"
+            )
+    carried = {link.joint.body for link in found.links} | {base}
+    sites = [(name, *found.places[m.site_bodyid[i]], i) for i, name in enumerate(_site_names(of, names))]
+    left_out = [name for name, (link, _) in zip(names[1:], found.places[1:], strict=True) if link == APART]
+    frames = [
+        Frame(name, link, double(sum(dual_quaternion.mul(X, _pose(m.site_quat[i], m.site_pos[i])), ())))
+        for name, link, X, i in sites
+        if link != APART
+    ]
+    taken = {*names, *(name for name, *_ in sites)}
+    frames += [Frame(link.name, i, IDENTITY) for i, link in enumerate(found.links) if link.name not in taken]
     return ModelLinks(
-        Links(links, bodies, frames, leaves), lumped, [name for name, link, _ in found[1:] if link == WORLD], placed
+        found._replace(frames=[*found.frames, *frames]),
+        sum(i not in carried for i in range(1, m.nbody)),
+        [*left_out, *(name for name, link, *_ in sites if link == APART)],
     )
 
 
-def _refuse_apart(base: str, body: str, joint: MjcfJoint) -> None:
-    raise DescriptionError(
-        f"everything that moves must hang on the free body {base!r}, found that joint {joint.name!r} carries {body!r} "
-        f"apart from it; lock that joint, or hold the free body with base='fixed'"
-    )
-
-
-def _sites(of: MjcfModel, bodies: list[str], placed: list) -> list[tuple[str, tuple[int, DualQuaternion]]]:
-    """Sites by name, with the link and the pose there; one that is named as a body is called by that and _site."""
-    m, found, taken = of.model, [], set(bodies)
-    for i, name in enumerate(names_of(of, "SITE", m.nsite)):
-        while name in taken:
+def _site_names(of: MjcfModel, bodies: list[str]) -> list[str]:
+    """Names of sites; one that is named as a body is called by that and _site."""
+    found: list[str] = []
+    for name in names_of(of, "SITE", of.model.nsite):
+        while name in (*bodies, *found):
             name += "_site"
-        taken.add(name)
-        link, X = placed[m.site_bodyid[i]]
-        found.append((name, (link, dual_quaternion.mul(X, _pose(m.site_quat[i], m.site_pos[i])))))
+        found.append(name)
     return found
 
 

@@ -9,11 +9,12 @@ from typing import Any
 
 from torchdq.dynamics.tree import BASE
 from torchdq.findings import Finding
+from torchdq.robot.assembly import APART
 from torchdq.robot.check.units import TURN
 from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import FREE, MjcfJoint, actuators_at, names_of
-from torchdq.robot.mjcf.links import WORLD, ModelLinks
+from torchdq.robot.mjcf.links import ModelLinks
 from torchdq.robot.mjcf.source import MjcfModel
 
 _URDF = re.compile(r"\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b", re.DOTALL)  # text whose root is that of a URDF
@@ -62,13 +63,13 @@ def _used_otherwise(
     of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], bodies: ModelLinks
 ) -> list[Finding]:
     """Notes on parts that a robot has fields for, or that are used differently."""
-    moving = [joint for joint in joints if moves[joint.row].root is not None and joint.single]
+    moving = [joint for joint in joints if moves[joint.row].leader is not None and joint.single]
 
     def listed(code: str, wanted: Callable[[MjcfJoint], object], what: str) -> Finding:
         return note(code, [joint for joint in moving if wanted(joint)], what, len(moving))
 
     m, lumped = of.model, f"{bodies.lumped} bodies without moving joints lumped; they are frames"
-    still = [joint for joint in joints if not joint.single and moves[joint.row].root is None]
+    still = [joint for joint in joints if not joint.single and moves[joint.row].leader is None]
     found = [
         listed("damping.unused", lambda j: j.damping, "viscous damping given but not simulated"),
         listed("friction.unused", lambda j: j.friction, "Coulomb friction given but not simulated"),
@@ -96,7 +97,7 @@ def _unsimulated(
 ) -> list[Finding]:
     """Notes on parts that would act on the motion, and that a robot has no field for."""
     m = of.model
-    moving = [joint for joint in joints if moves[joint.row].root is not None]
+    moving = [joint for joint in joints if moves[joint.row].leader is not None]
     free, single = ([joint for joint in moving if (joint.kind == FREE) == there] for there in (True, False))
 
     def dof(joint: MjcfJoint) -> int:
@@ -127,7 +128,7 @@ def _ignored(
 ) -> list[Finding]:
     """Warnings of what changes the accelerations in MuJoCo and not here."""
     m = of.model
-    free = [joint for joint in joints if joint.kind == FREE and moves[joint.row].root is not None]
+    free = [joint for joint in joints if joint.kind == FREE and moves[joint.row].leader is not None]
     inherited = (
         "armature ignored: MuJoCo adds it to the mass matrix of the base, also where the joint inherits it from a "
         "default class"
@@ -137,9 +138,11 @@ def _ignored(
         for x in free
         if m.dof_armature[(dof := int(m.jnt_dofadr[x.row])) : dof + 6].any()
     ]
-    names, still = names_of(of, "BODY", m.nbody), WORLD if free else BASE
+    names, still = names_of(of, "BODY", m.nbody), APART if free else BASE
     relieved = [
-        names[i] for i, (link, _) in enumerate(bodies.placed) if link != still and m.body_gravcomp[i] * m.body_mass[i]
+        names[i]
+        for i, (link, _) in enumerate(bodies.of.places)
+        if link != still and m.body_gravcomp[i] * m.body_mass[i]
     ]
     if falls and relieved and _relieved(of) != {1.0}:
         what = "gravcomp ignored: gravity acts on them in full"

@@ -20,7 +20,7 @@ from torchdq.robot.arrays import MOST, matrices
 from torchdq.robot.assembly import described
 from torchdq.robot.check import consistency
 from torchdq.robot.description import RobotDescription, note
-from torchdq.robot.edit.couplings import Follows, JointCoupling, solved
+from torchdq.robot.edit.couplings import Follows, solved
 from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep, warn_beyond_limits
 from torchdq.robot.mjcf import notes as mjcf_notes
 from torchdq.robot.mjcf.joints import BALL, FREE, MjcfJoint, equalities, joints_of
@@ -48,14 +48,19 @@ def read(source: Any, base: MjcfBase, kept: Any = None, lock: Any = None, gravit
     found = equalities(of, joints)
     held = _given(of, joints, base, lock)
     moves, freely = (solved(len(joints), at, found.couplings) for at in (held, {}))
-    _require_motion(joints, freely, found.couplings)
+    if found.couplings and all(freely[joint.row].leader is None for joint in joints):
+        names = " and ".join(repr(name) for name, *_ in found.couplings)
+        raise DescriptionError(
+            f"equality constraints must leave a joint free, found that {names} hold all joints still; leave one of "
+            "them out"
+        )
     if kept is not None:
         moves = _kept(joints, moves, kept, lock)
-    at = {j.name: j.home + moves[j.row].offset for j in joints if j.single and moves[j.row].root is None}
+    at = {j.name: j.home + moves[j.row].offset for j in joints if j.single and moves[j.row].leader is None}
     require_free([joint.name for joint in joints if joint.single], at)
     free = _free_base(joints, moves, base)
     bodies = links_of(of, joints, moves, free)
-    still = {j.name: at[j.name] for j in joints if j.name in at and freely[j.row].root is None and j.row not in held}
+    still = {j.name: at[j.name] for j in joints if j.name in at and freely[j.row].leader is None and j.row not in held}
     locked = {name: x for name, x in at.items() if name not in still}
     given = mjcf_notes.gravity(of) if isinstance(gravity, str) and gravity == "file" else gravity
     notes = mjcf_notes.diagnostics(of, joints, moves, bodies, found.others, given is not None)
@@ -90,27 +95,17 @@ def _given(of: MjcfModel, joints: Sequence[MjcfJoint], base: MjcfBase, lock: Any
     return held
 
 
-def _require_motion(joints: Sequence[MjcfJoint], freely: Sequence[Follows], couplings: Sequence[JointCoupling]) -> None:
-    """Raise if couplings alone hold every joint."""
-    if couplings and all(freely[joint.row].root is None for joint in joints):
-        names = " and ".join(repr(coupling.name) for coupling in couplings)
-        raise DescriptionError(
-            f"equality constraints must leave a joint free, found that {names} hold all joints still; leave one of "
-            "them out"
-        )
-
-
 def _kept(joints: Sequence[MjcfJoint], moves: Sequence[Follows], names: Any, lock: Any) -> list[Follows]:
     """Displacements of the joints when only those that are named, and those that follow them, move."""
     locked = positions(() if lock is None else lock, [joint.name for joint in joints])
     chosen = to_keep(names, [joint.name for joint in joints if joint.single], locked)
-    roots = {moves[joint.row].root for joint in joints if joint.name in chosen or joint.kind == FREE}
-    return [x if x.root in roots else Follows(None, 0.0, x.offset) for x in moves]
+    roots = {moves[joint.row].leader for joint in joints if joint.name in chosen or joint.kind == FREE}
+    return [x if x.leader in roots else Follows(None, 0.0, x.offset) for x in moves]
 
 
 def _free_base(joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: MjcfBase) -> int | None:
     """Body that is a free base, if there is one; raises if more than one is free or another joint has no coordinate."""
-    left = [joint for joint in joints if moves[joint.row].root is not None]
+    left = [joint for joint in joints if moves[joint.row].leader is not None]
     if balls := [joint.name for joint in left if joint.kind == BALL]:
         raise DescriptionError(
             f"joints must have one coordinate each, found the ball joints {', '.join(balls)}, whose "

@@ -10,23 +10,21 @@ from typing import Any
 import numpy as np
 
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import double, matrices
 from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.edit.changed import (
+    ChangedBody,
     ChangedJoint,
     changed_bodies,
     changed_joints,
     digits,
-    grouped,
-    own_body,
     require_read_back,
     require_same_tree,
 )
 from torchdq.robot.mjcf import read as mjcf
-from torchdq.robot.mjcf.joints import actuators_at
+from torchdq.robot.mjcf.joints import MjcfJoint, actuators_at
 from torchdq.robot.mjcf.links import body_of
 from torchdq.robot.mjcf.read import Mjcf
 from torchdq.robot.mjcf.source import MjcfText
@@ -61,16 +59,17 @@ def to_mjcf(robot: RobotModel, original: Any) -> str:
     text = first.of.source.text
     before = _robot(robot, first)
     require_same_tree(robot, before)
-    bodies = [*changed_bodies(robot, before)]
-    joints = grouped(changed_joints(robot, before))
-    if not bodies and not joints:
+    bodies, changes = changed_bodies(robot, before), changed_joints(robot, before)
+    if not bodies and not changes:
         return text
     root = parsed(text, whole=True)
     elements = _bodies(root, first)
-    for link, body, changed in bodies:
-        _write_body(first, elements, link, body, changed)
-    for name, changes in joints.items():
-        _write_joint(first, elements, before, name, changes)
+    for changed in bodies:
+        _write_body(first, elements, changed)
+    for joint in first.joints:
+        own = [change for change in changes if change.joint == joint.name]
+        if own:
+            _write_joint(first, elements[joint.body], joint, own, before.joint_map is not None)
     result = written(root, text)
     again = mjcf.read(MjcfText(result, first.of.source.folder), base)
     require_read_back(robot, _robot(robot, again))
@@ -114,14 +113,10 @@ def _inside(element: ET.Element, *tags: str) -> Iterator[ET.Element]:
             yield from _inside(child, *tags)
 
 
-# --- bodies ----------------------------------------------------------------------------------------------------------
-
-
-def _write_body(
-    first: Mjcf, elements: Sequence[ET.Element], link: int, body: RigidBody, changed: tuple[bool, bool, bool]
-) -> None:
+def _write_body(first: Mjcf, elements: Sequence[ET.Element], changed: ChangedBody) -> None:
     """Write the body of a link, less the bodies without joints that are part of it."""
-    placed, links = first.bodies.placed, first.bodies.of
+    links, link = first.bodies.of, changed.link
+    placed = links.places
     name = links.frames[0].name if link == BASE else links.links[link].name
     parts = [i for i in range(1, len(placed)) if placed[i][0] == link]
     if first.of.weighed:
@@ -132,26 +127,26 @@ def _write_body(
     if not parts:
         raise ArgumentError(
             f"link {name!r} must stay without mass, since another joint lies between it and the body, "
-            f"found {body[0]:g} kg; change the link that the body's last joint carries"
+            f"found {changed.body.mass:g} kg; change the link that the body's last joint carries"
         )
     # the body itself comes before those that it carries
     carrying, rest = parts[0], NOTHING
     for i in parts[1:]:
         rest = merged(rest, body_of(first.of, i).moved(placed[i][1]))
-    own = body_of(first.of, carrying)
-    new, alone = own_body(own, rest, body, changed, f"body {name!r}", "bodies without joints")
     inertial = elements[carrying].find("inertial")
-    whole = inertial is None
+    new = changed.written(
+        body_of(first.of, carrying), rest, inertial is None, f"body {name!r}", "bodies without joints"
+    )
     if inertial is None:
         inertial = add(elements[carrying], "inertial")
-    if whole or changed[1] or (changed[0] and not alone):
-        inertial.set("pos", digits(new.com))
-    if whole or changed[0]:
-        inertial.set("mass", repr(new.mass))
-    if whole or changed[2] or not alone:
+    if "com" in new:
+        inertial.set("pos", digits(new["com"]))
+    if "mass" in new:
+        inertial.set("mass", repr(new["mass"]))
+    if "inertia" in new:
         for key in OTHER_AXES:
             inertial.attrib.pop(key, None)
-        inertial.attrib.update(_principal(new.inertia))
+        inertial.attrib.update(_principal(new["inertia"]))
 
 
 def _principal(inertia: Sequence[float]) -> dict[str, str]:
@@ -164,18 +159,14 @@ def _principal(inertia: Sequence[float]) -> dict[str, str]:
     return {"quat": digits(r), "diaginertia": digits(moments.tolist())}
 
 
-# --- joints ----------------------------------------------------------------------------------------------------------
-
-
 def _write_joint(
-    first: Mjcf, elements: Sequence[ET.Element], before: RobotModel, name: str, changes: Sequence[ChangedJoint]
+    first: Mjcf, body: ET.Element, joint: MjcfJoint, changes: Sequence[ChangedJoint], coupled: bool
 ) -> None:
-    m, joint = first.of.model, next(joint for joint in first.joints if joint.name == name)
-    element = [*_inside(elements[joint.body], *JOINTS)][joint.row - int(m.body_jntadr[joint.body])]
-    dof = int(m.jnt_dofadr[joint.row])
+    m, name, dof = first.of.model, joint.name, int(first.of.model.jnt_dofadr[joint.row])
+    element = [*_inside(body, *JOINTS)][joint.row - int(m.body_jntadr[joint.body])]
     files = {"damping": m.dof_damping, "friction": m.dof_frictionloss, "armature": m.dof_armature}
     # what a coordinate has is the sum over the joints that follow it and their actuators
-    shared = bool(actuators_at(first.of, joint.row)) or before.joint_map is not None
+    shared = coupled or bool(actuators_at(first.of, joint.row))
     words: dict[str, str] = {}
     ends: dict[str, float] = {}
     for _, field, old, new in changes:

@@ -6,7 +6,7 @@ import math
 import reprlib
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from typing import Any
 
@@ -15,7 +15,6 @@ from torchdq.robot.assembly import Links
 from torchdq.robot.check.units import TURN
 from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
-from torchdq.robot.edit.locking import lock_notes
 from torchdq.robot.urdf.document import EXTENSIONS
 from torchdq.robot.urdf.elements import Elements
 
@@ -58,15 +57,9 @@ def diagnostics(
         free, moves: displacements of the joints, without and with locks.
         coupled: whether joints follow others by <mimic>.
     """
-    held = {
-        name: moves[joint.row].offset
-        for name, joint in file.joints.items()
-        if moves[joint.row].root is None and free[joint.row].root is not None
-    }
-    limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in held}
     joints = _joints(root, file, links, coupled)
-    rows = [*_bodies(root, file, links, frames), *joints, *_standing(file, free, moves, held)]
-    found = [*_ignored(root), *_orphans(file, coupled), *_degrees(file), *lock_notes(held, limits)]
+    rows = [*_bodies(root, file, links, frames), *joints, *_standing(file, free, moves)]
+    found = [*_ignored(root), *_orphans(file, coupled), *_degrees(file)]
     # a note about joints, not about names, may be about all of them
     among = {code: len(links.links) for code, about, _ in joints if about and not isinstance(about[0], str)}
     return [*found, *(note(*row, among.get(row[0], 0)) for row in rows if row[1])]
@@ -134,7 +127,7 @@ def _short(name: str) -> str:
 def _orphans(file: Elements, coupled: bool) -> Iterator[Finding]:
     """Moving joints that mimic a joint that is not in the file."""
     for name, joint in file.joints.items():
-        if coupled and joint.moves and joint.mimic and (driver := joint.mimic.joint) not in file.joints:
+        if coupled and joint.moves and joint.mimic and (driver := joint.mimic.leader) not in file.joints:
             close = get_close_matches(driver, [other for other in file.joints if other != name], n=1)
             meant = f"is {close[0]!r} meant?" if close else ""
             what = f"it mimics {reprlib.repr(driver)}, which is not in the file, and is taken as independent"
@@ -199,15 +192,13 @@ def _joints(root: ET.Element, file: Elements, links: Links, coupled: bool) -> li
     ]
 
 
-def _standing(
-    file: Elements, free: Sequence[Follows], moves: Sequence[Follows], held: Mapping[str, float]
-) -> list[NoteArguments]:
+def _standing(file: Elements, free: Sequence[Follows], moves: Sequence[Follows]) -> list[NoteArguments]:
     """Mimic joints that stand still, and those that are locked while their drivers move."""
-    stuck = [joint for joint in file.joints.values() if joint.moves and free[joint.row].root is None]
+    stuck = [joint for joint in file.joints.values() if joint.moves and free[joint.row].leader is None]
     stand = ", ".join(f"{joint.name} at {free[joint.row].offset:g}" for joint in stuck)
-    mimics = {name: file.joints[name].mimic for name in held}
-    drivers = {name: file.joints.get(mimic.joint) for name, mimic in mimics.items() if mimic}
-    apart = [name for name, driver in drivers.items() if driver and moves[driver.row].root is not None]
+    held = [x for x in file.joints.values() if moves[x.row].leader is None and free[x.row].leader is not None]
+    drivers = [(x, file.joints.get(x.mimic.leader)) for x in held if x.mimic]
+    apart = [x for x, driver in drivers if driver and moves[driver.row].leader is not None]
     return [
         ("mimic.stuck", stuck, f"it follows nothing that moves: {stand}"),
         ("lock.mimic", apart, "locked although the joint that it mimics moves"),

@@ -13,6 +13,7 @@ from torchdq.algebra.quaternion import ZERO, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.findings import Finding
 from torchdq.robot.arrays import MOST
+from torchdq.robot.edit.couplings import Follows
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
@@ -38,14 +39,6 @@ class Inertial(NamedTuple):
     stated: bool  # whether the file gives an inertia; without one the body is a point
 
 
-class Mimic(NamedTuple):
-    """Joint that another follows, at multiplier times its position plus offset."""
-
-    joint: str
-    multiplier: float
-    offset: float
-
-
 class UrdfJoint(NamedTuple):
     """Joint element."""
 
@@ -62,7 +55,7 @@ class UrdfJoint(NamedTuple):
     effort: float | None  # None: it follows another joint, whose effort counts
     damping: float
     friction: float
-    mimic: Mimic | None
+    mimic: Follows | None  # the leader by name
     row: int = -1  # among the joints of the file
     home: float = 0.0
     armature: float = 0.0
@@ -248,7 +241,7 @@ def _joint(name: str, element: ET.Element, faults: list[Finding]) -> UrdfJoint:
         friction=dynamics.number("friction", 0.0, signed=False),
         mimic=None
         if mimic.element is None
-        else Mimic(mimic.name("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)),
+        else Follows(mimic.name("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)),
     )
 
 

@@ -8,11 +8,9 @@ from typing import Any
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import MOST
-from torchdq.robot.edit.couplings import Follows
-from torchdq.robot.edit.locking import positions, require_free, to_keep, warn_beyond_limits
+from torchdq.robot.edit.couplings import STILL, Follows
+from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep, warn_beyond_limits
 from torchdq.robot.urdf.elements import Elements, UrdfJoint, listed
-
-STILL = Follows(None, 0.0, 0.0)
 
 
 def motions(
@@ -35,7 +33,7 @@ def motions(
     found = {name: STILL for name, joint in joints.items() if not joint.moves}
     leaders = {}  # a joint whose driver is not in the file follows none, and a fixed joint drives at zero
     for joint in joints.values():
-        leader = joint.mimic and joints.get(joint.mimic.joint)
+        leader = joint.mimic and joints.get(joint.mimic.leader)
         if joint.moves and leader and (leader.moves or coupled):
             leaders[joint.name] = leader.name
     for start in joints:
@@ -52,12 +50,10 @@ def motions(
             joint, by = joints[follower], found.get(leaders.get(follower, ""))
             if follower in held:
                 x = Follows(None, 0.0, held[follower])
-            elif joint.mimic and by and (coupled or (by.root is None and follower not in (kept or ()))):
-                m = joint.mimic
-                factor = m.multiplier * by.factor
-                x = Follows(by.root if factor else None, factor, m.multiplier * by.offset + m.offset)
+            elif joint.mimic and by and (coupled or (by.leader is None and follower not in (kept or ()))):
+                x = joint.mimic.after(by)
                 if coupled and not max(map(abs, x[1:])) <= MOST:
-                    expected = f"it must not follow {m.joint!r} by more than {MOST:g} times"
+                    expected = f"it must not follow {joint.mimic.leader!r} by more than {MOST:g} times"
                     faults.append(Finding("mimic.large", f"joint {follower!r}", expected))
             else:
                 x = Follows(joint.row, 1.0, 0.0) if kept is None or follower in kept else STILL
@@ -65,14 +61,16 @@ def motions(
     return [found[name] for name in joints]
 
 
-def locked(file: Elements, free: Sequence[Follows], coupled: bool, joints: Any, lock: Any) -> list[Follows]:
-    """Displacements with some joints locked, as `Robot.from_urdf` says; `free` are those without.
+def locked(
+    file: Elements, free: Sequence[Follows], coupled: bool, joints: Any, lock: Any
+) -> tuple[list[Follows], list[Finding]]:
+    """Displacements with some joints locked, as `Robot.from_urdf` says, and notes; `free` are those without.
 
     A joint that mimics a locked one is locked where the file puts it, unless it is named itself.
     """
-    movable = [name for name, x in zip(file.joints, free, strict=True) if x.root is not None]
+    movable = [name for name, x in zip(file.joints, free, strict=True) if x.leader is not None]
     wanted = positions(() if lock is None else lock, movable)
-    limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in wanted}
+    limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in movable}
     warn_beyond_limits(file.name, wanted, limits, stacklevel=4)
     given = {name: value or 0.0 for name, value in wanted.items()}
     kept = None if joints is None else to_keep(joints, movable, given)
@@ -81,17 +79,17 @@ def locked(file: Elements, free: Sequence[Follows], coupled: bool, joints: Any, 
     for argument, names in (("lock", given), ("joints", kept or ())):
         for name in names:
             row = file.joints[name].row
-            driver = known[free[row].root or 0].name
-            apart = moves[free[row].root or 0].root is not None if argument == "lock" else moves[row].root is None
+            driver = known[free[row].leader or 0].name
+            apart = moves[free[row].leader or 0].leader is not None if argument == "lock" else moves[row].leader is None
             if apart:
                 raise ArgumentError(
                     f"{argument} must not name {name!r} without {driver!r}, which it follows by <mimic>; name "
                     f"{driver!r}, or pass mimic='independent'"
                 )
     stand = {name: moves[file.joints[name].row] for name in movable}
-    at = {name: x.offset for name, x in stand.items() if x.root is None}
+    at = {name: x.offset for name, x in stand.items() if x.leader is None}
     require_free(movable, at)
     for name, value in at.items():
         if not abs(value) <= MOST:
             raise ArgumentError(f"lock[{name!r}] must not exceed {MOST:g} in size, found {value:g}")
-    return moves
+    return moves, lock_notes(at, {name: limits[name] for name in at})

@@ -11,14 +11,14 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import SIX, double, matrices
-from torchdq.robot.assembly import described
+from torchdq.robot.assembly import described, linked
 from torchdq.robot.check import consistency
 from torchdq.robot.description import RobotDescription, note
 from torchdq.robot.urdf.diagnostics import diagnostics
 from torchdq.robot.urdf.document import root_of
 from torchdq.robot.urdf.elements import Elements, elements
 from torchdq.robot.urdf.mimic import locked, motions
-from torchdq.robot.urdf.tree import below, children_of, links_of, rooted
+from torchdq.robot.urdf.tree import rooted, segments_of
 
 
 def read(
@@ -29,26 +29,26 @@ def read(
     root = root_of(source)
     found = elements(root)
     faults: list[Finding] = []
+    tree = rooted(found, faults)
     still_free = motions(found.joints, coupled, faults)
-    base_link, frames = rooted(found, faults)
     # bodies that never move need not be readable
-    excused = set() if free or faults else below([base_link], children_of(found.joints, fixed=True))
+    excused = set() if free or faults else tree.still
     unreadable = [x for name, all_of in found.unreadable.items() if name not in excused for x in all_of]
     if faults := [x._replace(severity="error") for x in (*unreadable, *found.faults, *faults)]:
         lines = "\n  ".join(map(str, faults))
         raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *faults)
+    moves, lock_notes = locked(found, still_free, coupled, kept, lock)
     judged, findings = _physical(found, repair)
-    moves = locked(found, still_free, coupled, kept, lock)
-    links = links_of(judged, base_link, moves)
+    links = linked(segments_of(judged, tree.base, moves), moves)
     moving = {frame.name for frame in links.frames if free or frame.link != BASE}
     unphysical = [x for name, all_of in findings.items() if name in moving for x in all_of]
     body = links.bodies[BASE]
     if free and not any((body.mass, *body.inertia)):
         expected, missing = "a free base must have mass", "none on it and on links that are fixed to it"
         cure = "give it mass, or pass base='fixed'"
-        unphysical.append(Finding("base.massless", f"link {base_link!r}", expected, missing, cure, severity="error"))
-    notes = diagnostics(root, found, links, frames, still_free, moves, coupled)
-    return described(found.name, links, moves, free, (*unphysical, *notes))
+        unphysical.append(Finding("base.massless", f"link {tree.base!r}", expected, missing, cure, severity="error"))
+    notes = diagnostics(root, found, links, tree.frames, still_free, moves, coupled)
+    return described(found.name, links, moves, free, (*unphysical, *lock_notes, *notes))
 
 
 def _physical(file: Elements, repair: bool) -> tuple[Elements, dict[str, list[Finding]]]:

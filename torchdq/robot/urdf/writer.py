@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.inertia import RigidBody
@@ -12,27 +12,23 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.edit.changed import (
+    ChangedBody,
     ChangedJoint,
     changed_bodies,
     changed_joints,
     digits,
-    grouped,
-    own_body,
     require_read_back,
     require_same_tree,
 )
+from torchdq.robot.model import RobotModel, factors
 from torchdq.robot.urdf.document import text_of
 from torchdq.robot.urdf.elements import ENTRIES, Inertial, elements
-from torchdq.robot.urdf.tree import pose
+from torchdq.robot.urdf.read import read
+from torchdq.robot.urdf.tree import body_of, pose
 from torchdq.robot.xml_text import add, parsed, written
 
-if TYPE_CHECKING:
-    from torchdq.robot.robot import Robot
 
-ELEMENTS = {"damping": "dynamics", "friction": "dynamics"}  # that hold an attribute; the others are limits
-
-
-def to_urdf(robot: Robot, original: Any) -> str:
+def to_urdf(robot: RobotModel, original: Any) -> str:
     """Text of the URDF file that a robot was read from, with the numbers of the robot.
 
     Only masses, centres of mass, inertias, damping, friction and limits that differ from the file's are written, with
@@ -59,69 +55,65 @@ def to_urdf(robot: Robot, original: Any) -> str:
     <link name="b"><inertial><mass value="3.0" /></inertial>
     """
     text = text_of(original)
-    options: dict[str, Any] = {"on_unphysical": "ignore", "base": "fixed" if robot.base_mass is None else "floating"}
-    first = type(robot).from_urdf(text, **options)
+
+    def read_as(text: str, **options: Any) -> RobotModel:
+        base = "fixed" if robot.base_mass is None else "floating"
+        return type(robot)(**vars(read(text, base=base, **options)), gravity=None)
+
+    options: dict[str, Any] = {}
+    first = read_as(text)
     if first.joint_map is not None and robot.joint_map is None:
         options["mimic"] = "independent"
-        first = type(robot).from_urdf(text, **options)
+        first = read_as(text, **options)
     if robot.joint_map is None and set(robot.joint_names) < set(first.joint_names):
-        options["joints"] = robot.joint_names
-        first = type(robot).from_urdf(text, **options)
+        options["kept"] = robot.joint_names
+        first = read_as(text, **options)
     require_same_tree(robot, first)
-    bodies, joints = [*changed_bodies(robot, first)], grouped(changed_joints(robot, first))
+    bodies, joints = changed_bodies(robot, first), changed_joints(robot, first)
     if not bodies and not joints:
         return text
     root, file = parsed(text, whole=True), elements(parsed(text))
     links, named = ({x.get("name", ""): x for x in root.findall(tag)} for tag in ("link", "joint"))
-    for link, body, changed in bodies:
-        _write_body(links, file.links, first, link, body, changed)
-    coupled = set() if first.joint_map is None else _leaders(first)
-    for joint, changes in joints.items():
-        _write_joint(named[joint], changes, joint in coupled)
+    for changed in bodies:
+        _write_body(links, file.links, first, changed)
+    shared = (factors(first) != 0).sum(0) > 1  # by several joints, whose numbers are the coordinate's together
+    for change in joints:
+        _write_joint(named[change.joint], change, bool(shared[first.joint_index(change.joint)]))
     result = written(root, text)
-    require_read_back(robot, type(robot).from_urdf(result, **options))
+    require_read_back(robot, read_as(result, **options))
     return result
 
 
-# --- bodies ----------------------------------------------------------------------------------------------------------
-
-
 def _write_body(
-    links: Mapping[str, ET.Element],
-    described: Mapping[str, Inertial | None],
-    first: Robot,
-    link: int,
-    body: RigidBody,
-    changed: tuple[bool, bool, bool],
+    links: Mapping[str, ET.Element], described: Mapping[str, Inertial | None], first: RobotModel, changed: ChangedBody
 ) -> None:
     """Write the body of a link, less the links on fixed joints that are part of it."""
+    link = changed.link
     parts = {frame.name: frame.X_BF.tolist() for frame in first.frames if frame.link == link and frame.name in links}
     carrying = next(iter(parts)) if link == BASE else first.link_names[link]
     rest = NOTHING
     for name, X in parts.items():
         if name != carrying:
-            rest = merged(rest, _body(described[name]).moved((tuple(X[:4]), tuple(X[4:]))))
-    own = described[carrying]
-    new, alone = own_body(_body(own), rest, body, changed, f"link {carrying!r}", "links on fixed joints")
-    inertial, turned = links[carrying].find("inertial"), new.inertia
-    if own is not None and (r := pose(own.origin)[0]) != quat.ONE:  # axes of the inertia
-        turned = RigidBody(0.0, quat.ZERO, new.inertia).moved((quat.conj(r), (0.0,) * 4)).inertia
-    whole = inertial is None
+            rest = merged(rest, _in_link(described[name]).moved((tuple(X[:4]), tuple(X[4:]))))
+    own, inertial = described[carrying], links[carrying].find("inertial")
+    new = changed.written(_in_link(own), rest, inertial is None, f"link {carrying!r}", "links on fixed joints")
     if inertial is None:
         inertial = add(links[carrying], "inertial")
-    if whole or changed[2] or not alone:
-        _set(inertial, "inertia", dict(zip(ENTRIES, map(repr, turned), strict=True)))
-    if whole or changed[0]:
-        _set(inertial, "mass", {"value": repr(new.mass)})
-    if whole or changed[1] or (changed[0] and not alone):
-        _set(inertial, "origin", {"xyz": digits(new.com)})
+    if "inertia" in new:
+        moments = new["inertia"]
+        if own is not None and (r := pose(own.origin)[0]) != quat.ONE:  # axes of the inertia
+            moments = RigidBody(0.0, quat.ZERO, moments).moved((quat.conj(r), (0.0,) * 4)).inertia
+        _set(inertial, "inertia", dict(zip(ENTRIES, map(repr, moments), strict=True)))
+    if "mass" in new:
+        _set(inertial, "mass", {"value": repr(new["mass"])})
+    if "com" in new:
+        _set(inertial, "origin", {"xyz": digits(new["com"])})
 
 
-def _body(inertial: Inertial | None) -> RigidBody:
+def _in_link(inertial: Inertial | None) -> RigidBody:
     """Body of an <inertial> element in the frame of its link."""
-    if inertial is None:
-        return NOTHING
-    return RigidBody(inertial.mass, quat.ZERO, inertial.inertia).moved(pose(inertial.origin))
+    body, X = body_of(inertial)
+    return body.moved(X)
 
 
 def _set(parent: ET.Element, tag: str, attributes: Mapping[str, str]) -> None:
@@ -130,26 +122,17 @@ def _set(parent: ET.Element, tag: str, attributes: Mapping[str, str]) -> None:
     (add(parent, tag) if child is None else child).attrib.update(attributes)
 
 
-# --- joints ----------------------------------------------------------------------------------------------------------
-
-
-def _leaders(first: Robot) -> set[str]:
-    """Joints that others follow, whose numbers are those of all of them together."""
-    S = first.joint_map.S  # type: ignore[union-attr]
-    return {name for k, name in enumerate(first.joint_names) if int((S[:, k] != 0).sum()) > 1}
-
-
-def _write_joint(joint: ET.Element, changes: Sequence[ChangedJoint], leads: bool) -> None:
-    for name, field, old, new in changes:
-        tag = ELEMENTS.get(field, "limit")
-        if field == "armature":
-            raise ArgumentError(f"armature of joint {name!r} has no place in a URDF file, found {new:g}")
-        if field in ("lower", "upper") and joint.get("type") == "continuous":
-            raise ArgumentError(
-                f"{field} limit of joint {name!r} has no place in the file, where it is continuous, "
-                f"found {new:g}; make it a revolute joint there"
-            )
-        element = joint.find(tag)
-        own = 0.0 if element is None else float(element.get(field, 0.0))
-        # what a coordinate has is the sum over the joints that follow it
-        _set(joint, tag, {field: repr(own + (new - old) if leads and tag == "dynamics" else new)})
+def _write_joint(joint: ET.Element, change: ChangedJoint, shared: bool) -> None:
+    """Write a number of a joint; what a coordinate has is the sum over the joints that share it."""
+    name, field, old, new = change
+    if field == "armature":
+        raise ArgumentError(f"armature of joint {name!r} has no place in a URDF file, found {new:g}")
+    if field in ("lower", "upper") and joint.get("type") == "continuous":
+        raise ArgumentError(
+            f"{field} limit of joint {name!r} has no place in the file, where it is continuous, "
+            f"found {new:g}; make it a revolute joint there"
+        )
+    tag = "dynamics" if field in ("damping", "friction") else "limit"
+    element = joint.find(tag)
+    own = 0.0 if element is None else float(element.get(field, 0.0))
+    _set(joint, tag, {field: repr(own + (new - old) if shared and tag == "dynamics" else new)})
