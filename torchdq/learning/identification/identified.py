@@ -20,8 +20,7 @@ from torchdq.findings import Finding
 from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.identification.gains import Gains
 from torchdq.learning.identification.model_selection import ModelSelection
-from torchdq.learning.identification.naming import sums
-from torchdq.learning.identification.regression import chunks, columns, places, rigid
+from torchdq.learning.identification.regression import base_names, by_chunks, parted, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
 from torchdq.learning.logs.motions import Motion
 from torchdq.nn import InverseDynamics
@@ -84,11 +83,7 @@ class Identified(NamedTuple):
 
     def coefficients(self, name: str) -> Tensor | None:
         """Parameters [n] of the joints of one kind: "rotor", "viscous", "coulomb", "offset"; None: not estimated."""
-        kinds, n = [term.name for term in self.terms], self.robot.n
-        if name not in kinds:
-            return None
-        first = 10 * len(self.robot.link_names) + n * kinds.index(name)
-        return self.parameters[first : first + n]
+        return coefficients_of(self.robot, self.terms, self.parameters, name)
 
     @property
     def viscous(self) -> Tensor | None:
@@ -142,7 +137,7 @@ class Identified(NamedTuple):
     @property
     def base_names(self) -> tuple[str, ...]:
         """Base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms."""
-        return sums(self.base, self.names, self.errors)
+        return base_names(self.base, self.names, self.errors)
 
     @property
     def base_errors(self) -> Tensor:
@@ -151,9 +146,8 @@ class Identified(NamedTuple):
 
     def friction(self) -> tuple[Friction, ...]:
         """Friction effects with the numbers found, the same for layers and scenes."""
-        own = self.parameters[10 * len(self.robot.link_names) :].reshape(-1, self.robot.n).tolist()
-        found = [term.found(numbers, self.sign_width) for term, numbers in zip(self.terms, own, strict=True)]
-        return tuple(effect for some in found for effect in some)
+        rows = zip(self.terms, parted(self.robot, self.parameters)[1].tolist(), strict=True)
+        return tuple(effect for term, numbers in rows for effect in term.found(numbers, self.sign_width))
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects of a scene with the robot found: gravity, rotor inertia if there is any, and friction.
@@ -183,8 +177,7 @@ class Identified(NamedTuple):
                 two effects of `friction()` are of one kind.
         """
         friction = _summed([one.steady(self.sign_width) for one in self.friction()])
-        names = [*learn, "offset"] if self.offset is not None else list(learn)
-        learned = tuple(dict.fromkeys(names))
+        learned = tuple(dict.fromkeys([*learn, *(["offset"] if self.offset is not None else [])]))
         layer = InverseDynamics(self.robot, learned, sign_width=self.sign_width, friction=friction)
         if self.offset is not None:
             layer.offset = self.offset
@@ -267,22 +260,23 @@ class Identified(NamedTuple):
         phi, spread = self.parameters[at], self.spread[at]
         tau, error = torch.empty_like(recording.q), torch.empty_like(recording.q)
         with torch.no_grad():
-            rotor = self.coefficients(ROTOR.name)
-            pi = self.parameters[: 10 * len(self.robot.link_names)]
-            load = None
-            if any(term.loaded for term in self.terms):
-                load = rigid(self.robot, recording, pi, self.robot.armature)
+            pi, loaded = parted(self.robot, self.parameters)[0], any(term.loaded for term in self.terms)
+            load = rigid(self.robot, recording, pi, self.robot.armature) if loaded else None
             own = unit_torques(self.terms, rows_of(self.robot, recording, self.sign_width, load))
-            for part in chunks(slice(0, len(tau)), n * spread.shape[1] + spread.numel()):
-                q, qd, qdd = recording.q[part], recording.qd[part], recording.qdd[part]
-                Z = columns(self.robot, q, qd, qdd, own[part])
-                tau[part] = torch.einsum("rjp,jp->rj", Z, phi.to(q))
-                error[part] = torch.einsum("rjp,jpt->rjt", Z, spread.to(q)).norm(dim=-1)
-                if rotor is None and self.robot.armature is not None:
-                    tau[part] += self.robot.armature.to(q) * qdd
+            for part, Z in by_chunks(self.robot, recording, own, n * spread.shape[1] + spread.numel()):
+                tau[part] = torch.einsum("rjp,jp->rj", Z, phi.to(Z))
+                error[part] = torch.einsum("rjp,jpt->rjt", Z, spread.to(Z)).norm(dim=-1)
+            if ROTOR not in self.terms and self.robot.armature is not None:
+                tau += self.robot.armature.to(tau) * recording.qdd
             margin = self.half_width.to(error) * torch.hypot(error, self.noise.to(error))
             error = torch.hypot(error, self.model.to(error))
         return Prediction(*(x.reshape(*batch, n) for x in (tau, error, tau - margin, tau + margin)))
+
+
+def coefficients_of(robot: Robot, terms: Sequence[Term], parameters: Tensor, name: str) -> Tensor | None:
+    """Coefficients [..., n] of the term with a name among parameters [..., k]; None: there is none."""
+    names = [term.name for term in terms]
+    return parted(robot, parameters)[1][..., names.index(name), :] if name in names else None
 
 
 def recorded(

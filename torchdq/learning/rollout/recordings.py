@@ -1,7 +1,5 @@
 """Recordings of motions with commands: what a simulated scene is compared with, checked row by row."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 

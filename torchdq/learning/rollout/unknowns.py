@@ -8,14 +8,12 @@ along the exponential with the same slope, so that they stay positive, and frict
 found in few steps, however small it was. Inertias move in the coordinates of `torchdq.layers.parametrizations`.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,9 +24,7 @@ from torchdq.effects.effect import Effect, Parametric
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.layers.parametrizations import PhysicalInertia
 from torchdq.robot.fields import trailing
-
-if TYPE_CHECKING:
-    from torchdq.scene.scene import Scene
+from torchdq.scene.scene import Scene
 
 DELAY = "delay"
 BODIES = ("mass", "com", "inertia")  # parameters of the links
@@ -153,12 +149,6 @@ class Unknowns:
         """Whether the delay of the inputs is unknown."""
         return any(not part.key for part in self.parts)
 
-    @property
-    def direct(self) -> bool:
-        """Whether the unknowns are parameters of the scene with all their numbers, to which steps add."""
-        whole = all(part.key and len(part.at) == part.whole.size for part in self.parts)
-        return whole and not any(isinstance(part.coordinates, Inertias) for part in self.parts)
-
     @cached_property
     def _places(self) -> list[slice]:
         """Places of the numbers of every unknown."""
@@ -253,15 +243,12 @@ def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[
     One that is absent, and with which the scene would ask for a further input, cannot.
     """
     found: dict[str, Callable[[], Unknown]] = {}
-
-    def inputs(part: Parametric) -> dict[str, int]:
-        return part.inputs(scene.n) if isinstance(part, Effect) else {}
-
     for name, axes in part.SHAPES.items():
         value = tensor_of(getattr(part, name)).detach().double()
         if tuple(value.shape) != trailing(axes, scene.robot.sizes) or not bool(value.isfinite().all()):
             continue
-        if inputs(part) == inputs(replace(part, **{name: value})):
+        inputs = [x.inputs(scene.n) for x in (part, replace(part, **{name: value})) if isinstance(x, Effect)]
+        if inputs[:1] == inputs[1:]:
             body = (name, axes) in (("inertia", (6,)), ("com", (3,)))
             kind = name if body else "" if name in part.SIGNED else "mass"
             labels = scene.robot.joint_names if axes == ("n",) else scene.robot.link_names if axes == ("links",) else ()
