@@ -97,7 +97,7 @@ def identify_payload(
     """Body that an arm holds, from a few seconds of motion with it, as `IdentifiedPayload`.
 
     Identify the empty arm first, from motions like this one: what both have wrong, such as a drive's offset, is then
-    no payload. A gain of the torques that is off by some part makes mass and inertia wrong by the same part.
+    no payload. A gain that is off by some part makes mass and inertia wrong by the same part.
 
     Args:
         empty: the arm without payload, from `identify`.
@@ -111,9 +111,8 @@ def identify_payload(
         size: extent of the payload [m] that is expected where it is not identifiable: radius of gyration about its
             centre of mass in each direction.
         prior: weight of this expectation, positive, as in `identify`.
-        reference: q, qd, qdd and tau of the empty arm, long enough to show by how much and for how long its torques are
-            wrong, as `stack_samples(motion)` gives them: a few seconds with payload cannot, and their errors come out
-            too small without.
+        reference: q, qd, qdd and tau of the empty arm, as `stack_samples(motion)` gives them, long enough to show by
+            how much and for how long its torques are wrong; without, errors come out too small.
 
     Raises:
         ArgumentError: a shape, a value that is not finite, or a frame that no joint moves, or from whose motion a mass

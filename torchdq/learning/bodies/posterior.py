@@ -64,8 +64,8 @@ class PosteriorSamples(NamedTuple):
 def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> PosteriorSamples:
     """Robots drawn from the posterior of `identify`, each of which can exist, with their friction.
 
-    Base parameters have the mean and the covariance found. What is not identifiable, such as how mass is shared
-    between links, has the width that the prior leaves it, as a factor: exp(normal number).
+    Base parameters have the mean and the covariance found; what is not identifiable has the width that the prior
+    leaves it, as a factor: exp(normal number).
 
     Args:
         identified: from `identify`.
@@ -73,6 +73,7 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
         most: greatest standard deviation of a link's relative change where it is not identifiable: 1 is a mass that
             is e times as large or as small; 0 leaves all as found that the base parameters allow.
         seed: seed of the draws.
+
     Raises:
         ArgumentError: an argument is of another type or not positive.
 

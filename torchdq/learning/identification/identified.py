@@ -47,18 +47,14 @@ class Identified(NamedTuple):
     """Identified robot with its parameters and their errors.
 
     `parameters` are phi [k] with the names `names`: ten per link in the order of `Robot.inertial_parameters`, then
-    rotor inertias, viscous, Coulomb and offset, of all joints each, those that were estimated.
-
-    `covariance` [k, k] is that of the least squares with the prior, linearised at the description: its diagonal is the
-    squared standard error that noise of the found size leaves. Smoothed signals and faults of the model are not
-    independent from row to row: as many rows as `correlation` says count as one.
-
-    Parameters that the samples do not identify have the width of the prior instead, the described size over
-    sqrt(prior), which is large, and right as long as the description is not off by more; that the robot must be
-    physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `identifiable`
-    is false for them. Where gains of the drives were estimated, the covariance includes their errors, and
-    `by_these_gains` leaves them out. The samples identify `rank` combinations, the base parameters
+    those of the `terms`, of all joints each. The samples identify `rank` combinations of them, the base parameters
     `base` @ `parameters`.
+
+    `covariance` [k, k] is that of the least squares with the prior, linearised at the description, for noise of the
+    found size; as many rows as `correlation` says count as one. Where gains of the drives were estimated, it includes
+    their errors, and `by_these_gains` leaves them out. Parameters that the samples do not identify, as most single
+    masses and inertias, have the width of the prior instead, the described size over sqrt(prior), right as long as the
+    description is not off by more; that the robot must be physical is not counted. `identifiable` is false for them.
 
     Printed, it is a table of the parameters.
     """
@@ -168,9 +164,8 @@ class Identified(NamedTuple):
     def layer(self, learn: Sequence[str] = ()) -> InverseDynamics:
         """Torques as a module: the robot found, with its friction, the width of dry friction, and the offset.
 
-        A layer does not know the motion before, so friction that remembers is that of steady sliding there.
-        `Model(memory=False)` of `identify` finds the best friction without memory. `IdentifiedWithResidual` adds a
-        network to friction that remembers.
+        A layer does not know the motion before, so friction with memory is that of steady sliding there.
+        `Model(memory=False)` finds the best friction without; `IdentifiedWithResidual` adds a network to that with it.
 
         Args:
             learn: quantities that the layer goes on learning, as in `torchdq.InverseDynamics`; "friction" only if no
@@ -191,9 +186,9 @@ class Identified(NamedTuple):
     def to_urdf(self, original: Any) -> str:
         """URDF text of the robot found: the original with other numbers, as `Robot.to_urdf`.
 
-        A URDF file holds viscous and Coulomb friction alone: it gets those that come nearest to all friction found in
-        the samples (`with_simple_friction`). A `UserWarning` names friction of other shapes that they stand for, and
-        what has no place in the file: rotor inertia and offsets. Torques computed from the file are wrong by that.
+        Its viscous and Coulomb friction are those of `with_simple_friction`. A `UserWarning` names friction of other
+        shapes that they stand for, and rotor inertia and offsets, which have no place in the file. Torques computed
+        from the file are wrong by that.
 
         Args:
             original: the file that the robot was read from, as in `Robot.from_urdf`.
@@ -243,12 +238,10 @@ class Identified(NamedTuple):
     ) -> Prediction:
         """Torques of the identified robot, friction and offset included, [..., n], with standard errors and intervals.
 
-        The errors are those of the parameters, and those of the model, `model`, which are what blocks of the motions
-        that were left out show beyond both noise and parameters: none where no model was chosen. The intervals are
-        `half_width` times the root of the squared errors of the parameters and the squared noise, to either side: as
-        wide as they had to be to hold 95 % of the measured torques of those blocks, and of a block more. Where no
-        model was chosen, errors are taken for normal. In motions that go elsewhere or far faster the intervals hold
-        less, since nothing recorded shows by how much.
+        The errors are those of the parameters, and those of the model, `model`. The intervals are `half_width` times
+        the root of the squared errors of the parameters and the squared noise, to either side: as wide as they had to
+        be to hold 95 % of the measured torques of blocks that were left out, and of a block more. Where no model was
+        chosen, errors are taken for normal. In motions that go elsewhere or far faster the intervals hold less.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]

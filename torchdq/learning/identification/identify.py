@@ -86,33 +86,31 @@ def identify(
 ) -> Identified:
     """Physically consistent robot that explains measured torques best, as `Identified`.
 
-    Blocks of the motions are left out in turn, and the candidates are validated on them: the description, the
-    description with friction, all inertial parameters with a prior at the description, and friction of other shapes.
-    The simplest one within one standard error of the best is returned; `selection` says so. Where there are too few
-    samples to leave any out, that is viscous and Coulomb friction and a prior of 1; a `LogWarning` says how many would
-    do.
+    Blocks of the motions are left out in turn, and candidates are validated on them: the description, with friction,
+    with all inertial parameters and a prior at the description, and with friction of other shapes. The simplest one
+    within one standard error of the best is returned; `selection` says so. Where there are too few samples, that is
+    viscous and Coulomb friction and a prior of 1; a `LogWarning` says how many would do.
 
-    Joints are weighted by the noise that least squares leave in each. A link without mass stays without; a body
-    described as a point, a rod or a plate gets 1 % of its size as thickness. Friction and rotor inertia that the
-    description does not give make 10 % of the joint's torques where the samples do not say otherwise. Solving costs
-    the same for any number of samples, and they are read in pieces.
+    Joints are weighted by the noise that least squares leave in each. A link without mass stays without; a point, a rod
+    or a plate gets 1 % of its size as thickness. Friction and rotor inertia that the description does not give make
+    10 % of the joint's torques where the samples do not say otherwise. Samples are read in pieces, and solving costs
+    the same for any number of them.
 
     Args:
         robot: the robot as described, without batch axes.
-        motions: motions from `smooth`, which hold the sign of the velocity, filtered as the torques: filters round the
-            steps of dry friction in the torques, and with sharp signs Coulomb friction comes out too small, viscous
-            friction too large. Or `Samples(q, qd, qdd, tau)` of unfiltered torques, [..., n] each, the last of the
-            leading axes being time and the others motions; if their rows are not in the order of time, give `friction`
-            and `prior`, because a model is chosen by leaving out neighbouring rows together.
+        motions: motions from `smooth`, which hold the sign of the velocity filtered as the torques: with sharp signs,
+            Coulomb friction in filtered torques comes out too small, viscous friction too large. Or
+            `Samples(q, qd, qdd, tau)` of unfiltered torques, [..., n] each, the last of the leading axes being time and
+            the others motions; if their rows are in no order of time, give `friction` and `prior`, because a model is
+            chosen by leaving out neighbouring rows together.
         model: the parameters that are estimated besides those of the bodies.
-        prior: weight of the description, positive: a change of 1 / sqrt(prior), relative to the described value, costs
-            as much as one torque that is off by the noise of its joint. What hundreds of samples identify does not
-            depend on it, what they hardly identify stays near the description, the rest stays as described. None: the
-            strength that does best on blocks left out, for bodies, and 1 for the rest. math.inf: bodies stay as
-            described.
-        sign_width: velocity below which Coulomb friction is viscous, the width of `torchdq.effects.Coulomb` [rad/s or
-            m/s]. The default is larger than that of `smooth`, which only rounds the sharp steps in logs of real arms:
-            simulations would need tiny steps there. With motions of `smooth` it only serves predictions and simulation.
+        prior: weight of the description, positive: a relative change of 1 / sqrt(prior) costs as much as one torque
+            that is off by the noise of its joint. What hundreds of samples identify does not depend on it, the rest
+            stays near the description. None: the strength that does best on blocks left out, for bodies, and 1 for the
+            rest. math.inf: bodies stay as described.
+        sign_width: velocity below which Coulomb friction is viscous, as in `torchdq.effects.Coulomb` [rad/s or m/s].
+            With motions of `smooth`, which have a smaller one, it only serves predictions and simulations, which would
+            need tiny steps otherwise.
 
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
