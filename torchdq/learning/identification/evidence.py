@@ -51,16 +51,11 @@ class Evidence(NamedTuple):
         """Number of rows."""
         return len(self.own)
 
-    @property
-    def loaded(self) -> bool:
-        """Whether a term depends on the load of its joint."""
-        return any(term.loaded for term in self.terms)
-
     def with_loads(self, parameters: Tensor) -> Evidence:
         """The same with the loads that bodies and rotors of a fit make, the parameters [k] being those found."""
         pi, own = parted(self.robot, parameters)
         rotors = own[self.terms.index(ROTOR)] if ROTOR in self.terms else self.robot.armature
-        return gather(*self[:6], pi, rotors) if self.loaded else self
+        return gather(*self[:6], pi, rotors) if any(term.loaded for term in self.terms) else self
 
     def near(self, estimated: Tensor, strength: float = 1.0) -> Neighbourhood:
         """Neighbourhood of the description, with those coefficients [terms, n] that are estimated."""

@@ -24,12 +24,6 @@ NOTHING = 1e-12  # torque of a parameter, relative to the largest, that is none
 CHUNK = 2**22  # numbers of the regressor that are held at a time
 
 
-def chunks(rows: slice, numbers: int) -> list[slice]:
-    """Slices of some rows, each small enough to hold so many numbers per row."""
-    size = max(1, CHUNK // max(1, numbers))
-    return [slice(i, min(i + size, rows.stop)) for i in range(rows.start, rows.stop, size)]
-
-
 def places(links: int, terms: int, joints: int) -> Tensor:
     """Places in phi of the parameters of each joint [n, p]."""
     inertial = torch.arange(10 * links).expand(joints, -1)
@@ -51,8 +45,10 @@ def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor) -> Te
 def by_chunks(
     robot: Robot, recording: MotionRows, own: Tensor, numbers: int, rows: slice | None = None
 ) -> Iterator[tuple[slice, Tensor]]:
-    """Slices of all rows or some, of so many numbers per row, with the `columns` of each."""
-    for part in chunks(rows or slice(0, len(own)), numbers):
+    """Slices of all rows or some, each small enough for so many numbers per row, with their `columns`."""
+    rows, size = rows or slice(0, len(own)), max(1, CHUNK // max(1, numbers))
+    for i in range(rows.start, rows.stop, size):
+        part = slice(i, min(i + size, rows.stop))
         yield part, columns(robot, recording.q[part], recording.qd[part], recording.qdd[part], own[part])
 
 
@@ -175,8 +171,7 @@ def information(
 def known(sums: Tensor, S: Tensor, variance: Tensor) -> Information:
     """Least squares with joints weighted by known noise, in the terms of `information`."""
     A, b, _ = projected(sums, S)
-    none = S.new_zeros(S.shape[-1], 0)
-    return _weighted(A, b, variance, torch.eye(S.shape[-1], dtype=S.dtype), none)
+    return _weighted(A, b, variance, torch.eye(S.shape[-1], dtype=S.dtype), S.new_zeros(S.shape[-1], 0))
 
 
 def projected(sums: Tensor, S: Tensor) -> tuple[Tensor, Tensor, Tensor]:
