@@ -97,7 +97,6 @@ def test_some_gains_may_be_unknown():
     x = np.stack([np.sin(time), np.cos(2 * time)], 1)
     signals = {"time": time, "q": x, "qd": x, "tau": np.ones_like(x)}
     log = read_log(signals, Layout(gain=(3, None)))
-    assert (log.tau == [3, 1]).all() and "unknown gains" in str(log)
     motion = smooth(log)
-    assert motion.known_gains == (True, False) and "unknown gains" in repr(motion)
+    assert (log.tau == [3, 1]).all() and motion.known_gains == (True, False)
     assert of_motions(ROBOT, [motion, motion._replace(known_gains=True)]).known_gains == (True, False)

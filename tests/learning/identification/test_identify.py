@@ -4,6 +4,7 @@ The references are numpy's least squares on pinocchio's regressor, the robots th
 definition of a body that can exist.
 """
 
+import itertools
 import re
 import time
 import warnings
@@ -270,25 +271,16 @@ def test_what_the_samples_decide_is_said_and_nothing_warned_when_all_joints_move
     assert int(one.identifiable.sum()) < int(found.identifiable.sum()) / 2
 
 
-def test_what_is_found_prints_as_a_table():
-    found, _ = with_findings(fitted, *hardly_moving(), armature=True, offset=True)
-    lines = str(found).splitlines()
-    assert lines[0] == f"two_link, identified: {len(found.names)} parameters, rank {found.rank}"
-    header = next(i for i, line in enumerate(lines) if line.startswith("parameter"))
-    assert lines[header].split() == ["parameter", "estimate", "standard", "error", "unit", "identifiable"]
-    rows = lines[header + 1 : header + 1 + len(found.names)]
-    assert [row.split("  ")[0] for row in rows] == list(found.names)
-    at = found.names.index("joint2 viscous")
-    assert rows[at].split()[2:] == [f"{found.viscous[1]:.4g}", f"{found.errors[at]:.2g}", "N", "m", "s/rad", "no"]
-    assert rows[found.names.index("joint1 viscous")].endswith("yes")
-    assert "tensor(" not in str(found) and len(lines) < len(found.names) + 10
-    assert len(repr(found)) < 120 and "\n" not in repr(found) and "two_link" in repr(found)
-
-
-def test_units_are_those_of_the_joints():
+def test_what_is_found_prints_as_a_table_with_units():
     robot = oracles.case("tree7").robot
     q, qd, qdd = moving(robot.n, 50)
     found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), armature=True, offset=True)
+    lines = str(found).splitlines()
+    assert lines[0] == f"{robot.name}, identified: {len(found.names)} parameters, rank {found.rank}"
+    header = next(i for i, line in enumerate(lines) if line.startswith("parameter"))
+    assert lines[header].split() == ["parameter", "estimate", "standard", "error", "unit", "identifiable"]
+    rows = dict(zip(found.names, lines[header + 1 :], strict=False))
+    assert all(re.search(rf"^{re.escape(name)}  .*(yes|no)$", row) for name, row in rows.items())
     assert 0 < sum(kind == "prismatic" for kind in robot.kinds) < robot.n
     units = {
         "rotor": ("kg m^2", "kg"),
@@ -296,10 +288,17 @@ def test_units_are_those_of_the_joints():
         "coulomb": ("N m", "N"),
         "offset": ("N m", "N"),
     }
-    for name, (turn, slide) in units.items():
-        for joint, kind in zip(robot.joint_names, robot.kinds, strict=True):
-            (row,) = [line for line in str(found).splitlines() if line.startswith(f"{joint} {name}")]
-            assert re.search(rf"  {re.escape(slide if kind == 'prismatic' else turn)}  +(yes|no)$", row), row
+    numbers = zip(
+        found.names, found.parameters.tolist(), found.errors.tolist(), found.identifiable.tolist(), strict=True
+    )
+    numbers = {name: [f"{x:.4g}", f"{e:.2g}", "yes" if known else "no"] for name, x, e, known in numbers}
+    for name, joint in itertools.product(units, range(robot.n)):
+        full = f"{robot.joint_names[joint]} {name}"
+        estimate, error, known = numbers[full]
+        unit = units[name][robot.kinds[joint] == "prismatic"]
+        assert rows[full].removeprefix(full).split() == [estimate, error, *unit.split(), known]
+    assert "tensor(" not in str(found) and len(lines) < len(found.names) + 10
+    assert len(repr(found)) < 120 and "\n" not in repr(found) and robot.name in repr(found)
 
 
 def test_predictions_print_as_tables():

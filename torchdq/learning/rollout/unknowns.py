@@ -8,7 +8,6 @@ along the exponential with the same slope, so that they stay positive, and frict
 found in few steps, however small it was. Inertias move in the coordinates of `torchdq.layers.parametrizations`.
 """
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -149,15 +148,9 @@ class Unknowns:
         """Whether the delay of the inputs is unknown."""
         return any(not part.key for part in self.parts)
 
-    @cached_property
-    def _places(self) -> list[slice]:
-        """Places of the numbers of every unknown."""
-        ends = itertools.accumulate([len(part.at) for part in self.parts], initial=0)
-        return [slice(a, b) for a, b in itertools.pairwise(ends)]
-
     def split(self, values: np.ndarray) -> list[np.ndarray]:
         """Numbers of every unknown."""
-        return [values[at] for at in self._places]
+        return np.split(values, np.cumsum([len(part.at) for part in self.parts])[:-1])
 
     def parameters(self, values: np.ndarray) -> dict[str, Tensor]:
         """Parameters of the scene, by their names in its programs."""
@@ -173,10 +166,8 @@ class Unknowns:
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
         """Derivatives [p, p] of the numbers by a step."""
-        found = np.zeros((len(values), len(values)))
-        for part, at in zip(self.parts, self._places, strict=True):
-            found[at, at] = part.coordinates.slopes(values[at])
-        return found
+        own = zip(self.parts, self.split(values), strict=True)
+        return torch.block_diag(*(torch.from_numpy(part.coordinates.slopes(v)) for part, v in own)).numpy()
 
     def sizes(self, values: np.ndarray) -> np.ndarray:
         """Steps [p] as large as the numbers, or as they were at the start."""
@@ -192,8 +183,8 @@ class Unknowns:
 
     def _each(self, method: str, *numbers: np.ndarray) -> np.ndarray:
         """Results of a method of the coordinates of every unknown, on its part of some numbers [p]."""
-        places = zip(self.parts, self._places, strict=True)
-        return np.concatenate([getattr(part.coordinates, method)(*(x[at] for x in numbers)) for part, at in places])
+        own = zip(self.parts, *map(self.split, numbers), strict=True)
+        return np.concatenate([getattr(part.coordinates, method)(*x) for part, *x in own])
 
 
 def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
