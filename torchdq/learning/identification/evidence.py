@@ -11,12 +11,15 @@ from torch import Tensor
 
 from torchdq.learning.evaluation.blocks import Block, MotionRows, regions
 from torchdq.learning.evaluation.correlation import correlation_times
+from torchdq.learning.evaluation.coverage import interval_factors
 from torchdq.learning.identification.feasible import Neighbourhood
-from torchdq.learning.identification.regression import gram, parted, places, rigid, squared, torques
+from torchdq.learning.identification.regression import by_chunks, gram, parted, places, rigid, squared, torques
 from torchdq.learning.identification.terms import ROTOR, Term, rows_of, unit_torques
 from torchdq.robot import Robot
 
 STILL = 1e-2  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
+NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, in standard deviations
+ROWS = 4096  # most rows that intervals are made from
 
 
 class Unseen(NamedTuple):
@@ -79,6 +82,24 @@ class Evidence(NamedTuple):
         parts += [half for pair in regions(self.recording) for half in pair]
         found = [Unseen(rows, self.residual(change, rows)) for change, rows in zip(changes, parts, strict=True)]
         return found[: len(self.blocks)], found[len(self.blocks) :]
+
+    def half_widths(self, left_out: Sequence[Sequence[Unseen]], spread: Tensor, noise: Tensor) -> Tensor:
+        """Half-widths [n] of intervals that hold 95 % of measured torques, in units of the errors that are predicted.
+
+        Of those that blocks and regions that were left out ask for, the larger ones are taken; where there are neither,
+        errors are assumed to be normal. Errors are those of parameters with the covariance `spread` [k, t] times its
+        transpose, and of noise with these standard deviations [n].
+        """
+        F, found = spread[self.at], list[Tensor]()
+        for kind in filter(None, left_out):
+            ratios, few = [], -(-sum(len(part.rows) for part in kind) // ROWS)
+            for rows, residual in ((part.rows[::few], part.residual[::few]) for part in kind):
+                some, error = self.recording.some(rows), torch.empty_like(residual)
+                for chunk, Z in by_chunks(self.robot, some, self.own[rows], F.numel()):
+                    error[chunk] = torch.einsum("rjp,jpt->rjt", Z, F.to(Z)).norm(dim=-1)
+                ratios.append(residual / torch.hypot(error, noise.to(error)))
+            found.append(interval_factors(ratios).cpu())
+        return torch.stack(found).amax(0) if found else torch.full_like(noise, NORMAL)
 
     def correlation(self, change: Tensor) -> Tensor:
         """Correlation times [n], in rows, of the residuals after a change of the parameters [n, p]."""

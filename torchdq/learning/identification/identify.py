@@ -30,7 +30,6 @@ from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, of_motions, too_few
 from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, sampled, unexplained
 from torchdq.learning.identification.augmented import AugmentedFit, offset_findings
-from torchdq.learning.identification.calibration import half_widths
 from torchdq.learning.identification.evidence import Evidence, gather
 from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified
@@ -227,7 +226,7 @@ def _identified(
     own = zip(terms, parted(robot, found.parameters)[1], strict=True)
     changes |= {term.described: x for term, x in own if term.described}
     model = _beyond(evidence, spread, facts.noise, problem.validated)
-    wide = half_widths(evidence, problem.unseen, spread, facts.noise)
+    wide = evidence.half_widths(problem.unseen, spread, facts.noise)
     identifiable = _identifiable(spread, near.S.norm(dim=1) * math.sqrt(inflation / weight), moves, terms)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, weight, *drives)], 1)
