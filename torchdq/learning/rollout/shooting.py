@@ -92,18 +92,8 @@ def segments(logs: Sequence[CheckedRecording], dt: float, seconds: float | None)
     late = np.where(used[..., 0] & (abs(late) > 1e-6 * dt), late, 0.0)[..., None]
     lengths = np.array([len(rows) for *_, rows in pieces])
     follows = np.arange(T) < lengths[:, None] - 1
-    return Segments(
-        dt,
-        logs[0].q.shape[1],
-        block,
-        which,
-        time,
-        row,
-        follows[..., None],
-        used.astype(float),
-        y,
-        late if late.any() else None,
-    )
+    n, measured, some = logs[0].q.shape[1], used.astype(float), late if late.any() else None
+    return Segments(dt, n, block, which, time, row, follows[..., None], measured, y, some)
 
 
 def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[np.ndarray, np.ndarray]:
