@@ -390,7 +390,7 @@ MISUSE = {
     "no motions": lambda: identify(ROBOT, []),
     "layout": lambda: identify(ROBOT, Layout()),
     "log": lambda: identify(
-        ROBOT, read_log({"time": np.arange(5.0), "q": X.numpy(), "qd": X.numpy(), "tau": X.numpy()})
+        ROBOT, read_log({"time": np.arange(5) / 100, "q": X.numpy(), "qd": X.numpy(), "tau": X.numpy()})
     ),
     "motion of another arm": lambda: identify(torchdq.robots.load("ur10e"), motion(X)),
     "unknown gains": lambda: identify(ROBOT, motion(X, known_gains=(True, False))),
