@@ -102,13 +102,10 @@ def offset_findings(fit: AugmentedFit) -> list[Finding]:
     clear = (found.x.abs() > SURE * found.error) & less & (found.error > 0)
     claim = "a constant torque is missing in the model, which biases masses and friction beyond their errors"
     cure = "Model(offset=True) estimates it, and friction that differs by direction has one, too"
+    option = "--offset estimates it"
     numbers = zip(robot.joint_names, robot.joint_types, found.x.tolist(), clear.tolist(), strict=True)
     return [
-        Finding(
-            *("torque.offset", name, claim, f"about {x:.2g} {'N m' if joint.turns else 'N'}", cure),
-            option="--offset estimates it",
-            value=x,
-        )
+        Finding("torque.offset", name, claim, f"about {x:.2g} {'N m' if joint.turns else 'N'}", cure, option, value=x)
         for name, joint, x, yes in numbers
         if yes
     ]

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchdq.learning.identification.evidence import Evidence, bodies
 from torchdq.learning.identification.feasible import Neighbourhood
-from torchdq.learning.identification.regression import moments, places
+from torchdq.learning.identification.regression import by_chunks, places
 from torchdq.learning.identification.solution import Solution, solve
 from torchdq.learning.identification.terms import Term
 
@@ -86,7 +86,10 @@ def spread_of_gains(
 ) -> Tensor:
     """Factor F [k, n] of the covariance F F^T of the parameters that errors of the gains make."""
     near, facts = found.near, found.facts
-    per_gain = moments(evidence.robot, evidence.recording, evidence.own) / gains.value[:, None]
+    moments = torch.zeros(evidence.at.shape, dtype=spread.dtype)  # sums of Z^T tau
+    for part, Z in by_chunks(evidence.robot, evidence.recording, evidence.own, moments.numel()):
+        moments += torch.einsum("rjp,rj->jp", Z, evidence.recording.measured[part]).cpu()
+    per_gain = moments / gains.value[:, None]
     right = torch.einsum("jp,jpt->tj", per_gain / (correlation * facts.noise**2)[:, None], near.S[evidence.at])
     return near.S @ facts.V @ ((facts.V.T @ right) / (facts.e + prior)[:, None]) @ spread
 

@@ -69,14 +69,6 @@ def rigid(robot: Robot, recording: MotionRows, pi: Tensor, rotors: Tensor | None
     return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
 
 
-def moments(robot: Robot, recording: MotionRows, own: Tensor) -> Tensor:
-    """Sums [n, p] of Z^T tau over all rows."""
-    sums = own.new_zeros(robot.n, 10 * len(robot.link_names) + own.shape[-1])
-    for part, Z in by_chunks(robot, recording, own, sums.numel()):
-        sums += torch.einsum("rjp,rj->jp", Z, recording.measured[part])
-    return sums.cpu()
-
-
 def gram(
     robot: Robot,
     recording: MotionRows,
