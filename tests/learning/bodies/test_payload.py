@@ -11,28 +11,15 @@ import pytest
 import torch
 from helpers import random
 from messages import refused, warned
-from recorded_logs import recordings
+from recorded_logs import fitted, recordings
 
 import torchdq
-from torchdq import effects
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.learning import (
-    LogWarning,
-    Model,
-    Motion,
-    Samples,
-    identify,
-    identify_payload,
-    read_log,
-    smooth,
-    stack_samples,
-)
+from torchdq.learning import LogWarning, Model, Motion, identify, identify_payload, read_log, smooth, stack_samples
 from torchdq.robot.pseudo_inertia import bodies_of, inertial_parameters, moved, pseudo_inertia
 
 MASS, COM, INERTIA = 2.0, (0.03, -0.02, 0.1), (0.01, 0.002, 0.02, 0.001, -0.001, 0.015)
 TRUTH = torch.tensor([MASS, *COM, *INERTIA], dtype=torch.float64)
-
-PLAIN = Model((effects.Viscous(), effects.Coulomb()))
 
 
 def moving(rows, seed=0, n=6):
@@ -48,8 +35,7 @@ def rubbing(robot, q, qd, qdd, seed=None):
 
 def exact(robot, q, qd, qdd):
     """Robot identified from exact torques."""
-    samples = Samples(q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd))
-    return identify(robot, samples, Model(None), prior=1.0)
+    return fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), friction=None)
 
 
 def values(found):
@@ -65,7 +51,7 @@ def arm():
 def empty(arm):
     """Identified arm without payload, from noisy torques with friction."""
     q, qd, qdd = moving(2000)
-    return identify(arm, Samples(q, qd, qdd, rubbing(arm, q, qd, qdd, seed=1)), PLAIN, prior=1.0)
+    return fitted(arm, q, qd, qdd, rubbing(arm, q, qd, qdd, seed=1))
 
 
 def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
@@ -262,7 +248,7 @@ def test_motions_with_filtered_directions_are_predicted_by_them(arm):
         arrays = (x.numpy() for x in (0.01 * torch.arange(len(q)).double(), q, qd, qdd, tau))
         return Motion(*arrays, direction=rounded.numpy())
 
-    empty = identify(arm, motion(arm), PLAIN, prior=1.0)
+    empty = fitted(arm, motion(arm))
     with warnings.catch_warnings():
         warnings.simplefilter("error", LogWarning)
         found = identify_payload(empty, motion(arm.with_payload(2.0, (0.0, 0.0, 0.1))))

@@ -11,12 +11,13 @@ import pytest
 import torch
 from helpers import random
 from messages import refused
+from recorded_logs import fitted
 from scenes import rolled
 
 import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError
-from torchdq.learning import Model, Samples, identify, posterior_samples
+from torchdq.learning import posterior_samples
 from torchdq.learning.bodies.nearest import curvature, nearest
 from torchdq.robot.pseudo_inertia import pseudo_inertia, relative
 from torchdq.scene import integrators
@@ -31,8 +32,7 @@ def found_on(name, rows, noise, seed=0, prior=1.0, **options):
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd + 2 * qd / (qd**2 + WIDTH**2).sqrt()
     size = noise * tau.std(0)
     measured = tau + size * torch.randn(tau.shape, dtype=torch.float64, generator=generator)
-    model = Model((effects.Viscous(), effects.Coulomb(sign_width=WIDTH)), **options)
-    return identify(robot, Samples(q, qd, qdd, measured), model, prior, WIDTH)
+    return fitted(robot, q, qd, qdd, measured, prior=prior, sign_width=WIDTH, **options)
 
 
 @pytest.fixture(scope="module")
@@ -129,8 +129,7 @@ def test_links_without_mass_stay_without():
     described = robot.replace(mass=robot.mass * keep, inertia=robot.inertia * keep[:, None])
     q, qd, qdd, noise = torch.randn(4, 300, 2, dtype=torch.float64)
     tau = torchdq.inverse_dynamics(described, q, qd, qdd) + 0.1 * noise
-    found = identify(described, Samples(q, qd, qdd, tau), Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
-    drawn = posterior_samples(found, 20)
+    drawn = posterior_samples(fitted(described, q, qd, qdd, tau), 20)
     assert bool((drawn.robot.mass[:, 0] == 0).all()) and bool((drawn.robot.inertia[:, 0] == 0).all())
     assert float(drawn.robot.mass[:, 1].std()) > 0
 

@@ -380,6 +380,7 @@ MISUSE = {
     "no rows": lambda: fitted(ROBOT, *[X[:0]] * 4),
     "prior of zero": lambda: fitted(ROBOT, *[X] * 4, prior=0.0),
     "prior as text": lambda: fitted(ROBOT, *[X] * 4, prior="1"),
+    "prior as truth": lambda: fitted(ROBOT, *[X] * 4, prior=True),
     "width of zero": lambda: identify(ROBOT, Samples(*[X] * 4), plain(), sign_width=0.0),
     "width not a number": lambda: identify(ROBOT, Samples(*[X] * 4), plain(), sign_width=float("nan")),
     "many robots": lambda: fitted(BATCH, *[X[:3]] * 4),
