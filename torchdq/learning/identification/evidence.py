@@ -55,7 +55,7 @@ class Evidence(NamedTuple):
         return len(self.own)
 
     def with_loads(self, parameters: Tensor) -> Evidence:
-        """The same with the loads that bodies and rotors of a fit make, the parameters [k] being those found."""
+        """Evidence with the loads that the bodies and rotors of a fit make, which found these parameters [k]."""
         pi, own = parted(self.robot, parameters)
         rotors = own[self.terms.index(ROTOR)] if ROTOR in self.terms else self.robot.armature
         return gather(*self[:6], pi, rotors) if any(term.loaded for term in self.terms) else self
