@@ -65,8 +65,7 @@ def gainful(
     basis[:, -1, -1] = 1
     sums = torch.cat([evidence.folds, evidence.total[None]])
     M = basis.mT @ sums @ basis / variance[:, None, None]
-    left = basis.mT @ evidence.left @ basis
-    blocks = len(left)
+    left, blocks = basis.mT @ evidence.left @ basis, len(evidence.left)
 
     def fit(j: int, mask: Tensor) -> _Fit:
         own = (b + mask.nonzero()[:, 0]).tolist()
@@ -82,8 +81,7 @@ def gainful(
         e = one.errors(y)[:blocks]
         return torch.einsum("ks,kst,kt->k", e, left[:, j], e) / evidence.sizes[:, j]
 
-    estimated, gains = estimated.clone(), list[Gain]()
-    open_joints = set(range(n))
+    estimated, gains, open_joints = estimated.clone(), list[Gain](), set(range(n))
     for round_ in range(ROUNDS):
         evidence.say(f"friction, round {round_ + 1} of at most {ROUNDS}")
         fits = [fit(j, estimated[:, j] & (scale[:, j] > 0)) for j in range(n)]
