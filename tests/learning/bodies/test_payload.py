@@ -4,50 +4,42 @@ The references are `Robot.with_payload`, draws of the noise, and recordings of a
 """
 
 import math
-import os
-import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from helpers import random
 from messages import refused, warned
-from places import ROOT
+from recorded_logs import fitted, recordings
 
 import torchdq
-from torchdq import effects
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.learning import (
-    Layout,
-    LogWarning,
-    Model,
-    Motion,
-    Samples,
-    identify,
-    identify_payload,
-    read_log,
-    smooth,
-    stack_samples,
-)
+from torchdq.learning import LogWarning, Model, Motion, identify, identify_payload, read_log, smooth, stack_samples
 from torchdq.robot.pseudo_inertia import bodies_of, inertial_parameters, moved, pseudo_inertia
 
 MASS, COM, INERTIA = 2.0, (0.03, -0.02, 0.1), (0.01, 0.002, 0.02, 0.001, -0.001, 0.015)
 TRUTH = torch.tensor([MASS, *COM, *INERTIA], dtype=torch.float64)
 
-PLAIN = Model((effects.Viscous(), effects.Coulomb()))
-
 
 def moving(rows, seed=0, n=6):
-    return torch.randn(3, rows, n, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    """Random positions, velocities and accelerations [3, rows, n]."""
+    return random(3, rows, n, seed=seed)
+
+
+def rubbing(robot, q, qd, qdd, seed=None):
+    """Torques with friction, and with noise of 0.2 N m if there is a seed."""
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
+    return tau if seed is None else tau + 0.2 * random(*tau.shape, seed=seed)
+
+
+def exact(robot, q, qd, qdd):
+    """Robot identified from exact torques."""
+    return fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), friction=None)
 
 
 def values(found):
     return torch.cat([found.mass[None], found.com, found.inertia])
-
-
-def errors(found):
-    return torch.cat([found.mass_error[None], found.com_error, found.inertia_error])
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +51,7 @@ def arm():
 def empty(arm):
     """Identified arm without payload, from noisy torques with friction."""
     q, qd, qdd = moving(2000)
-    tau = torchdq.inverse_dynamics(arm, q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
-    noise = torch.randn(tau.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    return identify(arm, Samples(q, qd, qdd, tau + 0.2 * noise), PLAIN, prior=1.0)
+    return fitted(arm, q, qd, qdd, rubbing(arm, q, qd, qdd, seed=1))
 
 
 def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
@@ -76,14 +66,14 @@ def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
 @pytest.mark.parametrize("frame", [None, "wrist_2_link"])
 def test_exact_torques_give_the_exact_payload(arm, frame):
     q, qd, qdd = moving(300)
-    empty = identify(arm, Samples(q, qd, qdd, torchdq.inverse_dynamics(arm, q, qd, qdd)), Model(None), prior=1.0)
-    tau = torchdq.inverse_dynamics(arm.with_payload(MASS, COM, INERTIA, frame=frame), q, qd, qdd)
-    found = identify_payload(empty, q, qd, qdd, tau, frame=frame, prior=1e-4)
+    heavy = arm.with_payload(MASS, COM, INERTIA, frame=frame)
+    tau = torchdq.inverse_dynamics(heavy, q, qd, qdd)
+    found = identify_payload(exact(arm, q, qd, qdd), q, qd, qdd, tau, frame=frame, prior=1e-4)
     assert found.frame == frame or frame is None
     assert torch.allclose(values(found), TRUTH, rtol=1e-3, atol=1e-4)
     states = moving(20, seed=3)
     again = torchdq.inverse_dynamics(found.robot, *states)
-    expected = torchdq.inverse_dynamics(arm.with_payload(MASS, COM, INERTIA, frame=frame), *states)
+    expected = torchdq.inverse_dynamics(heavy, *states)
     assert float((again - expected).abs().max()) < 1e-3 * float(expected.abs().max())
 
 
@@ -93,10 +83,9 @@ def test_errors_are_those_that_noise_makes(arm, empty):
     squares = []
     for k in range(40):
         q, qd, qdd = moving(150, seed=10 + k)
-        tau = torchdq.inverse_dynamics(heavy, q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
-        tau = tau + 0.2 * torch.randn(tau.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(k))
-        found = identify_payload(empty, q, qd, qdd, tau, prior=1e-3)
-        squares.append(((values(found) - TRUTH) / errors(found)) ** 2)
+        found = identify_payload(empty, q, qd, qdd, rubbing(heavy, q, qd, qdd, seed=k), prior=1e-3)
+        errors = torch.cat([found.mass_error[None], found.com_error, found.inertia_error])
+        squares.append(((values(found) - TRUTH) / errors) ** 2)
     # the error of the empty arm is the same in all draws; correlation times of noise come out a little above one
     assert 0.4 < float(torch.stack(squares)[:, :4].mean()) < 1.6
     assert 0.3 < float(torch.stack(squares)[:, 4:].mean()) < 1.6
@@ -104,8 +93,7 @@ def test_errors_are_those_that_noise_makes(arm, empty):
 
 def test_friction_and_offset_may_have_changed(arm, empty):
     q, qd, qdd = moving(600, seed=4)
-    heavy = arm.with_payload(MASS, COM, INERTIA)
-    tau = torchdq.inverse_dynamics(heavy, q, qd, qdd) + 4 * qd + 7 * qd / (qd**2 + 1e-4).sqrt() + 1.5
+    tau = rubbing(arm.with_payload(MASS, COM, INERTIA), q, qd, qdd) + qd + 2 * qd / (qd**2 + 1e-4).sqrt() + 1.5
     found = identify_payload(empty, q, qd, qdd, tau, friction=True, offset=True)
     with warned(LogWarning):
         without = identify_payload(empty, q, qd, qdd, tau)
@@ -117,9 +105,8 @@ def test_friction_and_offset_may_have_changed(arm, empty):
 @pytest.mark.filterwarnings("ignore:no payload explains")
 def test_a_payload_can_exist_however_few_the_samples(arm, empty):
     q, qd, qdd = moving(4, seed=5)
-    noise = 5 * torch.randn(q.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     for sign in (1, -1):
-        tau = empty.predict(q, qd, qdd).tau + sign * noise
+        tau = empty.predict(q, qd, qdd).tau + 5 * sign * random(4, 6)
         found = identify_payload(empty, q, qd, qdd, tau)
         second = pseudo_inertia(torch.cat([torch.zeros(4).double(), found.inertia]))[1:, 1:]
         assert float(found.mass) > 0 and float(torch.linalg.eigvalsh(second).min()) > 0
@@ -143,52 +130,40 @@ def test_correlated_faults_of_the_empty_arm_widen_the_errors(arm, empty):
 def test_no_payload_is_none_within_its_error(arm, empty):
     for k in range(5):
         q, qd, qdd = moving(300, seed=20 + k)
-        noise = torch.randn(q.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(k))
-        found = identify_payload(empty, q, qd, qdd, empty.predict(q, qd, qdd).tau + 0.2 * noise)
+        tau = empty.predict(q, qd, qdd).tau + 0.2 * random(300, 6, seed=k)
+        found = identify_payload(empty, q, qd, qdd, tau)
         assert 0 < float(found.mass) < 3 * float(found.mass_error) < 0.05
 
 
-@pytest.mark.filterwarnings("ignore:no payload explains")
-def test_it_prints_what_was_found(arm, empty):
-    q, qd, qdd = moving(100)
-    found = identify_payload(empty, q, qd, qdd, torchdq.inverse_dynamics(arm.with_payload(1.0), q, qd, qdd))
-    assert repr(found).startswith("IdentifiedPayload(") and "at 'tip'" in repr(found)
-    assert "inertia yz" in str(found) and "standard error" in str(found)
+MISUSE = {
+    "a robot": lambda empty, x: identify_payload(empty.robot, *[x] * 4),
+    "unknown frame": lambda empty, x: identify_payload(empty, *[x] * 4, frame="hand"),
+    "base": lambda empty, x: identify_payload(empty, *[x] * 4, frame="base"),
+    "shoulder": lambda empty, x: identify_payload(empty, *held(empty.robot), frame="shoulder_link"),
+    "upper arm": lambda empty, x: identify_payload(empty, *held(empty.robot), frame="upper_arm_link"),
+    "no rows": lambda empty, x: identify_payload(empty, *[x[0]] * 4),
+    "half a reference": lambda empty, x: identify_payload(empty, *[x] * 4, reference=(x, x)),
+    "not finite": lambda empty, x: identify_payload(empty, x, x, x, x / 0),
+    "no torques": lambda empty, x: identify_payload(empty, x, x, x),
+}
 
 
-def test_other_arguments_are_refused(arm, empty):
-    q, qd, qdd = moving(10)
-    with refused(ArgumentError):
-        identify_payload(arm, q, qd, qdd, q)
-    with refused(UnknownNameError):
-        identify_payload(empty, q, qd, qdd, q, frame="hand")
-    with refused(ArgumentError):
-        identify_payload(empty, q, qd, qdd, q, frame="base")
-    with refused(ArgumentError):
-        identify_payload(empty, q[0], qd[0], qdd[0], q[0])
-    with refused(ArgumentError):
-        identify_payload(empty, q, qd, qdd, q, reference=(q, qd))
-    with refused(ArgumentError):
-        identify_payload(empty, q, qd, qdd, q / 0)
+@pytest.mark.parametrize("misuse", MISUSE)
+def test_misuse_is_refused(empty, misuse):
+    with refused((ArgumentError, UnknownNameError)):
+        MISUSE[misuse](empty, random(10, 6))
 
 
 def held(arm, rows=400, seed=7):
     """Motion with a payload, with torques as those of the empty arm."""
-    q, qd, qdd = moving(rows, seed=seed)
-    tau = torchdq.inverse_dynamics(arm.with_payload(MASS, COM), q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
-    return q, qd, qdd, tau + 0.2 * torch.randn(tau.shape, generator=torch.Generator().manual_seed(seed)).double()
-
-
-def exchanged(x, i, j):
-    order = list(range(x.shape[1]))
-    order[i], order[j] = order[j], order[i]
-    return x[:, order]
+    moved = moving(rows, seed=seed)
+    return *moved, rubbing(arm.with_payload(MASS, COM), *moved, seed=seed)
 
 
 @pytest.mark.parametrize(
     ("wrong", "joints"),
     [
-        (lambda tau: exchanged(tau, 1, 2), ("shoulder_lift_joint", "elbow_joint")),
+        (lambda tau: tau[:, [0, 2, 1, 3, 4, 5]], ("shoulder_lift_joint", "elbow_joint")),
         (lambda tau: -tau, ("shoulder_lift_joint", "elbow_joint")),
         (lambda tau: tau * torch.tensor([1, 1, 1.3, 1, 1, 1]), ("elbow_joint",)),
     ],
@@ -205,39 +180,29 @@ def test_torques_that_no_payload_explains_are_named_with_their_joints(arm, empty
     assert all(finding.code == "payload.unexplained" and finding.value > 3 for finding in found)
 
 
-@pytest.mark.parametrize("frame", ["shoulder_link", "upper_arm_link"])
-def test_a_frame_from_whose_motion_a_mass_is_unidentifiable_is_refused(arm, empty, frame):
-    with refused(ArgumentError):
-        identify_payload(empty, *held(arm), frame=frame)
-
-
 def test_unidentifiable_parameters_of_the_payload_are_listed():
     """In a plane, one moment of inertia is identifiable, and the mass with it; those across the plane are not."""
     robot = torchdq.robots.load("two_link")
     q, qd, qdd = moving(300, n=2)
-    empty = identify(robot, Samples(q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd)), Model(None), prior=1.0)
     tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.0), frame="tip"), q, qd, qdd)
-    found = identify_payload(empty, q, qd, qdd, tau)
+    found = identify_payload(exact(robot, q, qd, qdd), q, qd, qdd, tau)
+    assert repr(found).startswith("IdentifiedPayload(") and "at 'tip'" in repr(found)
+    assert "inertia yz" in str(found) and "standard error" in str(found)
     assert {"mz", "Ixx", "Iyy", "Ixy", "Ixz", "Iyz"} <= {*found.unidentifiable} and "m" not in found.unidentifiable
     assert "not identifiable one by one" in str(found) and float(found.mass) == pytest.approx(2.0, abs=0.01)
 
 
 # --- a real arm ------------------------------------------------------------------------------------------------------
 
-FOLDER = Path(os.environ.get("TORCHDQ_DATA", ROOT.parent / "shared" / "data")) / "ur10e_innopolis"
-
 
 @pytest.fixture(scope="module")
 def recorded(arm):
     """Identification of the empty UR10e, and its motion with and without 2.805 kg."""
-    if not FOLDER.is_dir():
-        pytest.skip(f"no recordings in {FOLDER}")
-    pytest.importorskip("scipy", reason="smoothing needs scipy")
-    sys.path.insert(0, str(ROOT / "examples"))
+    folder = recordings("ur10e_innopolis")
     from recordings import LAYOUTS
 
     def motion(name, rate=None):
-        return smooth(read_log(FOLDER / f"ur-20_01_31-{name}.csv", LAYOUTS["ur10e"]), rate=rate)
+        return smooth(read_log(folder / f"ur-20_01_31-{name}.csv", LAYOUTS["ur10e"]), rate=rate)
 
     few = motion("unload", 20.0)
     empty = identify(arm, few, Model(armature=True, offset=True))
@@ -266,34 +231,25 @@ def test_seconds_of_motion_agree_within_their_errors(recorded):
 
 def test_motions_are_taken_as_their_rows_are():
     robot = torchdq.robots.load("two_link")
-    q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-    empty = identify(robot, Samples(q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd)), Model(None), prior=1.0)
+    q, qd, qdd = moving(200, seed=3, n=2)
+    empty = exact(robot, q, qd, qdd)
     tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.1)), q, qd, qdd)
     motion = Motion(np.arange(200.0), *(x.numpy() for x in (q, qd, qdd, tau)))
     assert torch.equal(identify_payload(empty, motion).mass, identify_payload(empty, q, qd, qdd, tau).mass)
-    with refused(ArgumentError):
-        identify_payload(empty, q, qd, qdd)
-    with refused(ArgumentError):
-        identify(robot, Layout())
-    rest = np.zeros((2, 2))
-    log = read_log({"time": np.array([0.0, 0.01]), "q": rest, "qd": rest, "tau": rest})
-    with refused(ArgumentError):
-        identify(robot, log)
 
 
-def test_motions_with_filtered_directions_are_predicted_by_them():
+def test_motions_with_filtered_directions_are_predicted_by_them(arm):
     """Dry friction that a filter has rounded as it rounded the torques: the residual is that of the payload alone."""
-    robot = torchdq.robots.load("ur10e")
     q, qd, qdd = moving(400, seed=7)
     rounded = (qd / 0.3).tanh()
 
-    def motion(arm):
-        tau = torchdq.inverse_dynamics(arm, q, qd, qdd) + 2.0 * rounded
+    def motion(robot):
+        tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 2.0 * rounded
         arrays = (x.numpy() for x in (0.01 * torch.arange(len(q)).double(), q, qd, qdd, tau))
         return Motion(*arrays, direction=rounded.numpy())
 
-    empty = identify(robot, motion(robot), PLAIN, prior=1.0)
+    empty = fitted(arm, motion(arm))
     with warnings.catch_warnings():
         warnings.simplefilter("error", LogWarning)
-        found = identify_payload(empty, motion(robot.with_payload(2.0, (0.0, 0.0, 0.1))))
+        found = identify_payload(empty, motion(arm.with_payload(2.0, (0.0, 0.0, 0.1))))
     assert abs(float(found.mass) - 2) < 1e-3 and float(found.rms.max()) < 1e-3

@@ -9,12 +9,15 @@ import math
 import oracles
 import pytest
 import torch
+from helpers import random
 from messages import refused
+from recorded_logs import fitted
+from scenes import rolled
 
 import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError
-from torchdq.learning import Model, Samples, identify, posterior_samples
+from torchdq.learning import posterior_samples
 from torchdq.learning.bodies.nearest import curvature, nearest
 from torchdq.robot.pseudo_inertia import pseudo_inertia, relative
 from torchdq.scene import integrators
@@ -29,8 +32,7 @@ def found_on(name, rows, noise, seed=0, prior=1.0, **options):
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd + 2 * qd / (qd**2 + WIDTH**2).sqrt()
     size = noise * tau.std(0)
     measured = tau + size * torch.randn(tau.shape, dtype=torch.float64, generator=generator)
-    model = Model((effects.Viscous(), effects.Coulomb(sign_width=WIDTH)), **options)
-    return identify(robot, Samples(q, qd, qdd, measured), model, prior, WIDTH)
+    return fitted(robot, q, qd, qdd, measured, prior=prior, sign_width=WIDTH, **options)
 
 
 @pytest.fixture(scope="module")
@@ -43,32 +45,26 @@ def drawn(found):
     return posterior_samples(found, 600)
 
 
-def distance(y, links, positive):
-    """Distance of one robot, as its formula reads."""
-    total = 0
-    for i in range(links):
-        B = relative(y[10 * i : 10 * i + 10])
-        total = total + 2 * (B.trace() - torch.logdet(B) - 4)
-    x, rest = 1 + y[10 * links : 10 * links + positive], y[10 * links + positive :]
-    return total + 2 * (x - x.log() - 1).sum() + rest.square().sum()
-
-
 def test_slopes_of_the_distance_are_those_of_autograd():
-    y = 0.1 * torch.randn(24, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    def distance(y):
+        """Distance of two links, three positive coefficients and one of any sign, as its formula reads."""
+        x = 1 + y[20:23]
+        bodies = sum(2 * (B.trace() - torch.logdet(B) - 4) for B in relative(y[:20].reshape(2, 10)))
+        return bodies + 2 * (x - x.log() - 1).sum() + y[23:].square().sum()
+
+    y = 0.1 * random(24)
     gradient, H = curvature(y[None], 2, 3)
-    assert torch.allclose(gradient[0], torch.autograd.functional.jacobian(lambda y: distance(y, 2, 3), y))
-    assert torch.allclose(H[0], torch.autograd.functional.hessian(lambda y: distance(y, 2, 3), y))
+    assert torch.allclose(gradient[0], torch.autograd.functional.jacobian(distance, y))
+    assert torch.allclose(H[0], torch.autograd.functional.hessian(distance, y))
 
 
 def test_the_nearest_robot_is_a_minimum_where_bodies_can_exist():
-    generator = torch.Generator().manual_seed(1)
-    A, offset = (torch.randn(*shape, dtype=torch.float64, generator=generator) for shape in ((40, 9, 24), (40, 9)))
-    y = nearest(30 * A, 100 * offset, 2, 3)  # such offsets would take most bodies where none can exist
-    assert bool((torch.linalg.eigvalsh(relative(y[:, :20].unflatten(1, (2, 10)))) > 0).all()) and bool(
-        (y[:, 20:23] > -1).all()
-    )
-    gradient = curvature(y, 2, 3)[0] + 2 * ((100 * offset + (30 * A @ y[..., None])[..., 0])[:, None] @ (30 * A))[:, 0]
-    assert float(gradient.abs().max()) < 1e-3 * float((3000 * A.mT @ offset[..., None]).abs().max())
+    A, offset = 30 * random(40, 9, 24, seed=1), 100 * random(40, 9, seed=2)
+    y = nearest(A, offset, 2, 3)  # such offsets would take most bodies where none can exist
+    least = torch.linalg.eigvalsh(relative(y[:, :20].unflatten(1, (2, 10)))).min()
+    assert float(least) > 0 and float(y[:, 20:23].min()) > -1
+    gradient = curvature(y, 2, 3)[0] + 2 * torch.einsum("rm,rmt->rt", offset + torch.einsum("rmt,rt->rm", A, y), A)
+    assert float(gradient.abs().max()) < 1e-3 * float((A.mT @ offset[..., None]).abs().max())
 
 
 def test_base_parameters_have_the_mean_and_the_covariance_found(found, drawn):
@@ -84,7 +80,7 @@ def test_base_parameters_have_the_mean_and_the_covariance_found(found, drawn):
 
 
 def test_torques_spread_as_predicted(found, drawn):
-    q, qd, qdd = torch.randn(3, 40, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(5))
+    q, qd, qdd = random(3, 40, 2, seed=5)
     viscous, coulomb, offset = (drawn.coefficients(name)[:, None] for name in ("viscous", "coulomb", "offset"))
     robot = drawn.robot.replace(**{x: getattr(drawn.robot, x)[:, None] for x in ("mass", "com", "inertia")})
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + viscous * qd + offset
@@ -107,8 +103,7 @@ def test_unidentifiable_bodies_have_the_width_of_the_prior(found, drawn):
 def test_every_robot_can_exist_however_few_the_samples(name):
     found = found_on(name, 40, 0.5, prior=0.05)
     drawn = posterior_samples(found, 60, seed=3)
-    generator = torch.Generator().manual_seed(0)
-    normal = found.parameters + torch.randn(60, found.spread.shape[1], generator=generator).double() @ found.spread.T
+    normal = found.parameters + random(60, found.spread.shape[1]) @ found.spread.T
     pi = normal[:, : 10 * found.robot.n].reshape(60, -1, 10)
     assert float(torch.linalg.eigvalsh(pseudo_inertia(pi)).min()) < 0  # not every normal draw could exist
     drawn.robot.check()
@@ -134,8 +129,7 @@ def test_links_without_mass_stay_without():
     described = robot.replace(mass=robot.mass * keep, inertia=robot.inertia * keep[:, None])
     q, qd, qdd, noise = torch.randn(4, 300, 2, dtype=torch.float64)
     tau = torchdq.inverse_dynamics(described, q, qd, qdd) + 0.1 * noise
-    found = identify(described, Samples(q, qd, qdd, tau), Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
-    drawn = posterior_samples(found, 20)
+    drawn = posterior_samples(fitted(described, q, qd, qdd, tau), 20)
     assert bool((drawn.robot.mass[:, 0] == 0).all()) and bool((drawn.robot.inertia[:, 0] == 0).all())
     assert float(drawn.robot.mass[:, 1].std()) > 0
 
@@ -156,37 +150,20 @@ def test_seeds_reproduce_robots(found):
 
 def test_a_scene_simulates_all_of_them_at_once():
     some = posterior_samples(found_on("two_link", 200, 0.2, armature=True), 5)
+    q, tau = torch.zeros(5, 2, dtype=torch.float64), torch.ones(5, 2, dtype=torch.float64)
     scene = Scene(some.robot, some.effects(), integrator=integrators.RungeKutta4(), dt=1e-3)
-    q = torch.zeros(5, 2, dtype=torch.float64)
-    state = scene.start(q, q)
-    tau = torch.ones(5, 2, dtype=torch.float64)
-    for _ in range(20):
-        state = scene.step(state, tau)
+    state = rolled(scene, scene.start(q, q), 20, tau)
     names = ("mass", "com", "inertia", "armature")
     third = some.robot.replace(**{name: getattr(some.robot, name)[2] for name in names})
     viscous, coulomb = (some.coefficients(kind)[2] for kind in ("viscous", "coulomb"))
-    parts = (
-        effects.Gravity(),
-        effects.RotorInertia(),
-        effects.Viscous(viscous),
-        effects.Coulomb(coulomb, some.sign_width),
-    )
-    alone = Scene(third, parts, integrator=integrators.RungeKutta4(), dt=1e-3)
-    other = alone.start(q[2], q[2])
-    for _ in range(20):
-        other = alone.step(other, tau[2])
+    friction = effects.Viscous(viscous), effects.Coulomb(coulomb, some.sign_width)
+    alone = scene.replace(robot=third, effects=(effects.Gravity(), effects.RotorInertia(), *friction))
+    other = rolled(alone, alone.start(q[2], q[2]), 20, tau[2])
     assert torch.allclose(state.q[2], other.q, rtol=1e-9)
     assert float(state.q.std(0).min()) > 1e-5
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"identified": 3},
-        {"n": 0},
-        {"most": -1.0},
-    ],
-)
+@pytest.mark.parametrize("arguments", [{"identified": 3}, {"n": 0}, {"most": -1.0}])
 def test_other_arguments_are_refused(found, arguments):
     with refused(ArgumentError):
         posterior_samples(**{"identified": found, "n": 3, **arguments})

@@ -52,7 +52,7 @@ def test_a_fold_holds_nothing_of_its_block():
     for part in (third.rows, *third.margins):
         spoilt[part] += 100.0
     folds = [
-        gather(ROBOT, one, (VISCOUS, COULOMB), WIDTH, None, blocks(one), lambda _: None).folds
+        gather(ROBOT, one, (VISCOUS, COULOMB), WIDTH, blocks(one)).folds
         for one in (recording, of_tensors(ROBOT, q=q, qd=qd, qdd=qdd, tau=spoilt))
     ]
     assert torch.allclose(folds[0][2], folds[1][2], rtol=1e-9, atol=1e-6 * float(folds[0][2].abs().max()))

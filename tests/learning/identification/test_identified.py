@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from helpers import PAIR
+from helpers import PAIR, double, random
 from messages import warned
 from recorded_logs import STEP, WIDTH, fitted, sign, states, torques
 from scipy.optimize import nnls
@@ -17,27 +17,19 @@ from torchdq.learning import Evaluation, Model, Motion, Samples, Verdict, evalua
 from torchdq.learning.evaluate import FAIR
 from torchdq.learning.identification.simple import _nonnegative
 
-
-def moved(rows=600):
-    """Positions, velocities and accelerations [rows, 2]."""
-    return [x[0] for x in states(1, rows, seed=9)]
-
-
-def loaded(share):
-    """Motion of a pair of links whose friction is in proportion to the load, and what was identified from it."""
-    described = torchdq.Robot.from_urdf(PAIR)
-    q, qd, qdd = moved()
-    load = torchdq.inverse_dynamics(described, q, qd, qdd)
-    tau = load + share * load.abs() * sign(qd)
-    tau = tau + 0.01 * tau.std(0) * torch.randn(tau.shape, generator=torch.Generator().manual_seed(0)).double()
-    friction = (effects.Viscous(), effects.Coulomb(sign_width=WIDTH), effects.LoadDependent(sign_width=WIDTH))
-    found = fitted(described, q, qd, qdd, tau, friction=friction)
-    signals = (x.numpy() for x in (q, qd, qdd, tau))
-    return described, found, Motion(STEP * np.arange(len(q)), *signals), (q, qd, qdd, tau)
+DESCRIBED = torchdq.Robot.from_urdf(PAIR)
+MOVED = [x[0] for x in states(1, 600, seed=9)]
 
 
 def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
-    described, found, motion, (q, qd, qdd, tau) = loaded(0.4)
+    """Of a pair of links whose friction is in proportion to the load."""
+    q, qd, qdd = MOVED
+    load = torchdq.inverse_dynamics(DESCRIBED, *MOVED)
+    tau = load + 0.4 * load.abs() * sign(qd)
+    tau = tau + 0.01 * tau.std(0) * random(*tau.shape)
+    friction = (effects.Viscous(), effects.Coulomb(sign_width=WIDTH), effects.LoadDependent(sign_width=WIDTH))
+    found = fitted(DESCRIBED, q, qd, qdd, tau, friction=friction)
+    motion = Motion(STEP * np.arange(len(q)), *(x.numpy() for x in (q, qd, qdd, tau)))
     assert float(found.coefficients("load").min()) > 0.3
     with warned(UserWarning):
         file = torchdq.Robot.from_urdf(found.to_urdf(PAIR))
@@ -45,10 +37,9 @@ def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
     whole, signs = found.predict(q, qd, qdd).tau - rigid, sign(qd)
     for j in range(2):
         nearest, _ = nnls(torch.stack([qd[:, j], signs[:, j]], 1).numpy(), whole[:, j].numpy())
-        assert np.allclose(
-            [float(file.damping[j]), float(file.friction[j])], nearest, rtol=1e-3
-        )  # loads are of the round before
-    measured = evaluate(described, found, motion, found.with_simple_friction())
+        written = [float(file.damping[j]), float(file.friction[j])]
+        assert np.allclose(written, nearest, rtol=1e-3)  # loads are of the round before
+    measured = evaluate(DESCRIBED, found, motion, found.with_simple_friction())
     by_file = torchdq.inverse_dynamics(file, q, qd, qdd) + file.damping * qd + file.friction * signs
     assert torch.allclose(measured.file, (tau - by_file).square().mean(0).sqrt() / tau.std(0))
     # what the file had before: the viscous and Coulomb friction beside the other
@@ -59,23 +50,19 @@ def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
 
 
 def test_plain_friction_is_written_as_it_was_found():
-    described = torchdq.Robot.from_urdf(PAIR)
-    q, qd, qdd = moved()
-    tau = torchdq.inverse_dynamics(described, q, qd, qdd) + 0.5 * qd
-    found = fitted(described, q, qd, qdd, tau)
+    tau = torchdq.inverse_dynamics(DESCRIBED, *MOVED) + 0.5 * MOVED[1]
+    found = fitted(DESCRIBED, *MOVED, tau)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         file = torchdq.Robot.from_urdf(found.to_urdf(PAIR))
     assert torch.equal(file.damping, found.viscous) and torch.equal(file.friction, found.coulomb)
     # a robot without friction keeps that of its description
-    none = fitted(described, q, qd, qdd, tau, friction=None)
+    none = fitted(DESCRIBED, *MOVED, tau, friction=None)
     assert torch.equal(none.simple, torch.stack([none.robot.damping, none.robot.friction]))
 
 
 def test_no_friction_of_a_file_is_negative():
-    g = torch.Generator().manual_seed(1)
-    X = torch.randn(40, 30, 2, generator=g, dtype=torch.float64)
-    y = torch.randn(40, 30, generator=g, dtype=torch.float64)
+    X, y = random(40, 30, 2, seed=1), random(40, 30, seed=2)
     X[0], X[1, :, 0], X[2, :, 1] = 0.0, 0.0, X[2, :, 0]  # joints at rest, and columns that are the same
     found = _nonnegative(X.mT @ X, (X.mT @ y[..., None])[..., 0])
     assert bool((found >= 0).all())
@@ -99,12 +86,11 @@ def test_a_verdict_is_not_good_where_one_joint_of_the_file_is_far_off():
 
 
 def test_a_layer_a_scene_and_a_file_have_all_that_was_found():
-    described = torchdq.Robot.from_urdf(PAIR)
-    real = described.replace(mass=described.mass * torch.tensor([1.2, 0.85], dtype=torch.float64))
+    real = DESCRIBED.replace(mass=DESCRIBED.mass * double(1.2, 0.85))
     q, qd, qdd = states(4, 600)
     load = torchdq.inverse_dynamics(real, q, qd, qdd)
-    tau = torques(real, q, qd, qdd, size=0.01) + 0.1 * load.abs() * sign(qd) + torch.tensor([0.4, -0.3]).double()
-    found = identify(described, Samples(q, qd, qdd, tau), Model(offset=True))
+    tau = torques(real, q, qd, qdd, size=0.01) + 0.1 * load.abs() * sign(qd) + double(0.4, -0.3)
+    found = identify(DESCRIBED, Samples(q, qd, qdd, tau), Model(offset=True))
     assert found.coefficients("load") is not None
     expected = found.predict(q, qd, qdd).tau
     assert torch.allclose(found.layer()(q, qd, qdd), expected, rtol=1e-9, atol=1e-9)

@@ -1,4 +1,4 @@
-"""What a fit lacks is found or named: constant torques, lags of the torques; what was asked for is all that is fitted.
+"""Constant torques that a fit lacks are found or named; what was asked for is all that is fitted.
 
 The truth is that of the simulation, whose laws are written out here.
 """
@@ -8,17 +8,14 @@ import warnings
 
 import pytest
 import torch
-from messages import refused
 from places import DATA
 from recorded_logs import (
     COULOMB,
     REAL,
     ROBOT,
-    STEP,
     WIDTH,
     codes,
     fitted,
-    late_log,
     recordings,
     sign,
     states,
@@ -29,8 +26,7 @@ from recorded_logs import (
 import torchdq
 from torchdq import effects
 from torchdq.envs import Scene
-from torchdq.errors import ArgumentError
-from torchdq.learning import Model, Samples, identify, posterior_samples, smooth, stack_samples
+from torchdq.learning import Model, Samples, identify, posterior_samples, stack_samples
 
 CONSTANT = torch.tensor([1.5, -0.8], dtype=torch.float64)
 
@@ -72,36 +68,6 @@ def test_friction_that_differs_by_direction_is_no_ripple():
     assert codes(findings) == ["torque.offset"] and "friction that differs by direction has one" in findings[0].cure
 
 
-# --- lags ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("late", [0.05, -0.03])
-def test_a_lag_of_the_torques_has_a_finding_with_its_size_and_its_cure(late):
-    logs = [late_log(late, seed) for seed in (1, 2, 3)]
-    found, (lag,) = with_findings(fitted, ROBOT, [smooth(log) for log in logs])
-    assert (lag.code, lag.subject) == ("torque.lag", "3 motions") and lag.value == pytest.approx(late, rel=0.2)
-    assert f"smooth(log, delay={lag.value:.2g})" in lag.cure and f"--delay {lag.value:.2g}" in lag.option
-    mended, findings = with_findings(fitted, ROBOT, [smooth(log, delay=late) for log in logs])
-    assert not findings
-    off = [float((one.coulomb - COULOMB).abs().max()) for one in (found, mended)]
-    assert off[1] < 0.05 < off[0]
-
-
-def test_each_log_has_a_lag_of_its_own_and_rows_without_times_count():
-    motions = [smooth(late_log(late, seed)) for seed, late in ((1, 0.0), (2, 0.06), (3, 0.0))]
-    _, (lag,) = with_findings(fitted, ROBOT, motions)
-    assert (lag.code, lag.subject) == ("torque.lag", "log2")
-    q, qd, qdd = states(3, 500)
-    late = 3  # rows
-    tau = torques(REAL, q, qd, qdd)[:, :-late]
-    q, qd, qdd = (x[:, late:] for x in (q, qd, qdd))
-    _, (lag,) = with_findings(fitted, ROBOT, q, qd, qdd, tau)
-    assert lag.code == "torque.lag" and lag.value == pytest.approx(late * STEP, rel=0.2) and "rows up" in lag.cure
-    mixed = torch.randperm(q.shape[1], generator=torch.Generator().manual_seed(0))
-    _, findings = with_findings(fitted, ROBOT, *(x[:, mixed] for x in (q, qd, qdd, tau)))
-    assert "torque.lag" not in codes(findings)  # rows in no order have no time
-
-
 # --- friction that was asked for -------------------------------------------------------------------------------------
 
 
@@ -127,29 +93,14 @@ def test_effects_have_terms_of_their_own_laws():
         return [term.name for term in fitted(ROBOT, q, qd, qdd, tau, friction=friction).terms]
 
     assert names(effects.Stribeck(velocity=0.25, sign_width=WIDTH)) == ["coulomb", "stribeck 0.25"]
-    assert names(effects.Stribeck(velocity=0.1, sign_width=WIDTH), effects.Coulomb(sign_width=WIDTH)) == [
-        "coulomb",
-        "stribeck 0.1",
-    ]
-    assert names(effects.Coulomb(sign_width=0.5)) == ["coulomb 0.5"] and names(effects.LuGre(deflection=0.02)) == [
-        "lugre 0.02"
-    ]
-    assert names(effects.Directional(sign_width=WIDTH), effects.LoadDependent(sign_width=WIDTH)) == [
-        "forward",
-        "backward",
-        "load",
-    ]
+    both = effects.Stribeck(velocity=0.1, sign_width=WIDTH), effects.Coulomb(sign_width=WIDTH)
+    assert names(*both) == ["coulomb", "stribeck 0.1"]
+    assert names(effects.Coulomb(sign_width=0.5)) == ["coulomb 0.5"]
+    assert names(effects.LuGre(deflection=0.02)) == ["lugre 0.02"]
+    both = effects.Directional(sign_width=WIDTH), effects.LoadDependent(sign_width=WIDTH)
+    assert names(*both) == ["forward", "backward", "load"]
     again = fitted(ROBOT, q, qd, qdd, tau)
     assert [*again.terms] == [*fitted(ROBOT, q, qd, qdd, tau, friction=again.friction()).terms]
-    for friction in [
-        effects.Gravity(),
-        effects.Viscous(warming=0.1),
-        effects.LuGre(ratio=1.5),
-    ]:
-        with refused(ArgumentError):
-            names(friction)
-    with refused(ArgumentError):
-        fitted(ROBOT, q, qd, qdd, tau, friction=(effects.LuGre(),), memory=False)
 
 
 def test_robots_that_are_drawn_have_all_friction_found():
@@ -158,15 +109,8 @@ def test_robots_that_are_drawn_have_all_friction_found():
     asked = (effects.Viscous(), effects.Coulomb(sign_width=WIDTH), effects.Quadratic(), effects.Ripple(2 * math.pi / 3))
     found = fitted(ROBOT, q, qd, qdd, tau, friction=asked)
     drawn = posterior_samples(found, 8)
-    kinds = [type(effect) for effect in drawn.effects()]
-    assert kinds == [
-        effects.Gravity,
-        effects.Viscous,
-        effects.Coulomb,
-        effects.Quadratic,
-        effects.Ripple,
-        effects.Ripple,
-    ]
+    kinds = [type(effect).__name__ for effect in drawn.effects()]
+    assert kinds == ["Gravity", "Viscous", "Coulomb", "Quadratic", "Ripple", "Ripple"]
     wave = drawn.coefficients(next(term.name for term in found.terms if term.parameter == "sine"))
     assert bool(((wave - 0.4).abs() < 0.1).all()) and float(wave.std(0).min()) > 0
     assert bool((drawn.coefficients("quadratic") > 0).all()) and drawn.coefficients("load") is None
@@ -189,9 +133,8 @@ def test_errors_hold_what_blocks_that_were_left_out_show():
     """Torques that no term explains: intervals of the parameters alone are too narrow in motions that were left out."""
 
     def wrong(q, k):
-        return torch.stack(
-            [(7 * q[..., 1] + k).sin() * q[..., 0].cos(), (5 * q[..., 0]).cos() * (4 * q[..., 1]).sin()], -1
-        )
+        a, b = q.unbind(-1)
+        return torch.stack([(7 * b + k).sin() * a.cos(), (5 * a).cos() * (4 * b).sin()], -1)
 
     inside = []
     for seed in range(3):

@@ -16,22 +16,17 @@ def test_friction_is_found_within_the_stated_errors(name, rate):
     robot = torchdq.robots.load(name)
     log, viscous, coulomb = noisy_log(robot, rate, seed=rate)
     motion = smooth(log, rate=16)
-    found = fitted(robot, motion)
-    for k, truth in ((-2, viscous), (-1, coulomb)):
-        part = slice(k * robot.n, (k + 1) * robot.n or None)
-        off = (found.parameters[part] - truth) / found.errors[part]
-        assert float(off.abs().max()) < 3
+    found, findings = with_findings(fitted, robot, motion)
+    assert not findings and float(errors(found, viscous, coulomb).abs().max()) < 3
     assert float((found.coulomb / coulomb - 1).abs().max()) < 0.03
     sharp = fitted(robot, *stack_samples(motion))
     assert float((sharp.coulomb / coulomb).mean()) < 0.98  # what the rounded steps cost otherwise
 
 
-def errors(found, robot, *truths):
-    """Distances of viscous and Coulomb friction from the true ones, in standard errors, [2, n]."""
-    n = robot.n
-    return ((found.parameters - torch.cat([found.parameters[: -2 * n], *truths])) / found.errors)[-2 * n :].reshape(
-        2, n
-    )
+def errors(found, *truths):
+    """Distances of viscous and Coulomb friction from the true ones, in standard errors."""
+    friction = slice(-2 * found.robot.n, None)
+    return (found.parameters[friction] - torch.cat(truths)) / found.errors[friction]
 
 
 @pytest.mark.parametrize("width", [0.03, 0.1])
@@ -43,10 +38,10 @@ def test_friction_of_another_shape_has_a_finding_and_its_width_is_the_cure(width
     biased, findings = with_findings(fitted, robot, sharp)
     assert codes(findings) == ["friction.shape"] and "smooth(log) its sign_width" in findings[0].cure
     assert "--sign-width" in findings[0].option and findings[0].subject in robot.joint_names
-    assert errors(biased, robot, *truths).abs().max() > 3
+    assert errors(biased, *truths).abs().max() > 3
     found, findings = with_findings(fitted, robot, motion, sign_width=width)
     assert not findings
-    assert errors(found, robot, *truths).abs().max() < 3
+    assert errors(found, *truths).abs().max() < 3
 
 
 def test_dry_friction_of_filtered_torques_has_a_finding_without_the_filtered_sign():
@@ -55,9 +50,3 @@ def test_dry_friction_of_filtered_torques_has_a_finding_without_the_filtered_sig
     _, findings = with_findings(fitted, robot, *data)
     assert (findings[0].code, findings[0].subject) == ("friction.shape", "joint1")
     assert "motions of smooth(log), which hold the filtered sign" in findings[0].cure
-
-
-@pytest.mark.parametrize("name", ["two_link", "ur10e", "panda"])
-def test_dry_friction_of_the_right_shape_has_none(name):
-    robot = torchdq.robots.load(name)
-    assert not with_findings(fitted, robot, smooth(noisy_log(robot, 100, 5)[0], rate=16))[1]

@@ -33,14 +33,10 @@ def curvature(y: Tensor, links: int, positive: int) -> tuple[Tensor, Tensor]:
 
 
 def nearest(A: Tensor, offset: Tensor, links: int, positive: int) -> Tensor:
-    """Minimum y [rows, t] of the cost.
+    """Minimum y [rows, t] of the cost, with A [rows, measurements, t] and offset [rows, measurements].
 
-    Args:
-        A: [rows, measurements, t].
-        offset: [rows, measurements].
-        links: number of bodies, whose ten coordinates each come first.
-        positive: number of positive coefficients, whose coordinates x - 1 come next; those that are left may have
-            either sign, and the distance y^2.
+    Ten coordinates of each link come first, then x - 1 of positive coefficients; those that are left may have either
+    sign, and the distance y^2.
     """
     y, quadratic = A.new_zeros(A.shape[0], A.shape[2]), 2 * A.mT @ A
     first, second = 10 * links, 10 * links + positive

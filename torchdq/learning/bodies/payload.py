@@ -30,8 +30,7 @@ from torchdq.learning.bodies.nearest import curvature, nearest
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.diagnostics import diagnose
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
-from torchdq.learning.identification.naming import sums
-from torchdq.learning.identification.regression import base_parameters
+from torchdq.learning.identification.regression import base_names, base_of, inverse_of
 from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread
@@ -41,7 +40,6 @@ from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, 
 ROUNDS = 20  # most times that joints are weighted again
 WORSE = 3.0  # residual over that of the empty arm, from which a joint is reported: on good logs it is below 2
 MATTERS = 0.03  # the same, over the joint's torques, below which it does not matter
-INDEPENDENT = 1e-12  # least eigenvalue of an identifiable combination, relative to the largest: beyond rounding
 NUISANCE = 1e-3  # part of its expected size that a change of friction or offset has at most: it is free
 PARTS = ("x", "y", "z"), ("xx", "xy", "yy", "xz", "yz", "zz")
 DTYPE = torch.float64
@@ -99,7 +97,7 @@ def identify_payload(
     """Body that an arm holds, from a few seconds of motion with it, as `IdentifiedPayload`.
 
     Identify the empty arm first, from motions like this one: what both have wrong, such as a drive's offset, is then
-    no payload. A gain of the torques that is off by some part makes mass and inertia wrong by the same part.
+    no payload. A gain that is off by some part makes mass and inertia wrong by the same part.
 
     Args:
         empty: the arm without payload, from `identify`.
@@ -113,9 +111,8 @@ def identify_payload(
         size: extent of the payload [m] that is expected where it is not identifiable: radius of gyration about its
             centre of mass in each direction.
         prior: weight of this expectation, positive, as in `identify`.
-        reference: q, qd, qdd and tau of the empty arm, long enough to show by how much and for how long its torques are
-            wrong, as `stack_samples(motion)` gives them: a few seconds with payload cannot, and their errors come out
-            too small without.
+        reference: q, qd, qdd and tau of the empty arm, as `stack_samples(motion)` gives them, long enough to show by
+            how much and for how long its torques are wrong; without, errors come out too small.
 
     Raises:
         ArgumentError: a shape, a value that is not finite, or a frame that no joint moves, or from whose motion a mass
@@ -143,9 +140,8 @@ def identify_payload(
         cure = "multiply them by the gains that Model(gains=True) of identify found"
         raise ArgumentError(f"tau of the motions must be torques, found efforts of unknown gains; {cure}")
     if len(batch) != 1 or not batch[0]:
-        raise ArgumentError(
-            f"q must have the shape [rows, {robot.n}] with a row at least, found the batch axes {batch}"
-        )
+        expected = f"the shape [rows, {robot.n}] with a row at least"
+        raise ArgumentError(f"q must have {expected}, found the batch axes {batch}")
     require_finite(**rows.signals())
     require_number("size", size, positive=True)
     require_number("prior", prior, positive=True)
@@ -170,8 +166,7 @@ def identify_payload(
         model = Y @ empty.by_these_gains().spread[: Y.shape[-1]]
         pi, covariance = _estimate(body, changes, residual, weight, J, prior, model)
         rms, before = (_rms(Z, residual, weight) for Z in (torch.cat([body, changes], -1), changes))
-        findings = _unexplained(robot, tau, rms, torch.hypot(variance.sqrt(), empty.model))
-        if findings:
+        if findings := _unexplained(robot, tau, rms, torch.hypot(variance.sqrt(), empty.model)):
             _warn(empty, (q, qd, qdd, tau), findings)
     slopes = torch.autograd.functional.jacobian(_quantities, pi)
     quantities, errors = _quantities(pi), (slopes @ covariance @ slopes.T).diagonal().sqrt()
@@ -183,16 +178,10 @@ def identify_payload(
 
 def _unidentifiable(robot: Robot, frame: str, body: Tensor) -> tuple[str, ...]:
     """Parameters that torques per unit of them [rows, n, 10] do not decide one by one; raises if the mass is one."""
-    Z = body.flatten(0, 1)
-    size = Z.square().mean(0).sqrt()
-    size = torch.where(size > 1e-9 * size.max(), size, 0.0)
-    Z = Z / torch.where(size > 0, size, torch.inf)
-    e, V = torch.linalg.eigh(Z.T @ Z)
-    inverse = torch.where(size > 0, 1 / size, 0.0)
-    base = base_parameters(V[:, e > INDEPENDENT * e[-1]].T * size, inverse)
+    base, size = base_of(body.flatten(0, 1))
     single = base[(base != 0).sum(1) == 1].argmax(1).tolist()
     if 0 not in single:
-        found = ", ".join(sums(base, INERTIAL, inverse)) or "nothing"
+        found = ", ".join(base_names(base, INERTIAL, inverse_of(size))) or "nothing"
         raise ArgumentError(
             f"frame must be one of {robot.name!r} from whose motion the mass that it holds is identifiable, found "
             f"{frame!r}, from whose motion {found} of the parameters about the frame are; give one nearer to the end "
@@ -204,15 +193,10 @@ def _unidentifiable(robot: Robot, frame: str, body: Tensor) -> tuple[str, ...]:
 def _unexplained(robot: Robot, tau: Tensor, rms: Tensor, usual: Tensor) -> tuple[Finding, ...]:
     """Joints whose residual torques [n] are far larger than those of the empty arm, with the factor as value."""
     far = (rms > WORSE * usual) & (rms > MATTERS * tau.square().mean(0).sqrt())
+    claim = "residual torques must be like those of the empty arm"
+    cure = "is a sign, gain or column another than then, or the body elsewhere?"
     return tuple(
-        Finding(
-            "payload.unexplained",
-            joint,
-            "residual torques must be like those of the empty arm",
-            f"{factor:.1f} times as large",
-            "is a sign, gain or column another than then, or the body elsewhere?",
-            value=factor,
-        )
+        Finding("payload.unexplained", joint, claim, f"{factor:.1f} times as large", cure, value=factor)
         for joint, factor, beyond in zip(robot.joint_names, (rms / usual).tolist(), far.tolist(), strict=True)
         if beyond
     )

@@ -20,7 +20,8 @@ from torchdq.base.tables import summary
 from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.errors import ArgumentError
 from torchdq.learning.bodies.nearest import nearest
-from torchdq.learning.identification.identified import Identified
+from torchdq.learning.identification.identified import Identified, coefficients_of
+from torchdq.learning.identification.regression import parted
 from torchdq.learning.identification.terms import ROTOR, Term
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
@@ -46,11 +47,7 @@ class PosteriorSamples(NamedTuple):
 
     def coefficients(self, kind: str) -> Tensor | None:
         """Coefficients [samples, n] of the joints, of one kind as in `Identified.coefficients`; None: not estimated."""
-        kinds, n = [term.name for term in self.terms], self.robot.n
-        if kind not in kinds:
-            return None
-        first = 10 * len(self.robot.link_names) + n * kinds.index(kind)
-        return self.parameters[:, first : first + n]
+        return coefficients_of(self.robot, self.terms, self.parameters, kind)
 
     def effects(self) -> tuple[Effect, ...]:
         """Gravity, rotor inertia and all friction found, a row per robot, as effects of a scene.
@@ -58,21 +55,17 @@ class PosteriorSamples(NamedTuple):
         Constant torques are not among them: `coefficients("offset")` is added to the torques of the scene.
         """
         rotors = () if self.robot.armature is None else (RotorInertia(),)
-        own = self.parameters[:, 10 * len(self.robot.link_names) :].unflatten(1, (len(self.terms), self.robot.n))
-        rows = zip(self.terms, own.unbind(1), strict=True)
-        return (
-            Gravity(),
-            *rotors,
-            *(effect for term, numbers in rows for effect in term.found(numbers, self.sign_width)),
-        )
+        rows = zip(self.terms, parted(self.robot, self.parameters)[1].unbind(1), strict=True)
+        friction = (effect for term, numbers in rows for effect in term.found(numbers, self.sign_width))
+        return (Gravity(), *rotors, *friction)
 
 
 @one_thread()
 def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> PosteriorSamples:
     """Robots drawn from the posterior of `identify`, each of which can exist, with their friction.
 
-    Base parameters have the mean and the covariance found. What is not identifiable, such as how mass is shared
-    between links, has the width that the prior leaves it, as a factor: exp(normal number).
+    Base parameters have the mean and the covariance found; what is not identifiable has the width that the prior
+    leaves it, as a factor: exp(normal number).
 
     Args:
         identified: from `identify`.
@@ -80,6 +73,7 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
         most: greatest standard deviation of a link's relative change where it is not identifiable: 1 is a mass that
             is e times as large or as small; 0 leaves all as found that the base parameters allow.
         seed: seed of the draws.
+
     Raises:
         ArgumentError: an argument is of another type or not positive.
 
@@ -108,13 +102,11 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
             notice.at(f"{i} of {n}")
             parts.append(space.nearest(draws[i : i + TOGETHER]))
     parameters = torch.cat([part[0] for part in parts])
-    mass, com, inertia = bodies_of(torch.linalg.cholesky(torch.cat([part[1] for part in parts])))
-    robot = identified.robot
-    at = space.links
-    changes: dict[str, Any] = {
-        name: torch.index_copy(getattr(robot, name).double().expand(n, *getattr(robot, name).shape), 1, at, x)
-        for name, x in (("mass", mass), ("com", com), ("inertia", inertia))
-    }
+    bodies = bodies_of(torch.linalg.cholesky(torch.cat([part[1] for part in parts])))
+    robot, changes = identified.robot, dict[str, Any]()
+    for name, x in zip(("mass", "com", "inertia"), bodies, strict=True):
+        before = getattr(robot, name).double()
+        changes[name] = torch.index_copy(before.expand(n, *before.shape), 1, space.links, x)
     drawn = PosteriorSamples(robot, identified.terms, identified.names, parameters, identified.sign_width)
     if (rotors := drawn.coefficients(ROTOR.name)) is not None:
         changes["armature"] = rotors

@@ -1,8 +1,8 @@
 """Augmented least squares: unknowns that a fit lacks, estimated together with changes of all its parameters.
 
-The residual of the fit is r = Z dphi + E x + noise, with the torques per unit E of unknowns x that were not estimated.
-Least squares for dphi and x together show how large x is, even where the fitted parameters, above all friction, have
-taken its place.
+The residual of the fit is r = Z dphi + E x + noise, with the torques per unit E of unknowns x that were not estimated,
+such as constant torques. Least squares for dphi and x together show how large x is, even where the fitted parameters,
+above all friction, have taken its place.
 """
 
 from __future__ import annotations
@@ -12,12 +12,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.findings import Finding
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.identification.regression import columns
 from torchdq.learning.identification.solution import Solution
-from torchdq.learning.identification.terms import ROTOR
+from torchdq.learning.identification.terms import OFFSET, ROTOR
 
+SURE = 5.0  # standard errors from which something is there
+MATTERS = 0.1  # part of the squared residuals of a joint or motion that it must take away to matter
 ROWS = 2000  # most rows that are used
 EXACT = 1e-6  # least variance of what is left, relative to that of the residual
 
@@ -32,7 +35,7 @@ class AugmentedSolution(NamedTuple):
 
 
 class AugmentedFit(NamedTuple):
-    """Rows of a fit that are used, and the weight of its prior."""
+    """Rows of a fit that are used, and its prior."""
 
     evidence: Evidence
     found: Solution
@@ -44,14 +47,7 @@ class AugmentedFit(NamedTuple):
 
     @classmethod
     def of(cls, evidence: Evidence, found: Solution, prior: float, residual: Tensor) -> AugmentedFit:
-        """Some rows of a fit.
-
-        Args:
-            evidence: of all terms that were estimated.
-            found: the fit.
-            prior: weight of its prior.
-            residual: its residuals [rows, n].
-        """
+        """Some rows of a fit with evidence of its terms, this weight of its prior, and residuals [rows, n]."""
         lengths = evidence.recording.lengths
         rows = torch.arange(0, len(residual), -(-len(residual) // ROWS))
         motion = torch.repeat_interleave(torch.arange(len(lengths)), torch.tensor(lengths))[rows]
@@ -93,3 +89,23 @@ class AugmentedFit(NamedTuple):
             x = inverse @ b
             left = r - A @ x
         return AugmentedSolution(x[:t], x[t:], inverse.diagonal()[t:].clamp_min(0).sqrt(), left)
+
+
+def offset_findings(fit: AugmentedFit) -> list[Finding]:
+    """Findings about constant torques of joints that a fit lacks."""
+    if OFFSET in fit.evidence.terms:
+        return []
+    rows, robot, evidence = fit.evidence.recording, fit.evidence.robot, fit.evidence
+    Z, _ = fit.columns(*(x[fit.rows] for x in (rows.q, rows.qd, rows.qdd, evidence.own)))
+    found = fit.solve(Z, fit.residual, torch.eye(robot.n, dtype=Z.dtype).expand(len(Z), robot.n, robot.n))
+    less = found.left.square().mean(0) < (1 - MATTERS) * fit.square
+    clear = (found.x.abs() > SURE * found.error) & less & (found.error > 0)
+    claim = "a constant torque is missing in the model, which biases masses and friction beyond their errors"
+    cure = "Model(offset=True) estimates it, and friction that differs by direction has one, too"
+    option = "--offset estimates it"
+    numbers = zip(robot.joint_names, robot.joint_types, found.x.tolist(), clear.tolist(), strict=True)
+    return [
+        Finding("torque.offset", name, claim, f"about {x:.2g} {'N m' if joint.turns else 'N'}", cure, option, value=x)
+        for name, joint, x, yes in numbers
+        if yes
+    ]

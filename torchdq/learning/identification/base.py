@@ -8,13 +8,9 @@ from torch import Tensor
 
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.functional import regressor
-from torchdq.learning.identification.identify import INERTIAL
-from torchdq.learning.identification.naming import sums
-from torchdq.learning.identification.regression import base_parameters
+from torchdq.learning.identification.identified import INERTIAL
+from torchdq.learning.identification.regression import SEPARATE, base_names, base_of, inverse_of
 from torchdq.robot import Robot
-
-INDEPENDENT = 1e-12  # least eigenvalue of an identifiable combination, relative to the largest: beyond rounding
-NOTHING = 1e-12  # torque of a parameter, relative to the largest, that is none
 
 
 class BaseParameters(NamedTuple):
@@ -24,9 +20,7 @@ class BaseParameters(NamedTuple):
     """
 
     robot: Robot
-    coefficients: tuple[
-        str, ...
-    ]  # kinds of the parameters that are not those of bodies: rotor, viscous, coulomb, offset
+    coefficients: tuple[str, ...]  # those of rotor, viscous, coulomb and offset that there are
     sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
     noise: Tensor  # [n] standard deviation of a torque [N m or N]
     base: Tensor  # [rank, k]
@@ -43,12 +37,7 @@ class BaseParameters(NamedTuple):
         states: tuple[Tensor, Tensor, Tensor],
     ) -> "BaseParameters":
         """Base parameters that torques in some states depend on: many random q, qd and qdd [samples, n]."""
-        Z = (_columns(robot, *states, coefficients, sign_width) / noise[:, None]).flatten(0, 1)
-        size = Z.square().mean(0).sqrt()
-        size = torch.where(size > NOTHING * size.max(), size, 0.0)
-        Z = torch.where(size > 0, Z / torch.where(size > 0, size, 1.0), 0.0)
-        e, V = torch.linalg.eigh(Z.T @ Z)
-        base = base_parameters(V[:, e > INDEPENDENT * e[-1]].T * size, torch.where(size > 0, 1 / size, 0.0))
+        base, size = base_of((_columns(robot, *states, coefficients, sign_width) / noise[:, None]).flatten(0, 1))
         alone = (base == 1) & ((base != 0).sum(0) == 1)
         leading = alone.int().argmax(1)
         return cls(robot, tuple(coefficients), sign_width, noise, base, leading, size)
@@ -67,7 +56,7 @@ class BaseParameters(NamedTuple):
     @property
     def names(self) -> tuple[str, ...]:
         """Names [rank] of the base parameters, as sums of at most three terms."""
-        return sums(self.base, self.every_name, torch.where(self.sizes > 0, 1 / self.sizes, 0.0))
+        return base_names(self.base, self.every_name, inverse_of(self.sizes))
 
     def columns(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         """Torques per unit of each, over the noise, [..., n, rank]."""
@@ -85,7 +74,7 @@ class BaseParameters(NamedTuple):
         size = A.diagonal().sqrt()
         size = torch.where(size > 0, size, 1.0)
         e, V = torch.linalg.eigh(A / size / size[:, None])
-        identifiable = e > INDEPENDENT * e[-1]
+        identifiable = e > SEPARATE * e[-1]
         variance = V.square() @ torch.where(identifiable, 1 / torch.where(identifiable, e, 1.0), 0.0)
         unknown = (V.square()[:, ~identifiable] > 1e-6).any(1)
         return torch.where(unknown, torch.inf, variance.sqrt() / size / self.typical)

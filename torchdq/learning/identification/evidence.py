@@ -11,12 +11,15 @@ from torch import Tensor
 
 from torchdq.learning.evaluation.blocks import Block, MotionRows, regions
 from torchdq.learning.evaluation.correlation import correlation_times
+from torchdq.learning.evaluation.coverage import interval_factors
 from torchdq.learning.identification.feasible import Neighbourhood
-from torchdq.learning.identification.regression import gram, places, squared, torques
+from torchdq.learning.identification.regression import by_chunks, gram, parted, places, rigid, squared, torques
 from torchdq.learning.identification.terms import ROTOR, Term, rows_of, unit_torques
 from torchdq.robot import Robot
 
 STILL = 1e-2  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
+NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, in standard deviations
+ROWS = 4096  # most rows that intervals are made from
 
 
 class Unseen(NamedTuple):
@@ -32,6 +35,9 @@ class Evidence(NamedTuple):
     robot: Robot
     recording: MotionRows
     terms: tuple[Term, ...]
+    sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
+    blocks: Sequence[Block]  # parts that are left out in turn; none: nothing is left out
+    say: Callable[[str], None]  # is called with the progress
     own: Tensor  # [rows, n, terms] torques per unit of the terms
     total: Tensor  # [n, p + 1, p + 1] of all rows
     left: Tensor  # [blocks, n, p + 1, p + 1] of the rows of each block, and region
@@ -48,6 +54,12 @@ class Evidence(NamedTuple):
         """Number of rows."""
         return len(self.own)
 
+    def with_loads(self, parameters: Tensor) -> Evidence:
+        """Evidence with the loads that the bodies and rotors of a fit make, which found these parameters [k]."""
+        pi, own = parted(self.robot, parameters)
+        rotors = own[self.terms.index(ROTOR)] if ROTOR in self.terms else self.robot.armature
+        return gather(*self[:6], pi, rotors) if any(term.loaded for term in self.terms) else self
+
     def near(self, estimated: Tensor, strength: float = 1.0) -> Neighbourhood:
         """Neighbourhood of the description, with those coefficients [terms, n] that are estimated."""
         return Neighbourhood(self.robot, self.terms, estimated, self.squares.sqrt(), self.unit, strength)
@@ -57,54 +69,82 @@ class Evidence(NamedTuple):
         found = [squared(sums, change) for sums, change in zip(self.left, changes, strict=True)]
         return torch.stack(found) / self.sizes
 
-    def residual(self, change: Tensor) -> Tensor:
-        """Residuals of all rows [rows, n] after a change of the parameters [n, p]."""
-        phi = _bodies(self.robot, self.at.shape[1]) + change
-        tau = torques(self.robot, self.recording, self.own, phi, ROTOR not in self.terms)
-        return self.recording.measured - tau
+    def residual(self, change: Tensor, rows: Tensor | None = None) -> Tensor:
+        """Residuals [rows, n] after a change of the parameters [n, p]; of all rows, or those of these numbers."""
+        some, own = (self.recording, self.own) if rows is None else (self.recording.some(rows), self.own[rows])
+        phi = bodies(self.robot, self.at.shape[1]) + change
+        return some.measured - torques(self.robot, some, own, phi, ROTOR not in self.terms)
 
-    def left_out(self, changes: Sequence[Tensor], blocks: Sequence[Block]) -> tuple[list[Unseen], list[Unseen]]:
+    def left_out(self, changes: Sequence[Tensor]) -> tuple[list[Unseen], list[Unseen]]:
         """Residuals of blocks, and of regions, by parameters [n, p] that were found without each."""
-        found, device = [], self.recording.q.device
-        parts = [torch.arange(block.rows.start, block.rows.stop, device=device) for block in blocks]
+        device = self.recording.q.device
+        parts = [torch.arange(block.rows.start, block.rows.stop, device=device) for block in self.blocks]
         parts += [half for pair in regions(self.recording) for half in pair]
-        for change, rows in zip(changes, parts, strict=True):
-            some, phi = self.recording.some(rows), _bodies(self.robot, self.at.shape[1]) + change
-            tau = torques(self.robot, some, self.own[rows], phi, ROTOR not in self.terms)
-            found.append(Unseen(rows, some.measured - tau))
-        return found[: len(blocks)], found[len(blocks) :]
+        found = [Unseen(rows, self.residual(change, rows)) for change, rows in zip(changes, parts, strict=True)]
+        return found[: len(self.blocks)], found[len(self.blocks) :]
+
+    def half_widths(self, left_out: Sequence[Sequence[Unseen]], spread: Tensor, noise: Tensor) -> Tensor:
+        """Half-widths [n] of intervals that hold 95 % of measured torques, in units of the errors that are predicted.
+
+        Of those that blocks and regions that were left out ask for, the larger ones are taken; where there are neither,
+        errors are assumed to be normal. Errors are those of parameters with the covariance `spread` [k, t] times its
+        transpose, and of noise with these standard deviations [n].
+        """
+        F, found = spread[self.at], list[Tensor]()
+        for kind in filter(None, left_out):
+            ratios, few = [], -(-sum(len(part.rows) for part in kind) // ROWS)
+            for rows, residual in ((part.rows[::few], part.residual[::few]) for part in kind):
+                some, error = self.recording.some(rows), torch.empty_like(residual)
+                for chunk, Z in by_chunks(self.robot, some, self.own[rows], F.numel()):
+                    error[chunk] = torch.einsum("rjp,jpt->rjt", Z, F.to(Z)).norm(dim=-1)
+                ratios.append(residual / torch.hypot(error, noise.to(error)))
+            found.append(interval_factors(ratios).cpu())
+        return torch.stack(found).amax(0) if found else torch.full_like(noise, NORMAL)
 
     def correlation(self, change: Tensor) -> Tensor:
         """Correlation times [n], in rows, of the residuals after a change of the parameters [n, p]."""
         return correlation_times(self.residual(change), self.recording.lengths)
 
+    def only(self, used: Tensor) -> Evidence:
+        """Evidence without terms that are not used [terms]."""
+        p = self.at.shape[1]
+        keep = torch.ones(p + 1, dtype=torch.bool)
+        keep[p - len(used) : p] = used
+        terms = tuple(term for term, u in zip(self.terms, used.tolist(), strict=True) if u)
+        total, left, folds = (sums[..., keep, :][..., keep] for sums in (self.total, self.left, self.folds))
+        return self._replace(
+            terms=terms,
+            own=self.own[..., used.to(self.own.device)],
+            total=total,
+            left=left,
+            folds=folds,
+            unit=self.unit[used],
+            identifiable=self.identifiable[used],
+            at=places(len(self.robot.link_names), len(terms), self.robot.n),
+        )
+
 
 def gather(
-    robot: Robot,
+    robot: Robot,  # as described
     recording: MotionRows,
-    terms: Sequence[Term],
+    terms: Sequence[Term],  # all that may be estimated
     sign_width: float,
-    load: Tensor | None,
-    blocks: Sequence[Block],
-    say: Callable[[str], None],
+    blocks: Sequence[Block] = (),
+    say: Callable[[str], None] = lambda _: None,
+    pi: Tensor | None = None,
+    rotors: Tensor | None = None,
 ) -> Evidence:
-    """Evidence of a recording.
-
-    Args:
-        robot: the robot as described.
-        recording: the rows.
-        terms: all terms that may be estimated.
-        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
-        load: torque of the bodies and the rotor, where terms depend on it [rows, n].
-        blocks: blocks to leave out; none: nothing is left out.
-        say: is called with the progress.
-    """
+    """Evidence of a recording; loads are those of bodies [10 links] and rotors [n], or of the described ones."""
+    if pi is None:
+        pi, rotors = described(robot), robot.armature
+    load = rigid(robot, recording, pi, rotors) if any(term.loaded for term in terms) else None
     states = rows_of(robot, recording, sign_width, load)
     own = unit_torques(terms, states)
     at = places(len(robot.link_names), len(terms), robot.n)
+    start, rotor = bodies(robot, at.shape[1]), ROTOR not in terms
     rows = [block.rows for block in blocks] or [slice(0, len(own))]
     margins = [part for block in blocks for part in block.margins]
-    sums = gram(robot, recording, own, _bodies(robot, at.shape[1]), ROTOR not in terms, [*rows, *margins], say)
+    sums = gram(robot, recording, own, start, rotor, [*rows, *margins], say)
     left, total, first = sums[: len(rows)], sums[: len(rows)].sum(0), len(rows)
     folds = total - left
     for k, block in enumerate(blocks):
@@ -116,8 +156,8 @@ def gather(
     variance = variance.maximum(STILL * variance.amax(0))
     counts = [part.stop - part.start for part in rows]
     for pair in regions(recording) if blocks else ():
-        some, whole = recording.some(pair[0]), slice(0, len(pair[0]))
-        half = gram(robot, some, own[pair[0]], _bodies(robot, at.shape[1]), ROTOR not in terms, [whole], say)
+        whole = [slice(0, len(pair[0]))]
+        half = gram(robot, recording.some(pair[0]), own[pair[0]], start, rotor, whole, say)
         left, folds = torch.cat([left, half, total - half]), torch.cat([folds, total - half, half])
         variance = torch.cat([variance, tau.var(0, correction=0).expand(2, -1)])
         counts += [len(part) for part in pair]
@@ -129,9 +169,8 @@ def gather(
     for k, term in enumerate(terms):
         identifiable[k] = term.identifiable(states)
         unit[k] = term.size(rms[k], squares.sqrt(), identifiable[k])
-    return Evidence(
-        robot, recording, tuple(terms), own, total, left, folds, each, sizes, squares, unit, identifiable, at
-    )
+    given = robot, recording, tuple(terms), sign_width, blocks, say
+    return Evidence(*given, own, total, left, folds, each, sizes, squares, unit, identifiable, at)
 
 
 def described(robot: Robot) -> Tensor:
@@ -140,7 +179,7 @@ def described(robot: Robot) -> Tensor:
     return Neighbourhood(robot, (), none, none.new_zeros(robot.n), none, math.inf).described
 
 
-def _bodies(robot: Robot, p: int) -> Tensor:
+def bodies(robot: Robot, p: int) -> Tensor:
     """Parameters [n, p] of the described bodies, and coefficients of zero."""
     pi = described(robot).expand(robot.n, -1)
     return torch.cat([pi, pi.new_zeros(robot.n, p - pi.shape[1])], 1)

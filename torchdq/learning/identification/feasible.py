@@ -79,9 +79,7 @@ class Neighbourhood:
         self.S = torch.zeros(k, 10 * len(self.links) + len(self.effects), dtype=torch.float64)
         self.inverse = torch.zeros_like(self.S).T  # y of a change of phi
         C = self.factor[:, None]
-        blocks = inertial_parameters(C @ BASIS @ C.mT).mT / math.sqrt(
-            self.strength
-        )  # [links, 10 parameters, 10 entries]
+        blocks = inertial_parameters(C @ BASIS @ C.mT).mT / self.strength**0.5  # [links, 10 parameters, 10 entries]
         for i, link in enumerate(self.links.tolist()):
             own, columns = slice(10 * i, 10 * i + 10), slice(10 * link, 10 * link + 10)
             self.S[columns, own], self.inverse[own, columns] = blocks[i], torch.linalg.inv(blocks[i])

@@ -4,9 +4,7 @@ A fit to all blocks but one is a ridge regression on sums, in which the coeffici
 that a term more at a joint changes that joint's part alone.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -51,22 +49,12 @@ class _Fit(NamedTuple):
 
 def gainful(
     evidence: Evidence,
-    variance: Tensor,
-    estimated: Tensor,
-    candidates: Sequence[int],
-    strength: float,
-    say: Callable[[str], None],
+    variance: Tensor,  # [n] variances of the residuals, times their correlation times
+    estimated: Tensor,  # [terms, n] coefficients that are estimated already
+    candidates: Sequence[int],  # terms to choose from
+    strength: float,  # prior of the bodies; infinite: they stay as described
 ) -> tuple[Tensor, list[Gain]]:
-    """Coefficients that are estimated [terms, n], with those of candidates that gain, and the gains.
-
-    Args:
-        evidence: sums of the blocks.
-        variance: of the residuals, times their correlation time [n].
-        estimated: coefficients that are estimated already [terms, n].
-        candidates: terms to choose from.
-        strength: of the prior of the bodies; infinite: they stay as described.
-        say: is called with the progress.
-    """
+    """Coefficients that are estimated [terms, n], with those of candidates that gain, and the gains."""
     near = evidence.near(torch.ones_like(estimated), strength)
     n, b, p = len(variance), 10 * len(near.links), evidence.at.shape[1]
     inertial = p - len(estimated)
@@ -77,8 +65,7 @@ def gainful(
     basis[:, -1, -1] = 1
     sums = torch.cat([evidence.folds, evidence.total[None]])
     M = basis.mT @ sums @ basis / variance[:, None, None]
-    left = basis.mT @ evidence.left @ basis
-    blocks = len(left)
+    left, blocks = basis.mT @ evidence.left @ basis, len(evidence.left)
 
     def fit(j: int, mask: Tensor) -> _Fit:
         own = (b + mask.nonzero()[:, 0]).tolist()
@@ -94,11 +81,9 @@ def gainful(
         e = one.errors(y)[:blocks]
         return torch.einsum("ks,kst,kt->k", e, left[:, j], e) / evidence.sizes[:, j]
 
-    estimated, gains = estimated.clone(), list[Gain]()
-    names = evidence.robot.joint_names
-    open_joints = set(range(n))
+    estimated, gains, open_joints = estimated.clone(), list[Gain](), set(range(n))
     for round_ in range(ROUNDS):
-        say(f"friction, round {round_ + 1} of at most {ROUNDS}")
+        evidence.say(f"friction, round {round_ + 1} of at most {ROUNDS}")
         fits = [fit(j, estimated[:, j] & (scale[:, j] > 0)) for j in range(n)]
         H, h = torch.stack([one.H for one in fits]).sum(0), torch.stack([one.h for one in fits]).sum(0)
         y = solved(H, h)
@@ -120,14 +105,13 @@ def gainful(
                 less = before - score(j, more, y_more)
                 mean, error = float(less.mean()), float(less.std() / blocks**0.5)
                 if mean > max(error, GAIN * float(before.mean())) and (best is None or mean > best[1].gain):
-                    best = (c, Gain(evidence.terms[c].name, names[j], mean, error))
-            if best is None:
-                open_joints.discard(j)
-            else:
+                    best = (c, Gain(evidence.terms[c].name, evidence.robot.joint_names[j], mean, error))
+            if best is not None:
                 added.append((j, *best))
-        if not added:
-            break
+        open_joints = {j for j, *_ in added}
         for j, c, gain in added:
             estimated[c, j] = True
             gains.append(gain)
+        if not added:
+            break
     return estimated, gains

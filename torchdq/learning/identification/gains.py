@@ -13,16 +13,14 @@ Errors of the gains make errors of the parameters (`spread_of_gains`): the param
 torques, and the torques of a joint are its gain times its efforts.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.evidence import Evidence, described
+from torchdq.learning.identification.evidence import Evidence, bodies
 from torchdq.learning.identification.feasible import Neighbourhood
-from torchdq.learning.identification.regression import moments, places
+from torchdq.learning.identification.regression import by_chunks, places
 from torchdq.learning.identification.solution import Solution, solve
 from torchdq.learning.identification.terms import Term
 
@@ -45,23 +43,20 @@ class Gains(NamedTuple):
 
 
 def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
-    """Gains of the drives, from the sums of their efforts, and L [n, n], their covariance being L L^T.
+    """Gains of the drives, from evidence of their efforts, and L [n, n], their covariance being L L^T.
 
-    Args:
-        evidence: of the efforts, with all terms of friction, and the rotors if the robot has any.
-        known: joints whose efforts are torques but for a factor near one [n].
+    The evidence has all terms of friction, and the rotors if the robot has any; `known` are joints whose efforts are
+    torques but for a factor near one [n].
     """
     robot, sums, n = evidence.robot, evidence.total, evidence.robot.n
     terms, p = (*evidence.terms, GAIN), evidence.at.shape[1]
-    at = places(len(robot.link_names), len(terms), n)
-    pi = described(robot)
-    start = torch.cat([pi.expand(n, -1), torch.zeros(n, p - len(pi), dtype=pi.dtype)], 1)
-    centre = torch.where(known, 1.0, _guess(sums, start, len(pi), evidence.samples, ~known))
+    at, start = places(len(robot.link_names), len(terms), n), bodies(robot, p)
+    inertial = torch.arange(p) < 10 * len(robot.link_names)
+    centre = torch.where(known, 1.0, _guess(sums, start, int(inertial.sum()), evidence.samples, ~known))
     scale = torch.where(known, SPREAD, WIDE) * centre
-    h, phi, inertial = centre, start, torch.arange(p) < len(pi)
-    correlation = torch.ones(n, dtype=pi.dtype)
+    h, phi, correlation = centre, start, torch.ones(n, dtype=start.dtype)
     for _ in range(ITERATIONS):
-        T = torch.zeros(n, p + 1, p + 2, dtype=pi.dtype)
+        T = torch.zeros(n, p + 1, p + 2, dtype=start.dtype)
         T[:, :p, :p] = torch.diag_embed(torch.where(inertial, h[:, None], 1.0))
         T[:, :p, p] = phi
         T[:, :p, -1] = (1 - h)[:, None] * start + (h - centre)[:, None] * phi
@@ -82,19 +77,19 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
 
 
 def spread_of_gains(
-    evidence: Evidence, found: Solution, correlation: Tensor, prior: float, gains: Gains, spread: Tensor
+    evidence: Evidence,  # about torques by the gains
+    found: Solution,  # fit to them
+    correlation: Tensor,  # [n] correlation times of the residuals in rows, as in the fit
+    prior: float,  # weight of its prior
+    gains: Gains,
+    spread: Tensor,  # [n, n] from `drive_gains`
 ) -> Tensor:
-    """Factor F [k, n] of the covariance F F^T of the parameters that errors of the gains make.
-
-    Args:
-        evidence: of torques by the gains.
-        found: the fit to them.
-        correlation: correlation times of the residuals in rows [n], as in the fit.
-        prior: weight of its prior.
-        gains, spread: from `drive_gains`.
-    """
+    """Factor F [k, n] of the covariance F F^T of the parameters that errors of the gains make."""
     near, facts = found.near, found.facts
-    per_gain = moments(evidence.robot, evidence.recording, evidence.own) / gains.value[:, None]
+    moments = torch.zeros(evidence.at.shape, dtype=spread.dtype)  # sums of Z^T tau
+    for part, Z in by_chunks(evidence.robot, evidence.recording, evidence.own, moments.numel()):
+        moments += torch.einsum("rjp,rj->jp", Z, evidence.recording.measured[part]).cpu()
+    per_gain = moments / gains.value[:, None]
     right = torch.einsum("jp,jpt->tj", per_gain / (correlation * facts.noise**2)[:, None], near.S[evidence.at])
     return near.S @ facts.V @ ((facts.V.T @ right) / (facts.e + prior)[:, None]) @ spread
 

@@ -20,8 +20,7 @@ from torchdq.findings import Finding
 from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.identification.gains import Gains
 from torchdq.learning.identification.model_selection import ModelSelection
-from torchdq.learning.identification.naming import sums
-from torchdq.learning.identification.regression import chunks, columns, places, rigid
+from torchdq.learning.identification.regression import base_names, by_chunks, parted, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
 from torchdq.learning.logs.motions import Motion
 from torchdq.nn import InverseDynamics
@@ -48,18 +47,14 @@ class Identified(NamedTuple):
     """Identified robot with its parameters and their errors.
 
     `parameters` are phi [k] with the names `names`: ten per link in the order of `Robot.inertial_parameters`, then
-    rotor inertias, viscous, Coulomb and offset, of all joints each, those that were estimated.
-
-    `covariance` [k, k] is that of the least squares with the prior, linearised at the description: its diagonal is the
-    squared standard error that noise of the found size leaves. Smoothed signals and faults of the model are not
-    independent from row to row: as many rows as `correlation` says count as one.
-
-    Parameters that the samples do not identify have the width of the prior instead, the described size over
-    sqrt(prior), which is large, and right as long as the description is not off by more; that the robot must be
-    physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `identifiable`
-    is false for them. Where gains of the drives were estimated, the covariance includes their errors, and
-    `by_these_gains` leaves them out. The samples identify `rank` combinations, the base parameters
+    those of the `terms`, of all joints each. The samples identify `rank` combinations of them, the base parameters
     `base` @ `parameters`.
+
+    `covariance` [k, k] is that of the least squares with the prior, linearised at the description, for noise of the
+    found size; as many rows as `correlation` says count as one. Where gains of the drives were estimated, it includes
+    their errors, and `by_these_gains` leaves them out. Parameters that the samples do not identify, as most single
+    masses and inertias, have the width of the prior instead, the described size over sqrt(prior), right as long as the
+    description is not off by more; that the robot must be physical is not counted. `identifiable` is false for them.
 
     Printed, it is a table of the parameters.
     """
@@ -84,11 +79,7 @@ class Identified(NamedTuple):
 
     def coefficients(self, name: str) -> Tensor | None:
         """Parameters [n] of the joints of one kind: "rotor", "viscous", "coulomb", "offset"; None: not estimated."""
-        kinds, n = [term.name for term in self.terms], self.robot.n
-        if name not in kinds:
-            return None
-        first = 10 * len(self.robot.link_names) + n * kinds.index(name)
-        return self.parameters[first : first + n]
+        return coefficients_of(self.robot, self.terms, self.parameters, name)
 
     @property
     def viscous(self) -> Tensor | None:
@@ -142,7 +133,7 @@ class Identified(NamedTuple):
     @property
     def base_names(self) -> tuple[str, ...]:
         """Base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms."""
-        return sums(self.base, self.names, self.errors)
+        return base_names(self.base, self.names, self.errors)
 
     @property
     def base_errors(self) -> Tensor:
@@ -151,9 +142,8 @@ class Identified(NamedTuple):
 
     def friction(self) -> tuple[Friction, ...]:
         """Friction effects with the numbers found, the same for layers and scenes."""
-        own = self.parameters[10 * len(self.robot.link_names) :].reshape(-1, self.robot.n).tolist()
-        found = [term.found(numbers, self.sign_width) for term, numbers in zip(self.terms, own, strict=True)]
-        return tuple(effect for some in found for effect in some)
+        rows = zip(self.terms, parted(self.robot, self.parameters)[1].tolist(), strict=True)
+        return tuple(effect for term, numbers in rows for effect in term.found(numbers, self.sign_width))
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects of a scene with the robot found: gravity, rotor inertia if there is any, and friction.
@@ -174,17 +164,15 @@ class Identified(NamedTuple):
     def layer(self, learn: Sequence[str] = ()) -> InverseDynamics:
         """Torques as a module: the robot found, with its friction, the width of dry friction, and the offset.
 
-        A layer does not know the motion before, so friction that remembers is that of steady sliding there.
-        `Model(memory=False)` of `identify` finds the best friction without memory. `IdentifiedWithResidual` adds a
-        network to friction that remembers.
+        A layer does not know the motion before, so friction with memory is that of steady sliding there.
+        `Model(memory=False)` finds the best friction without; `IdentifiedWithResidual` adds a network to that with it.
 
         Args:
             learn: quantities that the layer goes on learning, as in `torchdq.InverseDynamics`; "friction" only if no
                 two effects of `friction()` are of one kind.
         """
         friction = _summed([one.steady(self.sign_width) for one in self.friction()])
-        names = [*learn, "offset"] if self.offset is not None else list(learn)
-        learned = tuple(dict.fromkeys(names))
+        learned = tuple(dict.fromkeys([*learn, *(["offset"] if self.offset is not None else [])]))
         layer = InverseDynamics(self.robot, learned, sign_width=self.sign_width, friction=friction)
         if self.offset is not None:
             layer.offset = self.offset
@@ -198,9 +186,9 @@ class Identified(NamedTuple):
     def to_urdf(self, original: Any) -> str:
         """URDF text of the robot found: the original with other numbers, as `Robot.to_urdf`.
 
-        A URDF file holds viscous and Coulomb friction alone: it gets those that come nearest to all friction found in
-        the samples (`with_simple_friction`). A `UserWarning` names friction of other shapes that they stand for, and
-        what has no place in the file: rotor inertia and offsets. Torques computed from the file are wrong by that.
+        Its viscous and Coulomb friction are those of `with_simple_friction`. A `UserWarning` names friction of other
+        shapes that they stand for, and rotor inertia and offsets, which have no place in the file. Torques computed
+        from the file are wrong by that.
 
         Args:
             original: the file that the robot was read from, as in `Robot.from_urdf`.
@@ -250,12 +238,10 @@ class Identified(NamedTuple):
     ) -> Prediction:
         """Torques of the identified robot, friction and offset included, [..., n], with standard errors and intervals.
 
-        The errors are those of the parameters, and those of the model, `model`, which are what blocks of the motions
-        that were left out show beyond both noise and parameters: none where no model was chosen. The intervals are
-        `half_width` times the root of the squared errors of the parameters and the squared noise, to either side: as
-        wide as they had to be to hold 95 % of the measured torques of those blocks, and of a block more. Where no
-        model was chosen, errors are taken for normal. In motions that go elsewhere or far faster the intervals hold
-        less, since nothing recorded shows by how much.
+        The errors are those of the parameters, and those of the model, `model`. The intervals are `half_width` times
+        the root of the squared errors of the parameters and the squared noise, to either side: as wide as they had to
+        be to hold 95 % of the measured torques of blocks that were left out, and of a block more. Where no model was
+        chosen, errors are taken for normal. In motions that go elsewhere or far faster the intervals hold less.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]
@@ -267,22 +253,23 @@ class Identified(NamedTuple):
         phi, spread = self.parameters[at], self.spread[at]
         tau, error = torch.empty_like(recording.q), torch.empty_like(recording.q)
         with torch.no_grad():
-            rotor = self.coefficients(ROTOR.name)
-            pi = self.parameters[: 10 * len(self.robot.link_names)]
-            load = None
-            if any(term.loaded for term in self.terms):
-                load = rigid(self.robot, recording, pi, self.robot.armature)
+            pi, loaded = parted(self.robot, self.parameters)[0], any(term.loaded for term in self.terms)
+            load = rigid(self.robot, recording, pi, self.robot.armature) if loaded else None
             own = unit_torques(self.terms, rows_of(self.robot, recording, self.sign_width, load))
-            for part in chunks(slice(0, len(tau)), n * spread.shape[1] + spread.numel()):
-                q, qd, qdd = recording.q[part], recording.qd[part], recording.qdd[part]
-                Z = columns(self.robot, q, qd, qdd, own[part])
-                tau[part] = torch.einsum("rjp,jp->rj", Z, phi.to(q))
-                error[part] = torch.einsum("rjp,jpt->rjt", Z, spread.to(q)).norm(dim=-1)
-                if rotor is None and self.robot.armature is not None:
-                    tau[part] += self.robot.armature.to(q) * qdd
+            for part, Z in by_chunks(self.robot, recording, own, n * spread.shape[1] + spread.numel()):
+                tau[part] = torch.einsum("rjp,jp->rj", Z, phi.to(Z))
+                error[part] = torch.einsum("rjp,jpt->rjt", Z, spread.to(Z)).norm(dim=-1)
+            if ROTOR not in self.terms and self.robot.armature is not None:
+                tau += self.robot.armature.to(tau) * recording.qdd
             margin = self.half_width.to(error) * torch.hypot(error, self.noise.to(error))
             error = torch.hypot(error, self.model.to(error))
         return Prediction(*(x.reshape(*batch, n) for x in (tau, error, tau - margin, tau + margin)))
+
+
+def coefficients_of(robot: Robot, terms: Sequence[Term], parameters: Tensor, name: str) -> Tensor | None:
+    """Coefficients [..., n] of the term with a name among parameters [..., k]; None: there is none."""
+    names = [term.name for term in terms]
+    return parted(robot, parameters)[1][..., names.index(name), :] if name in names else None
 
 
 def recorded(

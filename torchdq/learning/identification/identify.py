@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -29,11 +29,11 @@ from torchdq.findings import Finding
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, of_motions, too_few
 from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, sampled, unexplained
-from torchdq.learning.identification.calibration import half_widths
-from torchdq.learning.identification.evidence import Evidence, described, gather
+from torchdq.learning.identification.augmented import AugmentedFit, offset_findings
+from torchdq.learning.identification.evidence import Evidence, gather
 from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified
-from torchdq.learning.identification.missing_effects import missing_effects
+from torchdq.learning.identification.lags import lag_findings
 from torchdq.learning.identification.model import Model
 from torchdq.learning.identification.model_selection import (
     STRENGTHS,
@@ -42,7 +42,7 @@ from torchdq.learning.identification.model_selection import (
     UnseenParts,
     select,
 )
-from torchdq.learning.identification.regression import base_parameters, rigid
+from torchdq.learning.identification.regression import base_parameters, parted
 from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
@@ -55,6 +55,7 @@ from torchdq.robot.argument import require_bodies, require_robot
 from torchdq.robot.model import batches
 
 IDENTIFIABLE = 0.9  # least part of a parameter's variance that the samples take away where they identify it
+FEW = 100  # rows below which no effects that the model lacks are reported
 AUTO = Model()
 
 
@@ -74,14 +75,6 @@ class _Problem(NamedTuple):
         return self.selection if self.selection is not None and self.selection.validated else None
 
 
-class _Fitted(NamedTuple):
-    """Solution of a problem."""
-
-    problem: _Problem
-    solution: Solution
-    correlation: Tensor  # [n] correlation times of the residuals, in rows
-
-
 @one_thread()
 def identify(
     robot: Robot,
@@ -92,33 +85,31 @@ def identify(
 ) -> Identified:
     """Physically consistent robot that explains measured torques best, as `Identified`.
 
-    Blocks of the motions are left out in turn, and the candidates are validated on them: the description, the
-    description with friction, all inertial parameters with a prior at the description, and friction of other shapes.
-    The simplest one within one standard error of the best is returned; `selection` says so. Where there are too few
-    samples to leave any out, that is viscous and Coulomb friction and a prior of 1; a `LogWarning` says how many would
-    do.
+    Blocks of the motions are left out in turn, and candidates are validated on them: the description, with friction,
+    with all inertial parameters and a prior at the description, and with friction of other shapes. The simplest one
+    within one standard error of the best is returned; `selection` says so. Where there are too few samples, that is
+    viscous and Coulomb friction and a prior of 1; a `LogWarning` says how many would do.
 
-    Joints are weighted by the noise that least squares leave in each. A link without mass stays without; a body
-    described as a point, a rod or a plate gets 1 % of its size as thickness. Friction and rotor inertia that the
-    description does not give make 10 % of the joint's torques where the samples do not say otherwise. Solving costs
-    the same for any number of samples, and they are read in pieces.
+    Joints are weighted by the noise that least squares leave in each. A link without mass stays without; a point, a rod
+    or a plate gets 1 % of its size as thickness. Friction and rotor inertia that the description does not give make
+    10 % of the joint's torques where the samples do not say otherwise. Samples are read in pieces, and solving costs
+    the same for any number of them.
 
     Args:
         robot: the robot as described, without batch axes.
-        motions: motions from `smooth`, which hold the sign of the velocity, filtered as the torques: filters round the
-            steps of dry friction in the torques, and with sharp signs Coulomb friction comes out too small, viscous
-            friction too large. Or `Samples(q, qd, qdd, tau)` of unfiltered torques, [..., n] each, the last of the
-            leading axes being time and the others motions; if their rows are not in the order of time, give `friction`
-            and `prior`, because a model is chosen by leaving out neighbouring rows together.
+        motions: motions from `smooth`, which hold the sign of the velocity filtered as the torques: with sharp signs,
+            Coulomb friction in filtered torques comes out too small, viscous friction too large. Or
+            `Samples(q, qd, qdd, tau)` of unfiltered torques, [..., n] each, the last of the leading axes being time and
+            the others motions; if their rows are in no order of time, give `friction` and `prior`, because a model is
+            chosen by leaving out neighbouring rows together.
         model: the parameters that are estimated besides those of the bodies.
-        prior: weight of the description, positive: a change of 1 / sqrt(prior), relative to the described value, costs
-            as much as one torque that is off by the noise of its joint. What hundreds of samples identify does not
-            depend on it, what they hardly identify stays near the description, the rest stays as described. None: the
-            strength that does best on blocks left out, for bodies, and 1 for the rest. math.inf: bodies stay as
-            described.
-        sign_width: velocity below which Coulomb friction is viscous, the width of `torchdq.effects.Coulomb` [rad/s or
-            m/s]. The default is larger than that of `smooth`, which only rounds the sharp steps in logs of real arms:
-            simulations would need tiny steps there. With motions of `smooth` it only serves predictions and simulation.
+        prior: weight of the description, positive: a relative change of 1 / sqrt(prior) costs as much as one torque
+            that is off by the noise of its joint. What hundreds of samples identify does not depend on it, the rest
+            stays near the description. None: the strength that does best on blocks left out, for bodies, and 1 for the
+            rest. math.inf: bodies stay as described.
+        sign_width: velocity below which Coulomb friction is viscous, as in `torchdq.effects.Coulomb` [rad/s or m/s].
+            With motions of `smooth`, which have a smaller one, it only serves predictions and simulations, which would
+            need tiny steps otherwise.
 
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
@@ -141,7 +132,15 @@ def identify(
     if not isinstance(model, Model):
         raise ArgumentError(f"model must be a Model, such as Model(friction=None), found {model!r}")
     rows = of_motions(robot, motions)
-    _require(robot, rows, prior, sign_width)
+    if not len(rows.q) or not robot.n:
+        raise ArgumentError(
+            f"at least one sample and one joint are needed, found {len(rows.q)} samples of {robot.n} joints"
+        )
+    if prior is not None and prior != math.inf:
+        require_number("prior", prior, positive=True)
+    require_number("sign_width", sign_width, positive=True)
+    require_finite(**{"tau": rows.measured} | rows.signals())
+    require_bodies(robot, "identification")
     fixed = model.fixed(robot, sign_width)
     known = torch.tensor(rows.known_gains).expand(robot.n)
     if not (model.gains or bool(known.all())):
@@ -150,31 +149,19 @@ def identify(
     with torch.no_grad(), _solvable(rows.signals()), Progress(f"identifying {robot.name}") as notice:
         drives = None
         if model.gains:
-            motors = gather(robot, rows, model.of_motors(robot), sign_width, None, (), notice.at)
+            motors = gather(robot, rows, model.of_motors(robot), sign_width, say=notice.at)
             drives = drive_gains(motors, known)
             rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         data = diagnose(robot, partial(inverse_dynamics, robot), [rows.q, rows.qd, rows.qdd, rows.measured], sign_width)
         still = _still_joints(robot, rows.qd, sign_width)
         _warn([*still, *data])
         problem = _problem(robot, rows, model, fixed, prior, sign_width, notice.at)
-        fit = _fitted(problem, sign_width, notice.at)
-        misfits = _misfits(
-            fit, sign_width, offsets=not (problem.validated and model.offset == "auto"), explained=not data
-        )
+        problem, found, correlation = _fitted(problem)
+        offsets = not (problem.validated and model.offset == "auto")
+        misfits = _misfits(problem, found, offsets, explained=not data)
         _warn(misfits)
-        return _identified(fit, sign_width, drives)._replace(findings=(*still, *data, *misfits))
-
-
-def _require(robot: Robot, rows: MotionRows, prior: Any, sign_width: Any) -> None:
-    """Raise unless samples and options are such that the robot can be identified."""
-    if not len(rows.q) or not robot.n:
-        found = f"{len(rows.q)} samples of {robot.n} joints"
-        raise ArgumentError(f"at least one sample and one joint are needed, found {found}")
-    if prior is not None and prior != math.inf:
-        require_number("prior", prior, positive=True)
-    require_number("sign_width", sign_width, positive=True)
-    require_finite(**{"tau": rows.measured} | rows.signals())
-    require_bodies(robot, "identification")
+        identified = _identified(problem, found, correlation, drives)
+        return identified._replace(findings=(*still, *data, *misfits))
 
 
 def _warn(findings: Sequence[Finding]) -> None:
@@ -201,8 +188,7 @@ def _problem(
         selection, evidence, unseen = select(robot, rows, fixed, model.candidates(), sign_width, strengths, parts, say)
         chosen = selection.chosen
         return _Problem(evidence, chosen.estimated[chosen.estimated.any(1)], chosen.strength, weight, selection, unseen)
-    load = rigid(robot, rows, described(robot), robot.armature) if any(term.loaded for term in fixed) else None
-    evidence = gather(robot, rows, fixed, sign_width, load, (), say)
+    evidence = gather(robot, rows, fixed, sign_width, say=say)
     problem = _Problem(evidence, torch.ones(len(fixed), robot.n, dtype=torch.bool), strength, weight)
     if not choice:
         return problem
@@ -212,38 +198,40 @@ def _problem(
     return problem._replace(selection=ModelSelection((only,), 0, str(too_few(rows)), none.sum(0)))
 
 
-def _fitted(problem: _Problem, sign_width: float, say: Callable[[str], None]) -> _Fitted:
-    """Solution to all rows, with the correlation times of its residuals; loads are those that it finds itself."""
-    evidence, robot, at = problem.evidence, problem.evidence.robot, problem.evidence.at
-    correlation = torch.ones(robot.n, dtype=torch.float64)
+def _fitted(problem: _Problem) -> tuple[_Problem, Solution, Tensor]:
+    """Solution to all rows with the loads that it finds itself, and correlation times [n] of its residuals in rows."""
+    evidence = problem.evidence._replace(blocks=())
+    correlation = torch.ones(evidence.robot.n, dtype=torch.float64)
     for again in (True, False):
-        near = evidence.near(problem.estimated, problem.strength)
-        found = solve(near, evidence.total, evidence.squares, evidence.samples, correlation, at, problem.weight, say)
+        near, at = evidence.near(problem.estimated, problem.strength), evidence.at
+        sums, say = evidence.total, evidence.say
+        found = solve(near, sums, evidence.squares, evidence.samples, correlation, at, problem.weight, say)
         if again:
             correlation = evidence.correlation(found.change(at))
-            if any(term.loaded for term in evidence.terms):
-                pi = found.parameters[: 10 * len(robot.link_names)]
-                load = rigid(robot, evidence.recording, pi, _replaced(robot, found, evidence.terms).armature)
-                evidence = gather(robot, evidence.recording, evidence.terms, sign_width, load, (), say)
-    return _Fitted(problem._replace(evidence=evidence), found, correlation)
+            evidence = evidence.with_loads(found.parameters)
+    return problem._replace(evidence=evidence), found, correlation
 
 
-def _identified(fit: _Fitted, sign_width: float, drives: tuple[Gains, Tensor] | None) -> Identified:
+def _identified(
+    problem: _Problem, found: Solution, correlation: Tensor, drives: tuple[Gains, Tensor] | None
+) -> Identified:
     """Robot, parameters and errors of a fit."""
-    problem, found, correlation = fit
     evidence, weight, near, facts = problem.evidence, problem.weight, found.near, found.facts
-    robot, terms = evidence.robot, evidence.terms
+    robot, terms, sign_width = evidence.robot, evidence.terms, evidence.sign_width
     inflation = found.inflation(weight) if problem.validated else 1.0  # a strength that was chosen is no knowledge
     spread = found.spread(weight, inflation)
     moves = (evidence.recording.qd.abs().amax(0) > sign_width).cpu()
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
+    changes = dict(zip(("mass", "com", "inertia"), near.bodies(found.y), strict=True))
+    own = zip(terms, parted(robot, found.parameters)[1], strict=True)
+    changes |= {term.described: x for term, x in own if term.described}
     model = _beyond(evidence, spread, facts.noise, problem.validated)
-    wide = half_widths(evidence, problem.unseen, spread, facts.noise)
+    wide = evidence.half_widths(problem.unseen, spread, facts.noise)
     identifiable = _identifiable(spread, near.S.norm(dim=1) * math.sqrt(inflation / weight), moves, terms)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, weight, *drives)], 1)
     return Identified(
-        robot=_replaced(robot, found, terms),
+        robot=robot.replace(on_unphysical="warn", **{name: x.to(robot.mass) for name, x in changes.items()}).bake(),
         terms=terms,
         names=(*names, *(f"{joint} {term.name}" for term in terms for joint in robot.joint_names)),
         parameters=found.parameters,
@@ -255,7 +243,7 @@ def _identified(fit: _Fitted, sign_width: float, drives: tuple[Gains, Tensor] | 
         rms=found.rms,
         correlation=correlation,
         sign_width=sign_width,
-        simple=simple_friction(evidence, found.parameters, sign_width),
+        simple=simple_friction(evidence, found.parameters),
         identifiable=identifiable,
         selection=problem.selection,
         gains=drives and drives[0],
@@ -297,17 +285,14 @@ def _still_joints(robot: Robot, qd: Tensor, sign_width: float) -> list[Finding]:
     ]
 
 
-def _misfits(fit: _Fitted, sign_width: float, offsets: bool, explained: bool) -> list[Finding]:
+def _misfits(problem: _Problem, found: Solution, offsets: bool, explained: bool) -> list[Finding]:
     """Findings about a model that could not be chosen, and torques that it does not explain or explains by wrong terms.
 
-    Args:
-        fit: the solution.
-        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
-        offsets: whether constant torques that are missing are to be reported.
-        explained: whether the description explains the measurements; if not, no model does.
+    `offsets`: whether constant torques that are missing are to be reported; `explained`: whether the description
+    explains the measurements; if not, no model does.
     """
-    (problem, found, _), evidence = fit, fit.problem.evidence
-    robot, rows, misfits = evidence.robot, evidence.recording, list[Finding]()
+    evidence, misfits = problem.evidence, list[Finding]()
+    robot, rows, sign_width = evidence.robot, evidence.recording, evidence.sign_width
     if problem.selection and not problem.validated:
         misfits.append(
             too_few(rows)._replace(cure=f"the model is {problem.selection.chosen.name}; record longer motions")
@@ -323,8 +308,10 @@ def _misfits(fit: _Fitted, sign_width: float, offsets: bool, explained: bool) ->
     fitted, signs = few[3] - few[4], None if rows.direction is None else few[5]
     if poor := unexplained(robot.joint_names, few[:4], fitted, sign_width):
         return misfits + poor
-    if lacking := missing_effects(evidence, found, problem.weight, residual, offsets):
-        return misfits + lacking
+    if len(residual) >= FEW:
+        fit = AugmentedFit.of(evidence, found, problem.weight, residual)
+        if lacking := [*lag_findings(fit), *(offset_findings(fit) if offsets else ())]:
+            return misfits + lacking
     if COULOMB in evidence.terms and not any(term in evidence.terms for term in SHAPES):
         misfits += misshapen(robot.joint_names, few[:4], fitted, sign_width, signs)
     return misfits
@@ -339,12 +326,3 @@ def _identifiable(spread: Tensor, prior: Tensor, moves: Tensor, terms: Sequence[
     own = [moves if term is not OFFSET else torch.ones_like(moves) for term in terms]
     inertial = torch.ones(len(prior) - len(own) * len(moves), dtype=torch.bool)
     return (prior > 0) & (left < 1 - IDENTIFIABLE) & torch.cat([inertial, *own])
-
-
-def _replaced(robot: Robot, found: Solution, terms: Sequence[Term]) -> Robot:
-    """Robot with the parameters found, in its own dtype and on its own device."""
-    mass, com, inertia = found.near.bodies(found.y)
-    changes = dict(mass=mass, com=com, inertia=inertia)
-    own = found.parameters[10 * len(robot.link_names) :].reshape(-1, robot.n)
-    changes |= {term.described: x for term, x in zip(terms, own, strict=True) if term.described}
-    return robot.replace(on_unphysical="warn", **{name: x.to(robot.mass) for name, x in changes.items()}).bake()

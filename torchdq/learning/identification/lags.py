@@ -7,20 +7,15 @@ The search ends when nothing of the lag is left. The lag found is then that of t
 was.
 """
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdq.findings import Finding
-from torchdq.learning.identification.augmented import AugmentedFit
+from torchdq.learning.identification.augmented import MATTERS, SURE, AugmentedFit
 from torchdq.learning.identification.evidence import Evidence
 
-SURE = 5.0  # least size of a lag, in standard errors, to be one
-MATTERS = 0.1  # part of a motion's squared residuals that it must take away to matter
 ROUNDS = 12  # most times that the model is moved
 FARTHEST = 10.0  # most rows that it is moved at a time
 SETTLED = 0.02  # rest of a lag, in rows or in standard errors, that is none
@@ -28,40 +23,51 @@ ALIKE = 0.3  # difference of the lags of motions, relative to their mean, that o
 FOLLOWED = 0.9  # part of the changes of the positions that the velocities explain, where rows follow each other
 
 
-class TorqueLag(NamedTuple):
+class _Lag(NamedTuple):
     """Lag of the torques of a motion."""
 
-    motion: int
-    seconds: float
-    error: float  # standard error [s]
-    rows: float  # the same lag in rows
+    of: str  # the motion
+    rows: float
+    error: float  # standard error in rows
     settled: bool  # whether the search came to its end; if not, the lag is longer
 
 
-class _Search(NamedTuple):
-    """End of a search for the lags of all motions."""
-
-    late: Tensor  # [motions] in rows
-    error: Tensor  # [motions] standard errors
-    settled: Tensor  # [motions] whether nothing is left to find
-    before: Tensor  # [motions] squared residuals over those of the fit, without lags
-    after: Tensor  # [motions] the same with them
-
-
-def lags(fit: AugmentedFit) -> list[TorqueLag]:
-    """Lags of motions that a fit lacks, and that matter."""
+def lag_findings(fit: AugmentedFit) -> list[Finding]:
+    """Findings about torques that lag the motion, with the lag in seconds: one for all motions that share it."""
     run, seconds = _runs(fit.evidence)
     if run is None:
         return []
-    found = _search(fit, run)
-    sure = (found.late.abs() > SURE * found.error) & (found.error > 0)
-    clear = sure & (found.after < (1 - MATTERS) * found.before)
-    numbers = zip(*(x.tolist() for x in (found.late, found.error, found.settled, clear)), strict=True)
-    return [TorqueLag(k, seconds * s, seconds * e, s, end) for k, (s, e, end, yes) in enumerate(numbers) if yes]
+    names = fit.evidence.recording.names or ("",) * len(fit.lengths)
+    found = zip(names, *(x.tolist() for x in _search(fit, run)), strict=True)
+    lags = [
+        _Lag(name or f"motion {k + 1}", late, error, settled)
+        for k, (name, late, error, settled, matters) in enumerate(found)
+        if matters and abs(late) > SURE * error > 0
+    ]
+    if len(lags) > 1:
+        weight = sum(1 / lag.error**2 for lag in lags)
+        mean = sum(lag.rows / lag.error**2 for lag in lags) / weight
+        if all(abs(lag.rows - mean) < ALIKE * abs(mean) for lag in lags):
+            lags = [_Lag(f"{len(lags)} motions", mean, weight**-0.5, all(lag.settled for lag in lags))]
+    return [_finding(lag, seconds, bool(fit.evidence.recording.names)) for lag in lags]
 
 
-def _search(fit: AugmentedFit, run: Tensor) -> _Search:
-    """Lags of all motions by Gauss-Newton."""
+def _finding(lag: _Lag, step: float, named: bool) -> Finding:
+    """Finding about a lag of rows with a step [s], in motions that have names or not."""
+    seconds, least = step * lag.rows, "about" if lag.settled else "at least"
+    size = f"{1e3 * abs(seconds):.1f} +- {1e3 * step * lag.error:.1f} ms"
+    claim = "torques must not lag the motion, or friction is biased beyond its errors"
+    found = f"torques {least} {size} {'after' if seconds > 0 else 'before'} the motion"
+    cause = "were they filtered, stamped by another clock, or late by friction that remembers (effects.LuGre)?"
+    cure = f"smooth(log, delay={seconds:.2g}) removes it; {cause}"
+    if not named:
+        cure = f"moving them {abs(lag.rows):.1f} rows {'up' if seconds > 0 else 'down'} removes it; {cause}"
+    option = f"--delay {seconds:.2g} removes it; {cause}"
+    return Finding("torque.lag", lag.of, claim, found, cure, option, value=seconds)
+
+
+def _search(fit: AugmentedFit, run: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Lags [motions] in rows by Gauss-Newton, their standard errors, which of them settled, and which matter."""
     measured = fit.evidence.recording.measured.cpu()[fit.rows]
     late = torch.zeros(len(fit.lengths), dtype=measured.dtype)
     y, one = torch.zeros_like(fit.slope), torch.nn.functional.one_hot(fit.motion, len(late)).to(late)[:, None]
@@ -81,7 +87,7 @@ def _search(fit: AugmentedFit, run: Tensor) -> _Search:
         settled = x.abs() < SETTLED * found.error.clamp_min(1.0)
         if bool(settled.all()):
             break
-    return _Search(late, found.error, settled, before, squares(found.left))
+    return late, found.error, settled, squares(found.left) < (1 - MATTERS) * before
 
 
 def _moved(
@@ -125,33 +131,3 @@ def _runs(evidence: Evidence) -> tuple[Tensor | None, float]:
         if not seconds > 0 or float(left) > (1 - FOLLOWED) * float(change.square().sum()):
             return None, 0.0
     return torch.cat([follows.new_zeros(1), ~follows]).cumsum(0), seconds
-
-
-def lag_findings(names: Sequence[str], lags: Sequence[TorqueLag]) -> list[Finding]:
-    """Findings about torques that lag the motion, with the lag in seconds: one for all motions that share it."""
-    if not lags:
-        return []
-    weight = sum(1 / lag.error**2 for lag in lags)
-    mean = sum(lag.seconds / lag.error**2 for lag in lags) / weight
-    alike = len(lags) > 1 and all(abs(lag.seconds - mean) < ALIKE * abs(mean) for lag in lags)
-    whole = TorqueLag(-1, mean, weight**-0.5, mean / lags[0].seconds * lags[0].rows, all(lag.settled for lag in lags))
-    claim = "torques must not lag the motion, or friction is biased beyond its errors"
-    cause = "were they filtered, stamped by another clock, or late by friction that remembers (effects.LuGre)?"
-    found = []
-    for lag in [whole] if alike else lags:
-        of = (
-            f"{len(lags)} motions"
-            if lag.motion < 0
-            else (names[lag.motion] if names else "") or f"motion {lag.motion + 1}"
-        )
-        size = f"{1e3 * abs(lag.seconds):.1f} +- {1e3 * lag.error:.1f} ms"
-        way, least = "after" if lag.seconds > 0 else "before", "about" if lag.settled else "at least"
-        cure, option = (
-            f"smooth(log, delay={lag.seconds:.2g}) removes it; {cause}",
-            f"--delay {lag.seconds:.2g} removes it; {cause}",
-        )
-        if not names:
-            cure = f"moving them {abs(lag.rows):.1f} rows {'up' if lag.seconds > 0 else 'down'} removes it; {cause}"
-        words = f"torques {least} {size} {way} the motion"
-        found.append(Finding("torque.lag", of, claim, words, cure, option, value=lag.seconds))
-    return found

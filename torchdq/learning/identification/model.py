@@ -1,7 +1,5 @@
 """Model of an arm's torques: the parameters that `identify` estimates besides those of the bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -18,16 +16,15 @@ class Model:
 
     Args:
         friction: "auto": viscous and Coulomb friction, and of other shapes what improves the prediction of blocks left
-            out; None: the joints have none. Or friction effects, of which the coefficients are estimated: the values
-            that they have there do not matter, all their other numbers hold.
+            out; None: the joints have none. Or friction effects, whose coefficients are estimated, whatever they are
+            there; their other numbers hold.
         offset: "auto": estimate a constant torque of the joints whose prediction improves on blocks left out; True: of
             every joint; False: of none.
         armature: estimate the rotor inertia of every joint, or leave it as described.
         gains: estimate the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains
-            that are not trusted. Before the samples they are 1 with a standard deviation of 0.3, and unknown at joints
-            for which the layout of the log has no gain. One factor of all gains, like one of all masses, comes from the
-            description. Gains are found first, with viscous and Coulomb friction; all else is found from the torques
-            that they make.
+            that are not trusted: 1 with a standard deviation of 0.3 before the samples, and unknown at joints for which
+            the layout of the log has no gain. One factor of all gains comes from the described masses. Gains are found
+            first, with viscous and Coulomb friction, all else from the torques that they make.
         memory: whether friction may have a memory, as `torchdq.effects.LuGre` has: scenes simulate it, layers do not.
 
     Raises:

@@ -7,8 +7,6 @@ error of the best is chosen, the error being that of the paired differences over
 decide stays as described.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -18,11 +16,10 @@ from torch import Tensor
 
 from torchdq.base.tables import table
 from torchdq.learning.evaluation.blocks import Block, MotionRows
-from torchdq.learning.identification.evidence import Evidence, Unseen, described, gather
+from torchdq.learning.identification.evidence import Evidence, Unseen, gather
 from torchdq.learning.identification.friction_shapes import Gain, gainful
-from torchdq.learning.identification.regression import places, rigid
 from torchdq.learning.identification.solution import Solution, changes, solve
-from torchdq.learning.identification.terms import OFFSET, ROTOR, Term
+from torchdq.learning.identification.terms import OFFSET, Term
 from torchdq.robot import Robot
 
 STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # prior of the bodies, the strongest first
@@ -114,38 +111,24 @@ class ModelSelection(NamedTuple):
 
 
 def select(
-    robot: Robot,
+    robot: Robot,  # as described
     recording: MotionRows,
-    fixed: Sequence[Term],
-    candidates: Sequence[Term],
+    fixed: Sequence[Term],  # terms of every joint
+    candidates: Sequence[Term],  # friction of other shapes, and offsets
     sign_width: float,
-    strengths: Sequence[float],
+    strengths: Sequence[float],  # priors of the bodies to choose from, the strongest first
     blocks: Sequence[Block],
     say: Callable[[str], None],
 ) -> tuple[ModelSelection, Evidence, UnseenParts]:
     """Selection of a model of a recording, the evidence with the terms of the chosen one, and its residuals.
 
     The residuals are those of blocks, and of regions, by parameters that were found without each.
-
-    Args:
-        robot: the robot as described.
-        recording: the rows.
-        fixed: terms of every joint.
-        candidates: friction of other shapes, and offsets.
-        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
-        strengths: of the prior of the bodies to choose from, the strongest first.
-        blocks: blocks to leave out.
-        say: is called with the progress.
     """
     terms, n = (*fixed, *candidates), robot.n
-    loaded = any(term.loaded for term in terms)
-    none = torch.zeros(n, 10 * len(robot.link_names) + len(terms), dtype=torch.float64)
     estimated = torch.tensor([[term in fixed] * n for term in terms], dtype=torch.bool).reshape(len(terms), n)
     others = [k for k, term in enumerate(terms) if term not in fixed]
-
-    load = rigid(robot, recording, described(robot), robot.armature) if loaded else None
-    evidence = gather(robot, recording, terms, sign_width, load, blocks, say)
-    nothing = (none,) * len(evidence.left)
+    evidence = identified = gather(robot, recording, terms, sign_width, blocks, say)
+    nothing = (torch.zeros(evidence.at.shape, dtype=torch.float64),) * len(evidence.left)
     tried = [
         CandidateModel("description", evidence.scores(nothing), torch.zeros_like(estimated), math.inf, found=nothing)
     ]
@@ -154,59 +137,42 @@ def select(
         say(name)
         tried.append(_candidate(name, evidence, strengths, mask, variance, gains))
 
-    found, variance = _noise(evidence, estimated, math.inf, say)
+    found, variance = _noise(evidence, estimated, math.inf)
     if fixed:
         add("+ friction", evidence, (math.inf,), estimated, ())
     if others:
-        mask, gains = gainful(evidence, variance, estimated, others, math.inf, say)
+        mask, gains = gainful(evidence, variance, estimated, others, math.inf)
         if gains:
             add(f"+ {_additions(gains)}", evidence, (math.inf,), mask, gains)
-    if math.isinf(strengths[-1]):
-        return _chosen(tried, evidence, evidence, others, blocks)
-    found, variance = _noise(evidence, estimated, strengths[-1], say)
-    add("identified", evidence, strengths, estimated, ())
-    identified = evidence
-    if others:
-        if loaded:
-            load = rigid(robot, recording, found.parameters[: 10 * len(robot.link_names)], _rotors(evidence, found))
-            identified = gather(robot, recording, terms, sign_width, load, blocks, say)
-        strength = tried[-1].strength
-        for _ in range(2):  # what is noise depends on the friction
-            mask, gains = gainful(identified, variance, estimated, others, strength, say)
-            if not gains:
-                break
-            found, variance = _noise(identified, mask, strength, say)
-        if gains:
-            add(f"identified, {_additions(gains)}", identified, strengths, mask, gains)
+    if not math.isinf(strengths[-1]):
+        found, variance = _noise(evidence, estimated, strengths[-1])
+        add("identified", evidence, strengths, estimated, ())
+        if others:
+            identified, strength = evidence.with_loads(found.parameters), tried[-1].strength
+            for _ in range(2):  # what is noise depends on the friction
+                mask, gains = gainful(identified, variance, estimated, others, strength)
+                if not gains:
+                    break
+                found, variance = _noise(identified, mask, strength)
+            if gains:
+                add(f"identified, {_additions(gains)}", identified, strengths, mask, gains)
 
-    return _chosen(tried, evidence, identified, others, blocks)
+    number = _simplest([one.scores for one in tried])
+    chosen, regions = tried[number], len(evidence.left) - len(blocks)
+    what = f"parts of motions and {regions} regions of the states" if regions else "motions"
+    squares = chosen.scores * evidence.sizes / evidence.counts[:, None]
+    left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
+    useless = tuple(terms[k].name for k in others if not any(bool(one.estimated[k].any()) for one in tried))
+    validation = f"{len(blocks)} {what} that were left out in turn"
+    selection = ModelSelection(tuple(tried), number, validation, left, useless)
+    own = evidence if math.isinf(chosen.strength) else identified
+    return selection, own.only(chosen.estimated.any(1)), own.left_out(chosen.found)
 
 
 def _additions(gains: Sequence[Gain]) -> str:
     """Names of the kinds of terms that joints gain from."""
     offsets = [gain.term == OFFSET.name for gain in gains]
     return " and ".join(["friction of other shapes"] * (not all(offsets)) + ["offsets"] * any(offsets))
-
-
-def _chosen(
-    tried: Sequence[CandidateModel],
-    evidence: Evidence,
-    identified: Evidence,
-    others: Sequence[int],
-    blocks: Sequence[Block],
-) -> tuple[ModelSelection, Evidence, UnseenParts]:
-    """Selection among candidates, evidence with the terms of the chosen one, and its residuals on parts left out."""
-    chosen = _simplest([one.scores for one in tried])
-    useless = [evidence.terms[k].name for k in others if not any(bool(one.estimated[k].any()) for one in tried)]
-    regions = len(evidence.left) - len(blocks)
-    what = f"parts of motions and {regions} regions of the states" if regions else "motions"
-    squares = tried[chosen].scores * evidence.sizes / evidence.counts[:, None]
-    left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
-    selection = ModelSelection(
-        tuple(tried), chosen, f"{len(blocks)} {what} that were left out in turn", left, tuple(useless)
-    )
-    own = evidence if math.isinf(tried[chosen].strength) else identified
-    return selection, _only(own, tried[chosen].estimated.any(1)), own.left_out(tried[chosen].found, blocks)
 
 
 def _candidate(
@@ -217,7 +183,7 @@ def _candidate(
     variance: Tensor,
     gains: Sequence[Gain],
 ) -> CandidateModel:
-    """CandidateModel with the strength of the prior that does best on the blocks, or a stronger one as good."""
+    """Model with the strength of the prior that does best on the blocks, or a stronger one as good."""
     scores, every = list[Tensor](), list[list[Tensor]]()
     starts: list[Tensor | None] = [None] * len(evidence.folds)
     before = 1.0
@@ -248,42 +214,9 @@ def _simplest(scores: Sequence[Tensor]) -> int:
     return best
 
 
-def _noise(
-    evidence: Evidence, estimated: Tensor, strength: float, say: Callable[[str], None]
-) -> tuple[Solution, Tensor]:
+def _noise(evidence: Evidence, estimated: Tensor, strength: float) -> tuple[Solution, Tensor]:
     """Fit to all rows, and the variance of its residuals times their correlation time [n]."""
-    one = torch.ones(evidence.robot.n, dtype=torch.float64)
-    near = evidence.near(estimated, strength)
-    found = solve(near, evidence.total, evidence.squares, evidence.samples, one, evidence.at, say=say)
+    one, near = torch.ones(evidence.robot.n, dtype=torch.float64), evidence.near(estimated, strength)
+    found = solve(near, evidence.total, evidence.squares, evidence.samples, one, evidence.at, say=evidence.say)
     variance = found.facts.noise.maximum(found.rms) ** 2
     return found, variance * evidence.correlation(found.change(evidence.at))
-
-
-def _rotors(evidence: Evidence, found: Solution) -> Tensor | None:
-    """Rotor inertias [n] of a fit, or those of the description."""
-    if ROTOR not in evidence.terms:
-        return evidence.robot.armature
-    own = found.parameters[10 * len(evidence.robot.link_names) :].reshape(-1, evidence.robot.n)
-    return own[evidence.terms.index(ROTOR)]
-
-
-def _only(evidence: Evidence, used: Tensor) -> Evidence:
-    """Evidence without terms that are not used [terms]."""
-    p = evidence.at.shape[1]
-    keep = torch.ones(p + 1, dtype=torch.bool)
-    keep[p - len(used) : p] = used
-    terms = tuple(term for term, u in zip(evidence.terms, used.tolist(), strict=True) if u)
-
-    def cut(sums: Tensor) -> Tensor:
-        return sums[..., keep, :][..., keep]
-
-    return evidence._replace(
-        terms=terms,
-        own=evidence.own[..., used.to(evidence.own.device)],
-        total=cut(evidence.total),
-        left=cut(evidence.left),
-        folds=cut(evidence.folds),
-        unit=evidence.unit[used],
-        identifiable=evidence.identifiable[used],
-        at=places(len(evidence.robot.link_names), len(terms), evidence.robot.n),
-    )

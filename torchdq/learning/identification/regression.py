@@ -5,7 +5,7 @@ that the samples say, however many there are. A joint depends on the inertial pa
 terms alone; its columns are those [p], and `places` says where they are in phi [k].
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import torch
@@ -19,13 +19,9 @@ COARSE = 1e-2  # least noise relative to the joint's torques, where there are to
 EXACT = 1e-5  # least noise relative to the joint's torques otherwise; more weight costs more digits than it gives
 FAINT = 1e-3  # weight of the description while the noise is estimated: negligible against a few samples
 INDEPENDENT = 1e-13  # least eigenvalue, relative to the largest, of an identifiable combination: beyond rounding
+SEPARATE = 1e-12  # the same for columns that are scaled to a size of one
+NOTHING = 1e-12  # torque of a parameter, relative to the largest, that is none
 CHUNK = 2**22  # numbers of the regressor that are held at a time
-
-
-def chunks(rows: slice, numbers: int) -> list[slice]:
-    """Slices of some rows, each small enough to hold so many numbers per row."""
-    size = max(1, CHUNK // max(1, numbers))
-    return [slice(i, min(i + size, rows.stop)) for i in range(rows.start, rows.stop, size)]
 
 
 def places(links: int, terms: int, joints: int) -> Tensor:
@@ -35,17 +31,32 @@ def places(links: int, terms: int, joints: int) -> Tensor:
     return torch.cat([inertial, own], 1)
 
 
+def parted(robot: Robot, phi: Tensor) -> tuple[Tensor, Tensor]:
+    """Inertial parameters [..., 10 links] and coefficients [..., terms, n] of parameters [..., k]."""
+    bodies = 10 * len(robot.link_names)
+    return phi[..., :bodies], phi[..., bodies:].unflatten(-1, (-1, robot.n))
+
+
 def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor) -> Tensor:
     """Torque per unit of every parameter of each joint [rows, n, p]; `own` [rows, n, terms] is that of its terms."""
     return torch.cat([regressor(robot, q, qd, qdd), own], -1)
 
 
+def by_chunks(
+    robot: Robot, recording: MotionRows, own: Tensor, numbers: int, rows: slice | None = None
+) -> Iterator[tuple[slice, Tensor]]:
+    """Slices of all rows or some, each small enough for so many numbers per row, with their `columns`."""
+    rows, size = rows or slice(0, len(own)), max(1, CHUNK // max(1, numbers))
+    for i in range(rows.start, rows.stop, size):
+        part = slice(i, min(i + size, rows.stop))
+        yield part, columns(robot, recording.q[part], recording.qd[part], recording.qdd[part], own[part])
+
+
 def torques(robot: Robot, recording: MotionRows, own: Tensor, phi: Tensor, rotor: bool) -> Tensor:
     """Torques [rows, n] of parameters phi [n, p]; `rotor` says that those of the description are to be added."""
     tau = torch.empty_like(recording.q)
-    for part in chunks(slice(0, len(tau)), phi.numel()):
-        q, qd, qdd = recording.q[part], recording.qd[part], recording.qdd[part]
-        tau[part] = torch.einsum("rjp,jp->rj", columns(robot, q, qd, qdd, own[part]), phi.to(q))
+    for part, Z in by_chunks(robot, recording, own, phi.numel()):
+        tau[part] = torch.einsum("rjp,jp->rj", Z, phi.to(Z))
     if rotor and robot.armature is not None:
         tau += robot.armature.to(tau) * recording.qdd
     return tau
@@ -58,15 +69,6 @@ def rigid(robot: Robot, recording: MotionRows, pi: Tensor, rotors: Tensor | None
     return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
 
 
-def moments(robot: Robot, recording: MotionRows, own: Tensor) -> Tensor:
-    """Sums [n, p] of Z^T tau over all rows."""
-    sums = own.new_zeros(robot.n, 10 * len(robot.link_names) + own.shape[-1])
-    for part in chunks(slice(0, len(own)), sums.numel()):
-        q, qd, qdd, tau = (x[part] for x in (recording.q, recording.qd, recording.qdd, recording.measured))
-        sums += torch.einsum("rjp,rj->jp", columns(robot, q, qd, qdd, own[part]), tau)
-    return sums.cpu()
-
-
 def gram(
     robot: Robot,
     recording: MotionRows,
@@ -76,26 +78,23 @@ def gram(
     parts: Sequence[slice],
     say: Callable[[str], None],
 ) -> Tensor:
-    """Sums [parts, n, p + 1, p + 1] of [Z d]^T [Z d] over parts of the rows.
+    """Sums [parts, n, p + 1, p + 1] of [Z d]^T [Z d] over parts of the rows; `say` is called with the number read.
 
-    d is the residual of the described parameters [n, p], and of the described rotors if `rotor` is true; `say` is
-    called with the number of rows read.
+    d is the residual of the described parameters [n, p], and of the described rotors if `rotor` is true.
     """
     n, p = described.shape
     sums = recording.q.new_zeros(len(parts), n, p + 1, p + 1)
     phi, read = described.to(recording.q), 0
     whole = sum(part.stop - part.start for part in parts)
     for i, rows in enumerate(parts):
-        for part in chunks(rows, n * p):
-            say(f"{read} of {whole} samples")
-            read += part.stop - part.start
-            q, qd, qdd, tau = (x[part] for x in (recording.q, recording.qd, recording.qdd, recording.measured))
-            Z = columns(robot, q, qd, qdd, own[part])
-            residual = tau - torch.einsum("rjp,jp->rj", Z, phi)
+        for part, Z in by_chunks(robot, recording, own, n * p, rows):
+            residual = recording.measured[part] - torch.einsum("rjp,jp->rj", Z, phi)
             if rotor and robot.armature is not None:
-                residual -= robot.armature.to(q) * qdd
+                residual -= robot.armature.to(Z) * recording.qdd[part]
             Z = torch.cat([Z, residual[..., None]], -1).transpose(0, 1)
             sums[i] += Z.mT @ Z
+            read += part.stop - part.start
+            say(f"{read} of {whole} samples")
     return sums.cpu()
 
 
@@ -122,19 +121,18 @@ class Information(NamedTuple):
     noise: Tensor  # [n] standard deviation by which the joints are weighted [N m or N]
 
 
-def information(sums: Tensor, S: Tensor, squares: Tensor, floor: Tensor, samples: Tensor) -> Information:
+def information(
+    sums: Tensor,  # [n, p + 1, p + 1] by `gram`, each divided by the correlation time of its joint's residuals
+    S: Tensor,  # [n, p, t] changes of the parameters of each joint per unit of y
+    squares: Tensor,  # [n] mean squares of the torques
+    floor: Tensor,  # [n] least noise
+    samples: Tensor,  # [n] number of independent samples
+) -> Information:
     """Least squares with every joint weighted by its noise.
 
     Weights and solution follow from each other (restricted maximum likelihood): an estimate of the noise divides by
     the samples less the parameters they were spent on. A joint's share of those is its part of the trace of the
     matrix that takes measured torques to fitted ones.
-
-    Args:
-        sums: of `gram` [n, p + 1, p + 1], each divided by the correlation time of its joint's residuals.
-        S: changes of the parameters of each joint per unit of y [n, p, t].
-        squares: mean squares of the torques [n].
-        floor: least noise [n].
-        samples: number of independent samples [n].
     """
     A, b, c = projected(sums, S)
     squares = squares.clamp_min(1e-6 * float(squares.max()))
@@ -165,8 +163,7 @@ def information(sums: Tensor, S: Tensor, squares: Tensor, floor: Tensor, samples
 def known(sums: Tensor, S: Tensor, variance: Tensor) -> Information:
     """Least squares with joints weighted by known noise, in the terms of `information`."""
     A, b, _ = projected(sums, S)
-    none = S.new_zeros(S.shape[-1], 0)
-    return _weighted(A, b, variance, torch.eye(S.shape[-1], dtype=S.dtype), none)
+    return _weighted(A, b, variance, torch.eye(S.shape[-1], dtype=S.dtype), S.new_zeros(S.shape[-1], 0))
 
 
 def projected(sums: Tensor, S: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -204,3 +201,34 @@ def base_parameters(R: Tensor, size: Tensor) -> Tensor:
     base = torch.where((base * size).abs() > 1e-8 * size[chosen, None], base, 0.0)
     base[:, chosen] = torch.eye(rank, dtype=base.dtype)
     return base
+
+
+def base_of(Z: Tensor) -> tuple[Tensor, Tensor]:
+    """Base parameters [rank, k] that torques per unit Z [rows, k] identify, and the sizes [k] of its columns."""
+    size = Z.square().mean(0).sqrt()
+    size = torch.where(size > NOTHING * size.max(), size, 0.0)
+    Z = torch.where(size > 0, Z / torch.where(size > 0, size, 1.0), 0.0)
+    e, V = torch.linalg.eigh(Z.T @ Z)
+    return base_parameters(V[:, e > SEPARATE * e[-1]].T * size, inverse_of(size)), size
+
+
+def inverse_of(size: Tensor) -> Tensor:
+    """Inverse of sizes, zero where they are."""
+    return torch.where(size > 0, 1 / size, 0.0)
+
+
+def base_names(base: Tensor, names: Sequence[str], sizes: Tensor) -> tuple[str, ...]:
+    """Names of combinations base [rank, k] of parameters with names [k]: `link2 Izz + 0.0825 link3 mx`.
+
+    The parameter whose factor is one leads; of the others, the two of the largest factor times `sizes` [k] are named.
+    """
+    found = []
+    for row in base:
+        lead = int((row == 1).nonzero()[0]) if bool((row == 1).any()) else int(row.abs().argmax())
+        others = [i for i in row.nonzero()[:, 0].tolist() if i != lead]
+        terms = [names[lead]]
+        for i in sorted(others, key=lambda i: -abs(float(row[i] * sizes[i])))[:2]:
+            size = f"{abs(float(row[i])):.3g} " if abs(abs(float(row[i])) - 1) > 1e-6 else ""
+            terms.append(f"{'-' if row[i] < 0 else '+'} {size}{names[i]}")
+        found.append(" ".join(terms) + (" ..." if len(others) > 2 else ""))
+    return tuple(found)

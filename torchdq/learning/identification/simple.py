@@ -5,36 +5,30 @@ friction that were found together with it are too small alone, often zero. So a 
 the torque of all friction together, by least squares over the samples, with neither of them negative.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
 from torchdq.learning.identification.evidence import Evidence
+from torchdq.learning.identification.regression import parted
 from torchdq.learning.identification.terms import COULOMB, VISCOUS, rows_of
 
 SIMPLE = (VISCOUS, COULOMB)
 
 
-def simple_friction(evidence: Evidence, parameters: Tensor, sign_width: float) -> Tensor:
-    """Viscous and Coulomb friction [2, n] that come nearest to all friction found, over the rows of the evidence.
+def simple_friction(evidence: Evidence, parameters: Tensor) -> Tensor:
+    """Viscous and Coulomb friction [2, n] that come nearest to all friction among parameters [k].
 
     Joints that have no other friction keep theirs.
-
-    Args:
-        evidence: rows, and the torques of all terms per unit.
-        parameters: all parameters found [k].
-        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
     """
     robot, terms = evidence.robot, evidence.terms
-    own = parameters[10 * len(robot.link_names) :].reshape(-1, robot.n)
+    own = parted(robot, parameters)[1]
     rows = [own[terms.index(term)] if term in terms else getattr(robot, term.described).to(own) for term in SIMPLE]
     known = torch.stack(rows)
     friction = [k for k, term in enumerate(terms) if term.effect is not None]
     if not friction:
         return known
     tau = (evidence.own[..., friction] * own[friction].T.to(evidence.own)).sum(-1)
-    sign = rows_of(robot, evidence.recording, sign_width).sign
+    sign = rows_of(robot, evidence.recording, evidence.sign_width).sign
     columns = torch.stack([evidence.recording.qd, sign], -1)
     nearest = _nonnegative(
         torch.einsum("rjp,rjq->jpq", columns, columns).cpu(), torch.einsum("rjp,rj->jp", columns, tau).cpu()

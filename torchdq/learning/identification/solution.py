@@ -4,8 +4,6 @@ The cost is convex in the parameters, so that there is one minimum, and Newton's
 interior-point methods.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -59,26 +57,15 @@ class Solution(NamedTuple):
 
 def solve(
     near: Neighbourhood,
-    sums: Tensor,
-    squares: Tensor,
+    sums: Tensor,  # [n, p + 1, p + 1] by `gram` about the described bodies and coefficients of zero
+    squares: Tensor,  # [n] mean squares of the torques
     samples: int,
-    correlation: Tensor,
-    at: Tensor,
-    prior: float = 1.0,
+    correlation: Tensor,  # [n] correlation times of the residuals: so many rows say as much as one
+    at: Tensor,  # [n, p] places of the parameters of each joint
+    prior: float = 1.0,  # weight of the distance
     say: Callable[[str], None] = lambda _: None,
 ) -> Solution:
-    """Minimum in a neighbourhood, joints being weighted by the noise that it leaves.
-
-    Args:
-        near: the neighbourhood.
-        sums: of `gram` about the described bodies and coefficients of zero [n, p + 1, p + 1].
-        squares: mean squares of the torques [n].
-        samples: number of samples.
-        correlation: correlation times of the residuals in rows [n]: so many samples say as much as one.
-        at: places of the parameters of each joint [n, p].
-        prior: weight of the distance.
-        say: is called with the progress.
-    """
+    """Minimum in a neighbourhood, joints being weighted by the noise that it leaves."""
     S, independent = near.S[at], samples / correlation
     own = shifted(sums, near.start_of(at)) / correlation[:, None, None]
     floor = torch.zeros_like(squares)

@@ -4,8 +4,6 @@ Each states its torque per unit, which is a column of the least squares of `regr
 in `torchdq.effects`, with one of its linear parameters one and the others zero.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -74,15 +72,10 @@ class Term(NamedTuple):
     def size(self, unit: Tensor, torque: Tensor, identifiable: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
 
-        It is the root mean square over the rows, so that terms that the rows cannot separate share it evenly. But a
-        fraction is expected to be at most one. Where the rows do not identify the term at all, a number that is a
+        It is the root mean square `unit` over the rows, so that terms that the rows cannot separate share it evenly.
+        But a fraction is expected to be at most one. Where the rows do not identify the term at all, a number that is a
         torque is expected to be at most the measured torque of its joint, others as if the joint moved at 1 rad/s or
         1 rad/s^2.
-
-        Args:
-            unit: root mean squares of the torques per unit [n].
-            torque: root mean squares of the measured torques [n].
-            identifiable: joints whose rows identify the term [n].
         """
         return unit.maximum(torque) if self.fraction else torch.where(identifiable, unit, unit.clamp_min(1.0))
 
@@ -147,53 +140,38 @@ def deflection(q: Tensor, starts: Tensor, distance: float) -> Tensor:
     return found
 
 
-def _dry(name: str, effect: Callable[[float], Friction], parameter: str) -> Term:
-    return Term(name, FORCE, effect, parameter, dry=True)
+def _of_width(law: Friction) -> Callable[[float], Friction]:
+    """Friction of a law, with any width."""
+    return lambda width: replace(law, **{"sign_width": width})
 
 
-def _stribeck(velocity: float) -> Term:
-    return _dry(f"stribeck {velocity:g}", lambda w: effects.Stribeck(velocity=velocity, sign_width=w), "static")
-
-
-def _saturating(width: float) -> Term:
-    return Term(f"saturating {width:g}", FORCE, lambda _: effects.Coulomb(sign_width=width), "coulomb")
-
-
-def _bristles(distance: float) -> Term:
-    effect = effects.LuGre(deflection=distance)
-    return Term(f"lugre {distance:g}", FORCE, lambda _: effect, "coulomb", bristles=distance)
-
-
-def _ripple(parameter: str) -> Term:
-    return Term(f"ripple {parameter}", FORCE, lambda _: effects.Ripple(2 * math.pi), parameter, signed=True)
+def _always(law: Friction) -> Callable[[float], Friction]:
+    return lambda _: law
 
 
 ROTOR = Term("rotor", ("kg m^2", "kg"), described="armature")
-VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), lambda _: effects.Viscous(), "coefficient", "damping")
-COULOMB = Term("coulomb", FORCE, lambda w: effects.Coulomb(sign_width=w), "coulomb", "friction", dry=True)
+VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), _always(effects.Viscous()), "coefficient", "damping")
+COULOMB = Term("coulomb", FORCE, _of_width(effects.Coulomb()), "coulomb", "friction", dry=True)
 OFFSET = Term("offset", FORCE, signed=True)
 
+SPEEDS = (0.03, 0.1, 0.3, 1.0)  # [rad/s or m/s]
+BRISTLES = (5e-4, 2e-3, 1e-2)  # [rad or m]
+LOAD, DIRECTIONAL = _of_width(effects.LoadDependent()), _of_width(effects.Directional())
 SHAPES = (  # friction of other shapes
-    Term("load", ("1", "1"), lambda w: effects.LoadDependent(sign_width=w), "coefficient", dry=True, loaded=True),
-    *(_stribeck(v) for v in (0.03, 0.1, 0.3, 1.0)),
-    *(_saturating(v) for v in (0.03, 0.1, 0.3, 1.0)),
-    Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), lambda _: effects.Quadratic(), "coefficient"),
-    _dry("forward", lambda w: effects.Directional(sign_width=w), "forward"),
-    _dry("backward", lambda w: effects.Directional(sign_width=w), "backward"),
-    *(_bristles(x) for x in (5e-4, 2e-3, 1e-2)),
-    _ripple("sine"),
-    _ripple("cosine"),
+    Term("load", ("1", "1"), LOAD, "coefficient", dry=True, loaded=True),
+    *(Term(f"stribeck {v:g}", FORCE, _of_width(effects.Stribeck(velocity=v)), "static", dry=True) for v in SPEEDS),
+    *(Term(f"saturating {v:g}", FORCE, _always(effects.Coulomb(sign_width=v)), "coulomb") for v in SPEEDS),
+    Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), _always(effects.Quadratic()), "coefficient"),
+    *(Term(way, FORCE, DIRECTIONAL, way, dry=True) for way in ("forward", "backward")),
+    *(Term(f"lugre {x:g}", FORCE, _always(effects.LuGre(deflection=x)), "coulomb", bristles=x) for x in BRISTLES),
+    *(Term(f"ripple {x}", FORCE, _always(effects.Ripple(2 * math.pi)), x, signed=True) for x in ("sine", "cosine")),
 )
 
 
 def terms_of(friction: Any, robot: Robot, width: float) -> tuple[Term, ...]:
-    """Terms of friction effects, one for each number per joint in which their torque is linear.
+    """Terms of friction effects, one for each number per joint in which their torque is linear; others hold.
 
-    Args:
-        friction: the effects; the numbers that they have there do not matter, all others hold.
-        robot: the robot.
-        width: velocity below which dry friction is viscous [rad/s or m/s]: effects of this width have the sign of the
-            rows, which may be filtered, others their own.
+    Dry friction of this width has the sign of the rows, which may be filtered, that of others their own.
     """
     return tuple([_term(law, parameter, width) for law, parameter in parts_of(friction, robot)])
 
@@ -219,7 +197,7 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
     words += ["/".join(f"{one:g}" for one in (x if isinstance(x, Sequence) else (x,))) for x in numbers]
     return alike._replace(
         name=" ".join(words),
-        effect=(lambda w: replace(law, **{"sign_width": w})) if dry else (lambda _: law),
+        effect=_of_width(law) if dry else _always(law),
         described="",
         dry=dry,
         bristles=bristles,

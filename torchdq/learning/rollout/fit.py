@@ -7,11 +7,8 @@ defects between the nodes or raises the likelihood (R. Fletcher, S. Leyffer, "No
 function", Mathematical Programming 91 (2002)).
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -29,9 +26,8 @@ from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import Unknowns, changed, unknowns
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
-
-if TYPE_CHECKING:
-    from torchdq.scene.scene import Scene
+from torchdq.scene.linearize import StepMap
+from torchdq.scene.scene import Scene
 
 CLOSED = 1e-9  # defects between nodes that count as none, relative to the motion
 MARGIN = 1e-3  # part of a defect by which an accepted step must be better
@@ -90,9 +86,6 @@ def fit_rollout(
     >>> [round(x, 6) for x in found.values["Viscous.coefficient"].tolist()]
     [0.5, 0.5]
     """
-    from torchdq.scene.linearize import StepMap
-    from torchdq.scene.scene import Scene
-
     if not isinstance(scene, Scene):
         cure = "; torchdq.envs.Scene(robot, effects) makes one" if isinstance(scene, Robot) else ""
         raise ArgumentError(f"scene must be a torchdq.envs.Scene, found {type(scene).__name__}{cure}")
@@ -110,10 +103,10 @@ def fit_rollout(
     named = ", ".join(part.name for part in variables.parts)
     # a trial step may diverge: its numbers are not finite then
     with torch.no_grad(), np.errstate(all="ignore"), Progress(f"fitting {named}") as notice:
-        end = _search(problem, problem.first(), iterations, notice)
-        followed = end.at.defect <= NEARLY
-        warning = (end.ended or problem.uneven(end.at)) if followed else f"{end.ended}; {APART}"
-        found = result(problem, end.at, end.linear, end.steps, warning, followed)
+        at, linear, steps, ended = _search(problem, problem.first(), iterations, notice)
+        followed = at.defect <= NEARLY
+        warning = (ended or problem.uneven(at)) if followed else f"{ended}; {APART}"
+        found = result(problem, at, linear, steps, warning, followed)
     if warning:
         warnings.warn(f"the parameters may not be the best: {warning}", LogWarning, stacklevel=2)
     return found
@@ -131,17 +124,8 @@ def _require_driven(scene: Scene, variables: Unknowns, data: Sequence[CheckedRec
             raise ArgumentError(f"{part.name} cannot be learned: {cause}, so that nothing goes through its actuator")
 
 
-class _Found(NamedTuple):
-    """End of a search."""
-
-    at: Iterate
-    linear: Linear
-    steps: int  # to it
-    ended: str  # reason why it ended early; "": it did not
-
-
-def _search(problem: Problem, at: Iterate, iterations: int, notice: Progress) -> _Found:
-    """Best iterate near one, by steps of Gauss-Newton."""
+def _search(problem: Problem, at: Iterate, iterations: int, notice: Progress) -> tuple[Iterate, Linear, int, str]:
+    """Best iterate near one by Gauss-Newton, linearised; the steps to it; and the reason why it ended early, or ""."""
     linear, tried, count = problem.linearised(at), [at], 0
     try:
         while True:
@@ -152,19 +136,19 @@ def _search(problem: Problem, at: Iterate, iterations: int, notice: Progress) ->
             # the next step, about the square of this one, would not matter
             last = bool(at.defect <= NEARLY and (step.length < SETTLED or relative < STILL))
             if count == iterations:
-                return _Found(at, linear, count, "" if last else f"{iterations} iterations were not enough")
+                return at, linear, count, "" if last else f"{iterations} iterations were not enough"
             after = _accepted(problem, at, linear, step, tried)
             if after is None:
                 ended = "" if at.defect <= CLOSED else "no step closes the defects between the states"
-                return _Found(at, linear, count, ended)
+                return at, linear, count, ended
             settled = after.defect <= NEARLY and 0 <= at.cost - after.cost < GAIN
             at, count = after, count + 1
             if last or settled:
-                return _Found(at, linear, count, "")
+                return at, linear, count, ""
             tried = [other for other in tried if other.defect < at.defect or other.cost < at.cost] + [at]
             linear = problem.linearised(at)
     except KeyboardInterrupt:
-        return _Found(at, linear, count, f"interrupted after {count} iterations")
+        return at, linear, count, f"interrupted after {count} iterations"
 
 
 def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Change, tried: Sequence[Iterate]) -> Iterate | None:

@@ -1,12 +1,10 @@
 """Problem that a fit of rollouts solves: its unknowns, its measurements, and the steps towards its solution."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,9 +13,7 @@ from torchdq.learning.rollout import shooting
 from torchdq.learning.rollout.recordings import CheckedRecording
 from torchdq.learning.rollout.shooting import Linear, Motions, Segments
 from torchdq.learning.rollout.unknowns import Unknowns
-
-if TYPE_CHECKING:
-    from torchdq.scene.linearize import StepMap
+from torchdq.scene.linearize import StepMap
 
 PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what is not identifiable
 EXACT = 1e-9  # least deviation of a measurement, relative to its motion
@@ -64,7 +60,8 @@ class Problem:
     def at(self, values: np.ndarray, nodes: np.ndarray) -> Iterate:
         """Iterate at parameters and nodes."""
         moved = shooting.motions(self.pieces, nodes, self._after(values, nodes, self._inputs(values)))
-        defect = float(np.linalg.norm(moved.defects / self._motion)) / math.sqrt(nodes.size)
+        size = np.sqrt(np.square(self._measured).mean((0, 1)))
+        defect = float(np.linalg.norm(moved.defects / np.where(size > 0, size, 1.0))) / math.sqrt(nodes.size)
         spread = np.sqrt(np.square(moved.residual).sum((0, 1)) / self.rows)
         prior = np.square(self.unknowns.offset(values) / (PRIOR * self.unknowns.sizes(values))).sum()
         cost = self.rows * np.log(self._least(spread)).sum() + 0.5 * prior
@@ -105,12 +102,6 @@ class Problem:
         given = {"q": torch.from_numpy(q), "qd": torch.from_numpy(qd)}
         memory = self.step_map.scene.begin(given, {})[0].memory
         return np.concatenate([q, qd] if memory is None else [q, qd, memory.numpy()], -1)
-
-    @cached_property
-    def _motion(self) -> np.ndarray:
-        """Sizes [s] of the states."""
-        size = np.sqrt(np.square(self._measured).mean((0, 1)))
-        return np.where(size > 0, size, 1.0)
 
     def _inputs(self, values: np.ndarray) -> dict[str, np.ndarray]:
         delay = self.unknowns.delay(values)
@@ -230,8 +221,6 @@ class Problem:
         wrt = (*parameters, *(given if unknowns.delayed else ()))
         after, J = (x.numpy() for x in self.step_map.linearised(torch.from_numpy(nodes), given, parameters, wrt))
         A, B = J[..., :s], J[..., s:]
-        if unknowns.direct:
-            return after, A, B
         widths = [parameters[name].numel() if name in parameters else inputs[name].shape[-1] for name in wrt]
         blocks, columns = dict(zip(wrt, np.split(B, np.cumsum(widths)[:-1], -1), strict=True)), []
         for part in unknowns.parts:

@@ -1,7 +1,5 @@
 """Recordings of motions with commands: what a simulated scene is compared with, checked row by row."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -72,13 +70,7 @@ class CheckedRecording(NamedTuple):
 
 
 def checked(logs: Recording | Sequence[Recording], joints: int, widths: Mapping[str, int]) -> list[CheckedRecording]:
-    """Recordings as arrays; raises, naming log and row, unless they fit a scene and each other.
-
-    Args:
-        logs: one recording, or several of the same robot.
-        joints: number of joints.
-        widths: names and widths of the inputs of the scene.
-    """
+    """Recordings as arrays; raises, naming log and row, unless they fit each other and a scene with such inputs."""
     several = [logs] if isinstance(logs, Recording) else logs
     if not isinstance(several, Sequence) or not several or not all(isinstance(log, Recording) for log in several):
         raise ArgumentError(f"logs must be a Recording or several, found {type(logs).__name__}")

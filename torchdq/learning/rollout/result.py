@@ -1,8 +1,6 @@
 """Result of a fit of rollouts: the scene, its parameters with standard errors, and what is not identifiable."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,9 +10,7 @@ from torchdq.base.tables import summary, table
 from torchdq.learning.rollout.problem import Iterate, Problem
 from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import changed
-
-if TYPE_CHECKING:
-    from torchdq.scene.scene import Scene
+from torchdq.scene.scene import Scene
 
 IDENTIFIABLE = 1.0  # greatest standard error of an identifiable combination, relative to the sizes of its parameters
 EXCITED = 1e-10  # least information of one, relative to the greatest: beyond rounding

@@ -13,8 +13,6 @@ those of a segment to its start, which is eliminated (H. G. Bock, K. J. Plitt, "
 solution of optimal control problems", IFAC 1984).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -94,18 +92,8 @@ def segments(logs: Sequence[CheckedRecording], dt: float, seconds: float | None)
     late = np.where(used[..., 0] & (abs(late) > 1e-6 * dt), late, 0.0)[..., None]
     lengths = np.array([len(rows) for *_, rows in pieces])
     follows = np.arange(T) < lengths[:, None] - 1
-    return Segments(
-        dt,
-        logs[0].q.shape[1],
-        block,
-        which,
-        time,
-        row,
-        follows[..., None],
-        used.astype(float),
-        y,
-        late if late.any() else None,
-    )
+    n, measured, some = logs[0].q.shape[1], used.astype(float), late if late.any() else None
+    return Segments(dt, n, block, which, time, row, follows[..., None], measured, y, some)
 
 
 def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[np.ndarray, np.ndarray]:
@@ -179,16 +167,14 @@ def seen(pieces: Segments, nodes: np.ndarray) -> np.ndarray:
     return x * pieces.used
 
 
-def linearised(pieces: Segments, moved: Motions, A: np.ndarray, B: np.ndarray, weight: np.ndarray) -> Linear:
-    """Linearised motions.
-
-    Args:
-        pieces: the segments.
-        moved: steps of the nodes.
-        A: derivatives [K, T, s, s] of the steps in the states.
-        B: derivatives [K, T, s, p] of the steps in the parameters.
-        weight: [c] of a measurement: one over its standard deviation.
-    """
+def linearised(
+    pieces: Segments,
+    moved: Motions,
+    A: np.ndarray,  # [K, T, s, s] derivatives of the steps of the nodes in the states
+    B: np.ndarray,  # [K, T, s, p] derivatives in the parameters
+    weight: np.ndarray,  # [c] one over the standard deviation of a measurement
+) -> Linear:
+    """Motions, linearised."""
     (K, T, s, _), size, n, c = A.shape, pieces.block, pieces.n, pieces.y.shape[-1]
     width, blocks = s + B.shape[-1] + 1, T // pieces.block
 
@@ -201,7 +187,11 @@ def linearised(pieces: Segments, moved: Motions, A: np.ndarray, B: np.ndarray, w
     inner[1:, ..., s:-1], inner[1:, ..., -1] = by_block(B), by_block(moved.defects)
     for j, through in enumerate(by_block(A)):
         inner[j + 1] += through @ inner[j]
-    starts = _chained(inner[size].reshape(K, blocks, s, width))
+    last = inner[size].reshape(K, blocks, s, width)
+    starts = np.empty((blocks, K, width, width))
+    starts[:] = np.eye(width)
+    for i in range(blocks - 1):
+        np.matmul(last[:, i], starts[i], out=starts[i + 1, :, :s])
 
     scale = by_block(pieces.used * weight)
     rows = np.empty((K * blocks, size, c, width))
@@ -217,16 +207,6 @@ def linearised(pieces: Segments, moved: Motions, A: np.ndarray, B: np.ndarray, w
     rows = (factors @ (sign[:, None] * starts.swapaxes(0, 1) * sign)).reshape(K, blocks * width, width)
     held = HELD * np.sqrt(np.square(rows[..., :s]).sum(1).max(-1))
     return Linear(inner[:size], starts, triangular(np.concatenate([rows, held[:, None, None] * np.eye(s, width)], 1)))
-
-
-def _chained(last: np.ndarray) -> np.ndarray:
-    """Starts of all blocks, of the states [K, blocks, s, w] at which the next ones start; parameters stay."""
-    K, blocks, s, width = last.shape
-    starts = np.empty((blocks, K, width, width))
-    starts[:] = np.eye(width)
-    for i in range(blocks - 1):
-        np.matmul(last[:, i], starts[i], out=starts[i + 1, :, :s])
-    return starts
 
 
 def triangular(rows: np.ndarray) -> np.ndarray:

@@ -8,14 +8,11 @@ along the exponential with the same slope, so that they stay positive, and frict
 found in few steps, however small it was. Inertias move in the coordinates of `torchdq.layers.parametrizations`.
 """
 
-from __future__ import annotations
-
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,9 +23,7 @@ from torchdq.effects.effect import Effect, Parametric
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.layers.parametrizations import PhysicalInertia
 from torchdq.robot.fields import trailing
-
-if TYPE_CHECKING:
-    from torchdq.scene.scene import Scene
+from torchdq.scene.scene import Scene
 
 DELAY = "delay"
 BODIES = ("mass", "com", "inertia")  # parameters of the links
@@ -153,21 +148,9 @@ class Unknowns:
         """Whether the delay of the inputs is unknown."""
         return any(not part.key for part in self.parts)
 
-    @property
-    def direct(self) -> bool:
-        """Whether the unknowns are parameters of the scene with all their numbers, to which steps add."""
-        whole = all(part.key and len(part.at) == part.whole.size for part in self.parts)
-        return whole and not any(isinstance(part.coordinates, Inertias) for part in self.parts)
-
-    @cached_property
-    def _places(self) -> list[slice]:
-        """Places of the numbers of every unknown."""
-        ends = itertools.accumulate([len(part.at) for part in self.parts], initial=0)
-        return [slice(a, b) for a, b in itertools.pairwise(ends)]
-
     def split(self, values: np.ndarray) -> list[np.ndarray]:
         """Numbers of every unknown."""
-        return [values[at] for at in self._places]
+        return np.split(values, np.cumsum([len(part.at) for part in self.parts])[:-1])
 
     def parameters(self, values: np.ndarray) -> dict[str, Tensor]:
         """Parameters of the scene, by their names in its programs."""
@@ -183,10 +166,8 @@ class Unknowns:
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
         """Derivatives [p, p] of the numbers by a step."""
-        found = np.zeros((len(values), len(values)))
-        for part, at in zip(self.parts, self._places, strict=True):
-            found[at, at] = part.coordinates.slopes(values[at])
-        return found
+        own = zip(self.parts, self.split(values), strict=True)
+        return torch.block_diag(*(torch.from_numpy(part.coordinates.slopes(v)) for part, v in own)).numpy()
 
     def sizes(self, values: np.ndarray) -> np.ndarray:
         """Steps [p] as large as the numbers, or as they were at the start."""
@@ -202,8 +183,8 @@ class Unknowns:
 
     def _each(self, method: str, *numbers: np.ndarray) -> np.ndarray:
         """Results of a method of the coordinates of every unknown, on its part of some numbers [p]."""
-        places = zip(self.parts, self._places, strict=True)
-        return np.concatenate([getattr(part.coordinates, method)(*(x[at] for x in numbers)) for part, at in places])
+        own = zip(self.parts, *map(self.split, numbers), strict=True)
+        return np.concatenate([getattr(part.coordinates, method)(*x) for part, *x in own])
 
 
 def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
@@ -253,15 +234,12 @@ def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[
     One that is absent, and with which the scene would ask for a further input, cannot.
     """
     found: dict[str, Callable[[], Unknown]] = {}
-
-    def inputs(part: Parametric) -> dict[str, int]:
-        return part.inputs(scene.n) if isinstance(part, Effect) else {}
-
     for name, axes in part.SHAPES.items():
         value = tensor_of(getattr(part, name)).detach().double()
         if tuple(value.shape) != trailing(axes, scene.robot.sizes) or not bool(value.isfinite().all()):
             continue
-        if inputs(part) == inputs(replace(part, **{name: value})):
+        inputs = [x.inputs(scene.n) for x in (part, replace(part, **{name: value})) if isinstance(x, Effect)]
+        if inputs[:1] == inputs[1:]:
             body = (name, axes) in (("inertia", (6,)), ("com", (3,)))
             kind = name if body else "" if name in part.SIGNED else "mass"
             labels = scene.robot.joint_names if axes == ("n",) else scene.robot.link_names if axes == ("links",) else ()
