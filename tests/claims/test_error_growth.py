@@ -172,18 +172,6 @@ def test_constant_pivots_are_watched_too(backend):
     assert torch.allclose(found, torch.tensor([-1.0, 1.0 + 1e-7]), rtol=1e-6)
 
 
-def test_a_joint_that_moves_nothing_is_named():
-    robot = torchdq.Robot.from_screws(
-        [[0, 0, 1, 0, 0, 0], [0, 0, 1, 0, -1, 0]],
-        [1.0, 0.0],
-        np.zeros((2, 3)),
-        [np.eye(3), np.zeros((3, 3))],
-        joint_names=["hip", "ghost"],
-    )
-    with refused(torchdq.SingularInertiaError):
-        torchdq.forward_dynamics(robot, torch.zeros(2), None, torch.zeros(2))
-
-
 # --- precision --------------------------------------------------------------------------------------------------------
 
 

@@ -47,12 +47,12 @@ def size_of_torques(robot, s):
     return torch.stack(terms).amax((0, -1))
 
 
-def agree(found, expected, size, roundings=20):
-    """Check rows of components to so many roundings of a size per row, times the number of components."""
+def agree(found, expected, size):
+    """Check rows of components to 20 roundings of a size per row, times the number of components."""
     assert found.shape == expected.shape
     assert found.isfinite().all()
     error = (found - expected).abs().amax(-1)
-    allowed = roundings * found.shape[-1] * EPS * size
+    allowed = 20 * found.shape[-1] * EPS * size
     assert (error <= allowed).all(), f"off by {(error / allowed).max():.3g} times what is allowed"
 
 
@@ -267,7 +267,7 @@ def test_inverse_dynamics_undoes_forward_dynamics(robot):
 class Body:
     """A random tree at home, in the base frame, from which robots with any link frames are made."""
 
-    def __init__(self, n, seed=0, slide=False):
+    def __init__(self, n, seed=0):
         rng = np.random.default_rng([seed, n])
         self.n, self.rng = n, rng
         self.parents = [i - 1 if rng.random() < 0.7 else int(rng.integers(-1, i)) for i in range(n)]
@@ -278,9 +278,6 @@ class Body:
         self.kinds = [str(rng.choice(["revolute", "prismatic", "helical"], p=[0.6, 0.2, 0.2])) for _ in range(n)]
         self.pitch = rng.uniform(-0.3, 0.3, n)
         self.gravity = 6.0 * rng.normal(size=3)
-        if slide:  # the whole robot hangs on a slide along gravity
-            self.parents, self.kinds[0] = [-1, *(max(p, 0) for p in self.parents[1:])], "prismatic"
-            self.axis[0] = self.gravity / np.linalg.norm(self.gravity)
         self.mass = rng.uniform(0.5, 3.0, n)
         root = rng.normal(size=(n, 3, 3))
         second = 0.05 * root @ root.swapaxes(-1, -2)
@@ -291,9 +288,9 @@ class Body:
         r = self.rng.normal(size=(n, 4))
         return torch.from_numpy(r / np.linalg.norm(r, axis=-1, keepdims=True))
 
-    def robot(self, origins, turns, shift=(0.0, 0.0, 0.0), turn=(1.0, 0.0, 0.0, 0.0), **changes):
-        """Robot with link frames at those origins, turned so, everything seen from a base that is elsewhere."""
-        base = dq.from_pose(torch.tensor(turn, dtype=torch.float64), torch.tensor(shift, dtype=torch.float64))
+    def robot(self, origins, turns, turn=(1.0, 0.0, 0.0, 0.0)):
+        """Robot with link frames at those origins, turned so, everything seen from a base that is turned."""
+        base = dq.from_pose(torch.tensor(turn, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))
         R = dq.to_rotation_matrix(dq.rotation(base)).numpy()
         axis, moment = self.axis, np.cross(self.point, self.axis)
         slides, winds = (np.array([kind == k for kind in self.kinds])[:, None] for k in ("prismatic", "helical"))
@@ -311,7 +308,7 @@ class Body:
             tip_pose=dq.mul(base, dq.from_pose(self.tip_turn, torch.from_numpy(self.tip))),
             parents=self.parents,
             home=self.home,
-            **{"gravity": R @ self.gravity, **changes},
+            gravity=R @ self.gravity,
         )
 
     def upright(self):
@@ -339,11 +336,11 @@ def quantities(robot, s):
     )
 
 
-def check_same(robot, other, roundings=20):
+def check_same(robot, other):
     s = states(robot)
     for found, expected in zip(quantities(other, s), quantities(robot, s), strict=True):
         size = size_of_torques(robot, s) + expected.abs().amax(-1)
-        agree(found, expected, size, roundings)
+        agree(found, expected, size)
 
 
 WRITTEN = {  # the paper puts link frames at the centres of mass; that is a choice
@@ -356,13 +353,6 @@ WRITTEN = {  # the paper puts link frames at the centres of mass; that is a choi
 @pytest.mark.parametrize("how", WRITTEN)
 def test_where_numbers_are_written_down_changes_nothing(body, how):
     check_same(at_centres(body), WRITTEN[how](body))
-
-
-@pytest.mark.case("G13")
-def test_a_base_ten_kilometres_away_changes_nothing(body):
-    """Link frames hold only what is near them, so the distance costs digits once, when the robot is read."""
-    far = (6e3, -7e3, 4e3)
-    check_same(at_centres(body), at_centres(body, shift=far), roundings=10 * 1e4)
 
 
 def test_another_home_is_another_zero(body):
@@ -380,29 +370,6 @@ def test_turning_a_joint_around_turns_its_torque_around(body):
     other = robot.replace(screw=sign[:, None] * robot.screw)
     found = torchdq.inverse_dynamics(other, sign * s.q, sign * s.qd, sign * s.qdd, s.f_tip)
     agree(found, sign * torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, s.f_tip), size_of_torques(robot, s))
-
-
-@pytest.mark.case("D10")
-def test_in_free_fall_there_is_no_gravity():
-    """A robot whose slide lets it fall freely takes the torques it takes where there is no gravity."""
-    falling = at_centres(Body(6, seed=4, slide=True))
-    floating, s = falling.replace(gravity=None), states(falling)
-    fall = torch.zeros_like(s.qdd)
-    fall[:, 0] = falling.gravity.norm()
-    found = torchdq.inverse_dynamics(falling, s.q, s.qd, s.qdd + fall)
-    agree(found, torchdq.inverse_dynamics(floating, s.q, s.qd, s.qdd), size_of_torques(falling, s))
-
-
-@pytest.mark.case("D10")
-def test_left_alone_a_robot_on_a_slide_falls_with_gravity_and_does_not_move_otherwise():
-    falling = at_centres(Body(6, seed=4, slide=True))
-    q = states(falling).q
-    qdd = torchdq.forward_dynamics(falling, q, None, torch.zeros_like(q))
-    expected = torch.zeros_like(q)
-    expected[:, 0] = falling.gravity.norm()
-    inverse = torch.linalg.inv(torchdq.mass_matrix(falling, q)).abs().sum(-1).amax(-1)
-    g = torchdq.inverse_dynamics(falling, q).abs().amax(-1)
-    agree(qdd, expected, inverse * g)
 
 
 # --- frames without mass ---------------------------------------------------------------------------------------------
