@@ -8,7 +8,6 @@ package's, name the argument, and say what was expected and what was found. A fu
 import contextlib
 import inspect
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +15,11 @@ import torch
 from messages import refused
 
 import torchdq
-from torchdq import ArgumentError, DtypeError, TorchdqError, UnknownNameError
+from torchdq import ArgumentError, DtypeError, TorchdqError
 from torchdq.envs import Scene, effects
 from torchdq.learning import Samples, fit, identify
 
-F32, F64 = torch.float32, torch.float64
+F64 = torch.float64
 N = 7
 FIELDS = ("mass", "com", "inertia", "gravity", "armature", "home", "X_PB_home", "screw")
 TRAILING = {"f_tip": (6,), "f_ext": (N, 6)}  # of the others: (N,)
@@ -41,21 +40,22 @@ FUNCTIONS = {
     "computed_torque": ("q qd q_des qd_des qdd_des f_tip", "f_tip", {"kp": 9.0, "kd": 6.0}),
 }
 NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend", "clear_caches", "recommend_settings"}
-CASES = [(key, name) for key, (names, _, _) in FUNCTIONS.items() for name in names.split()]
-# the first tensor decides the dtype, the device and the batch; the others must follow it
-FOLLOWERS = [(key, name) for key, name in CASES if name != "q"]
-every_tensor = pytest.mark.parametrize(("key", "name"), CASES)
-every_follower = pytest.mark.parametrize(("key", "name"), FOLLOWERS)
+every_function = pytest.mark.parametrize("key", FUNCTIONS)
 
 
 def arm():
     return torchdq.robots.load("panda")
 
 
-def tensors(key, batch=(3,), dtype=F64, seed=0):
-    g = torch.Generator().manual_seed(seed)
+def full():
+    """Arm with every optional tensor."""
+    return arm().replace(armature=torch.ones(N, dtype=F64), home=torch.ones(N, dtype=F64))
+
+
+def tensors(key, batch=(3,)):
+    g = torch.Generator().manual_seed(0)
     names = FUNCTIONS[key][0].split()
-    return {name: torch.randn(*batch, *TRAILING.get(name, (N,)), dtype=F64, generator=g).to(dtype) for name in names}
+    return {name: torch.randn(*batch, *TRAILING.get(name, (N,)), dtype=F64, generator=g) for name in names}
 
 
 def call(key, robot, arguments):
@@ -64,17 +64,13 @@ def call(key, robot, arguments):
     return (result,) if isinstance(result, torch.Tensor) else tuple(result)
 
 
-def objection(error, key, arguments, robot=None):
-    """Message of the error that a function must raise."""
+def require_named(error, parts, function, *arguments):
+    """The error of the package that a function must raise holds every part, names as whole words."""
     with pytest.raises(error) as raised:
-        call(key, arm() if robot is None else robot, arguments)
+        function(*arguments)
+    message = str(raised.value)
     assert isinstance(raised.value, TorchdqError)
-    return str(raised.value)
-
-
-def says(message, *parts):
-    """The message holds every part, names as whole words."""
-    return [part for part in parts if not re.search(rf"(?<!\w){re.escape(part)}(?!\w)", message)] == []
+    assert [part for part in parts if not re.search(rf"(?<!\w){re.escape(part)}(?!\w)", message)] == [], message
 
 
 def test_every_public_function_is_listed_with_its_arguments():
@@ -83,153 +79,94 @@ def test_every_public_function_is_listed_with_its_arguments():
     assert {key: set(inspect.signature(getattr(torchdq, key)).parameters) - {"backend"} for key in public} == listed
 
 
-# --- shape -----------------------------------------------------------------------------------------------------------
+def test_errors_are_those_that_python_has_for_them():
+    assert issubclass(DtypeError, TypeError) and issubclass(ArgumentError, ValueError)
+    assert issubclass(torchdq.UnknownNameError, KeyError)
 
 
-@pytest.mark.case("P14")
-@pytest.mark.parametrize("size", [0, 1, 5, 8])
-@every_tensor
-def test_a_last_axis_of_the_wrong_size_is_named(key, name, size):
-    """One too: it would broadcast, and every joint would get the same number."""
+# --- tensors ---------------------------------------------------------------------------------------------------------
+
+# error, what becomes of a tensor, and what is said besides its name; one number would broadcast to every joint
+WRONG = {
+    **{
+        f"{k} numbers": (ArgumentError, lambda x, k=k: x[..., :1].expand(*x.shape[:-1], k), "panda")
+        for k in (0, 1, 5, 8)
+    },
+    "no axes": (ArgumentError, lambda x: x.new_tensor(1.0), "found ()"),
+    "list": (ArgumentError, torch.Tensor.tolist, "tensor", "list"),
+    "array": (ArgumentError, torch.Tensor.numpy, "tensor", "ndarray"),
+    "number": (ArgumentError, lambda x: 1.0, "tensor", "float"),
+    **{
+        str(dtype): (DtypeError, lambda x, dtype=dtype: x.to(dtype), "float32", "float64", str(dtype))
+        for dtype in (torch.int64, torch.bool, torch.float16, torch.bfloat16, torch.complex128)
+    },
+}
+# of all but the first tensor, which decides the batch, the dtype and the device
+UNLIKE = {
+    "batch": (ArgumentError, lambda x: x[:1].expand(4, *x.shape[1:]), "broadcast", "q", "(3,)", "(4,)"),
+    "dtype": (DtypeError, torch.Tensor.float, "torch.float32", "q", "torch.float64"),
+    "device": (ArgumentError, lambda x: x.to("meta"), "meta", "q", "cpu"),
+}
+
+
+@pytest.mark.case("P5", "P7", "P8", "P14")
+@pytest.mark.parametrize("way", [*WRONG, *UNLIKE])
+@every_function
+def test_a_wrong_tensor_is_named_with_what_was_expected_and_found(key, way):
+    error, change, *parts = (WRONG | UNLIKE)[way]
     arguments = tensors(key)
-    wrong = arguments[name][..., :1].expand(*arguments[name].shape[:-1], size)
-    message = objection(ArgumentError, key, arguments | {name: wrong})
-    expected = ", ".join(map(str, TRAILING.get(name, (N,))))
-    assert says(message, name, f"..., {expected}", "panda") and str(tuple(wrong.shape)) in message
-
-
-@pytest.mark.case("P14")
-@every_tensor
-def test_a_tensor_without_axes_is_named(key, name):
-    message = objection(ArgumentError, key, tensors(key) | {name: torch.tensor(1.0, dtype=F64)})
-    assert says(message, name) and "found ()" in message
+    for name in list(arguments)[way in UNLIKE :]:
+        wrong = change(arguments[name])
+        expected = [name, *parts]
+        if way.endswith("numbers"):
+            expected += [", ".join(map(str, ("...", *TRAILING.get(name, (N,))))), str(tuple(wrong.shape))]
+        require_named(error, expected, call, key, arm(), arguments | {name: wrong})
 
 
 @pytest.mark.case("P14")
 @pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics"])
 @pytest.mark.parametrize("shape", [(6,), (N,), (3, 6), (3, 6, N)])
 def test_link_wrenches_of_the_wrong_rank_are_named(key, shape):
-    message = objection(ArgumentError, key, tensors(key, ()) | {"f_ext": torch.zeros(shape, dtype=F64)})
-    assert says(message, "f_ext") and f"found {shape}" in message
+    arguments = tensors(key, ()) | {"f_ext": torch.zeros(shape, dtype=F64)}
+    require_named(ArgumentError, ["f_ext", f"found {shape}"], call, key, arm(), arguments)
 
 
-@pytest.mark.case("P14")
-@every_follower
-def test_batch_axes_that_do_not_broadcast_are_all_named(key, name):
-    arguments = tensors(key)
-    arguments[name] = tensors(key, (4,))[name]
-    message = objection(ArgumentError, key, arguments)
-    assert says(message, "broadcast", *arguments) and "(3,)" in message and "(4,)" in message
+@every_function
+def test_a_missing_tensor_is_named_unless_it_may_be_absent(key):
+    for name in tensors(key):
+        arguments = tensors(key) | {name: None}
+        if name in FUNCTIONS[key][1].split():
+            assert all(bool(y.isfinite().all()) for y in call(key, arm(), arguments))
+        else:
+            require_named(ArgumentError, [name, "tensor", "NoneType"], call, key, arm(), arguments)
 
 
-@pytest.mark.parametrize("field", FIELDS)
-@pytest.mark.parametrize("key", FUNCTIONS)
-def test_batch_axes_of_the_robot_that_do_not_broadcast_are_named(key, field):
-    robot = arm().replace(armature=torch.ones(N, dtype=F64), home=torch.zeros(N, dtype=F64))
-    x = getattr(robot, field)
-    message = objection(ArgumentError, key, tensors(key), robot.replace(**{field: x.expand(4, *x.shape)}))
-    assert says(message, "broadcast", f"robot.{field}", "q") and "(3,)" in message and "(4,)" in message
+@every_function
+def test_a_wrong_robot_is_named(key):
+    require_named(ArgumentError, ["robot", "torchdq.Robot", "Tensor"], call, key, torch.zeros(3, N), tensors(key))
+    for field in FIELDS:
+        x = getattr(full(), field)
+        batch = full().replace(**{field: x.expand(4, *x.shape)})
+        parts = ["broadcast", f"robot.{field}", "q", "(3,)", "(4,)"]
+        require_named(ArgumentError, parts, call, key, batch, tensors(key))
+    robot = arm().replace(mass=arm().mass.expand(4, N), gravity=arm().gravity.expand(5, 3))
+    require_named(ArgumentError, ["robot.mass", "robot.gravity", "(4,)", "(5,)"], call, key, robot, tensors(key, ()))
 
 
-def test_batch_axes_of_a_robot_that_do_not_broadcast_with_each_other_are_named():
-    robot = arm()
-    robot = robot.replace(mass=robot.mass.expand(4, N), gravity=robot.gravity.expand(5, 3))
-    message = objection(ArgumentError, "mass_matrix", tensors("mass_matrix", ()), robot)
-    assert says(message, "robot.mass", "robot.gravity") and "(4,)" in message and "(5,)" in message
-
-
-# --- kind, dtype, device ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "convert", [torch.Tensor.tolist, torch.Tensor.numpy, lambda x: 1.0], ids=["list", "array", "float"]
-)
-@every_tensor
-def test_what_is_not_a_tensor_is_named(key, name, convert):
-    arguments = tensors(key)
-    wrong = convert(arguments[name])
-    assert says(objection(ArgumentError, key, arguments | {name: wrong}), name, "tensor", type(wrong).__name__)
-
-
-@every_tensor
-def test_a_missing_tensor_is_named_unless_it_may_be_absent(key, name):
-    arguments = tensors(key) | {name: None}
-    if name in FUNCTIONS[key][1].split():
-        assert all(bool(y.isfinite().all()) for y in call(key, arm(), arguments))
-    else:
-        assert says(objection(ArgumentError, key, arguments), name, "tensor", "NoneType")
-
-
-@pytest.mark.case("P5", "P7")
-@pytest.mark.parametrize("dtype", [torch.int64, torch.bool, torch.float16, torch.bfloat16, torch.complex128], ids=str)
-@every_tensor
-def test_a_dtype_that_dynamics_are_not_computed_in_is_named(key, name, dtype):
-    arguments = tensors(key)
-    message = objection(DtypeError, key, arguments | {name: arguments[name].to(dtype)})
-    assert says(message, name, "float32", "float64", str(dtype))
-
-
-def test_a_dtype_error_is_a_type_error():
-    assert issubclass(DtypeError, TypeError)
-
-
-def test_an_argument_error_is_a_value_error():
-    assert issubclass(ArgumentError, ValueError)
-
-
-@pytest.mark.case("P8")
-@every_follower
-def test_mixed_dtypes_are_named(key, name):
-    arguments = tensors(key)
-    message = objection(DtypeError, key, arguments | {name: arguments[name].float()})
-    assert says(message, name, "torch.float32", "q", "torch.float64")
-
-
-@pytest.mark.case("P8")
-@every_follower
-def test_mixed_devices_are_named(key, name):
-    arguments = tensors(key)
-    message = objection(ArgumentError, key, arguments | {name: arguments[name].to("meta")})
-    assert says(message, name, "meta", "q", "cpu")
-
-
-@pytest.mark.parametrize("key", FUNCTIONS)
+@every_function
 def test_the_robot_follows_the_device_of_the_inputs(key):
     results = call(key, arm(), {name: x.to("meta") for name, x in tensors(key).items()})
     assert {y.device.type for y in results} == {"meta"}
 
 
-@pytest.mark.parametrize("key", FUNCTIONS)
-def test_what_is_not_a_robot_is_named(key):
-    message = objection(ArgumentError, key, tensors(key), robot=torch.zeros(3, N))
-    assert says(message, "robot", "torchdq.Robot", "Tensor")
-
-
-MAKERS = {
-    "DQRNEA": lambda robot: torchdq.DQRNEA(robot),
-    "InverseDynamics": lambda robot: torchdq.InverseDynamics(robot, learn="mass"),
-    "ForwardDynamics": lambda robot: torchdq.ForwardDynamics(robot),
-    "ComputedTorque": lambda robot: torchdq.ComputedTorque(robot, 1.0, 1.0),
-    "compile": lambda robot: torchdq.compile(robot, "inverse_dynamics"),
-    "inverse_dynamics": lambda robot: torchdq.inverse_dynamics(robot, torch.zeros(N)),
-}
-
-
-@pytest.mark.parametrize("maker", MAKERS)
-@pytest.mark.parametrize(
-    "wrong",
-    ["arm.urdf", Path("arm.urdf"), None],
-    ids=str,
-)
-def test_what_is_made_of_no_robot_says_at_once_how_to_load_one(maker, wrong):
-    with refused(ArgumentError) as raised:
-        MAKERS[maker](wrong)
-    assert says(str(raised.value), "robot", "torchdq.Robot")
-
-
-def test_a_layer_in_the_place_of_a_robot_says_where_its_robot_is():
-    with refused(ArgumentError):
-        torchdq.ForwardDynamics(torchdq.DQRNEA(arm()))
+@pytest.mark.case("P5", "P7")
+@pytest.mark.parametrize("field", FIELDS)
+def test_a_wrong_parameter_of_a_robot_is_named(field):
+    wrong = torch.zeros(2, 2, 2, dtype=F64)
+    require_named(ArgumentError, [field, "panda", "found (2, 2, 2)"], lambda: arm().replace(**{field: wrong}))
+    for dtype in (torch.int64, torch.float16, torch.bfloat16):
+        parts = [field, "panda", "float32", "float64", str(dtype)]
+        require_named(DtypeError, parts, lambda: full().replace(**{field: getattr(full(), field).to(dtype)}))  # noqa: B023
 
 
 @pytest.mark.parametrize("dtype", ["float32", torch.float32, np.float32], ids=str)
@@ -237,153 +174,15 @@ def test_a_dtype_may_be_given_by_its_name(dtype):
     assert torchdq.compile(arm(), "mass_matrix", dtype=dtype).dtype == torch.float32
 
 
-@pytest.mark.parametrize("dtype", ["float16", "single precision", torch.int64, np.float16, 32, None], ids=str)
-def test_a_dtype_that_is_not_of_the_package_is_named(dtype):
-    with refused(DtypeError):
-        torchdq.compile(arm(), "mass_matrix", dtype=dtype)
-
-
-# --- gains -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("gain", ["kp", "kd"])
-@pytest.mark.parametrize(
-    ("wrong", "error", "found"),
-    [
-        (torch.ones(3, dtype=F64), ArgumentError, "(3,)"),
-        (torch.ones(N, 1, dtype=F64), ArgumentError, "(7, 1)"),
-        (torch.ones(4, N, dtype=F64), ArgumentError, "(4,)"),
-        (torch.ones(N), DtypeError, "torch.float32"),
-        ([9.0] * N, ArgumentError, "list"),
-    ],
-)
-def test_a_gain_that_does_not_fit_is_named(gain, wrong, error, found):
-    x = tensors("computed_torque")
-    with pytest.raises(error) as raised:
-        torchdq.computed_torque(arm(), **x, **({"kp": 9.0, "kd": 6.0} | {gain: wrong}))
-    assert says(str(raised.value), gain) and found in str(raised.value)
-
-
-@pytest.mark.parametrize("gain", ["kp", "kd"])
-@pytest.mark.parametrize("wrong", [-1.0, torch.nan, [1.0, 2.0], torch.ones(1, N)], ids=str)
-def test_a_controller_with_a_gain_that_does_not_fit_is_refused(gain, wrong):
-    with pytest.raises(ArgumentError) as raised:
-        torchdq.ComputedTorque(arm(), **({"kp": 9.0, "kd": 6.0} | {gain: wrong}))
-    assert says(str(raised.value), gain, "7", str(wrong))
-
-
-# --- names -----------------------------------------------------------------------------------------------------------
-
-
-NAMES = {
-    "frame, forward kinematics": (lambda: torchdq.forward_kinematics(arm(), torch.zeros(N), "panda_link77")),
-    "frame, jacobian": (lambda: torchdq.jacobian(arm(), torch.zeros(N), "panda_link77")),
-    "frame, tip": (lambda: arm().with_tip("panda_link77")),
-    "frame, robot": (lambda: arm().frame("panda_link77")),
-    "joint": (lambda: arm().joint_index("panda_joint77")),
-    "shipped robot": (lambda: torchdq.robots.load("pandas")),
-}
-CLOSE = {"frame": "panda_link7", "joint": "panda_joint7", "shipped robot": "panda"}
-
-
-@pytest.mark.parametrize("what", NAMES)
-def test_an_unknown_name_is_a_key_error_with_the_closest_names(what):
-    with pytest.raises(KeyError) as raised:
-        NAMES[what]()
-    kind = what.split(",")[0]
-    message = str(raised.value)
-    assert isinstance(raised.value, TorchdqError)
-    assert says(message, kind, "did you mean") and f"'{CLOSE[kind]}'" in message
-
-
-def test_a_name_like_no_other_is_answered_with_all_names():
-    with pytest.raises(UnknownNameError) as raised:
-        torchdq.robots.load("xyzzy")
-    assert says(str(raised.value), "xyzzy", "two_link", "panda", "ur10e", "puma560")
-
-
-@pytest.mark.parametrize("frame", [None, 3])
-def test_a_frame_that_is_not_a_name_is_refused(frame):
-    with refused(UnknownNameError):
-        torchdq.jacobian(arm(), torch.zeros(N), frame)
-
-
-def test_axes_other_than_body_and_world_are_refused():
-    with pytest.raises(ArgumentError) as raised:
-        torchdq.jacobian(arm(), torch.zeros(N), "tip", "local")
-    assert says(str(raised.value), "expressed", "'body'", "'world'", "'local'")
-
-
 @pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics", "computed_torque"])
 def test_a_tip_wrench_on_a_robot_without_a_tip_is_refused_with_the_frames_it_has(key):
-    message = objection(ArgumentError, key, tensors(key), arm().with_tip(None))
-    assert says(message, "f_tip", "panda", *arm().frame_names)
-
-
-def test_a_tip_wrench_on_a_robot_whose_tip_is_on_the_base_is_refused():
-    message = objection(ArgumentError, "inverse_dynamics", tensors("inverse_dynamics"), arm().with_tip("base"))
-    assert says(message, "tip", "base", "panda")
-
-
-@pytest.mark.parametrize("module", ["DQRNEA", "ForwardDynamics", "ComputedTorque"])
-@pytest.mark.parametrize("field", ["masses", "limits", "home", "viscous"])
-def test_learning_what_the_robot_does_not_have_is_refused(module, field):
-    gains = (9.0, 6.0) if module == "ComputedTorque" else ()
-    with pytest.raises(ArgumentError) as raised:
-        getattr(torchdq, module)(arm(), *gains, learn=("mass", field))
-    assert says(str(raised.value), "learn", f"'{field}'", "'mass'", "'inertia'")
-
-
-# --- robots ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("field", FIELDS)
-def test_a_parameter_of_the_wrong_shape_is_named(field):
-    robot = arm()
-    wrong = torch.zeros(2, 2, 2, dtype=F64)
-    with pytest.raises(ArgumentError) as raised:
-        robot.replace(**{field: wrong})
-    assert says(str(raised.value), field, "panda") and "found (2, 2, 2)" in str(raised.value)
-
-
-@pytest.mark.case("P5", "P7")
-@pytest.mark.parametrize("field", FIELDS)
-@pytest.mark.parametrize("dtype", [torch.int64, torch.float16, torch.bfloat16], ids=str)
-def test_a_parameter_of_a_dtype_without_the_precision_is_named(field, dtype):
-    robot = arm().replace(armature=torch.ones(N, dtype=F64), home=torch.zeros(N, dtype=F64))
-    with pytest.raises(DtypeError) as raised:
-        robot.replace(**{field: getattr(robot, field).to(dtype)})
-    assert says(str(raised.value), field, "panda", "float32", "float64", str(dtype))
-
-
-@pytest.mark.case("P5")
-@pytest.mark.parametrize("module", ["DQRNEA", "ForwardDynamics"])
-def test_a_module_in_half_precision_is_refused(module):
-    x = torch.zeros(3, N)
-    with refused(DtypeError):
-        getattr(torchdq, module)(arm(), learn="mass").half()(x, x, x)
-
-
-# --- require_finite --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("bad", [torch.nan, torch.inf, -torch.inf])
-def test_require_finite_names_the_argument_its_first_bad_entry_and_how_many_more(bad):
-    x = torch.zeros(3, N)
-    x[1, 4], x[2, 0] = bad, torch.nan
-    with pytest.raises(ArgumentError) as raised:
-        torchdq.require_finite(q=torch.zeros(N), qd=x)
-    assert says(str(raised.value), "qd", str(bad), "1 more") and "(1, 4)" in str(raised.value)
+    parts = ["f_tip", "panda", *arm().frame_names]
+    require_named(ArgumentError, parts, call, key, arm().with_tip(None), tensors(key))
+    require_named(ArgumentError, ["tip", "base", "panda"], call, key, arm().with_tip("base"), tensors(key))
 
 
 def test_require_finite_lets_finite_and_absent_arguments_pass():
     assert torchdq.require_finite(q=torch.full((2,), 1e38), qd=None, qdd=torch.zeros(0, N)) is None
-
-
-def test_require_finite_names_what_is_not_a_tensor():
-    with pytest.raises(ArgumentError) as raised:
-        torchdq.require_finite(q=[0.0])
-    assert says(str(raised.value), "q", "tensor", "list")
 
 
 # --- nothing is lost -------------------------------------------------------------------------------------------------
@@ -400,37 +199,20 @@ def untouched(arguments, before):
     ]
 
 
-@pytest.mark.parametrize("key", FUNCTIONS)
-def test_inputs_are_never_written_to(key):
-    arguments = tensors(key)
-    before = remember(arguments)
-    call(key, arm(), arguments)
-    assert untouched(arguments, before) == []
-
-
-@pytest.mark.parametrize("key", FUNCTIONS)
-def test_the_robot_is_never_written_to(key):
-    robot = arm().replace(armature=torch.ones(N, dtype=F64), home=torch.ones(N, dtype=F64))
-    fields = {field: getattr(robot, field) for field in FIELDS}
-    before = remember(fields)
-    call(key, robot, tensors(key))
-    assert untouched(fields, before) == []
-
-
-@pytest.mark.parametrize("key", FUNCTIONS)
+@every_function
 def test_results_are_tensors_of_their_own(key):
-    """Writing to a result must not change an input, the robot, another entry of the result, or the next call."""
-    robot, arguments = arm(), tensors(key)
-    robot = robot.replace(armature=torch.ones(N, dtype=F64), home=torch.ones(N, dtype=F64))
-    fields = {field: getattr(robot, field) for field in FIELDS}
-    before, expected = remember(arguments | fields), [y.clone() for y in call(key, robot, arguments)]
+    """Writing to a result changes no input, nothing of the robot, no other entry, and not the next call."""
+    robot, arguments = full(), tensors(key)
+    known = arguments | {field: getattr(robot, field) for field in FIELDS}
+    before, expected = remember(known), [y.clone() for y in call(key, robot, arguments)]
+    assert untouched(known, before) == []
     for y in call(key, robot, arguments):
         y.fill_(7.0)
-    assert untouched(arguments | fields, before) == []
+    assert untouched(known, before) == []
     assert all(torch.equal(a, b) for a, b in zip(call(key, robot, arguments), expected, strict=True))
 
 
-@pytest.mark.parametrize("key", FUNCTIONS)
+@every_function
 def test_backward_writes_to_nothing_but_gradients(key):
     arguments = {name: x.requires_grad_() for name, x in tensors(key).items()}
     before = remember(arguments)
@@ -441,12 +223,13 @@ def test_backward_writes_to_nothing_but_gradients(key):
 
 def test_a_module_does_not_write_to_the_robot_it_is_made_of():
     robot = arm()
-    before = remember({field: getattr(robot, field) for field in ("mass", "com", "inertia")})
-    module = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia"))
+    known = {field: getattr(robot, field) for field in ("mass", "com", "inertia")}
+    before = remember(known)
+    module = torchdq.DQRNEA(robot, learn=tuple(known))
     with torch.no_grad():
         for p in module.parameters():
             p.add_(1.0)
-    assert untouched({field: getattr(robot, field) for field in before}, before) == []
+    assert untouched({field: getattr(robot, field) for field in known}, before) == []
 
 
 # --- tensors that are not dense ---------------------------------------------------------------------------------------
@@ -468,18 +251,18 @@ def test_tensors_that_are_not_dense_are_named(layout):
     other = OTHERS[layout](plain)
     plain = plain.to(other.dtype)
     scene, tables = Scene(robot), Samples(plain, plain, plain, plain)
-    uses = {
-        "q": lambda x: torchdq.inverse_dynamics(robot, x),
-        "qd": lambda x: torchdq.inverse_dynamics(robot, plain, x, backend="eager"),
-        "q ": lambda x: torchdq.compile(robot, "mass_matrix", dtype=plain.dtype)(x),
-        "q  ": lambda x: scene.start(x),
-        "torque": lambda x: scene.step(scene.start(plain), x),
-        "mass of robot 'two_link'": lambda x: robot.replace(mass=x),
-        "coefficient of Viscous": lambda x: Scene(robot, (effects.Viscous(x),)),
-        r"train\.tau": lambda x: fit(torchdq.DQRNEA(robot, learn="mass"), tables._replace(tau=x), steps=1),
-        "tau": lambda x: identify(robot, Samples(plain, plain, plain, x)),
-    }
-    for use in uses.values():
+    uses = (
+        lambda x: torchdq.inverse_dynamics(robot, x),
+        lambda x: torchdq.inverse_dynamics(robot, plain, x, backend="eager"),
+        lambda x: torchdq.compile(robot, "mass_matrix", dtype=plain.dtype)(x),
+        lambda x: scene.start(x),
+        lambda x: scene.step(scene.start(plain), x),
+        lambda x: robot.replace(mass=x),
+        lambda x: Scene(robot, (effects.Viscous(x),)),
+        lambda x: fit(torchdq.DQRNEA(robot, learn="mass"), tables._replace(tau=x), steps=1),
+        lambda x: identify(robot, Samples(plain, plain, plain, x)),
+    )
+    for use in uses:
         with contextlib.suppress(ArgumentError):  # samples that are all the same may be refused
             use(plain)
         with refused(ArgumentError):

@@ -122,19 +122,6 @@ def test_a_sample_is_bitwise_what_it_is_alone(backend):
 
 
 @every_backend
-def test_gradients_of_lost_samples_are_those_of_float64_rounded(backend):
-    q, qd, tau = inputs(MIXED, 60)
-    lost = split(MIXED, q)
-
-    def gradients(dtype):
-        x = [y.to(dtype).requires_grad_() for y in (q, qd, tau)]
-        return torch.autograd.grad(torchdq.forward_dynamics(MIXED, *x, backend=backend).sum(), x)
-
-    for narrow, wide in zip(gradients(torch.float32), gradients(torch.float64), strict=True):
-        torch.testing.assert_close(narrow[lost], wide[lost].float(), rtol=4 * 2.0**-24, atol=0)
-
-
-@every_backend
 def test_gradients_that_are_summed_hold_every_sample_once(backend):
     q, qd, tau = inputs(MIXED, 60)
     split(MIXED, q)
@@ -147,35 +134,6 @@ def test_gradients_that_are_summed_hold_every_sample_once(backend):
 
     narrow, wide = gradient(torch.float32).double(), gradient(torch.float64)
     assert (narrow - wide).norm() <= 1e-3 * wide.norm()
-
-
-@every_backend
-def test_second_derivatives_of_a_lost_sample_are_those_of_float64(backend):
-    q, qd, tau = inputs(MIXED, 60)
-    k = int(split(MIXED, q).nonzero()[0])
-
-    def hessian(dtype):
-        rest = qd[k].to(dtype), tau[k].to(dtype)
-        return torch.autograd.functional.hessian(
-            lambda x: torchdq.forward_dynamics(MIXED, x, *rest, backend=backend)[0], q[k].to(dtype)
-        )
-
-    narrow, wide = hessian(torch.float32).double(), hessian(torch.float64)
-    assert (narrow - wide).norm() <= 1e-5 * wide.norm()
-
-
-@pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
-def test_threads_mend_the_same_samples():
-    q, qd, tau = inputs(MIXED, 100_000)
-    before = torch.get_num_threads()
-    found = []
-    try:
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
-            found.append(torchdq.forward_dynamics(MIXED, q, qd, tau, backend="c"))
-    finally:
-        torch.set_num_threads(before)
-    assert torch.equal(*found)
 
 
 @every_backend
@@ -212,18 +170,6 @@ def test_constant_pivots_are_watched_too(backend):
     tau = torch.tensor([0.0, 1.0])
     found = torchdq.forward_dynamics(robot, q, None, tau, backend=backend)
     assert torch.allclose(found, torch.tensor([-1.0, 1.0 + 1e-7]), rtol=1e-6)
-
-
-def test_a_joint_that_moves_nothing_is_named():
-    robot = torchdq.Robot.from_screws(
-        [[0, 0, 1, 0, 0, 0], [0, 0, 1, 0, -1, 0]],
-        [1.0, 0.0],
-        np.zeros((2, 3)),
-        [np.eye(3), np.zeros((3, 3))],
-        joint_names=["hip", "ghost"],
-    )
-    with refused(torchdq.SingularInertiaError):
-        torchdq.forward_dynamics(robot, torch.zeros(2), None, torch.zeros(2))
 
 
 # --- precision --------------------------------------------------------------------------------------------------------

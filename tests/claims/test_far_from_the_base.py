@@ -43,6 +43,7 @@ def moved(robot, offset):
     return robot.replace(X_PB_home=torch.where(first, X, robot.X_PB_home), on_unphysical="ignore").bake()
 
 
+@pytest.mark.case("G13")
 @pytest.mark.parametrize("distance", DISTANCES)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_far_robots_move_as_near_ones(name, distance):

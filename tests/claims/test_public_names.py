@@ -14,22 +14,11 @@ from torchdq.export.meaning import WORDS
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.recipe import WRENCHES
 
-FACES = [
-    *("torchdq", "torchdq.functional", "torchdq.floating", "torchdq.nn", "torchdq.layers.residual", "torchdq.effects"),
-    *("torchdq.dq", "torchdq.convert", "torchdq.learning", "torchdq.envs"),
-]
 OTHERS = {"robot", "backend", "precision", "frame", "expressed"}  # arguments that are no tensors
 FUNCTIONS = {
     **{name: getattr(functional, name) for name in RECIPES if hasattr(functional, name)},
     **{FLOATING + name: getattr(floating, name) for name in floating.__all__ if name.islower()},
 }
-
-
-@pytest.mark.parametrize("face", FACES)
-def test_a_face_lists_what_it_has(face):
-    module = importlib.import_module(face)
-    assert len(set(module.__all__)) == len(module.__all__)
-    assert [name for name in module.__all__ if not hasattr(module, name)] == []
 
 
 @pytest.mark.parametrize("face", [functional, floating, torchdq.nn], ids=lambda x: x.__name__)

@@ -1,7 +1,8 @@
-"""The dynamics as tensor code: batches, layouts, dtypes, bad rows, torch.func, torch.compile, export, modules.
+"""The dynamics as tensor code: batches, layouts, dtypes, bad robots, torch.func, torch.compile, export, modules.
 
 What the functions return is the business of other files; here it must be the same however it is asked for. The tests
-run over `FUNCTIONS`, every public function of the dynamics, unless they are about a module.
+run over `FUNCTIONS`, every public function of the dynamics, unless they are about a module. Empty batches, layouts in
+memory, bad rows, autocast and denormal numbers are in hard_cases/test_tensors.py.
 """
 
 import operator
@@ -10,11 +11,10 @@ from functools import cache
 
 import pytest
 import torch
-from helpers import thinned
 from torch._dynamo.backends.common import aot_autograd
 from torch._dynamo.testing import CompileCounterWithBackend
 from torch._functorch.aot_autograd import make_boxed_func
-from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp, vmap
+from torch.func import functional_call, grad, hessian, jacfwd, jacrev, vmap
 
 import torchdq
 from torchdq import effects
@@ -109,14 +109,6 @@ def relative(a, b):
     return max(float((x - y).abs().max() / y.abs().max().clamp_min(1e-30)) for x, y in pairs)
 
 
-def gradients(key, robot, args, weights=None):
-    """Derivatives of a weighted sum of all results in all inputs."""
-    args = [x.detach().clone().requires_grad_() for x in args]
-    results = call(key, robot, args)
-    weights = [torch.ones_like(y) for y in results] if weights is None else weights
-    return torch.autograd.grad(results, args, weights, allow_unused=True, materialize_grads=True)
-
-
 # --- batches ---------------------------------------------------------------------------------------------------------
 
 
@@ -149,26 +141,20 @@ def trailing(key):
 
 
 @pytest.mark.case("P1")
-@pytest.mark.parametrize("batch", [(0,), (2, 0)])
+@pytest.mark.parametrize("backend", ["eager", pytest.param("c", marks=C_COMPILER)])
 @every_function
-def test_an_empty_batch_gives_an_empty_batch_and_a_backward(key, batch):
-    robot = arm()
-    for dtype in (F32, F64):
-        args = of(key, 2, batch, dtype)
-        solo = call(key, robot, of(key, 2, (), dtype))
-        shapes = [(tuple(y.shape), y.dtype) for y in call(key, robot, args)]
-        assert shapes == [((*batch, *y.shape), dtype) for y in solo]
-        assert [g.shape for g in gradients(key, robot, args)] == [x.shape for x in args]
-
-
-@pytest.mark.case("P1")
-@every_function
-def test_a_robot_without_joints_gives_empty_axes(key):
+def test_a_robot_without_joints_gives_empty_axes(key, backend):
     robot = torchdq.Robot.from_urdf("<robot name='rock'><link name='tip'/></robot>")
     args = [x for x in of(key, 0, (4,)) if x.shape[-1] != 6 or x.ndim == 3]  # there is no tip to push
     if "f_tip" in FUNCTIONS[key][1].split():
         args.insert(FUNCTIONS[key][1].split().index("f_tip"), None)
-    found = [tuple(y.shape) for y in call(key, robot, args) if y is not None]
+    with torchdq.backend(backend):
+        leaves = [x if x is None else x.requires_grad_() for x in args]
+        found = [y for y in call(key, robot, leaves) if y is not None]
+        total = sum(y.sum() for y in found)
+        if total.requires_grad:
+            total.backward()
+    assert all(x is None or x.grad is None or x.grad.shape == x.shape for x in leaves)
     expected = {
         "inverse_dynamics": [(4, 0)],
         "forward_dynamics": [(4, 0)],
@@ -184,36 +170,7 @@ def test_a_robot_without_joints_gives_empty_axes(key):
         "dynamics_jacobian": [(4, 0, 0)] * 3,
         "computed_torque": [(4, 0)],
     }
-    assert found == expected[key]
-
-
-def transposed(x):
-    return x.transpose(0, -1).contiguous().transpose(0, -1)
-
-
-def sliced(x):
-    wide = x.new_full((2 * x.shape[0], *x.shape[1:-1], 3 * x.shape[-1]), torch.nan)
-    wide[::2, ..., 1::3] = x
-    return wide[::2, ..., 1::3]
-
-
-@pytest.mark.case("P2")
-@pytest.mark.parametrize("layout", [transposed, sliced])
-@every_function
-def test_the_layout_in_memory_does_not_matter(key, layout):
-    robot = arm()
-    args = of(key, 2, (9,))
-    strided = [layout(x) for x in args]
-    assert not any(x.is_contiguous() for x in strided)
-    assert same(call(key, robot, strided), call(key, robot, args))
-
-
-@pytest.mark.case("P2")
-@every_function
-def test_expanded_inputs_are_their_copies(key):
-    robot = arm()
-    args = [x.expand(5, *x.shape) for x in of(key, 2)]
-    assert same(call(key, robot, args), call(key, robot, [x.contiguous() for x in args]))
+    assert [tuple(y.shape) for y in found] == expected[key]
 
 
 # --- batches of robots -----------------------------------------------------------------------------------------------
@@ -240,31 +197,28 @@ def alike(found, expected):
 @pytest.mark.parametrize("fields", [*([field] for field in TRAILING), list(TRAILING)], ids="+".join)
 @every_function
 def test_a_batch_of_robots_is_a_loop_over_robots(key, fields):
+    """In one state each, and all in the same: results have the robots' axes even where they do not depend on them."""
     robot, args = varied(arm(), fields), of(key, 2, (3,))
     loop = [call(key, one(robot, k), [x[k] for x in args]) for k in range(3)]
     assert alike(call(key, robot, args), [torch.stack(rows) for rows in zip(*loop, strict=True)])
-
-
-@pytest.mark.parametrize("field", TRAILING)
-@every_function
-def test_results_have_the_batch_axes_of_the_robot_even_where_they_do_not_depend_on_them(key, field):
-    robot, args = varied(arm(), [field]), of(key, 2)
+    args = of(key, 2)
     loop = [call(key, one(robot, k), args) for k in range(3)]
     assert alike(call(key, robot, args), [torch.stack(rows) for rows in zip(*loop, strict=True)])
 
 
-@pytest.mark.parametrize("field", TRAILING)
 @pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics"])
-def test_each_robot_of_a_batch_gets_its_own_gradient(key, field):
-    robot, args = varied(arm(), [field]), of(key, 2, (3,))
-    x = getattr(robot, field).clone().requires_grad_()
-    (found,) = torch.autograd.grad(
-        call(key, robot.replace(**{field: x}, on_unphysical="ignore"), args)[0].square().sum(), x
-    )
+def test_each_robot_of_a_batch_gets_its_own_gradient(key):
+    robot, args = varied(arm(), TRAILING), of(key, 2, (3,))
+
+    def gradients(robot, args):
+        fields = {name: getattr(robot, name).clone().requires_grad_() for name in TRAILING}
+        (y,) = call(key, robot.replace(**fields, on_unphysical="ignore"), args)
+        return torch.autograd.grad(y.square().sum(), fields.values())
+
+    found = gradients(robot, args)
     for k in range(3):
-        alone = x[k].detach().requires_grad_()
-        y = call(key, one(robot, k).replace(**{field: alone}, on_unphysical="ignore"), [a[k] for a in args])[0]
-        assert relative([found[k]], torch.autograd.grad(y.square().sum(), alone)) < 64 * EPS[F64]
+        alone = gradients(one(robot, k), [x[k] for x in args])
+        assert relative([x[k] for x in found], alone) < 64 * EPS[F64]
 
 
 def test_the_parameters_of_a_batch_of_robots_are_those_of_each():
@@ -272,32 +226,7 @@ def test_the_parameters_of_a_batch_of_robots_are_those_of_each():
     assert same([robot.inertial_parameters], [torch.stack([one(robot, k).inertial_parameters for k in range(3)])])
 
 
-# --- bad rows --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.case("P9")
-@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
-@every_function
-def test_a_bad_row_leaves_the_other_rows_bitwise_alone(key, bad):
-    robot, args = arm(), of(key, 2, (5,))
-    for i in range(len(args)):
-        spoiled = [x.clone() for x in args]
-        spoiled[i][2] = bad
-        good = [0, 1, 3, 4]
-        values = [y[good] for y in call(key, robot, args)], [y[good] for y in call(key, robot, spoiled)]
-        slopes = [g[good] for g in gradients(key, robot, args)], [g[good] for g in gradients(key, robot, spoiled)]
-        assert same(*values)
-        assert same(*slopes)
-
-
-@pytest.mark.case("P9")
-@every_function
-def test_a_bad_row_is_seen_in_its_own_result(key):
-    robot, args = arm(), of(key, 2, (5,))
-    args[0][2] = torch.nan
-    found = call(key, robot, args)
-    assert any(not bool(y[2].isfinite().all()) for y in found)
-    assert all(bool(y[[0, 1, 3, 4]].isfinite().all()) for y in found)
+# --- bad robots -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.case("P9")
@@ -341,31 +270,6 @@ def test_float32_stays_float32_and_is_as_accurate(key):
     assert relative([y.double() for y in found], exact) < 5e-6 * condition
 
 
-@pytest.mark.case("P5")
-@every_function
-def test_autocast_does_not_change_the_results(key):
-    robot, args = torchdq.robots.load("panda"), of(key, 7, (3,), F32)
-    alone = call(key, robot, args)
-    with torch.autocast("cpu", torch.bfloat16):
-        under = call(key, robot, args)
-    assert same(under, alone)
-
-
-@pytest.mark.case("P10")
-@every_function
-def test_denormal_numbers_do_not_matter(key):
-    robot, args = arm(), of(key, 2, (3,), F32)
-    args[0][:, 0] = 1e-40
-    kept = call(key, robot, args)
-    try:
-        flushes = torch.set_flush_denormal(True)
-        flushed = call(key, robot, args)
-    finally:
-        torch.set_flush_denormal(False)
-    assert flushes
-    assert relative(flushed, kept) <= 4 * EPS[F32]
-
-
 # --- torch.func ------------------------------------------------------------------------------------------------------
 
 
@@ -382,7 +286,7 @@ def test_vmap_over_a_module_is_its_batch(key):
 
 
 @pytest.mark.case("P3")
-@every_module
+@pytest.mark.parametrize("key", ["DQRNEA with friction", "ForwardDynamics with friction", "ComputedTorque"])
 def test_vmap_of_jacrev_is_a_loop_over_backward_passes(key):
     module = module_of(key, arm())
     args = inputs(MODULES[key][1], 2, (3,))
@@ -392,25 +296,6 @@ def test_vmap_of_jacrev_is_a_loop_over_backward_passes(key):
         y = module(*rows)
         for i in range(2):
             assert relative([J[k, i] for J in found], torch.autograd.grad(y[i], rows, retain_graph=True)) < 1e-12
-
-
-@pytest.mark.case("P3")
-@every_module
-def test_jvp_is_the_jacobian_times_the_tangent(key):
-    module = module_of(key, arm())
-    args, tangents = inputs(MODULES[key][1], 2, seed=1), inputs(MODULES[key][1], 2, seed=2)
-    J = jacrev(module, argnums=tuple(range(len(args))))(*args)
-    expected = sum(j @ t for j, t in zip(J, tangents, strict=True))
-    assert relative([jvp(module, tuple(args), tuple(tangents))[1]], [expected]) < 1e-12
-
-
-@pytest.mark.case("P3")
-@every_module
-def test_hessian_is_reverse_mode_twice(key):
-    module = module_of(key, arm())
-    q, *rest = inputs(MODULES[key][1], 2)
-    found = hessian(module)(q, *rest)
-    assert relative([found], [jacrev(jacrev(module))(q, *rest)]) < 1e-12
 
 
 @pytest.mark.case("P3")
@@ -466,13 +351,13 @@ def test_every_function_compiles_without_a_graph_break(key, fresh):
 
 
 @pytest.mark.case("P4")
-@pytest.mark.parametrize("key", thinned(["DQRNEA", "ForwardDynamics"], ["DQRNEA"]))
-def test_a_new_batch_size_costs_one_recompilation_and_further_ones_none(key, fresh):
-    module = module_of(key, arm(), ("mass",))
+@C_COMPILER
+def test_a_new_batch_size_costs_one_recompilation_and_further_ones_none(fresh):
+    module = torchdq.DQRNEA(arm(), learn="mass", backend="c")
     counter = CompileCounterWithBackend("eager")
     compiled = torch.compile(module, backend=counter, fullgraph=True)
     for batch in (4, 7, 9, 33):
-        args = inputs(MODULES[key][1], 2, (batch,))
+        args = inputs("q qd qdd", 2, (batch,))
         assert relative([compiled(*args)], [module(*args)]) < 1e-12
     assert counter.frame_count <= 2
 
@@ -487,10 +372,10 @@ def slopes(module, f, args):
 
 
 @pytest.mark.case("P4")
-@pytest.mark.parametrize("name", thinned(["two_link", "panda"], ["two_link"]))
-def test_a_compiled_arm_has_the_same_values_and_gradients(name, fresh):
-    module = torchdq.DQRNEA(torchdq.robots.load(name), learn=LEARNED)
-    args = inputs("q qd qdd", module.robot.n, (4,))
+@C_COMPILER
+def test_a_compiled_arm_has_the_same_values_and_gradients(fresh):
+    module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=LEARNED, backend="c")
+    args = inputs("q qd qdd", 2, (4,))
     compiled = torch.compile(module, backend="aot_eager", fullgraph=True)
     assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
 
@@ -569,14 +454,6 @@ def test_a_compiled_layer_notices_that_its_robot_was_replaced_by_one_of_equal_sh
     assert relative([before], [expected]) > 0.1 and relative([compiled(*args)], [expected]) < 1e-12
 
 
-def test_a_module_that_was_never_called_is_exported():
-    torchdq.clear_caches()
-    module = torchdq.DQRNEA(torchdq.robots.load("panda"))
-    q = torch.full((3, 7), 0.3, dtype=torch.float64)
-    exported = torch.export.export(module, (q, q, q))
-    assert same([exported.module()(q, q, q)], [module(q, q, q)])
-
-
 def test_the_first_call_may_be_inside_a_transform():
     """Programs are recorded from numbers of the robot, which are kept; none of them may end with the transform."""
     robot = arm().replace(mass=torch.tensor([1.25, 0.75], dtype=F64))  # not the robot of another test
@@ -592,6 +469,7 @@ def test_the_first_call_may_be_inside_a_transform():
 @pytest.mark.case("P4")
 @every_module
 def test_an_exported_module_takes_any_batch_size(key):
+    torchdq.clear_caches()  # as of one that was never called
     module = module_of(key, torchdq.robots.load("two_link"))
     batch = torch.export.Dim("batch")
     args = inputs(MODULES[key][1], 2, (3,))
@@ -615,46 +493,28 @@ def test_the_state_of_a_controller_holds_its_gains():
     assert same([other(*args)], [controller(*args)])
 
 
-@pytest.mark.case("P12")
+@pytest.mark.case("P8", "P12")
 @every_module
-def test_parameters_are_kept_in_float64_and_cast_to_the_inputs(key):
-    module = module_of(key, arm(), ("mass",))
+def test_a_module_computes_in_the_dtype_of_its_inputs_and_keeps_parameters_in_its_own(key):
+    module = module_of(key, arm(), ("mass", "inertia"))
+    args, single = (inputs(MODULES[key][1], 2, (3,), dtype) for dtype in (F64, F32))
     assert {x.dtype for x in module.state_dict().values()} == {F64}
-    assert [module(*inputs(MODULES[key][1], 2, (), dtype)).dtype for dtype in (F32, F64)] == [F32, F64]
-
-
-@every_module
-def test_a_module_in_float32_gives_what_casting_its_parameters_gives(key):
-    module = module_of(key, arm(), ("mass",))
-    args = inputs(MODULES[key][1], 2, (3,), F32)
-    before = module(*args)
+    before, exact = module(*single), module(*args)
+    assert (before.dtype, exact.dtype) == (F32, F64)
     module.to(F32)
-    assert module.prior().dtype == F32
-    assert {x.dtype for x in module.state_dict().values()} == {F32}
+    assert {x.dtype for x in module.state_dict().values()} == {module.prior().dtype} == {F32}
     # the exponential of a rounded logarithm is not the rounded exponential of the logarithm
-    assert relative([module(*args)], [before]) < 16 * EPS[F32]
-
-
-@every_module
-def test_a_module_back_in_double_computes_in_double(key):
-    module = module_of(key, arm(), ("mass", "inertia")).to(F32).double()
-    args = inputs(MODULES[key][1], 2, (3,))
-    found = module(*args)
-    assert found.dtype == F64
+    assert relative([module(*single)], [before]) < 16 * EPS[F32]
     # what was rounded stays rounded, to single precision and no worse
-    assert 0.0 < relative([found], [module_of(key, arm())(*args)]) < 100 * EPS[F32]
+    assert module(*args).dtype == F64 and 0.0 < relative([module.double()(*args)], [exact]) < 100 * EPS[F32]
 
 
-LEARNT = tuple(TRAILING)
-
-
-@pytest.mark.parametrize("field", LEARNT)
 @every_module
-def test_what_is_learnt_is_a_parameter_with_a_gradient(key, field):
-    module = module_of(key, arm(), field)
+def test_what_is_learnt_is_a_parameter_with_a_gradient(key):
+    module = module_of(key, arm(), tuple(TRAILING))
     module(*inputs(MODULES[key][1], 2, (3,))).square().sum().backward()
     parameters = dict(module.named_parameters())
-    assert [name.removesuffix(".original").rpartition(".")[2] for name in parameters] == [field]
+    assert {name.removesuffix(".original").rpartition(".")[2] for name in parameters} == set(TRAILING)
     assert all(float(p.grad.abs().max()) > 0.0 for p in parameters.values())
 
 

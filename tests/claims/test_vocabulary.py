@@ -37,7 +37,7 @@ REFUSED = {
     r"^(Shipped|Printed|Not there) (is|are)\b": "the verb after the noun",
 }
 # a docstring that does not stand alone, in a hover text or an index
-FRAGMENT = re.compile(r"^(What |Those |Words |Whether it |That of |How it )")
+FRAGMENT = re.compile(r"^(What |The same|Those |Words |Whether it |That of |How it )")
 NAMES = re.compile(r"(un)?told|sought|doubt(s|ed|ful)?|beside|worth|climb(s|ed)?|rungs?|rubbing|anew")
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 NO_PROSE = re.compile(r"^## Glossary$.*|^::: \S+$", re.MULTILINE | re.DOTALL)  # the glossary, names in the reference

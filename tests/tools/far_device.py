@@ -188,6 +188,13 @@ PARTS = (*default_effects(ROBOT), effects.Noise(0.01, 0.01), effects.CommandDela
 N = 7
 
 
+def environment(**options):
+    """Environments that never look at the numbers of actions."""
+    envs = ArmVectorEnv(N, **options)
+    envs._looks = False
+    return envs
+
+
 def outcomes(device, actions, mode="SameStep", between=lambda envs, found: None, **options):
     """All that an environment returns in some steps, and its state at the end, on the CPU; no step asks the device."""
     with torchdq.backend("auto" if device == FAR else "host"):
@@ -199,8 +206,7 @@ def outcomes(device, actions, mode="SameStep", between=lambda envs, found: None,
             "autoreset_mode": mode,
             **options,
         }
-        envs = ArmVectorEnv(N, device=device, **options)
-        envs._looks = False
+        envs = environment(device=device, **options)
         found = [envs.reset(seed=3)[0]]
         with ahead():
             found += [envs.reset()[0]]
@@ -259,9 +265,9 @@ def steps_with_tensors_that_were_given_on_the_cpu():
 
 def a_step_is_repeated_by_a_graph():
     with torchdq.backend("auto"):
-        envs, other = (ArmVectorEnv(N, "reach", ROBOT, PARTS, scale=9.0, max_episode_steps=3, device=FAR) for _ in "ab")
+        options = {"task": "reach", "robot": ROBOT, "effects": PARTS, "scale": 9.0, "max_episode_steps": 3}
+        envs, other = (environment(**options, device=FAR) for _ in "ab")
         for each in (envs, other):
-            each._looks = False
             each.reset(seed=0)
         actions, graph = torch.zeros(N, 2, device=FAR), Graph()
         with graph.capture():

@@ -6,7 +6,6 @@ their root link as Pinocchio reads it, or a made-up one where their file gives i
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cache
 
 import numpy as np
@@ -27,43 +26,25 @@ MORE_ROBOTS = (
 ANGULAR_FIRST = [3, 4, 5, 0, 1, 2]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class FreeFlyer:
+class FreeFlyer(oracles.Case):
     """Robot and model, whose joints and frames are found by name."""
 
-    robot: torchdq.Robot
-    model: pin.Model
-
-    @property
-    def joints(self) -> list[pin.JointModel]:
-        """Pinocchio's joints in the order of the robot's."""
-        assert self.model.njoints - 2 == self.robot.n and set(self.robot.joint_names) < {*self.model.names, ""}
-        return [self.model.joints[self.model.getJointId(name)] for name in self.robot.joint_names]
+    root = 1
 
     @property
     def order(self) -> list[int]:
         """Index in Pinocchio's velocities of each of ours: (angular, linear) of the base, then the joints."""
-        return [*ANGULAR_FIRST, *(joint.idx_v for joint in self.joints)]
+        return [*ANGULAR_FIRST, *super().order]
 
     def configuration(self, X_WB, q) -> np.ndarray:
         """Pinocchio's configuration."""
-        found, at = np.zeros(self.model.nq), oracles.se3(X_WB)
-        found[:7] = pin.SE3ToXYZQUAT(at)
-        for joint, x in zip(self.joints, q, strict=True):
-            numbers = [x] if joint.nq == 1 else [np.cos(x), np.sin(x)]
-            found[joint.idx_q : joint.idx_q + joint.nq] = numbers
+        found = super().configuration(q)
+        found[:7] = pin.SE3ToXYZQUAT(oracles.se3(X_WB))
         return found
 
     def velocity(self, base, joints) -> np.ndarray:
         """Velocities or accelerations in Pinocchio's order."""
-        found = np.zeros(self.model.nv)
-        found[self.order] = np.concatenate([base, joints])
-        return found
-
-    def frame_id(self, name: str) -> int:
-        """Pinocchio's index of a link's frame."""
-        assert self.model.existFrame(name, pin.FrameType.BODY), name
-        return self.model.getFrameId(name, pin.FrameType.BODY)
+        return super().velocity(np.concatenate([base, joints]))
 
     def wrenches(self, f_ext=None, f_tip=None, f_base=None) -> list[pin.Force]:
         """Wrenches on Pinocchio's joints: those on the links and on the base, less that of the tip."""
