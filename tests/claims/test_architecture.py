@@ -91,7 +91,6 @@ STOREYS = {
     "torchdq.learning.excitation": 6,
     "torchdq.learning": 7,
     # outcomes and robots, options that commands share, the commands, the command line
-    "torchdq.command.reports": 0,
     "torchdq.command.robots": 1,
     "torchdq.command.command": 2,
     "torchdq.command.report": 3,

@@ -1,7 +1,5 @@
 """Command `accuracy`: the cheapest precision, integrator and step that keep an error."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from torchdq.base import machine

@@ -1,16 +1,17 @@
 """Options that commands share."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+import torch
 import tyro
+from torch import Tensor
 
 from torchdq.command.outcome import Outcome
 from torchdq.command.robots import NamedRobot, robot_of
 from torchdq.errors import ArgumentError
+from torchdq.robot import Robot
 from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.loading import Base
 
@@ -57,6 +58,8 @@ class RobotCommand(Command):
         return source
 
 
-def numbers(values: Sequence[float]) -> tuple[float, ...] | None:
-    """Numbers of an option; None: not given."""
-    return tuple(values) or None
+def per_joint(name: str, values: Sequence[float], robot: Robot) -> Tensor | None:
+    """Numbers of an option for each joint [n]; None: not given."""
+    if values and len(values) != robot.n:
+        raise ArgumentError(f"{name} must be {robot.n} numbers, one for each joint, found {len(values)}")
+    return torch.tensor(values, dtype=torch.float64) if values else None

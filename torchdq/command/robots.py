@@ -1,7 +1,5 @@
 """Robots by a file or a name, whichever an argument of the command line holds."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -36,10 +34,8 @@ def robot_of(
         MissingFileError: there is nothing of that name.
         DescriptionError: a file cannot be read, or does not describe a robot.
     """
-    options: dict[str, Any] = {"on_unphysical": on_unphysical}
-    options |= {"base": base} if base else {}
-    options |= {"joints": list(joints)} if joints else {}
-    options |= {"tip": tip} if tip else {}
+    given = {"base": base, "joints": list(joints), "tip": tip}
+    options = {name: x for name, x in given.items() if x} | {"on_unphysical": on_unphysical}
     if name in shipped.names() and not Path(name).is_file():
         if base == "floating":
             raise ArgumentError(f"base must be 'fixed' for the shipped robot {name!r}, found 'floating'")

@@ -1,7 +1,5 @@
 """Logs of robot arms in CSV files, NPZ archives and arrays, checked, also against the robot that they are of."""
 
-from __future__ import annotations
-
 import warnings
 
 import torch

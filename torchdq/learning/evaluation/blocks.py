@@ -9,8 +9,6 @@ for a good one. So where there are fewer than three motions, regions of the stat
 rows, and those on either side along the direction in which the positions vary most.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -59,7 +57,7 @@ class MotionRows(NamedTuple):
         names = ("q", "qd", "qdd", "tau", "direction")
         return {name: x for name in names if (x := getattr(self, name)) is not None}
 
-    def some(self, rows: Tensor) -> MotionRows:
+    def some(self, rows: Tensor) -> "MotionRows":
         """Rows with these numbers, as one motion, without times."""
         tau = None if self.tau is None else self.tau[rows]
         return MotionRows(self.q[rows], self.qd[rows], self.qdd[rows], (len(rows),), tau)

@@ -7,8 +7,6 @@ is named. Other faults are looked for before that: outliers, motions beyond the 
 never changes, another unit, currents without a gain, and torques from which the drives have taken gravity away.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Errors and warnings about logs; their `findings` say what is wrong and what to do about it."""
 
-from __future__ import annotations
-
 from torchdq.errors import TorchdqError
 from torchdq.findings import Finding, merged
 

@@ -7,8 +7,6 @@ states are held out, too (`regions`). The predictions for held-out rows decide h
 (`validation_gain`). With validation samples, on which the network was not trained, no copies are needed.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Training loop: AdamW on batches of rows, in a new order every epoch, its rate falling to zero along half a cosine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

@@ -11,8 +11,6 @@ Each part of those rows is judged by what the others chose, so that no part deci
 * the errors of predicted torques (`torchdq.layers.residual.posterior.Posterior`).
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Sequence
