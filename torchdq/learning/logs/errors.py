@@ -19,9 +19,8 @@ class _AboutLog(Exception):
     def text(self, command_line: bool = False) -> str:
         """Text of the findings, with cures in Python's words or in options of the command line."""
         words = merged(self.findings, command_line) or "; ".join(map(str, self.args))
-        return (
-            words if not self.where else f"{self.where}{', ' if words.startswith(('column', 'array')) else ': '}{words}"
-        )
+        link = ", " if words.startswith(("column", "array")) else ": "
+        return f"{self.where}{link}{words}" if self.where else words
 
     def __str__(self) -> str:
         return self.text()

@@ -23,7 +23,6 @@ from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.learning.logs.samples import UNITS
 from torchdq.learning.logs.tables import Table
 from torchdq.learning.logs.texts import text_table
-from torchdq.learning.logs.transmissions import joint_side
 
 Source = str | PathLike[str] | bytes | IO[Any] | Mapping[str, Any]
 
@@ -86,7 +85,7 @@ def read(path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float
     with Progress(f"reading {path}" if isinstance(path, str | PathLike) else "reading a log"):
         table = _table(path, layout, rows)
         require_numbers(table)
-        table = joint_side(table)
+        table = _joint_side(table)
         require_times(table)
         require_radians(table)
     findings = [*table.notes, *jumps(table)]
@@ -121,6 +120,34 @@ def _table(path: Any, layout: Layout, rows: tuple[int, int] | None) -> Table:
             python, option = (f"{needed}{rest}" for rest in (cure, " or an NPZ archive"))
             raise LogError(Finding("log.kind", "", f"this is {kind}", "", python, option), where=str(Path(name)))
     return (archive_table if content.startswith(b"PK") else text_table)(Path(name), content, layout, rows)
+
+
+def _joint_side(table: Table) -> Table:
+    """Table of the joints, from that of the motors that drive them; efforts are multiplied by their gains, if known.
+
+    Joints' positions are linear in the motors', q = S m + q0, so that velocities and accelerations follow by S, and,
+    the transmission being lossless, torques at the joints are S^-T times those at the motors.
+    """
+    layout = table.layout
+    for name, given in (("gain", layout.gain), ("transmission", layout.transmission), ("zero", layout.zero)):
+        if given and len(given) != layout.joints:
+            rows = "rows" if name == "transmission" and np.ndim(layout.transmission) == 2 else "numbers"
+            raise ArgumentError(f"{name} must have {layout.joints} {rows}, one per joint, found {len(given)}")
+    blocks = {signal: _at_joint(layout, signal, x) for signal, x in table.blocks.items()}
+    return table._replace(values=np.column_stack([table.time, *blocks.values()]))
+
+
+def _at_joint(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
+    """Signal of the joints [rows, n]."""
+    if signal == "tau" and layout.gain:
+        x = x * [1.0 if gain is None else gain for gain in layout.gain]
+    if not layout.transmission or signal not in layout.at_motors:
+        return x
+    given = np.array(layout.transmission)
+    S = np.diag(given) if given.ndim == 1 else given
+    if signal == "tau":
+        return x @ np.linalg.inv(S)
+    return x @ S.T + (np.array(layout.zero or 0.0) if signal == "q" else 0.0)
 
 
 def _at_rate(

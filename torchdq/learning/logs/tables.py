@@ -46,9 +46,7 @@ class Table(NamedTuple):
 def require_rows(path: Path, rows: int) -> None:
     """Refuse a log of fewer than two rows."""
     if rows < 2:
-        raise LogError(
-            Finding("log.rows", expected="at least two rows of numbers are needed", found=str(rows)), where=str(path)
-        )
+        raise LogError(Finding("log.rows", "", "at least two rows of numbers are needed", str(rows)), where=str(path))
 
 
 def rows_option(first: object, last: object) -> tuple[str, str]:
