@@ -170,6 +170,11 @@ def install(config) -> None:
     config.pluginmanager.register(_snapshot)
 
 
+def said(message: str) -> None:
+    """Compare a text that the running test has got, in its turn among the messages."""
+    _snapshot.heard(message)
+
+
 @contextmanager
 def refused(error: type[BaseException] | tuple[type[BaseException], ...], **named):
     """Error of this class with the message of the snapshot and the named values in it, as `pytest.raises` gives it."""

@@ -23,10 +23,7 @@ def log(tmp_path_factory):
 
 def of(rows):
     """Log of rows of `table`."""
-    n = (rows.shape[1] - 1) // 3
-    return read_log(
-        {"time": rows[:, 0], **{x: rows[:, 1 + k * n : 1 + (k + 1) * n] for k, x in enumerate(("q", "qd", "tau"))}}
-    )
+    return read_log(dict(zip(("time", "q", "qd", "tau"), (rows[:, 0], *np.split(rows[:, 1:], 3, 1)), strict=True)))
 
 
 # --- smoothing -------------------------------------------------------------------------------------------------------
@@ -123,19 +120,17 @@ def test_frequencies_may_be_chosen():
 
 
 @pytest.mark.parametrize(
-    ("options", "option"),
+    "options",
     [
-        *(({"rate": x}, None) for x in (1e-9, 5e-324)),
-        ({"rate": 0}, None),
-        *(({name: x}, "--cutoff") for name in ("cutoff_qd", "cutoff_tau") for x in ("8", 600.0, 0.0)),
-        ({"sign_width": -1.0}, None),
-        ({"delay": 9.0}, "--delay"),
+        *({"rate": x} for x in (1e-9, 5e-324, 0)),
+        *({name: x} for name in ("cutoff_qd", "cutoff_tau") for x in ("8", 600.0, 0.0)),
+        {"sign_width": -1.0},
+        {"delay": 9.0},
     ],
 )
-def test_arguments_are_checked(log, options, option):
-    with refused(ArgumentError) as raised:
+def test_arguments_are_checked(log, options):
+    with refused(ArgumentError):
         smooth(log, **options)
-    assert option is None or option in raised.value.findings[0].option
 
 
 def test_rows_at_rest_are_left_out():
@@ -168,10 +163,10 @@ def test_ends_in_motion_are_left_out_and_too_little_motion_is_refused():
     whole = reaching(2.0, 0.4)
     found = smooth(read_log({name: x[:1700] for name, x in whole.items()}))  # it ends while it moves
     assert found.time[0] < 0.5 and found.time[-1] <= 1.7 - motions.ENDS
-    for rows, words in ((slice(850), "more than 1 s"), (slice(700, 1200), "more than 1.5 s")):
-        with log_refused("log.short", words=f"{words} of motion are needed, found 0."):
+    for rows in (slice(850), slice(700, 1200)):
+        with log_refused("log.short"):
             smooth(read_log({name: x[rows] for name, x in whole.items()}))
-    with log_refused("log.short", words="more than 1.5 s of motion are needed, found 1.02 s"):
+    with log_refused("log.short"):
         smooth(of(table(1.0)))
     still = table()
     still[:, 8:15] = 0.0
@@ -234,11 +229,12 @@ def test_samples_are_the_rows_of_all_motions(log, dtype):
 def test_they_print_as_tables(log):
     """Shape, range and unit of every signal instead of thousands of numbers."""
     motion = smooth(log)
-    for found in (motion, stack_samples(motion)):
+    for found in (log, motion, stack_samples(motion)):
         lines = str(found).splitlines()
         assert repr(found) == str(found) and len(lines) < 10
         (row,) = [line for line in lines if line.startswith("qd ")]
         assert str(list(found.qd.shape)) in row and f"{float(found.qd.max()):.4g}" in row and row.endswith("rad/s")
+    assert str(log).endswith("log.csv: 7 joints, 5000 rows, 0 repeated time stamps left out", 0, str(log).index("\n"))
 
 
 @pytest.mark.parametrize("wrong", ["std.csv", None, 3])

@@ -76,11 +76,7 @@ class Block(NamedTuple):
 
 
 def of_motions(robot: Robot, motions: Motion | Samples | Sequence[Motion | Samples]) -> MotionRows:
-    """Rows of motions from `smooth`, or of samples [..., rows, n], whose leading axes are those of motions.
-
-    Raises:
-        ArgumentError: there is no motion, or one is of another arm.
-    """
+    """Rows of motions from `smooth`, or of samples [..., rows, n], whose leading axes are those of motions."""
     one = not isinstance(motions, Sequence) or hasattr(motions, "_fields")  # a Motion or a Log is a tuple, too
     several: list[Any] = [motions] if one else [*motions]
     if not several:

@@ -157,7 +157,7 @@ def _at_rate(
     seconds, most = time[-1] - time[0], 1 / float(np.median(np.diff(time)))
     if seconds * most < FEWEST:
         claim = f"more than {FEWEST} rows are needed to read it at a rate"
-        fault = Finding("log.rows", "", claim, str(len(time)), "rate=None reads all", value=len(time))
+        fault = Finding("log.rows", "", claim, str(len(time)), "rate=None reads all", "", value=len(time))
         raise LogError(fault, where=str(path))
     if rate > 1.01 * most or seconds * rate < FEWEST:
         expected = f"at most {most:.4g} Hz, that of the rows, and at least {FEWEST / seconds:.3g} Hz"
