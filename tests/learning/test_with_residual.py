@@ -35,13 +35,10 @@ def motion(seed, rest, seconds=20.0):
     t = torch.arange(0, seconds, STEP, dtype=F64)[:, None, None]
     size, rate, phase = torch.rand(3, 2, 4, generator=g, dtype=F64)
     size, rate, phase = 0.1 + 0.1 * size, torch.arange(1, 5) + rate, 6.3 * phase
-    q, qd, qdd = ((x * size).sum(-1) for x in _waves(rate, rate * t + phase))
+    angle = rate * t + phase
+    q, qd, qdd = ((x * size).sum(-1) for x in (angle.sin(), rate * angle.cos(), -rate * rate * angle.sin()))
     noise = 0.1 * torch.randn(q.shape, generator=g, dtype=F64)
     return Samples(q, qd, qdd, torchdq.inverse_dynamics(TWO, q, qd, qdd) + 0.5 * qd + 2.0 * bent(q) + rest(qd) + noise)
-
-
-def _waves(rate, angle):
-    return angle.sin(), rate * angle.cos(), -rate * rate * angle.sin()
 
 
 def stribeck(qd):
@@ -214,25 +211,24 @@ def test_gains_that_were_identified_scale_the_torques():
     assert torch.allclose(ratio, torch.as_tensor(motions[0].tau) * found.gains.value)
     plain = identify(TWO, parts[0], Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
     other = IdentifiedWithResidual(plain, torchdq.ResidualDynamics(plain.layer()))
-    with refused(torchdq.ArgumentError):
-        other.samples(motions[0])
-    with refused(torchdq.ArgumentError):
-        other.samples(as_motion(parts[0], tau=None))
+    for measured in (motions[0], as_motion(parts[0], tau=None)):
+        with refused(torchdq.ArgumentError):
+            other.samples(measured)
 
 
 def test_what_it_does_not_take(bumpy):
     found, whole, parts = bumpy
-    with refused(torchdq.ArgumentError):
-        IdentifiedWithResidual(TWO, whole.residual)
-    with refused(torchdq.ArgumentError):
-        IdentifiedWithResidual(found, found.layer())
-    with refused(torchdq.ArgumentError):
-        IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer(learn=("mass",))))
-    with refused(torchdq.ArgumentError):
-        IdentifiedWithResidual(found, torchdq.ResidualDynamics(torchdq.DQRNEA(TWO.replace(mass=2 * TWO.mass))))
     fresh = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
-    with refused(torchdq.ArgumentError):
-        fresh.predict(*parts[0][:3])
-    with refused(torchdq.ArgumentError):
-        fresh.samples(*parts[0][:3])
+    learning = torchdq.ResidualDynamics(found.layer(learn=("mass",)))
+    heavier = torchdq.ResidualDynamics(torchdq.DQRNEA(TWO.replace(mass=2 * TWO.mass)))
+    for call in (
+        lambda: IdentifiedWithResidual(TWO, whole.residual),
+        lambda: IdentifiedWithResidual(found, found.layer()),
+        lambda: IdentifiedWithResidual(found, learning),
+        lambda: IdentifiedWithResidual(found, heavier),
+        lambda: fresh.predict(*parts[0][:3]),
+        lambda: fresh.samples(*parts[0][:3]),
+    ):
+        with refused(torchdq.ArgumentError):
+            call()
     assert math.isfinite(float(fresh.samples(*parts[0]).tau.sum()))

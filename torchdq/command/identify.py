@@ -13,10 +13,9 @@ import tyro
 from torchdq.base.files import write_atomically
 from torchdq.base.optional import require_packages
 from torchdq.base.progress import Progress
-from torchdq.command.command import RobotCommand
+from torchdq.command.command import ENDINGS, NamedRobot, RobotCommand
 from torchdq.command.identification_page import page
 from torchdq.command.outcome import Grid, Outcome, Verbatim
-from torchdq.command.robots import ENDINGS, NamedRobot
 from torchdq.effects import Coulomb, Viscous
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.learning import (

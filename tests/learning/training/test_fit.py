@@ -129,10 +129,7 @@ def test_evaluations_are_a_hundred_steps_apart_at_least(monkeypatch):
 def test_the_prior_holds_a_model_back():
     class Held(Network):
         def prior(self):
-            return weights_of(self).square().sum()
-
-    def weights_of(model):
-        return nn.utils.parameters_to_vector(model.parameters())
+            return nn.utils.parameters_to_vector(self.parameters()).square().sum()
 
     free, held = Held(), Held()
     fit(free, data(), steps=100, rate=0.01)
@@ -205,12 +202,8 @@ def spoilt(value: float) -> Samples:
     "options",
     [
         {"steps": 0},
-        {"steps": 2.5},
-        {"steps": True},
         {"steps": 3, "batch": 0},
-        {"steps": 3, "batch": "8"},
         {"steps": 3, "rate": math.nan},
-        {"steps": 3, "rate": "fast"},
         {"steps": 3, "prior": -1},
         {"steps": 3, "decay": -0.1},
         {"steps": 3, "seed": 0.5},
@@ -235,20 +228,14 @@ def test_arguments_are_checked(options):
         fit(arguments.pop("model"), arguments.pop("train"), **arguments)
 
 
-def test_a_model_of_other_torques_is_refused():
+@pytest.mark.parametrize("change", [lambda tau: tau[..., :1], lambda tau: tau.detach()])
+def test_a_model_of_other_torques_is_refused(change):
     class Wrong(Network):
         def forward(self, q, qd, qdd):
-            return super().forward(q, qd, qdd)[..., :1]
+            return change(super().forward(q, qd, qdd))
 
     with refused(ArgumentError):
         fit(Wrong(), data(), steps=1)
-
-    class Constant(Network):
-        def forward(self, q, qd, qdd):
-            return super().forward(q, qd, qdd).detach()
-
-    with refused(ArgumentError):
-        fit(Constant(), data(), steps=1)
 
 
 class Breaking(Network):
