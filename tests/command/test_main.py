@@ -16,6 +16,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import oracles
 import pytest
 import torch
 from places import ROOT
@@ -27,7 +28,6 @@ from torchdq.command import doctor
 from torchdq.command.main import ABOUT, COMMANDS, INTERRUPTED, MISTAKE, USAGE, WELL, _parsed, main
 from torchdq.command.outcome import Grid, Outcome, plain, write
 from torchdq.command.scene import KINDS, STEPPERS
-from torchdq.findings import Finding
 from torchdq.learning import read_log
 
 WIDE = 80  # columns of a terminal
@@ -42,6 +42,8 @@ ARM = """<robot name="arm"><link name="base"/>
 <joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0.4 0 0"/>
   <axis xyz="0 1 0"/><limit lower="-2.5" upper="2.5" effort="30" velocity="5"/></joint>
 </robot>"""
+ROBOT = torchdq.Robot.from_urdf(ARM)
+HEAVIER = ROBOT.replace(mass=1.3 * ROBOT.mass, inertia=1.3 * ROBOT.inertia)
 
 
 @pytest.fixture
@@ -66,14 +68,13 @@ def data(capsys, *arguments, code=WELL):
     return json.loads(told(capsys, *arguments, "--json", code=code)[0], parse_constant=pytest.fail)
 
 
-def log(path, robot, names=("q", "qd", "tau"), count=1, held=None, rows=750, seed=0):
-    """Log of a robot that is 30 % heavier than described, with viscous friction, and perhaps something in its hand."""
+def log(path, names=("q", "qd", "tau"), count=1, held=None, rows=750, seed=0):
+    """Log of the arm, 30 % heavier than described, with viscous friction, and perhaps something in its hand."""
     q, qd, qdd = (x[0] for x in states(1, rows, seed))
-    real = robot.replace(mass=1.3 * robot.mass, inertia=1.3 * robot.inertia)
     noise = 0.05 * torch.randn(q.shape, generator=torch.Generator().manual_seed(0), dtype=q.dtype)
-    tau = torchdq.inverse_dynamics(real, q, qd, qdd) + torch.tensor([0.8, 0.4]) * qd + noise
+    tau = torchdq.inverse_dynamics(HEAVIER, q, qd, qdd) + torch.tensor([0.8, 0.4]) * qd + noise
     if held is not None:
-        tau += torchdq.inverse_dynamics(held, q, qd, qdd) - torchdq.inverse_dynamics(robot, q, qd, qdd)
+        tau += torchdq.inverse_dynamics(held, q, qd, qdd) - torchdq.inverse_dynamics(ROBOT, q, qd, qdd)
     heads = ["time", *(f"{name}{j + count}" for name in names for j in range(2))]
     written(Path(path), np.column_stack([STEP * np.arange(rows), q, qd, tau]), heads)
 
@@ -197,9 +198,8 @@ def test_a_mistake_of_a_user_is_one_message(here, capsys, arguments, found):
     here.joinpath("broken.xml").write_text("<robot><link name='a'/><joint name='j' type='revolute'/></robot>")
     for name in ("garbage.urdf", "garbage.csv"):
         here.joinpath(name).write_bytes(bytes(range(255, 0, -1)) * 9)
-    arm = torchdq.Robot.from_urdf(ARM)
-    log("log.csv", arm, rows=200)
-    log("short.csv", arm, rows=40)
+    log("log.csv", rows=200)
+    log("short.csv", rows=40)
     here.joinpath("nan.csv").write_text(re.sub(r"(\n1,[^,]*),[^,]*", r"\1,nan", here.joinpath("log.csv").read_text()))
     out, errors = told(capsys, *arguments, code=MISTAKE)
     assert not out
@@ -215,7 +215,7 @@ def test_a_mistake_is_a_json_object_too(here, capsys):
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_the_work(here, capsys, monkeypatch):
-    log("log.csv", torchdq.Robot.from_urdf(ARM), rows=200)
+    log("log.csv", rows=200)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     _, errors = told(capsys, "id", "arm.urdf", "log.csv", "--out", "locked", code=MISTAKE)
     assert "out must be a folder that you can write" in errors
@@ -287,19 +287,16 @@ def test_tables_fit_the_terminal(capsys, monkeypatch):
 
 def test_a_report_as_json_has_numbers(here, capsys):
     found = data(capsys, "report", "arm.urdf")
-    arm = torchdq.Robot.from_urdf(ARM)
     assert found["coordinates"] == ["shoulder", "elbow"] and [link["mass"] for link in found["links"]] == [2.0, 1.0]
-    count = torchdq.compile(arm, "inverse_dynamics").count()
+    count = torchdq.compile(ROBOT, "inverse_dynamics").count()
     assert found["operations"]["inverse_dynamics"] == count._asdict()
     assert found["error_growth"]["worst"] >= found["error_growth"]["median"] >= 1
 
 
 def test_some_joints_and_a_free_base(here, capsys):
     assert data(capsys, "report", "arm.urdf", "--joints", "elbow")["coordinates"] == ["elbow"]
-    assert data(capsys, "report", "panda", "--joints", "panda_joint[12]")["coordinates"] == [
-        "panda_joint1",
-        "panda_joint2",
-    ]
+    found = data(capsys, "report", "panda", "--joints", "panda_joint[12]")
+    assert found["coordinates"] == ["panda_joint1", "panda_joint2"]
     assert data(capsys, "report", "arm.urdf", "--base", "floating")["base"] == "floating"
 
 
@@ -312,18 +309,7 @@ def test_a_file_is_read_by_what_is_in_it(here, capsys):
     assert len(data(capsys, "report", "u.xml")["coordinates"]) == 2
 
 
-def files():
-    """Files of example-robot-data that ROBOTS.md has."""
-    try:
-        known = importlib.metadata.files("example-robot-data") or ()
-    except importlib.metadata.PackageNotFoundError:
-        return []
-    paths = [Path(str(file.locate())).resolve() for file in known if file.suffix == ".urdf"]
-    page = (ROOT / "ROBOTS.md").read_text()
-    return sorted(p for p in paths if any(f"| {folder.name}/{p.name} |" in page for folder in p.parents))
-
-
-FILES = files()
+FILES = [path for name, path in oracles.urdf_paths().items() if name not in oracles.UNREADABLE]
 QUICK = ("talos_full_v2.urdf", "romeo.urdf", "hextilt_flying_arm_5.urdf")
 # what no line of a report may be: a number that is none, an object, or a name of Python's
 UNEXPLAINED = re.compile(r"\bnan\b|tensor\(|<[a-z_.]+ object|\bnull\b|Traceback|\btensor\b")
@@ -351,8 +337,6 @@ def test_a_report_of_every_robot_has_no_unexplained_line(here, capsys, path, bas
 
 
 def test_there_are_robots_to_report():
-    if machine.version_of("example-robot-data") is None:
-        pytest.skip("the robots are in the extra 'examples'")
     assert len(FILES) > 60 and {path.name for path in FILES} >= set(QUICK)
 
 
@@ -392,9 +376,8 @@ def elements(page):
 def test_a_robot_is_identified_from_logs_with_a_page_and_a_urdf(here, capsys):
     pytest.importorskip("scipy")
     pytest.importorskip("matplotlib")
-    arm = torchdq.Robot.from_urdf(ARM)
     for k, name in enumerate(("a.csv", "b.csv")):
-        log(name, arm, names=("pos_", "vel_", "eff_"), count=0, seed=k)
+        log(name, names=("pos_", "vel_", "eff_"), count=0, seed=k)
     named = ("--columns", "q", "pos_{0}", "qd", "vel_{0}", "tau", "eff_{0}")
     quick = ("--friction", "simple", "--prior", "1")
     found = data(capsys, "id", "arm.urdf", "a.csv", "b.csv", *named, *quick, "--out", "made")
@@ -416,16 +399,15 @@ def test_a_robot_is_identified_from_logs_with_a_page_and_a_urdf(here, capsys):
     written = torchdq.Robot.from_urdf(found["files"]["urdf"])
     q = torch.rand(5, 2, dtype=torch.float64)
     zero = torch.zeros_like(q)
-    real = torchdq.inverse_dynamics(arm.replace(mass=1.3 * arm.mass, inertia=1.3 * arm.inertia), q, zero, zero)
+    real = torchdq.inverse_dynamics(HEAVIER, q, zero, zero)
     assert torch.allclose(torchdq.inverse_dynamics(written, q, zero, zero), real, rtol=0.02, atol=0.02)
 
 
 def test_the_last_third_of_a_single_log_is_the_test_and_a_payload_is_found(here, capsys):
     pytest.importorskip("scipy")
     pytest.importorskip("matplotlib")
-    arm = torchdq.Robot.from_urdf(ARM)
-    log("empty.csv", arm)
-    log("held.csv.gz", arm, held=arm.with_payload(0.4, (0.1, 0.0, 0.0), frame="lower"), seed=1)
+    log("empty.csv")
+    log("held.csv.gz", held=ROBOT.with_payload(0.4, (0.1, 0.0, 0.0), frame="lower"), seed=1)
     quick = ("--friction", "simple", "--prior", "1", "--payload", "held.csv.gz", "--frame", "lower")
     out, errors = told(capsys, "id", "arm.urdf", "empty.csv", *quick)
     assert "payload at lower" in out and "wrote" in out and re.search(r"Good: in [45]\.\d s", out)
@@ -437,7 +419,7 @@ def test_the_last_third_of_a_single_log_is_the_test_and_a_payload_is_found(here,
 def test_logs_of_another_robot_have_a_poor_verdict(here, capsys):
     pytest.importorskip("scipy")
     pytest.importorskip("matplotlib")
-    log("log.csv", torchdq.Robot.from_urdf(ARM), rows=450)
+    log("log.csv", rows=450)
     text = here.joinpath("log.csv").read_text().splitlines()
     swapped = [",".join([*line.split(",")[:5], *reversed(line.split(",")[5:])]) for line in text[1:]]
     here.joinpath("log.csv").write_text("\n".join([text[0], *swapped]) + "\n")
@@ -446,10 +428,9 @@ def test_logs_of_another_robot_have_a_poor_verdict(here, capsys):
 
 
 def test_columns_are_named_by_patterns_by_joints_and_one_by_one(here):
-    arm = torchdq.Robot.from_urdf(ARM)
     given = {"time": "stamp", "q": "a,b", "tau": "eff_{joint}", "qd": "none"}
     columns = [word for pair in given.items() for word in pair]
-    layout = _parsed(["id", "arm.urdf", "a.csv", "--columns", *columns])._layout(arm)
+    layout = _parsed(["id", "arm.urdf", "a.csv", "--columns", *columns])._layout(ROBOT)
     heads = "stamp,b,eff_elbow,a,eff_shoulder"
     rows = [f"{0.01 * k},{2 * k},{4 * k},{k},{3 * k}" for k in range(9)]
     found = read_log("\n".join([heads, *rows]).encode(), layout)
@@ -523,7 +504,7 @@ def test_a_graph_of_torch_is_exported(here, capsys):
     found = data(capsys, "export", "arm.urdf", "inverse_dynamics", "--language", "torch")
     graph = torch.export.load(found["files"][0]).module()
     x = torch.rand(3, 5, 2, dtype=torch.float64)
-    assert torch.allclose(graph(*x), torchdq.inverse_dynamics(torchdq.Robot.from_urdf(ARM), *x))
+    assert torch.allclose(graph(*x), torchdq.inverse_dynamics(ROBOT, *x))
 
 
 def test_a_robot_is_viewed(here, capsys):
@@ -535,9 +516,8 @@ def test_a_robot_is_viewed(here, capsys):
 def test_joints_sway_within_their_limits():
     from torchdq.command.view import PERIOD, swaying
 
-    arm = torchdq.Robot.from_urdf(ARM)
-    moved = torch.stack([swaying(arm, t) for t in torch.linspace(0, 2 * PERIOD, 50).tolist()])
-    assert bool((moved > arm.limits.lower).all() and (moved < arm.limits.upper).all())
+    moved = torch.stack([swaying(ROBOT, t) for t in torch.linspace(0, 2 * PERIOD, 50).tolist()])
+    assert bool((moved > ROBOT.limits.lower).all() and (moved < ROBOT.limits.upper).all())
     assert bool((moved.std(0) > 0.1).all())
 
 
@@ -576,20 +556,13 @@ def test_the_known_torque_is_that_of_the_weights():
     assert tau.tolist() == pytest.approx(doctor.TORQUES, rel=1e-14)
 
 
-def broken_compiler(folder, body):
-    """Path of a compiler that does something else."""
-    path = folder / "cc"
-    path.write_text(f"#!/bin/sh\n{body}\n")
-    path.chmod(0o755)
-    return str(path)
-
-
 def test_a_compiler_that_fails_is_broken_with_a_cure(here, capsys, monkeypatch):
-    script = 'if [ "$1" = --version ]; then echo broken 1.0; else echo no space left; exit 1; fi'
-    monkeypatch.setenv("CC", broken_compiler(here, script))
+    fails = 'if [ "$1" = --version ]; then echo broken 1.0; else echo no space left; exit 1; fi'
+    here.joinpath("cc").write_text(f"#!/bin/sh\n{fails}\n")
+    here.joinpath("cc").chmod(0o755)
+    monkeypatch.setenv("CC", str(here / "cc"))
     torchdq.clear_caches()
-    found = data(capsys, "doctor", code=MISTAKE)
-    states = {one["what"]: one for one in found["findings"]}
+    states = {one["what"]: one for one in data(capsys, "doctor", code=MISTAKE)["findings"]}
     assert states["compiled program"]["state"] == "broken" and "no space left" in states["compiled program"]["found"]
     assert "$CC" in states["compiled program"]["cure"]
     monkeypatch.undo()
@@ -606,25 +579,20 @@ def test_no_compiler_is_a_warning(here, capsys, monkeypatch):
     torchdq.clear_caches()
 
 
-def test_wrong_torques_are_found(monkeypatch):
-    monkeypatch.setattr(doctor, "TORQUES", (17.8, 3.75))
-    found = {finding.subject: finding for finding in doctor.findings()}["compiled program"]
-    assert found.severity == "error" and "must be (17.8, 3.75)" in found.found and found.cure
-
-
-def test_more_threads_than_processors_are_a_warning(monkeypatch):
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 10_000)
-    found = {finding.subject: finding for finding in doctor.findings()}["threads"]
-    assert found.severity == "warning" and "OMP_NUM_THREADS" in found.cure
-
-
-def test_everything_that_is_not_well_has_a_cure(monkeypatch):
-    monkeypatch.setattr(machine, "version_of", lambda package: None)
+@pytest.mark.parametrize(
+    ("module", "name", "value", "subject", "severity", "words"),
+    [
+        (doctor, "TORQUES", (17.8, 3.75), "compiled program", "error", "must be (17.8, 3.75)"),
+        (torch, "get_num_threads", lambda: 10_000, "threads", "warning", "OMP_NUM_THREADS"),
+        (machine, "version_of", lambda package: None, "packages", "error", "pip install "),
+    ],
+)
+def test_what_is_not_well_has_a_finding_with_a_cure(monkeypatch, module, name, value, subject, severity, words):
+    monkeypatch.setattr(module, name, value)
     found = doctor.findings()
     assert all(finding.cure for finding in found if finding.severity == "error")
-    packages = next(finding for finding in found if finding.subject == "packages")
-    assert packages.severity == "error" and packages.cure.startswith("pip install ")
-    assert isinstance(packages, Finding)
+    (one,) = [finding for finding in found if finding.subject == subject]
+    assert one.severity == severity and one.cure and words in str(one)
 
 
 # --- the page about the command line ---------------------------------------------------------------------------------

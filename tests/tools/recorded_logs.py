@@ -93,6 +93,15 @@ def states(motions=5, rows=400, seed=0, joints=2):
     return (size * angle.sin()).sum(-1), (size * w * angle.cos()).sum(-1), -(size * w * w * angle.sin()).sum(-1)
 
 
+def waves(seed, size, rates, spread, seconds):
+    """Sums of sines at 50 Hz [rows, 2], of these sizes or up to twice them, and the generator that drew them."""
+    g, t = torch.Generator().manual_seed(seed), torch.arange(0, seconds, STEP, dtype=F64)[:, None, None]
+    u, v, phase = torch.rand(3, 2, len(rates), generator=g, dtype=F64)
+    sizes, w = size + size * u, rates + spread * v
+    angle = w * t + 6.3 * phase
+    return [(x * sizes).sum(-1) for x in (angle.sin(), w * angle.cos(), -w * w * angle.sin())], g
+
+
 def noise(shape, memory, seed=0):
     """Noise [motions, rows, n] of variance one, with a correlation that falls by a factor from row to row."""
     x = torch.from_numpy(np.random.default_rng(seed).normal(size=shape))

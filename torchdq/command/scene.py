@@ -82,17 +82,14 @@ class SceneCommand(RobotCommand):
         price = scene.describe(seconds=self.price)
         if self.csv is not None:
             self._write(self.csv, start, states, energies)
-        first, last, extreme = energies[0], energies[-1], energies.sum(-1)
+        first, last, total = energies[0], energies[-1], energies.sum(-1)
         failure = ""
-        if not bool(extreme.isfinite().all()):
-            at = self.dt * int((~extreme.isfinite()).nonzero()[0])
+        if not bool(total.isfinite().all()):
+            at = self.dt * int((~total.isfinite()).nonzero()[0])
             cure = "A smaller --dt, another --integrator, or a start within the limits may help."
             failure = f"The simulation has failed: from {at:g} s on its numbers are not finite. {cure}"
-        rows = [
-            ("kinetic", *(f"{float(x):.6g}" for x in (first[0], energies[:, 0].max(), last[0]))),
-            ("potential", *(f"{float(x):.6g}" for x in (first[1], energies[:, 1].max(), last[1]))),
-            ("sum", *(f"{float(x):.6g}" for x in (extreme[0], extreme.max(), extreme[-1]))),
-        ]
+        shown = {"kinetic": energies[:, 0], "potential": energies[:, 1], "sum": total}
+        rows = [(name, *(f"{float(x):.6g}" for x in (e[0], e.max(), e[-1]))) for name, e in shown.items()]
         names = ", ".join(type(effect).__name__ for effect in scene.effects) or "rigid bodies alone"
         many = f"{steps} step{'s' * (steps != 1)}"
         about = f"{robot.name}, {many} of {self.dt:g} s with {type(scene.integrator).__name__}: {names}"
@@ -161,8 +158,6 @@ def effects_of(text: str, robot: Robot) -> list[effects.Effect]:
             raise
         raise ArgumentError(f"effects must be NAME or NAME=NUMBER, as in viscous=0.5, found {text!r}") from error
     except TypeError as error:
-        needed = [
-            x.name for x in fields(KINDS[key]) if x.init and x.default is MISSING and x.default_factory is MISSING
-        ]
-        expected = f"{key}={','.join(name.upper() for name in needed)}" if needed else key
+        needed = [x for x in fields(KINDS[key]) if x.init and x.default is MISSING and x.default_factory is MISSING]
+        expected = f"{key}={','.join(x.name.upper() for x in needed)}" if needed else key
         raise ArgumentError(f"effects must have the numbers of each, here {expected}, found {text!r}") from error

@@ -6,7 +6,8 @@ import pytest
 import torch
 from helpers import double
 from messages import refused, warned
-from oracles import shipped
+from recorded_logs import ROBOT as TWO
+from recorded_logs import waves
 
 import torchdq
 import torchdq.learning.training.fit as fitting
@@ -15,20 +16,14 @@ from torchdq.learning.training.loop import Optimiser
 from torchdq.learning.training.validation_gain import LEAST, HeldOut, validation_gain
 
 F64 = torch.float64
-TWO = shipped("two_link").robot
 OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2}
 
 
 def motion(seed, friction, seconds=20.0, speed=1.0, noise=0.2, correlated=8):
     """A motion of sines at 50 Hz, its torques with friction that no model has a term for, and correlated noise."""
-    g = torch.Generator().manual_seed(seed)
-    t = torch.arange(0, seconds, 0.02, dtype=F64)[:, None, None]
-    size, rate, phase = torch.rand(3, 2, 6, generator=g, dtype=F64)
-    size, rate, phase = 0.2 + 0.2 * size, speed * (torch.arange(6) / 2 + 0.4 * rate), 6.3 * phase
-    angle = rate * t + phase
-    q, qd, qdd = ((x * size).sum(-1) for x in (angle.sin(), rate * angle.cos(), -rate * rate * angle.sin()))
-    white = torch.randn(len(t) // correlated + 1, 2, generator=g, dtype=F64).repeat_interleave(correlated, 0)
-    tau = torchdq.inverse_dynamics(TWO, q, qd, qdd) + friction(qd) + noise * white[: len(t)]
+    (q, qd, qdd), g = waves(seed, 0.2, speed * torch.arange(6) / 2, 0.4 * speed, seconds)
+    white = torch.randn(len(q) // correlated + 1, 2, generator=g, dtype=F64).repeat_interleave(correlated, 0)
+    tau = torchdq.inverse_dynamics(TWO, q, qd, qdd) + friction(qd) + noise * white[: len(q)]
     return Samples(q, qd, qdd, tau)
 
 

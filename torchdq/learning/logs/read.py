@@ -14,15 +14,13 @@ from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
-from torchdq.learning.logs.arrays import archive_table, arrays_table
 from torchdq.learning.logs.checks import jumps, require_numbers, require_radians, require_times
 from torchdq.learning.logs.errors import LogError, MissingLogError
 from torchdq.learning.logs.filters import decimated, fewer_times
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.learning.logs.samples import UNITS
-from torchdq.learning.logs.tables import Table
-from torchdq.learning.logs.texts import text_table
+from torchdq.learning.logs.tables import Table, archive_table, arrays_table, text_table
 
 Source = str | PathLike[str] | bytes | IO[Any] | Mapping[str, Any]
 
