@@ -207,9 +207,9 @@ def table(seconds=5.0, n=7):
     return np.column_stack([time, q, qd, tau])
 
 
-def arrays(n=3):
-    """The same as arrays, with accelerations."""
-    time = table(n=n)[:, 0]
+def arrays(n=3, time=None):
+    """The same as arrays, with accelerations, or at other times."""
+    time = table(n=n)[:, 0] if time is None else time
     return dict(zip(("time", "q", "qd", "qdd", "tau"), (time, *sines(time, n)), strict=True))
 
 

@@ -72,18 +72,6 @@ def test_currents_become_torques(tmp_path):
     np.testing.assert_array_equal(found.tau[0], found.layout.gain)
 
 
-def test_packed_marked_and_encoded_texts(log):
-    text = log.read_bytes()
-    for content in (
-        gzip.compress(text),
-        b"\xef\xbb\xbf" + text,
-        *(text.decode().encode(encoding) for encoding in ("utf-16", "utf-32")),
-        ("\ufeff" + text.decode()).encode("utf-16-le"),
-    ):
-        log.write_bytes(content)
-        assert_holds(read_log(log), table())
-
-
 def test_an_archive_and_arrays_are_read_without_a_digit_lost(tmp_path):
     known, path = arrays(), tmp_path / "log.npz"
     np.savez(path, **known)
@@ -107,32 +95,37 @@ def test_repeated_time_stamps_are_dropped_and_counted(log):
     assert found.repeats == 1 and (np.diff(found.time) > 0).all() and len(found.time) == len(table())
 
 
-@pytest.mark.parametrize("opened", [Path.as_uri, Path.read_bytes, lambda log: log.open("rb"), Path.open])
-def test_a_log_may_be_an_address_bytes_or_an_open_file(log, opened):
-    source = opened(log)
+SOURCES = {
+    "an address": Path.as_uri,
+    "an open file": Path.open,
+    "an open file of bytes": lambda log: log.open("rb"),
+    "bytes": Path.read_bytes,
+    "packed": lambda log: gzip.compress(log.read_bytes()),
+    **{name: lambda log, name=name: log.read_text().encode(name) for name in ("utf-8-sig", "utf-16", "utf-32")},
+    "marked": lambda log: ("\ufeff" + log.read_text()).encode("utf-16-le"),
+}
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_a_log_may_be_an_address_an_open_file_or_bytes_packed_and_encoded(log, kind):
+    source = SOURCES[kind](log)
     assert_holds(read_log(source), table())
     if hasattr(source, "close"):
         source.close()
 
 
-def slow(time):
-    """Arrays of a motion of 0.5 and 0.8 Hz."""
-    w = 2 * np.pi * np.array([0.5, 0.8])
-    q, qd = np.sin(np.outer(time, w)), w * np.cos(np.outer(time, w))
-    return {"time": time, "q": q, "qd": qd, "tau": 3 * q}
-
-
 @pytest.mark.parametrize("wrong", [0.0, -1.0, "50", 5000.0, 1.0, float("nan")])
 def test_logs_are_read_at_a_rate(wrong):
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.4, 1.6, 10_000)) / 2000
-    found = read_log(slow(stamps), rate=50.0)
+    found = read_log(arrays(time=stamps), rate=50.0)
     assert np.allclose(np.diff(found.time), 0.02) and len(found.time) == pytest.approx(250, abs=3)
-    for name, x in slow(found.time).items():
-        np.testing.assert_allclose(getattr(found, name)[10:-10], x[10:-10], atol=1e-3)
+    for name in ("time", "q", "qd", "tau"):
+        exact = arrays(time=found.time)[name]
+        np.testing.assert_allclose(getattr(found, name)[10:-10], exact[10:-10], atol=1e-3)
     with refused(ArgumentError):
-        read_log(slow(np.arange(0, 5, 1e-3)), rate=wrong)
+        read_log(arrays(time=np.arange(0, 5, 1e-3)), rate=wrong)
     with log_refused("log.rows"):
-        read_log(slow(np.arange(0, 0.025, 1e-3)), rate=100.0)
+        read_log(arrays(time=np.arange(0, 0.025, 1e-3)), rate=100.0)
 
 
 def test_a_log_may_be_checked_against_its_robot():
