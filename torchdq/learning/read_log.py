@@ -63,9 +63,9 @@ def read_log(
             n, claim = log.q.shape[1], f"{robot.n} joints are needed, those of {robot.name!r}"
             cure = "lock joints of the robot, or choose columns by Layout"
             option = "--joints keeps some joints of the robot"
-            raise LogError(Finding("log.joints", "", claim, str(n), cure, option, value=n), where=str(log.path))
+            raise LogError(Finding("log.joints", "", claim, str(n), cure, option, value=n), where=log.path)
         qd = None if log.qd is None else torch.from_numpy(log.qd)
         log = log._replace(findings=(*log.findings, *beyond_limits(robot, torch.from_numpy(log.q), qd)))
     if log.findings:
-        warnings.warn(LogWarning(*log.findings, where=str(log.path)), stacklevel=2)
+        warnings.warn(LogWarning(*log.findings, where=log.path), stacklevel=2)
     return log

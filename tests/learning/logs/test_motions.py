@@ -100,13 +100,11 @@ def test_the_sign_of_the_velocity_is_filtered_as_the_torques_are(log):
 @pytest.mark.parametrize(("rate", "cutoff"), [(1000.0, 8.0), (20.0, 5.0), (12.5, 3.125)])
 def test_cutoffs_fit_the_rate_and_are_recorded(rate, cutoff):
     time = np.arange(0, 20, 1 / rate)
-    w = 2 * np.pi * np.array([0.5, 0.8])
-    q, qd = np.sin(np.outer(time, w)), w * np.cos(np.outer(time, w))
-    known = {"time": time, "q": q, "qd": qd, "tau": 3 * q}
+    known = arrays(2, time) | {"qdd": None}
     motion = smooth(read_log(known))
     assert motion.cutoff_qd == motion.cutoff_tau == pytest.approx(cutoff)
     assert f"velocities at {cutoff:.4g} Hz, torques at {cutoff:.4g} Hz" in str(motion)
-    np.testing.assert_allclose(motion.qdd, -(w**2) * np.sin(np.outer(motion.time, w)), atol=0.1)
+    np.testing.assert_allclose(motion.qdd, sines(motion.time, 2)[2], atol=0.1)
     chosen = smooth(read_log(known, Layout(cutoff_tau=2.0)), cutoff_qd=3.0, sign_width=0.02)
     assert (chosen.cutoff_qd, chosen.cutoff_tau, chosen.sign_width) == (3.0, 2.0, 0.02)
 

@@ -65,13 +65,6 @@ def test_columns_are_found_by_name_and_others_stay_unread(tmp_path):
     assert_holds(found, rows)
 
 
-def test_currents_become_torques(tmp_path):
-    rows = np.hstack([np.arange(300)[:, None] * 0.01, np.ones((300, 30))])
-    found = read_log(written(tmp_path / "ur.csv", rows, None), LAYOUTS["ur10e"])
-    assert found.layout is LAYOUTS["ur10e"]
-    np.testing.assert_array_equal(found.tau[0], found.layout.gain)
-
-
 def test_an_archive_and_arrays_are_read_without_a_digit_lost(tmp_path):
     known, path = arrays(), tmp_path / "log.npz"
     np.savez(path, **known)

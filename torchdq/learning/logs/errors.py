@@ -7,9 +7,9 @@ from torchdq.findings import Finding, merged
 class _AboutLog(Exception):
     """Findings in a log, and where in it they are; or a message alone."""
 
-    def __init__(self, *found: Finding | str, where: str = ""):
+    def __init__(self, *found: Finding | str, where: object = ""):
         super().__init__(*found)
-        self.where = where
+        self.where = str(where)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -148,7 +148,7 @@ def _used(log: Log, whole: Motion, lowest: float, every: float) -> np.ndarray:
     used: np.ndarray = moves & (since >= first) & (left >= last)
     if not used.any():
         fault = Finding("log.still", "", f"no joint ever moves faster than {AT_REST} rad/s")
-        raise LogError(fault, where=str(log.path))
+        raise LogError(fault, where=log.path)
     return used & (np.arange(len(time)) % every == 0)
 
 
@@ -170,7 +170,7 @@ def _reach(cutoff: float | None) -> float:
 
 def _too_short(log: Log, needed: float) -> LogError:
     seconds, claim = log.time[-1] - log.time[0], f"more than {needed:.3g} s of motion are needed"
-    return LogError(Finding("log.short", "", claim, f"{seconds:.3g} s", value=seconds), where=str(log.path))
+    return LogError(Finding("log.short", "", claim, f"{seconds:.3g} s", value=seconds), where=log.path)
 
 
 def train_test_split(
@@ -189,11 +189,8 @@ def train_test_split(
     Raises:
         ArgumentError: there is no motion, the share is not between 0 and 1, or a part would be empty.
 
-    >>> import numpy as np
-    >>> from torchdq.learning import read_log
-    >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read_log({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
-    >>> motion = smooth(log)
+    >>> time = np.arange(0, 10, 0.01)
+    >>> motion = Motion(time, *[np.sin(time)[:, None]] * 4)
     >>> (first,), (rest,) = train_test_split(motion, 0.7)
     >>> len(first.time) > len(rest.time)
     True
@@ -241,13 +238,10 @@ def stack_samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch
         ArgumentError: there is no motion, they have different numbers of joints, or torques are missing or in units
             of unknown gains.
 
-    >>> import numpy as np
-    >>> from torchdq.learning import read_log
-    >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read_log({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
-    >>> motion = smooth(log)
+    >>> time = np.arange(0, 10, 0.01)
+    >>> motion = Motion(time, *[np.sin(time)[:, None]] * 4)
     >>> stack_samples([motion, motion]).tau.shape
-    torch.Size([1772, 1])
+    torch.Size([2000, 1])
     """
     several = _several(motions)
     require_torques(several)

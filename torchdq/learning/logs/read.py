@@ -116,7 +116,7 @@ def _table(path: Any, layout: Layout, rows: tuple[int, int] | None) -> Table:
             needed = "not a table; needed are columns separated by commas"
             cure = ", an NPZ archive, or arrays: read_log({'time': ..., 'q': ..., ...})"
             python, option = (f"{needed}{rest}" for rest in (cure, " or an NPZ archive"))
-            raise LogError(Finding("log.kind", "", f"this is {kind}", "", python, option), where=str(Path(name)))
+            raise LogError(Finding("log.kind", "", f"this is {kind}", "", python, option), where=Path(name))
     return (archive_table if content.startswith(b"PK") else text_table)(Path(name), content, layout, rows)
 
 
@@ -156,7 +156,7 @@ def _at_rate(
     if seconds * most < FEWEST:
         claim = f"more than {FEWEST} rows are needed to read it at a rate"
         fault = Finding("log.rows", "", claim, str(len(time)), "rate=None reads all", "", value=len(time))
-        raise LogError(fault, where=str(path))
+        raise LogError(fault, where=path)
     if rate > 1.01 * most or seconds * rate < FEWEST:
         expected = f"at most {most:.4g} Hz, that of the rows, and at least {FEWEST / seconds:.3g} Hz"
         raise ArgumentError(f"rate must be {expected}, of which {FEWEST} rows of {path} are left, found {rate!r}")

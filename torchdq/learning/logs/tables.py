@@ -65,7 +65,7 @@ class Table(NamedTuple):
 def require_rows(path: Path, rows: int) -> None:
     """Refuse a log of fewer than two rows."""
     if rows < 2:
-        raise LogError(Finding("log.rows", "", "at least two rows of numbers are needed", str(rows)), where=str(path))
+        raise LogError(Finding("log.rows", "", "at least two rows of numbers are needed", str(rows)), where=path)
 
 
 def rows_option(first: object, last: object) -> tuple[str, str]:
@@ -81,7 +81,7 @@ def text_table(path: Path, content: bytes, layout: Layout, rows: tuple[int, int]
     text = _decoded(path, content)
     ended, lines = text.endswith(("\n", "\r")), text.rstrip().splitlines()
     if not lines:
-        raise LogError(Finding("log.empty", "", "it is empty"), where=str(path))
+        raise LogError(Finding("log.empty", "", "it is empty"), where=path)
     heads = [cell.strip() for cell in lines[0].split(",")] if layout.header else layout.order
     layout, names = find_columns(f"{path}, row 1", layout, heads)
     start = layout.header + (rows[0] if rows else 0)
@@ -125,7 +125,7 @@ def _decoded(path: Path, content: bytes) -> str:
         return content.decode(next((name for mark, name in MARKS.items() if content.startswith(mark)), "utf-8-sig"))
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as fault:
         claim = f"damaged or not a text ({fault})"
-        raise LogError(Finding("log.damaged", "", claim, "", "save it as UTF-8 text"), where=str(path)) from fault
+        raise LogError(Finding("log.damaged", "", claim, "", "save it as UTF-8 text"), where=path) from fault
 
 
 # --- arrays ---
@@ -140,9 +140,9 @@ def archive_table(path: Path, content: bytes, layout: Layout, rows: tuple[int, i
             found = {signal: archive[name] for signal, name in called.items() if name in archive}
     except Exception as fault:  # numpy and zipfile raise errors of many kinds on damaged bytes
         claim = f"damaged or not an archive of numbers ({fault})"
-        raise LogError(Finding("log.damaged", "", claim), where=str(path)) from fault
+        raise LogError(Finding("log.damaged", "", claim), where=path) from fault
     if inside and not any(name.endswith(".npy") for name in inside):
-        raise LogError(Finding("log.zip", "", f"a zip archive of {listed(inside)}", "", "unpack it"), where=str(path))
+        raise LogError(Finding("log.zip", "", f"a zip archive of {listed(inside)}", "", "unpack it"), where=path)
     return _table(path, found, called, [name.removesuffix(".npy") for name in inside], layout, rows)
 
 
@@ -158,7 +158,7 @@ def arrays_table(arrays: Mapping[str, Any], layout: Layout, rows: tuple[int, int
                 found[signal] = np.asarray(x.detach().cpu() if isinstance(x, Tensor) else x)
             except Exception as fault:  # numpy takes any object, whose conversion may fail in any way
                 expected = f"must be an array of numbers ({fault})"
-                raise LogError(Finding("array.kind", f"array {name!r}", expected), where=str(path)) from fault
+                raise LogError(Finding("array.kind", f"array {name!r}", expected), where=path) from fault
     return _table(path, found, called, [str(name) for name in arrays], layout, rows)
 
 
@@ -189,16 +189,16 @@ def _table(
             needed = f"time [rows] and {', '.join(called[s] for s in NEEDED[1:] if s in called)} [rows, n]"
             cure, option = (f"{way}; found {listed(inside)}" for way in OTHER_NAMES)
             fault = Finding("array.missing", "", f"there is no array {name!r}; needed are {needed}", "", cure, option)
-            raise LogError(missing_signals(fault, called.keys() - found.keys(), inside), where=str(path))
+            raise LogError(missing_signals(fault, called.keys() - found.keys(), inside), where=path)
     shape = found["q"].shape
     for signal, x in {"q": found["q"], **found}.items():  # positions first, whose shape the others must have
         if x.shape != (shape[:1] if signal == "time" else shape) or len(shape) != 2 or x.dtype.kind not in "fiu":
             expected = "must hold real numbers, time [rows] and q, qd, tau [rows, n]"
             fault = Finding("array.shape", f"array {called[signal]!r}", expected, f"{x.dtype} {list(x.shape)}")
-            raise LogError(fault._replace(cure=_cure(found, x)), where=str(path))
+            raise LogError(fault._replace(cure=_cure(found, x)), where=path)
     if layout.joints not in (0, shape[1]) or not shape[1]:
         expected = f"{layout.joints} joints are needed" if layout.joints else "at least one joint is needed"
-        raise LogError(Finding("log.joints", "", expected, str(shape[1]), value=shape[1]), where=str(path))
+        raise LogError(Finding("log.joints", "", expected, str(shape[1]), value=shape[1]), where=path)
     joints = range(1, shape[1] + 1)
     names = {signal: ["time"] if signal == "time" else [f"{signal}{joint}" for joint in joints] for signal in found}
     start, end = rows or (0, None)
