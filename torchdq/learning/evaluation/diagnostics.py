@@ -196,7 +196,7 @@ def misshapen(
 
 
 def _of_joints(names: Sequence[str], joints: Tensor, finding: Finding, values: Tensor) -> list[Finding]:
-    """The same finding about each of some joints [n], with the value [n] of each."""
+    """Findings about some joints [n], the same but for the value [n] of each."""
     return [
         finding._replace(subject=names[j], found=finding.found.format(x), value=x)
         for j, x in enumerate(values.tolist())
