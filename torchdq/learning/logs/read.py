@@ -70,12 +70,9 @@ def read(path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float
         cure = "columns are named by Layout(columns={'q': 'position_{0}'})"
         raise ArgumentError(f"layout must be a Layout, found {type(layout).__name__}; {cure}")
     if rows is not None:
-        pair = isinstance(rows, tuple | list) and len(rows) == 2
-        if (
-            not pair
-            or not all(isinstance(x, Integral) and not isinstance(x, bool) for x in rows)
-            or not 0 <= rows[0] < rows[1]
-        ):
+        pair = rows if isinstance(rows, tuple | list) and len(rows) == 2 else (None, None)
+        whole = all(isinstance(x, Integral) and not isinstance(x, bool) for x in pair)
+        if not whole or not 0 <= rows[0] < rows[1]:
             expected = "a first row and a greater one after the last, whole numbers"
             raise ArgumentError(f"rows must be {expected}, found {rows!r}")
     if rate is not None:
@@ -93,17 +90,8 @@ def read(path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float
     time, blocks = table.time[new], {signal: x[new] for signal, x in table.blocks.items()}
     if rate is not None:
         time, blocks = _at_rate(table.path, time, blocks, rate)
-    repeats = int((~new).sum())
-    return Log(
-        table.path,
-        table.layout,
-        time,
-        qd=blocks.pop("qd", None),
-        tau=blocks.pop("tau", None),
-        repeats=repeats,
-        findings=tuple(findings),
-        **blocks,
-    )
+    signals: dict[str, Any] = {"qd": None, "tau": None} | blocks
+    return Log(table.path, table.layout, time, repeats=int((~new).sum()), findings=tuple(findings), **signals)
 
 
 def _table(path: Any, layout: Layout, rows: tuple[int, int] | None) -> Table:
