@@ -95,9 +95,7 @@ STOREYS = {
     "torchdq.learning.plots": 5,
     "torchdq.learning.excitation": 6,
     "torchdq.learning": 7,
-    # outcomes and robots, options that commands share, the commands, the command line
-    "torchdq.command.reports": 0,
-    "torchdq.command.robots": 1,
+    # outcomes, options that commands share, the commands, the command line
     "torchdq.command.command": 2,
     "torchdq.command.report": 3,
     "torchdq.command.bench": 3,

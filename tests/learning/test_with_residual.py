@@ -1,21 +1,22 @@
 """A network beside an identified robot whose friction remembers: never worse than the robot alone, in scenes too."""
 
+import copy
 import math
-import warnings
 
 import pytest
 import torch
 from messages import refused
-from oracles import shipped
+from recorded_logs import ROBOT as TWO
+from recorded_logs import STEP, waves
 
 import torchdq
 from torchdq import effects
 from torchdq.envs import Scene
 from torchdq.learning import IdentifiedWithResidual, Model, Motion, Samples, evaluate, fit, identify, plot_torques
 
+pytestmark = pytest.mark.filterwarnings("ignore::torchdq.learning.LogWarning")  # of friction that no term has
 F64 = torch.float64
-TWO = shipped("two_link").robot
-STEP, BRISTLES = 0.02, 0.05
+BRISTLES = 0.05
 REMEMBERS = (effects.Viscous(), effects.LuGre(deflection=BRISTLES))
 OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2}
 
@@ -31,17 +32,9 @@ def bent(q):
 
 def motion(seed, rest, seconds=20.0):
     """Positions, velocities, accelerations and torques of sines that turn round often, with bristles and noise."""
-    g = torch.Generator().manual_seed(seed)
-    t = torch.arange(0, seconds, STEP, dtype=F64)[:, None, None]
-    size, rate, phase = torch.rand(3, 2, 4, generator=g, dtype=F64)
-    size, rate, phase = 0.1 + 0.1 * size, torch.arange(1, 5) + rate, 6.3 * phase
-    q, qd, qdd = ((x * size).sum(-1) for x in _waves(rate, rate * t + phase))
+    (q, qd, qdd), g = waves(seed, 0.1, torch.arange(1, 5), 1.0, seconds)
     noise = 0.1 * torch.randn(q.shape, generator=g, dtype=F64)
     return Samples(q, qd, qdd, torchdq.inverse_dynamics(TWO, q, qd, qdd) + 0.5 * qd + 2.0 * bent(q) + rest(qd) + noise)
-
-
-def _waves(rate, angle):
-    return angle.sin(), rate * angle.cos(), -rate * rate * angle.sin()
 
 
 def stribeck(qd):
@@ -65,17 +58,13 @@ def trained(found, train, steps=200):
     whole = IdentifiedWithResidual(found, torchdq.ResidualDynamics(layer, hidden=(16,)))
     parts = [whole.samples(*part) for part in train]
     whole.residual.standardise(*(torch.cat(x) for x in zip(*parts, strict=True)))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        fit(whole.residual, parts, steps=steps, **OPTIONS)
+    fit(whole.residual, parts, steps=steps, **OPTIONS)
     return whole
 
 
 def made(rest, steps=200):
     parts = [motion(k, rest) for k in range(3)]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it has doubts about the friction that no term has
-        found = identify(TWO, Samples(*map(torch.stack, zip(*parts, strict=True))), Model(REMEMBERS), prior=1.0)
+    found = identify(TWO, Samples(*map(torch.stack, zip(*parts, strict=True))), Model(REMEMBERS), prior=1.0)
     return found, trained(found, parts, steps), parts
 
 
@@ -97,9 +86,7 @@ def test_the_network_adds_to_friction_that_remembers(bumpy):
     # a network around the layer alone has to guess what was before
     model = torchdq.ResidualDynamics(found.layer().requires_grad_(False), hidden=(16,))
     model.standardise(*(torch.cat(x) for x in zip(*parts, strict=True)))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        fit(model, parts, steps=200, **OPTIONS)
+    fit(model, parts, steps=200, **OPTIONS)
     assert (error(model(*test[:3]).detach(), test) > 1.7 * both).all()
 
 
@@ -122,14 +109,10 @@ def test_intervals_hold_their_share(bumpy):
 
 
 def test_without_weight_it_is_what_was_identified_with_its_errors(bumpy):
-    found, whole, parts = bumpy
-    weight = whole.residual.weight.clone()
-    try:
-        whole.residual.weight[1] = 0
-        predicted, alone = whole.predict(*parts[0][:3]), found.predict(*parts[0][:3])
-        both = whole.residual.predict(*parts[0][:3])
-    finally:
-        whole.residual.weight.copy_(weight)
+    found, whole, parts = copy.deepcopy(bumpy)
+    whole.residual.weight[1] = 0
+    predicted, alone = whole.predict(*parts[0][:3]), found.predict(*parts[0][:3])
+    both = whole.residual.predict(*parts[0][:3])
     assert torch.equal(predicted.tau[:, 1], alone.tau[:, 1]) and (predicted.tau != alone.tau)[:, 0].any()
     assert torch.equal(predicted.low[:, 1], alone.low[:, 1]) and torch.equal(predicted.high[:, 1], alone.high[:, 1])
     assert torch.allclose(predicted.error, torch.stack([both.error[:, 0], alone.error.hypot(found.noise)[:, 1]], 1))
@@ -214,25 +197,24 @@ def test_gains_that_were_identified_scale_the_torques():
     assert torch.allclose(ratio, torch.as_tensor(motions[0].tau) * found.gains.value)
     plain = identify(TWO, parts[0], Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
     other = IdentifiedWithResidual(plain, torchdq.ResidualDynamics(plain.layer()))
-    with refused(torchdq.ArgumentError):
-        other.samples(motions[0])
-    with refused(torchdq.ArgumentError):
-        other.samples(as_motion(parts[0], tau=None))
+    for measured in (motions[0], as_motion(parts[0], tau=None)):
+        with refused(torchdq.ArgumentError):
+            other.samples(measured)
 
 
 def test_what_it_does_not_take(bumpy):
     found, whole, parts = bumpy
-    with refused(torchdq.ArgumentError):
-        IdentifiedWithResidual(TWO, whole.residual)
-    with refused(torchdq.ArgumentError):
-        IdentifiedWithResidual(found, found.layer())
-    with refused(torchdq.ArgumentError):
-        IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer(learn=("mass",))))
-    with refused(torchdq.ArgumentError):
-        IdentifiedWithResidual(found, torchdq.ResidualDynamics(torchdq.DQRNEA(TWO.replace(mass=2 * TWO.mass))))
     fresh = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
-    with refused(torchdq.ArgumentError):
-        fresh.predict(*parts[0][:3])
-    with refused(torchdq.ArgumentError):
-        fresh.samples(*parts[0][:3])
+    learning = torchdq.ResidualDynamics(found.layer(learn=("mass",)))
+    heavier = torchdq.ResidualDynamics(torchdq.DQRNEA(TWO.replace(mass=2 * TWO.mass)))
+    for call in (
+        lambda: IdentifiedWithResidual(TWO, whole.residual),
+        lambda: IdentifiedWithResidual(found, found.layer()),
+        lambda: IdentifiedWithResidual(found, learning),
+        lambda: IdentifiedWithResidual(found, heavier),
+        lambda: fresh.predict(*parts[0][:3]),
+        lambda: fresh.samples(*parts[0][:3]),
+    ):
+        with refused(torchdq.ArgumentError):
+            call()
     assert math.isfinite(float(fresh.samples(*parts[0]).tau.sum()))

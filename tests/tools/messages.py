@@ -19,12 +19,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from places import ROOT, TESTS
+from places import DATA, ROOT, TESTS
 
 FILE = TESTS / "messages.json"
 _SAME_EVERYWHERE = [
     (r"/[^\s'\"]*?/pytest-of-[^/]+/pytest-\d+/(popen-gw\d+/)?[^/\s'\":;,)]+", "<tmp>"),
     (r"/[^\s'\":;,)]*/(site|dist)-packages", "<packages>"),
+    (re.escape(str(DATA)), "<recordings>"),
     (re.escape(str(ROOT)), "<root>"),
     (re.escape(sys.prefix), "<python>"),
     (re.escape(str(Path.home())) + r"(?=[/\s'\"]|$)", "~"),
@@ -168,6 +169,11 @@ def install(config) -> None:
     global _snapshot
     _snapshot = Snapshot(config)
     config.pluginmanager.register(_snapshot)
+
+
+def said(message: str) -> None:
+    """Compare a text that the running test has got, in its turn among the messages."""
+    _snapshot.heard(message, {})
 
 
 @contextmanager

@@ -1,8 +1,4 @@
 """Command line `torchdq`: one file for each command, which only reads its options and words what the package computes.
 
-main      parsing, exit codes, warnings and errors
-command   what all commands share
-outcome    result of a command, as text and as JSON
-robots    robots by file or name
-report bench identify scene accuracy export view cost doctor
+`main` parses and has the exit codes, `command` the options that all share, `outcome` the result as text and as JSON.
 """

@@ -1,7 +1,5 @@
 """Command `accuracy`: the cheapest precision, integrator and step that keep an error."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from torchdq.base import machine
@@ -38,21 +36,12 @@ class AccuracyCommand(RobotCommand):
             "robot": robot.name,
             "machine": machine.words(),
             "dtype": str(found.dtype).removeprefix("torch."),
-            "precision": found.precision,
-            "backend": found.backend,
-            "method": found.method,
-            "error": found.error,
-            "nanoseconds": found.nanoseconds,
+            **{name: getattr(found, name) for name in ("precision", "backend", "method", "error", "nanoseconds")},
             "others": [str(other) for other in found.others[1:]],
         }
         if isinstance(found, SceneRecommendation):
-            data |= {
-                "integrator": type(found.integrator).__name__,
-                "step": found.step,
-                "horizon": found.horizon,
-                "limit": found.limit,
-                "growth": found.growth,
-            }
+            data["integrator"] = type(found.integrator).__name__
+            data |= {name: getattr(found, name) for name in ("step", "horizon", "limit", "growth")}
         asked = "accelerations" if self.accelerations else f"{self.horizon:g} s under gravity, without torques"
         title = f"{robot.name}, error of {self.error:g} at most: {asked}"
         return Outcome((title, str(found), machine.words()), data)

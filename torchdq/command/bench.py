@@ -1,16 +1,28 @@
-"""Command `bench`: speed of a robot's functions on this machine."""
+"""Command `bench`: speed of a robot's compiled functions on this machine, for one sample and for batches."""
 
-from __future__ import annotations
-
+import statistics
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
+from torch import Tensor
 
 from torchdq.base import machine
+from torchdq.base.checks import require_count, require_number
+from torchdq.base.progress import Progress
+from torchdq.base.timing import measure
 from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
-from torchdq.command.reports.speed import BATCHES, speeds
-from torchdq.errors import ArgumentError
+from torchdq.errors import SingularInertiaError
+from torchdq.functions.catalogue import FLOATING
+from torchdq.functions.compile import CompiledProgram, compile
+from torchdq.robot import Robot
+
+# names of the functions, and of a derivative of one
+MEASURED = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "regressor")
+GRADIENT = "gradient of inverse_dynamics"
+POSE = "X_WB"
 
 
 @dataclass(kw_only=True)
@@ -20,7 +32,7 @@ class BenchCommand(RobotCommand):
     Example: torchdq bench panda --batches 1 4096 --threads 1
     """
 
-    batches: tuple[int, ...] = BATCHES
+    batches: tuple[int, ...] = (1, 64, 4096)
     """Samples in a call."""
     dtype: Dtype = "float64"
     """Dtype of the samples."""
@@ -31,25 +43,25 @@ class BenchCommand(RobotCommand):
 
     def outcome(self) -> Outcome:
         """Table of times."""
-        if not self.batches or min(self.batches) < 1:
-            raise ArgumentError(f"batches must be whole numbers from 1, found {list(self.batches)}")
-        if self.threads is not None and self.threads < 1:
-            raise ArgumentError(f"threads must be a whole number from 1, found {self.threads}")
-        robot, before = self.load().robot, torch.get_num_threads()
+        before = torch.get_num_threads()
         threads = before if self.threads is None else self.threads
+        for name, count in (*(("batches", batch) for batch in self.batches), ("threads", threads)):
+            require_count(name, count)
+        require_number("seconds", self.seconds, least=0)
+        robot = self.load().robot
         torch.set_num_threads(threads)
         try:
-            found = speeds(robot, self.batches, self.dtype, self.seconds)
+            found = self._measured(robot)
         finally:
             torch.set_num_threads(before)
-        cells = {(one.function, one.batch): f"{one.nanoseconds:.1f} +- {one.spread:.1f}" for one in found}
-        names = list(dict.fromkeys(one.function for one in found))
         header = ("function", *("one call" if batch == 1 else f"{batch} samples" for batch in self.batches))
-        on = f"{self.dtype}, {threads} thread{'s' * (threads != 1)}; {machine.words()}"
+        rows = {name: [name] for name, *_ in found}
+        for name, _, middle, spread in found:
+            rows[name].append(f"{middle:.1f} +- {spread:.1f}")
         text = (
             f"{robot.name}: time per sample [ns], median and half of the middle half of the measurements",
-            Grid(header, [(name, *(cells[name, batch] for batch in self.batches)) for name in names]),
-            on,
+            Grid(header, [*rows.values()]),
+            f"{self.dtype}, {threads} thread{'s' * (threads != 1)}; {machine.words()}",
         )
         data = {
             "robot": robot.name,
@@ -57,6 +69,42 @@ class BenchCommand(RobotCommand):
             "threads": threads,
             "dtype": self.dtype,
             "unit": "ns per sample",
-            "speeds": [one._asdict() for one in found],
+            "speeds": [dict(zip(("function", "batch", "nanoseconds", "spread"), row, strict=True)) for row in found],
         }
         return Outcome(text, data)
+
+    def _measured(self, robot: Robot) -> list[tuple[str, int, float, float]]:
+        """Function, batch, median time per sample and half of the range of the middle half [ns]."""
+        with Progress(f"measuring the speed of {robot.name!r}") as progress:
+            programs = {}
+            for name in MEASURED:
+                progress.at(f"compiling {name}")
+                try:
+                    programs[name] = compile(robot.bake(), FLOATING * robot.floating + name, self.dtype)
+                except SingularInertiaError:  # a joint moves no inertia
+                    continue
+            progress.at("compiling the gradient")
+            programs[GRADIENT] = programs[MEASURED[0]].vjp()
+            found = []
+            for batch in self.batches:
+                progress.at(f"{batch} samples in a call")
+                calls: dict[str, Callable[[], object]] = {
+                    name: partial(program, *_inputs(program, batch)) for name, program in programs.items()
+                }
+                for name, times in measure(calls, batch, self.seconds).items():
+                    lower, middle, upper = statistics.quantiles(times, n=4, method="inclusive")
+                    found.append((name, batch, middle, (upper - lower) / 2))
+        return found
+
+
+def _inputs(program: CompiledProgram, batch: int) -> list[Tensor]:
+    """Random arguments of a program; poses are at the origin."""
+    generator = torch.Generator().manual_seed(0)
+    found = []
+    for argument in program.program.arguments:
+        shape = (argument.width,) if batch == 1 else (batch, argument.width)
+        x = torch.rand(shape, generator=generator, dtype=program.dtype)
+        if argument.name == POSE:
+            x = torch.eye(1, argument.width, dtype=program.dtype)[0].expand(shape).contiguous()
+        found.append(x)
+    return found

@@ -1,21 +1,37 @@
-"""Options that commands share."""
+"""Options that commands share, and the robot that they name: by a file or by a name."""
 
-from __future__ import annotations
-
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
 
+import torch
 import tyro
+from torch import Tensor
 
+from torchdq.base.checks import matching
+from torchdq.base.progress import Progress
 from torchdq.command.outcome import Outcome
-from torchdq.command.robots import NamedRobot, robot_of
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, MissingFileError, MissingLibraryError, UnknownNameError
+from torchdq.robot import Robot, shipped
 from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.robot import Base
 
 RobotName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
 Dtype = Literal["float64", "float32"]
+ENDINGS = (".urdf", ".xml", ".xacro", ".mjcf")
+HEAD = 2**16  # bytes in which a file says what it is
+DESCRIPTION = "_description"  # end of the names in robot_descriptions
+
+
+class NamedRobot(NamedTuple):
+    """Robot, and the file that it was read from."""
+
+    robot: Robot
+    format: Literal["urdf", "xacro", "mjcf", "shipped", "named"]
+    file: str  # "" for a shipped robot
 
 
 @dataclass(kw_only=True)
@@ -47,7 +63,21 @@ class RobotCommand(Command):
 
     def load(self) -> NamedRobot:
         """Robot, and the file that it is from."""
-        return robot_of(self.robot, self.base, self.joints, self.tip, self.on_unphysical)
+        name = self.robot
+        if name in shipped.names() and not Path(name).is_file():
+            if self.base == "floating":
+                raise ArgumentError(f"base must be 'fixed' for the shipped robot {name!r}, found 'floating'")
+            robot = shipped.load(name)
+            if self.joints:
+                kept = matching("joints", self.joints, robot.joint_names, "joint")
+                robot = robot.lock([joint for joint in robot.joint_names if joint not in kept])
+            return NamedRobot(robot if self.tip is None else robot.with_tip(self.tip), "shipped", "")
+        given = {"base": self.base, "joints": list(self.joints), "tip": self.tip}
+        options = {option: x for option, x in given.items() if x} | {"on_unphysical": self.on_unphysical}
+        path = Path(name)
+        is_file = os.sep in name or path.suffix.lower() in ENDINGS or path.exists() or "://" in name or name[:1] == "~"
+        with Progress(f"reading {name}"):
+            return (_read if is_file else _by_name)(name, options)
 
     def load_moving(self) -> NamedRobot:
         """Robot with a joint at least, and the file that it is from."""
@@ -57,6 +87,33 @@ class RobotCommand(Command):
         return source
 
 
-def numbers(values: Sequence[float]) -> tuple[float, ...] | None:
-    """Numbers of an option; None: not given."""
-    return tuple(values) or None
+def _read(name: str, options: dict[str, Any]) -> NamedRobot:
+    """Robot of a file."""
+    path = Path(name).expanduser()
+    if name.endswith(".xacro"):
+        return NamedRobot(Robot.from_xacro(name, **options), "xacro", name)
+    if path.is_file() and os.access(path, os.R_OK):
+        with path.open("rb") as file:
+            if b"<mujoco" in file.read(HEAD):
+                return NamedRobot(Robot.from_mjcf(name, **options), "mjcf", name)
+    return NamedRobot(Robot.from_urdf(name, **options), "urdf", name)
+
+
+def _by_name(name: str, options: dict[str, Any]) -> NamedRobot:
+    """Robot that robot_descriptions knows."""
+    known = shipped.names()
+    try:
+        whole = name if name.endswith(DESCRIPTION) else f"{name}{DESCRIPTION}"
+        return NamedRobot(Robot.from_name(whole, **options), "named", "")
+    except (MissingLibraryError, UnknownNameError) as error:
+        meant = "".join(f", did you mean {near!r}?" for near in get_close_matches(name, known, n=1))
+        raise MissingFileError(
+            f"there is no file or shipped robot {name!r}{meant or ';'} shipped are {', '.join(known)}; {error}"
+        ) from error
+
+
+def per_joint(name: str, values: Sequence[float], robot: Robot) -> Tensor | None:
+    """Numbers of an option for each joint [n]; None: not given."""
+    if values and len(values) != robot.n:
+        raise ArgumentError(f"{name} must be {robot.n} numbers, one for each joint, found {len(values)}")
+    return torch.tensor(values, dtype=torch.float64) if values else None

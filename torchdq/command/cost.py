@@ -1,7 +1,5 @@
 """Command `cost`: the paper's tables, counted."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from torchdq.base.progress import Progress

@@ -1,7 +1,5 @@
 """Command `export`: a function of a robot as files that need no Python, or as a graph of torch."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass
 from pathlib import Path

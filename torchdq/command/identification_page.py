@@ -1,7 +1,5 @@
 """Page about an identified robot: one HTML file with its picture in it, which opens without a network."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from html import escape

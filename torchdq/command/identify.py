@@ -1,7 +1,5 @@
 """Command `id`: a robot identified from logs, tried on what was not learned from, with a page about it."""
 
-from __future__ import annotations
-
 import math
 import os
 import warnings
@@ -15,10 +13,9 @@ import tyro
 from torchdq.base.files import write_atomically
 from torchdq.base.optional import require_packages
 from torchdq.base.progress import Progress
-from torchdq.command.command import RobotCommand, numbers
+from torchdq.command.command import ENDINGS, NamedRobot, RobotCommand
 from torchdq.command.identification_page import page
 from torchdq.command.outcome import Grid, Outcome, Verbatim
-from torchdq.command.robots import ENDINGS, NamedRobot
 from torchdq.effects import Coulomb, Viscous
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.learning import (
@@ -43,6 +40,14 @@ from torchdq.robot import Robot
 NEEDED = {"scipy": "learn", "matplotlib": "viz"}
 ROBOTS, LOGS = (*ENDINGS, ".urdf.xacro"), (".csv", ".csv.gz", ".npz", ".txt")  # how files of each kind end
 JOINT = "{joint}"  # in patterns of columns, the name of a joint
+
+
+class RobotFile(NamedTuple):
+    """File of the robot found."""
+
+    text: str  # "" if there is none
+    robot: Robot | None  # robot that it holds, with its damping and friction
+    omitted: str  # what it lacks, or why there is none; "" for nothing
 
 
 @dataclass(kw_only=True)
@@ -113,7 +118,10 @@ class IdCommand(RobotCommand):
             motions, tests, held = (
                 [self._motion(log, source.robot) for log in logs] for logs in (self.logs, self.test, self.payload)
             )
-            train, test = (motions, tests) if tests else self._split(motions)
+            if tests:
+                train, test = motions, tests
+            else:
+                train, test = train_test_split(motions) if len(motions) == 1 else (motions[:-1], motions[-1:])
             found = self._identified(source.robot, train)
             payload = identify_payload(found, torques_by(found, held), frame=self.frame) if held else None
             description = _described(source, found)
@@ -123,7 +131,9 @@ class IdCommand(RobotCommand):
             warnings.warn(message, stacklevel=2)
         with Progress("drawing the page"):
             words = [x.text(command_line=True) if isinstance(x, LogWarning) else str(x) for x in messages]
-            text = page(found, measured, test, self._sources(), words, payload)
+            sources = [f"robot: {self.robot}", f"logs: {', '.join(self.logs)}"]
+            sources += [f"tested on: {', '.join(self.test)}"] if self.test else []
+            text = page(found, measured, test, sources, words, payload)
         files = self._written(source, text, description)
         return _outcome(found, measured, payload, files, description.omitted)
 
@@ -151,19 +161,11 @@ class IdCommand(RobotCommand):
         width = {} if self.sign_width is None else {"sign_width": self.sign_width}
         return smooth(recorded, self.cutoff, self.cutoff, self.rate, delay=self.delay, **width)
 
-    def _split(self, motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
-        """Motions to learn from, and to test on: the last one, or the last third of the only one."""
-        return train_test_split(motions) if len(motions) == 1 else ([*motions[:-1]], [motions[-1]])
-
     def _layout(self, robot: Robot) -> Layout:
         """Layout of the logs, as the options say."""
-        if self.gains and len(self.gains) != robot.n:
-            raise ArgumentError(f"gains must be {robot.n} numbers, one for each joint, found {len(self.gains)}")
-        if 0 in self.gains:
-            raise ArgumentError(f"gains must be numbers other than zero, found {self.gains}")
         options: dict[str, Any] = {"columns": {name: _names(x, robot) for name, x in self.columns.items()}}
         options |= {"farthest": self.farthest, "fastest": self.fastest}
-        options["gain"] = numbers(self.gains) or (None if self.estimate_gains else ())
+        options["gain"] = self.gains or (None if self.estimate_gains else ())
         if self.blocks:
             options |= {"blocks": self.blocks, "header": False, "joints": robot.n}
         return Layout(**options)
@@ -175,11 +177,6 @@ class IdCommand(RobotCommand):
         model = Model(friction, self.offset, self.rotors, self.estimate_gains)
         return identify(robot, train, model, self.prior, width)
 
-    def _sources(self) -> list[str]:
-        """Lines of the page about where its numbers come from."""
-        lines = [f"robot: {self.robot}", f"logs: {', '.join(self.logs)}"]
-        return lines + ([f"tested on: {', '.join(self.test)}"] if self.test else [])
-
     def _written(self, source: NamedRobot, text: str, description: RobotFile) -> dict[str, Path]:
         """Files by kind."""
         name = "".join(c if c.isalnum() or c in "-_" else "_" for c in source.robot.name) or "robot"
@@ -190,14 +187,6 @@ class IdCommand(RobotCommand):
         for file, content in texts.values():
             write_atomically({self.out / file: content})
         return {kind: self.out / file for kind, (file, _) in texts.items()}
-
-
-class RobotFile(NamedTuple):
-    """File of the robot found."""
-
-    text: str  # "" if there is none
-    robot: Robot | None  # robot that it holds, with its damping and friction
-    omitted: str  # what it lacks, or why there is none; "" for nothing
 
 
 def _described(source: NamedRobot, found: Identified) -> RobotFile:

@@ -3,8 +3,6 @@
 Exit codes: 0 well; 1 a mistake of the user, or a check failed; 2 a command that is not understood; 130 Ctrl-C.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Results of commands, written as text for people or as one JSON object for programs."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys

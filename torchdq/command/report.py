@@ -1,13 +1,27 @@
-"""Command `report`: what is read of a robot's file, and what is wrong with it."""
+"""Command `report`: what is read of a robot's file, what is wrong with it, and what its functions cost."""
 
-from __future__ import annotations
-
+import math
 from dataclasses import dataclass
 
+import torch
+
+from torchdq import floating, functional
+from torchdq.base.progress import Progress
 from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Grid, Outcome
-from torchdq.command.reports.overview import COUNTED, overview
+from torchdq.errors import SingularInertiaError
+from torchdq.functions.catalogue import FLOATING, RECIPES, Function
+from torchdq.functions.options import options_of
+from torchdq.program.program import Argument, Count
+from torchdq.robot import Robot
 from torchdq.robot.check.report import HEADER
+from torchdq.robot.robot import constants
+
+SHOWN = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor")
+WRENCHES = ("f_tip", "f_ext", "f_base")
+POSITIONS = 100  # number of random positions
+COUNTED = ("multiplications", "additions", "divisions", "sines", "roots")
+UNDEFINED = ("undefined: a joint moves no inertia", *[""] * (len(COUNTED) - 1))
 
 
 @dataclass(kw_only=True)
@@ -18,24 +32,34 @@ class ReportCommand(RobotCommand):
     """
 
     def outcome(self) -> Outcome:
-        """Page about the robot."""
+        """Page about the robot, without compiling anything."""
         robot = self.load().robot
-        page = overview(robot)
-        notes = [*map(str, page.report.notes)]
+        report = robot.report()
+        with Progress(f"counting operations of robot {robot.name!r}") as progress:
+            operations = {}
+            for name in SHOWN:
+                progress.at(name)
+                operations[name] = _counted(robot, name)
+        counts = {name: None if count is None else count._asdict() for name, count in operations.items()}
+        growth, rounding = _growth(robot)
+        notes = [*map(str, report.notes)]
         text = (
-            page.report.summary,
-            Grid(HEADER, page.report.joints),
+            report.summary,
+            Grid(HEADER, report.joints),
             "notes:",
             Grid((), [("-", note) for note in notes or ("nothing else in the description",)]),
             "operations per sample:",
-            Grid(("function", *COUNTED), page.rows()),
-            page.rounding(),
+            Grid(
+                ("function", *COUNTED),
+                [(name, *([str(x[kind]) for kind in COUNTED] if x else UNDEFINED)) for name, x in counts.items()],
+            ),
+            f"rounding errors{rounding}",
         )
         data = {
             "robot": robot.name,
             "base": "floating" if robot.floating else "fixed",
             "joints": [
-                dict(zip(("name", "kind", "link", "mass", "limits"), row, strict=True)) for row in page.report.joints
+                dict(zip(("name", "kind", "link", "mass", "limits"), row, strict=True)) for row in report.joints
             ],
             "coordinates": robot.joint_names,
             "limits": robot.limits._asdict(),
@@ -45,8 +69,41 @@ class ReportCommand(RobotCommand):
             ],
             "frames": robot.frame_names,
             "notes": notes,
-            "operations": {name: None if count is None else count._asdict() for name, count in page.operations.items()},
-            "error_growth": None if page.growth is None else page.growth._asdict(),
-            "reason": page.reason,
+            "operations": counts,
+            "error_growth": growth,
+            "reason": "" if growth else rounding.removeprefix(": "),
         }
         return Outcome(text, data)
+
+
+def _counted(robot: Robot, name: str) -> Count | None:
+    """Operations of a function; None: undefined, since a joint moves no inertia."""
+    full = FLOATING + name if robot.floating else name
+    what = Function(constants(robot), full, options_of(robot, name, ()) if not robot.floating else ())
+    wanted = [argument for argument, _, _ in RECIPES[full].arguments if argument not in WRENCHES]
+    taken = tuple(Argument(argument, math.prod(what.axes(argument))) for argument in wanted)
+    try:
+        return what.program(taken).count()
+    except SingularInertiaError:
+        return None
+
+
+def _growth(robot: Robot) -> tuple[dict[str, float] | None, str]:
+    """Factors by which accelerations magnify rounding errors, or None, and how the sentence about them goes on."""
+    if not robot.n and not robot.floating:
+        return None, ": there is no joint to accelerate"
+    generator = torch.Generator().manual_seed(0)
+    lower, upper = (x.clamp(-math.pi, math.pi) for x in robot.limits[:2])
+    q = lower + (upper - lower) * torch.rand(POSITIONS, robot.n, generator=generator, dtype=torch.float64)
+    try:
+        if robot.floating:
+            found = floating.error_growth(robot, torch.eye(1, 8, dtype=q.dtype)[0], q, "eager")
+        else:
+            found = functional.error_growth(robot, q, "eager")
+    except SingularInertiaError as error:
+        return None, f": accelerations are undefined, {error}"
+    growth = {"median": float(found.median()), "worst": float(found.max())}
+    return growth, (
+        f" of accelerations, at {POSITIONS} random positions: magnified {growth['median']:.3g} times in the median, "
+        f"largest growth {growth['worst']:.3g}; torques and kinematics keep all digits"
+    )

@@ -1,9 +1,6 @@
 """Command `scene`: a robot simulated with the effects that are asked for."""
 
-from __future__ import annotations
-
 import io
-from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -16,7 +13,7 @@ from torchdq import effects
 from torchdq.base import machine
 from torchdq.base.checks import names_of, require_number
 from torchdq.base.files import write_atomically
-from torchdq.command.command import RobotCommand
+from torchdq.command.command import RobotCommand, per_joint
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
@@ -77,7 +74,7 @@ class SceneCommand(RobotCommand):
         controller = None if self.hold is None else controllers.PD(*self.hold)
         chosen = [one for text in self.effects for one in effects_of(text, robot)]
         scene = Scene(robot, chosen, controller, STEPPERS[self.integrator](), self.dt)
-        q = _per_joint("q", self.q, robot)
+        q = per_joint("q", self.q, robot)
         start = scene.start(torch.zeros(robot.n, dtype=torch.float64).clamp(*robot.limits[:2]) if q is None else q)
         steps = max(1, round(self.seconds / self.dt))
         states = self._run(scene, start, steps)
@@ -85,17 +82,14 @@ class SceneCommand(RobotCommand):
         price = scene.describe(seconds=self.price)
         if self.csv is not None:
             self._write(self.csv, start, states, energies)
-        first, last, extreme = energies[0], energies[-1], energies.sum(-1)
+        first, last, total = energies[0], energies[-1], energies.sum(-1)
         failure = ""
-        if not bool(extreme.isfinite().all()):
-            at = self.dt * int((~extreme.isfinite()).nonzero()[0])
+        if not bool(total.isfinite().all()):
+            at = self.dt * int((~total.isfinite()).nonzero()[0])
             cure = "A smaller --dt, another --integrator, or a start within the limits may help."
             failure = f"The simulation has failed: from {at:g} s on its numbers are not finite. {cure}"
-        rows = [
-            ("kinetic", *(f"{float(x):.6g}" for x in (first[0], energies[:, 0].max(), last[0]))),
-            ("potential", *(f"{float(x):.6g}" for x in (first[1], energies[:, 1].max(), last[1]))),
-            ("sum", *(f"{float(x):.6g}" for x in (extreme[0], extreme.max(), extreme[-1]))),
-        ]
+        shown = {"kinetic": energies[:, 0], "potential": energies[:, 1], "sum": total}
+        rows = [(name, *(f"{float(x):.6g}" for x in (e[0], e.max(), e[-1]))) for name, e in shown.items()]
         names = ", ".join(type(effect).__name__ for effect in scene.effects) or "rigid bodies alone"
         many = f"{steps} step{'s' * (steps != 1)}"
         about = f"{robot.name}, {many} of {self.dt:g} s with {type(scene.integrator).__name__}: {names}"
@@ -125,7 +119,7 @@ class SceneCommand(RobotCommand):
 
     def _run(self, scene: Scene, start: State, steps: int) -> State:
         """States after each step."""
-        torque, series = _per_joint("torque", self.torque, scene.robot), dict[str, Any]()
+        torque, series = per_joint("torque", self.torque, scene.robot), dict[str, Any]()
         if torque is not None:
             series["torque"] = torque.expand(steps, -1)
         if scene.controller is not None:
@@ -164,17 +158,6 @@ def effects_of(text: str, robot: Robot) -> list[effects.Effect]:
             raise
         raise ArgumentError(f"effects must be NAME or NAME=NUMBER, as in viscous=0.5, found {text!r}") from error
     except TypeError as error:
-        needed = [
-            x.name for x in fields(KINDS[key]) if x.init and x.default is MISSING and x.default_factory is MISSING
-        ]
-        expected = f"{key}={','.join(name.upper() for name in needed)}" if needed else key
+        needed = [x for x in fields(KINDS[key]) if x.init and x.default is MISSING and x.default_factory is MISSING]
+        expected = f"{key}={','.join(x.name.upper() for x in needed)}" if needed else key
         raise ArgumentError(f"effects must have the numbers of each, here {expected}, found {text!r}") from error
-
-
-def _per_joint(name: str, values: Sequence[float], robot: Robot) -> Tensor | None:
-    """Numbers for each joint [n]; None: not given."""
-    if not values:
-        return None
-    if len(values) != robot.n:
-        raise ArgumentError(f"{name} must be {robot.n} numbers, one for each joint, found {len(values)}")
-    return torch.tensor(values, dtype=torch.float64)

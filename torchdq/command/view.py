@@ -1,7 +1,5 @@
 """Command `view`: a robot in the browser."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time
@@ -10,10 +8,9 @@ from dataclasses import dataclass
 
 import torch
 
-from torchdq.command.command import RobotCommand
+from torchdq.command.command import RobotCommand, per_joint
 from torchdq.command.outcome import Outcome
 from torchdq.envs.render import Viewer
-from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 
 FRAMES = 30.0  # [Hz]
@@ -39,14 +36,13 @@ class ViewCommand(RobotCommand):
     def outcome(self) -> Outcome:
         """Address, after the end."""
         robot = self.load_moving().robot
-        if self.q and len(self.q) != robot.n:
-            raise ArgumentError(f"q must be {robot.n} numbers, one for each joint, found {len(self.q)}")
+        q = per_joint("q", self.q, robot)
         viewer = Viewer(robot, self.port)
         sys.stderr.write(f"torchdq: {robot.name} at {viewer.url}; Ctrl-C ends it\n")
         start, shown = time.monotonic(), 0
         with suppress(KeyboardInterrupt), closing(viewer):
             while self.seconds is None or time.monotonic() < start + self.seconds:
-                viewer.show(torch.tensor(self.q) if self.q else swaying(robot, time.monotonic() - start))
+                viewer.show(swaying(robot, time.monotonic() - start) if q is None else q)
                 shown += 1
                 time.sleep(1 / FRAMES)
         return Outcome(

@@ -1,7 +1,5 @@
 """Evaluation of an identified robot on motions that it was not identified from, and the verdict about it."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from enum import Enum

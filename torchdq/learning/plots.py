@@ -81,10 +81,8 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
     predicted = identified.predict(several)
     left = (tau - predicted.tau).square().mean(0).sqrt() / tau.std(0)
     time, breaks = _one_axis(several)
-    signals = (
-        np.insert(x.numpy(), breaks, np.nan, axis=0) for x in (tau, predicted.tau, predicted.low, predicted.high)
-    )
-    measured, mean, lower, upper = signals
+    rows = tau, predicted.tau, predicted.low, predicted.high
+    measured, mean, lower, upper = (np.insert(x.numpy(), breaks, np.nan, axis=0) for x in rows)
     figure, panels = _panels(robot.n, 1, "plot_torques", width=9.0)
     for j, panel in enumerate(panels[:, 0]):
         panel.fill_between(time, lower[:, j], upper[:, j], color=BLUE, alpha=0.25, linewidth=0, label="95 %")
@@ -98,10 +96,7 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
 
 
 def _one_axis(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
-    """Times of the rows of all motions, one motion after the other, and the rows before which a line is broken.
-
-    The times have a NaN at every break.
-    """
+    """Times of the rows of all motions, with a NaN where a line is broken, and the rows before which it is."""
     times, start = [], 0.0
     for motion in motions:
         times.append(motion.time - motion.time[0] + start)

@@ -1,7 +1,5 @@
 """Logs of robot arms in CSV files, NPZ archives and arrays, checked, also against the robot that they are of."""
 
-from __future__ import annotations
-
 import warnings
 
 import torch
@@ -62,15 +60,12 @@ def read_log(
     log = read(path, layout, rows, rate)
     if robot is not None:
         if log.q.shape[1] != robot.n:
-            cure, option = (
-                "lock joints of the robot, or choose columns by Layout",
-                "--joints keeps some joints of the robot",
-            )
-            claim = f"{robot.n} joints are needed, those of {robot.name!r}"
-            fault = Finding("log.joints", "", claim, str(log.q.shape[1]), cure, option, value=log.q.shape[1])
-            raise LogError(fault, where=str(log.path))
+            n, claim = log.q.shape[1], f"{robot.n} joints are needed, those of {robot.name!r}"
+            cure = "lock joints of the robot, or choose columns by Layout"
+            option = "--joints keeps some joints of the robot"
+            raise LogError(Finding("log.joints", "", claim, str(n), cure, option, value=n), where=log.path)
         qd = None if log.qd is None else torch.from_numpy(log.qd)
         log = log._replace(findings=(*log.findings, *beyond_limits(robot, torch.from_numpy(log.q), qd)))
     if log.findings:
-        warnings.warn(LogWarning(*log.findings, where=str(log.path)), stacklevel=2)
+        warnings.warn(LogWarning(*log.findings, where=log.path), stacklevel=2)
     return log

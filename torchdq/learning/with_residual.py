@@ -5,8 +5,6 @@ to the layer cannot learn the difference, because it does not see the motion bef
 predicts with its memory, and the network adds what is left.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -70,9 +70,7 @@ def test_a_fit_without_a_block_keeps_enough_rows():
     assert blocks(recording(500, 500)) == [] and few.value == 858 and few.expected.startswith("858 rows (1.7 s)")
     assert len(blocks(recording(858, 500))) == 6 and blocks(recording(840, 500)) == []
     few = too_few(recording(50, 100, 2))
-    assert (
-        few.found == "50 rows (0.5 s)" and few.expected.startswith("60 rows (0.6 s)") and "each motion" in few.expected
-    )
+    assert few.found == "50 rows (0.5 s)" and few.value == 60 and "each motion" in few.expected
     assert len(blocks(recording(60, 100, 2))) == 6 and blocks(recording(50, 100, 2)) == []
 
 

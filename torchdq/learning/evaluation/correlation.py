@@ -11,10 +11,8 @@ CLEAR = 2.0  # correlations below so many standard errors of none are taken for 
 def correlation_times(residual: Tensor, lengths: Sequence[int], clear: float = CLEAR) -> Tensor:
     """Correlation times [n] in rows, at least one: 1 + 2 (sum of the correlations up to the first that is not clear).
 
-    Args:
-        residual: residuals of motions, one after the other [rows, n].
-        lengths: rows of each motion.
-        clear: standard errors of no correlation from which one is clear; 0 for seconds of motion, where few are.
+    Residuals [rows, n] are those of motions of these lengths, one after the other. `clear` is in standard errors of no
+    correlation; 0 is for seconds of motion, where few are.
 
     >>> white = torch.randn(1000, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     >>> held = white.repeat_interleave(4, 0)  # in runs of four equal rows

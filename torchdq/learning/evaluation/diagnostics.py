@@ -7,8 +7,6 @@ is named. Other faults are looked for before that: outliers, motions beyond the 
 never changes, another unit, currents without a gain, and torques from which the drives have taken gravity away.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -67,6 +65,7 @@ GROUPS = {  # signals that a reading changes
     "positions, velocities and accelerations": ("q", "qd", "qdd"),
     "columns of all signals": SIGNALS,
 }
+TIMES = "{:.2g} times the described torque"
 Torques = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
@@ -138,19 +137,17 @@ def beyond_limits(robot: Robot, q: Tensor, qd: Tensor | None) -> list[Finding]:
     fast = ((qd.abs() > AT.faster * velocity).double().mean(0) > AT.often) & (velocity > 0)
     found = []
     for j in (far | fast).nonzero()[:, 0].tolist():
-        place, other = ("rad", "degrees (multiply by pi/180)")
+        place, other = "rad", "degrees (multiply by pi/180)"
         if not robot.joint_types[j].turns:
-            place, other = ("m", "millimetres (multiply by 0.001)")
+            place, other = "m", "millimetres (multiply by 0.001)"
+        code, value = "velocity.limits", float(qd[:, j].abs().max())
+        expected, moves = f"its limit is {velocity[j]:.3g} {place}/s", f"speeds up to {value:.3g}"
         if far[j]:
+            code, value = "position.limits", float(q[:, j].abs().max())
             expected = f"its limits are {lower[j]:.3g} and {upper[j]:.3g} {place}"
-            value, moves = float(q[:, j].abs().max()), f"positions from {q[:, j].min():.3g} to {q[:, j].max():.3g}"
-        else:
-            value = float(qd[:, j].abs().max())
-            expected, moves = f"its limit is {velocity[j]:.3g} {place}/s", f"speeds up to {value:.3g}"
-        code = "position.limits" if far[j] else "velocity.limits"
-        found.append(
-            Finding(code, robot.joint_names[j], expected, moves, f"are these {other}, or of other joints?", value=value)
-        )
+            moves = f"positions from {q[:, j].min():.3g} to {q[:, j].max():.3g}"
+        cure = f"are these {other}, or of other joints?"
+        found.append(Finding(code, robot.joint_names[j], expected, moves, cure, value=value))
     return found
 
 
@@ -164,11 +161,7 @@ def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, si
     poor = _moves(qd, sign_width) & (size > AT.faint * size.max()) & (part > AT.poor)
     claim = "the fit must explain most of the torque's variance"
     cure = "are units, signs and the order of the joints those of the robot, and are torques measured at the joints?"
-    explained = (1 - part).clamp_min(0).tolist()
-    return [
-        Finding("torque.unexplained", names[j], claim, f"{explained[j]:.0%}", cure, value=explained[j])
-        for j in poor.nonzero()[:, 0].tolist()
-    ]
+    return _of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))
 
 
 def misshapen(
@@ -176,18 +169,16 @@ def misshapen(
 ) -> list[Finding]:
     """Findings about joints whose dry friction has another shape than was fitted.
 
-    Residuals that functions of the velocity around zero explain, which change their signs more or less sharply, are
-    those of friction whose sign does. `direction` is the sign that was fitted; None: that of `sign_width`.
+    Functions of the velocity that change their sign more or less sharply explain the residuals there. `direction` is
+    the sign that was fitted; None: that of `sign_width`.
     """
     _, qd, qdd, tau = (x.cpu() for x in rows)
     if len(tau) < AT.few:
         return []
     left, found = tau - fitted.cpu(), []
     own = smooth_sign(qd, sign_width) if direction is None else direction.cpu()
-    cure, option = (
-        "if the torques were filtered, give identify the motions of smooth(log), which hold the filtered sign",
-        None,
-    )
+    cure = "if the torques were filtered, give identify the motions of smooth(log), which hold the filtered sign"
+    option = None
     if direction is not None:
         cure = "where it is rounder, as in a simulation, give smooth(log) its sign_width"
         option = "where it is rounder, as in a simulation, give its --sign-width"
@@ -202,6 +193,15 @@ def misshapen(
             better = f"a residual of {before:.2g}, {after:.2g} with another shape"
             found.append(Finding("friction.shape", names[j], claim, better, cure, option, value=explained))
     return found
+
+
+def _of_joints(names: Sequence[str], joints: Tensor, finding: Finding, values: Tensor) -> list[Finding]:
+    """Findings about some joints [n], the same but for the value [n] of each."""
+    return [
+        finding._replace(subject=names[j], found=finding.found.format(x), value=x)
+        for j, x in enumerate(values.tolist())
+        if joints[j]
+    ]
 
 
 def _rest(x: Tensor, columns: Sequence[Tensor]) -> float:
@@ -222,20 +222,14 @@ def _constant(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], si
     still = tau.amax(0) - tau.amin(0) <= AT.still * tau.abs().amax(0)
     dead = still & _moves(qd, sign_width) & (varies.square() > AT.faint * varies.square().max())
     cure = "is the sensor connected, and is it the right column? leave the log out, or measure again"
-    claim = "the measured torque must change with the motion"
-    found = [f"{x:.3g} in all rows, described as varying by {v:.2g}" for x, v in zip(tau[0], varies, strict=True)]
-    return [
-        Finding("torque.constant", names[j], claim, found[j], cure, value=float(tau[0, j]))
-        for j in dead.nonzero()[:, 0].tolist()
-    ]
+    claim = "the measured torque must change with the motion, as the described one does"
+    return _of_joints(names, dead, Finding("torque.constant", "", claim, "{:.3g} in all rows", cure), tau[0])
 
 
 def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float) -> list[Finding]:
-    """Finding about torques that are explained without the gravity of the description.
-
-    A joint shows it when motion, rotor inertia and friction explain its torque so well that gravity, of which they
-    explain little, cannot be in it. Most joints that gravity loads must show it.
-    """
+    """Finding about torques that are explained without the gravity of the description."""
+    # motion, rotor inertia and friction explain a joint's torque so well that gravity, of which they explain little,
+    # cannot be in it; most joints that gravity loads must show it
     q, _, _, tau = rows
     still = torch.zeros_like(q)
     gravity = torques(q, still, still)
@@ -254,21 +248,17 @@ def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float) -> 
 
 
 def _compared(torques: Torques, rows: Sequence[Tensor], sign_width: float) -> _Explained:
-    """Fit of every joint's torque by that of the description, rotor inertia, friction and an offset.
-
-    None but the offset is negative: the fit is the best of those with all subsets of terms that come out positive.
-    """
+    """Best fit of every joint's torque by subsets of these terms and an offset, of which none but it is negative."""
     q, qd, qdd, tau = rows
-    terms = torch.stack([torques(q, qd, qdd), qdd, qd, smooth_sign(qd, sign_width)], -1).double()  # [samples, n, 4]
-    X, y = terms - terms.mean(0), (tau - tau.mean(0)).double()
-    X = (X / X.square().mean(0).sqrt().clamp_min(1e-30)).cpu()
-    scale = terms.std(0, correction=0).clamp_min(1e-30).cpu()
-    y = y.cpu()
+    terms = torch.stack([torques(q, qd, qdd), qdd, qd, smooth_sign(qd, sign_width)], -1).double().cpu()
+    scale = terms.std(0, correction=0).clamp_min(1e-30)
+    X, y = (terms - terms.mean(0)) / scale, (tau - tau.mean(0)).double().cpu()  # [samples, n, 4], [samples, n]
     A = torch.einsum("sjk,sjl->jkl", X, X)
     b, total = torch.einsum("sjk,sj->jk", X, y), y.square().sum(0)
     known = total > 1e-8 * total.max()  # a joint whose torque does not change shows nothing
     total = torch.where(known, total, 1.0)
-    left, alone, factor = (torch.ones_like(total), torch.ones_like(total), torch.zeros_like(total))
+    none = torch.zeros_like(total)
+    left, alone, factor = none + 1, none + 1, none
     for subset in product((False, True), repeat=4):
         use = [k for k in range(4) if subset[k]]
         if not use:
@@ -282,7 +272,6 @@ def _compared(torques: Torques, rows: Sequence[Tensor], sign_width: float) -> _E
         left = torch.where(good & (rest < left), rest, left)
         if subset[0]:
             factor = torch.where(good, x[:, 0] / scale[:, 0], factor)
-    none = torch.zeros_like(left)
     return _Explained(torch.where(known, torch.minimum(left, alone), none), torch.where(known, alone, none), factor)
 
 
@@ -295,11 +284,7 @@ def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
         wrong |= factor >= AT.shared
     claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
     cure = "is the unit right? give tau in N m"
-    factors = factor.tolist()
-    return [
-        Finding("torque.unit", names[j], claim, f"{factors[j]:.2g} times the described torque", cure, value=factors[j])
-        for j in wrong.nonzero()[:, 0].tolist()
-    ]
+    return _of_joints(names, wrong, Finding("torque.unit", "", claim, TIMES, cure), factor)
 
 
 def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
@@ -311,19 +296,7 @@ def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
     claim = "tau must be a torque, not a current of a drive whose gain is missing"
     cure = "give Layout(gain=...), torque per ampere at the joints, or gain=None and Model(gains=True) to identify"
     option = "give --gains, torque per ampere at the joints, or --estimate-gains"
-    factors = fit.factor.tolist()
-    return [
-        Finding(
-            "torque.current",
-            names[j],
-            claim,
-            f"{factors[j]:.2g} times the described torque",
-            cure,
-            option,
-            value=factors[j],
-        )
-        for j in small.nonzero()[:, 0].tolist()
-    ]
+    return _of_joints(names, small, Finding("torque.current", "", claim, TIMES, cure, option), fit.factor)
 
 
 def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:

@@ -4,8 +4,6 @@ Torques and workspace cost what exceeds their limits, and are checked in the end
 rows of a batch, with exact gradients; the worse ones are dropped on the way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple, NoReturn
 

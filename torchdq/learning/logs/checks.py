@@ -154,7 +154,7 @@ def _require_rate(table: Table, signal: str, rate: str, joint: int) -> None:
             if k != joint and alike > ALIKE and 0.5 < factor < 2:
                 claim = f"it changes as {table.names[rate][k]} says, not as {other}"
                 cure = "the columns of both signals must be in the same order of joints"
-                raise LogError(Finding("columns.order", f"column {name!r}", claim, "", cure), where=str(table.path))
+                raise LogError(Finding("columns.order", f"column {name!r}", claim, "", cure), where=table.path)
     if not abs(correlation) >= ALIKE or 0.5 < ratio < 2:
         return
     cure = "the two must agree in unit, sign and joint"
@@ -162,7 +162,7 @@ def _require_rate(table: Table, signal: str, rate: str, joint: int) -> None:
         if 0.5 < factor * math.pi / 180 < 2:
             cure = f"{column} seems to be in degrees; multiply the column by pi/180"
     claim = f"{name} changes {ratio:.3g} times as much as {other} says"
-    raise LogError(Finding("columns.rate", f"column {name!r}", claim, "", cure, value=ratio), where=str(table.path))
+    raise LogError(Finding("columns.rate", f"column {name!r}", claim, "", cure, value=ratio), where=table.path)
 
 
 def _followed(time: np.ndarray, x: np.ndarray, rate: np.ndarray) -> tuple[float, float]:

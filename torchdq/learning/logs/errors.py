@@ -1,7 +1,5 @@
 """Errors and warnings about logs; their `findings` say what is wrong and what to do about it."""
 
-from __future__ import annotations
-
 from torchdq.errors import TorchdqError
 from torchdq.findings import Finding, merged
 
@@ -9,9 +7,9 @@ from torchdq.findings import Finding, merged
 class _AboutLog(Exception):
     """Findings in a log, and where in it they are; or a message alone."""
 
-    def __init__(self, *found: Finding | str, where: str = ""):
+    def __init__(self, *found: Finding | str, where: object = ""):
         super().__init__(*found)
-        self.where = where
+        self.where = str(where)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -21,9 +19,8 @@ class _AboutLog(Exception):
     def text(self, command_line: bool = False) -> str:
         """Text of the findings, with cures in Python's words or in options of the command line."""
         words = merged(self.findings, command_line) or "; ".join(map(str, self.args))
-        return (
-            words if not self.where else f"{self.where}{', ' if words.startswith(('column', 'array')) else ': '}{words}"
-        )
+        link = ", " if words.startswith(("column", "array")) else ": "
+        return f"{self.where}{link}{words}" if self.where else words
 
     def __str__(self) -> str:
         return self.text()

@@ -24,14 +24,9 @@ def even(time: np.ndarray, stamps: np.ndarray, x: np.ndarray, purpose: str) -> n
 
 
 def low_pass(x: np.ndarray, cutoff: float, step: float, purpose: str, order: int = ORDER) -> np.ndarray:
-    """Signals [rows, n] in even steps through a Butterworth filter, forwards and backwards, so that nothing lags.
+    """Signals [rows, n] in even steps [s] through a Butterworth filter, forwards and backwards, so that nothing lags.
 
-    Args:
-        x: signals.
-        cutoff: frequency at which half of a signal passes [Hz].
-        step: time between two rows [s].
-        purpose: function that needs the filter, for the message where scipy is not installed.
-        order: of the filter, before it is applied twice.
+    At the cutoff [Hz] half of a signal passes. `purpose` is the function that needs the filter, for messages.
     """
     signal = imported("scipy.signal", "scipy", purpose)
     found: np.ndarray = signal.sosfiltfilt(signal.butter(order, cutoff, fs=1 / step, output="sos"), x, axis=0)

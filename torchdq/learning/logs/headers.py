@@ -21,15 +21,7 @@ OTHER_NAMES = (
 
 
 def find_columns(where: str, layout: Layout, heads: list[str]) -> tuple[Layout, dict[str, list[str]]]:
-    """Layout with its number of joints, and names of the columns to read by signal: time, q and what else is known.
-
-    Args:
-        where: file and row, for the message.
-        layout: the layout.
-        heads: names in the header.
-    Raises:
-        LogError: a column is missing or there twice, or the joints are not as many as the layout has.
-    """
+    """Layout with its number of joints, and names of the columns to read by signal: time, q and what else is known."""
     joints = layout.count(heads)
     n = layout.joints or max(joints, 1)
     counts = Counter(heads)
@@ -88,13 +80,7 @@ def _more(columns: dict[str, list[str]], counts: Counter[str], layout: Layout, n
 
 
 def missing_signals(fault: Finding, absent: Collection[str], names: Sequence[str]) -> Finding:
-    """Fault with cures that name the models which are possible without some signals.
-
-    Args:
-        fault: the column or array that is missing.
-        absent: signals of which nothing is there.
-        names: names of what is there.
-    """
+    """Fault with cures that name the models which are possible without some signals, among other names."""
     if "q" in absent or "time" in absent or not {"qd", "tau"} & {*absent}:
         return fault
     velocities = "qd" in absent
@@ -142,8 +128,6 @@ def _cure(name: str, heads: list[str]) -> tuple[str, str]:
         return f"{line} a Layout(header=False, joints=...)", f"{line} --blocks, e.g. --blocks q qd tau"
     elif close := [head for head in heads if head.lower() == name.lower() and head != name]:
         same = f"there is {close[0]!r}; capitals count"
-    return (
-        (same, same)
-        if same
-        else (f"{OTHER_NAMES[0]}; found {listed(heads)}", f"{OTHER_NAMES[1]}; found {listed(heads)}")
-    )
+    if same:
+        return same, same
+    return f"{OTHER_NAMES[0]}; found {listed(heads)}", f"{OTHER_NAMES[1]}; found {listed(heads)}"

@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from torchdq.base.checks import names_of
+from torchdq.base.checks import names_of, require_count
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 
@@ -91,35 +90,19 @@ class Layout:
         if not self.header and not self.joints:
             raise ArgumentError("joints must be given for a file without a header; found joints=0, header=False")
         names_of("columns", tuple(self.columns), SIGNALS, "signal")
-        lists: dict[str, int] = {}
         for signal, given in self.columns.items():
-            name = f"columns[{signal!r}]"
             if given is None and signal in SPARE:
                 continue
-            if not given or not isinstance(given, str | Sequence) or not all(isinstance(one, str) for one in given):
-                expected = "a name, a pattern such as 'position_{0}' or a list of names"
-                raise ArgumentError(_columns_fault(f"{name} must be {expected}, found {given!r}", signal))
-            if signal == "time" and not isinstance(given, str):
-                raise ArgumentError(_columns_fault(f"{name} must be one name, found {given!r}", signal))
-            if not isinstance(given, str):
-                lists[signal] = len(given)
-        for signal, count in lists.items():
-            name, (first, most) = f"columns[{signal!r}]", next(iter(lists.items()))
-            if self.joints and count != self.joints:
-                claim = f"{name} has {count} names, expected {self.joints}, the number of joints"
-                raise ArgumentError(_columns_fault(claim, signal))
-            if count != most:
-                raise ArgumentError(_columns_fault(f"{name} has {count} names, columns[{first!r}] {most}", signal))
-        counts = Counter(one for x in self.columns.values() for one in ([x] if isinstance(x, str) else x or ()))
-        if twice := [name for name, count in counts.items() if count > 1]:
-            raise ArgumentError(
-                f"columns must name every column once, found {', '.join(map(repr, twice))} several times"
-            )
+            kinds = str if signal == "time" else str | Sequence
+            if not given or not isinstance(given, kinds) or not all(isinstance(one, str) for one in given):
+                expected = "a name" + ", a pattern such as 'position_{0}' or a list of names" * (signal != "time")
+                option = f"give other names by --columns {signal} NAMES"
+                claim = f"columns[{signal!r}] must be {expected}, found {given!r}"
+                raise ArgumentError(Finding("layout.columns", "", claim, "", "", option))
 
     def _require_numbers(self) -> None:
         """Raise unless what must be numbers is; `gain` becomes a tuple of floats."""
-        if not isinstance(self.joints, int) or isinstance(self.joints, bool) or self.joints < 0:
-            raise ArgumentError(f"joints must be a whole number from 0, found {self.joints!r}")
+        require_count("joints", self.joints, 0)
         for name in ("cutoff_qd", "cutoff_tau", "farthest", "fastest"):
             x = getattr(self, name)
             if x is None and name.startswith("cutoff"):
@@ -190,11 +173,6 @@ class Layout:
     def _given(self, signal: str) -> str | Sequence[str] | None:
         block = dict(zip(BLOCKS, self.blocks, strict=False)).get(signal, signal)
         return self.columns.get(signal, "time" if signal == "time" else f"{block}{{1}}")
-
-
-def _columns_fault(claim: str, signal: str) -> Finding:
-    """Fault of the names that a layout has for a signal."""
-    return Finding("layout.columns", "", claim, "", "", f"give other names by --columns {signal} NAMES")
 
 
 def _gains(given: Any) -> tuple[float | None, ...] | None:

@@ -124,22 +124,17 @@ def _filtered(log: Log, time: np.ndarray, cutoffs: tuple[float, float], sign_wid
     """Whole motion of a log at even times, filtered at the cutoffs of velocities and torques."""
     (cutoff_qd, cutoff_tau), step = cutoffs, float(np.median(np.diff(log.time)))
 
-    def filtered(x: np.ndarray, cutoff: float) -> np.ndarray:
-        return low_pass(x, cutoff, step, "smooth")
+    def drawn(x: np.ndarray, cutoff: float, late: float = 0.0) -> np.ndarray:
+        return low_pass(even(time + late, log.time, x, "smooth"), cutoff, step, "smooth")
 
-    def drawn(x: np.ndarray, late: float = 0.0) -> np.ndarray:
-        return even(time + late, log.time, x, "smooth")
-
-    q = filtered(drawn(log.q), cutoff_qd)
-    qd = derivative(time, q, "smooth") if log.qd is None else filtered(drawn(log.qd), cutoff_qd)
-    qdd = derivative(time, qd, "smooth") if log.qdd is None else filtered(drawn(log.qdd), cutoff_qd)
+    q = drawn(log.q, cutoff_qd)
+    qd = derivative(time, q, "smooth") if log.qd is None else drawn(log.qd, cutoff_qd)
+    qdd = derivative(time, qd, "smooth") if log.qdd is None else drawn(log.qdd, cutoff_qd)
     found = Motion(time, q, qd, qdd, None, None, sign_width, cutoff_qd, None, log.layout.known_gains, str(log.path))
     if log.tau is None:
         return found
-    tau, direction = drawn(log.tau, delay), qd / np.hypot(qd, sign_width)
-    return found._replace(
-        tau=filtered(tau, cutoff_tau), direction=filtered(direction, cutoff_tau), cutoff_tau=cutoff_tau
-    )
+    direction = low_pass(qd / np.hypot(qd, sign_width), cutoff_tau, step, "smooth")
+    return found._replace(tau=drawn(log.tau, cutoff_tau, delay), direction=direction, cutoff_tau=cutoff_tau)
 
 
 def _used(log: Log, whole: Motion, lowest: float, every: float) -> np.ndarray:
@@ -152,9 +147,8 @@ def _used(log: Log, whole: Motion, lowest: float, every: float) -> np.ndarray:
         raise _too_short(log, first + reach + last)
     used: np.ndarray = moves & (since >= first) & (left >= last)
     if not used.any():
-        raise LogError(
-            Finding("log.still", "", f"no joint ever moves faster than {AT_REST} rad/s"), where=str(log.path)
-        )
+        fault = Finding("log.still", "", f"no joint ever moves faster than {AT_REST} rad/s")
+        raise LogError(fault, where=log.path)
     return used & (np.arange(len(time)) % every == 0)
 
 
@@ -175,11 +169,8 @@ def _reach(cutoff: float | None) -> float:
 
 
 def _too_short(log: Log, needed: float) -> LogError:
-    seconds = log.time[-1] - log.time[0]
-    fault = Finding(
-        "log.short", "", f"more than {needed:.3g} s of motion are needed", f"{seconds:.3g} s", value=seconds
-    )
-    return LogError(fault, where=str(log.path))
+    seconds, claim = log.time[-1] - log.time[0], f"more than {needed:.3g} s of motion are needed"
+    return LogError(Finding("log.short", "", claim, f"{seconds:.3g} s", value=seconds), where=log.path)
 
 
 def train_test_split(
@@ -198,11 +189,8 @@ def train_test_split(
     Raises:
         ArgumentError: there is no motion, the share is not between 0 and 1, or a part would be empty.
 
-    >>> import numpy as np
-    >>> from torchdq.learning import read_log
-    >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read_log({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
-    >>> motion = smooth(log)
+    >>> time = np.arange(0, 10, 0.01)
+    >>> motion = Motion(time, *[np.sin(time)[:, None]] * 4)
     >>> (first,), (rest,) = train_test_split(motion, 0.7)
     >>> len(first.time) > len(rest.time)
     True
@@ -229,14 +217,10 @@ def _cut(motion: Motion, share: float) -> tuple[list[Motion], list[Motion]]:
     gap = _reach(min(cutoffs, default=None))
     second = motion.time > motion.time[first].max(initial=-np.inf) + gap
     if not (first.any() and second.any()):
-        claim = (
-            f"share must leave rows on both sides of the cut of {rows} rows, and of {gap:.3g} s after it, found {share}"
-        )
-        raise ArgumentError(
-            Finding(
-                "motion.short", motion.name, claim, "", "", "give a longer log, or another one to test on by --test"
-            )
-        )
+        sides = f"both sides of the cut of {rows} rows, and of {gap:.3g} s after it"
+        option = "give a longer log, or another one to test on by --test"
+        fault = Finding("motion.short", motion.name, f"share must leave rows on {sides}", str(share), "", option)
+        raise ArgumentError(fault)
     return [_rows(motion, first)], [_rows(motion, second)]
 
 
@@ -254,13 +238,10 @@ def stack_samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch
         ArgumentError: there is no motion, they have different numbers of joints, or torques are missing or in units
             of unknown gains.
 
-    >>> import numpy as np
-    >>> from torchdq.learning import read_log
-    >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read_log({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
-    >>> motion = smooth(log)
+    >>> time = np.arange(0, 10, 0.01)
+    >>> motion = Motion(time, *[np.sin(time)[:, None]] * 4)
     >>> stack_samples([motion, motion]).tau.shape
-    torch.Size([1772, 1])
+    torch.Size([2000, 1])
     """
     several = _several(motions)
     require_torques(several)
@@ -269,11 +250,7 @@ def stack_samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch
 
 
 def require_torques(motions: Sequence[Motion]) -> None:
-    """Raise unless motions hold torques, in N m.
-
-    Raises:
-        ArgumentError: a motion has none, or efforts in units of unknown gains.
-    """
+    """Raise unless motions hold torques, in N m."""
     for motion in motions:
         name = motion.name and f" of {motion.name}"
         if motion.tau is None:

@@ -14,16 +14,13 @@ from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
-from torchdq.learning.logs.arrays import archive_table, arrays_table
 from torchdq.learning.logs.checks import jumps, require_numbers, require_radians, require_times
 from torchdq.learning.logs.errors import LogError, MissingLogError
 from torchdq.learning.logs.filters import decimated, fewer_times
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.learning.logs.samples import UNITS
-from torchdq.learning.logs.tables import Table
-from torchdq.learning.logs.texts import text_table
-from torchdq.learning.logs.transmissions import joint_side
+from torchdq.learning.logs.tables import Table, archive_table, arrays_table, text_table
 
 Source = str | PathLike[str] | bytes | IO[Any] | Mapping[str, Any]
 
@@ -73,12 +70,9 @@ def read(path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float
         cure = "columns are named by Layout(columns={'q': 'position_{0}'})"
         raise ArgumentError(f"layout must be a Layout, found {type(layout).__name__}; {cure}")
     if rows is not None:
-        pair = isinstance(rows, tuple | list) and len(rows) == 2
-        if (
-            not pair
-            or not all(isinstance(x, Integral) and not isinstance(x, bool) for x in rows)
-            or not 0 <= rows[0] < rows[1]
-        ):
+        pair = rows if isinstance(rows, tuple | list) and len(rows) == 2 else (None, None)
+        whole = all(isinstance(x, Integral) and not isinstance(x, bool) for x in pair)
+        if not whole or not 0 <= rows[0] < rows[1]:
             expected = "a first row and a greater one after the last, whole numbers"
             raise ArgumentError(f"rows must be {expected}, found {rows!r}")
     if rate is not None:
@@ -86,7 +80,7 @@ def read(path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float
     with Progress(f"reading {path}" if isinstance(path, str | PathLike) else "reading a log"):
         table = _table(path, layout, rows)
         require_numbers(table)
-        table = joint_side(table)
+        table = _joint_side(table)
         require_times(table)
         require_radians(table)
     findings = [*table.notes, *jumps(table)]
@@ -96,17 +90,8 @@ def read(path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float
     time, blocks = table.time[new], {signal: x[new] for signal, x in table.blocks.items()}
     if rate is not None:
         time, blocks = _at_rate(table.path, time, blocks, rate)
-    repeats = int((~new).sum())
-    return Log(
-        table.path,
-        table.layout,
-        time,
-        qd=blocks.pop("qd", None),
-        tau=blocks.pop("tau", None),
-        repeats=repeats,
-        findings=tuple(findings),
-        **blocks,
-    )
+    signals: dict[str, Any] = {"qd": None, "tau": None} | blocks
+    return Log(table.path, table.layout, time, repeats=int((~new).sum()), findings=tuple(findings), **signals)
 
 
 def _table(path: Any, layout: Layout, rows: tuple[int, int] | None) -> Table:
@@ -119,8 +104,36 @@ def _table(path: Any, layout: Layout, rows: tuple[int, int] | None) -> Table:
             needed = "not a table; needed are columns separated by commas"
             cure = ", an NPZ archive, or arrays: read_log({'time': ..., 'q': ..., ...})"
             python, option = (f"{needed}{rest}" for rest in (cure, " or an NPZ archive"))
-            raise LogError(Finding("log.kind", "", f"this is {kind}", "", python, option), where=str(Path(name)))
+            raise LogError(Finding("log.kind", "", f"this is {kind}", "", python, option), where=Path(name))
     return (archive_table if content.startswith(b"PK") else text_table)(Path(name), content, layout, rows)
+
+
+def _joint_side(table: Table) -> Table:
+    """Table of the joints, from that of the motors that drive them; efforts are multiplied by their gains, if known.
+
+    Joints' positions are linear in the motors', q = S m + q0, so that velocities and accelerations follow by S, and,
+    the transmission being lossless, torques at the joints are S^-T times those at the motors.
+    """
+    layout = table.layout
+    for name, given in (("gain", layout.gain), ("transmission", layout.transmission), ("zero", layout.zero)):
+        if given and len(given) != layout.joints:
+            rows = "rows" if name == "transmission" and np.ndim(layout.transmission) == 2 else "numbers"
+            raise ArgumentError(f"{name} must have {layout.joints} {rows}, one per joint, found {len(given)}")
+    blocks = {signal: _at_joint(layout, signal, x) for signal, x in table.blocks.items()}
+    return table._replace(values=np.column_stack([table.time, *blocks.values()]))
+
+
+def _at_joint(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
+    """Signal of the joints [rows, n]."""
+    if signal == "tau" and layout.gain:
+        x = x * [1.0 if gain is None else gain for gain in layout.gain]
+    if not layout.transmission or signal not in layout.at_motors:
+        return x
+    given = np.array(layout.transmission)
+    S = np.diag(given) if given.ndim == 1 else given
+    if signal == "tau":
+        return x @ np.linalg.inv(S)
+    return x @ S.T + (np.array(layout.zero or 0.0) if signal == "q" else 0.0)
 
 
 def _at_rate(
@@ -130,8 +143,8 @@ def _at_rate(
     seconds, most = time[-1] - time[0], 1 / float(np.median(np.diff(time)))
     if seconds * most < FEWEST:
         claim = f"more than {FEWEST} rows are needed to read it at a rate"
-        fault = Finding("log.rows", "", claim, str(len(time)), "rate=None reads all", value=len(time))
-        raise LogError(fault, where=str(path))
+        fault = Finding("log.rows", "", claim, str(len(time)), "rate=None reads all", "", value=len(time))
+        raise LogError(fault, where=path)
     if rate > 1.01 * most or seconds * rate < FEWEST:
         expected = f"at most {most:.4g} Hz, that of the rows, and at least {FEWEST / seconds:.3g} Hz"
         raise ArgumentError(f"rate must be {expected}, of which {FEWEST} rows of {path} are left, found {rate!r}")

@@ -39,10 +39,8 @@ class Samples(NamedTuple):
 
 def validated(name: str, samples: Samples) -> Samples:
     """Samples, detached, after checking that they are finite real numbers of one shape and dtype."""
-    if not isinstance(samples, Sequence | Tensor) or isinstance(samples, str):
+    if not isinstance(samples, Sequence | Tensor) or len(samples) != len(Samples._fields):
         raise ArgumentError(f"{name} must be Samples(q, qd, qdd, tau), found {type(samples).__name__}")
-    if len(samples) != len(Samples._fields):
-        raise ArgumentError(f"{name} must be Samples(q, qd, qdd, tau), found {len(samples)} entries")
     samples = Samples(*samples)
     for field, x in samples._asdict().items():
         require_tensor(f"{name}.{field}", x)
@@ -79,6 +77,5 @@ def torque_variance(tau: Tensor) -> Tensor:
     variance = tau.var(dim=0, correction=0)
     changes = variance > 1e-12 * variance.max()
     if not bool(changes.any()):
-        found = "the same torques in all; nothing can be fitted"
-        raise ArgumentError(f"train.tau must change from row to row, found {found}")
+        raise ArgumentError("train.tau must change from row to row, found the same torques in all")
     return torch.where(changes, variance, variance[changes].mean())

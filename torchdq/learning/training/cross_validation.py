@@ -7,8 +7,6 @@ states are held out, too (`regions`). The predictions for held-out rows decide h
 (`validation_gain`). With validation samples, on which the network was not trained, no copies are needed.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -36,12 +34,8 @@ def cross_validation(
 ) -> ValidationGain:
     """Gain of a trained residual on held-out rows; its domain, bound, weights and errors are set from it.
 
-    Args:
-        model: trained on `train`, with an open gate and weights one.
-        train: rows in the order of time, motion after motion.
-        lengths: rows of each motion.
-        valid: rows that it was not trained on; None: blocks of `train` are held out.
-        training: the training that the copies repeat.
+    It was trained on the rows `train` of motions of these lengths, with an open gate and weights one; `valid` are rows
+    that it was not trained on, and None has blocks of `train` held out.
     """
     was_training = model.training
     model.eval()

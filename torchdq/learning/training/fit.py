@@ -7,7 +7,6 @@ the weights come out the same to the last bit. Several processes, progress bars 
 torchdq is a `torch.nn.Module`, which any trainer takes.
 """
 
-import inspect
 import io
 import math
 import textwrap
@@ -128,7 +127,6 @@ def fit(
     >>> bool((model.robot.mass / robot.mass - 1).abs().max() < 0.01)
     True
     """
-    # its ten arguments are the data and plain numbers of one training, which a value would only wrap
     parameters = _parameters(model)
     train, lengths = of_motions("train", train)
     valid = None if valid is None else validated("valid", valid)
@@ -217,9 +215,7 @@ class _Run:
         self.model.eval()
         with torch.no_grad():
             parts = [x.split(VALIDATION_ROWS) for x in self.valid]
-            errors = [
-                self._weighted(self.model(q, qd, qdd), tau) * len(q) for q, qd, qdd, tau in zip(*parts, strict=True)
-            ]
+            errors = [self._weighted(self.model(*x), tau) * len(tau) for *x, tau in zip(*parts, strict=True)]
         error = float(sum(errors)) / len(self.valid.q)
         if not math.isfinite(error):
             raise TrainingError(f"step {self.optimiser.step}: the error on valid is {error}; a smaller rate may help")
@@ -280,7 +276,7 @@ class _Run:
 
 
 def _parameters(model: nn.Module) -> dict[str, nn.Parameter]:
-    """Parameters to fit; raises unless the model has some, takes motions and may return torques."""
+    """Parameters to fit; raises unless the model has some, and may return torques."""
     if not isinstance(model, nn.Module):
         cure = '; torchdq.InverseDynamics(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
         raise ArgumentError(f"model must be a torch module of torques, found {type(model).__name__}{cure}")
@@ -292,14 +288,6 @@ def _parameters(model: nn.Module) -> dict[str, nn.Parameter]:
         )
     if not (parameters := learned(model)):
         raise ArgumentError("model has no parameters to fit; name tensors of the robot in its learn=(...)")
-    if not isinstance(model, torch.jit.ScriptModule):
-        try:
-            (taken := inspect.signature(model.forward)).bind("q", "qd", "qdd")
-        except TypeError as error:
-            raise ArgumentError(
-                f"model must be called as model(q, qd, qdd), found {kind}, whose forward takes {taken}; "
-                "torchdq.ResidualDynamics(robot, ...) holds a network for torques"
-            ) from error
     return parameters
 
 

@@ -1,7 +1,5 @@
 """Training loop: AdamW on batches of rows, in a new order every epoch, its rate falling to zero along half a cosine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -65,14 +63,7 @@ class Optimiser:
         say: Callable[[str], None],
         prior: Callable[[], Tensor] | None = None,
     ) -> list[float]:
-        """Errors of the batches of an epoch, or of the steps that are left.
-
-        Args:
-            rows: indices of the rows to train on.
-            error: error of a batch of rows, which is minimised together with `prior`.
-            say: called with the number of the step.
-            prior: added to the error; None: nothing.
-        """
+        """Errors of the batches of an epoch of these rows, or of the steps that are left; minimised with the prior."""
         steps, errors = self.training.steps, list[float]()
         batches = rows[torch.randperm(len(rows)).to(rows.device)].split(self.training.batch)
         for batch in batches[: steps - self.step]:

@@ -11,8 +11,6 @@ Each part of those rows is judged by what the others chose, so that no part deci
 * the errors of predicted torques (`torchdq.layers.residual.posterior.Posterior`).
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Sequence
@@ -74,13 +72,10 @@ class HeldOut(NamedTuple):
 def validation_gain(
     model: ResidualDynamics, blocks: Sequence[HeldOut], regions: Sequence[HeldOut], variance: Tensor
 ) -> ValidationGain:
-    """Gain of the residual on held-out rows; the model's reach, weights and errors are set from it.
+    """Gain of the residual on blocks of the motions, in the order of time, and regions of the states, which share rows.
 
-    Args:
-        model: the model, trained on all rows, its domain reaching just as far as those.
-        blocks: blocks of the motions, in the order of time.
-        regions: regions of the states, which share rows with the blocks and each other.
-        variance: of the torques [n].
+    The model was trained on all rows, and its domain reaches just as far as those; its reach, weights and errors are
+    set from the gain. `variance` is that of the torques [n].
     """
     joints = tuple(model.robot.joint_names)
     if len(blocks) < 2:
@@ -117,32 +112,26 @@ def validation_gain(
 
 def warn_of_little_gain(gain: ValidationGain) -> None:
     """Warn where the residual does not help, or the rows are too few to know."""
+    needed, messages = LEAST * gain.blocks, list[str]()
     if math.isinf(float(gain.standard_errors.amax())):
-        warnings.warn(
+        messages.append(
             "the rows are too few to hold blocks of them out, so the residual is unknown where it was not trained: its "
-            "weight is 0; record some tens of seconds",
-            LogWarning,
-            stacklevel=3,
+            "weight is 0; record some tens of seconds"
         )
-        return
-    needed = LEAST * gain.blocks
-    named = list(zip(gain.joints, gain.weight.tolist(), gain.independent.tolist(), strict=True))
-    few = [f"{name} ({math.floor(count)})" for name, _, count in named if count < needed]
-    if few:
-        warnings.warn(
-            f"the residual has no weight at {', '.join(few)}: its rows are as informative as so many independent "
-            f"samples there, and {LEAST} for each held-out block are needed, {needed}; record longer",
-            LogWarning,
-            stacklevel=3,
-        )
-    poor = [name for name, weight, count in named if weight < 0.5 and count >= needed]
-    if poor:
-        warnings.warn(
-            f"the residual helps little on held-out rows at {', '.join(poor)}, and acts there with weights below 0.5 "
-            "or not at all; record more and other motions, or improve the model below it",
-            LogWarning,
-            stacklevel=3,
-        )
+    else:
+        named = list(zip(gain.joints, gain.weight.tolist(), gain.independent.tolist(), strict=True))
+        if few := [f"{name} ({math.floor(count)})" for name, _, count in named if count < needed]:
+            messages.append(
+                f"the residual has no weight at {', '.join(few)}: its rows are as informative as so many independent "
+                f"samples there, and {LEAST} for each held-out block are needed, {needed}; record longer"
+            )
+        if poor := [name for name, weight, count in named if weight < 0.5 and count >= needed]:
+            messages.append(
+                f"the residual helps little on held-out rows at {', '.join(poor)}, and acts there with weights below "
+                "0.5 or not at all; record more and other motions, or improve the model below it"
+            )
+    for message in messages:
+        warnings.warn(message, LogWarning, stacklevel=3)
 
 
 def _moments(model: ResidualDynamics, parts: Sequence[HeldOut], reaches: Tensor) -> Tensor:
