@@ -130,9 +130,11 @@ def evaluate(
         given = [x for x in tensors.values() if x is not None]
         if out:
             _require_room(layout, given, out)
-        found = _direct(layout, given, out)
-        if found is not None:
-            return dict(zip(layout.names, found, strict=True))
+        if layout.direct is not None and not in_a_graph(given):
+            # without views of the tensors: one takes a microsecond, which counts where a call has one sample
+            found = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
+            if found is not None:
+                return dict(zip(layout.names, found, strict=True))
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, tensors)  # raises
         rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
@@ -147,16 +149,6 @@ def evaluate(
     for room, y in zip(out, shaped, strict=False):
         room.copy_(y)
     return dict(zip(layout.names, out or shaped, strict=True))
-
-
-def _direct(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Tensor]) -> Sequence[Tensor] | None:
-    """Results of a call without views of its tensors; None: some are needed, or torch records its operations.
-
-    A view takes a microsecond, which counts where a call has one sample.
-    """
-    if layout.direct is None or in_a_graph(given):
-        return None
-    return unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

@@ -98,7 +98,7 @@ def _compiled(program: Program, dtype: torch.dtype, architecture: int) -> CudaKe
         return BuildError(compiler)
 
     def build(text: str, name: str, arrays: int) -> Launcher:
-        return cuda_driver.Module(compiler.load(text, name, architecture)).kernel("run", arrays, 0)
+        return cuda_driver.Module(compiler.load(text, name, architecture)).kernel("run", arrays)
 
     try:
         return CudaKernel(program, dtype, build)

@@ -21,8 +21,6 @@ from torchdq.errors import ArgumentError, TorchdqError
 
 LIBRARY = "libcuda.so.1"
 BLOCKS = 2**31 - 1  # blocks of a launch
-SHARED = 48 * 1024  # shared memory of a block that need not be asked for [bytes]
-DYNAMIC_SHARED = 8  # CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 NO_CONTEXT = 201  # CUDA_ERROR_INVALID_CONTEXT
 # what to do about an error, by its code
 ADVICE = {
@@ -52,7 +50,6 @@ PROTOTYPES = {
     "cuLibraryLoadData": (_out, ctypes.c_char_p, *_options, *_options),
     "cuLibraryUnload": (_handle,),
     "cuLibraryGetKernel": (_out, _handle, ctypes.c_char_p),
-    "cuKernelSetAttribute": (ctypes.c_int, ctypes.c_int, _handle, ctypes.c_int),
     "cuLaunchKernel": (_handle, *(_unsigned,) * 7, _handle, ctypes.c_void_p, ctypes.c_void_p),
 }
 
@@ -98,17 +95,11 @@ class Driver:
             words.append((text.value or b"unknown").decode(errors="replace"))
         return f"{what}: {words[0]} ({status}), {words[1]}; {ADVICE.get(status, OTHERWISE)}"
 
-    def device(self, index: int) -> int:
-        """The driver's name of a device of torch."""
-        device = ctypes.c_int()
-        if status := self.call["cuDeviceGet"](device, index):
-            raise DriverError(self.said(f"there is no device cuda:{index}", status))
-        return device.value
-
     def enter(self, index: int) -> None:
         """Make the context that torch uses on a device that of this thread, which had none."""
-        context = ctypes.c_void_p()
-        status = self.call["cuDevicePrimaryCtxRetain"](context, self.device(index))
+        device, context = ctypes.c_int(), ctypes.c_void_p()
+        status = self.call["cuDeviceGet"](device, index)
+        status = status or self.call["cuDevicePrimaryCtxRetain"](context, device.value)
         if status := status or self.call["cuCtxSetCurrent"](context):
             raise DriverError(self.said(f"this thread cannot use the device cuda:{index}", status))
 
@@ -140,26 +131,22 @@ class Module:
             raise BuildError(self.driver.said("a compiled program cannot be loaded", status))
         weakref.finalize(self, call["cuLibraryUnload"], self.handle).atexit = False
 
-    def kernel(self, name: str, pointers: int, shared: int) -> Launch:
+    def kernel(self, name: str, pointers: int) -> Launch:
         """Kernel of the module, ready to be launched.
 
         Args:
             pointers: how many it takes, after the number of samples.
-            shared: dynamic shared memory of a block [bytes].
         Raises:
             BuildError: there is none of this name.
         """
         handle = ctypes.c_void_p()
         if status := self.driver.call["cuLibraryGetKernel"](handle, self.handle, name.encode()):
             raise BuildError(self.driver.said(f"a compiled program has no kernel {name!r}", status))
-        return Launch(self, handle, name, pointers, shared)
+        return Launch(self, handle, name, pointers)
 
 
 class _Arguments(threading.local):
-    """Arguments of a kernel, 64-bit numbers, and the array of their addresses, for every thread its own.
-
-    While one thread is in the driver, another one may write its arguments.
-    """
+    """Numbers of 64 bits for a kernel, and the array of their addresses: each thread's own, which others do not write."""
 
     def __init__(self, count: int):
         self.values = (ctypes.c_int64 * count)()
@@ -180,11 +167,10 @@ _captured: set[Module] = set()  # modules that CUDA graphs may name
 class Launch:
     """Kernel that is launched by a call; see `Module.kernel`."""
 
-    def __init__(self, module: Module, handle: ctypes.c_void_p, name: str, pointers: int, shared: int):
-        self.module, self.handle, self.name, self.shared = module, handle, name, shared
+    def __init__(self, module: Module, handle: ctypes.c_void_p, name: str, pointers: int):
+        self.module, self.handle, self.name = module, handle, name
         self._launch = module.driver.call["cuLaunchKernel"]
         self._arguments = _Arguments(1 + pointers)
-        self._ready: set[int] = set()  # devices that give its blocks as much shared memory as it needs
 
     def __call__(self, blocks: int, threads: int, samples: int, pointers: Sequence[int], device: torch.device) -> None:
         """Launch the kernel on torch's current stream of a device, and return at once.
@@ -214,13 +200,11 @@ class Launch:
 
     def _here(self, blocks: int, threads: int, samples: int, pointers: Sequence[int], index: int) -> None:
         """Launch the kernel on the current device."""
-        if self.shared > SHARED and index not in self._ready:
-            self._ask_for_shared_memory(index)
         if torch.cuda.is_current_stream_capturing():
             _captured.add(self.module)
         arguments = self._arguments
         arguments.values[:] = [samples, *pointers]
-        grid = (blocks, 1, 1, threads, 1, 1, self.shared, _stream(index), arguments.at, None)
+        grid = (blocks, 1, 1, threads, 1, 1, 0, _stream(index), arguments.at, None)
         status = self._launch(self.handle, *grid)
         if status == NO_CONTEXT:  # torch makes a context current in a thread only when it needs one
             self.module.driver.enter(index)
@@ -228,12 +212,3 @@ class Launch:
         if status:
             what = f"cuda:{index} did not launch the kernel {self.name!r} with {blocks} blocks of {threads} threads"
             raise DriverError(self.module.driver.said(what, status))
-
-    def _ask_for_shared_memory(self, index: int) -> None:
-        """Ask a device for more shared memory than every block may have."""
-        driver = self.module.driver
-        set_attribute = driver.call["cuKernelSetAttribute"]
-        if status := set_attribute(DYNAMIC_SHARED, self.shared, self.handle, driver.device(index)):
-            what = f"cuda:{index} has no {self.shared} bytes of shared memory for a block of the kernel {self.name!r}"
-            raise DriverError(driver.said(what, status))
-        self._ready.add(index)
