@@ -6,16 +6,17 @@ Finite differences compare a function with itself, so only Pinocchio and the ide
 """
 
 from functools import cache
+from itertools import count
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import torch
+from oracles import random_tree
 from torch.autograd import gradcheck, gradgradcheck
 from torch.func import jacfwd, jacrev
 
 import torchdq
-from torchdq import dq
 
 F64 = torch.float64
 EPS = 2.0**-52
@@ -33,41 +34,23 @@ def random(seed):
     return lambda *shape: torch.randn(shape, dtype=F64, generator=g)
 
 
-def solid(draw, n):
-    """Inertias [n, 3, 3] about the centres of mass of bodies made of six points, so that they can exist."""
-    r = 0.2 * draw(n, 6, 3)
-    return ((r * r).sum((-1, -2))[:, None, None] * torch.eye(3, dtype=F64) - r.mT @ r) / 2
-
-
-def robot_of(kinds, parents, seed, home=True, armature=True):
-    """Robot with skew joint lines, rotated link frames, tilted gravity and, unless told, rotors and a home position."""
-    draw, n = random(seed), len(kinds)
-    l = draw(n, 3)
-    l = l / l.norm(dim=-1, keepdim=True)
-    line = torch.linalg.cross(0.5 * draw(n, 3), l)
-    turn = torch.tensor([[kind != "prismatic"] for kind in kinds])
-    pitch = torch.tensor([[0.2 if kind == "helical" else 0.0] for kind in kinds], dtype=F64)
-    screws = torch.cat([torch.where(turn, l, 0.0), torch.where(turn, line + pitch * l, l)], -1)
-    mass, com, inertia = 1.0 + draw(n).abs(), 0.3 * draw(n, 3), solid(draw, n)
-    poses = dq.from_pose(dq.normalize(draw(n + 1, 4)), 0.5 * draw(n + 1, 3))
-    q_home, rotors, g = draw(n), 0.1 + 0.1 * draw(n).abs(), 5.0 * draw(3)
-    robot = torchdq.Robot.from_screws(
-        screws, mass, com, inertia, poses[:n], poses[n], parents, q_home if home else None, gravity=g.tolist()
-    )
-    assert robot.kinds == tuple(kinds)
-    return robot.replace(armature=rotors) if armature else robot
-
-
 @cache
+def case(n):
+    """Random tree of n joints of all kinds, from four on with a branch, with rotors and tilted gravity."""
+    for found in (random_tree(n, seed, armature=True) for seed in count()):
+        branched = len(set(found.robot.parents)) < n
+        if len(set(found.robot.kinds)) == 3 and branched == (n > 3):
+            return found
+
+
 def tree():
-    """Four joints of all kinds, a branch at the first link: entries of M and J are absent."""
-    return robot_of(["revolute", "prismatic", "helical", "revolute"], [-1, 0, 0, 2], seed=3)
+    """Four joints, of which entries of M and J are absent."""
+    return case(4).robot
 
 
-@cache
 def chain():
     """Three joints, one of each kind, home at zero."""
-    return robot_of(["revolute", "prismatic", "helical"], [-1, 0, 1], seed=4, home=False)
+    return case(3).robot.replace(home=None)
 
 
 def state(robot, name, seed=0):
@@ -183,49 +166,14 @@ def check_second(key, names, where):
 # --- Pinocchio -------------------------------------------------------------------------------------------------------
 
 
-def urdf(parents, kinds, seed):
-    """URDF text with skew axes, rotated inertial frames, and revolute and prismatic joints."""
-    draw, n = random(seed), len(kinds)
-    l, xyz, rpy = draw(n, 3), 0.4 * draw(n, 3), draw(n, 3)
-    mass, com, turn, inertia = 1.0 + draw(n).abs(), 0.2 * draw(n, 3), draw(n, 3), solid(draw, n)
-
-    def numbers(row):
-        return " ".join(f"{x:.17g}" for x in row.tolist())
-
-    body = "<robot name='random'><link name='base'/>"
-    for i in range(n):
-        moments = [f"{a}='{float(inertia[i, j, k]):.17g}'" for a, j, k in MOMENTS]
-        body += (
-            f"<link name='link{i}'><inertial><origin xyz='{numbers(com[i])}' rpy='{numbers(turn[i])}'/>"
-            f"<mass value='{float(mass[i]):.17g}'/><inertia {' '.join(moments)}/></inertial></link>"
-            f"<joint name='joint{i}' type='{kinds[i]}'><origin xyz='{numbers(xyz[i])}' rpy='{numbers(rpy[i])}'/>"
-            f"<parent link='{'base' if parents[i] < 0 else f'link{parents[i]}'}'/><child link='link{i}'/>"
-            f"<axis xyz='{numbers(l[i] / l[i].norm())}'/>"
-            "<limit lower='-3' upper='3' effort='9' velocity='9'/></joint>"
-        )
-    return body + "</robot>"
-
-
-MOMENTS = [("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2)]
-TREES = {
-    "chain": ([-1, 0, 1, 2, 3, 4, 5], ["revolute"] * 7),
-    "tree": ([-1, 0, 1, 0, 3, 3], ["revolute", "prismatic", "revolute", "revolute", "prismatic", "revolute"]),
-}
-
-
-def twins(name):
-    """The same robot here and in Pinocchio, with rotors and tilted gravity, its inputs, and those for Pinocchio."""
-    text = urdf(*TREES[name], seed=len(name))
-    robot, model = torchdq.Robot.from_urdf(text), pin.buildModelFromXML(text)
-    assert robot.joint_names == tuple(model.names)[1:]
-    draw = random(5)
-    armature, gravity = 0.1 * draw(robot.n).abs(), 5.0 * draw(3)
-    model.armature, model.gravity.linear = armature.numpy(), gravity.numpy()
-    inputs = state(robot, "random")
+def in_both(n):
+    """A robot, its inputs, the same for Pinocchio: model, data, q, qd and others by name, wrenches; and its order."""
+    twin, x = case(n), state(case(n).robot, "random")
+    moved = {name: twin.velocity(x[name].numpy()) for name in ("qd", "qdd", "tau")}
     wrenches = pin.StdVec_Force()
-    for w in [np.zeros(6), *inputs["f_ext"].numpy()]:
-        wrenches.append(pin.Force(w))
-    return robot.replace(armature=armature, gravity=gravity), inputs, model, model.createData(), wrenches
+    wrenches.extend(twin.wrenches(x["f_ext"].numpy()))
+    at = (twin.model, twin.model.createData(), twin.configuration(x["q"].numpy()), moved["qd"])
+    return twin.robot, x, at, moved, wrenches, np.ix_(twin.order, twin.order)
 
 
 def worst(found, expected):
@@ -233,10 +181,10 @@ def worst(found, expected):
 
 
 @pytest.mark.case("D11")
-@pytest.mark.parametrize("name", TREES)
-def test_derivatives_of_inverse_dynamics_are_those_of_pinocchio(name, margin):
-    robot, x, model, data, wrenches = twins(name)
-    expected = pin.computeRNEADerivatives(model, data, x["q"].numpy(), x["qd"].numpy(), x["qdd"].numpy(), wrenches)
+@pytest.mark.parametrize("n", [6, 7])
+def test_derivatives_of_inverse_dynamics_are_those_of_pinocchio(n, margin):
+    robot, x, at, moved, wrenches, order = in_both(n)
+    expected = [d[order] for d in pin.computeRNEADerivatives(*at, moved["qdd"], wrenches)]
     found = jacrev(lambda q, qd, qdd: torchdq.inverse_dynamics(robot, q, qd, qdd, f_ext=x["f_ext"]), argnums=(0, 1, 2))(
         x["q"], x["qd"], x["qdd"]
     )
@@ -244,10 +192,10 @@ def test_derivatives_of_inverse_dynamics_are_those_of_pinocchio(name, margin):
 
 
 @pytest.mark.case("D12")
-@pytest.mark.parametrize("name", TREES)
-def test_derivatives_of_forward_dynamics_are_those_of_pinocchio(name, margin):
-    robot, x, model, data, wrenches = twins(name)
-    expected = pin.computeABADerivatives(model, data, x["q"].numpy(), x["qd"].numpy(), x["tau"].numpy(), wrenches)
+@pytest.mark.parametrize("n", [6, 7])
+def test_derivatives_of_forward_dynamics_are_those_of_pinocchio(n, margin):
+    robot, x, at, moved, wrenches, order = in_both(n)
+    expected = [d[order] for d in pin.computeABADerivatives(*at, moved["tau"], wrenches)]
     found = jacrev(lambda q, qd, tau: torchdq.forward_dynamics(robot, q, qd, tau, f_ext=x["f_ext"]), argnums=(0, 1, 2))(
         x["q"], x["qd"], x["tau"]
     )

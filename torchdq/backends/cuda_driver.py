@@ -146,7 +146,7 @@ class Module:
 
 
 class _Arguments(threading.local):
-    """Numbers of 64 bits for a kernel, and the array of their addresses: each thread's own, which others do not write."""
+    """Arguments of a kernel, 64-bit numbers, and the array of their addresses, for every thread its own."""
 
     def __init__(self, count: int):
         self.values = (ctypes.c_int64 * count)()
