@@ -59,19 +59,10 @@ class DriverError(TorchdqError, RuntimeError):
 
 
 class Driver:
-    """Functions of CUDA's driver.
-
-    Attributes:
-        call: by their names; they return a status, 0 for success.
-    """
+    """Functions of CUDA's driver; raises `BuildError` if there is none at a path, or it is too old."""
 
     def __init__(self, path: str):
-        """Open the driver's library.
-
-        Raises:
-            BuildError: there is none, or it is too old.
-        """
-        self.call: dict[str, Callable[..., int]] = {}
+        self.call: dict[str, Callable[..., int]] = {}  # by their names; they return a status, 0 for success
         try:
             library = ctypes.CDLL(path)
         except OSError as error:
@@ -106,25 +97,17 @@ class Driver:
 
 @remembered(1)
 def driver() -> Driver:
-    """Driver of this machine, or the library that `$TORCHDQ_CUDA_DRIVER` names.
-
-    Raises:
-        BuildError: there is none, or it is too old.
-    """
+    """Driver of this machine, or the library that `$TORCHDQ_CUDA_DRIVER` names."""
     return Driver(os.environ.get("TORCHDQ_CUDA_DRIVER") or LIBRARY)
 
 
 class Module:
-    """Compiled kernels in the memory of the GPUs that use them."""
+    """Compiled kernels in the memory of the GPUs that use them, from machine code (cubin) or PTX that ends with a zero.
+
+    Raises `BuildError` if the code is not for this driver or its GPUs.
+    """
 
     def __init__(self, code: bytes):
-        """Load kernels.
-
-        Args:
-            code: machine code (cubin), or PTX that ends with a zero.
-        Raises:
-            BuildError: the code is not for this driver or its GPUs.
-        """
         self.driver, self.handle = driver(), ctypes.c_void_p()
         call = self.driver.call
         if status := call["cuLibraryLoadData"](self.handle, code, None, None, 0, None, None, 0):
@@ -132,13 +115,7 @@ class Module:
         weakref.finalize(self, call["cuLibraryUnload"], self.handle).atexit = False
 
     def kernel(self, name: str, pointers: int) -> Launch:
-        """Kernel of the module, ready to be launched.
-
-        Args:
-            pointers: how many it takes, after the number of samples.
-        Raises:
-            BuildError: there is none of this name.
-        """
+        """Kernel that takes the number of samples and so many pointers; raises `BuildError` if there is none."""
         handle = ctypes.c_void_p()
         if status := self.driver.call["cuLibraryGetKernel"](handle, self.handle, name.encode()):
             raise BuildError(self.driver.said(f"a compiled program has no kernel {name!r}", status))
@@ -173,17 +150,10 @@ class Launch:
         self._arguments = _Arguments(1 + pointers)
 
     def __call__(self, blocks: int, threads: int, samples: int, pointers: Sequence[int], device: torch.device) -> None:
-        """Launch the kernel on torch's current stream of a device, and return at once.
+        """Launch blocks of threads on torch's current stream of the device that the pointers are of; returns at once.
 
-        Args:
-            blocks: number of blocks; nothing is launched if there are none.
-            threads: number of threads of a block.
-            samples: first argument of the kernel.
-            pointers: addresses of tensors on the device, the other arguments.
-            device: of the tensors, with its index.
-        Raises:
-            ArgumentError: there are more blocks than a launch has.
-            DriverError: the driver refuses the launch, or an operation before it failed.
+        Raises `ArgumentError` for more blocks than a launch has, and `DriverError` if the driver refuses the launch, or
+        an operation before it failed.
         """
         if blocks == 0:
             return

@@ -165,20 +165,10 @@ PROTOTYPES = {
 
 
 class Nvrtc:
-    """The run-time compiler in one library.
-
-    Attributes:
-        path: of the library, or its name where the dynamic loader knows it.
-        version: major and minor.
-    """
+    """The run-time compiler in one library; raises `BuildError` if it or its second library is something else."""
 
     def __init__(self, path: str):
-        """Open the library, and the one that it needs.
-
-        Raises:
-            BuildError: one of them is missing or is something else.
-        """
-        self.path = path
+        self.path = path  # or the library's name, where the dynamic loader knows it
         try:
             self._library = ctypes.CDLL(path)
             for name, arguments in PROTOTYPES.items():
@@ -210,11 +200,7 @@ class Nvrtc:
         return tuple(sorted(known))
 
     def target(self, architecture: int) -> str:
-        """Name of what is compiled for an architecture: itself, or PTX of the newest one before it.
-
-        Raises:
-            BuildError: it is older than all that are known.
-        """
+        """Name of what is compiled for an architecture: itself, or PTX of the newest one before it that is known."""
         known = self.architectures
         if architecture in known:
             return f"sm_{architecture}"
@@ -228,18 +214,11 @@ class Nvrtc:
         return f"compute_{older[-1]}"
 
     def compile(self, source: str, name: str, architecture: int) -> Compiled:
-        """Kernels of a source, compiled for an architecture.
+        """Kernels of a source, compiled for an architecture; raises `BuildError` if they cannot be.
 
         The assembler gives up allocating registers where too many values are needed at once, and keeps nearly all of
         them in memory. With less optimisation it does not, so such a source is compiled again; what has the smaller
         stack is taken.
-
-        Args:
-            source: CUDA C++, its kernels `extern "C"`.
-            name: what the program is called in messages.
-            architecture: of the GPU, 90 for compute capability 9.0.
-        Raises:
-            BuildError: the source cannot be compiled, or not for this architecture.
         """
         target = self.target(architecture)
         best = self._compile(source, name, target, ())

@@ -68,13 +68,8 @@ def unguarded(
 ) -> list[Tensor] | None:
     """Results in final shapes, without views on the way; None: a row is over the limit, and `guarded` must be called.
 
-    Args:
-        backend: one that is not differentiable, on the CPU.
-        program: without sums over the samples.
-        inputs: contiguous tensors of one dtype, in any shapes with the elements of [samples, width].
-        forms: size, strides and dtype of every output, contiguous.
-        samples: number of samples, at least one.
-        out: tensors of these forms for the results, apart from the memory of the inputs; (): new ones.
+    For a direct kernel on the CPU, a program without sums, at least one sample, and contiguous inputs of one dtype with
+    the elements of [samples, width]. `out` are tensors for the results in the forms of the outputs; (): new ones.
     """
     like = inputs[0]
     found = [*out, *(empty_on_cpu(*form) for form in forms[len(out) :])]

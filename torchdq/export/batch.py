@@ -126,11 +126,7 @@ def function(
 ) -> str:
     """Text of the function for batches, and of its parts, without `c99.preamble` and `copies`.
 
-    Args:
-        program, name, single: as it is exported.
-        library: source of square roots.
-        linkage: words before its declaration.
-        finite: whether its status reports results that are not finite.
+    `linkage`: words before its declaration; `finite`: whether its status reports results that are not.
     """
     taken, given = rows(program)
     several = [a for a in taken if not a.shared]

@@ -307,12 +307,8 @@ def computed_results(program: Program) -> list[int]:
 def status(program: Program, single: bool, growth: str, angles: str, wrong: str = "") -> str:
     """Expression for what a function returns: 1 where a result is not to be used, or 0.
 
-    Args:
-        program: the program.
-        single: whether it is in single precision.
-        growth: name of the error growth; "": there is none.
-        angles: name of the sum of `angles`, NaN if one is out of reach; "": there is none.
-        wrong: name of a number that is 0 if all results are finite, and NaN otherwise; "": none.
+    Names, or "" where there is none: of the error growth, of the sum of `angles`, which is NaN if one is out of reach,
+    and of a number that is NaN if a result is wrong.
     """
     limit = literal(LARGEST_GROWTH.single if single else LARGEST_GROWTH.double, single)
     good = [*([f"{growth} <= {limit}"] if growth else []), *([f"{x} == {x}" for x in (angles, wrong) if x])]
