@@ -27,7 +27,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.backends import call, precision
+from torchdq.backends import call
+from torchdq.backends import run as running
 from torchdq.backends import threads as pool
 from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -491,7 +492,7 @@ def test_a_trace_recomputes_the_rows_of_other_values_in_float64(trace):
 def ran(monkeypatch):
     """Names of the backends that ran, in order."""
     log: list[str] = []
-    for module, name in ((precision, "_outputs"), (call, "unguarded")):
+    for module, name in ((running, "_outputs"), (call, "unguarded")):
         original = getattr(module, name)
         noted = lambda b, *a, original=original: log.append(b.name) or original(b, *a)  # noqa: E731
         monkeypatch.setattr(module, name, noted)

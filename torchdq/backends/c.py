@@ -8,10 +8,9 @@ import torch
 from torch import Tensor
 
 from torchdq.backends import c_library, threads
-from torchdq.backends.backend import Backend, DirectKernel
+from torchdq.backends.backend import Backend, DirectKernel, dense
 from torchdq.backends.c_source import source
 from torchdq.backends.compiler import BuildError, compiler, no_compiler
-from torchdq.backends.memory import dense
 from torchdq.backends.torch import InterpretedKernel
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.progress import Progress, warn_once

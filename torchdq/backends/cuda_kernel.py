@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from torchdq.backends.backend import dense
 from torchdq.backends.cuda_source import marks, recomputing_source, source, staged
-from torchdq.backends.memory import dense
 from torchdq.program.program import Program
 
 # called with the numbers of blocks, of threads in each and of samples, the addresses of all arrays, and the device
