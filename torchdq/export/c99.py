@@ -294,7 +294,7 @@ def function(program: Program, name: str, single: bool, library: Library = "math
     if wrong:
         lines.append(f"const {printer.scalar} wrong = {wrong};")
     growth = f"{given[-1].name}[0]" if program.growth is not None else ""
-    lines.append(f"return {status(program, single, growth, 'angles' if sines else '', 'wrong' if wrong else '')};")
+    lines.append(f"return {status(single, growth, 'angles' if sines else '', 'wrong' if wrong else '')};")
     return f"{declaration(program, name, single)}\n{{\n{indented(lines)}}}\n"
 
 
@@ -304,7 +304,7 @@ def computed_results(program: Program) -> list[int]:
     return [k for k in dict.fromkeys(found) if program.ops[k].code != "const"]
 
 
-def status(program: Program, single: bool, growth: str, angles: str, wrong: str = "") -> str:
+def status(single: bool, growth: str, angles: str, wrong: str = "") -> str:
     """Expression for what a function returns: 1 where a result is not to be used, or 0.
 
     Names, or "" where there is none: of the error growth, of the sum of `angles`, which is NaN if one is out of reach,
