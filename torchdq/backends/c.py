@@ -93,10 +93,7 @@ class CompiledKernel:
         return found
 
     def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
-        """Compute the outputs, none of them summed, into given tensors.
-
-        All tensors are contiguous and have the dtype of the kernel; only their number of elements matters.
-        """
+        """Compute the outputs, none of them summed, into given tensors; see `DirectKernel`."""
         if samples <= threads.BLOCK:
             self.function(samples, *[x.data_ptr() for x in (*inputs, *results)])
         else:

@@ -49,10 +49,7 @@ class CudaKernel:
         ]
 
     def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
-        """Compute the results, none of them summed, into given tensors.
-
-        All tensors are contiguous and have the dtype of the kernel; only their number of elements matters.
-        """
+        """Compute the results, none of them summed, into given tensors; see `DirectKernel`."""
         self._run(inputs, results, results, samples, inputs[0].device)
 
     def _run(
