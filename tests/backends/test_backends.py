@@ -392,46 +392,41 @@ TRACED = {
 }
 
 
-@pytest.mark.parametrize("name", ["a layer", "a layer that learns", "accelerations"])
+@pytest.mark.parametrize("name", ["a layer", "a layer that learns", "accelerations", "a function of poses"])
 def test_torch_jit_trace_refuses_compiled_programs(name):
     """In transforms of torch.func, torch.jit.trace fails by itself."""
-    x = random(9, 3)
+    poses = name == "a function of poses"
+    x = random(9, 6 if poses else 3)
     for backend in (None, "c"):
-        f = TRACED[name](backend)
+        f = torchdq.dq.exp if poses else TRACED[name](backend)
         f(x)  # a call that is known already is refused as well
         with refused(ArgumentError):
             torch.jit.trace(f, (x,), check_trace=False)
 
 
-def test_torch_jit_trace_refuses_other_programs_too():
-    x = random(9, 6)
-    torchdq.dq.exp(x)
-    with refused(ArgumentError):
-        torch.jit.trace(torchdq.dq.exp, (x,), check_trace=False)
-
-
-def test_torch_jit_trace_records_torch_operations():
-    x = random(9, 3)
-    f = torch.jit.trace(TRACED["a layer"]("eager"), (x,))
-    agree([f(2 * x)], [TRACED["a layer"]("eager")(2 * x)])
+TRACES = {
+    "jit": lambda f, x: torch.jit.trace(f, (x,)),
+    "make_fx": lambda f, x: make_fx(f)(x),
+    "make_fx with symbols": lambda f, x: make_fx(f, tracing_mode="symbolic")(x),
+}
 
 
 @pytest.mark.parametrize(
-    ("name", "mode"), [*((name, "real") for name in TRACED), ("a layer", "symbolic"), ("accelerations", "symbolic")]
+    ("name", "backend", "trace"),
+    [
+        *((name, None, "make_fx") for name in TRACED),
+        *((name, None, "make_fx with symbols") for name in ("a layer", "accelerations")),
+        ("a layer", "c", "make_fx"),
+        ("a layer", "eager", "jit"),
+    ],
 )
-def test_make_fx_records_what_a_function_computes_and_not_its_result(name, mode):
-    x, f = random(9, 3), TRACED[name](None)
+def test_a_trace_records_what_a_function_computes_and_not_its_result(name, backend, trace):
+    x, f = random(9, 3), TRACED[name](backend)
     f(x)
-    found = make_fx(f, tracing_mode=mode)(x)(2 * x)
-    agree([found], [f(2 * x)])
+    agree([TRACES[trace](f, x)(2 * x)], [f(2 * x)])
 
 
-def test_make_fx_records_a_program_of_a_named_backend():
-    x, f = random(9, 3), TRACED["a layer"]("c")
-    agree([make_fx(f)(x)(2 * x)], [f(2 * x)])
-
-
-@pytest.mark.parametrize("trace", [make_fx, lambda f: lambda x: torch.jit.trace(f, (x,))], ids=["make_fx", "jit"])
+@pytest.mark.parametrize("trace", ["make_fx", "jit"])
 def test_a_trace_recomputes_the_rows_of_other_values_in_float64(trace):
     """The arm of the example is bent and needs float32 only, that of the call is stretched and needs float64."""
     light = TWO.replace(mass=torch.tensor([1e-3, 1.0], dtype=F64), inertia=1e-4 * TWO.inertia).bake()
@@ -440,7 +435,7 @@ def test_a_trace_recomputes_the_rows_of_other_values_in_float64(trace):
     growth = torchdq.error_growth(light, torch.cat([bent, stretched]))
     assert growth[0] < LARGEST_GROWTH.single < growth[1]
     f = lambda q: torchdq.forward_dynamics(light, q, q + 1, q, backend="eager")  # noqa: E731
-    agree([trace(f)(bent)(stretched)], [f(stretched)], factor=1.0)
+    agree([TRACES[trace](f, bent)(stretched)], [f(stretched)], factor=1.0)
 
 
 # --- choosing a backend, and recording no more than needed -----------------------------------------------------------
