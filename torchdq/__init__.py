@@ -53,7 +53,6 @@ Simulation, imported on first use:
 Errors derive from TorchdqError and from the built-in error that a caller would expect.
 """
 
-from importlib import import_module as _import_module
 from typing import TYPE_CHECKING
 
 from torchdq import convert, dq, floating
@@ -144,7 +143,6 @@ __all__ = [
 
 __version__ = "0.1.0"
 
-_ON_FIRST_USE = {"Scene": "torchdq.scene.scene", "recommend_settings": "torchdq.recommend.recommend"}
 # names in other libraries
 _ELSEWHERE = {
     "rnea": "inverse_dynamics",
@@ -169,10 +167,22 @@ _ELSEWHERE = {
 
 def __getattr__(name: str) -> object:
     """Subpackages and names that are imported on first use; an unknown name raises with the closest known ones."""
-    if name in ("envs", "learning"):
-        return _import_module(f"torchdq.{name}")
-    if name in _ON_FIRST_USE:
-        return getattr(_import_module(_ON_FIRST_USE[name]), name)
+    if name == "envs":
+        import torchdq.envs as envs
+
+        return envs
+    if name == "learning":
+        import torchdq.learning as learning
+
+        return learning
+    if name == "Scene":
+        from torchdq.scene.scene import Scene
+
+        return Scene
+    if name == "recommend_settings":
+        from torchdq.recommend.recommend import recommend_settings
+
+        return recommend_settings
     raise _no_attribute("module 'torchdq'", name, __all__, _ELSEWHERE, "help(torchdq)")
 
 

@@ -47,7 +47,7 @@ class Computation:
         raise NotImplementedError
 
     def shared(self, name: str) -> bool:
-        """Whether it is a parameter: converted to dtype and device of the inputs, one row unless it has batch axes."""
+        """Whether the tensor is a parameter: cast to dtype and device of the inputs, one row unless it has batch axes."""
         return False
 
     def results(self, program: Program) -> tuple[Shape, ...]:
@@ -121,9 +121,9 @@ def evaluate(
             _require_room(layout, given, out)
         if layout.direct is not None and not in_a_graph(given):
             # without views of the tensors: one takes a microsecond, which counts where a call has one sample
-            found = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
-            if found is not None:
-                return dict(zip(layout.names, found, strict=True))
+            direct = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
+            if direct is not None:
+                return dict(zip(layout.names, direct, strict=True))
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, tensors)  # raises
         rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]

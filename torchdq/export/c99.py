@@ -93,7 +93,7 @@ static {inline}S root(S x)
     return x > 0 && x <= {largest} ? y * back : x < 0 ? none : x;
 }}
 """
-# of each precision: integer, guess, upper half of the digits, scaling of numbers that are far from one, Newton's steps
+# by precision: integer, guess, upper half of the digits, scaling of numbers that are far from one, Newton's steps
 _ROOT_CONSTANTS = {
     False: ("uint64_t", "UINT64_C(0x5fe6eb50c7b537a9)", "~UINT64_C(0x7ffffff)", "700", "400", "200", "DBL_MAX", 4),
     True: ("uint32_t", "UINT32_C(0x5f375a86)", "~UINT32_C(0xfff)", "90", "60", "30", "FLT_MAX", 3),
