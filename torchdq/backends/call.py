@@ -47,7 +47,7 @@ class Computation:
         raise NotImplementedError
 
     def shared(self, name: str) -> bool:
-        """Whether the tensor is a parameter: cast like the inputs, and one row for all samples unless it has batch axes."""
+        """Whether the tensor is a parameter: cast like the inputs, one row for all samples unless it has batch axes."""
         return False
 
     def results(self, program: Program) -> tuple[Shape, ...]:
