@@ -20,20 +20,22 @@ BATCHES = (0, 1, 2, 3, 5, 7, 8, 9, 15, 16, 17, 31, 33, 63, 64, 65, 100)
 OFFSETS = (0, 1, 3)
 
 
-def narrow():
-    """Program of rows with one, two and three numbers, with a uniform row and a sum."""
+def rows():
+    """Program of rows with one number and more, with a uniform row and a sum."""
 
-    def algorithm(a, b, c, u):
+    def algorithm(a, b, c, u, *rows):
         x = a[0] + b[1] * c[2] + u[0]
         return {
             "one": [sin(x) + cos(200000.0 * x)],
             "two": [exp(x), log(maximum(x, 0.1))],
             "three": [sqrt(x * x), floor(c[0]), u[1]],
             "sum": [x, b[0] * u[0]],
+            **{f"{len(row)} reversed": row[::-1] for row in rows},
         }
 
     arguments = [Argument("a", 1), Argument("b", 2), Argument("c", 3), Argument("u", 2, uniform=True)]
-    return record("narrow", arguments, algorithm, ("sum",))
+    arguments += [Argument(f"x{width}", width) for width in (4, 5, 7, 8, 9, 12, 15, 16, 17, 20)]
+    return record("rows", arguments, algorithm, ("sum",))
 
 
 def gradient():
@@ -48,13 +50,13 @@ def scene():
 
 
 PROGRAMS = {
-    "narrow rows": narrow,
+    "rows of any width": rows,
     "inverse dynamics": lambda: torchdq.compile(torchdq.robots.load("panda"), "inverse_dynamics").program,
     "forward dynamics": lambda: torchdq.compile(torchdq.robots.load("panda"), "forward_dynamics").program,
     "sums over samples": gradient,
     "a step of a scene": scene,
 }
-QUICK = ("narrow rows", "inverse dynamics", "sums over samples")
+QUICK = ("rows of any width", "inverse dynamics", "sums over samples")
 
 
 def harness(program, scalar):

@@ -364,18 +364,22 @@ def test_a_mass_matrix_that_is_not_positive_is_told_by_the_status(tmp_path):
     assert status == 1
 
 
-@pytest.mark.parametrize("name", ["two words", "double", "1st", "größe", "class"])
-def test_names_that_c_and_cpp_do_not_accept_are_refused(name, tmp_path):
-    compiled = torchdq.compile(TWO, "inverse_dynamics")
-    with refused(ArgumentError):
-        compiled.export(tmp_path, name)
-    assert compiled.export(tmp_path).function == "inverse_dynamics_two_link"
+NAMES = ("two words", "double", "1st", "größe", "class", "tgamma", "printf", "fmaxf", "SIN", "ROUND", "math")
+GROWING = record("growing", [Argument("x", 1)], lambda x: {"y": (exp(x[0]),)})
+MISUSE = {
+    **{
+        f"name {name}": lambda folder, name=name: torchdq.compile(TWO, "inverse_dynamics").export(folder, name)
+        for name in (*NAMES, "in_q", "worst", "found_tau")
+    },
+    "what its own library lacks": lambda folder: CompiledProgram(GROWING, F64, ((1,),)).export(folder, "f", "own"),
+    "a function of a program": lambda folder: torchdq.compile(scene_step().program, "inverse_dynamics"),
+}
 
 
-@pytest.mark.parametrize("name", ["tgamma", "printf", "fmaxf", "SIN", "ROUND", "math", "in_q", "worst", "found_tau"])
-def test_names_that_the_exported_files_use_are_refused(name, tmp_path):
+@pytest.mark.parametrize("name", MISUSE)
+def test_what_cannot_be_exported_is_refused_and_nothing_is_written(name, tmp_path):
     with refused(ArgumentError):
-        torchdq.compile(TWO, "inverse_dynamics").export(tmp_path, name)
+        MISUSE[name](tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -413,16 +417,12 @@ def test_two_functions_in_one_folder_are_built_and_tested_together(tmp_path):
         assert "100% tests passed" in said and "out of 2" in said
 
 
-def test_functions_that_the_own_library_lacks_are_named(tmp_path):
-    program = record("growing", [Argument("x", 1)], lambda x: {"y": (exp(x[0]),)})
-    with refused(ArgumentError):
-        CompiledProgram(program, F64, ((1,),)).export(tmp_path, "growing", "own")
-
-
 def test_the_header_says_order_shapes_and_units(tmp_path):
-    text = PROGRAMS["inverse dynamics"]("float64").export(tmp_path, "exported").header.read_text()
+    made = PROGRAMS["inverse dynamics"]("float64").export(tmp_path)
+    text = made.header.read_text()
     assert "panda_joint1, panda_joint2" in text and "qdd[7]  joint accelerations [rad/s^2 or m/s^2]" in text
-    assert 'extern "C"' in text and "int exported(const double q[7]," in text
+    assert made.function == "inverse_dynamics_panda"
+    assert 'extern "C"' in text and "int inverse_dynamics_panda(const double q[7]," in text
 
 
 def cpp(made, text, standard="-std=c++20"):
@@ -456,8 +456,3 @@ def test_spans_of_a_batch_that_are_too_short_are_refused(tmp_path):
     cpp(made, text)
     with pytest.raises(AssertionError, match=r"exported\.hpp needs C\+\+20"):
         cpp(made, text, "-std=c++17")
-
-
-def test_a_recorded_program_takes_no_function():
-    with refused(ArgumentError):
-        torchdq.compile(scene_step().program, "inverse_dynamics")

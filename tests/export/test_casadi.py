@@ -160,26 +160,31 @@ def test_missing_arguments_are_zero_and_missing_results_are_left_out(ready, tmp_
     assert np.allclose(list(c), g.numpy(), rtol=1e-14) and all(x == guard for x in w[work:])
 
 
+def differences(function, x, j, h=1e-5):
+    """Derivatives of all results by each number of argument j, by differences of four values."""
+    for k in range(len(x[j])):
+        ends = []
+        for way in (-2, -1, 1, 2):
+            moved = [*x]
+            moved[j] = moved[j].copy()
+            moved[j][k] += way * h
+            ends.append([y.full().reshape(-1, order="F") for y in listed(function(*moved))])
+        yield [(a - 8 * b + 8 * c - d) / (12 * h) for a, b, c, d in zip(*ends, strict=True)]
+
+
 # --- Jacobians -------------------------------------------------------------------------------------------------------
 
 
 @EACH
 def test_jacobians_are_the_limits_of_differences(name, ready):
     compiled, function = ready(name)
-    x, h = wide(rows(compiled)), 1e-5
+    x = wide(rows(compiled))
     found = iter(jacobians(function, x))
-    for i in range(function.n_out()):
-        for j, at in enumerate(x):
+    for i, y in enumerate(listed(function(*x))):
+        for j in range(len(x)):
             exact = next(found).full()
-            for k in range(len(at)):
-                ends = []
-                for way in (-2, -1, 1, 2):
-                    moved = [v.copy() for v in x]
-                    moved[j][k] += way * h
-                    ends.append(listed(function(*moved))[i].full().reshape(-1, order="F"))
-                difference = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * h)
-                scale = 1 + max(np.abs(e).max() for e in ends)
-                assert np.abs(exact[:, k] - difference).max() <= 1e-9 * scale
+            for k, slopes in enumerate(differences(function, x, j)):
+                assert np.abs(exact[:, k] - slopes[i]).max() <= 1e-9 * (1 + np.abs(y.full()).max())
 
 
 @EACH
@@ -234,25 +239,16 @@ def seeded(function, x, seed=0):
 def test_second_derivatives_are_the_limits_of_differences(name, ready):
     """Jacobians of the gradient in the arguments, and in the seeds: the transposed Jacobians."""
     compiled, function = ready(name)
-    gradient, h = function.reverse(1), 1e-5
+    gradient = function.reverse(1)
     arguments = seeded(function, wide(rows(compiled)))
     second = gradient.jacobian()
     found = dict(zip(second.name_out(), listed(second(*arguments, *[0] * gradient.n_out())), strict=True))
+    largest = [np.abs(y.full()).max() for y in listed(gradient(*arguments))]
     for j in range(function.n_in()):
-        slopes = []
-        for k in range(function.numel_in(j)):
-            ends = []
-            for way in (-2, -1, 1, 2):
-                moved = [*arguments]
-                moved[j] = moved[j].copy()
-                moved[j][k] += way * h
-                ends.append([y.full()[:, 0] for y in listed(gradient(*moved))])
-            slopes.append([(a - 8 * b + 8 * c - d) / (12 * h) for a, b, c, d in zip(*ends, strict=True)])
-        for i in range(function.n_in()):
-            exact = found[f"jac_adj_{function.name_in(i)}_{function.name_in(j)}"].full()
-            for k, slope in enumerate(slopes):
-                scale = 1 + np.abs(slope[i]).max() + np.abs(listed(gradient(*arguments))[i].full()).max()
-                assert np.abs(exact[:, k] - slope[i]).max() <= 1e-8 * scale
+        for k, slopes in enumerate(differences(gradient, arguments, j)):
+            for i, slope in enumerate(slopes):
+                exact = found[f"jac_adj_{function.name_in(i)}_{function.name_in(j)}"].full()
+                assert np.abs(exact[:, k] - slope).max() <= 1e-8 * (1 + np.abs(slope).max() + largest[i])
     first = iter(jacobians(function, wide(rows(compiled))))
     for r in range(function.n_out()):
         for i in range(function.n_in()):
@@ -449,26 +445,21 @@ def test_the_file_has_no_memory_loops_or_branches_and_says_how_it_is_built(tmp_p
     assert made.header is None and [file.name for file in tmp_path.iterdir()] == ["arm_masses.c"]
 
 
-@pytest.mark.parametrize("name", ["arm__torques", "_arm", "jac", "null", "two words", "double"])
-def test_names_are_those_that_casadi_accepts(name, tmp_path):
-    with refused(ArgumentError):
-        PROGRAMS["energy"]().export(tmp_path, name, language="casadi")
+REFUSED = {
+    **{f"name {name}": {"name": name} for name in ("arm__torques", "_arm", "jac", "null", "two words", "double")},
+    "language": {"language": "fortran"},
+    "knots in C": {"language": "c", "knots": 4},
+    "knots below zero": {"knots": -1},
+    "half a knot": {"knots": 2.5},
+    "knots that are true": {"knots": True},
+    "derivatives": {"derivatives": 3},
+}
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"language": "fortran"},
-        {"knots": 4},
-        {"language": "casadi", "knots": -1},
-        {"language": "casadi", "knots": 2.5},
-        {"language": "casadi", "knots": True},
-        {"language": "casadi", "derivatives": 3},
-    ],
-)
-def test_other_options_are_refused(options, tmp_path):
+@pytest.mark.parametrize("options", REFUSED.values(), ids=REFUSED)
+def test_other_names_and_options_are_refused(options, tmp_path):
     with refused(ArgumentError):
-        PROGRAMS["energy"]().export(tmp_path, **options)
+        PROGRAMS["energy"]().export(tmp_path, **{"language": "casadi", **options})
 
 
 def test_numbers_are_of_double_precision(tmp_path):

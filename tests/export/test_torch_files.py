@@ -251,21 +251,20 @@ def test_an_onnx_file_has_the_same_values_to_rounding(name, robot, tmp_path):
 # --- what cannot be done ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("strict", [False, True])
-def test_programs_of_this_process_are_not_exported(strict):
-    x = (random(3, 2),)
-    with refused(ArgumentError):
-        torch.export.export(torchdq.DQRNEA(TWO, backend="c"), x, strict=strict)
-    with refused(ArgumentError), torchdq.backend("c"):
-        torch.export.export(torchdq.DQRNEA(TWO), x, strict=strict)
+NOT_EXPORTED = {  # by the backend of a block
+    "a layer of this process": ("auto", lambda *x: torchdq.DQRNEA(TWO, backend="c")(*x)),
+    "programs of this process": ("c", lambda *x: torchdq.DQRNEA(TWO)(*x)),
+    "grad": ("auto", torch.func.grad(lambda q: torchdq.potential_energy(TWO, q).sum())),
+    "jacrev": ("auto", torch.func.jacrev(lambda q: torchdq.potential_energy(TWO, q).sum())),
+}
 
 
 @pytest.mark.parametrize("strict", [False, True])
-@pytest.mark.parametrize("transform", [torch.func.grad, torch.func.jacrev], ids=lambda f: f.__name__)
-def test_reverse_mode_in_an_exported_function_is_refused(transform, strict):
-    energy = Traced(lambda q: transform(lambda q: torchdq.potential_energy(TWO, q).sum())(q))
-    with refused(ArgumentError):
-        torch.export.export(energy, (random(3, 2),), strict=strict)
+@pytest.mark.parametrize("name", NOT_EXPORTED)
+def test_programs_of_this_process_and_reverse_mode_are_not_exported(name, strict):
+    block, function = NOT_EXPORTED[name]
+    with refused(ArgumentError), torchdq.backend(block):
+        torch.export.export(Traced(function), (random(3, 2),), strict=strict)
 
 
 @pytest.mark.parametrize("strict", [False, True])

@@ -1,6 +1,7 @@
 """Backends: execution of programs on tensors.
 
-run        the function by which callers run a program
+run        the function by which callers run a program, and recomputation in float64 of rows whose rounding errors are
+           too large
 choice     list of backends, and choice of one by name and device
 backend    interface of a backend
 c          compiled C on the CPU: c_prelude and c_source print it, compiler runs the compiler, c_library makes
@@ -9,7 +10,6 @@ cuda       CUDA C++ on NVIDIA GPUs: cuda_prelude and cuda_source print it, nvrtc
            cuda_kernel makes functions of it
 cache      compiled programs on disk
 torch      torch's own operations, on any device
-precision  recomputation in float64 of rows whose rounding errors are too large
 
 A new backend is one file with an object, and its entry in `choice.BACKENDS`.
 """

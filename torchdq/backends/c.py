@@ -8,10 +8,9 @@ import torch
 from torch import Tensor
 
 from torchdq.backends import c_library, threads
-from torchdq.backends.backend import Backend, DirectKernel
+from torchdq.backends.backend import Backend, DirectKernel, dense
 from torchdq.backends.c_source import source
 from torchdq.backends.compiler import BuildError, compiler, no_compiler
-from torchdq.backends.memory import dense
 from torchdq.backends.torch import InterpretedKernel
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.progress import Progress, warn_once
@@ -94,10 +93,7 @@ class CompiledKernel:
         return found
 
     def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
-        """Compute the outputs, none of them summed, into given tensors.
-
-        All tensors are contiguous and have the dtype of the kernel; only their number of elements matters.
-        """
+        """Compute the outputs, none of them summed, into given tensors; see `DirectKernel`."""
         if samples <= threads.BLOCK:
             self.function(samples, *[x.data_ptr() for x in (*inputs, *results)])
         else:

@@ -90,12 +90,9 @@ def _run_compiler(command: list[str], library: Path, pieces: int) -> None:
 
 
 def load(source: str, name: str, pointers: int) -> Callable[..., None]:
-    """Function `run` of a C source, compiled unless the cache has it.
+    """Function `run` of a C source, of the number of samples and so many pointers, compiled unless the cache has it.
 
-    Args:
-        pointers: number of pointers that it takes after the number of samples.
-    Raises:
-        BuildError: the program cannot be compiled, or there is no room for it.
+    Raises `BuildError` if the program cannot be compiled, or there is no room for it.
     """
     path = cache.kept(entry_key(source), ".so", name, lambda library: _compile(library, source, name))
     return _opened(path, pointers)

@@ -7,22 +7,7 @@ lanes whose angle is very large or not finite.
 
 from torchdq.backends.c_constants import DOUBLE, FLOAT
 
-_LIBRARY_DOUBLE = """
-#define LIBRARY_SIN __builtin_sin
-#define LIBRARY_COS __builtin_cos
-#define LIBRARY_SQRT __builtin_sqrt
-#define LIBRARY_EXP __builtin_exp
-#define LIBRARY_LOG __builtin_log
-#define LIBRARY_FLOOR __builtin_floor
-"""
-_LIBRARY_FLOAT = """
-#define LIBRARY_SIN __builtin_sinf
-#define LIBRARY_COS __builtin_cosf
-#define LIBRARY_SQRT __builtin_sqrtf
-#define LIBRARY_EXP __builtin_expf
-#define LIBRARY_LOG __builtin_logf
-#define LIBRARY_FLOOR __builtin_floorf
-"""
+_LIBRARY = ("sin", "cos", "sqrt", "exp", "log", "floor")
 
 _PRELUDE = """
 #if defined(__AVX512F__)
@@ -106,7 +91,8 @@ static inline T log_(T x){
 
 def text(single: bool) -> str:
     """C code at the top of a program in single or double precision."""
-    constants, library = (FLOAT, _LIBRARY_FLOAT) if single else (DOUBLE, _LIBRARY_DOUBLE)
+    constants, suffix = (FLOAT, "f") if single else (DOUBLE, "")
+    library = "".join(f"#define LIBRARY_{name.upper()} __builtin_{name}{suffix}\n" for name in _LIBRARY)
     return f"{constants}{library}\n{_PRELUDE.replace('@TURNS@', _turns())}"
 
 

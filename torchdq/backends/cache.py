@@ -100,16 +100,10 @@ def _intact(path: Path, key: str) -> bool:
 
 
 def kept(key: str, suffix: Suffix, name: str, make: Callable[[Path], None]) -> Path:
-    """Path of a compiled program, which is made unless the cache has it.
+    """Path of a compiled program, which is made unless the cache has it by its key, a hash of what it depends on.
 
-    The file is what `make` wrote, and a hash of it at the end; `content` is the file without the hash.
-
-    Args:
-        key: hash of everything that the compiled program depends on.
-        name: what the program is called in messages.
-        make: function that writes the compiled program to a path, in a folder where it may also write other files.
-    Raises:
-        BuildError: `make` raised it, or there is no room for the file.
+    `make` writes the program to a path, in a folder where it may also write other files. The file in the cache has a
+    hash at the end, which `content` leaves out. Raises `BuildError` if `make` does, or there is no room for the file.
     """
     folder = directory()
     path = folder / f"{key}{suffix}"

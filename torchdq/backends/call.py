@@ -1,23 +1,11 @@
 """Call path from tensors to a program and back, for functions, modules, scenes and resets alike.
 
-A caller describes what it computes by a `Computation`, a hashable value, and passes named tensors:
-
     results = evaluate(computation, {"q": q, "qd": None, "mass": mass}, backend="auto", double=False)
 
-    checks     inputs have one dtype, one device and their trailing axes; the error names the argument
-    layout     batch axes broadcast; a parameter without batch axes is one row for all samples
-    program    `computation.program`, recorded for the tensors that are present, with their widths
-    backend    the named one, or the first that can run on the device
-    results    tensors by name, with the broadcast batch axes
-
-The layout is cached by computation and by the shapes, dtypes and devices of the tensors, so a later call of the same
-form goes from tensors to the program directly. `torch.func` transforms and forward-mode differentiation work. In a
-graph traced by torch.compile or torch.export, sizes may be symbols, and the graph calls the program by its name.
-
-A new computation is a class that derives from `Computation` and from a NamedTuple of everything that its program
-depends on, for a scene its specification, stage and task. `axes` gives the trailing axes of every input. `shared` names
-parameters: they are converted to the dtype and the device of the inputs, and are one row for all samples unless they
-have batch axes. `check` raises errors of this computation, for example a missing input, once per layout.
+The first call checks the tensors, broadcasts their batch axes, records the program for those that are present, and
+chooses a backend. All of this is the layout, cached by computation and by shapes, dtypes and devices, so that a later
+call of the same form goes from tensors to the program directly. In a graph traced by torch.compile or torch.export,
+sizes may be symbols, and the graph calls the program by its name.
 """
 
 from __future__ import annotations
@@ -29,11 +17,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.backends.backend import Backend
+from torchdq.backends.backend import Backend, dense, share_memory
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
-from torchdq.backends.memory import dense, share_memory
-from torchdq.backends.precision import Form, Guarded, contiguous, unguarded
-from torchdq.backends.run import run
+from torchdq.backends.run import Form, Guarded, contiguous, run, unguarded
 from torchdq.backends.torch import EAGER
 from torchdq.base.caches import LAYOUTS, Bounded
 from torchdq.base.checks import DTYPES, is_dense, require_tensor
@@ -47,7 +33,10 @@ Tensors = Mapping[str, Tensor | None]  # by name; None: absent
 
 
 class Computation:
-    """Interface of a computation: a hashable description of everything that its program depends on."""
+    """Interface of a computation: a hashable description of everything that its program depends on.
+
+    A new one derives from this class and from a NamedTuple of that, for a scene its specification, stage and task.
+    """
 
     def axes(self, name: str) -> Shape:
         """Trailing axes of a tensor; raises `ArgumentError` if there is none of that name."""
@@ -58,7 +47,7 @@ class Computation:
         raise NotImplementedError
 
     def shared(self, name: str) -> bool:
-        """Whether the tensor is a parameter, which all samples may share."""
+        """Whether the tensor is a parameter: cast like the inputs, one row for all samples unless it has batch axes."""
         return False
 
     def results(self, program: Program) -> tuple[Shape, ...]:
@@ -66,7 +55,7 @@ class Computation:
         return tuple([(len(r.values),) for r in program.results])
 
     def check(self, tensors: Mapping[str, Tensor]) -> None:
-        """Raise unless the present tensors, each valid by itself, are valid together."""
+        """Raise unless the present tensors, each valid by itself, are valid together; once per layout."""
 
     def label(self, name: str) -> str:
         """Name of a tensor in error messages."""
@@ -130,9 +119,11 @@ def evaluate(
         given = [x for x in tensors.values() if x is not None]
         if out:
             _require_room(layout, given, out)
-        found = _direct(layout, given, out)
-        if found is not None:
-            return dict(zip(layout.names, found, strict=True))
+        if layout.direct is not None and not in_a_graph(given):
+            # without views of the tensors: one takes a microsecond, which counts where a call has one sample
+            direct = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
+            if direct is not None:
+                return dict(zip(layout.names, direct, strict=True))
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, tensors)  # raises
         rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
@@ -147,16 +138,6 @@ def evaluate(
     for room, y in zip(out, shaped, strict=False):
         room.copy_(y)
     return dict(zip(layout.names, out or shaped, strict=True))
-
-
-def _direct(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Tensor]) -> Sequence[Tensor] | None:
-    """Results of a call without views of its tensors; None: some are needed, or torch records its operations.
-
-    A view takes a microsecond, which counts where a call has one sample.
-    """
-    if layout.direct is None or in_a_graph(given):
-        return None
-    return unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

@@ -59,15 +59,9 @@ def _asked(name: str) -> Compiler:
 
 
 def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = None) -> str:
-    """Output of commands that run at the same time.
+    """Output of commands that run at the same time, with temporary files in a folder, and end within a limit [s].
 
-    None of their processes outlives the call if one fails, takes too long or is interrupted.
-
-    Args:
-        limit: time in which all of them must end [s].
-        folder: where they write temporary files; None: where they always do.
-    Raises:
-        BuildError: a command cannot be run, fails, or does not end in time.
+    None of their processes outlives the call if one fails, takes too long or is interrupted; then raises `BuildError`.
     """
     program, deadline = commands[0][0], time.monotonic() + limit
     environment = {**os.environ, "TMPDIR": str(folder)} if folder else None

@@ -21,8 +21,6 @@ from torchdq.errors import ArgumentError, TorchdqError
 
 LIBRARY = "libcuda.so.1"
 BLOCKS = 2**31 - 1  # blocks of a launch
-SHARED = 48 * 1024  # shared memory of a block that need not be asked for [bytes]
-DYNAMIC_SHARED = 8  # CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 NO_CONTEXT = 201  # CUDA_ERROR_INVALID_CONTEXT
 # what to do about an error, by its code
 ADVICE = {
@@ -52,7 +50,6 @@ PROTOTYPES = {
     "cuLibraryLoadData": (_out, ctypes.c_char_p, *_options, *_options),
     "cuLibraryUnload": (_handle,),
     "cuLibraryGetKernel": (_out, _handle, ctypes.c_char_p),
-    "cuKernelSetAttribute": (ctypes.c_int, ctypes.c_int, _handle, ctypes.c_int),
     "cuLaunchKernel": (_handle, *(_unsigned,) * 7, _handle, ctypes.c_void_p, ctypes.c_void_p),
 }
 
@@ -62,19 +59,10 @@ class DriverError(TorchdqError, RuntimeError):
 
 
 class Driver:
-    """Functions of CUDA's driver.
-
-    Attributes:
-        call: by their names; they return a status, 0 for success.
-    """
+    """Functions of CUDA's driver; raises `BuildError` if there is none at a path, or it is too old."""
 
     def __init__(self, path: str):
-        """Open the driver's library.
-
-        Raises:
-            BuildError: there is none, or it is too old.
-        """
-        self.call: dict[str, Callable[..., int]] = {}
+        self.call: dict[str, Callable[..., int]] = {}  # by their names; they return a status, 0 for success
         try:
             library = ctypes.CDLL(path)
         except OSError as error:
@@ -98,68 +86,44 @@ class Driver:
             words.append((text.value or b"unknown").decode(errors="replace"))
         return f"{what}: {words[0]} ({status}), {words[1]}; {ADVICE.get(status, OTHERWISE)}"
 
-    def device(self, index: int) -> int:
-        """The driver's name of a device of torch."""
-        device = ctypes.c_int()
-        if status := self.call["cuDeviceGet"](device, index):
-            raise DriverError(self.said(f"there is no device cuda:{index}", status))
-        return device.value
-
     def enter(self, index: int) -> None:
         """Make the context that torch uses on a device that of this thread, which had none."""
-        context = ctypes.c_void_p()
-        status = self.call["cuDevicePrimaryCtxRetain"](context, self.device(index))
+        device, context = ctypes.c_int(), ctypes.c_void_p()
+        status = self.call["cuDeviceGet"](device, index)
+        status = status or self.call["cuDevicePrimaryCtxRetain"](context, device.value)
         if status := status or self.call["cuCtxSetCurrent"](context):
             raise DriverError(self.said(f"this thread cannot use the device cuda:{index}", status))
 
 
 @remembered(1)
 def driver() -> Driver:
-    """Driver of this machine, or the library that `$TORCHDQ_CUDA_DRIVER` names.
-
-    Raises:
-        BuildError: there is none, or it is too old.
-    """
+    """Driver of this machine, or the library that `$TORCHDQ_CUDA_DRIVER` names."""
     return Driver(os.environ.get("TORCHDQ_CUDA_DRIVER") or LIBRARY)
 
 
 class Module:
-    """Compiled kernels in the memory of the GPUs that use them."""
+    """Compiled kernels in the memory of the GPUs that use them, from machine code (cubin) or PTX that ends with a zero.
+
+    Raises `BuildError` if the code is not for this driver or its GPUs.
+    """
 
     def __init__(self, code: bytes):
-        """Load kernels.
-
-        Args:
-            code: machine code (cubin), or PTX that ends with a zero.
-        Raises:
-            BuildError: the code is not for this driver or its GPUs.
-        """
         self.driver, self.handle = driver(), ctypes.c_void_p()
         call = self.driver.call
         if status := call["cuLibraryLoadData"](self.handle, code, None, None, 0, None, None, 0):
             raise BuildError(self.driver.said("a compiled program cannot be loaded", status))
         weakref.finalize(self, call["cuLibraryUnload"], self.handle).atexit = False
 
-    def kernel(self, name: str, pointers: int, shared: int) -> Launch:
-        """Kernel of the module, ready to be launched.
-
-        Args:
-            pointers: how many it takes, after the number of samples.
-            shared: dynamic shared memory of a block [bytes].
-        Raises:
-            BuildError: there is none of this name.
-        """
+    def kernel(self, name: str, pointers: int) -> Launch:
+        """Kernel that takes the number of samples and so many pointers; raises `BuildError` if there is none."""
         handle = ctypes.c_void_p()
         if status := self.driver.call["cuLibraryGetKernel"](handle, self.handle, name.encode()):
             raise BuildError(self.driver.said(f"a compiled program has no kernel {name!r}", status))
-        return Launch(self, handle, name, pointers, shared)
+        return Launch(self, handle, name, pointers)
 
 
 class _Arguments(threading.local):
-    """Arguments of a kernel, 64-bit numbers, and the array of their addresses, for every thread its own.
-
-    While one thread is in the driver, another one may write its arguments.
-    """
+    """Arguments of a kernel, 64-bit numbers, and the array of their addresses, for every thread its own."""
 
     def __init__(self, count: int):
         self.values = (ctypes.c_int64 * count)()
@@ -180,24 +144,16 @@ _captured: set[Module] = set()  # modules that CUDA graphs may name
 class Launch:
     """Kernel that is launched by a call; see `Module.kernel`."""
 
-    def __init__(self, module: Module, handle: ctypes.c_void_p, name: str, pointers: int, shared: int):
-        self.module, self.handle, self.name, self.shared = module, handle, name, shared
+    def __init__(self, module: Module, handle: ctypes.c_void_p, name: str, pointers: int):
+        self.module, self.handle, self.name = module, handle, name
         self._launch = module.driver.call["cuLaunchKernel"]
         self._arguments = _Arguments(1 + pointers)
-        self._ready: set[int] = set()  # devices that give its blocks as much shared memory as it needs
 
     def __call__(self, blocks: int, threads: int, samples: int, pointers: Sequence[int], device: torch.device) -> None:
-        """Launch the kernel on torch's current stream of a device, and return at once.
+        """Launch blocks of threads on torch's current stream of the device that the pointers are of; returns at once.
 
-        Args:
-            blocks: number of blocks; nothing is launched if there are none.
-            threads: number of threads of a block.
-            samples: first argument of the kernel.
-            pointers: addresses of tensors on the device, the other arguments.
-            device: of the tensors, with its index.
-        Raises:
-            ArgumentError: there are more blocks than a launch has.
-            DriverError: the driver refuses the launch, or an operation before it failed.
+        Raises `ArgumentError` for more blocks than a launch has, and `DriverError` if the driver refuses the launch, or
+        an operation before it failed.
         """
         if blocks == 0:
             return
@@ -214,13 +170,11 @@ class Launch:
 
     def _here(self, blocks: int, threads: int, samples: int, pointers: Sequence[int], index: int) -> None:
         """Launch the kernel on the current device."""
-        if self.shared > SHARED and index not in self._ready:
-            self._ask_for_shared_memory(index)
         if torch.cuda.is_current_stream_capturing():
             _captured.add(self.module)
         arguments = self._arguments
         arguments.values[:] = [samples, *pointers]
-        grid = (blocks, 1, 1, threads, 1, 1, self.shared, _stream(index), arguments.at, None)
+        grid = (blocks, 1, 1, threads, 1, 1, 0, _stream(index), arguments.at, None)
         status = self._launch(self.handle, *grid)
         if status == NO_CONTEXT:  # torch makes a context current in a thread only when it needs one
             self.module.driver.enter(index)
@@ -228,12 +182,3 @@ class Launch:
         if status:
             what = f"cuda:{index} did not launch the kernel {self.name!r} with {blocks} blocks of {threads} threads"
             raise DriverError(self.module.driver.said(what, status))
-
-    def _ask_for_shared_memory(self, index: int) -> None:
-        """Ask a device for more shared memory than every block may have."""
-        driver = self.module.driver
-        set_attribute = driver.call["cuKernelSetAttribute"]
-        if status := set_attribute(DYNAMIC_SHARED, self.shared, self.handle, driver.device(index)):
-            what = f"cuda:{index} has no {self.shared} bytes of shared memory for a block of the kernel {self.name!r}"
-            raise DriverError(driver.said(what, status))
-        self._ready.add(index)

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from torchdq.backends.backend import dense
 from torchdq.backends.cuda_source import marks, recomputing_source, source, staged
-from torchdq.backends.memory import dense
 from torchdq.program.program import Program
 
 # called with the numbers of blocks, of threads in each and of samples, the addresses of all arrays, and the device
@@ -49,10 +49,7 @@ class CudaKernel:
         ]
 
     def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
-        """Compute the results, none of them summed, into given tensors.
-
-        All tensors are contiguous and have the dtype of the kernel; only their number of elements matters.
-        """
+        """Compute the results, none of them summed, into given tensors; see `DirectKernel`."""
         self._run(inputs, results, results, samples, inputs[0].device)
 
     def _run(

@@ -9,22 +9,11 @@ Sine and cosine are those of the C backend. Angles that are very large or not fi
 
 from torchdq.backends.c_constants import DOUBLE, FLOAT
 
-_LIBRARY_DOUBLE = """
-#define LIBRARY_SINCOS sincos
-#define LIBRARY_SQRT sqrt
-#define LIBRARY_EXP exp
-#define LIBRARY_LOG log
-#define LIBRARY_FLOOR floor
-#define NAN_BITS 0x7ff8000000000000LL
+_LIBRARY = ("sincos", "sqrt", "exp", "log", "floor")
+_BITS_DOUBLE = """#define NAN_BITS 0x7ff8000000000000LL
 #define INFINITE_BITS 0x7ff0000000000000LL
 """
-_LIBRARY_FLOAT = """
-#define SINGLE
-#define LIBRARY_SINCOS sincosf
-#define LIBRARY_SQRT sqrtf
-#define LIBRARY_EXP expf
-#define LIBRARY_LOG logf
-#define LIBRARY_FLOOR floorf
+_BITS_FLOAT = """#define SINGLE
 #define NAN_BITS 0x7fc00000
 #define INFINITE_BITS 0x7f800000
 """
@@ -84,5 +73,6 @@ DEVICE Turn turn(S x){
 
 def text(single: bool, block: int) -> str:
     """Text at the top of a kernel in single or double precision, with blocks of so many threads."""
-    constants = FLOAT + _LIBRARY_FLOAT if single else DOUBLE + _LIBRARY_DOUBLE
-    return f"{constants}#define BLOCK {block}\n{_TARGET}{_FUNCTIONS}"
+    constants, bits = (FLOAT, _BITS_FLOAT) if single else (DOUBLE, _BITS_DOUBLE)
+    library = "".join(f"#define LIBRARY_{name.upper()} {name}{'f' if single else ''}\n" for name in _LIBRARY)
+    return f"{constants}{library}{bits}#define BLOCK {block}\n{_TARGET}{_FUNCTIONS}"

@@ -1,10 +1,8 @@
 """CUDA source of a program: one thread per sample; rows [batch, n] pass through shared memory.
 
 Neighbouring threads read and write neighbouring numbers of memory. A thread finds its row in shared memory, where rows
-have odd lengths, so that the rows of a warp begin in different banks.
-
-Values that all samples share are computed by one thread of a block and handed to the others in shared memory, where
-that spares enough.
+have odd lengths, so that the rows of a warp begin in different banks. Values that all samples share are computed by one
+thread of a block, where that spares enough.
 
 Where errors grow too much, a kernel in float32 marks the row, and a second one, launched in any case, recomputes the
 marked rows in float64; so that the host has nothing to ask. A kernel in float64 writes NaN.
@@ -188,14 +186,6 @@ class _KernelPrinter:
         w = len(self.program.results[k].values)
         return f"o{k}[t*{odd(w)}+{j}]" if k in self.stage.results else f"out{k}[b*{w}+{j}]"
 
-    def nothing(self) -> list[str]:
-        """Statements of a sample that adds nothing to the sums of its block."""
-        return [
-            f"{self.place(k, j)}=0;"
-            for k in sorted(self.stage.results)
-            for j in range(len(self.program.results[k].values))
-        ]
-
     # --- the whole ---
 
     def text(self) -> str:
@@ -221,7 +211,8 @@ class _KernelPrinter:
             pointers.append(f"{'const ' if self.recomputing else ''}unsigned char*__restrict__ lost")
         body = ["{", *self.values.statements(), *self.results(), "}"]
         if self.recomputing:
-            body = ["if(lost[b])", *body, "else{", *self.nothing(), "}"]
+            sums = [(k, j) for k in sorted(stage.results) for j in range(len(p.results[k].values))]
+            body = ["if(lost[b])", *body, "else{", *(f"{self.place(k, j)}=0;" for k, j in sums), "}"]
         lines = [
             cuda_prelude.text(self.single, stage.block),
             f"KERNEL({','.join(pointers)})",

@@ -165,20 +165,10 @@ PROTOTYPES = {
 
 
 class Nvrtc:
-    """The run-time compiler in one library.
-
-    Attributes:
-        path: of the library, or its name where the dynamic loader knows it.
-        version: major and minor.
-    """
+    """The run-time compiler in one library; raises `BuildError` if it or its second library is something else."""
 
     def __init__(self, path: str):
-        """Open the library, and the one that it needs.
-
-        Raises:
-            BuildError: one of them is missing or is something else.
-        """
-        self.path = path
+        self.path = path  # or the library's name, where the dynamic loader knows it
         try:
             self._library = ctypes.CDLL(path)
             for name, arguments in PROTOTYPES.items():
@@ -201,24 +191,17 @@ class Nvrtc:
         return f"Nvrtc({self.path!r})"
 
     @cached_property
-    def _architectures(self) -> tuple[int, ...]:
+    def architectures(self) -> tuple[int, ...]:
+        """Architectures that it compiles for, 90 for compute capability 9.0."""
         count = ctypes.c_int()
         self._require(self._library.nvrtcGetNumSupportedArchs(count), "state its architectures")
         known = (ctypes.c_int * count.value)()
         self._require(self._library.nvrtcGetSupportedArchs(known), "state its architectures")
         return tuple(sorted(known))
 
-    def architectures(self) -> tuple[int, ...]:
-        """Architectures that it compiles for, 90 for compute capability 9.0."""
-        return self._architectures
-
     def target(self, architecture: int) -> str:
-        """Name of what is compiled for an architecture: itself, or PTX of the newest one before it.
-
-        Raises:
-            BuildError: it is older than all that are known.
-        """
-        known = self.architectures()
+        """Name of what is compiled for an architecture: itself, or PTX of the newest one before it that is known."""
+        known = self.architectures
         if architecture in known:
             return f"sm_{architecture}"
         older = [one for one in known if one < architecture]
@@ -230,38 +213,30 @@ class Nvrtc:
             )
         return f"compute_{older[-1]}"
 
-    def compile(self, source: str, name: str, architecture: int, options: Sequence[str] = ()) -> Compiled:
-        """Kernels of a source, compiled for an architecture.
+    def compile(self, source: str, name: str, architecture: int) -> Compiled:
+        """Kernels of a source, compiled for an architecture; raises `BuildError` if they cannot be.
 
         The assembler gives up allocating registers where too many values are needed at once, and keeps nearly all of
         them in memory. With less optimisation it does not, so such a source is compiled again; what has the smaller
         stack is taken.
-
-        Args:
-            source: CUDA C++, its kernels `extern "C"`.
-            name: what the program is called in messages.
-            architecture: of the GPU, 90 for compute capability 9.0.
-            options: of NVRTC, besides FLAGS.
-        Raises:
-            BuildError: the source cannot be compiled, or not for this architecture.
         """
         target = self.target(architecture)
-        best = self._compile(source, name, target, options)
+        best = self._compile(source, name, target, ())
         if any(used.registers <= FEW and used.stack >= LARGE for used in usage(best.log).values()):
-            best = min(best, self._compile(source, name, target, (*options, CALMER)), key=lambda one: one.stack)
+            best = min(best, self._compile(source, name, target, (CALMER,)), key=lambda one: one.stack)
         return best
 
-    def load(self, source: str, name: str, architecture: int, options: Sequence[str] = ()) -> bytes:
+    def load(self, source: str, name: str, architecture: int) -> bytes:
         """Code of the kernels of a source, compiled as by `compile` unless the cache has it."""
 
         def make(path: Path) -> None:
-            path.write_bytes(self.compile(source, name, architecture, options).code)
+            path.write_bytes(self.compile(source, name, architecture).code)
 
-        return cache.content(cache.kept(self.key(source, architecture, options), ".cubin", name, make))
+        return cache.content(cache.kept(self.key(source, architecture), ".cubin", name, make))
 
-    def key(self, source: str, architecture: int, options: Sequence[str] = ()) -> str:
+    def key(self, source: str, architecture: int) -> str:
         """Hash of everything that the code of a source depends on."""
-        parts = (source, f"NVRTC {_dotted(self.version)}", self.target(architecture), *FLAGS, CALMER, *options)
+        parts = (source, f"NVRTC {_dotted(self.version)}", self.target(architecture), *FLAGS, CALMER)
         return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
     def _compile(self, source: str, name: str, target: str, options: Sequence[str]) -> Compiled:

@@ -1,25 +1,46 @@
-"""Execution of a program with a backend."""
+"""Execution of a program with a backend, with a fallback to float64 for rows whose rounding errors are too large.
 
+The last output of a program is the factor by which it magnifies rounding errors. Rows over the float32 limit are
+recomputed in float64 and rounded; rows over the float64 limit become NaN. Other rows do not change. The host
+reads the factors; on a GPU, where that would be a synchronisation, the kernels of the backend do all of this.
+"""
+
+from __future__ import annotations
+
+import math
 from collections.abc import Sequence
+from typing import NamedTuple, cast
 
+import torch
 from torch import Tensor
 
-from torchdq.backends.backend import Backend
-from torchdq.backends.precision import Guarded, guarded
+from torchdq.backends.backend import Backend, DirectKernel
+from torchdq.backends.torch import EAGER
 from torchdq.errors import ArgumentError
 from torchdq.program.autograd import differentiable, in_a_graph
-from torchdq.program.program import Program
-from torchdq.program.transforms import jit_tracing, proxy_tracing
+from torchdq.program.program import LARGEST_GROWTH, Program, samples_of
+from torchdq.program.transforms import empty_on_cpu, jit_tracing, proxy_tracing, without_values
+
+Form = tuple[tuple[int, ...], tuple[int, ...], torch.dtype]  # size, strides and dtype of a tensor
+
+
+class Guarded(NamedTuple):
+    """Backend with the fallback to float64, as a function that runs programs."""
+
+    backend: Backend
+
+    def __call__(self, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+        """Results of a program."""
+        return guarded(self.backend, program, inputs)
+
+    @property
+    def by_torch(self) -> Guarded:
+        """Function that runs programs as torch's own operations."""
+        return Guarded(EAGER)
 
 
 def run(program: Program, inputs: Sequence[Tensor], backend: Backend) -> Sequence[Tensor]:
-    """Results of a program, differentiable to any order.
-
-    Args:
-        program: the program.
-        inputs: its arguments, tensors [samples, width], uniform ones [width]; results have the same layout.
-        backend: the backend that runs it.
-    """
+    """Results of a program, differentiable to any order; tensors are [samples, width], uniform ones [width]."""
     if backend.differentiable:
         return guarded(backend, program, inputs)
     if jit_tracing() or proxy_tracing():
@@ -30,3 +51,95 @@ def run(program: Program, inputs: Sequence[Tensor], backend: Backend) -> Sequenc
     if not in_a_graph(inputs):
         return guarded(backend, program, inputs)
     return differentiable(Guarded(backend), program, inputs)
+
+
+def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """Results of a program; rows over the float32 limit are recomputed, rows over the float64 limit are NaN."""
+    samples = samples_of(program, inputs)
+    if program.growth is None or backend.guards:
+        return _outputs(backend, program, inputs, samples)
+    if not samples:
+        return _outputs(backend, program, inputs, samples)[:-1]
+    dtype = inputs[0].dtype
+    readable = not (backend.differentiable and without_values(inputs))
+    if not readable and dtype != torch.float64:
+        # values cannot be read here, so all rows are computed in float64
+        return [y.to(dtype) for y in guarded(backend, program, [x.double() for x in inputs])]
+    *results, growth = _outputs(backend, program, inputs, samples)
+    if readable and _within_limit(growth, samples):
+        return results
+    over = ~(growth[:, 0].detach() <= largest_growth(dtype))
+    if dtype == torch.float64:
+        return _or_nan(program, results, over)
+    return _recomputed(backend, program, inputs, results, over)
+
+
+def unguarded(
+    backend: Backend,
+    program: Program,
+    inputs: Sequence[Tensor],
+    forms: Sequence[Form],
+    samples: int,
+    out: Sequence[Tensor] = (),
+) -> list[Tensor] | None:
+    """Results in final shapes, without views on the way; None: a row is over the limit, and `guarded` must be called.
+
+    For a direct kernel on the CPU, a program without sums, at least one sample, and contiguous inputs of one dtype with
+    the elements of [samples, width]. `out` are tensors for the results in the forms of the outputs; (): new ones.
+    """
+    like = inputs[0]
+    found = [*out, *(empty_on_cpu(*form) for form in forms[len(out) :])]
+    direct = cast(DirectKernel, backend.kernel(program, like.dtype, like.device))
+    direct.into(inputs, found, samples)
+    if program.growth is None or backend.guards:
+        return found
+    return found if _within_limit(found.pop(), samples) else None
+
+
+def contiguous(shape: tuple[int, ...], dtype: torch.dtype) -> Form:
+    """Form of a contiguous tensor."""
+    return shape, tuple([math.prod(shape[k + 1 :]) for k in range(len(shape))]), dtype
+
+
+def _within_limit(growth: Tensor, samples: int) -> bool:
+    """Whether the errors of all rows grow less than the limit; False if one of them is NaN."""
+    return (growth if samples == 1 else growth.amax()).item() <= largest_growth(growth.dtype)
+
+
+def largest_growth(dtype: torch.dtype) -> float:
+    """Largest accepted error growth in a precision."""
+    return LARGEST_GROWTH.double if dtype == torch.float64 else LARGEST_GROWTH.single
+
+
+def _outputs(backend: Backend, program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+    like = inputs[0]
+    return backend.kernel(program, like.dtype, like.device)(inputs, samples)
+
+
+def _or_nan(program: Program, results: Sequence[Tensor], over: Tensor) -> list[Tensor]:
+    """Results with NaN in the rows over the limit, and in their gradients."""
+    kept = torch.where(over, torch.nan, 1.0).to(results[0].dtype)
+    return [y * kept.mean() if r.summed else kept[:, None] * y for y, r in zip(results, program.results, strict=True)]
+
+
+def _recomputed(
+    backend: Backend, program: Program, inputs: Sequence[Tensor], results: Sequence[Tensor], over: Tensor
+) -> list[Tensor]:
+    """Results with the rows over the limit recomputed in float64."""
+    dtype = inputs[0].dtype
+    at, others = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
+    wide = [y.to(dtype) for y in guarded(backend, program, _among(program, inputs, at, torch.float64))]
+    if any(r.summed for r in program.results) or any(y.requires_grad for y in results):
+        # a sum contains the rows over the limit, and gradients of these rows may be 0 * inf
+        results = guarded(backend, program, _among(program, inputs, others, dtype))
+    else:
+        results = [y[others] for y in results]
+    return [
+        k + w if r.summed else w.new_empty(len(over), w.shape[1]).index_copy(0, at, w).index_copy(0, others, k)
+        for k, w, r in zip(results, wide, program.results, strict=True)
+    ]
+
+
+def _among(program: Program, inputs: Sequence[Tensor], rows: Tensor, dtype: torch.dtype) -> list[Tensor]:
+    """Arguments for some of the samples, in a dtype."""
+    return [(x if a.uniform else x[rows]).to(dtype) for x, a in zip(inputs, program.arguments, strict=True)]

@@ -37,13 +37,9 @@ os.register_at_fork(after_in_child=_pools.clear)  # threads do not survive a for
 
 
 def shares(samples: int, operations: int, sums: bool) -> tuple[int, int]:
-    """Number of threads for a batch, and number of samples in each of its parts.
+    """Number of threads for a batch with so many operations per sample, and number of samples in each of its parts.
 
-    Args:
-        samples: number of samples in the batch, at least one.
-        operations: number of operations per sample.
-        sums: whether results are summed; then the size of a part is fixed, so that the sum does not depend on the
-            number of threads.
+    Where results are summed, the size of a part is fixed, so that sums do not depend on the number of threads.
     """
     if samples <= BLOCK:
         return 1, BLOCK

@@ -1,16 +1,8 @@
 """Process-wide caches: their sizes, and the function that empties all of them.
 
-    programs      of functions, scenes and resets, by robot constants, options and widths of arguments
-    derivatives   of programs, by program and arguments
-    kernels       of programs, by precision, with their libraries; and errors of failed builds
-    layouts       of calls, by the shapes, dtypes and devices of their tensors
-    names         of programs in traced graphs; a graph whose program was removed must be traced again
-    answers       of `recommend_settings`, by robot or scene, states, inputs, horizon and error
-    machine       compilers, processor and driver, and topics of warnings that were given
-
-`clear_caches` empties them and stops the threads that share a batch. Compiled programs stay on disk, see
-`backends.cache`. Every cache has a bound: programs, derivatives and kernels remove the entry that was used least
-recently, layouts and names the oldest one.
+They hold programs, derivatives, kernels with their libraries, layouts of calls, names of programs in traced graphs,
+recommended settings, and what is known of the machine. Each has a bound: those of `remembered` functions remove the
+entry that was used least recently, `Bounded` ones the oldest. Compiled programs stay on disk, see `backends.cache`.
 """
 
 from collections.abc import Callable, Hashable

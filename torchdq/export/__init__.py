@@ -2,11 +2,9 @@
 
 c99      text of a function in C
 parts    text of a long function in several short ones
-roots    text of a square root without a library
 batch    text of the function for batches, in loops that become vector instructions
 golden   text of the test, with golden vectors
 files    what is written to a folder: source, headers, test, CMake file
-folder   the writing of it, file by file, each whole or not at all
 meaning  words and units for the arguments and results of programs
 casadi   the same function behind CasADi's interface for external functions
 """

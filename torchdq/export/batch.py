@@ -126,11 +126,7 @@ def function(
 ) -> str:
     """Text of the function for batches, and of its parts, without `c99.preamble` and `copies`.
 
-    Args:
-        program, name, single: as it is exported.
-        library: source of square roots.
-        linkage: words before its declaration.
-        finite: whether its status reports results that are not finite.
+    `linkage`: words before its declaration; `finite`: whether its status reports results that are not.
     """
     taken, given = rows(program)
     several = [a for a in taken if not a.shared]
@@ -151,7 +147,7 @@ def function(
     sines = any(a.name == "angles" for a in block.own)
     growth = f"{given[-1].lanes}[0][lane]" if program.growth is not None else ""
     if growth or sines:
-        good = c99.status(program, single, growth, "angles[0][lane]" if sines else "")
+        good = c99.status(single, growth, "angles[0][lane]" if sines else "")
         steps.append(f"for (lane = 0; lane < here; lane++) status |= {good};")
     results = given[: len(given) - (program.growth is not None)] if finite else []
     steps += [

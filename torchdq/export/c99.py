@@ -13,7 +13,6 @@ import numpy as np
 
 from torchdq.backends.c_constants import SINES_DOUBLE, SINES_FLOAT
 from torchdq.errors import ArgumentError
-from torchdq.export import roots
 from torchdq.export.names import distinct
 from torchdq.numbers.ops import OPS
 from torchdq.program.order import TOGETHER, pairs, recorded
@@ -69,6 +68,36 @@ static void sine_and_cosine(S x, S *s, S *c)
     *c = inside ? (((q + 1) & 2) ? -b : b) : none;
 }
 """
+
+# square root by exact scaling, Newton's method, and one corrected step. The first guess of 1/sqrt(x) has half of the
+# exponent's bits of x (Lomont 2003, "Fast inverse square root"); Newton's steps double its digits. The remainder
+# x - y^2 of the root y found is computed with y in two parts, whose products are exact (Dekker 1971), so the last step
+# leaves an error of little more than half a unit in the last place, with fused multiplications and without.
+_ROOT = """
+static {inline}S root(S x)
+{{
+    union {{ S number; {bits} bits; }} guess, upper;
+    const int tiny = x < (S)0x1p-{far}, huge = x > (S)0x1p+{far};
+    const S z = x * (tiny ? (S)0x1p+{scale} : huge ? (S)0x1p-{scale} : 1);
+    const S back = tiny ? (S)0x1p-{half} : huge ? (S)0x1p+{half} : 1;
+    const S zero = 0, none = zero / zero;
+    S r, y, lower;
+    guess.number = z;
+    guess.bits = {guess} - (guess.bits >> 1);
+    r = guess.number;
+{steps}    y = z * r;
+    upper.number = y;
+    upper.bits &= {mask};
+    lower = y - upper.number;
+    y = y + (S)0.5 * r * (((z - upper.number * upper.number) - 2 * upper.number * lower) - lower * lower);
+    return x > 0 && x <= {largest} ? y * back : x < 0 ? none : x;
+}}
+"""
+# by precision: integer, guess, upper half of the digits, scaling of numbers that are far from one, Newton's steps
+_ROOT_CONSTANTS = {
+    False: ("uint64_t", "UINT64_C(0x5fe6eb50c7b537a9)", "~UINT64_C(0x7ffffff)", "700", "400", "200", "DBL_MAX", 4),
+    True: ("uint32_t", "UINT32_C(0x5f375a86)", "~UINT32_C(0xfff)", "90", "60", "30", "FLT_MAX", 3),
+}
 
 
 class Array(NamedTuple):
@@ -143,7 +172,23 @@ def preamble(program: Program, single: bool, library: Library, batch: bool = Fal
     # gcc makes vectors of a loop only if nothing in it is called
     function = _SINE_AND_COSINE.replace("static", "static inline") if batch else _SINE_AND_COSINE
     functions = f"{constants.strip()}\n{function}" if sines else ""
-    return f"{included}{kind}{functions}{roots.text(single, batch) if root else ''}"
+    return f"{included}{kind}{functions}{_root_text(single, batch) if root else ''}"
+
+
+def _root_text(single: bool, inline: bool) -> str:
+    """Function `root` of the type S; `inline`: for loops."""
+    bits, guess, mask, far, scale, half, largest, steps = _ROOT_CONSTANTS[single]
+    return _ROOT.format(
+        inline="inline " if inline else "",
+        bits=bits,
+        guess=guess,
+        mask=mask,
+        far=far,
+        scale=scale,
+        half=half,
+        largest=largest,
+        steps="    r = r * ((S)1.5 - ((S)0.5 * z * r) * r);\n" * steps,
+    )
 
 
 # which values of a program stand where: array, component, and whether it is the same for all samples
@@ -249,7 +294,7 @@ def function(program: Program, name: str, single: bool, library: Library = "math
     if wrong:
         lines.append(f"const {printer.scalar} wrong = {wrong};")
     growth = f"{given[-1].name}[0]" if program.growth is not None else ""
-    lines.append(f"return {status(program, single, growth, 'angles' if sines else '', 'wrong' if wrong else '')};")
+    lines.append(f"return {status(single, growth, 'angles' if sines else '', 'wrong' if wrong else '')};")
     return f"{declaration(program, name, single)}\n{{\n{indented(lines)}}}\n"
 
 
@@ -259,15 +304,11 @@ def computed_results(program: Program) -> list[int]:
     return [k for k in dict.fromkeys(found) if program.ops[k].code != "const"]
 
 
-def status(program: Program, single: bool, growth: str, angles: str, wrong: str = "") -> str:
+def status(single: bool, growth: str, angles: str, wrong: str = "") -> str:
     """Expression for what a function returns: 1 where a result is not to be used, or 0.
 
-    Args:
-        program: the program.
-        single: whether it is in single precision.
-        growth: name of the error growth; "": there is none.
-        angles: name of the sum of `angles`, NaN if one is out of reach; "": there is none.
-        wrong: name of a number that is 0 if all results are finite, and NaN otherwise; "": none.
+    Names, or "" where there is none: of the error growth, of the sum of `angles`, which is NaN if one is out of reach,
+    and of a number that is NaN if a result is wrong.
     """
     limit = literal(LARGEST_GROWTH.single if single else LARGEST_GROWTH.double, single)
     good = [*([f"{growth} <= {limit}"] if growth else []), *([f"{x} == {x}" for x in (angles, wrong) if x])]

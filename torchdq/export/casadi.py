@@ -25,8 +25,7 @@ from typing import NamedTuple
 from torchdq.errors import ArgumentError
 from torchdq.export import batch, c99, names, parts
 from torchdq.export.c99 import Library
-from torchdq.export.files import Exported
-from torchdq.export.folder import write
+from torchdq.export.files import Exported, write
 from torchdq.export.meaning import described
 from torchdq.program.autodiff import jacobian, vjp, vjp_jacobian
 from torchdq.program.autograd import per_sample

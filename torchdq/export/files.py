@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from torchdq.base.files import write_atomically
+from torchdq.errors import ArgumentError
 from torchdq.export import batch, c99, golden
 from torchdq.export.c99 import Library
-from torchdq.export.folder import write
 from torchdq.export.meaning import described
 from torchdq.program.program import Program, outputs
 
@@ -34,6 +35,27 @@ class Exported(NamedTuple):
     spans: Path | None = None
     test: Path | None = None
     cmake: Path | None = None
+
+
+def write(folder: Path, texts: Mapping[str, str]) -> list[Path]:
+    """Paths of files with texts in ASCII, by name, in a folder, which is made if it is not there.
+
+    Neither a full disk nor a killed process leaves a part of a file, and a build that runs meanwhile reads old files or
+    new ones.
+
+    Raises:
+        ArgumentError: the folder is a file, or nothing can be written there.
+    """
+    files: dict[Path, str | bytes] = {folder / name: text.encode("ascii") for name, text in texts.items()}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(files)
+    except OSError as error:
+        cause = error.strerror or error
+        raise ArgumentError(
+            f"folder must be one that files can be written to, found {str(folder)!r}: {cause}"
+        ) from error
+    return list(files)
 
 
 class Export(NamedTuple):

@@ -43,10 +43,7 @@ def variables(program: Program) -> frozenset[str]:
 def test(program: Program, name: str, single: bool, batches: bool, examples: Mapping[str, Tensor]) -> str:
     """Program in C99 that returns 1 if the functions do not agree with the results of this machine.
 
-    Args:
-        program: the program, exported under a name, in single or double precision.
-        batches: whether it is exported for batches, too.
-        examples: values of some of the arguments; the others are random.
+    `examples` are values of some of the arguments; the others are random.
     """
     taken, given = batch.rows(program)
     scalar, f = ("float", "f") if single else ("double", "")

@@ -50,13 +50,7 @@ _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
 
 def identifier(name: str, what: str, variables: Collection[str] = ()) -> str:
-    """Name of a function that C and C++ accept; raises if it is none.
-
-    Args:
-        name: the name.
-        what: name of the argument in errors.
-        variables: names that the exported files use already.
-    """
+    """Name of a function that C and C++ accept, apart from variables of the files; raises with `what` if it is none."""
     if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or name in KEYWORDS:
         raise ArgumentError(f"{what} must be a name that C accepts, such as arm_torques, found {name!r}")
     if name in _LIBRARY_NAMES:

@@ -95,5 +95,5 @@ def function(program: Program, name: str, library: Library) -> str:
     lines += [f"{called}({', '.join(array.name for array in arrays)});" for called, arrays in whole.calls]
     growth = f"{given[-1].name}[0]" if program.growth is not None else ""
     sines = "angles[0]" if c99.angles(program, library) else ""
-    lines.append(f"return {c99.status(program, False, growth, sines)};")
+    lines.append(f"return {c99.status(False, growth, sines)};")
     return f"{whole.text}\nstatic {c99.declaration(program, name, False)}\n{{\n{c99.indented(lines)}}}\n"

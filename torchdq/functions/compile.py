@@ -51,16 +51,13 @@ class _RecordedFields(NamedTuple):
 class RecordedComputation(_RecordedFields, Computation):
     """Program that is recorded already, as a computation of `torchdq.backends.call`."""
 
-    def _argument(self, name: str) -> Argument:
-        return next(a for a in self.recorded.arguments if a.name == name)
-
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an argument."""
-        return (self._argument(name).width,)
+        return next((a.width,) for a in self.recorded.arguments if a.name == name)
 
     def shared(self, name: str) -> bool:
         """Whether an argument is one row for all samples."""
-        return self._argument(name).uniform
+        return next(a.uniform for a in self.recorded.arguments if a.name == name)
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Recorded program."""

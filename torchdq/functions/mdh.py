@@ -19,7 +19,6 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.elementary import Angle
 from torchdq.dynamics.aligned.placement import Alignment, Placement
 from torchdq.dynamics.general import kinematics
-from torchdq.dynamics.joints import Along
 from torchdq.dynamics.tree import Tree
 
 NEAR = 32 * np.finfo(float).eps  # direction cosines this close to 0 or 1 are set to 0 or 1
@@ -55,13 +54,10 @@ def cos_sin(angle: float) -> Angle:
 
 
 def align(tree: Tree) -> tuple[Alignment, ...]:
-    """Constants of the moving links of a constant tree in aligned frames.
+    """Constants of the moving links, in aligned frames, of a tree in link frames with floats as numbers.
 
     Every frame is found in the axes of its link, from the parent and the main child alone: positions in the base frame
     of a robot far from it have fewer digits than those of its links relative to each other.
-
-    Args:
-        tree: in the link frames of the description, with floats as numbers.
     """
     X_WB = kinematics.link_poses(tree, [link.placement for link in tree.links])
     X_PB = [HomeFrame(np.eye(3), np.zeros(3)), *(_frame_of(link.placement) for link in tree.links[1:])]
@@ -73,7 +69,10 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
         at, above = X_PB[i], X_BL[link.parent]
         from_above = at.p - above.p  # from the origin of the parent's aligned frame to that of the link frame
         far = max(size, float(np.linalg.norm(from_above)))
-        beyond = _in_parent(X_PB[main[i]], lines[main[i]]) if i in main else None
+        beyond = None
+        if i in main:  # the axis of the main child, in this link
+            child, line = X_PB[main[i]], lines[main[i]]
+            beyond = Axis(child.p + child.R @ line.point, child.R @ line.direction)
         x_above = Axis(-at.R.T @ from_above, at.R.T @ above.R[:, 0])
         x, origin = _frame(lines[i], beyond, x_above, _frame_of(X_WB[i]).R, size)
         z = lines[i].direction
@@ -91,7 +90,7 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
                 cos_sin(theta),
                 tuple(tuple(map(float, row)) for row in R_BL),
                 tuple(map(float, p_BL)),
-                _in_base(link.joint, X_WB[i]),
+                type(link.joint)(screw.ad(screw.columns(X_WB[i]), link.joint.screw)),  # in the base frame
                 _pose(R_BL.T, -R_BL.T @ p_BL),
                 X_WB[i],
             )
@@ -102,11 +101,6 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
 def _frame_of(x: DualQuaternion) -> HomeFrame:
     r = tuple(_unit(np.array(x[0])).tolist())
     return HomeFrame(np.array(quat.rotation_columns(r)).T, np.array(dq.translation(x)))
-
-
-def _in_parent(at: HomeFrame, line: Axis) -> Axis:
-    """Axis in a frame A, given in a frame B whose pose in A is `at`."""
-    return Axis(at.p + at.R @ line.point, at.R @ line.direction)
 
 
 def _size(tree: Tree, X_PB: list[HomeFrame]) -> float:
@@ -121,11 +115,6 @@ def _size(tree: Tree, X_PB: list[HomeFrame]) -> float:
             own[i] = HomeFrame(above.R @ X_PB[i].R, above.p + above.R @ X_PB[i].p)
     size = max(float(np.linalg.norm(frame.p)) for frame in own)
     return size if size > SMALLEST else 1.0
-
-
-def _in_base(joint: Along, X_WB: DualQuaternion) -> Along:
-    """Joint of the same type whose screw is given in the base frame."""
-    return type(joint)(screw.ad(screw.columns(X_WB), joint.screw))
 
 
 def _pose(R: np.ndarray, p: np.ndarray) -> DualQuaternion:
@@ -184,12 +173,7 @@ def _frame(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Direction of the x axis and origin of a link's aligned frame, in its link frame.
 
-    Args:
-        line: axis of its joint.
-        beyond: axis of its main child's joint; None: it has no child.
-        x_above: x axis of its parent's aligned frame.
-        base: axes of the base in the link frame, as rows.
-        size: size of the robot.
+    From the axis of its joint, that of its main child's joint, the x axis above, and the axes of the base, as rows.
     """
     z, x_P = line.direction, x_above.direction
     # without a common normal to the child's axis: the parent's x axis if it is perpendicular, and no shift along z

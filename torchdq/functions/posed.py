@@ -75,11 +75,9 @@ def coordinates(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: D
 def aligned(
     robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool, X_WB: DualQuaternion | None = None
 ) -> Aligned:
-    """Robot at q in aligned frames; its geometry must be constant.
+    """Robot at q in aligned frames, with a free base at X_WB if that is given; its geometry must be constant.
 
-    Args:
-        group: whether inertial parameters are regrouped; it saves operations if they do not depend on the sample.
-        X_WB: pose of a free base; None: the base is fixed.
+    To `group` inertial parameters saves operations if they do not depend on the sample.
     """
     described = tree(robot, {"gravity": None, "armature": None})
     alignments, coms = mdh.align(described), field(robot, "com", overrides)
@@ -94,14 +92,10 @@ def aligned(
         ],
         None if robot.joint_map else field(robot, "armature", overrides),
         field(robot, "gravity", overrides),
-        *(() if X_WB is None else (Free(), _base_body(robot, overrides))),
+        *(() if X_WB is None else (Free(), Moments.from_com(*(field(robot, name, overrides) for name in BASE_BODY)))),
     )
     x = displacements(robot, q, overrides)
     return Aligned.at(regrouped(found) if group else found, alignments, coms, x, X_WB)
-
-
-def _base_body(robot: Robot, overrides: Overrides) -> Moments:
-    return Moments.from_com(*(field(robot, name, overrides) for name in BASE_BODY))
 
 
 def general(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: DualQuaternion | None = None) -> General:
@@ -119,9 +113,7 @@ def posed(
 ) -> Posed:
     """Robot at q, in aligned frames if its geometry is constant, otherwise in the general form.
 
-    Args:
-        per_sample: names of the tensors of the robot that depend on the sample.
-        X_WB: pose of a free base; None: the base is fixed.
+    `per_sample` are names of its tensors that depend on the sample, X_WB is the pose of a free base.
     """
     at: Posed
     if any(name in overrides for name in GEOMETRY):

@@ -14,7 +14,6 @@ from torchdq.errors import NumberError
 from torchdq.numbers.functions import maximum
 from torchdq.numbers.ops import OPS, apply
 from torchdq.numbers.record import FUNCTIONS, Op, Recorded, Tape
-from torchdq.program.half_angles import halves
 
 Value = Any  # a recorded number or a constant
 
@@ -156,8 +155,21 @@ def recording(name: str) -> Iterator[Tape]:
 
 
 def with_half_angles(program: Program) -> Program:
-    """Program in which an angle and its half have one sine and one cosine; the program itself if none do."""
-    half_of = halves(program.ops)
+    """Program in which an angle and its half have one sine and one cosine; the program itself if none do.
+
+    Poses as dual quaternions take those of half of a joint's angle, everything else those of the angle, which follow:
+
+        sin x = 2 sin(x/2) cos(x/2),   cos x = 1 - 2 sin(x/2)^2
+    """
+    ops = program.ops
+    angles = {op.operands[0] for op in ops if op.code in ("sin", "cos")}
+    half_of = {
+        whole: i
+        for i in angles
+        if ops[i].code == "mul"
+        for whole, factor in (ops[i].operands, ops[i].operands[::-1])
+        if whole in angles and ops[factor].code == "const" and ops[factor].payload == 0.5
+    }
     if not half_of:
         return program
 
