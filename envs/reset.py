@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import choose
-from torchdq.backends.run import run
+from torchdq.backends.precision import run
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams, seeded

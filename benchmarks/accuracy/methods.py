@@ -17,7 +17,7 @@ from torch import Tensor
 from accuracy.scenes import PERIODS, Case
 from torchdq.algebra.quaternion import Number
 from torchdq.backends.c import COMPILED
-from torchdq.backends.run import run
+from torchdq.backends.precision import run
 from torchdq.backends.torch import EAGER
 from torchdq.dynamics.posed import Row
 from torchdq.functions.recipe import alternatives_to_record

@@ -28,7 +28,7 @@ from torch.utils.flop_counter import FlopCounterMode
 import torchdq
 from torchdq.backends import c_library as build
 from torchdq.backends import call
-from torchdq.backends import run as running
+from torchdq.backends import precision as running
 from torchdq.backends import threads as pool
 from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.errors import ArgumentError, UnknownNameError

@@ -13,7 +13,7 @@ import torchdq
 from torchdq.backends import cuda_source
 from torchdq.backends.c import COMPILED
 from torchdq.backends.compiler import compiler
-from torchdq.backends.run import run
+from torchdq.backends.precision import run
 from torchdq.backends.torch import EAGER
 from torchdq.envs import ArmVectorEnv, Scene, effects
 from torchdq.numbers.ops import OPS

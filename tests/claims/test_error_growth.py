@@ -11,7 +11,7 @@ from messages import refused
 import torchdq
 from torchdq.backends import c_library as build
 from torchdq.backends.choice import choose
-from torchdq.backends.run import run
+from torchdq.backends.precision import run
 from torchdq.envs import Scene, effects
 from torchdq.functions.posed import posed
 from torchdq.program.program import GROWTH, LARGEST_GROWTH, Argument, record

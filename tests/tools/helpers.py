@@ -9,7 +9,7 @@ import torch
 import torchdq
 from torchdq.backends import threads as pool
 from torchdq.backends.c import COMPILED
-from torchdq.backends.run import run
+from torchdq.backends.precision import run
 from torchdq.backends.torch import EAGER
 from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta4, SemiImplicitEuler, StoermerVerlet
 

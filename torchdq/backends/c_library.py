@@ -6,7 +6,6 @@ A library is kept after it was loaded once. One in memory is unloaded with the l
 
 import _ctypes
 import ctypes
-import hashlib
 import os
 import platform
 import shlex
@@ -45,7 +44,7 @@ def entry_key(source: str) -> str:
     """Name of the library of a source: hash of everything that it depends on."""
     found = compiler()
     version = "" if found is None else "\n".join([*found.command, found.version])
-    return hashlib.sha256("\0".join([source, version, *flags(), _processor()]).encode()).hexdigest()
+    return cache.key_of(source, version, *flags(), _processor())
 
 
 def _opened(path: Path, pointers: int = 0) -> Callable[..., None]:

@@ -29,6 +29,11 @@ HASH = 32  # length of the hash at the end of a file [bytes]
 _one_at_a_time = threading.Lock()
 
 
+def key_of(*parts: str) -> str:
+    """Hash of everything that a compiled program depends on, which names its file."""
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
 def directory() -> Path:
     """Directory of the compiled programs, private to the user: `$TORCHDQ_CACHE`, or torchdq in the user's cache.
 

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchdq.backends.backend import Backend, dense, share_memory
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
-from torchdq.backends.run import Form, Guarded, contiguous, run, unguarded
+from torchdq.backends.precision import Form, Guarded, contiguous, run, unguarded
 from torchdq.backends.torch import EAGER
 from torchdq.base.caches import LAYOUTS, Bounded
 from torchdq.base.checks import DTYPES, is_dense, require_tensor

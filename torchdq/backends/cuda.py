@@ -12,7 +12,7 @@ from torchdq.backends import cuda_driver, nvrtc
 from torchdq.backends.backend import Backend, DirectKernel
 from torchdq.backends.compiler import BuildError
 from torchdq.backends.cuda_kernel import CudaKernel, Launcher
-from torchdq.backends.run import guarded
+from torchdq.backends.precision import guarded
 from torchdq.backends.torch import EAGER, InterpretedKernel
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.progress import warn_once

@@ -7,7 +7,6 @@ packages put where the dynamic loader does not look, so the second one is loaded
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import os
 import re
 import sys
@@ -236,8 +235,7 @@ class Nvrtc:
 
     def key(self, source: str, architecture: int) -> str:
         """Hash of everything that the code of a source depends on."""
-        parts = (source, f"NVRTC {_dotted(self.version)}", self.target(architecture), *FLAGS, CALMER)
-        return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+        return cache.key_of(source, f"NVRTC {_dotted(self.version)}", self.target(architecture), *FLAGS, CALMER)
 
     def _compile(self, source: str, name: str, target: str, options: Sequence[str]) -> Compiled:
         """Kernels of a source, compiled once."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number
-from torchdq.dynamics.conditioning import inverse
+from torchdq.dynamics.error_growth import inverse
 
 
 class TreeFactors(NamedTuple):

@@ -17,7 +17,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import conditioning, ltdl
+from torchdq.dynamics import error_growth, ltdl
 
 Row = Sequence[Number]
 Exerted = Sequence[Screw | None]  # wrench (force, moment) that each link exerts on the environment; None: none
@@ -33,7 +33,7 @@ class Factors(NamedTuple):
     @property
     def growth(self) -> Number:
         """Factor by which a solution magnifies rounding errors."""
-        return conditioning.growth(self.diagonal, self.inverses)
+        return error_growth.growth(self.diagonal, self.inverses)
 
 
 def factors_by_entries(before: Sequence[int], M: Matrix) -> Factors:

@@ -9,7 +9,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Moments
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import conditioning
+from torchdq.dynamics import error_growth
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.aligned.regroup import regrouped
 from torchdq.dynamics.coupling import Coupled, Coupling
@@ -130,7 +130,7 @@ def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
     """Factors of the mass matrix; raises `SingularInertiaError` if a joint moves no inertia."""
     try:
         return at.factors(linear)
-    except conditioning.NoInertiaError as error:
+    except error_growth.NoInertiaError as error:
         joint = error.joint - (BASE if robot.floating else 0)
         what = "the free base" if joint < 0 else f"joint {robot.joint_names[joint]!r}"
         raise SingularInertiaError(

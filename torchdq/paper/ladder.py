@@ -17,7 +17,7 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add
 from torchdq.backends.choice import choose
-from torchdq.backends.run import run
+from torchdq.backends.precision import run
 from torchdq.base.timing import medians
 from torchdq.dynamics.aligned import rnea
 from torchdq.dynamics.aligned.placement import Steps

@@ -22,7 +22,7 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add
 from torchdq.dynamics.aligned.placement import Step, Steps
-from torchdq.dynamics.conditioning import inverse
+from torchdq.dynamics.error_growth import inverse
 from torchdq.dynamics.tree import WORLD, Tree, freedoms
 
 Matrix3 = tuple[Pure, ...]  # three rows

@@ -2,7 +2,7 @@
 
 The candidates are the description; the description with friction, rotor inertia and offsets; and all inertial
 parameters with a prior at the description, whose strength is chosen, too; the last two also with friction of other
-shapes and offsets of the joints that gain from them (`friction_shapes`). The simplest candidate within one standard
+shapes and offsets of the joints that gain from them (`friction_selection`). The simplest candidate within one standard
 error of the best is chosen, the error being that of the paired differences over the blocks: what little data cannot
 decide stays as described.
 """
@@ -17,7 +17,7 @@ from torch import Tensor
 from torchdq.base.tables import table
 from torchdq.learning.evaluation.blocks import Block, MotionRows
 from torchdq.learning.identification.evidence import Evidence, Unseen, gather
-from torchdq.learning.identification.friction_shapes import Gain, gainful
+from torchdq.learning.identification.friction_selection import Gain, gainful
 from torchdq.learning.identification.solution import Solution, changes, solve
 from torchdq.learning.identification.terms import OFFSET, Term
 from torchdq.robot import Robot

@@ -1,4 +1,4 @@
-"""Execution of a program with a backend, with a fallback to float64 for rows whose rounding errors are too large.
+"""Precision of a result: a program is run with a backend, and in float64 for rows whose rounding errors are too large.
 
 The last output of a program is the factor by which it magnifies rounding errors. Rows over the float32 limit are
 recomputed in float64 and rounded; rows over the float64 limit become NaN. Other rows do not change. The host
