@@ -1,6 +1,6 @@
 """Backends: execution of programs on tensors.
 
-run        the function by which callers run a program, and recomputation in float64 of rows whose rounding errors are
+precision  the function by which callers run a program, and recomputation in float64 of rows whose rounding errors are
            too large
 choice     list of backends, and choice of one by name and device
 backend    interface of a backend
