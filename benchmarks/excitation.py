@@ -24,7 +24,7 @@ import torch
 
 import torchdq
 from torchdq.learning import Excitation, HalfSpace, LogError, MotionLimits, excitation_trajectory, read_log, smooth
-from torchdq.learning.identification.base import BaseParameters
+from torchdq.learning.excitation.information import BaseParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from recordings import LAYOUTS

@@ -23,9 +23,9 @@ from torchdq.dynamics.posed import Row
 from torchdq.functions.recipe import alternatives_to_record
 from torchdq.program.program import Argument, Program, record
 from torchdq.scene import integrators
+from torchdq.scene.equations_of_motion import with_growths
 from torchdq.scene.integrators import Integrator, System
 from torchdq.scene.spec import recorded as recorded_scene
-from torchdq.scene.system import with_growths
 
 Runner = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
 compiled, eager = partial(run, backend=COMPILED), partial(run, backend=EAGER)

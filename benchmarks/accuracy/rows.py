@@ -12,7 +12,7 @@ from accuracy.scenes import Case
 from torchdq.program.program import Argument, record, replay, results
 from torchdq.robot.fields import LINK_BODY
 from torchdq.scene import spec
-from torchdq.scene.system import with_growths
+from torchdq.scene.equations_of_motion import with_growths
 
 LONG = np.longdouble  # 64 bits of mantissa on x86, 53 on machines that have no more: agreements tell
 

@@ -28,11 +28,11 @@ from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import arguments, constants, recorded
 from torchdq.scene.controllers import Controller
 from torchdq.scene.effect_checks import require_supported_base, resolved_effects
+from torchdq.scene.equations_of_motion import TensorSystem
 from torchdq.scene.integrators import Integrator, LinearlyImplicit, Unrecorded
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import CONTROLLER, ROBOT, SceneSpec, Task
 from torchdq.scene.state import State, initial_motion, outside_limits, require_state
-from torchdq.scene.system import TensorSystem
 
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
 

@@ -25,10 +25,10 @@ from torchdq.program.autodiff import jacobian
 from torchdq.program.program import Argument, Program, Result, record
 from torchdq.robot.fields import trailing
 from torchdq.scene.effect_checks import row_and_memory
+from torchdq.scene.equations_of_motion import SceneSystem, motion, with_growths
 from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.integrators import Integrator
 from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
-from torchdq.scene.system import SceneSystem, motion, with_growths
 
 MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
 

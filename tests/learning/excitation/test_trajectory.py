@@ -34,7 +34,7 @@ from torchdq.learning import (
 )
 from torchdq.learning.excitation import search
 from torchdq.learning.excitation.fourier import Family, grid
-from torchdq.learning.identification.base import BaseParameters
+from torchdq.learning.excitation.information import BaseParameters
 
 LIMITS = MotionLimits(lower=-1.0, upper=[1.5, 0.5], velocity=[2.0, 3.0], effort=60.0)
 ROUNDING = 1 + 1e-12

@@ -29,8 +29,8 @@ from torchdq.functional import inverse_dynamics, regressor, require_finite
 from torchdq.learning.bodies.nearest import curvature, nearest
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.diagnostics import diagnose
+from torchdq.learning.identification.base_parameters import base_names, base_of, inverse_of
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
-from torchdq.learning.identification.regression import base_names, base_of, inverse_of
 from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread

@@ -14,8 +14,8 @@ from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics
 from torchdq.learning.excitation.fourier import Family, Series, grid
+from torchdq.learning.excitation.information import BaseParameters
 from torchdq.learning.excitation.limits import MotionLimits
-from torchdq.learning.identification.base import BaseParameters
 from torchdq.robot import Robot
 
 STAGES = ((1, 10), (4, 30), (16, 60), (64, 240))  # part of the starts, one in so many, and the steps that it takes

@@ -24,9 +24,9 @@ from torchdq.base.checks import require_count, require_number, tensor_of
 from torchdq.base.tables import table
 from torchdq.errors import ArgumentError
 from torchdq.learning.excitation.fourier import Family, Series
+from torchdq.learning.excitation.information import BaseParameters
 from torchdq.learning.excitation.limits import Bounds, MotionLimits
 from torchdq.learning.excitation.search import Search, described_torques
-from torchdq.learning.identification.base import BaseParameters
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.plots import picture_of_motion
 from torchdq.learning.threads import one_thread

@@ -18,9 +18,10 @@ from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
+from torchdq.learning.identification.base_parameters import base_names
 from torchdq.learning.identification.gains import Gains
 from torchdq.learning.identification.model_selection import ModelSelection
-from torchdq.learning.identification.regression import base_names, by_chunks, parted, places, rigid
+from torchdq.learning.identification.regression import by_chunks, parted, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
 from torchdq.learning.logs.motions import Motion
 from torchdq.nn import InverseDynamics

@@ -30,6 +30,7 @@ from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, of_motions, too_few
 from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, sampled, unexplained
 from torchdq.learning.identification.augmented import AugmentedFit, offset_findings
+from torchdq.learning.identification.base_parameters import base_parameters
 from torchdq.learning.identification.evidence import Evidence, gather
 from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified
@@ -42,7 +43,7 @@ from torchdq.learning.identification.model_selection import (
     UnseenParts,
     select,
 )
-from torchdq.learning.identification.regression import base_parameters, parted
+from torchdq.learning.identification.regression import parted
 from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term

@@ -18,7 +18,7 @@ from torchdq.robot.urdf.diagnostics import diagnostics
 from torchdq.robot.urdf.document import root_of
 from torchdq.robot.urdf.elements import Elements, elements
 from torchdq.robot.urdf.mimic import locked, motions
-from torchdq.robot.urdf.tree import rooted, segments_of
+from torchdq.robot.urdf.segments import rooted, segments_of
 
 
 def read(

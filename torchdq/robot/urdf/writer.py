@@ -24,7 +24,7 @@ from torchdq.robot.model import RobotModel, factors
 from torchdq.robot.urdf.document import text_of
 from torchdq.robot.urdf.elements import ENTRIES, Inertial, elements
 from torchdq.robot.urdf.read import read
-from torchdq.robot.urdf.tree import body_of, pose
+from torchdq.robot.urdf.segments import body_of, pose
 from torchdq.robot.xml_text import add, parsed, written
 
 

@@ -1,4 +1,4 @@
-"""Base parameters of a robot: combinations that its torques depend on, and the information of a motion about them."""
+"""Information of a motion about the base parameters of a robot."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,8 +8,8 @@ from torch import Tensor
 
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.functional import regressor
+from torchdq.learning.identification.base_parameters import SEPARATE, base_names, base_of, inverse_of
 from torchdq.learning.identification.identified import INERTIAL
-from torchdq.learning.identification.regression import SEPARATE, base_names, base_of, inverse_of
 from torchdq.robot import Robot
 
 
