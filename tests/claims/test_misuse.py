@@ -153,7 +153,6 @@ MISUSE = {
     # learning
     "split a log": lambda: train_test_split(read_log(LOG), 0.5),
     "fit a robot": lambda: fit(ARM, SAMPLES, steps=1),
-    "fit a linear layer": lambda: fit(torch.nn.Linear(2, 2), SAMPLES, steps=1),
     "fit forward dynamics": lambda: fit(torchdq.ForwardDynamics(ARM, learn="mass"), SAMPLES, steps=1),
     "fit the rollout of a robot": lambda: fit_rollout(ARM, Recording(TIME, Q, {}), "mass"),
     # environments
