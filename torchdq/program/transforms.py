@@ -143,12 +143,17 @@ def in_a_batch_of_gradients(inputs: Sequence[Tensor]) -> bool:
     return any(map(_batched_by_autograd, inputs))
 
 
+def captured(x: Tensor) -> bool:
+    """Whether a CUDA graph records the operations that the tensor goes through."""
+    return x.is_cuda and torch.cuda.is_current_stream_capturing()
+
+
 def without_values(inputs: Sequence[Tensor]) -> bool:
     """Whether values of tensors cannot be read: they are traced, transformed, captured, or on the device "meta"."""
     return (
         torch.compiler.is_compiling()
         or inputs[0].device.type == "meta"
-        or (inputs[0].is_cuda and torch.cuda.is_current_stream_capturing())  # in a CUDA graph
+        or captured(inputs[0])
         or _functional()
         or jit_tracing()
         or proxy_tracing()
