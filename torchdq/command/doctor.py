@@ -37,7 +37,7 @@ OPTIONAL = {
     "scipy": ("logs", "torchdq[learn]"),
     "matplotlib": ("pictures", "torchdq[viz]"),
     "viser": ("torchdq view", "torchdq[viz]"),
-    "pinocchio": ("conversions to Pinocchio", "torchdq[pinocchio]"),
+    "pin": ("conversions to Pinocchio", "torchdq[pinocchio]"),
     "mujoco": ("MJCF files", "torchdq[mujoco]"),
     "xacrodoc": ("xacro files", "torchdq[xacro]"),
     "robot_descriptions": ("robots by name", "torchdq[names]"),
