@@ -51,7 +51,7 @@ def ran(code: str, cache: Path, **environment: str | None) -> tuple[int, str, st
 
 
 def computes(code: str, cache: Path, **environment: str | None) -> str:
-    """What a process says besides the torques that it computes, which are right."""
+    """Warnings of a process that computes torques, which are right."""
     status, out, err = ran(code, cache, **environment)
     assert status == 0, err
     robot, q = torchdq.robots.load("two_link"), torch.tensor(Q, dtype=torch.float64)
@@ -247,7 +247,7 @@ tau = torchdq.inverse_dynamics(robot, q.detach().expand(5, 2){options})[0]
 print(*tau.tolist())
 """
 NO_FOLDER = f"import tempfile; tempfile.tempdir = '/nowhere'\n{ANY}"
-# code, whether there is a compiler, whether a file is in the place of the cache, words of the only warning
+# code, whether there is a compiler, whether a file stands where the cache should be, words of the only warning
 IMPAIRED = {
     "no compiler": (THRICE, False, False, "as torch operations, which is slower: there is no C compiler"),
     "a full disk": (FULL_DISK.format(options=""), True, False, "torchdq runs programs as torch operations"),

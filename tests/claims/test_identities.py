@@ -97,7 +97,7 @@ def nothing_but_positions(robot, s):
 
 
 def absent_and_zero(robot, s):
-    """What is absent is zero."""
+    """Absent quantities are zero."""
     found = torchdq.inverse_dynamics(robot, *(0 * x if k else x for k, x in enumerate(s)))
     return found, torchdq.inverse_dynamics(robot, s.q), found.abs().amax(-1)
 
@@ -131,7 +131,7 @@ def superposed_wrenches(robot, s):
 
 
 def tip_and_link(robot, s):
-    """What the tip exerts is the negative of what its link feels."""
+    """The wrench that the tip exerts is the negative of that on its link."""
     tip = robot.frame(robot.tip)
     felt = torch.zeros_like(s.f_ext)
     felt[:, tip.link] = -dq.ad(tip.X_BF, s.f_tip)

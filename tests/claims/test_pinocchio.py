@@ -375,7 +375,7 @@ def test_a_file_without_a_robot_is_refused(name):
 
 @all_in_one(oracles.example_robots())
 def test_a_robot_is_read_by_default_unless_it_is_unphysical(name):
-    """Those whose inertias break the triangle inequality with a warning."""
+    """Files with inertias that break the triangle inequality give a warning."""
     with contextlib.ExitStack() as expected:
         if name in oracles.UNPHYSICAL:
             expected.enter_context(refused(torchdq.UnphysicalError))

@@ -259,7 +259,7 @@ def test_the_error_grows_smoothly_with_a_wrong_mass_and_falls_with_stiffer_gains
 # --- models that were trained, and friction --------------------------------------------------------------------------
 
 
-def rubbing(name="two_link"):
+def with_friction(name="two_link"):
     """Robot whose description has damping and friction."""
     robot = torchdq.robots.load(name)
     return robot.replace(damping=torch.full_like(robot.damping, 2.0), friction=torch.full_like(robot.friction, 0.7))
@@ -267,7 +267,7 @@ def rubbing(name="two_link"):
 
 def test_friction_of_the_description_is_compensated():
     """The joints of a scene with that friction follow the desired acceleration."""
-    robot, (q, qd, q_des, qd_des, qdd_des) = rubbing(), random(5, 3, 2)
+    robot, (q, qd, q_des, qd_des, qdd_des) = with_friction(), random(5, 3, 2)
     tau = torchdq.ComputedTorque(robot, 25.0, 10.0)(q, qd, q_des, qd_des, qdd_des)
     friction = 2.0 * qd + 0.7 * qd / (qd.square() + 1e-4).sqrt()
     found = torchdq.forward_dynamics(robot, q, qd, tau - friction)
@@ -277,7 +277,7 @@ def test_friction_of_the_description_is_compensated():
 
 
 def test_learned_friction_takes_the_place_of_that_of_the_description():
-    robot, state = rubbing(), random(5, 3, 2)
+    robot, state = with_friction(), random(5, 3, 2)
     controller = torchdq.ComputedTorque(robot, 25.0, 10.0, learn="friction")
     expected = torchdq.ComputedTorque(robot, 25.0, 10.0)(*state)
     assert torch.allclose(controller(*state), expected, rtol=1e-12)
@@ -287,7 +287,7 @@ def test_learned_friction_takes_the_place_of_that_of_the_description():
 @pytest.mark.parametrize("friction", [True, False])
 def test_a_model_that_learned_no_friction_is_compensated_as_its_robot(friction, learn):
     """The described friction, unless it is switched off; the learned one instead where there is one; never both."""
-    robot, state = rubbing(), random(5, 4, 2)
+    robot, state = with_friction(), random(5, 4, 2)
     model = torchdq.DQRNEA(robot, learn=learn, sign_width=0.3)
     found = torchdq.ComputedTorque(model, 25.0, 10.0, friction=friction)(*state)
     alike = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=learn, sign_width=0.3, friction=friction)
@@ -300,7 +300,7 @@ def test_a_model_that_learned_no_friction_is_compensated_as_its_robot(friction, 
 
 def test_a_residual_that_was_trained_on_torques_with_friction_gets_no_other():
     """Its network learned measured torques less those of the model, which has none of the described friction."""
-    robot, state = rubbing(), random(5, 4, 2)
+    robot, state = with_friction(), random(5, 4, 2)
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(robot))
     with torch.no_grad():  # a network that found the friction
         model.correction = lambda features: 2.0 * features[..., 0] + 0.7 * features[..., 1]
@@ -322,7 +322,7 @@ def test_a_layer_that_computes_something_else_is_asked_itself():
 def test_a_trained_model_is_taken_at_the_commanded_acceleration(kind):
     q, qd, q_des, qd_des, qdd_des = random(5, 3, 2)
     wrench = random(3, 6)
-    model = torchdq.DQRNEA(rubbing(), learn=("mass", "friction"))
+    model = torchdq.DQRNEA(with_friction(), learn=("mass", "friction"))
     model.mass = 1.3 * model.mass.detach()
     if kind == "residual":
         model = torchdq.ResidualDynamics(model)

@@ -283,7 +283,7 @@ VISCOUS, COULOMB, WIDTH = double(3, 0.5, 2, 1, 0.2, 4), double(1, 2, 0.3, 4, 5, 
 OFFSET = double(1, -2, 3, -4, 5, -6)  # of any sign
 
 
-def rubbing(kind, learn=("friction", "offset"), **options):
+def with_friction(kind, learn=("friction", "offset"), **options):
     """A module with friction and offset that are not its starting ones."""
     module = getattr(torchdq, kind)(TREE, learn=learn, sign_width=WIDTH, **options)
     module.viscous, module.coulomb, module.offset = VISCOUS, COULOMB, OFFSET
@@ -293,7 +293,7 @@ def rubbing(kind, learn=("friction", "offset"), **options):
 def test_friction_and_offset_are_their_formulas():
     q, qd, qdd = random(3, 30, 6, seed=10)
     qd[0] = 0.0
-    module, expected = rubbing("DQRNEA"), VISCOUS * qd + COULOMB * qd / torch.sqrt(qd**2 + WIDTH**2)
+    module, expected = with_friction("DQRNEA"), VISCOUS * qd + COULOMB * qd / torch.sqrt(qd**2 + WIDTH**2)
     assert torch.allclose(module.friction_torque(qd), expected, rtol=1e-13, atol=1e-15)
     rigid = torchdq.inverse_dynamics(TREE, q, qd, qdd)
     assert torch.allclose(module(q, qd, qdd), rigid + expected + OFFSET, rtol=1e-13, atol=1e-12)
@@ -304,10 +304,10 @@ def test_friction_and_offset_are_their_formulas():
 @pytest.mark.parametrize("learn", [("friction", "offset"), ("friction", "offset", "armature", "mass")], ids=str)
 def test_forward_dynamics_is_the_way_back_and_the_controller_compensates_at_the_measured_velocity(learn):
     q, qd, qdd, q_des, qd_des = random(5, 20, 6, seed=13)
-    back = rubbing("ForwardDynamics", learn)
-    found = back(q, qd, rubbing("DQRNEA", learn)(q, qd, qdd))
+    back = with_friction("ForwardDynamics", learn)
+    found = back(q, qd, with_friction("DQRNEA", learn)(q, qd, qdd))
     assert torch.allclose(found, qdd, rtol=1e-9, atol=1e-9)
-    found = back(q, qd, rubbing("ComputedTorque", learn, kp=9.0, kd=6.0)(q, qd, q_des, qd_des, qdd))
+    found = back(q, qd, with_friction("ComputedTorque", learn, kp=9.0, kd=6.0)(q, qd, q_des, qd_des, qdd))
     assert torch.allclose(found, qdd + 6.0 * (qd_des - qd) + 9.0 * (q_des - q), rtol=1e-8, atol=1e-8)
 
 

@@ -27,7 +27,7 @@ def moving(rows, seed=0, n=6):
     return random(3, rows, n, seed=seed)
 
 
-def rubbing(robot, q, qd, qdd, seed=None):
+def with_friction(robot, q, qd, qdd, seed=None):
     """Torques with friction, and with noise of 0.2 N m if there is a seed."""
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
     return tau if seed is None else tau + 0.2 * random(*tau.shape, seed=seed)
@@ -51,7 +51,7 @@ def arm():
 def empty(arm):
     """Identified arm without payload, from noisy torques with friction."""
     q, qd, qdd = moving(2000)
-    return fitted(arm, q, qd, qdd, rubbing(arm, q, qd, qdd, seed=1))
+    return fitted(arm, q, qd, qdd, with_friction(arm, q, qd, qdd, seed=1))
 
 
 def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
@@ -83,7 +83,7 @@ def test_errors_are_those_that_noise_makes(arm, empty):
     squares = []
     for k in range(40):
         q, qd, qdd = moving(150, seed=10 + k)
-        found = identify_payload(empty, q, qd, qdd, rubbing(heavy, q, qd, qdd, seed=k), prior=1e-3)
+        found = identify_payload(empty, q, qd, qdd, with_friction(heavy, q, qd, qdd, seed=k), prior=1e-3)
         errors = torch.cat([found.mass_error[None], found.com_error, found.inertia_error])
         squares.append(((values(found) - TRUTH) / errors) ** 2)
     # the error of the empty arm is the same in all draws; correlation times of noise come out a little above one
@@ -93,7 +93,7 @@ def test_errors_are_those_that_noise_makes(arm, empty):
 
 def test_friction_and_offset_may_have_changed(arm, empty):
     q, qd, qdd = moving(600, seed=4)
-    tau = rubbing(arm.with_payload(MASS, COM, INERTIA), q, qd, qdd) + qd + 2 * qd / (qd**2 + 1e-4).sqrt() + 1.5
+    tau = with_friction(arm.with_payload(MASS, COM, INERTIA), q, qd, qdd) + qd + 2 * qd / (qd**2 + 1e-4).sqrt() + 1.5
     found = identify_payload(empty, q, qd, qdd, tau, friction=True, offset=True)
     with warned(LogWarning):
         without = identify_payload(empty, q, qd, qdd, tau)
@@ -157,7 +157,7 @@ def test_misuse_is_refused(empty, misuse):
 def held(arm, rows=400, seed=7):
     """Motion with a payload, with torques as those of the empty arm."""
     moved = moving(rows, seed=seed)
-    return *moved, rubbing(arm.with_payload(MASS, COM), *moved, seed=seed)
+    return *moved, with_friction(arm.with_payload(MASS, COM), *moved, seed=seed)
 
 
 @pytest.mark.parametrize(
