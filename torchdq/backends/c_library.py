@@ -56,7 +56,7 @@ def _opened(path: Path, pointers: int = 0) -> Callable[..., None]:
         library = _ctypes.dlopen(str(path), ctypes.DEFAULT_MODE)
         address = _ctypes.dlsym(library, "run")
     except OSError as error:
-        raise BuildError(f"{path} is no library with a function 'run': {error}") from error
+        raise BuildError(f"{path} is not a library with a function 'run': {error}") from error
     function = ctypes.CFUNCTYPE(None, ctypes.c_long, *(ctypes.c_void_p,) * pointers)(address)
     weakref.finalize(function, _ctypes.dlclose, library).atexit = False
     return function

@@ -159,7 +159,7 @@ def batch_of(what: Computation, tensors: Tensors) -> Shape:
 def common_batch(given: Sequence[tuple[str, Tensor, Shape, bool]], subject: str) -> Shape:
     """Broadcast batch axes of tensors, each with its name, its trailing axes, and whether it is a parameter.
 
-    Raises, naming the argument, unless the inputs, all that are no parameters, have their trailing axes, one dtype and
+    Raises, naming the argument, unless the inputs, all that are not parameters, have their trailing axes, one dtype and
     one device, and the batch axes of all tensors broadcast. `subject` stands after a shape in error messages.
     """
     batches: dict[str, Shape] = {}

@@ -35,7 +35,7 @@ class OneSample(NamedTuple):
     limit: float  # largest accepted error growth
 
     def __call__(self, inputs: Sequence[Any], out: Sequence[Any] | None) -> Sequence[Tensor] | None:
-        """Results, in the tensors `out` if they are given; None: this call is no such case, and nothing was done.
+        """Results, in the tensors `out` if they are given; None: this call is not such a case, and nothing was done.
 
         Where errors grow too much, `out` has been written to, but nothing else.
         """

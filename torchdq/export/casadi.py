@@ -66,7 +66,7 @@ class Interface(NamedTuple):
 
     name: str
     program: Program  # its results hold the stored numbers
-    inputs: tuple[Stored, ...]  # those without stored places are no arguments of the program
+    inputs: tuple[Stored, ...]  # those without stored places are not arguments of the program
     outputs: tuple[Stored, ...]
     diagonal: bool = False  # whether the results of several knots are blocks on a diagonal
 

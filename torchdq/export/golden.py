@@ -14,7 +14,7 @@ from torchdq.program.autograd import per_sample
 from torchdq.program.program import Program
 
 CASES = 8  # golden vectors
-SAMPLES = 37  # in a batch; they are no whole number of blocks
+SAMPLES = 37  # in a batch; not a whole number of blocks
 CPU = torch.device("cpu")
 # names of arguments that cannot be negative
 POSITIVE = ("mass", "base_mass", "armature", "viscous", "coulomb", "kp", "kd")

@@ -106,7 +106,7 @@ def _frame_of(x: DualQuaternion) -> HomeFrame:
 def _size(tree: Tree, X_PB: list[HomeFrame]) -> float:
     """Largest distance of a link frame from that of the first link of its branch; a metre if there is none.
 
-    The distance of the first links from the base is no part of the robot's size.
+    The distance of the first links from the base is not part of the robot's size.
     """
     own = [HomeFrame(np.eye(3), np.zeros(3))] * len(X_PB)
     for i, link in enumerate(tree.links[1:], 1):

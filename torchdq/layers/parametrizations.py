@@ -45,7 +45,7 @@ class _Quantity(nn.Module):
 class Positive(_Quantity):
     """Positive numbers as exponentials of unconstrained ones, between exp(-30) and exp(30).
 
-    Zero is no exponential, and becomes 1e-6 (in SI units). Errors call the numbers by `name`.
+    Zero is not an exponential, and becomes 1e-6 (in SI units). Errors call the numbers by `name`.
 
     >>> form = Positive()
     >>> form(torch.tensor([-1e9, 0.0])), form(form.right_inverse(torch.tensor([0.0, 2.5])))

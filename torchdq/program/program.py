@@ -132,7 +132,7 @@ def record(
 ) -> Program:
     """Program of an algorithm that takes a tuple of numbers per argument and returns named tuples of numbers.
 
-    Numbers named `GROWTH` are no result, but factors by which rounding errors are magnified on the way to the results.
+    Numbers named `GROWTH` are not results, but factors by which rounding errors of the results are magnified.
     """
     with recording(name) as tape:
         try:

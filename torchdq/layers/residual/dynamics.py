@@ -220,7 +220,7 @@ class ResidualDynamics(nn.Module):
     def _columns(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
         width = self.model.sign_width
         directions = [smooth_sign(qd, number(w * width, qd)) for w in WIDTHS]
-        # metres are no angles
+        # metres are not angles
         places = (q.sin().where(self.turns, q), q.cos().where(self.turns, 0.0)) if self.position else ()
         columns = (*places, qd, *directions, torch.zeros_like(qd) if qdd is None else qdd, tau)
         return torch.stack(torch.broadcast_tensors(*columns), -1)

@@ -185,7 +185,7 @@ def misshapen(
     claim = "the shape of its dry friction must be the one fitted, or it biases dry and viscous friction"
     for j in _moves(qd, sign_width).nonzero()[:, 0].tolist():
         v, known = qd[:, j], [own[:, j], qd[:, j], qdd[:, j], torch.ones_like(qd[:, j])]
-        # an offset or a rotor that was not estimated is no friction
+        # an offset or a rotor that was not estimated is not friction
         before = _rest(left[:, j], known)
         after = _rest(left[:, j], [*known, *(smooth_sign(v, k * sign_width) for k in WIDTHS)])
         explained = math.sqrt(max(0.0, before**2 - after**2))

@@ -219,7 +219,7 @@ def _identified(
     """Robot, parameters and errors of a fit."""
     evidence, weight, near, facts = problem.evidence, problem.weight, found.near, found.facts
     robot, terms, sign_width = evidence.robot, evidence.terms, evidence.sign_width
-    inflation = found.inflation(weight) if problem.validated else 1.0  # a strength that was chosen is no knowledge
+    inflation = found.inflation(weight) if problem.validated else 1.0  # a strength that was chosen adds no knowledge
     spread = found.spread(weight, inflation)
     moves = (evidence.recording.qd.abs().amax(0) > sign_width).cpu()
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]

@@ -115,7 +115,7 @@ def _moved(
 
 
 def _runs(evidence: Evidence) -> tuple[Tensor | None, float]:
-    """Numbers of the runs of rows that follow each other [rows], None where rows are no motion, and their step [s]."""
+    """Numbers of the runs of rows that follow each other [rows], None where rows are not motion, and their step [s]."""
     rows = evidence.recording
     change, speed = rows.q.diff(dim=0).cpu(), (0.5 * (rows.qd[1:] + rows.qd[:-1])).cpu()
     follows = torch.ones(len(change), dtype=torch.bool)

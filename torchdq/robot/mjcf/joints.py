@@ -129,7 +129,7 @@ class Equalities(NamedTuple):
     """Equality constraints of a model that are active from the start."""
 
     couplings: list[tuple[str, int, Follows]]  # name, joint that follows, and how
-    others: list[str]  # kind and name of those that are no linear couplings of joints, or are disabled by a flag
+    others: list[str]  # kind and name of those that are not linear couplings of joints, or are disabled by a flag
 
 
 def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:

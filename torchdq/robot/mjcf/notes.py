@@ -48,7 +48,7 @@ def diagnostics(
         of: the model.
         joints, moves: its joints, and the displacement of each of them.
         bodies: its bodies.
-        others: equality constraints that are no linear couplings.
+        others: equality constraints that are not linear couplings.
         falls: whether gravity acts.
     """
     return [

@@ -36,7 +36,7 @@ def to_urdf(robot: RobotModel, original: Any) -> str:
     that carries others on fixed joints takes on all that changed of their common body, so that the others stay as they
     are: read again, the text gives the robot, with mimic="independent" if it was read so: <mimic> stays in the text;
     and with the same `joints` if it was read with some of them, links beyond the others being carried as on fixed
-    joints at zero. Gravity and the tip are no part of a URDF file.
+    joints at zero. Gravity and the tip are not part of a URDF file.
 
     Args:
         robot: the robot, with all joints of the file, or those that it was read with.
