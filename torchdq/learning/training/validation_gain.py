@@ -128,7 +128,7 @@ def warn_of_little_gain(gain: ValidationGain) -> None:
         if poor := [name for name, weight, count in named if weight < 0.5 and count >= needed]:
             messages.append(
                 f"the residual helps little on held-out rows at {', '.join(poor)}, and acts there with weights below "
-                "0.5 or not at all; record more and other motions, or improve the model below it"
+                "0.5 or not at all; train for more steps, record more and other motions, or improve the model below it"
             )
     for message in messages:
         warnings.warn(message, LogWarning, stacklevel=3)
