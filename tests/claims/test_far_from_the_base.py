@@ -24,6 +24,7 @@ DISTANCES = {
     "37 km": (22200.0, 23680.0, -17760.0),
     "5000 km": (3e6, 3.2e6, 2.4e6),
     "beyond the moon": (6e9, 6.4e9, 4.8e9),
+    "beyond Neptune": (6e12, 6.4e12, 4.8e12),
 }
 FUNCTIONS = {
     "M": lambda robot, s: torchdq.mass_matrix(robot, s.q),

@@ -116,6 +116,11 @@ def test_a_resting_arm_of_a_bare_scene_stays_where_it_is(integrator, robot):
     assert not state.qd.any()
 
 
+def test_a_program_takes_the_inputs_of_its_scene():
+    with refused(torchdq.ArgumentError):
+        Scene(ARM).program("wind")
+
+
 STRICT = Scene(ARM, (effects.Servo(1.0), effects.Push(), effects.CommandDelay(1), effects.Noise(0.1)), PD(1.0, 1.0))
 
 

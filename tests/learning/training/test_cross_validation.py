@@ -80,7 +80,7 @@ def test_a_residual_that_finds_nothing_is_silent():
 
 
 def test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight():
-    parts = [motion(k, lambda qd: stribeck(qd) * double(1.0, 0.0), seconds=8.0, noise=0.3) for k in range(4)]
+    parts = [motion(k, lambda qd: stribeck(qd) * double(1.0, 0.0), seconds=8.0, noise=0.3) for k in range(20, 24)]
     model = layer(parts)
     with warned(LogWarning):
         gain = fit(model, parts, steps=300, **OPTIONS).residual
