@@ -167,7 +167,7 @@ def test_two_link_constants():
 
 
 def test_two_link_twists_accelerations_and_wrenches():
-    """Those of each link in the state of row 4, (angular, linear) and (force, moment)."""
+    """Twist and wrench of each link in the state of row 4, (angular, linear) and (force, moment)."""
     q, qd, qdd, *_ = (x[3] for x in states())
     tree, half = two_link(ROD).tree(), 0.5 * q
     coordinates = [None, *(Coordinate(q[i], half[i].cos(), half[i].sin()) for i in range(2))]

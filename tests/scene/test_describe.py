@@ -48,7 +48,7 @@ ASKED = {
 
 
 def left_out(*parts):
-    """What a scene of a robot that is described in everything leaves out."""
+    """Described quantities that a scene leaves out, of a robot that is described in everything."""
     robot = described().replace(armature=torch.ones(2, dtype=torch.float64)).bake()
     return {line.split(":")[0] for line in Scene(robot, parts).describe(batch=1, seconds=0.0).left_out}
 

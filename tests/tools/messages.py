@@ -73,7 +73,7 @@ class Snapshot:
         self.of_workers = []
 
     def expected(self) -> list[str]:
-        """What the running test is to say."""
+        """Messages that the running test is to say."""
         held = self.held.get(self.file, {})
         return held.get(self.test) or held.get(_function(self.test), [])
 

@@ -208,7 +208,7 @@ def table(seconds=5.0, n=7):
 
 
 def arrays(n=3, time=None):
-    """The same as arrays, with accelerations, or at other times."""
+    """Arrays of the same motion, with accelerations, or at other times."""
     time = table(n=n)[:, 0] if time is None else time
     return dict(zip(("time", "q", "qd", "qdd", "tau"), (time, *sines(time, n)), strict=True))
 
