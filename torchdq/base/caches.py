@@ -1,8 +1,8 @@
 """Process-wide caches: their sizes, and the function that empties all of them.
 
-They hold programs, derivatives, kernels with their libraries, layouts of calls, names of programs in traced graphs,
-recommended settings, and what is known of the machine. Each has a bound: those of `remembered` functions remove the
-entry that was used least recently, `Bounded` ones the oldest. Compiled programs stay on disk, see `backends.cache`.
+They hold programs, derivatives, kernels with their libraries, layouts of calls, names of programs in traced graphs, and
+what is known of the machine. Each has a bound: those of `remembered` functions remove the entry that was used least
+recently, `Bounded` ones the oldest. Compiled programs stay on disk, see `backends.cache`.
 """
 
 from collections.abc import Callable, Hashable

@@ -80,7 +80,7 @@ class BenchCommand(RobotCommand):
             for name in MEASURED:
                 progress.at(f"compiling {name}")
                 try:
-                    programs[name] = compile(robot.bake(), FLOATING * robot.floating + name, self.dtype)
+                    programs[name] = compile(robot.bake(), FLOATING + name if robot.floating else name, self.dtype)
                 except SingularInertiaError:  # a joint moves no inertia
                     continue
             progress.at("compiling the gradient")

@@ -41,7 +41,13 @@ class ReportCommand(RobotCommand):
                 progress.at(name)
                 operations[name] = _counted(robot, name)
         counts = {name: None if count is None else count._asdict() for name, count in operations.items()}
-        growth, rounding = _growth(robot)
+        growth, reason = _growth(robot)
+        rounding = f": {reason}"
+        if growth:
+            rounding = (
+                f" of accelerations, at {POSITIONS} random positions: magnified {growth['median']:.3g} times in the "
+                f"median, largest growth {growth['worst']:.3g}; torques and kinematics keep all digits"
+            )
         notes = [*map(str, report.notes)]
         text = (
             report.summary,
@@ -71,7 +77,7 @@ class ReportCommand(RobotCommand):
             "notes": notes,
             "operations": counts,
             "error_growth": growth,
-            "reason": "" if growth else rounding.removeprefix(": "),
+            "reason": reason,
         }
         return Outcome(text, data)
 
@@ -89,9 +95,9 @@ def _counted(robot: Robot, name: str) -> Count | None:
 
 
 def _growth(robot: Robot) -> tuple[dict[str, float] | None, str]:
-    """Factors by which accelerations magnify rounding errors, or None, and how the sentence about them goes on."""
+    """Factors by which accelerations magnify rounding errors, or None, and why there are none."""
     if not robot.n and not robot.floating:
-        return None, ": there is no joint to accelerate"
+        return None, "there is no joint to accelerate"
     generator = torch.Generator().manual_seed(0)
     lower, upper = (x.clamp(-math.pi, math.pi) for x in robot.limits[:2])
     q = lower + (upper - lower) * torch.rand(POSITIONS, robot.n, generator=generator, dtype=torch.float64)
@@ -101,9 +107,5 @@ def _growth(robot: Robot) -> tuple[dict[str, float] | None, str]:
         else:
             found = functional.error_growth(robot, q, "eager")
     except SingularInertiaError as error:
-        return None, f": accelerations are undefined, {error}"
-    growth = {"median": float(found.median()), "worst": float(found.max())}
-    return growth, (
-        f" of accelerations, at {POSITIONS} random positions: magnified {growth['median']:.3g} times in the median, "
-        f"largest growth {growth['worst']:.3g}; torques and kinematics keep all digits"
-    )
+        return None, f"accelerations are undefined, {error}"
+    return {"median": float(found.median()), "worst": float(found.max())}, ""

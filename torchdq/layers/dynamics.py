@@ -74,7 +74,7 @@ class ForwardDynamics(RobotModule):
     those of the motors. See `torchdq.forward_dynamics` for the arguments of a call.
 
     Args:
-        robot, learn, backend, sign_width, friction: as in `InverseDynamics`, whose `prior` there is here, too.
+        robot, learn, backend, sign_width, friction: as in `InverseDynamics`, and so is `prior`.
         precision: "auto" or "double", as in `torchdq.forward_dynamics`.
 
     Raises:

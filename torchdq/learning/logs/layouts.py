@@ -95,7 +95,9 @@ class Layout:
                 continue
             kinds = str if signal == "time" else str | Sequence
             if not given or not isinstance(given, kinds) or not all(isinstance(one, str) for one in given):
-                expected = "a name" + ", a pattern such as 'position_{0}' or a list of names" * (signal != "time")
+                expected = (
+                    "a name" if signal == "time" else "a name, a pattern such as 'position_{0}' or a list of names"
+                )
                 option = f"give other names by --columns {signal} NAMES"
                 claim = f"columns[{signal!r}] must be {expected}, found {given!r}"
                 raise ArgumentError(Finding("layout.columns", "", claim, "", "", option))

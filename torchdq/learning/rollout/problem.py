@@ -60,8 +60,7 @@ class Problem:
     def at(self, values: np.ndarray, nodes: np.ndarray) -> Iterate:
         """Iterate at parameters and nodes."""
         moved = shooting.motions(self.pieces, nodes, self._after(values, nodes, self._inputs(values)))
-        size = np.sqrt(np.square(self._measured).mean((0, 1)))
-        defect = float(np.linalg.norm(moved.defects / np.where(size > 0, size, 1.0))) / math.sqrt(nodes.size)
+        defect = float(np.linalg.norm(moved.defects / self._sizes)) / math.sqrt(nodes.size)
         spread = np.sqrt(np.square(moved.residual).sum((0, 1)) / self.rows)
         prior = np.square(self.unknowns.offset(values) / (PRIOR * self.unknowns.sizes(values))).sum()
         cost = self.rows * np.log(self._least(spread)).sum() + 0.5 * prior
@@ -102,6 +101,12 @@ class Problem:
         given = {"q": torch.from_numpy(q), "qd": torch.from_numpy(qd)}
         memory = self.step_map.scene.begin(given, {})[0].memory
         return np.concatenate([q, qd] if memory is None else [q, qd, memory.numpy()], -1)
+
+    @cached_property
+    def _sizes(self) -> np.ndarray:
+        """Sizes [s] of the states."""
+        size = np.sqrt(np.square(self._measured).mean((0, 1)))
+        return np.where(size > 0, size, 1.0)
 
     def _inputs(self, values: np.ndarray) -> dict[str, np.ndarray]:
         delay = self.unknowns.delay(values)
