@@ -210,5 +210,5 @@ def _where(rows: Tensor, a: State, b: State) -> State:
 
 
 def _kind(x: Any) -> str:
-    """What a function returned, in words."""
+    """Kind of a value, in words."""
     return f"{x.dtype} of shape {tuple(x.shape)}" if isinstance(x, Tensor) else type(x).__name__
