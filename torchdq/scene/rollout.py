@@ -47,8 +47,8 @@ def rollout(
             of this step, shape [..., n], instead of `torque`; a module, for instance. Where there are sensors it should
             look at `state.measured`. With a checkpoint it is called again for the gradient, and must remember nothing:
             no filter, counter or batch norm.
-        done: function `done(state)` that is True, shape [...], for rows that have ended. They keep their state, and
-            their gradient is that of the steps they took. Of the result it tells when each row ended. None: none ends.
+        done: function `done(state)` that is True, shape [...], for rows that have ended: they keep this state to the
+            end of the rollout, and their gradient is that of the steps they took. None: no row ends.
         checkpoint: for the gradient, one state in so many is kept, and the others are computed again; 0 keeps the
             inputs of every step.
         nonfinite: "warn": warn if rows are not finite at the start, or no longer at the end; "ignore": do not.
@@ -126,17 +126,16 @@ def _require_function(name: str, x: Any, arguments: str) -> None:
     """Raise unless x is None, or a function that can be called with those arguments."""
     if x is None or torch.compiler.is_compiling():  # signatures cannot be compiled
         return
-    found = repr(x)
+    found = x
     if callable(x):
         try:
-            signature = inspect.signature(x.forward if isinstance(x, nn.Module) else x)
-            signature.bind(*arguments.split(", "))
+            found = inspect.signature(x.forward if isinstance(x, nn.Module) else x)
+            found.bind(*arguments.split(", "))
+            return
         except ValueError:  # some functions written in C do not tell theirs
             return
         except TypeError:
-            found = f"one of {signature}"
-        else:
-            return
+            found = f"one of {found}"
     raise ArgumentError(f"{name} must be a function {name}({arguments}), found {found}")
 
 
