@@ -5,7 +5,7 @@
 
 Panda arms with friction and gravity start at rest, each with a goal of its own, and a network learns from scratch to
 move their tips there within a second. Its gradient is that of the whole simulated second. What it has learned is
-measured on new starts and goals. Starts lie within 0.2 rad of one posture, and goals in a box of 40 cm.
+measured on new starts and goals. Starts lie about one posture, and goals in a box about its tip: `--spread`, `--box`.
 
 Every process simulates its share of the arms, and gradients are summed over all processes, so that the policy is that
 of a single process up to rounding. `out/through_the_simulation.png` shows the result.
@@ -32,7 +32,6 @@ from torchdq.envs import Scene, State, effects
 
 ROBOT = torchdq.robots.load("panda")
 HOME = (0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.8)  # posture in the middle of the starts [rad]
-SPREAD, BOX = 0.2, 0.4  # largest distance of a start from it [rad], edge of the box of goals about its tip [m]
 STEP = 0.02  # [s]
 CLOSE = 0.05  # distance from a goal that counts as reached [m]
 NEW, EVERY = 1000, 20  # arms that are not learned from, and optimiser steps between looks at them
@@ -48,6 +47,10 @@ class Args(OnDevice):
     """Optimiser steps."""
     rate: float = 3e-3
     """First learning rate; it falls to zero along half a cosine."""
+    spread: float = 0.2
+    """Largest distance of a joint's start from the posture in the middle [rad]."""
+    box: float = 0.4
+    """Edge of the box of goals about the tip of that posture [m]."""
     out: Path = Path("out")
     """Folder of the picture."""
 
@@ -64,12 +67,12 @@ def tips(q: Tensor) -> Tensor:
     return dq.translation(torchdq.forward_kinematics(ROBOT, q, ROBOT.tip))
 
 
-def drawn(arms: int, device: torch.device) -> Task:
+def drawn(arms: int, args: Args) -> Task:
     """Random starts and goals."""
     home = torch.tensor(HOME)
-    start = home + SPREAD * (2 * torch.rand(arms, 7) - 1)
-    goal = tips(home) + BOX * (torch.rand(arms, 3) - 0.5)
-    return Task(start.to(device), goal.to(device))
+    start = home + args.spread * (2 * torch.rand(arms, 7) - 1)
+    goal = tips(home) + args.box * (torch.rand(arms, 3) - 0.5)
+    return Task(start.to(args.place), goal.to(args.place))
 
 
 class Policy(nn.Module):
@@ -128,7 +131,7 @@ def main(args: Args) -> list[float]:
     torch.set_num_threads(1)
     with team(args.place) as share:
         torch.manual_seed(0)  # the same network and the same arms in every process
-        policy, new = Policy().to(args.place), drawn(NEW, args.place)
+        policy, new = Policy().to(args.place), drawn(NEW, args)
         before, medians, spent = deepcopy(policy), [], 0.0
         optimiser = torch.optim.Adam(policy.parameters(), args.rate)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, args.iterations)
@@ -140,7 +143,7 @@ def main(args: Args) -> list[float]:
             if k == args.iterations:
                 break
             begin = time.process_time()
-            _, found = gradients(policy, drawn(args.arms, args.place), args, share)
+            _, found = gradients(policy, drawn(args.arms, args), args, share)
             for parameter, gradient in zip(policy.parameters(), found, strict=True):
                 parameter.grad = gradient
             optimiser.step()

@@ -35,7 +35,7 @@ def found(share):
     """Loss and gradients of an untrained policy, in float64."""
     example = import_module("11_through_the_simulation")
     torch.manual_seed(0)
-    policy, drawn = example.Policy().double(), example.drawn(31, torch.device("cpu"))
+    policy, drawn = example.Policy().double(), example.drawn(31, example.Args())
     task = example.Task(*(x.double() for x in drawn))
     total, gradients = example.gradients(policy, task, example.Args(steps=10), share)
     return [total, *gradients]
