@@ -48,10 +48,10 @@ def main(args: Args) -> tuple[float, float, float]:
     home = torch.tensor([0.0, -0.8, 0.0, -2.4, 0.0, 1.6, 0.8], dtype=torch.float64)
     reach = torch.tensor([1.2, 1.6, 0.0, 1.8, 0.0, 0.0, 0.0], dtype=torch.float64)
     steps = round(args.duration / args.step)
-    times = iter(torch.arange(steps, dtype=torch.float64) * 2 / steps)
+    times = torch.arange(steps, dtype=torch.float64) * 2 / steps
 
-    def policy(state):
-        t = next(times)
+    def policy(state, k):
+        t = times[k]
         s, rate, second = smooth(1 - (1 - t).abs())
         rate, second = rate * torch.sign(1 - t) * 2 / args.duration, second * (2 / args.duration) ** 2
         return torques(robot, state, followed(state, home + s * reach, rate * reach, second * reach))

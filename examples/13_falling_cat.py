@@ -58,12 +58,12 @@ def main(args: Args) -> tuple[float, float]:
     """Turn of the cat [deg], and the largest angular momentum on the way [N m s]."""
     robot, T = halves(), math.sqrt(2 * args.height / 9.81)
     scene = Scene(robot, (effects.Gravity(),), integrator=integrators.RungeKutta4(), dt=T / args.steps)
-    times = iter(torch.arange(args.steps, dtype=torch.float64) / args.steps)
+    times = torch.arange(args.steps, dtype=torch.float64) / args.steps
     roll = torch.tensor([2 * math.pi, 0, -2 * math.pi], dtype=torch.float64)
     shape = torch.tensor([0, args.bend, 0], dtype=torch.float64)
 
-    def policy(state):
-        s, rate, second = smooth(next(times))
+    def policy(state, k):
+        s, rate, second = smooth(times[k])
         return torques(robot, state, followed(state, shape + s * roll, rate / T * roll, second / T**2 * roll))
 
     # half of the bend on either side of the horizontal, and on its back

@@ -94,9 +94,9 @@ def swung(robot: torchdq.Robot, plan: Plan, duration: float, steps: int = 1500) 
     q, qd, qdd, t = plan.q[k], plan.qd[k], plan.qdd[k], (time - k * h).unsqueeze(-1)
     rate = (plan.qdd[k + 1] - qdd) / h
     moved = q + t * qd + t**2 / 2 * qdd + t**3 / 6 * rate
-    tau = iter(torchdq.inverse_dynamics(robot, moved, qd + t * qdd + t**2 / 2 * rate, qdd + t * rate))
+    tau = torchdq.inverse_dynamics(robot, moved, qd + t * qdd + t**2 / 2 * rate, qdd + t * rate)
     scene = Scene(robot, (effects.Gravity(),), integrator=integrators.RungeKutta4(), dt=dt)
-    return scene.rollout(scene.start(plan.q[0]), steps=steps, policy=lambda _: next(tau)).q[-1]
+    return scene.rollout(scene.start(plan.q[0]), tau).q[-1]
 
 
 def main(args: Args) -> dict[str, float]:

@@ -152,7 +152,7 @@ def test_a_training_iteration_through_a_rollout_is_captured_in_a_graph():
         def iteration():
             optimiser.zero_grad(set_to_none=False)
             states = scene.rollout(
-                scene.start(q), steps=5, policy=lambda s: net(torch.cat(s[:2], 1)), nonfinite="ignore"
+                scene.start(q), steps=5, policy=lambda s, k: net(torch.cat(s[:2], 1)), nonfinite="ignore"
             )
             loss = states.q.square().mean()
             loss.backward()

@@ -35,14 +35,16 @@ def found(share):
     """Loss and gradients of an untrained policy, in float64."""
     example = import_module("11_through_the_simulation")
     torch.manual_seed(0)
-    policy, q = example.Policy().double(), torch.tensor(example.WANTED).double() + torch.randn(31, 7).double() / 4
-    total, gradients = example.gradients(policy, q, example.Args(steps=10), share)
+    policy, drawn = example.Policy().double(), example.drawn(31, example.Args())
+    task = example.Task(*(x.double() for x in drawn))
+    total, gradients = example.gradients(policy, task, example.Args(steps=10), share)
     return [total, *gradients]
 
 
 def test_it_learns(example, tmp_path, capsys):
-    losses = example.main(example.Args(arms=32, iterations=30, out=tmp_path))
-    assert losses[-1] < 0.1 * losses[0]
+    """Arms that it did not learn from end at a fifth of their distance."""
+    medians = example.main(example.Args(arms=32, iterations=40, out=tmp_path))
+    assert medians[-1] < 0.2 * medians[0]
     assert "1 processes on cpu" in capsys.readouterr().out
     assert imread(tmp_path / "through_the_simulation.png")[..., :3].std() > 0.03
 

@@ -374,7 +374,7 @@ def test_a_controller_and_a_rollout_by_a_policy_see_it():
     plain = scene.replace(controller=None)
     with torch.no_grad():
         held = scene.rollout(scene.start(q), steps=200, reference=wanted.expand(200, -1)).q[-1]
-        known = plain.rollout(plain.start(q), steps=200, policy=lambda s: control(s.q, s.qd, q, 0 * q, 0 * q)).q[-1]
+        known = plain.rollout(plain.start(q), steps=200, policy=lambda s, k: control(s.q, s.qd, q, 0 * q, 0 * q)).q[-1]
     assert float((held - q).abs().max()) > 1e-3  # the described model does not know what was learned
     assert float((known - q).abs().max()) < 1e-6
 

@@ -68,7 +68,7 @@ def rolled(scene, steps=2):
     policy = nn.Sequential(nn.Linear(2 * scene.n, 8), nn.Tanh(), nn.Linear(8, scene.n)).double()
     return Traced(
         lambda q, qd: scene.rollout(
-            State(q, qd), steps=steps, policy=lambda s: policy(torch.cat([s.q, s.qd], -1)), nonfinite="ignore"
+            State(q, qd), steps=steps, policy=lambda s, k: policy(torch.cat([s.q, s.qd], -1)), nonfinite="ignore"
         ).q[-1],
         policy,
     )

@@ -2,10 +2,10 @@
 
 import math
 import warnings
-from collections import OrderedDict
 
 import pytest
 import torch
+from free_flyers import case, motion
 from helpers import double, random
 from messages import refused, warned
 from scenes import ARM, equal, rich, uniform
@@ -103,40 +103,28 @@ def test_a_rollout_of_which_rows_diverge_warns():
     assert len(found) == 1
 
 
-@pytest.mark.parametrize("checkpoint", [0, 7])
-def test_a_rollout_may_stop_before_the_step_in_which_a_row_diverges(checkpoint):
-    whole = DIVERGING.rollout(start(), steps=300, nonfinite="ignore")
-    stopped = DIVERGING.rollout(start(), steps=300, nonfinite="stop", checkpoint=checkpoint)
-    length = int(DIVERGING.finite(whole).all(-1).sum())
-    assert 0 < length < 300
-    assert stopped.q.shape == (length, 2, 2)
-    assert torch.equal(stopped.q, whole.q[:length])
-
-
 def test_transforms_have_no_values_to_look_at():
     scene = Scene(ARM, (effects.Gravity(),))
 
-    def end(q, **how):
-        return scene.rollout(scene.start(q), steps=3, **how).q[-1]
+    def end(q):
+        return scene.rollout(scene.start(q), steps=3, done=lambda s: s.q[..., 0] > 0.5).last.q
 
     q = random(4, 2)
     assert torch.equal(torch.func.vmap(end)(q), end(q))
-    with refused(torchdq.ArgumentError):
-        torch.func.vmap(lambda q: end(q, nonfinite="stop"))(q)
 
 
 def test_a_policy_is_asked_before_every_step():
     scene = Scene(ARM, (effects.Gravity(), effects.Servo(3.0), effects.Bias(0.1, 0.2)))
     start, targets = scene.start(random(5, 2), random(5, 2, seed=1)), random(20, 2, seed=2)
 
-    def policy(state):
+    def policy(state, k):
         q, qd = state.measured
-        return -2.0 * q - qd
+        return -2.0 * q - (1 + k) * qd
 
     found = scene.rollout(start, policy=policy, target=targets)
     state = start
     for k, target in enumerate(targets):
-        state = scene.step(state, policy(state), target=target)
+        state = scene.step(state, policy(state, k), target=target)
         assert all(torch.equal(x[k], y) for x, y in zip(found, state, strict=True) if y is not None)
 
 
@@ -147,19 +135,23 @@ def test_policies_are_learned_through_the_steps(checkpoint):
     scene = Scene(ARM, (effects.Gravity(),))
 
     def end(bias):
-        def torque(s):
-            return torch.func.functional_call(policy, {"2.bias": bias}, torch.cat([s.q, s.qd], -1))
+        def torque(s, k):
+            return (1 + 0.1 * k) * torch.func.functional_call(policy, {"2.bias": bias}, torch.cat([s.q, s.qd], -1))
 
         return scene.rollout(scene.start(random(3, 2)), steps=10, policy=torque, checkpoint=checkpoint).q[-1]
 
     assert torch.autograd.gradcheck(end, policy[2].bias, atol=1e-8)
 
 
-class Position(torch.nn.Module):
-    """Layer that takes the position of a state."""
+class Normalised(torch.nn.Module):
+    """Network of the positions."""
 
-    def forward(self, state):
-        return state.q
+    def __init__(self, network):
+        super().__init__()
+        self.network = network
+
+    def forward(self, state, k):
+        return self.network(state.q)
 
 
 class Filter(torch.nn.Module):
@@ -169,7 +161,7 @@ class Filter(torch.nn.Module):
         super().__init__()
         self.gain, self.last = torch.nn.Parameter(torch.tensor(2.0, dtype=torch.float64)), 0.0
 
-    def forward(self, state):
+    def forward(self, state, k):
         self.last = 0.5 * self.last - self.gain * state.q
         return self.last
 
@@ -188,7 +180,7 @@ def test_a_policy_that_remembers_is_refused_where_it_is_called_again():
         end.backward()
     # a batch norm counts the states that it has seen
     norm = torch.nn.Sequential(torch.nn.Linear(2, 2), torch.nn.BatchNorm1d(2)).double()
-    policy = torch.nn.Sequential(OrderedDict(measured=Position(), norm=norm))
+    policy = Normalised(norm)
     rolled(policy, 0).backward()
     with refused(torchdq.ArgumentError):
         rolled(policy, 3)
@@ -203,9 +195,107 @@ def test_a_random_policy_has_the_same_gradient_with_a_checkpoint(checkpoint):
     gradients = []
     for stride in (0, checkpoint):
         torch.manual_seed(0)
-        end = rolled(lambda s: -gain * s.q + gain * torch.randn_like(s.q), stride)
+        end = rolled(lambda s, k: -gain * s.q + gain * torch.randn_like(s.q), stride)
         gradients.append(torch.autograd.grad(end, gain)[0])
     assert torch.equal(*gradients)
+
+
+# --- parts of a motion ------------------------------------------------------------------------------------------------
+
+
+def standing():
+    """Scene with effects of every slot, and its state at rest."""
+    scene = rich(ARM)
+    return scene, scene.start(random(3, 2) / 9, noise=uniform(scene, 3))
+
+
+def flying():
+    """Scene of a free base with memory and sensors, and its state in motion."""
+    base = case("tree3")
+    m = motion(base)
+    scene = Scene(base.robot, (effects.Gravity(), effects.FirstOrderLag(0.05), effects.Noise(0.1, 0.2)))
+    return scene, scene.start(m["q"], m["qd"], uniform(scene, 3), X_WB=m["X_WB"], V_WB_B=m["V_WB_B"])
+
+
+@pytest.mark.parametrize("begun", [standing, flying])
+def test_a_rollout_goes_on_from_the_last_state_of_another(begun):
+    scene, start = begun()
+    noise = uniform(scene, 8, 3)
+    inputs = {name: random(8, 3, width, seed=k) for k, (name, width) in enumerate(scene.inputs.items())}
+
+    def rolled(state, rows):
+        return scene.rollout(state, noise=noise[rows], **{name: x[rows] for name, x in inputs.items()})
+
+    whole, first = rolled(start, slice(None)), rolled(start, slice(5))
+    second = rolled(first.last, slice(5, None))
+    assert first.last.memory is not None and first.last.reading is not None
+    for a, b, c in zip(whole, first, second, strict=True):
+        assert (a is None and b is None and c is None) or torch.equal(a, torch.cat([b, c]))
+
+
+@pytest.mark.parametrize("checkpoint", [0, 3])
+def test_rows_that_end_keep_their_state_and_the_others_go_on(checkpoint):
+    """One row has ended at the start, one ends on the way, and one does not."""
+    scene = rich(ARM)
+    start = scene.start(double((0.9, 0.0), (0.3, 0.0), (-0.5, 0.0)), noise=uniform(scene, 3))
+    start = start._replace(qd=double((0.0, 0.0), (10.0, 0.0), (0.0, math.nan)))
+    noise, reference = uniform(scene, 12, 3), random(12, 3, 6)
+
+    def done(state):
+        return state.q[..., 0] > 0.5
+
+    def rolled(**how):
+        inputs = {"noise": noise, "reference": reference, "nonfinite": "ignore", "checkpoint": checkpoint}
+        return scene.rollout(start, steps=12, **inputs, **how)
+
+    free, found = rolled(), rolled(done=done)
+    ended = done(found)
+    assert ended[:, 0].all() and not ended[:, 2].any()
+    taken = int((~ended[:, 1]).sum()) + 1
+    assert 1 < taken < 12 and ended[taken - 1 :, 1].all()
+    for x, y, first in zip(found.rows().values(), free.rows().values(), start.rows().values(), strict=True):
+        assert torch.equal(x[:, 0], first[0].expand_as(x[:, 0]))
+        assert torch.equal(x[:taken, 1], y[:taken, 1])
+        assert torch.equal(x[taken:, 1], y[taken - 1, 1].expand_as(x[taken:, 1]))
+        assert torch.equal(x[:, 2].nan_to_num(), y[:, 2].nan_to_num())
+
+
+@pytest.mark.parametrize("checkpoint", [0, 4])
+def test_the_gradient_of_rows_that_end_is_that_of_the_steps_they_took(checkpoint):
+    """Of a policy and of friction that all rows share, neither of which has a value where rows end."""
+    q, qd = double((0.7, 0.0), (0.0, 0.0), (0.4, 0.1)), double((1.0, 0.0), (5.0, 1.0), (1.0, 0.0))
+
+    def gradients(rows, steps, **how):
+        gain, friction, start = (x.clone().requires_grad_() for x in (double(2.0), double(0.3, 0.2), q[rows]))
+        scene = Scene(ARM, (effects.Viscous(friction),))
+
+        def policy(state, k):
+            return gain * (1 - state.q[..., :1]).sqrt() * (1 + 0.1 * k) * torch.tanh(state.qd)
+
+        path = scene.rollout(scene.start(start, qd[rows]), steps=steps, policy=policy, **how)
+        return path, torch.autograd.grad(path.last.q.square().sum() + path.last.qd.sum(), [gain, friction, start])
+
+    path, found = gradients([0, 1, 2], 40, done=lambda s: s.q[..., 0] >= 1, checkpoint=checkpoint)
+    ended = path.q[..., 0] >= 1
+    taken = [int((~row).sum()) + 1 for row in ended.T]
+    assert ended[-1].all() and len(set(taken)) == 3 and max(taken) < 40
+    alone = [gradients([k], steps)[1] for k, steps in enumerate(taken)]
+    expected = [sum(x[0] for x in alone), sum(x[1] for x in alone), torch.cat([x[2] for x in alone])]
+    for a, b in zip(found, expected, strict=True):
+        assert b.isfinite().all() and (a - b).abs().max() <= 1e-12 * b.abs().max()
+
+
+def test_a_rollout_with_a_policy_and_ends_compiles_whole():
+    scene = Scene(ARM, (effects.Gravity(),))
+
+    def end(q):
+        def policy(state, k):
+            return -(1 + k) * state.qd
+
+        return scene.rollout(scene.start(q), steps=3, policy=policy, done=lambda s: s.q[..., 0] > 0.5).last.q
+
+    q = random(4, 2)
+    assert torch.equal(torch.compile(end, fullgraph=True, backend="eager")(q), end(q))
 
 
 Q = torch.zeros(3, 2, dtype=torch.float64)
@@ -227,14 +317,23 @@ Q = torch.zeros(3, 2, dtype=torch.float64)
         lambda s: s.rollout(s.start(Q), lambda x: x.q, 2),
         lambda s: s.rollout(s.start(Q), torch.tensor(1.0)),
         lambda s: s.rollout(s.start(Q), [[1.0, 2.0]]),
-        lambda s: s.rollout(s.start(Q), policy=lambda x: x.q),
+        lambda s: s.rollout(s.start(Q), policy=lambda x, k: x.q),
         lambda s: s.rollout(s.start(Q), steps=3, torque=torch.zeros(4, 2)),
         lambda s: s.rollout(s.start(Q), steps=-1),
-        lambda s: s.rollout(s.start(Q), Q, policy=lambda x: x.q),
+        lambda s: s.rollout(s.start(Q), Q, policy=lambda x, k: x.q),
         lambda s: s.rollout(s.start(Q), steps=2, policy=Q),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: None),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: Q[:, :1]),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: x.q.float()),
+        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x, k: None),
+        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x, k: Q[:, :1]),
+        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x, k: x.q.float()),
+        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: x.q),
+        lambda s: s.rollout(s.start(Q), steps=2, policy=torch.nn.Linear(2, 2)),
+        lambda s: s.rollout(s.start(Q), steps=2, done=True),
+        lambda s: s.rollout(s.start(Q), steps=2, done=lambda x, k: x.q > 0),
+        lambda s: s.rollout(s.start(Q), steps=2, done=lambda x: x.q > 0),
+        lambda s: s.rollout(s.start(Q), steps=2, done=lambda x: x.q[:, 0]),
+        lambda s: s.rollout(s.start(Q), steps=0).last,
+        lambda s: s.start(Q[0]).last,
+        lambda s: s.rollout(s.rollout(s.start(Q), steps=2)[-1], steps=2),
         lambda s: s.rollout(s.start(Q), steps=2, nonfinite="keep"),
     ],
 )

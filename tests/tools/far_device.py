@@ -290,7 +290,7 @@ def a_rollout_is_repeated_by_a_graph():
     q, graph = torch.zeros(N, 2, dtype=torch.float64, device=FAR), Graph()
 
     def rollout():
-        return scene.rollout(scene.start(q), steps=5, policy=lambda s: policy(torch.cat([s.q, s.qd], 1))).q
+        return scene.rollout(scene.start(q), steps=5, policy=lambda s, k: policy(torch.cat([s.q, s.qd], 1))).q
 
     with graph.capture(), torch.no_grad():
         found = rollout()
@@ -311,7 +311,7 @@ def a_training_iteration_is_repeated_by_a_graph():
     def iteration(net, optimiser):
         optimiser.zero_grad(set_to_none=False)
         states = scene.rollout(
-            scene.start(q), steps=4, policy=lambda s: net(torch.cat([s.q, s.qd], 1)), nonfinite="ignore"
+            scene.start(q), steps=4, policy=lambda s, k: net(torch.cat([s.q, s.qd], 1)), nonfinite="ignore"
         )
         loss = states.q.square().mean()
         loss.backward()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import partial
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor, nn
@@ -20,8 +21,9 @@ from torchdq.scene.model import SceneModel
 from torchdq.scene.state import State, nonfinite_rows, require_state
 
 LONG = 50  # steps from which a rollout reports its progress
-Policy = Callable[[State], Tensor]
-Nonfinite = Literal["warn", "stop", "ignore"]
+Policy = Callable[[State, int], Tensor]
+Done = Callable[[State], Tensor]
+Nonfinite = Literal["warn", "ignore"]
 
 
 def rollout(
@@ -29,82 +31,69 @@ def rollout(
     state: State,
     torque: Tensor | None = None,
     steps: int | None = None,
-    checkpoint: int = 0,
     policy: Policy | None = None,
+    done: Done | None = None,
+    checkpoint: int = 0,
     nonfinite: Nonfinite = "warn",
     **inputs: Tensor | None,
 ) -> State:
-    """States after each of a number of steps, shape [steps, ...].
+    """States after each of a number of steps, shape [steps, ...]; `last` of it is where another rollout goes on.
 
     Args:
         state: initial state; it is not part of the result.
         torque: [steps, ..., n]; None: none, for `steps` steps.
         steps: number of steps; None: as many as there are torques.
+        policy: function `policy(state, k)` of the state and the number of the step, from 0, that returns the torques
+            of this step, shape [..., n], instead of `torque`; a module, for instance. Where there are sensors it should
+            look at `state.measured`. With a checkpoint it is called again for the gradient, and must remember nothing:
+            no filter, counter or batch norm.
+        done: function `done(state)` that is True, shape [...], for rows that have ended: they keep this state to the
+            end of the rollout, and their gradient is that of the steps they took. None: no row ends.
         checkpoint: for the gradient, one state in so many is kept, and the others are computed again; 0 keeps the
             inputs of every step.
-        policy: function of the state that returns the torques of a step, shape [..., n], instead of `torque`; a
-            module, for instance. Where there are sensors it should look at `state.measured`. With a checkpoint it
-            is called again for the gradient, and must remember nothing: no filter, counter or batch norm.
-        nonfinite: "warn": warn if rows are not finite at the start, or no longer at the end; "stop": end before
-            the first step after which a row is no longer finite; "ignore": neither.
+        nonfinite: "warn": warn if rows are not finite at the start, or no longer at the end; "ignore": do not.
         inputs: as in `step`, shape [steps, ...].
 
     >>> import torch, torchdq
     >>> scene = torchdq.Scene(torchdq.robots.load("two_link"))
-    >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s: -4 * s.q - s.qd).q.shape
+    >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s, k: -4 * s.q - s.qd).q.shape
     torch.Size([50, 3, 2])
     """
     scene.spec.require_inputs(name for name in inputs if name != "noise")
     series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
     require_state(state)
     require_choice("nonfinite", nonfinite, get_args(Nonfinite))
+    _require_function("policy", policy, "state, k")
+    _require_function("done", done, "state")
     total = _length(series, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
     unseen = without_values((state.q,))
-    if nonfinite == "stop" and unseen:
-        raise ArgumentError(
-            "nonfinite='stop' reads values, which tensors have none of inside a transform, a trace or a graph"
-        )
     warned = nonfinite == "warn" and not unseen
-    start = state.finite() if nonfinite != "ignore" and not unseen else state.q.new_zeros((), dtype=torch.bool)
-    notice = Progress(f"rollout of {total} steps")
     if warned and (message := nonfinite_rows(state, scene.robot)):
         warnings.warn(message, stacklevel=2)
-
-    def diverged(state: State) -> Tensor:
-        """Rows that were finite at the start, and are not."""
-        return start & ~state.finite()
-
     again = bool(checkpoint) and torch.is_grad_enabled() and not unseen
     commands = None if policy is None else _Commands(policy, scene.n, again, {})
+    follow, notice = _Steps(scene, series, commands, done, state), Progress(f"rollout of {total} steps")
 
     def part(first: int, last: int, state: State) -> list[State]:
         found: list[State] = []
         for k in range(first, last):
             notice.at(f"step {k + 1} of {total}")
-            given = {name: x[k] for name, x in series.items()}
-            if commands is not None:
-                given["torque"] = commands.at(k, state)
-            state = scene.step(state, **given)
-            if nonfinite == "stop" and bool(diverged(state).any()):
-                break
+            state = follow.after(k, state)
             found.append(state)
         return found
 
     run = partial(checkpointed, part, use_reentrant=False) if checkpoint else part
-    stride = checkpoint or max(total, 1)
+    stride, end = checkpoint or max(total, 1), state
     found: list[State] = []
     with notice if total >= LONG and not unseen else nullcontext():
         for first in range(0, total, stride):
-            last = min(first + stride, total)
-            found += run(first, last, state)
-            if len(found) < last:
-                break
-            state = found[-1]
+            found += run(first, min(first + stride, total), end)
+            end = found[-1]
     if not found:
-        return State._make(None if x is None else x[None][:0] for x in state)
-    if warned and bool((rows := diverged(found[-1])).any()):
-        step = next(k for k, x in enumerate(found, 1) if bool(diverged(x).any()))
+        return State._make(None if x is None else x[None][:0] for x in end)
+    if warned and bool((rows := state.finite() & ~end.finite()).any()):
+        step = next(k for k, x in enumerate(found, 1) if bool((state.finite() & ~x.finite()).any()))
         warnings.warn(
             f"{int(rows.sum())} of {rows.numel()} rows left the finite range, the first at step {step} of {total}; "
             f"scene.check(state, seconds) finds a step or an integrator that is stable",
@@ -117,12 +106,10 @@ def _length(series: Mapping[str, Tensor], steps: int | None, policy: Policy | No
     """Number of steps, after a check of everything that has one."""
     for name, x in series.items():
         if callable(x) and not isinstance(x, Tensor):
-            raise ArgumentError(f"{name} must be a tensor, found a function; one of the state is given as policy")
+            raise ArgumentError(f"{name} must be a tensor, found a function; give one as policy(state, k)")
         require_tensor(name, x)
         if x.ndim < 2:
             raise ArgumentError(f"{name} must have the shape [steps, ...], found {tuple(x.shape)}")
-    if policy is not None and not callable(policy):
-        raise ArgumentError(f"policy must be a function of the state that returns torques, found {policy!r}")
     if policy is not None and "torque" in series:
         raise ArgumentError("torque and policy exclude each other; add the torques in the policy")
     lengths = {name: len(x) for name, x in series.items()}
@@ -135,8 +122,25 @@ def _length(series: Mapping[str, Tensor], steps: int | None, policy: Policy | No
     return total
 
 
+def _require_function(name: str, x: Any, arguments: str) -> None:
+    """Raise unless x is None, or a function that can be called with those arguments."""
+    if x is None or torch.compiler.is_compiling():  # signatures cannot be compiled
+        return
+    found = x
+    if callable(x):
+        try:
+            found = inspect.signature(x.forward if isinstance(x, nn.Module) else x)
+            found.bind(*arguments.split(", "))
+            return
+        except ValueError:  # some functions written in C do not tell theirs
+            return
+        except TypeError:
+            found = f"one of {found}"
+    raise ArgumentError(f"{name} must be a function {name}({arguments}), found {found}")
+
+
 class _Commands(NamedTuple):
-    """Torques of a policy, which must depend on the state alone where it is called again for the gradient."""
+    """Torques of a policy, which must depend on its arguments alone where it is called again for the gradient."""
 
     policy: Policy
     n: int
@@ -150,13 +154,10 @@ class _Commands(NamedTuple):
 
     def at(self, k: int, state: State) -> Tensor:
         """Torques of a step."""
-        before, torque = self._buffers(), self.policy(state)
+        before, torque = self._buffers(), self.policy(state, k)
         if not isinstance(torque, Tensor) or torque.shape[-1:] != (self.n,) or torque.dtype != state.q.dtype:
-            found = type(torque).__name__
-            if isinstance(torque, Tensor):
-                found = f"{torque.dtype} of shape {tuple(torque.shape)}"
             raise ArgumentError(
-                f"policy must return torques, a tensor [..., {self.n}] of {state.q.dtype}, found {found}"
+                f"policy must return torques, a tensor [..., {self.n}] of {state.q.dtype}, found {_kind(torque)}"
             )
         if not self.again:
             return torque
@@ -166,7 +167,47 @@ class _Commands(NamedTuple):
         if changed or other:
             found = f"that it changes its buffer {changed[0]!r}" if changed else "other torques the second time"
             raise ArgumentError(
-                f"policy must depend on the state alone where checkpoint is not 0, since it is called again for the "
+                f"policy must depend on state and k alone where checkpoint is not 0, since it is called again for the "
                 f"gradient, found {found}; use checkpoint=0, or a policy that remembers nothing, as after policy.eval()"
             )
         return torque
+
+
+class _Steps(NamedTuple):
+    """Steps of a rollout, by their numbers."""
+
+    scene: SceneModel
+    series: Mapping[str, Tensor]
+    commands: _Commands | None
+    done: Done | None
+    start: State
+
+    def after(self, k: int, state: State) -> State:
+        """State after step k of the rows that have not ended."""
+        if self.done is None:
+            return self._stepped(k, state)
+        with torch.no_grad():
+            ended = self.done(state)
+        shape = state.q.shape[:-1]
+        if not isinstance(ended, Tensor) or ended.dtype != torch.bool or ended.shape != shape:
+            raise ArgumentError(f"done must return a tensor of bool of shape {tuple(shape)}, found {_kind(ended)}")
+        # a row that has ended is stepped from its start, and that step is left out: where it ended the gradient may not
+        # be finite, and zero times that would be NaN in the parameters that all rows share
+        return _where(ended, state, self._stepped(k, _where(ended, self.start, state)))
+
+    def _stepped(self, k: int, state: State) -> State:
+        given = {name: x[k] for name, x in self.series.items()}
+        if self.commands is not None:
+            given["torque"] = self.commands.at(k, state)
+        return self.scene.step(state, **given)
+
+
+def _where(rows: Tensor, a: State, b: State) -> State:
+    """State of a in some rows, of b in the others."""
+    pairs = zip(a, b, strict=True)
+    return State._make(None if x is None or y is None else torch.where(rows[..., None], x, y) for x, y in pairs)
+
+
+def _kind(x: Any) -> str:
+    """Kind of a value, in words."""
+    return f"{x.dtype} of shape {tuple(x.shape)}" if isinstance(x, Tensor) else type(x).__name__

@@ -43,6 +43,14 @@ class State(NamedTuple):
         n = self.q.shape[-1]
         return self.reading[..., :n], self.reading[..., n:]
 
+    @property
+    def last(self) -> State:
+        """State after the last step of a rollout, from which another one goes on: the last along the first axis."""
+        if self.q.ndim < 2 or not len(self.q):
+            found = tuple(self.q.shape)
+            raise ArgumentError(f"last is that of a rollout of one step or more, q [steps, ..., n], found q of {found}")
+        return State._make(None if x is None else x[-1] for x in self)
+
     def rows(self) -> dict[str, Tensor]:
         """Tensors of the state that are there, by name."""
         return {name: x for name, x in zip(self._fields, self, strict=True) if x is not None}
@@ -60,7 +68,8 @@ def require_state(x: Any) -> None:
     """Raise unless x is a state with positions and velocities."""
     if not isinstance(x, State):
         raise ArgumentError(
-            f"state must be a torchdq.envs.State, found {type(x).__name__}; scene.start(q, qd) makes one"
+            f"state must be a torchdq.envs.State, found {type(x).__name__}; scene.start(q, qd) makes one, "
+            f"and states.last is the last one of a rollout"
         )
     for name in ("q", "qd"):
         require_tensor(f"{name} of the state", getattr(x, name))

@@ -160,7 +160,8 @@ def test_computed_torque_with_a_network_that_went_wrong_stays_bounded_and_the_ar
     scene = Scene(TWO, (effects.Gravity(),), dt=0.002)
     goal = double(0.4, -0.3)
     with torch.no_grad():
-        path = scene.rollout(scene.start(goal), steps=500, policy=lambda s: wild(s.q, s.qd, goal, 0 * goal, 0 * goal)).q
+        held = (goal, 0 * goal, 0 * goal)
+        path = scene.rollout(scene.start(goal), steps=500, policy=lambda s, k: wild(s.q, s.qd, *held)).q
         M = torchdq.mass_matrix(TWO, path)
         worst = torch.linalg.inv(M).abs() @ layer.bound
     assert float((path - goal).abs().max()) <= 1.1 * float(worst.max()) / 100.0
