@@ -1,10 +1,11 @@
-"""Hooks of mkdocs: formulas as MathML, links to files beside docs/, pages of a folder in the nav."""
+"""Hooks of mkdocs: formulas as MathML, bars in tables, links to files beside docs/, pages of a folder in the nav."""
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+import bars
 import mathml
 import navigation
 import notebooks
@@ -41,3 +42,8 @@ def on_page_markdown(markdown, page, config, files):
     if sys.stderr.isatty():
         print(f"\r{page.file.src_uri:<78}", end="\r", file=sys.stderr, flush=True)
     return sources.with_links(markdown, page.file.src_uri, ROOT)
+
+
+def on_page_content(html, page, config, files):
+    """Page whose tables have bars beside their ratios."""
+    return bars.drawn(html)
