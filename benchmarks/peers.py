@@ -294,7 +294,7 @@ def comparisons(arm: Path, seconds: float) -> list[report.Comparison]:
 
 
 def summary(arm: Path, seconds: float) -> list[report.Line]:
-    """Rows of the page on prices without other packages: one thread, batch 4096, seven joints, float64 unless stated."""
+    """Rows of the page on prices without other packages: batch 4096, seven joints, float64 unless stated."""
     case = Task(arm, 4096, torch.float64, 1)
     single = Task(arm, 4096, torch.float32, 1)
     lines: list[report.Line] = []

@@ -9,6 +9,7 @@ import bars
 import mathml
 import navigation
 import notebooks
+import repository
 import sources
 from mkdocs.structure.files import File
 
@@ -16,13 +17,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def on_config(config):
-    """The nav with the pages that are there, and formulas as an extension of Markdown.
+    """The nav with the pages that are there, formulas as an extension of Markdown, and a link to the repository.
 
     There is no page for wrong addresses, whose links would have to know where the site lies.
     """
     config.theme.static_templates.discard("404.html")
     config.nav = navigation.of_pages(config.nav, Path(config.docs_dir))
     config.markdown_extensions.append(mathml.Formulas())
+    config.repo_url, config.repo_name = repository.here(ROOT), "Sources"
     return config
 
 
