@@ -110,8 +110,7 @@ def rows(found: dict[str, list[float]], what: str, dtype: str, steps: int = 1) -
 
 def steps_table(rows: list[tuple[str, float, float, float]]) -> str:
     """Steps [ns] of torchdq, of MuJoCo, and of MuJoCo without dry friction, as a table."""
-    title = f"step of a seven-joint arm, one thread, batch {BATCH}"
-    lines = [f"| {title} | torchdq | other package | ratio | ratio without dry friction |", "|---|---|---|---|---|"]
+    lines = ["| step | torchdq | other package | ratio | ratio without dry friction |", "|---|---|---|---|---|"]
     for what, ours, theirs, without in rows:
         ratios = f"{theirs / ours:.0f} x | {without / ours:.0f} x"
         lines.append(f"| {what} | {ours:.0f} ns | {theirs:.0f} ns, MuJoCo | {ratios} |")

@@ -396,8 +396,8 @@ def main() -> None:
     arm = urdf("example-robot-data", "xarm7.urdf")
     seconds = 0.5 if arguments.quick else SECONDS
     compared, lines = comparisons(arm, seconds), summary(arm, seconds)
-    text = report.comparison("seven-joint arm, one thread, batch 4096, float64", compared)
-    text += "\n\n" + report.table("torchdq alone, float64 unless stated", lines)
+    text = report.comparison("seven-joint arm", compared)
+    text += "\n\n" + report.table("torchdq alone", lines)
     print(text)
     rows: list[Row] = []
     if not arguments.quick:
