@@ -107,3 +107,11 @@ def test_a_ratio_is_that_of_its_times(script):
     assert len(rows) >= 4
     for ours, theirs, ratio in ([float(x) for x in row] for row in rows):
         assert abs(theirs / ours - ratio) < 0.01 * ratio + 0.05, (ours, theirs, ratio)
+
+
+def test_the_first_page_repeats_what_the_guide_says_of_a_policy():
+    first, guide = (
+        " ".join((report.ROOT / x).read_text("utf-8").split()) for x in ("docs/index.md", "docs/guides/policy.md")
+    )
+    millimetres, seconds = re.search(r"to ([\d.]+) mm in the median after (\d+) s on one core", first).groups()
+    assert f"a median distance of {millimetres} mm after {seconds} s on one core" in guide
