@@ -3,6 +3,7 @@
 # make test-all all claims on all robots and random trees, chains of any length and whole examples
 # make mutants  plants faults in a copy of the sources, one at a time; the suite must notice each
 # make docs     the documentation as static pages, in out/site; open out/site/index.html
+# make dist     wheel and source archive, in dist/, as an index takes them
 # make clean    removes the virtual environment and everything that was built
 #
 # All but the last make their own virtual environment in .venv, once; they run again without installing anything.
@@ -20,7 +21,7 @@ PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 # a process takes neighbouring tests, which share robots, programs and fixtures
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(RUN) -m pytest -n $(JOBS) --dist worksteal --durations=20
 
-.PHONY: demo test test-all mutants docs clean
+.PHONY: demo test test-all mutants docs dist clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/examples.installed
@@ -38,6 +39,11 @@ mutants: $(VENV)/test.installed
 docs: $(VENV)/docs.installed
 	OMP_NUM_THREADS=1 NO_MKDOCS_2_WARNING=1 TORCHDQ_NOTEBOOKS=run $(RUN) -m mkdocs build $(ARGS)
 
+dist: $(VENV)/dist.installed
+	rm -rf build dist
+	$(RUN) -m build
+	$(RUN) -m twine check --strict dist/*
+
 clean:
 	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
@@ -49,6 +55,12 @@ $(VENV)/torch.installed:
 	  { echo "$(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@$(PIP) $(TORCH) || \
 	  { echo "cannot install $(TORCH); check the network, or name another build with: make TORCH=..."; exit 1; }
+	@touch $@
+
+# archives are built without torch
+$(VENV)/dist.installed:
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) 'build>=1.2' 'twine>=6'
 	@touch $@
 
 $(VENV)/%.installed: $(VENV)/torch.installed pyproject.toml

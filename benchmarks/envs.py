@@ -4,6 +4,7 @@
 
 A seven-joint arm with gravity, damping and dry friction, the same URDF for both. MuJoCo steps its batch in C
 (`mujoco.rollout`), so that no Python stands between its steps; torchdq is called from Python, one call per step.
+The systems of a row run in turns.
 """
 
 from __future__ import annotations
@@ -69,11 +70,11 @@ def mujoco_steps(model: mujoco.MjModel):
 
 
 def torchdq_steps(scene: Scene, dtype: torch.dtype):
-    """One step of a batch."""
+    """STEPS steps of a batch."""
     generator = torch.Generator().manual_seed(0)
     q, qd, u = (2 * torch.rand(BATCH, scene.n, generator=generator, dtype=dtype) - 1 for _ in range(3))
     state = scene.start(q, qd)
-    return lambda: scene.step(state, u)
+    return lambda: [scene.step(state, u) for _ in range(STEPS)]
 
 
 def gradient_steps(scene: Scene, dtype: torch.dtype, steps: int):
@@ -107,6 +108,15 @@ def rows(found: dict[str, list[float]], what: str, dtype: str, steps: int = 1) -
     return [Row(what, system, dtype, *(x / steps for x in report.spread(times))) for system, times in found.items()]
 
 
+def steps_table(rows: list[tuple[str, float, float, float]]) -> str:
+    """Steps [ns] of torchdq, of MuJoCo, and of MuJoCo without dry friction, as a table."""
+    lines = ["| step | torchdq | other package | ratio | ratio without dry friction |", "|---|---|---|---|---|"]
+    for what, ours, theirs, without in rows:
+        ratios = f"{theirs / ours:.0f} x | {without / ours:.0f} x"
+        lines.append(f"| {what} | {ours:.0f} ns | {theirs:.0f} ns, MuJoCo | {ratios} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     arguments = report.parser(__doc__, quick="shorter measurements").parse_args()
     torch.set_num_threads(1)
@@ -115,33 +125,25 @@ def main() -> None:
     robot = torchdq.Robot.from_urdf(path, on_unphysical="ignore", tip="link7")
     parts = (effects.Gravity(), effects.Viscous(), effects.Coulomb())
     found: list[Row] = []
+    compared: list[tuple[str, float, float, float]] = []
     lines: list[report.Line] = []
 
     matched = [
         ("Euler", mujoco.mjtIntegrator.mjINT_EULER, integrators.LinearlyImplicit(), DT),
         ("RK4", mujoco.mjtIntegrator.mjINT_RK4, integrators.RungeKutta4(), SHORT),
     ]
-    for name, theirs, ours, dt in matched:
-        what = f"step, {name}, gravity, damping, friction"
-        times = measure(
-            {
-                "mujoco": mujoco_steps(mujoco_model(path, theirs, dt, friction=True)),
-                "mujoco, no friction loss": mujoco_steps(mujoco_model(path, theirs, dt, friction=False)),
-            },
-            BATCH * STEPS,
-            seconds,
-        )
-        peer = rows(times, what, "float64")
-        found += peer
+    for name, method, integrator, dt in matched:
+        peers = {"MuJoCo": True, "MuJoCo without dry friction": False}
+        calls = {x: mujoco_steps(mujoco_model(path, method, dt, friction)) for x, friction in peers.items()}
         for dtype in (torch.float64, torch.float32):
-            scene = Scene(robot, parts, integrator=ours, dt=dt)
-            label = str(dtype).removeprefix("torch.")
-            (row,) = rows(measure({"torchdq": torchdq_steps(scene, dtype)}, BATCH, seconds), what, label)
-            found.append(row)
-            ratios = [f"{other.nanoseconds / row.nanoseconds:.0f} x" for other in peer]
-            shown = f"{ratios[0]} ({row.nanoseconds:.0f} against {peer[0].nanoseconds:.0f} ns); "
-            shown += f"{ratios[1]} where mujoco has no dry friction"
-            lines.append((f"{what}, {label}, against mujoco", shown))
+            calls[f"torchdq, {dtype}"] = torchdq_steps(Scene(robot, parts, integrator=integrator, dt=dt), dtype)
+        times = {system: report.spread(found) for system, found in measure(calls, BATCH * STEPS, seconds).items()}
+        what = f"step, {name}, gravity, damping, friction"
+        found += [Row(what, system, "float32" if "float32" in system else "float64", *x) for system, x in times.items()]
+        theirs, without = (times[system][0] for system in peers)
+        for dtype in ("float64", "float32"):
+            ours = times[f"torchdq, torch.{dtype}"][0]
+            compared.append((f"{name}, {dtype}", ours, theirs, without))
 
     for task in ("reach", "track"):
         env = ArmVectorEnv(BATCH, task=task, robot=robot, effects=parts, dt=DT)
@@ -155,12 +157,11 @@ def main() -> None:
     found.append(row)
     lines.append(("rollout of 20 steps with gradient in the torques, float32", f"{row.nanoseconds:.0f} ns per step"))
 
-    table = report.table(f"seven-joint arm, one thread, batch {BATCH}", lines)
+    table = f"{steps_table(compared)}\n\n{report.table('torchdq alone', lines)}"
     description = scene.describe(BATCH, torch.float32)
     print(f"{table}\n\n{description}")
-    report.finish(
-        arguments, __file__, table, report.machine("mujoco"), lines=lines, rows=[asdict(row) for row in found]
-    )
+    everything = {"compared": compared, "lines": lines, "rows": [asdict(row) for row in found]}
+    report.finish(arguments, __file__, table, report.machine("mujoco"), **everything)
     front_page.follow(arguments)
 
 

@@ -1,62 +1,91 @@
-"""Five rows of speed for the README, from the tables of docs/prices.md.
+"""Speed on the first pages, from the tables of docs/prices.md: five rows for the README, three numbers for the site.
 
     python benchmarks/front_page.py [--page]
 
-It measures nothing, so the numbers of the two pages are the same. `peers.py --page` and `envs.py --page` end with it.
+It measures nothing, so the numbers of all pages are the same. `peers.py --page` and `envs.py --page` end with it.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
+from typing import NamedTuple
 
 import report
 
-# what the README calls it, what the table of a script calls it, the script, the name of the other package
+# name on the first pages, name in the table of a script, the script, what is said of it on the first page of the site
 ROWS = (
-    ("joint torques of a motion", "inverse dynamics, against pinocchio", "peers.py", "Pinocchio"),
-    ("torques and their gradients", "inverse dynamics, forward + backward", "peers.py", "Pinocchio, called in a loop"),
-    ("joint accelerations", "forward dynamics, against pinocchio", "peers.py", "Pinocchio"),
-    ("frames of all links", "forward kinematics", "peers.py", "pytorch_kinematics"),
-    ("a simulation step with friction", "step, Euler, gravity, damping, friction, float64", "envs.py", "MuJoCo"),
+    ("joint torques of a motion", "inverse dynamics", "peers.py", "Joint torques of a motion"),
+    ("torques and their gradients", "inverse dynamics, forward + backward", "peers.py", None),
+    ("joint accelerations", "forward dynamics", "peers.py", None),
+    ("frames of all links", "forward kinematics", "peers.py", "Frames of all links"),
+    ("a simulation step with friction", "Euler, float64", "envs.py", "A simulation step with friction"),
 )
-TIMES = re.compile(r"([\d.]+) x \(([\d.]+) against ([\d.]+) ns\)")
 
 
-def rounded(x: str) -> str:
-    """A time without its digits after the point, where those say nothing."""
-    return f"{float(x):.0f}"
+class Row(NamedTuple):
+    """Cells of a comparison: times of torchdq and of another package, and ratios, the first of these times."""
+
+    ours: str
+    theirs: str
+    package: str
+    ratios: tuple[str, ...]
+
+
+def measured(task: str, script: str) -> Row:
+    """Row of a task in the table of a script, without digits that say nothing."""
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in report.shown(script).splitlines()]
+    _, ours, theirs, *ratios = next(cells for cells in lines if cells[:1] == [task])
+    time, package = theirs.split(" ns, ")
+    rounded = [f"{float(x.split()[0]):.0f}" for x in (ours, time, *ratios)]
+    return Row(rounded[0], rounded[1], package, tuple(rounded[2:]))
 
 
 def table() -> str:
     """The five rows, and the machine that they were measured on."""
     lines = ["| seven-joint arm, per arm | torchdq | other package | ratio |", "|---|---|---|---|"]
-    for name, row, script, other in ROWS:
-        line = next(x for x in report.shown(script).splitlines() if x.startswith(f"| {row}"))
-        ratio, ours, theirs = map(rounded, TIMES.search(line).groups())  # type: ignore[union-attr]
-        lines.append(f"| {name} | {ours} ns | {theirs} ns, {other} | {ratio} x |")
-    (machine,) = re.findall(r"^Measured on: processor (.*?), vector instructions (\w+)", report.shown("peers.py"), re.M)
-    (without,) = re.findall(r"; (\d+) x where mujoco has no dry friction", line)
-    said = (
-        f"One thread of an {machine[0]} ({machine[1]}), 4096 arms at once, float64. "
-        "The packages of a row ran in turns.\n"
-        f"MuJoCo finds dry friction by a solver; without dry friction the last ratio is {without} x."
-    )
+    for name, task, script, _ in ROWS:
+        row = measured(task, script)
+        lines.append(f"| {name} | {row.ours} ns | {row.theirs} ns, {row.package} | {row.ratios[0]} x |")
+    said = f"{machine()} The packages of a row ran in turns.\n"
+    said += f"MuJoCo finds dry friction by a solver; without dry friction the last ratio is {row.ratios[1]} x."
     return "\n".join([*lines, "", said])
 
 
+def tiles() -> str:
+    """The three numbers, as cards of the site."""
+    lines = ['<div class="grid cards speed" markdown>', ""]
+    for _, task, script, name in ROWS:
+        if name:
+            row = measured(task, script)
+            without = f"; {row.ratios[1]} x if MuJoCo has no dry friction" if row.ratios[1:] else ""
+            lines += [f"-   **{row.ratios[0]} x** {row.package}", ""]
+            lines += [f"    {name}: {row.ours} ns per arm against {row.theirs} ns{without}.", ""]
+    return "\n".join([*lines, "</div>", "", machine()])
+
+
+def machine() -> str:
+    """What all rows have in common."""
+    (found,) = re.findall(r"^Measured on: processor (.*?), vector instructions (\w+)", report.shown("peers.py"), re.M)
+    return f"One thread of an {found[0]} ({found[1]}), 4096 arms at once, float64."
+
+
+PAGES = {report.ROOT / "README.md": table, report.ROOT / "docs/index.md": tiles}
+
+
 def follow(arguments: argparse.Namespace) -> None:
-    """Write the rows into the README, if a script that measures them has written its page."""
+    """Write the first pages anew, if a script that measures their numbers has written its page."""
     if arguments.page:
-        report.between_marks(table(), __file__)
+        for page, text in PAGES.items():
+            report.between_marks(text(), __file__, page)
 
 
 def main() -> None:
-    """The rows, printed, and written where the option asks for it."""
+    """The texts, printed, and written where the option asks for it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--page", action="store_true", help="write the rows into the README")
+    parser.add_argument("--page", action="store_true", help="write the texts into the README and the site")
     arguments = parser.parse_args()
-    print(table())
+    print("\n\n".join(text() for text in PAGES.values()))
     follow(arguments)
 
 

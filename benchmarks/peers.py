@@ -102,13 +102,13 @@ class Task:
             return call
 
         if task == "inverse dynamics":
-            return {"pinocchio": lambda: pin.rneaInParallel(self.threads, self.pool, q, qd, qdd, self.out)}
+            return {"Pinocchio": lambda: pin.rneaInParallel(self.threads, self.pool, q, qd, qdd, self.out)}
         if task == "forward dynamics":
-            return {"pinocchio": lambda: pin.abaInParallel(self.threads, self.pool, q, qd, qdd, self.out)}
+            return {"Pinocchio": lambda: pin.abaInParallel(self.threads, self.pool, q, qd, qdd, self.out)}
         if task in ("inverse dynamics, forward + backward", "dynamics jacobian"):
-            return {"pinocchio derivatives (loop)": loop(pin.computeRNEADerivatives)}
+            return {"Pinocchio, called in a loop": loop(pin.computeRNEADerivatives)}
         if task == "forward dynamics, forward + backward":
-            return {"pinocchio derivatives (loop)": loop(pin.computeABADerivatives)}
+            return {"Pinocchio, called in a loop": loop(pin.computeABADerivatives)}
         return {}
 
     def torchdq(self, task: str, backend: str) -> Callable:
@@ -273,27 +273,32 @@ def first_calls(setup: str, gradient: bool, modules: Sequence[str] = ("DQRNEA",)
         return fresh(setup, work, cache), fresh(setup, work, cache)
 
 
+COMPARED = (
+    ("inverse dynamics", Task.pinocchio),
+    ("inverse dynamics, forward + backward", Task.pinocchio),
+    ("forward dynamics", Task.pinocchio),
+    ("dynamics jacobian", Task.pinocchio),
+    ("forward kinematics", Task.pytorch_kinematics),
+)
+
+
+def comparisons(arm: Path, seconds: float) -> list[report.Comparison]:
+    """Rows of the page on prices with other packages: one thread, batch 4096, seven joints, float64."""
+    case = Task(arm, 4096, torch.float64, 1)
+    rows = []
+    for task, peers in COMPARED:
+        for package, other in peers(case, task).items():
+            times = measure({"ours": case.torchdq(task, "c"), package: other}, 4096, seconds)
+            rows.append(report.Comparison(task, *(statistics.median(times[key]) for key in ("ours", package)), package))
+    return rows
+
+
 def summary(arm: Path, seconds: float) -> list[report.Line]:
-    """Rows of the page on prices, measured on one thread unless stated, batch 4096, seven joints, float64."""
+    """Rows of the page on prices without other packages: batch 4096, seven joints, float64 unless stated."""
     case = Task(arm, 4096, torch.float64, 1)
     single = Task(arm, 4096, torch.float32, 1)
     lines: list[report.Line] = []
 
-    def against(task: str, peer: dict[str, Callable]) -> None:
-        name, other = next(iter(peer.items()))
-        times = measure({"ours": case.torchdq(task, "c"), name: other}, 4096, seconds)
-        ours, theirs = (statistics.median(times[key]) for key in ("ours", name))
-        lines.append((f"{task}, against {name}", f"{theirs / ours:.1f} x ({ours:.1f} against {theirs:.0f} ns)"))
-
-    for task in (
-        "inverse dynamics",
-        "forward dynamics",
-        "inverse dynamics, forward + backward",
-        "dynamics jacobian",
-    ):
-        against(task, case.pinocchio(task))
-    if peer := case.pytorch_kinematics("forward kinematics"):
-        against("forward kinematics", peer)
     for task in ("inverse dynamics", "forward dynamics"):
         calls = {"double": case.torchdq(task, "c"), "single": single.torchdq(task, "c")}
         times = {k: statistics.median(v) for k, v in measure(calls, 4096, seconds).items()}
@@ -389,8 +394,10 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     arm = urdf("example-robot-data", "xarm7.urdf")
-    lines = summary(arm, 0.5 if arguments.quick else SECONDS)
-    text = report.table("seven-joint arm, one thread, batch 4096, float64 unless stated", lines)
+    seconds = 0.5 if arguments.quick else SECONDS
+    compared, lines = comparisons(arm, seconds), summary(arm, seconds)
+    text = report.comparison("seven-joint arm", compared)
+    text += "\n\n" + report.table("torchdq alone", lines)
     print(text)
     rows: list[Row] = []
     if not arguments.quick:
@@ -402,7 +409,9 @@ def main() -> None:
                     for task in TASKS:
                         rows += case.rows(task, 0.3, ("c", "eager") if batch <= 4096 else ("c",))
         print("\n" + table(rows))
-    report.finish(arguments, __file__, text, report.machine(), lines=lines, rows=[asdict(row) for row in rows])
+    report.finish(
+        arguments, __file__, text, report.machine(), compared=compared, lines=lines, rows=[asdict(row) for row in rows]
+    )
     front_page.follow(arguments)
 
 

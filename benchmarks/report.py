@@ -10,10 +10,19 @@ import statistics
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 Line = tuple[str, str]  # what, and what was measured
+
+
+class Comparison(NamedTuple):
+    """Times of a task [ns], of torchdq and of another package."""
+
+    task: str
+    ours: float
+    theirs: float
+    package: str
 
 
 def parser(document: str, quick: str, page: bool = True) -> argparse.ArgumentParser:
@@ -30,6 +39,15 @@ def table(title: str, lines: Sequence[Line]) -> str:
     """Measurements as a table."""
     rows = "\n".join(f"| {what} | {found} |" for what, found in lines)
     return f"| {title} | measured |\n|---|---|\n{rows}"
+
+
+def comparison(title: str, rows: Sequence[Comparison]) -> str:
+    """Comparisons as a table; pages of the site draw bars in its column `ratio`."""
+    lines = [
+        f"| {row.task} | {row.ours:.1f} ns | {row.theirs:.0f} ns, {row.package} | {row.theirs / row.ours:.1f} x |"
+        for row in rows
+    ]
+    return "\n".join([f"| {title} | torchdq | other package | ratio |", "|---|---|---|---|", *lines])
 
 
 def spread(times: Sequence[float]) -> tuple[float, float, float]:
@@ -75,20 +93,24 @@ def marks(script: str) -> tuple[str, str]:
 
 
 def pages(script: str) -> list[Path]:
-    """README and pages of the documentation that have the marks of a script; there should be one."""
+    """README and pages of the documentation that have the marks of a script."""
     every = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [path for path in every if marks(script)[0] in path.read_text(encoding="utf-8")]
 
 
-def shown(script: str) -> str:
-    """Text between the marks of a script, in the one page that has them."""
-    (page,), (begin, end) = pages(script), marks(script)
+def shown(script: str, page: Path | None = None) -> str:
+    """Text between the marks of a script in a page; None: in the one page that has them."""
+    if page is None:
+        (page,) = pages(script)
+    begin, end = marks(script)
     return page.read_text(encoding="utf-8").split(begin)[1].split(end)[0].strip()
 
 
-def between_marks(text: str, script: str) -> None:
-    """Write a text between the marks of a script, in the one page that has them."""
-    (page,), (begin, end) = pages(script), marks(script)
+def between_marks(text: str, script: str, page: Path | None = None) -> None:
+    """Write a text between the marks of a script in a page; None: in the one page that has them."""
+    if page is None:
+        (page,) = pages(script)
+    begin, end = marks(script)
     before, rest = page.read_text(encoding="utf-8").split(begin)
     page.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 

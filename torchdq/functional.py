@@ -76,7 +76,7 @@ def inverse_dynamics(
     Raises:
         ArgumentError, DtypeError: naming the argument that does not fit.
 
-    Source: Algorithm 1, equations (38)-(48); departures: errata 25, 30, 38, 40, 46, 47, A1.
+    Source: Algorithm 1 of the paper, equations (38)-(48), with errata 25, 30, 38, 40, 46, 47, A1 corrected.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link")
@@ -181,7 +181,7 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
     Args:
         robot, q, qd: the robot, its joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
 
-    Source: equations (57)-(72); departures: errata 57, 61, T1.4, 68, 70, 71.
+    Source: equations (57)-(72) of the paper, with errata 57, 61, T1.4, 68, 70, 71 corrected.
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)

@@ -233,7 +233,7 @@ def picture(task: str) -> bytes:
         now = situation(envs)
         if step in MOMENTS:
             target = now.goal[0] if now.goal.shape[1] == 3 else None
-            frames.append(painter.frame(now.q[0], target, f"{now.time:g} s"))
+            frames.append(painter.frame(now.q[0], target))
             positions.append([round(x, 4) for x in now.q[0].tolist()])
         envs.step(towards(now) if task == "reach" else torch.zeros(1, envs.robot.n))
     file, data = io.BytesIO(), PngInfo()

@@ -1,13 +1,15 @@
-"""Hooks of mkdocs: formulas as MathML, links to files beside docs/, pages of a folder in the nav."""
+"""Hooks of mkdocs: formulas as MathML, bars in tables, links to files beside docs/, pages of a folder in the nav."""
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+import bars
 import mathml
 import navigation
 import notebooks
+import repository
 import sources
 from mkdocs.structure.files import File
 
@@ -15,13 +17,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def on_config(config):
-    """The nav with the pages that are there, and formulas as an extension of Markdown.
+    """The nav with the pages that are there, formulas as an extension of Markdown, and a link to the repository.
 
     There is no page for wrong addresses, whose links would have to know where the site lies.
     """
     config.theme.static_templates.discard("404.html")
     config.nav = navigation.of_pages(config.nav, Path(config.docs_dir))
     config.markdown_extensions.append(mathml.Formulas())
+    config.repo_url, config.repo_name = repository.here(ROOT), "Sources"
     return config
 
 
@@ -41,3 +44,8 @@ def on_page_markdown(markdown, page, config, files):
     if sys.stderr.isatty():
         print(f"\r{page.file.src_uri:<78}", end="\r", file=sys.stderr, flush=True)
     return sources.with_links(markdown, page.file.src_uri, ROOT)
+
+
+def on_page_content(html, page, config, files):
+    """Page whose tables have bars beside their ratios."""
+    return bars.drawn(html)

@@ -9,6 +9,7 @@ from collections import Counter
 
 import front_page
 import oracles
+import pytest
 import report
 import torch
 from accuracy import findings
@@ -59,7 +60,8 @@ def test_every_table_of_a_page_has_a_script_that_writes_it():
     assert {"peers.py", "envs.py", "compiled.py", "formulations.py", "accuracy_vs_time.py", "gpu.py"} <= marked.keys()
     for name, count in marked.items():
         by_marks = re.search(r"report\.(finish|into_page|between_marks)", (FOLDER / name).read_text())
-        assert count == 1 or not by_marks, f"{count} pages for {name}"  # other scripts write whole pages
+        expected = len(front_page.PAGES) if name == "front_page.py" else 1
+        assert count == expected or not by_marks, f"{count} pages for {name}"  # other scripts write whole pages
 
 
 def test_a_table_is_written_between_its_marks_and_nowhere_else(tmp_path, monkeypatch):
@@ -93,6 +95,23 @@ def test_numbers_of_the_page_on_accuracy_are_those_of_the_results():
     assert shown == f"{findings.page(results)}\n\n{machine}", "benchmarks/accuracy_vs_time.py --again --page"
 
 
-def test_the_rows_of_the_readme_are_those_of_the_pages():
-    assert report.shown("front_page.py") == front_page.table(), "benchmarks/front_page.py --page writes them anew"
-    assert report.pages("front_page.py") == [report.ROOT / "README.md"]
+def test_the_numbers_of_the_first_pages_are_those_of_the_page_on_prices():
+    assert report.pages("front_page.py") == list(front_page.PAGES)
+    for page, text in front_page.PAGES.items():
+        assert report.shown("front_page.py", page) == text(), "benchmarks/front_page.py --page writes them anew"
+
+
+@pytest.mark.parametrize("script", ["peers.py", "envs.py"])
+def test_a_ratio_is_that_of_its_times(script):
+    rows = re.findall(r"^\|[^|]+\| ([\d.]+) ns \| ([\d.]+) ns, [^|]+\| ([\d.]+) x \|", report.shown(script), re.M)
+    assert len(rows) >= 4
+    for ours, theirs, ratio in ([float(x) for x in row] for row in rows):
+        assert abs(theirs / ours - ratio) < 0.01 * ratio + 0.05, (ours, theirs, ratio)
+
+
+def test_the_first_page_repeats_what_the_guide_says_of_a_policy():
+    first, guide = (
+        " ".join((report.ROOT / x).read_text("utf-8").split()) for x in ("docs/index.md", "docs/guides/policy.md")
+    )
+    millimetres, seconds = re.search(r"to ([\d.]+) mm in the median after (\d+) s on one core", first).groups()
+    assert f"a median distance of {millimetres} mm after {seconds} s on one core" in guide

@@ -90,6 +90,17 @@ def test_what_a_browser_would_load_is_noticed():
     assert not LOADED.search('<a href="https://a.b">text</a> <link rel="canonical" href="https://a.b">')
 
 
+def test_bars_are_as_long_as_their_ratios(site):
+    """The largest ratio of a table has the whole width."""
+    tables = re.findall(r"<table>.*?</table>", (site / "prices.html").read_text(encoding="utf-8"), re.DOTALL)
+    drawn = [re.findall(r'style="--share: ([\d.]+)">([\d.]+) x</td>', table) for table in tables]
+    assert [bool(bars) for bars in drawn] == ["<th>ratio</th>" in table for table in tables]
+    assert any(drawn)
+    for bars in filter(None, drawn):
+        longest = max(float(ratio) for _, ratio in bars)
+        assert all(abs(float(share) - float(ratio) / longest) < 1e-3 for share, ratio in bars)
+
+
 def test_formulas_are_drawn_by_the_browser(site):
     without_code = {
         name: re.sub(r"<(pre|code)\b.*?</\1>", "", text, flags=re.DOTALL) for name, text in pages(site).items()

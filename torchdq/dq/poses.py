@@ -47,9 +47,10 @@ def exp(a: Tensor) -> Tensor:
 def log(x: Tensor) -> Tensor:
     """Logarithm a [..., 6] of a unit dual quaternion x [..., 8], exp(a) = x, smooth up to a full turn.
 
-    2 |P(a)| is the angle in [0, 2 pi] of the motion; x and -x are the same pose but different motions, of which
-    `log_shortest` takes the shorter one. At P(x) = -1, a full turn, the axis is not unique: it is the line along the
-    displacement, or along x if there is no displacement.
+    2 log(x) is the constant body twist that reaches x in one second; `2 * log_shortest(mul(conj(x), y))` is the one
+    from a pose x to a pose y, the error of x in its own axes. 2 |P(a)| is the angle in [0, 2 pi] of the motion; x and
+    -x are the same pose but different motions, of which `log_shortest` takes the shorter one. At P(x) = -1, a full
+    turn, the axis is not unique: it is the line along the displacement, or along x if there is no displacement.
 
     >>> log(exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))).mul(10).round().int().tolist()
     [1, 2, 3, 10, 20, 30]
