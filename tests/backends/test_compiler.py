@@ -444,7 +444,12 @@ def test_the_compiler_named_in_the_environment_is_used_with_its_arguments(argume
 
 
 # parts of -ffast-math that gcc or clang accept alone
-FAST = ("-ffast-math", "-funsafe-math-optimizations", "-fassociative-math -fno-signed-zeros -fno-trapping-math", "-Ofast")
+FAST = (
+    "-ffast-math",
+    "-funsafe-math-optimizations",
+    "-fassociative-math -fno-signed-zeros -fno-trapping-math",
+    "-Ofast",
+)
 
 
 @pytest.mark.parametrize("flags", FAST)
