@@ -405,16 +405,17 @@ def test_any_names_of_joints_and_robots_make_files_in_ascii_that_build(language,
 
 
 @needs("cmake")
-def test_two_functions_in_one_folder_are_built_and_tested_together(tmp_path):
+def test_functions_in_one_folder_are_built_and_tested_together_also_if_cmake_reserves_their_names(tmp_path):
     compiled = torchdq.compile(TWO, "inverse_dynamics")
-    for name, library in (("torques", "own"), ("control", "math.h")):
+    for name, library in (("torques", "own"), ("test", "math.h"), ("all", "math.h"), ("install", "math.h")):
         made = compiled.export(tmp_path, name, library, batch=True)
     assert made.cmake == tmp_path / "CMakeLists.txt"
     for build in (tmp_path / "build", tmp_path):  # the second in the folder itself
         run("cmake", "-S", str(tmp_path), "-B", str(build))
         run("cmake", "--build", str(build))
         said = run("ctest", "--test-dir", str(build))
-        assert "100% tests passed" in said and "out of 2" in said
+        assert "100% tests passed" in said and "out of 4" in said
+        assert (build / "libtorques.a").is_file()
 
 
 def test_the_header_says_order_shapes_and_units(tmp_path):
