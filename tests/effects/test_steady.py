@@ -1,4 +1,4 @@
-"""Friction at the speeds that reports state: a sliding joint driven by that torque keeps its speed, or begins to move."""
+"""Friction at the speeds that reports state: a joint driven by that torque keeps its speed, or begins to slide."""
 
 import pytest
 import torch

@@ -22,7 +22,7 @@ DECIMALS = 9  # smaller friction torques are rounding errors or those of creepin
 
 
 def at_speeds(effects: Sequence[Effect], n: int) -> tuple[tuple[str, ...], ...]:
-    """Friction torques [N m or N] of the effects, a row for each of `SPEEDS` with a text for each joint.
+    """Friction torques [N m or N] of resolved effects, a row for each of `SPEEDS` with a text for each joint.
 
     "0.5" holds in both directions, "0.5/0.7" forwards and backwards, "0.5 + 0.1 load" depends on the load. It is the
     torque in steady motion at the temperature of the coefficients. At rest, signs that are smooth below `SHARP` are

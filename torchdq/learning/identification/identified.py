@@ -233,7 +233,7 @@ class Identified(NamedTuple):
 
     def friction_rows(self) -> list[tuple[str, ...]]:
         """Joints with the friction found at a few speeds, of all terms together; [] if there is none."""
-        found = at_speeds(self.friction(), self.robot.n)
+        found = at_speeds([effect.resolved(self.robot) for effect in self.friction()], self.robot.n)
         return list(zip(self.robot.joint_names, *found, strict=True)) if found else []
 
     @property
