@@ -163,9 +163,9 @@ def program(
     if robot.gravity is not None and "gravity" not in arguments(robot):
         written["gravity"] = _numbers("gravity", robot.gravity)
     about = (*heading(f"{function}{motors}", robot.name, robot.joint_names), *constants_of(written))
-    known = [one for effect in effects if not (one := _of_numbers(effect)).idle()]
-    said = [f"friction: {part(effect)}" for effect in known] or ["friction: none"]
-    return replace(record(rigid.name, taken, algorithm), about=(*about, *said, *lines(known, robot.n)))
+    acting = [one for effect in effects if not (one := _of_numbers(effect)).idle()]
+    said = [f"friction: {part(effect)}" for effect in acting] or ["friction: none"]
+    return replace(record(rigid.name, taken, algorithm), about=(*about, *said, *lines(acting, robot.n)))
 
 
 def _of_numbers(effect: Friction) -> Friction:
