@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import is_number, require_tensor
+from torchdq.base.checks import and_more, is_number, require_tensor
 from torchdq.envs.tasks import velocities
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
@@ -62,7 +62,7 @@ class Actions:
             row, joint = bad[0].tolist()
             raise ArgumentError(
                 f"actions must be finite, found {found[row, joint].item()} in row {row} for joint "
-                f"{self.robot.joint_names[joint]!r}, and {len(bad) - 1} more; nothing was stepped"
+                f"{self.robot.joint_names[joint]!r}{and_more(bad)}; nothing was stepped"
             )
         return inside, (inside != found).sum(1)
 

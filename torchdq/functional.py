@@ -222,7 +222,10 @@ def regressor(
 def dynamics_jacobian(
     robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: BackendName | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Derivatives (dtau/dq, dtau/dqd, M) of `inverse_dynamics`, each [..., n, n]; M is dtau/dqdd.
+    """Derivatives (dtau/dq, dtau/dqd, M) of `inverse_dynamics`, not forward dynamics, each [..., n, n]; M is dtau/dqdd.
+
+    Where qdd = forward_dynamics(q, qd, tau), the derivatives of `forward_dynamics` by q, qd and tau are -M^-1 dtau/dq,
+    -M^-1 dtau/dqd and M^-1, which `torchdq.compile(robot, "forward_dynamics").jacobian()` computes.
 
     Args:
         robot: the robot.

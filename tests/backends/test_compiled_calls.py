@@ -168,6 +168,8 @@ def test_memory_that_cannot_be_written_to_is_refused_with_the_reason(batch):
         (call, inputs, inputs[2][:]),
         (call, inputs, own.new_empty(*batch, 14)[..., ::2]),
         (call, inputs, own.new_empty(*batch, 6)),
+        (call, inputs, torch._neg_view(own)),
+        (call, inputs, torch._efficientzerotensor(own.shape, dtype=F64)),
         (call, inputs, own.float()),
         (call, inputs, "tau"),
         (call, inputs, [own, own.clone()]),

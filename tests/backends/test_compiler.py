@@ -443,7 +443,26 @@ def test_the_compiler_named_in_the_environment_is_used_with_its_arguments(argume
     assert any("-march=native" in line and line.startswith(arguments.strip()) for line in log.read_text().splitlines())
 
 
-def test_arguments_of_the_compiler_in_the_environment_come_last_and_are_part_of_the_key(cache, monkeypatch):
+# parts of -ffast-math that gcc or clang accept alone
+FAST = (
+    "-ffast-math",
+    "-funsafe-math-optimizations",
+    "-fassociative-math -fno-signed-zeros -fno-trapping-math",
+    "-Ofast",
+)
+
+
+@pytest.mark.parametrize("flags", FAST)
+@pytest.mark.parametrize("variable", ["CC", "TORCHDQ_CFLAGS"])
+def test_no_argument_of_the_user_makes_arithmetic_inexact(variable, flags, tmp_path):
+    """Neither that of the program, nor that of the process: start files of -ffast-math make subnormal numbers zero."""
+    code = COMPILED + "assert torch.tensor(2.0**-1070, dtype=torch.float64) * 0.5 > 0.0, 'flushed to zero'\n"
+    environment = {"CC": REAL, "TORCHDQ_CFLAGS": "-O3"}
+    environment[variable] += f" {flags}"
+    computes(code, tmp_path / "cache", **environment)
+
+
+def test_arguments_of_the_compiler_in_the_environment_overrule_ours_and_are_part_of_the_key(cache, monkeypatch):
     commands, run = [], build.run
     monkeypatch.setattr(build, "run", lambda *x: (commands.extend(x[0]), run(*x))[1])
     for flags in ("", "-O1 -g0", "-O0"):

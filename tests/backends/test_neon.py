@@ -54,8 +54,7 @@ def on_arm(program, inputs, folder, single):
     source, binary, given, written = (folder / name for name in ("program.c", "program", "given", "found"))
     source.write_text(text)
     given.write_bytes(b"".join(x.numpy().tobytes() for x in inputs))
-    flags = [flag for flag in build.FLAGS if flag not in ("-march=native", "-shared", "-fPIC")]
-    subprocess.run([CROSS, *flags, "-static", "-o", binary, source, "-lm"], check=True)
+    subprocess.run([CROSS, "-O3", *build.ARITHMETIC, "-w", "-static", "-o", binary, source, "-lm"], check=True)
     subprocess.run([EMULATOR, binary, given, written], check=True)
     flat = np.frombuffer(written.read_bytes(), np.float32 if single else np.float64)
     parts = np.split(flat, np.cumsum([samples * w for w in widths])[:-1])

@@ -285,12 +285,14 @@ def test_robots_effects_and_layers_are_made_on_the_cpu_whatever_the_default_devi
         effects.Viscous(1.0),
         effects.Elastic(9.0, inertia=1.0),
     ]
+    held = robot.with_payload(1.0, (0.1, 0.0, 0.0))
     with torch.device("meta"):
         for name in torchdq.robots.names():
             assert torchdq.robots.load(name).mass.device.type == "cpu"
         here = torchdq.robots.load("two_link")
         torch.testing.assert_close(torchdq.inverse_dynamics(here, q), torchdq.inverse_dynamics(robot, q))
         assert here.lock({"joint1": 0.5}).n == 1 and here.replace(gravity=(0 * here.gravity)).bake().tip == "tip"
+        assert torch.equal(here.with_payload(1.0, (0.1, 0.0, 0.0)).com, held.com)
         for part in parts:
             scene = Scene(here, (part,))
             assert scene.step(scene.start(q)).q.device.type == "cpu"

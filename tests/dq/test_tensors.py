@@ -215,6 +215,17 @@ def test_vmap_is_the_batch_and_derivatives_are_right_in_both_directions_under_it
     assert torch.autograd.gradcheck(one, first, eps=1e-6, atol=1e-7, rtol=1e-6)
 
 
+@pytest.mark.parametrize("key", ["mul", "cross/vector", "log"])
+def test_one_graph_of_unknown_sizes_takes_rows_of_which_some_are_shared(key):
+    torch._dynamo.reset()
+    traced = torch.compile(
+        lambda *x: call(key, dict(zip(FUNCTIONS[key], x, strict=True))), fullgraph=True, dynamic=True, backend="eager"
+    )
+    given = arguments(key, (5,), ())
+    for found, expected in zip(traced(*given.values()), call(key, given), strict=True):
+        near(found, expected)
+
+
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 NUMBERS = {"mass", "t"}  # may be Python numbers, and have no trailing axis

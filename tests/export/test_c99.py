@@ -238,7 +238,10 @@ def test_a_header_has_the_numbers_of_controller_and_friction(tmp_path):
     learned.viscous = torch.tensor([0.25, 0.5], dtype=F64)
     layer = torchdq.ComputedTorque(learned, torch.tensor([25.0, 16.0]), 10.0)
     step = Scene(TWO, (effects.Viscous((0.1, 0.2)), effects.Coulomb(torch.ones(2))), controllers.PD(9.0, 1.5)).program()
+    none = torchdq.DQRNEA(TWO, friction=(effects.Coulomb(0.0),)).program()
+    nothing = Scene(TWO, (effects.Coulomb(0.0), effects.Viscous(0.1))).program()
     programs = {"layer": layer.program(), "arguments": layer.program(parameters="arguments"), "step": step}
+    programs |= {"none": none, "nothing": nothing}
     text = {
         name: torchdq.compile(program).export(tmp_path / name, "f").header.read_text()
         for name, program in {**programs, "pd": controllers.PD(9.0, (1.5, 2.0)).program(TWO)}.items()
@@ -246,9 +249,14 @@ def test_a_header_has_the_numbers_of_controller_and_friction(tmp_path):
     for line in ("kp = 25, 16: gains of the position errors [1/s^2]", "kd = 10: gains of the velocity errors [1/s]"):
         assert f" * {line}\n" in text["layer"]
     assert " * gravity = 0, -9.81, 0: gravitational acceleration in the base frame [m/s^2]\n" in text["layer"]
-    assert " * friction: Viscous(" in text["layer"] and "coefficient=(0.25, 0.5))" in text["layer"]
+    assert " * friction: Viscous(coefficient=(0.25, 0.5))\n" in text["layer"]
+    assert " * friction at rest (breakaway) = 0.01 [N m or N]\n" in text["layer"]
+    assert " * friction at 1 rad/s or m/s = 0.26, 0.51 [N m or N]\n" in text["layer"]
+    assert " * friction: none\n" in text["none"] and "Coulomb" not in text["none"] + text["nothing"]
+    assert " * effect 1: Viscous(coefficient=0.1)\n * friction at rest (breakaway) = 0 [N m or N]\n" in text["nothing"]
+    assert "friction at" not in text["arguments"] + text["step"]  # whose friction is not known
     assert "coefficient=argument)" in text["arguments"] and "in   viscous[2]  viscous friction" in text["arguments"]
-    assert "effect 0: Viscous(" in text["step"] and "coefficient=(0.1, 0.2))" in text["step"]
+    assert "effect 0: Viscous(coefficient=(0.1, 0.2))" in text["step"]
     assert "coulomb=argument" in text["step"] and "controller: PD(kp=9, kd=1.5)" in text["step"]
     assert "PD(kp=9, kd=(1.5, 2))" in text["pd"] and all(
         "joints in the order of q: joint1, joint2" in x for x in text.values()
@@ -405,16 +413,17 @@ def test_any_names_of_joints_and_robots_make_files_in_ascii_that_build(language,
 
 
 @needs("cmake")
-def test_two_functions_in_one_folder_are_built_and_tested_together(tmp_path):
+def test_functions_in_one_folder_are_built_and_tested_together_also_if_cmake_reserves_their_names(tmp_path):
     compiled = torchdq.compile(TWO, "inverse_dynamics")
-    for name, library in (("torques", "own"), ("control", "math.h")):
+    for name, library in (("torques", "own"), ("test", "math.h"), ("all", "math.h"), ("install", "math.h")):
         made = compiled.export(tmp_path, name, library, batch=True)
     assert made.cmake == tmp_path / "CMakeLists.txt"
     for build in (tmp_path / "build", tmp_path):  # the second in the folder itself
         run("cmake", "-S", str(tmp_path), "-B", str(build))
         run("cmake", "--build", str(build))
         said = run("ctest", "--test-dir", str(build))
-        assert "100% tests passed" in said and "out of 2" in said
+        assert "100% tests passed" in said and "out of 4" in said
+        assert (build / "libtorques.a").is_file()
 
 
 def test_the_header_says_order_shapes_and_units(tmp_path):

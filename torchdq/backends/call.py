@@ -208,8 +208,12 @@ def _require_room(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Ten
         label = f"out for {name}"
         require_tensor(label, room)
         _require_alike(label, room, "the first argument", given[0])
-        if room.shape != shape or not room.is_contiguous():
-            expected, held = ", ".join(map(str, shape)), "" if room.is_contiguous() else " that is not contiguous"
+        written = dense([room])[0] is room  # what is written to its memory are its numbers
+        if room.shape != shape or not written:
+            expected, held = ", ".join(map(str, shape)), ""
+            if not written:
+                held = " that is not contiguous" if not room.is_contiguous() else " that is a view of other numbers"
+                held += "; give out.resolve_neg()" if room.is_neg() else ""
             if room.ndim > len(shape) and room.numel() == math.prod(shape):
                 held += "; it is flat, row by row"
             raise ArgumentError(f"{label} must be contiguous [{expected}], found {tuple(room.shape)}{held}")

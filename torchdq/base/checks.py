@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set, Sized
 from fnmatch import fnmatchcase
 from numbers import Real
 from typing import Any, NoReturn, TypeVar
@@ -79,7 +79,12 @@ def require_finite(**arguments: Tensor | None) -> None:
         bad = (~x.isfinite()).nonzero()
         if len(bad):
             at = tuple(bad[0].tolist())
-            raise ArgumentError(f"{name} must be finite, found {x[at].item()} at {at}, and {len(bad) - 1} more")
+            raise ArgumentError(f"{name} must be finite, found {x[at].item()} at {at}{and_more(bad)}")
+
+
+def and_more(found: Sized) -> str:
+    """Text for how many there are after the first one; "" for none."""
+    return f", and {len(found) - 1} more" if len(found) > 1 else ""
 
 
 def floating(name: str, x: Any) -> Tensor:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from html import escape
 
 from torchdq.base.optional import imported
+from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.evaluate import MEANING, Evaluation, torques_by
 from torchdq.learning.identification.identified import Identified
@@ -107,6 +108,8 @@ def _model(found: Identified) -> str:
     rest = zip(found.names[first:], *(x[first:].tolist() for x in (found.parameters, found.errors)), units, strict=True)
     if joints := [(name, f"{x:.4g}", f"{error:.2g}", unit) for name, x, error, unit in rest if x or error]:
         parts.append(f"<p>Joints</p>{_table(('parameter', 'estimate', 'standard error', 'unit'), joints)}")
+    if friction := found.friction_rows():
+        parts.append(f"<p>{STATED.capitalize()}</p>{_table(COLUMNS, friction)}")
     if found.gains is not None:
         rows = [
             (name, f"{x:.4g}", f"{error:.2g}")

@@ -9,6 +9,7 @@ from torchdq import floating, functional
 from torchdq.base.progress import Progress
 from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Grid, Outcome
+from torchdq.dynamics.friction import COLUMNS, SPEEDS, STATED
 from torchdq.errors import SingularInertiaError
 from torchdq.functions.catalogue import FLOATING, RECIPES, Function
 from torchdq.functions.options import options_of
@@ -52,6 +53,7 @@ class ReportCommand(RobotCommand):
         text = (
             report.summary,
             Grid(HEADER, report.joints),
+            *((f"{STATED}:", Grid(COLUMNS, report.friction)) if report.friction else ()),
             "notes:",
             Grid((), [("-", note) for note in notes or ("nothing else in the description",)]),
             "operations per sample:",
@@ -68,6 +70,7 @@ class ReportCommand(RobotCommand):
                 dict(zip(("name", "kind", "link", "mass", "limits"), row, strict=True)) for row in report.joints
             ],
             "coordinates": robot.joint_names,
+            "friction": {"speeds": SPEEDS, "torques": [[float(x) for x in row[1:]] for row in report.friction]},
             "limits": robot.limits._asdict(),
             "links": [
                 {"name": name, "mass": mass, "com": com}

@@ -15,6 +15,8 @@ from torchdq.base.checks import names_of, require_number
 from torchdq.base.files import write_atomically
 from torchdq.command.command import RobotCommand, per_joint
 from torchdq.command.outcome import Grid, Outcome
+from torchdq.dynamics.friction import COLUMNS, STATED
+from torchdq.effects.steady import at_speeds
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.scene import controllers, integrators
@@ -90,13 +92,17 @@ class SceneCommand(RobotCommand):
             failure = f"The simulation has failed: from {at:g} s on its numbers are not finite. {cure}"
         shown = {"kinetic": energies[:, 0], "potential": energies[:, 1], "sum": total}
         rows = [(name, *(f"{float(x):.6g}" for x in (e[0], e.max(), e[-1]))) for name, e in shown.items()]
-        names = ", ".join(type(effect).__name__ for effect in scene.effects) or "rigid bodies alone"
+        acting = [type(effect).__name__ for effect in scene.effects if not effect.idle()]
+        names = ", ".join(acting) or "rigid bodies alone"
         many = f"{steps} step{'s' * (steps != 1)}"
         about = f"{robot.name}, {many} of {self.dt:g} s with {type(scene.integrator).__name__}: {names}"
         text: list[str | Grid] = [about, Grid(("energy [J]", "start", "most", "end"), rows)]
         joints = zip(robot.joint_names, start.q.tolist(), states.q[-1].tolist(), states.qd[-1].tolist(), strict=True)
         positions = [(name, *(f"{x:.6g}" for x in values)) for name, *values in joints]
-        text += [Grid(("joint", "start", "end", "speed at the end"), positions), "price of a step:", str(price)]
+        text += [Grid(("joint", "start", "end", "speed at the end"), positions)]
+        if friction := at_speeds(scene.effects, robot.n):
+            text += [f"{STATED}:", Grid(COLUMNS, list(zip(robot.joint_names, *friction, strict=True)))]
+        text += ["price of a step:", str(price)]
         text += [Grid((), [("wrote", str(self.csv))])] if self.csv is not None else []
         text += [failure] if failure else []
         data = {

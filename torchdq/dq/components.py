@@ -1,6 +1,7 @@
 """Conversion between tensors and the tuples of components of the algebra, with checks of dtype and shape."""
 
 from collections.abc import Sequence
+from operator import index
 from typing import Any
 
 import torch
@@ -27,7 +28,8 @@ def require_matrix(name: str, x: Tensor) -> None:
 
 def checked(name: str, x: Tensor, *sizes: int) -> Tensor:
     """Floating tensor x; raises unless its last axis has one of these sizes."""
-    if floating(name, x).ndim == 0 or x.shape[-1] not in sizes:
+    # in a graph of unknown sizes this one becomes a number
+    if floating(name, x).ndim == 0 or index(x.shape[-1]) not in sizes:
         expected = " or ".join(str(s) for s in sizes)
         raise ArgumentError(f"{name} must end with an axis of {expected} components, found shape {tuple(x.shape)}")
     return x

@@ -1,6 +1,7 @@
 """Formulas of the algebra on tensors, as one program each: a call takes microseconds, and gradients of all orders."""
 
 from collections.abc import Callable, Iterator
+from operator import index
 from typing import Any, NamedTuple
 
 import torch
@@ -63,7 +64,7 @@ def computed(formula: Callable[..., Any], shape: tuple[int, ...] | None = None, 
     if first.dtype not in DTYPES or any([y.dtype != first.dtype or y.device != first.device for y in x.values()]):
         found = stack([*numbers(formula(*[form(y.unbind(-1)) for y in x.values()]))])  # torch promotes dtypes
         return found if shape is None else found.reshape(*found.shape[:-1], *shape)
-    widths = tuple([(name, y.shape[-1]) for name, y in x.items()])
+    widths = tuple([(name, index(y.shape[-1])) for name, y in x.items()])
     # torch.compile fuses torch operations itself
     backend: BackendName | None = "eager" if torch.compiler.is_compiling() else None
     return evaluate(Formula(formula, widths, shape), x, backend)["y"]

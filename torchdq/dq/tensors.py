@@ -14,6 +14,7 @@ Rows are independent: a row that is not finite, or cannot be normalised, gives N
 """
 
 from collections.abc import Callable
+from operator import index
 from types import ModuleType
 
 import torch
@@ -46,7 +47,7 @@ def mul(x: Tensor, y: Tensor) -> Tensor:
     tensor([0., 0., 0., 1.])
     """
     checked("x", x, 4, 8)
-    return computed(_algebra(x).mul, x=x, y=checked("y", y, x.shape[-1]))
+    return computed(_algebra(x).mul, x=x, y=checked("y", y, index(x.shape[-1])))
 
 
 def conj(x: Tensor) -> Tensor:
@@ -102,7 +103,7 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
     """
     checked("a", a, 3, 6)
     product = screw.cross if a.shape[-1] == 6 else quaternion.cross
-    return computed(product, a=a, b=checked("b", b, a.shape[-1]))
+    return computed(product, a=a, b=checked("b", b, index(a.shape[-1])))
 
 
 def inner(a: Tensor, b: Tensor) -> Tensor:

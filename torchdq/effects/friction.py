@@ -16,7 +16,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import is_number
 from torchdq.dynamics.friction import smooth_speed
 from torchdq.dynamics.posed import Row
-from torchdq.effects.effect import Inputs, Parameter, Shapes
+from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import absolute, cos, exp, maximum, sin
@@ -62,6 +62,10 @@ class Friction(JointEffect):
     def bristles(self) -> float:
         """Deflection of bristles that can be computed from positions alone [rad or m]; zero without memory."""
         return 0.0
+
+    def idle(self) -> tuple[str, ...]:
+        """Parameters in which the torque is linear, if all are constants that are zero."""
+        return self.LINEAR if all(_zero(getattr(self, name)) for name in self.LINEAR) else ()
 
     def parts(self) -> list[tuple[Friction, str]]:
         """Laws that sum to this one, each proportional to one nonnegative parameter."""
@@ -211,11 +215,6 @@ class Stribeck(Friction):
     static: Parameter = None
     velocity: Parameter = 0.1
     sign_width: Parameter = 1e-2
-
-    def idle(self) -> tuple[str, ...]:
-        """Friction parameters, if both are zero."""
-        both = super().idle() and isinstance(self.static, tuple) and not any(self.static)
-        return ("coulomb", "static") if both else ()
 
     def parts(self) -> list[tuple[Friction, str]]:
         """Coulomb friction, and the excess near rest, so that static friction is at least Coulomb friction."""
@@ -386,6 +385,12 @@ class LuGre(Friction):
 def _zero(x: Any) -> bool:
     """True for a constant parameter that is zero at every joint."""
     return all(is_number(value) and value == 0 for value in (x if isinstance(x, tuple) else (x,)))
+
+
+def resisting(effects: Sequence[Effect]) -> list[Friction]:
+    """Friction among effects that acts against the motion, and is not zero."""
+    friction = [one for one in effects if isinstance(one, Friction)]
+    return [one for one in friction if not one.idle() and one.SIGNED.isdisjoint(one.LINEAR)]
 
 
 def parts_of(friction: Any, robot: Robot) -> list[tuple[Friction, str]]:

@@ -174,21 +174,23 @@ class Export(NamedTuple):
     def cmake(self) -> str:
         """CMake file with the function as a library, and its test."""
         name, math = self.name, " m" if self.functions == "math.h" else ""
+        library, test = f"exported_{name}", f"test_exported_{name}"  # a bare name may be one that CMake reserves
         vectors = (
             'if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")\n'
-            f"  target_compile_options({name} PRIVATE -O3 -fno-math-errno)\nendif()\n"
+            f"  target_compile_options({library} PRIVATE -O3 -fno-math-errno)\nendif()\n"
             if self.batch
             else ""
         )
         return (
-            f"add_library({name} ${{CMAKE_CURRENT_LIST_DIR}}/{name}.c)\n"
-            f"add_executable(test_{name} ${{CMAKE_CURRENT_LIST_DIR}}/test_{name}.c)\n"
-            f"set_target_properties({name} test_{name} PROPERTIES\n"
+            f"add_library({library} ${{CMAKE_CURRENT_LIST_DIR}}/{name}.c)\n"
+            f"add_executable({test} ${{CMAKE_CURRENT_LIST_DIR}}/test_{name}.c)\n"
+            f"set_target_properties({library} PROPERTIES OUTPUT_NAME {name})\n"
+            f"set_target_properties({library} {test} PROPERTIES\n"
             "  C_STANDARD 99 C_EXTENSIONS OFF C_STANDARD_REQUIRED ON)\n"
-            f"target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_LIST_DIR}})\n"
-            f"target_link_libraries(test_{name} {name})\n"
-            f"if(UNIX)\n  target_link_libraries({name} PUBLIC{math})\n  target_link_libraries(test_{name} m)\nendif()\n"
-            f"{vectors}add_test(NAME {name} COMMAND test_{name})\n"
+            f"target_include_directories({library} PUBLIC ${{CMAKE_CURRENT_LIST_DIR}})\n"
+            f"target_link_libraries({test} {library})\n"
+            f"if(UNIX)\n  target_link_libraries({library} PUBLIC{math})\n  target_link_libraries({test} m)\nendif()\n"
+            f"{vectors}add_test(NAME {name} COMMAND {test})\n"
         )
 
     def write(self, folder: Path, examples: Mapping[str, Tensor]) -> Exported:

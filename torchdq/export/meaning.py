@@ -91,9 +91,17 @@ def constants(numbers: Mapping[str, Sequence[float]]) -> list[str]:
 
 
 def part(x: object) -> str:
-    """Effect or controller of a program with its numbers [SI], joint by joint; one number is that of all joints."""
-    given = {f.name: getattr(x, f.name) for f in fields(x) if f.init}  # type: ignore[arg-type]
-    return f"{type(x).__name__}({', '.join(f'{name}={_value(v)}' for name, v in given.items() if v is not None)})"
+    """Effect or controller of a program with its numbers [SI], joint by joint; one number is that of all joints.
+
+    What is absent is left out: None, and zeros that nobody gave.
+    """
+    given = {f.name: _value(v) for f in fields(x) if f.init and not _absent(v := getattr(x, f.name), f.default)}  # type: ignore[arg-type]
+    return f"{type(x).__name__}({', '.join(f'{name}={text}' for name, text in given.items())})"
+
+
+def _absent(x: object, default: object) -> bool:
+    """True for None, and for zeros where the default is zero."""
+    return x is None or (default == 0.0 and (x == 0.0 or (isinstance(x, tuple) and not any(x))))
 
 
 def _value(x: object) -> str:

@@ -145,7 +145,7 @@ class Function(_Call, Computation):
             if not optional:
                 require_tensor(name, tensors.get(name))
         first = next(iter(tensors.values()))
-        if not first.is_meta and self.constants.without_values():
+        if not first.is_meta and self.constants.without_values:
             raise ArgumentError(
                 f"robot {self.constants.fields['name']!r} is on the device 'meta', where tensors have no values, and "
                 f"the arguments are on {first.device}; load the robot again"

@@ -15,6 +15,7 @@ from torchdq.base.checks import names_of, require_choice
 from torchdq.effects.effect import TENSOR
 from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import Templates, loads, torques
+from torchdq.effects.steady import lines
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import constants as constants_of
 from torchdq.export.meaning import heading, part
@@ -162,8 +163,9 @@ def program(
     if robot.gravity is not None and "gravity" not in arguments(robot):
         written["gravity"] = _numbers("gravity", robot.gravity)
     about = (*heading(f"{function}{motors}", robot.name, robot.joint_names), *constants_of(written))
-    lines = [f"friction: {part(_of_numbers(effect))}" for effect in effects] or ["friction: none"]
-    return replace(record(rigid.name, taken, algorithm), about=(*about, *lines))
+    acting = [one for effect in effects if not (one := _of_numbers(effect)).idle()]
+    said = [f"friction: {part(effect)}" for effect in acting] or ["friction: none"]
+    return replace(record(rigid.name, taken, algorithm), about=(*about, *said, *lines(acting, robot.n)))
 
 
 def _of_numbers(effect: Friction) -> Friction:

@@ -34,6 +34,7 @@ class Constants:
 
     digest: str
     fields: Mapping[str, Any]
+    without_values: bool  # numbers of tensors without values; found once, since graphs are traced with unknown numbers
 
     @classmethod
     def of(cls, fields: Mapping[str, Any], arguments: Mapping[str, int]) -> Constants:
@@ -48,7 +49,8 @@ class Constants:
             name: _unknown(value, arguments[name]) if name in arguments else _mapped(_numbers, Tensor, value)
             for name, value in fields.items()
         }
-        return cls(sha256(repr(plain).encode()).hexdigest(), plain)
+        without_values = any(map(math.isnan, plain["damping"].values))
+        return cls(sha256(repr(plain).encode()).hexdigest(), plain, without_values)
 
     def tensors(self) -> dict[str, Any]:
         """Fields with tensors again, in float64; tensors that are arguments are NaN."""
@@ -57,10 +59,6 @@ class Constants:
     def changed(self, fields: Mapping[str, Any]) -> list[str]:
         """Names of those among the fields whose numbers are no longer those of the constants."""
         return [name for name, value in fields.items() if _mapped(_numbers, Tensor, value) != self.fields[name]]
-
-    def without_values(self) -> bool:
-        """Whether the numbers are those of tensors without values."""
-        return any(math.isnan(x) for x in self.fields["damping"].values)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Constants) and self.digest == other.digest

@@ -18,6 +18,7 @@ from torchdq.base.checks import Named
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.sensor import Sensor
+from torchdq.effects.steady import lines
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
 from torchdq.functions.recipe import alternatives_to_record
@@ -276,7 +277,9 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
     best = min(map(by, alternatives_to_record(spec.robot.n, (False, True))), key=lambda p: p.count().total)
     steps = f"{what.stage} of {spec.dt:g} s" if what.stage == "step" else what.stage
-    about = [f"effect {k}: {part(effect)}" for k, effect in enumerate(spec.effects)]
+    n = spec.robot.n
+    acting = [(k, effect) for k, effect in enumerate(spec.effects) if not effect.idle() or effect.memory(n)]
+    about = [*[f"effect {k}: {part(effect)}" for k, effect in acting], *lines(spec.effects, n)]
     about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]
     return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *about))
 

@@ -336,13 +336,15 @@ def test_a_traced_graph_of_any_batch_has_the_same_values_and_gradients(key, dtyp
 
 @pytest.mark.case("P4")
 @pytest.mark.parametrize("backend", [C])
+@pytest.mark.parametrize("row", [False, True], ids=["rows", "a row for all"])
 @pytest.mark.parametrize("key", ["forward_dynamics", "step"])
-def test_a_graph_may_be_traced_with_every_size_unknown(key, backend, margin, fresh):
+def test_a_graph_may_be_traced_with_every_size_unknown(key, row, backend, margin, fresh):
     traced = torch.compile(lambda *x: FUNCTIONS[key](ARM, *x), fullgraph=True, backend="aot_eager", dynamic=True)
     with torchdq.backend(backend):
         for batch in (3, 8):
-            x = states(2, batch)
-            margin(distance([traced(*x)], [FUNCTIONS[key](ARM, *x)]), 64 * EPS[F64], key)
+            q, qd, x = states(2, batch)
+            x = x[0] if row else x
+            margin(distance([traced(q, qd, x)], [FUNCTIONS[key](ARM, q, qd, x)]), 64 * EPS[F64], key)
 
 
 @pytest.mark.case("P4")

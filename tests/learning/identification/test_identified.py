@@ -12,6 +12,8 @@ from scipy.optimize import nnls
 
 import torchdq
 from torchdq import effects
+from torchdq.base.tables import table
+from torchdq.dynamics.friction import COLUMNS
 from torchdq.envs import Scene
 from torchdq.learning import Evaluation, Model, Motion, Samples, Verdict, evaluate, identify
 from torchdq.learning.evaluate import FAIR
@@ -59,6 +61,22 @@ def test_plain_friction_is_written_as_it_was_found():
     # a robot without friction keeps that of its description
     none = fitted(DESCRIBED, *MOVED, tau, friction=None)
     assert torch.equal(none.simple, torch.stack([none.robot.damping, none.robot.friction]))
+
+
+def test_the_friction_at_named_speeds_is_right_where_its_parts_are_not():
+    """Of a shape between those that are tried, so that several of them share it."""
+
+    def real(qd):
+        return 0.6 * qd / (qd * qd + 0.2**2).sqrt() + 0.1 * qd
+
+    q, qd, qdd = states(2, 2000)
+    tau = torchdq.inverse_dynamics(DESCRIBED, q, qd, qdd) + real(qd)
+    found = identify(DESCRIBED, Samples(q, qd, qdd, tau + 0.005 * random(*tau.shape)))
+    rows = found.friction_rows()
+    assert [row[0] for row in rows] == ["one", "two"] and found.coulomb.max() < 0.3
+    stated = double(*[[float(x) for x in row[2:]] for row in rows])
+    torch.testing.assert_close(stated, real(double(0.1, 1.0)).expand(2, 2), rtol=0.05, atol=0)
+    assert table(COLUMNS, rows) in str(found)
 
 
 def test_no_friction_of_a_file_is_negative():

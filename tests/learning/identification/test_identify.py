@@ -299,7 +299,7 @@ def test_what_is_found_prints_as_a_table_with_units():
         estimate, error, known = numbers[full]
         unit = units[name][robot.kinds[joint] == "prismatic"]
         assert rows[full].removeprefix(full).split() == [estimate, error, *unit.split(), known]
-    assert "tensor(" not in str(found) and len(lines) < len(found.names) + 10
+    assert "tensor(" not in str(found) and len(lines) < len(found.names) + robot.n + 13
     assert len(repr(found)) < 120 and "\n" not in repr(found) and robot.name in repr(found)
 
 

@@ -13,8 +13,10 @@ from torch import Tensor
 from torchdq import effects
 from torchdq.base.checks import tensor_of
 from torchdq.base.tables import summary, table
+from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Friction
+from torchdq.effects.steady import at_speeds
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
@@ -226,7 +228,13 @@ class Identified(NamedTuple):
             cells = [(joint, f"{x:.4g}", f"{error:.2g}") for joint, x, error in drives]
             residuals += "\n\n" + table(("joint", "torque per unit of effort", "standard error"), cells)
         selection = "" if self.selection is None else f"\n\n{self.selection}"
-        return f"{title}\n\n{parameters}\n\n{residuals}{selection}"
+        friction = "".join(f"\n\n{STATED}:\n{table(COLUMNS, rows)}" for rows in [self.friction_rows()] if rows)
+        return f"{title}\n\n{parameters}{friction}\n\n{residuals}{selection}"
+
+    def friction_rows(self) -> list[tuple[str, ...]]:
+        """Joints with the friction found at a few speeds, of all terms together; [] if there is none."""
+        found = at_speeds([effect.resolved(self.robot) for effect in self.friction()], self.robot.n)
+        return list(zip(self.robot.joint_names, *found, strict=True)) if found else []
 
     @property
     def _units(self) -> list[str]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from torchdq.base.tables import table
+from torchdq.dynamics.friction import COLUMNS, SPEEDS, STATED
 from torchdq.findings import Finding
 from torchdq.robot.model import RobotModel, followed, require_unchanged, sum_of
 
@@ -16,15 +18,12 @@ class Report(NamedTuple):
     summary: str
     joints: tuple[tuple[str, ...], ...]
     notes: tuple[Finding, ...]
+    friction: tuple[tuple[str, ...], ...] = ()  # rows of `COLUMNS`, if any joint has friction
 
     def __str__(self) -> str:
-        rows = [HEADER, *self.joints]
-        widths = [max(len(row[k]) for row in rows) for k in range(len(HEADER))]
-        table = "\n".join(
-            "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows
-        )
+        friction = f"\n\n{STATED}:\n{table(COLUMNS, self.friction)}" if self.friction else ""
         notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else in the description"
-        return f"{self.summary}\n\n{table}\n\nnotes:\n{notes}"
+        return f"{self.summary}\n\n{table(HEADER, self.joints)}{friction}\n\nnotes:\n{notes}"
 
 
 def report(robot: RobotModel) -> Report:
@@ -39,7 +38,18 @@ def report(robot: RobotModel) -> Report:
         (name, kind, link, f"{float(robot.mass.detach()[..., i].mean()):.4g} kg", _range(robot, name))
         for i, (name, kind, link) in enumerate(zip(robot.every_joint, robot.kinds, robot.link_names, strict=True))
     )
-    return Report(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes)
+    return Report(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes, _friction(robot))
+
+
+def _friction(robot: RobotModel) -> tuple[tuple[str, ...], ...]:
+    """Described viscous and Coulomb friction of every joint at `SPEEDS`; () if it is zero."""
+    if not bool((robot.damping != 0).any() | (robot.friction != 0).any()):
+        return ()
+    torques = [robot.friction + speed * robot.damping for speed in SPEEDS]
+    return tuple(
+        (name, *(f"{float(torque.detach()[..., i].mean()):.4g}" for torque in torques))
+        for i, name in enumerate(robot.joint_names)
+    )
 
 
 def _range(robot: RobotModel, joint: str) -> str:

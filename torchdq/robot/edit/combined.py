@@ -209,7 +209,8 @@ def _joined_names(robot: RobotModel, other: RobotModel, prefix: str) -> dict[str
 def _numbers(robot: RobotModel, name: str, x: Any, shape: tuple[int, ...]) -> Tensor:
     """Numbers of a payload, in the dtype and on the device of the robot."""
     try:
-        found = (x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=torch.float64)).to(robot.mass)
+        given = x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=torch.float64, device=robot.mass.device)
+        found = given.to(robot.mass)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ArgumentError(f"{name} must be numbers: {error}") from error
     if tuple(found.shape[found.ndim - len(shape) :]) != shape:
