@@ -89,7 +89,7 @@ class Watch(BaseCallback):
         self.start += self.spent() - before
 
     def _on_rollout_start(self) -> None:
-        if self.spent() >= EVERY * len(self.curve):
+        if EVERY * len(self.curve) <= self.spent() < self.seconds:
             self.test()
 
     def _on_step(self) -> bool:

@@ -47,9 +47,10 @@ class Actions:
             ) from error
         shape = (num_envs, len(self.joints))
         if found.shape != shape:
+            what = "joint" if self.whole else "actuated joint"
             raise ArgumentError(
-                f"actions must have the shape {shape}, one row for each environment and one number for each "
-                f"{'joint' if self.whole else 'actuated joint'} of robot {self.robot.name!r}, found {tuple(found.shape)}"
+                f"actions must have the shape {shape}, one row for each environment and one number for each {what} of "
+                f"robot {self.robot.name!r}, found {tuple(found.shape)}"
             )
         if looks and torch.compiler.is_compiling():
             raise ArgumentError(
@@ -73,11 +74,13 @@ class Actions:
         return len(self.joints) == self.robot.n
 
     def _of_all_joints(self, actions: Tensor) -> Tensor:
+        """Actions [N, n] of those of the actuated joints."""
         if self.whole:
             return actions
-        found = actions.new_zeros(len(actions), self.robot.n)
-        found[:, self.joints] = actions
-        return found
+        columns = [torch.zeros_like(actions[:, 0])] * self.robot.n
+        for joint, column in zip(self.joints, actions.unbind(1), strict=True):
+            columns[joint] = column
+        return torch.stack(columns, 1)
 
     def inputs(self, actions: Tensor, reference: Tensor) -> dict[str, Tensor]:
         """Inputs of a scene for actions [N, n], at the task's reference [N, 3 n]."""

@@ -16,8 +16,8 @@
 
 A value is a number x, a pair (lower, upper) of what is drawn, or a distribution of torch with an inverse of its
 cumulative distribution (`icdf`), such as Uniform, Normal or LogNormal. An `Absolute` draws the numbers of an
-"Effect.parameter" themselves, which may be zero or negative: {"Bias.position": Absolute(-0.01, 0.01)}. Where a scene has
-several effects of a kind, their names are counted from zero in its order: "Contact.0.height", "Contact.1.height".
+"Effect.parameter" themselves, which may be zero or negative: {"Bias.position": Absolute(-0.01, 0.01)}. Several effects
+of a kind are counted from zero, in the order of the scene: "Contact.0.height", "Contact.1.height".
 
 Everything is drawn from the environments' own streams of random numbers, so a row is the same whatever the others are.
 A drawn payload and a drawn delay add to those that the scene has.

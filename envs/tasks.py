@@ -50,9 +50,9 @@ class EpisodeTask(Task, Protocol):
 
     Its rows are "observation", "reward" [1] and "reference" [3 n], the positions, velocities and accelerations that a
     controller is to follow over the next step; "terminated" [1], not zero where the episode ends, and "success" [1], 1
-    where the task is achieved and 0 elsewhere, may be among them. "success" and others go to the environment's `info`. In addition to its "goal" it may take the "action" [n] in [-1, 1] and the
-    "time" [1] since the start of the episode [s]; at the start of an episode there is no action. A goal of three
-    numbers is drawn as a point.
+    where the task is achieved and 0 elsewhere, may be among them. "success" and others go to the environment's `info`.
+    In addition to its "goal" it may take the "action" [n] in [-1, 1] and the "time" [1] since the start of the episode
+    [s]; at the start of an episode there is no action. A goal of three numbers is drawn as a point.
 
     A task is recorded once, when its first environment is reset, and its numbers are part of the program from then on.
     Its class and its fields tell programs apart: make a number that may change a field. A change of anything else, such

@@ -1,7 +1,7 @@
 """Tasks whose reward, observation, end or start are functions of tensors.
 
-Recorded tasks (`torchdq.envs.tasks`) are part of the program of a step and are faster. A `TorchTask` runs after the step
-and needs no number-generic code. It may name a recorded task, from which it takes what it does not define:
+Recorded tasks (`torchdq.envs.tasks`) are part of the program of a step and are faster. A `TorchTask` runs after the
+step and needs no number-generic code. It may name a recorded task, from which it takes what it does not define:
 
     def reward(now: Now) -> dict[str, Tensor]:  # terms [N], which also are in `info`
         return {"near": torch.exp(-10 * now.rows["distance"]), "effort": -0.01 * now.action.square().mean(1)}

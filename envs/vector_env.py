@@ -60,8 +60,8 @@ class ArmVectorEnv(VectorEnv):
     """Environments of one robot and one task, stepped by one program.
 
     Actions are in [-1, 1]^k, one number for each actuated joint. Others are clipped, and `info["clipped"]` counts them
-    per row. Rows are independent: row i of a batch that was seeded with s is, bit for bit, the single environment seeded
-    with s + i.
+    per row. Rows are independent: row i of a batch that was seeded with s is, bit for bit, the single environment
+    seeded with s + i.
 
     A row whose numbers have left the finite range terminates alone: its observation is the last finite one, its reward
     -1000, worse than any episode, and `info["nonfinite"]` is true; the other entries of `info` are NaN then.

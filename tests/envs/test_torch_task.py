@@ -182,11 +182,11 @@ def test_wrong_functions_are_refused(task):
         make(task()).step(torch.zeros(5, 2))
 
 
-# --- tasks that name no other ------------------------------------------------------------------------------------------
+# --- tasks that name no other ----------------------------------------------------------------------------------------
 
 CARTPOLE = """<robot name="cartpole"><link name="rail"/>
-  <link name="cart"><inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
-  </link>
+  <link name="cart"><inertial><mass value="1"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <link name="pole"><inertial><origin xyz="0 0 -0.5"/><mass value="0.2"/>
     <inertia ixx="0.02" iyy="0.02" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <joint name="slide" type="prismatic"><parent link="rail"/><child link="cart"/><axis xyz="1 0 0"/>
@@ -249,6 +249,9 @@ def test_a_passive_joint_gets_no_torque(cartpole):
     other = started(5, watched, robot=cartpole, actuated=["slide"], scale=[7.0])
     *_, info = other.step(torch.full((5, 1), -2.0))
     assert actions[0].tolist() == [[-1.0, 0.0]] * 5 and info["clipped"].tolist() == [1] * 5
+    other = started(5, watched, robot=cartpole, actuated="h*", scale=1.0)
+    other.step(torch.full((5, 1), 0.5))
+    assert actions[1].tolist() == [[0.0, 0.5]] * 5
 
 
 @pytest.mark.parametrize(
