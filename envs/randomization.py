@@ -273,8 +273,8 @@ def _span(name: str, x: Any, like: Tensor) -> Span:
             units = {"com": "a shift in m", "payload": "a mass in kg", "delay": "a number of time steps"}
             expected = units.get(name, "a fraction from 0 to 1")
             raise ArgumentError(f"{what} must be {expected}, or a pair (lower, upper), found {x!r}")
-        ends = (0.0 if name in ("payload", "delay") else -x, float(x)) if added else (1 - x, 1 + x)
-        span = Span(*map(like.new_tensor, ends))
+        lower, upper = (0.0 if name in ("payload", "delay") else -x, x) if added else (1 - x, 1 + x)
+        span = Span(like.new_tensor(lower), like.new_tensor(upper))
     else:
         pair = isinstance(x, Sequence) and len(x) == 2 and all(map(is_number, x))
         if not (pair and math.isfinite(x[0]) and math.isfinite(x[1]) and x[0] <= x[1]):
@@ -282,7 +282,7 @@ def _span(name: str, x: Any, like: Tensor) -> Span:
                 f"{what} must be a number, a pair (lower, upper) of finite numbers, or a distribution of torch, "
                 f"found {x!r}"
             )
-        span = Span(*map(like.new_tensor, map(float, x)))
+        span = Span(like.new_tensor(x[0]), like.new_tensor(x[1]))
     if not (ADDED[name] <= span.lower if added else span.lower > 0) or not span.upper < math.inf:
         expected = f"values from {ADDED[name]:g}" if added else "factors above 0"
         raise ArgumentError(f"{what} must draw finite {expected}, found some from {span.lower:.4g} to {span.upper:.4g}")
@@ -314,7 +314,7 @@ def _absolute(what: str, x: Absolute, like: Tensor) -> Span:
             f"{what} must be Absolute(lower, upper) of finite numbers, or of as many as the parameter has, with lower "
             f"<= upper, or Absolute(distribution), found {x}"
         )
-    return Span(*map(like.new_tensor, ends))
+    return Span(like.new_tensor(ends[0]), like.new_tensor(ends[1]))
 
 
 def _require_room(scene: Scene, name: str, r: Randomised) -> None:

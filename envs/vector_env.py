@@ -75,9 +75,9 @@ class ArmVectorEnv(VectorEnv):
         action: meaning of the actions. "reference": offsets of the positions that a controller follows, full ones as
             far as a joint moves in 0.2 s at its velocity limit. "torque": fractions of the torque limits. "residual":
             fractions of a fifth of them, added to the torques of the controller. The controller follows the reference
-            of the task: in "track" the motion to track, in "reach" the present position, anew at every step, so that an
-            offset says where to go from here, and the arm stops where there is none. None: "reference", or "torque" if
-            some joints are passive.
+            of the task: in "track" the motion to track, in "reach" the position at the start of each step. There an
+            offset tells a joint where to go from where it is, and without offsets the arm comes to rest. None:
+            "reference", or "torque" if some joints are passive.
         controller: controller of residual and reference actions; None: computed torque of the rigid bodies as
             described, which knows nothing of friction or of what is randomised.
         scale: size of a full action [N m or N; rad or m for "reference"], one number or k; None: as above.
