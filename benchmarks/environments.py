@@ -86,7 +86,11 @@ def pages() -> dict[str, str]:
 
 def pictures() -> dict[str, bytes]:
     """Files of docs/environments that are pictures."""
-    return {f"{task}.png": environment_page.picture(task) for task in ENVIRONMENTS}
+    return {f"{task}.png": environment_page.picture(task) for task in ENVIRONMENTS} | {
+        f"{task}_learning.svg": environment_page.learning_picture(task).encode()
+        for task in ENVIRONMENTS
+        if environment_page.learned(task)
+    }
 
 
 def store(quick: bool) -> None:

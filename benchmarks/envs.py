@@ -146,7 +146,7 @@ def main() -> None:
             compared.append((f"{name}, {dtype}", ours, theirs, without))
 
     for task in ("reach", "track"):
-        env = ArmVectorEnv(BATCH, task=task, robot=robot, effects=parts, dt=DT)
+        env = ArmVectorEnv(BATCH, task=task, robot=robot, effects=parts, action="torque", dt=DT)
         (row,) = rows(measure({"torchdq": environment_steps(env)}, BATCH, seconds), f"environment, {task}", "float32")
         found.append(row)
         lines.append((f"{task} environment, steps per second, float32", f"{1e3 / row.nanoseconds:.1f} million"))

@@ -1,36 +1,37 @@
-"""Actions of an environment: torques, torques on top of a controller, or offsets of the reference that it follows."""
+"""Actions of an environment: offsets of the reference that a controller follows, torques, or torques on top of it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import and_more, is_number, require_tensor
+from torchdq.base.checks import and_more, is_number, matching, require_choice, require_tensor
 from torchdq.envs.tasks import velocities
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 
-Kind = Literal["torque", "residual", "reference"]
+Kind = Literal["reference", "torque", "residual"]
 SHARE = {"torque": 1.0, "residual": 0.2}  # full action as a share of the torque limits
 HORIZON = 0.2  # time in which a joint at its velocity limit moves by a full reference action [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Actions:
-    """Actions in [-1, 1]^n of a number of environments."""
+    """Actions in [-1, 1]^k of a number of environments."""
 
     kind: Kind
     robot: Robot
-    scale: Tensor  # [n] size of a full action [N m or N; rad or m of a reference]
+    joints: tuple[int, ...]  # the k actuated ones
+    scale: Tensor  # [n] size of a full action, zero for passive joints [N m or N; rad or m of a reference]
 
     def clipped(self, actions: Any, num_envs: int, looks: bool = True) -> tuple[Tensor, Tensor]:
-        """Actions [N, n] within their bounds, and the number clipped in each row [N].
+        """Actions [N, n] within their bounds, zero for passive joints, and the number clipped in each row [N].
 
         Raises if one is not finite; unless the host `looks` at them, such an action stays NaN.
         """
@@ -44,10 +45,11 @@ class Actions:
             raise ArgumentError(
                 f"actions must be a tensor or an array of numbers, found {type(actions).__name__} ({error})"
             ) from error
-        shape = (num_envs, self.robot.n)
+        shape = (num_envs, len(self.joints))
         if found.shape != shape:
+            what = "joint" if self.whole else "actuated joint"
             raise ArgumentError(
-                f"actions must have the shape {shape}, one row for each environment and one number for each joint of "
+                f"actions must have the shape {shape}, one row for each environment and one number for each {what} of "
                 f"robot {self.robot.name!r}, found {tuple(found.shape)}"
             )
         if looks and torch.compiler.is_compiling():
@@ -57,17 +59,31 @@ class Actions:
             )
         inside = found.clamp(-1.0, 1.0)
         if looks and torch.equal(inside, found):  # false if one is NaN
-            return inside, torch.zeros(num_envs, dtype=torch.int64, device=found.device)
+            return self._of_all_joints(inside), torch.zeros(num_envs, dtype=torch.int64, device=found.device)
         if looks and not math.isfinite(found.sum().item()) and len(bad := (~found.isfinite()).nonzero()):
             row, joint = bad[0].tolist()
             raise ArgumentError(
                 f"actions must be finite, found {found[row, joint].item()} in row {row} for joint "
-                f"{self.robot.joint_names[joint]!r}{and_more(bad)}; nothing was stepped"
+                f"{self.robot.joint_names[self.joints[joint]]!r}{and_more(bad)}; nothing was stepped"
             )
-        return inside, (inside != found).sum(1)
+        return self._of_all_joints(inside), (inside != found).sum(1)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all joints are actuated."""
+        return len(self.joints) == self.robot.n
+
+    def _of_all_joints(self, actions: Tensor) -> Tensor:
+        """Actions [N, n] of those of the actuated joints."""
+        if self.whole:
+            return actions
+        columns = [torch.zeros_like(actions[:, 0])] * self.robot.n
+        for joint, column in zip(self.joints, actions.unbind(1), strict=True):
+            columns[joint] = column
+        return torch.stack(columns, 1)
 
     def inputs(self, actions: Tensor, reference: Tensor) -> dict[str, Tensor]:
-        """Inputs of a scene for actions, at the task's reference [N, 3 n]."""
+        """Inputs of a scene for actions [N, n], at the task's reference [N, 3 n]."""
         scaled = actions * self.scale
         if self.kind == "torque":
             return {"torque": scaled}
@@ -77,20 +93,51 @@ class Actions:
         return {"reference": torch.cat([reference[:, :n] + scaled, reference[:, n:]], 1)}
 
 
-def full(robot: Robot, kind: Kind, scale: float | Sequence[float] | None) -> list[float]:
-    """Size of a full action of every joint; None: derived from the robot's limits."""
+def actuated_joints(robot: Robot, actuated: str | Sequence[str] | None) -> tuple[int, ...]:
+    """Numbers of the actuated joints, of names or patterns; None: of all joints."""
+    if actuated is None:
+        return tuple(range(robot.n))
+    found = matching("actuated", actuated, robot.joint_names, "joint")
+    if not found:
+        raise ArgumentError("actuated must name at least one joint, found none")
+    return tuple(i for i, name in enumerate(robot.joint_names) if name in found)
+
+
+def kind_of(action: Kind | None, robot: Robot, joints: Sequence[int]) -> Kind:
+    """Meaning of the actions; None: "reference", or "torque" where some joints are passive."""
+    passive = [name for i, name in enumerate(robot.joint_names) if i not in joints]
+    if action is None:
+        return "torque" if passive else "reference"
+    require_choice("action", action, get_args(Kind))
+    if passive and action != "torque":
+        raise ArgumentError(
+            f"action must be 'torque' where joints are passive, found {action!r}: its controller would drive "
+            f"{', '.join(passive)}, too"
+        )
+    return action
+
+
+def full(robot: Robot, kind: Kind, scale: float | Sequence[float] | None, joints: Sequence[int]) -> list[float]:
+    """Size of a full action of every joint, zero for passive ones; None: derived from the robot's limits."""
+    found = [0.0] * robot.n
     if scale is not None:
         given = scale.tolist() if isinstance(scale, np.ndarray | Tensor) else scale
-        numbers = list(given) if isinstance(given, Sequence) else [given] * robot.n
-        if len(numbers) != robot.n or not all(is_number(x) and 0 < x < math.inf for x in numbers):
-            raise ArgumentError(f"scale must be a positive number or {robot.n} of them, found {scale!r}")
-        return [float(x) for x in numbers]
-    if kind == "reference":
-        return [HORIZON * v for v in velocities(robot)]
-    for name, limit in zip(robot.joint_names, robot.limits.effort.tolist(), strict=True):
-        if not 0 < limit < math.inf:
+        numbers = list(given) if isinstance(given, Sequence) else [given] * len(joints)
+        if len(numbers) != len(joints) or not all(is_number(x) and 0 < x < math.inf for x in numbers):
             raise ArgumentError(
-                f"scale must be given: joint {name!r} of robot {robot.name!r} has no torque limit that actions could "
-                f"be fractions of; for instance scale=10.0"
+                f"scale must be a positive number or {len(joints)} of them, one for each joint in actuated, found "
+                f"{scale!r}"
             )
-    return [SHARE[kind] * x for x in robot.limits.effort.tolist()]
+    elif kind == "reference":
+        limits = velocities(robot)
+        numbers = [HORIZON * limits[i] for i in joints]
+    else:
+        numbers = [SHARE[kind] * robot.limits.effort[i].item() for i in joints]
+    for i, x in zip(joints, numbers, strict=True):
+        if not 0 < x < math.inf:
+            raise ArgumentError(
+                f"scale must be given: joint {robot.joint_names[i]!r} of robot {robot.name!r} has no torque limit that "
+                f"actions could be fractions of; for instance scale=10.0"
+            )
+        found[i] = float(x)
+    return found

@@ -4,28 +4,32 @@
 
     name                what is drawn                                                   a number x is the range
     "mass"              factor of mass and inertia of every link                        1 - x to 1 + x
-    "friction"          factor of all friction of every joint                           1 - x to 1 + x
+    "friction"          factor of all friction of a joint, one for every joint          1 - x to 1 + x
     "damping"           factor of `Viscous.coefficient` of every joint                  1 - x to 1 + x
     "armature"          factor of `RotorInertia.inertia` of every joint                 1 - x to 1 + x
     "gravity"           factor of every component of `Gravity.acceleration`             1 - x to 1 + x
     "gains"             factor of every gain of the controller                          1 - x to 1 + x
-    "Effect.parameter"  factor of every number of that parameter of the scene           1 - x to 1 + x
+    "Effect.parameter"  factor of every number of that parameter of an effect           1 - x to 1 + x
     "com"               shift of every coordinate of the links' centres of mass [m]     -x to x
     "payload"           mass held by the end effector [kg]                              0 to x
     "delay"             delay of commanded torques [time steps], whole or not           0 to x
 
 A value is a number x, a pair (lower, upper) of what is drawn, or a distribution of torch with an inverse of its
-cumulative distribution (`icdf`), such as Uniform, Normal or LogNormal. Everything is drawn from the environments' own
-streams of random numbers, so a row is the same whatever the others are. A drawn payload and a drawn delay add to those
-that the scene has.
+cumulative distribution (`icdf`), such as Uniform, Normal or LogNormal. An `Absolute` draws the numbers of an
+"Effect.parameter" themselves, which may be zero or negative: {"Bias.position": Absolute(-0.01, 0.01)}. Several effects
+of a kind are counted from zero, in the order of the scene: "Contact.0.height", "Contact.1.height".
+
+Everything is drawn from the environments' own streams of random numbers, so a row is the same whatever the others are.
+A drawn payload and a drawn delay add to those that the scene has.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -44,16 +48,41 @@ from torchdq.robot.fields import trailing
 from torchdq.scene.scene import Scene
 from torchdq.scene.spec import CONTROLLER, ROBOT
 
-Randomise = Mapping[str, float | tuple[float, float] | Distribution]  # by name, as above
+
+@dataclass(frozen=True)
+class Absolute:
+    """Range of the numbers of a parameter themselves, where `randomise` would draw factors of them.
+
+    Args:
+        lower: smallest number, in the unit of the parameter: one for all its components, or one for each. Or, without
+            `upper`, a distribution as in `torchdq.envs.randomization`.
+        upper: largest number, likewise.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Absolute, ArmVectorEnv, effects
+    >>> tilted = Absolute([-1.0, -1.0, -9.81], [1.0, 1.0, -9.81])
+    >>> envs = ArmVectorEnv(64, "reach", "panda", randomise={"Gravity.acceleration": tilted})
+    """
+
+    lower: float | Sequence[float] | Distribution
+    upper: float | Sequence[float] | None = None
+
+
+Randomise = Mapping[str, float | tuple[float, float] | Distribution | Absolute]  # by name, as above
 ADDED = {"com": -math.inf, "payload": 0.0, "delay": 0.0}  # not drawn as factors, and their smallest values
 
 
 class Span(NamedTuple):
     """Range of what is drawn, evenly unless there is a distribution."""
 
-    lower: float
-    upper: float
+    lower: Tensor  # one for all numbers, or one for each
+    upper: Tensor
     distribution: Distribution | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the ranges: () if all numbers have the same."""
+        return tuple(self.lower.shape if self.distribution is None else self.distribution.batch_shape)
 
     def __call__(self, u: Tensor) -> Tensor:
         """Values of random numbers in (0, 1)."""
@@ -62,31 +91,35 @@ class Span(NamedTuple):
         return self.distribution.icdf(u).to(u)
 
 
-class Randomised(NamedTuple):
-    """Parameters of one part of a scene that are drawn for every episode, with one draw per number."""
+Owned = tuple[int, str]  # a parameter: ROBOT, CONTROLLER, or position among the scene's effects; and its name
 
-    owner: int  # ROBOT, CONTROLLER, or position among the scene's effects
-    bases: dict[str, Tensor]  # by parameter, [N, ...]
+
+class Randomised(NamedTuple):
+    """Parameters of a scene, of equal shapes, that are drawn together for every episode: one draw per number."""
+
+    bases: dict[Owned, Tensor]  # [N, ...]
     span: Span
-    shift: bool  # True: what is drawn is added to the bases; False: it multiplies them
+    how: Literal[
+        "factor", "shift", "absolute"
+    ]  # what is drawn multiplies the bases, is added to them, or replaces them
 
     @property
     def width(self) -> int:
         """Number of random numbers that a draw takes."""
         return next(iter(self.bases.values()))[0].numel()
 
-    def tensors(self, scene: Scene) -> dict[str, Tensor]:
+    def tensors(self, scene: Scene) -> dict[Owned, Tensor]:
         """The scene's own tensors, a row per environment; the next step uses what is written into them."""
-        part = scene.robot if self.owner == ROBOT else _parts(scene)[self.owner]
-        return {name: getattr(part, name) for name in self.bases}
+        parts = {ROBOT: scene.robot, **_parts(scene)}
+        return {(owner, name): getattr(parts[owner], name) for owner, name in self.bases}
 
     def draw(self, scene: Scene, rows: SomeRows, u: Tensor) -> None:
         """Write new values into some rows; u are random numbers [k, width]."""
         drawn = self.span(u)
-        for name, target in self.tensors(scene).items():
-            base = rows.of(self.bases[name])
+        for parameter, target in self.tensors(scene).items():
+            base = rows.of(self.bases[parameter])
             value = drawn.reshape(base.shape)
-            rows.write(target, base + value if self.shift else base * value)
+            rows.write(target, {"factor": base * value, "shift": base + value, "absolute": value}[self.how])
 
 
 @dataclass(frozen=True)
@@ -140,28 +173,24 @@ def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) 
     if not isinstance(randomise, Mapping):
         raise ArgumentError(f"randomise must be a dict such as {{'mass': 0.1}}, found {randomise!r}")
     for name in randomise:
-        if name not in (known := (*SHORT, *_parameters(scene))):
+        if name not in (known := (*SHORT, *_parameters(_parts(scene)))):
             raise UnknownNameError("parameter to randomise", name, known, every=True)
     spans = {name: _span(name, randomise[name], like) for name in sorted(randomise)}
-    scene = _with_effects(scene, spans)
+    scene, own = _with_effects(scene, spans)
     drawn: list[Randomised] = []
-    taken: dict[tuple[int, str], str] = {}
+    taken: dict[Owned, str] = {}
     for name, span in spans.items():
+        how = _how(name, randomise[name])
         found = []
-        for owner, parameters in _targets(scene, name):
+        for parameters in _targets(scene, own, name):
             for parameter in parameters:
-                if (other := taken.setdefault((owner, parameter), name)) != name:
-                    raise ArgumentError(f"randomise: {other!r} and {name!r} both change {parameter}; leave one out")
-            bases = {parameter: _base(scene, owner, parameter, num_envs, like) for parameter in parameters}
-            found.append(Randomised(owner, bases, span, name == "com"))
-        if name not in ADDED and not any(bool(x.any()) for r in found for x in r.bases.values()):
+                if (other := taken.setdefault(parameter, name)) != name:
+                    raise ArgumentError(f"randomise: {other!r} and {name!r} both change {parameter[1]}; leave one out")
+            found.append(Randomised({p: _base(scene, p, num_envs, like) for p in parameters}, span, how))
+        if how == "factor" and not any(bool(x.any()) for r in found for x in r.bases.values()):
             raise ArgumentError(f"randomise[{name!r}] is a factor of zeros and would change nothing; leave it out")
         for r in found:
-            if span.distribution is not None and tuple(span.distribution.batch_shape) not in ((), (1,), (r.width,)):
-                raise ArgumentError(
-                    f"randomise[{name!r}] must be one distribution or {r.width} of them, found the shape "
-                    f"{tuple(span.distribution.batch_shape)}"
-                )
+            _require_room(scene, name, r)
         drawn += found
     for r in drawn:
         scene = _with_rows(scene, r)
@@ -176,59 +205,76 @@ def _parts(scene: Scene) -> dict[int, Any]:
     return {**({} if scene.controller is None else {CONTROLLER: scene.controller}), **dict(enumerate(scene.effects))}
 
 
-def _parameters(scene: Scene) -> dict[str, list[tuple[int, tuple[str, ...]]]]:
-    """Owners of every parameter of controller and effects, by "Class.parameter"."""
-    found: dict[str, list[tuple[int, tuple[str, ...]]]] = {}
-    for owner, part in _parts(scene).items():
-        for parameter in part.SHAPES:
-            found.setdefault(f"{type(part).__name__}.{parameter}", []).append((owner, (parameter,)))
+def _parameters(parts: Mapping[int, Any]) -> dict[str, Owned]:
+    """Every parameter of parts by "Class.parameter", or by "Class.0.parameter" where several are of that class."""
+    kinds = [type(part).__name__ for part in parts.values()]
+    number, before, found = Counter(kinds), Counter[str](), dict[str, Owned]()
+    for kind, (owner, part) in zip(kinds, parts.items(), strict=True):
+        label = f"{kind}.{before[kind]}" if number[kind] > 1 else kind
+        before[kind] += 1
+        found |= {f"{label}.{parameter}": (owner, parameter) for parameter in part.SHAPES}
     return found
 
 
-def _targets(scene: Scene, name: str) -> list[tuple[int, tuple[str, ...]]]:
-    """Owners and parameters that a name stands for; those of one owner share their draws."""
+def _targets(scene: Scene, own: Sequence[int], name: str) -> list[list[Owned]]:
+    """Parameters that a name stands for; those in one list share their draws.
+
+    Args:
+        own: positions of the effects that were not added to carry what is drawn.
+    """
     parts = _parts(scene)
     if "." in name:
-        return _parameters(scene)[name]
+        return [[_parameters({i: part for i, part in parts.items() if i == CONTROLLER or i in own})[name]]]
     if name == "com":
-        return [(ROBOT, ("com",))]
+        return [[(ROBOT, "com")]]
     if name == "friction":
-        found = [(i, part.SCALES) for i, part in parts.items() if isinstance(part, Effect) and part.SCALES]
-        missing = "effects with friction, found none; add Viscous()"
+        shared: dict[tuple[int | str, ...], list[Owned]] = {}  # by shape: one draw for a joint, whatever its effects
+        for i in own:
+            for parameter in parts[i].SCALES:
+                shared.setdefault(parts[i].SHAPES[parameter], []).append((i, parameter))
+        found, missing = list(shared.values()), "effects with friction, found none; add Viscous()"
     elif name == "gains":
-        found = [(i, (parameter,)) for i, part in parts.items() if i == CONTROLLER for parameter in part.SHAPES]
+        found = [[(i, parameter)] for i, part in parts.items() if i == CONTROLLER for parameter in part.SHAPES]
         missing = "a controller with gains, found none; choose action='residual' or 'reference'"
     else:
         kind, parameter = KINDS[name]
-        found = [(i, (parameter,)) for i, part in parts.items() if isinstance(part, kind)]
+        added = name in ("mass", "payload", "delay")
+        found = [[(i, parameter)] for i, part in parts.items() if isinstance(part, kind) and (i in own) != added]
         missing = f"the effect {kind.__name__}, found none; add {kind.__name__}()"
     if not found:
         raise ArgumentError(f"randomise[{name!r}] needs {missing}")
-    # the one that was added
-    return found[:1] if name == "mass" else found[-1:] if name == "payload" else found
+    return found
 
 
 # --- values ----------------------------------------------------------------------------------------------------------
 
 
+def _how(name: str, x: Any) -> Literal["factor", "shift", "absolute"]:
+    """Use of what is drawn."""
+    if name == "com":
+        return "shift"
+    return "absolute" if isinstance(x, Absolute) or name in ADDED else "factor"
+
+
 def _span(name: str, x: Any, like: Tensor) -> Span:
     """Range of a value of `randomise`."""
     what, added = f"randomise[{name!r}]", name in ADDED
-    if isinstance(x, Distribution):
-        ends = torch.tensor([SMALLEST[like.dtype], 1 - SMALLEST[like.dtype]], dtype=like.dtype, device=like.device)
-        try:
-            found = x.icdf(ends.reshape(2, *[1] * len(x.batch_shape)))
-        except NotImplementedError as error:
+    if isinstance(x, Absolute):
+        if "." not in name:
             raise ArgumentError(
-                f"{what} must be a distribution with icdf(), such as Uniform, Normal or LogNormal, found {x}"
-            ) from error
-        span = Span(found.min().item(), found.max().item(), x)
+                f"{what} must be a number, a pair or a distribution, found {x}; Absolute is for the parameter of one "
+                "effect, such as 'Gravity.acceleration'"
+            )
+        return _absolute(what, x, like)
+    if isinstance(x, Distribution):
+        span = _distributed(what, x, like)
     elif is_number(x):
         if not (0 <= x < math.inf) or (not added and x >= 1):
             units = {"com": "a shift in m", "payload": "a mass in kg", "delay": "a number of time steps"}
             expected = units.get(name, "a fraction from 0 to 1")
             raise ArgumentError(f"{what} must be {expected}, or a pair (lower, upper), found {x!r}")
-        span = Span(0.0 if name in ("payload", "delay") else -x, float(x)) if added else Span(1 - x, 1 + x)
+        lower, upper = (0.0 if name in ("payload", "delay") else -x, x) if added else (1 - x, 1 + x)
+        span = Span(like.new_tensor(lower), like.new_tensor(upper))
     else:
         pair = isinstance(x, Sequence) and len(x) == 2 and all(map(is_number, x))
         if not (pair and math.isfinite(x[0]) and math.isfinite(x[1]) and x[0] <= x[1]):
@@ -236,7 +282,7 @@ def _span(name: str, x: Any, like: Tensor) -> Span:
                 f"{what} must be a number, a pair (lower, upper) of finite numbers, or a distribution of torch, "
                 f"found {x!r}"
             )
-        span = Span(float(x[0]), float(x[1]))
+        span = Span(like.new_tensor(x[0]), like.new_tensor(x[1]))
     if not (ADDED[name] <= span.lower if added else span.lower > 0) or not span.upper < math.inf:
         expected = f"values from {ADDED[name]:g}" if added else "factors above 0"
         raise ArgumentError(f"{what} must draw finite {expected}, found some from {span.lower:.4g} to {span.upper:.4g}")
@@ -245,11 +291,50 @@ def _span(name: str, x: Any, like: Tensor) -> Span:
     return span
 
 
+def _distributed(what: str, x: Distribution, like: Tensor) -> Span:
+    """Range of a distribution, between the ends of the random numbers in (0, 1)."""
+    ends = torch.tensor([SMALLEST[like.dtype], 1 - SMALLEST[like.dtype]], dtype=like.dtype, device=like.device)
+    try:
+        found = x.icdf(ends.reshape(2, *[1] * len(x.batch_shape)))
+    except NotImplementedError as error:
+        raise ArgumentError(
+            f"{what} must be a distribution with icdf(), such as Uniform, Normal or LogNormal, found {x}"
+        ) from error
+    return Span(found.min(), found.max(), x)
+
+
+def _absolute(what: str, x: Absolute, like: Tensor) -> Span:
+    """Range of the numbers of a parameter."""
+    if isinstance(x.lower, Distribution) and x.upper is None:
+        return _distributed(what, x.lower, like)
+    ends = [tuple(end) if isinstance(end, Sequence) else (end,) for end in (x.lower, x.upper)]
+    numbers = all(is_number(number) for end in ends for number in end) and len(ends[0]) == len(ends[1])
+    if not numbers or not all(-math.inf < a <= b < math.inf for a, b in zip(*ends, strict=True)):
+        raise ArgumentError(
+            f"{what} must be Absolute(lower, upper) of finite numbers, or of as many as the parameter has, with lower "
+            f"<= upper, or Absolute(distribution), found {x}"
+        )
+    return Span(like.new_tensor(ends[0]), like.new_tensor(ends[1]))
+
+
+def _require_room(scene: Scene, name: str, r: Randomised) -> None:
+    """Raise unless there is one range for all numbers or one for each, and parameters allow all that may be drawn."""
+    what = f"randomise[{name!r}]"
+    if r.span.shape not in ((), (1,), (r.width,)):
+        raise ArgumentError(f"{what} must have one range, or {r.width} of them, found the shape {r.span.shape}")
+    if r.how == "absolute":
+        for (owner, parameter), base in r.bases.items():
+            for end in (r.span.lower, r.span.upper):
+                part = _parts(scene)[owner]
+                replace(part, **{parameter: end.expand(r.width).reshape(base[0].shape)}).resolved(scene.robot)
+
+
 # --- scenes ----------------------------------------------------------------------------------------------------------
 
 
-def _with_effects(scene: Scene, spans: Mapping[str, Span]) -> Scene:
-    """Scene with the effects that carry what is drawn, its sensors last."""
+def _with_effects(scene: Scene, spans: Mapping[str, Span]) -> tuple[Scene, list[int]]:
+    """Scene with the effects that carry what is drawn, its sensors last, and the positions of those it had."""
+    sensors = [e for e in scene.effects if e.SLOT == "sensor"]
     found = [e for e in scene.effects if e.SLOT != "sensor"]
     if "delay" in spans:
         found.insert(0, DrawnDelay(0.0, max(1, math.ceil(spans["delay"].upper))))
@@ -257,25 +342,29 @@ def _with_effects(scene: Scene, spans: Mapping[str, Span]) -> Scene:
         found.insert(0, MassScale((1.0,) * len(scene.robot.link_names)))
     if "payload" in spans:  # the last, since it does not grow with the link that holds it
         found.append(Payload(1.0))
-    return scene.replace(effects=(*found, *[e for e in scene.effects if e.SLOT == "sensor"]))
+    found += sensors
+    had = {id(e) for e in scene.effects}
+    return scene.replace(effects=found), [i for i, e in enumerate(found) if id(e) in had]
 
 
-def _base(scene: Scene, owner: int, name: str, num_envs: int, like: Tensor) -> Tensor:
+def _base(scene: Scene, parameter: Owned, num_envs: int, like: Tensor) -> Tensor:
     """Value of a parameter before anything is drawn, a row per environment."""
-    if isinstance(part := _parts(scene).get(owner), DrawnDelay):
-        return like.new_ones(num_envs)
-    shape = trailing(scene.spec.shapes(owner)[name], scene.robot.sizes)
-    value = torch.as_tensor(getattr(scene.robot if owner == ROBOT else part, name)).detach().to(like)
-    return value.expand(num_envs, *shape)
+    owner, name = parameter
+    part = {ROBOT: scene.robot, **_parts(scene)}[owner]
+    value = torch.as_tensor(getattr(part, name)).detach().to(like)
+    return value.expand(num_envs, *trailing(scene.spec.shapes(owner)[name], scene.robot.sizes))
 
 
 def _with_rows(scene: Scene, r: Randomised) -> Scene:
     """Scene with tensors of its own for the parameters that are drawn."""
-    rows: dict[str, Any] = {name: x.clone() for name, x in r.bases.items()}
-    if r.owner == ROBOT:
-        return scene.replace(robot=scene.robot.replace(**rows))
-    if r.owner == CONTROLLER:
-        return scene.replace(controller=replace(scene.controller, **rows))  # type: ignore[type-var]
-    effects = list(scene.effects)
-    effects[r.owner] = replace(effects[r.owner], **rows)
-    return scene.replace(effects=effects)
+    for (owner, name), x in r.bases.items():
+        row: dict[str, Any] = {name: x.clone()}
+        if owner == ROBOT:
+            scene = scene.replace(robot=scene.robot.replace(**row))
+        elif owner == CONTROLLER:
+            scene = scene.replace(controller=replace(scene.controller, **row))  # type: ignore[type-var]
+        else:
+            effects = list(scene.effects)
+            effects[owner] = replace(effects[owner], **row)
+            scene = scene.replace(effects=effects)
+    return scene

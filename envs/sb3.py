@@ -25,6 +25,9 @@ class StableBaselinesVecEnv(VecEnv):
 
     model = stable_baselines3.PPO("MlpPolicy", StableBaselinesVecEnv(ArmVectorEnv(256, "reach")))
 
+    The info of an environment has its row of everything in `info`. At the end of an episode it also has "is_success",
+    if the task has a row "success": Stable-Baselines3 logs its mean as `rollout/success_rate`.
+
     Args:
         envs: in the mode SAME_STEP.
     """
@@ -53,10 +56,16 @@ class StableBaselinesVecEnv(VecEnv):
         observations, rewards, terminated, truncated, info = self.envs.step(self._actions)
         terminated, done = _array(terminated), _array(terminated) | _array(truncated)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for name in info.keys() - {"final_obs", "_final_obs", "final_info", "_final_info"}:
+            column = _array(info[name])
+            for row, x in zip(infos, column.tolist() if column.ndim == 1 else column, strict=True):
+                row[name] = x
         if done.any():
             last = _array(info["final_obs"])
             for i in done.nonzero()[0]:
-                infos[i] = {"terminal_observation": last[i], "TimeLimit.truncated": not terminated[i]}
+                infos[i] |= {"terminal_observation": last[i], "TimeLimit.truncated": not terminated[i]}
+                if "success" in infos[i]:
+                    infos[i]["is_success"] = infos[i]["success"] == 1.0  # NaN where the simulation has failed
         return _array(observations), _array(rewards), done, infos
 
     def close(self) -> None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, NamedTuple, Protocol
 
 from torchdq.algebra import dual_quaternion as dq
@@ -49,10 +49,10 @@ class EpisodeTask(Task, Protocol):
     """A task of an environment; frozen and hashable, since it is part of the key of its programs.
 
     Its rows are "observation", "reward" [1] and "reference" [3 n], the positions, velocities and accelerations that a
-    controller is to follow over the next step; "terminated" [1], not zero where the episode ends, may be among them.
-    Others go to the environment's `info`. In addition to its "goal" it may take the "action" [n] in [-1, 1] and the
-    "time" [1] since the start of the episode [s]; at the start of an episode there is no action. A goal of three
-    numbers is drawn as a point.
+    controller is to follow over the next step; "terminated" [1], not zero where the episode ends, and "success" [1], 1
+    where the task is achieved and 0 elsewhere, may be among them. "success" and others go to the environment's `info`.
+    In addition to its "goal" it may take the "action" [n] in [-1, 1] and the "time" [1] since the start of the episode
+    [s]; at the start of an episode there is no action. A goal of three numbers is drawn as a point.
 
     A task is recorded once, when its first environment is reset, and its numbers are part of the program from then on.
     Its class and its fields tell programs apart: make a number that may change a field. A change of anything else, such
@@ -77,7 +77,8 @@ class Reach:
 
     Goal: the point in the base frame [m], that of random joint positions within their limits. Observation: sine and
     cosine of revolute joints or the position of prismatic ones, velocities as fractions of their limits, the vector
-    from the end effector to the goal, and the position of the end effector, as measured. Reward, of the true state:
+    from the end effector to the goal, and the position of the end effector, as measured. Success: d is at most 0.05 m.
+    Reward, of the true state:
 
         1 / (1 + (d / 0.05)^2) - d - 0.01 mean(action^2),   d the distance [m]
 
@@ -100,30 +101,25 @@ class Reach:
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
         """Bounds of sines and cosines, positions, velocities, vector to the goal, and end effector."""
-        seen = []
-        for joint, r in zip(robot.joint_types, ranges(robot), strict=True):
-            seen += [r.beyond] if joint.slides else [(-1.0, 1.0)] * 2
         length = reach(robot)
-        return [*seen, *[(-FASTEST, FASTEST)] * robot.n, *[(-2 * length, 2 * length)] * 3, *[(-length, length)] * 3]
+        return [*seen_bounds(robot), *[(-2 * length, 2 * length)] * 3, *[(-length, length)] * 3]
 
     def rows(self, view: View) -> Rows:
         """Rows as the class states them."""
         robot, n, goal = view.scene.spec.robot, len(view.q), view.inputs["goal"]
         q, qd = view.reading[:n], view.reading[n:]
         p = tip(robot, view.scene.posed(q))
-        seen: list[Number] = []
-        for joint, x in zip(robot.joint_types, q, strict=True):
-            seen += [x] if joint.slides else [x.sin(), x.cos()]
-        seen += [*speeds(robot, qd), *quat.sub(goal, p), *p]
+        observation = [*seen(robot, q, qd), *quat.sub(goal, p), *p]
         error = quat.sub(goal, tip(robot, view.scene.posed(view.q)))
         squared = quat.dot(error, error)
         distance = sqrt(squared + 1e-12)
         bonus = 1.0 / (1.0 + squared * (1.0 / CLOSE**2))
         return {
-            "observation": within(seen, self.bounds(robot)),
+            "observation": within(observation, self.bounds(robot)),
             "reward": [bonus - distance - cost(view)],
             "reference": [*q, *[0.0] * (2 * n)],
             "distance": [distance],
+            "success": [at_least(CLOSE**2, squared)],
         }
 
 
@@ -202,6 +198,44 @@ class Track:
 
 
 @dataclass(frozen=True)
+class Plain:
+    """Neither goal nor reward: what a `TorchTask` starts from that names no other task.
+
+    Start at rest, as in `Reach`. Observation: sine and cosine of revolute joints or the position of prismatic ones, and
+    velocities as fractions of their limits, as measured. Reference: to stand still at the present position.
+
+    Args:
+        goal: number of numbers of a goal, all zero.
+    """
+
+    goal: int = 0
+
+    def inputs(self, n: int) -> dict[str, int]:
+        """Names and widths of the inputs: the goal."""
+        return {"goal": self.goal}
+
+    def draws(self, robot: Robot) -> int:
+        """Number of random numbers that an episode starts from: one for every joint."""
+        return robot.n
+
+    def start(self, robot: Robot, u: Row) -> Rows:
+        """Start at rest in the middle half of the joints' ranges."""
+        at = [r.lower + r.span * (0.25 + 0.5 * x) for r, x in zip(ranges(robot), u, strict=True)]
+        return {"q": at, "qd": [0.0] * robot.n, "goal": [0.0] * self.goal}
+
+    def bounds(self, robot: Robot) -> list[tuple[float, float]]:
+        """Bounds of sines and cosines, positions and velocities."""
+        return seen_bounds(robot)
+
+    def rows(self, view: View) -> Rows:
+        """Rows as the class states them."""
+        robot, n = view.scene.spec.robot, len(view.q)
+        q, qd = view.reading[:n], view.reading[n:]
+        observation = within(seen(robot, q, qd), self.bounds(robot))
+        return {"observation": observation, "reward": [0.0], "reference": [*q, *[0.0] * (2 * n)]}
+
+
+@dataclass(frozen=True)
 class Checked:
     """A task whose rows are checked while they are recorded, and whose numbers are checked at every step.
 
@@ -244,7 +278,7 @@ class Checked:
         if not isinstance(rows, Mapping) or not widths.keys() <= rows.keys():
             found = ", ".join(rows) if isinstance(rows, Mapping) else type(rows).__name__
             raise ArgumentError(f"{what} must return a dict of rows with {', '.join(widths)}, found {found}")
-        widths = {"terminated": 1, **widths}
+        widths = {"terminated": 1, "success": 1, **widths}
         for name, row in rows.items():
             if method == "rows" and name in RESERVED:
                 raise ArgumentError(f"{what} must not return a row {name!r}: the environment has its own")
@@ -255,6 +289,29 @@ class Checked:
             if len(row) != widths.get(name, len(row)):
                 raise ArgumentError(f"{what} must return {name!r} of width {widths[name]}, found {len(row)}")
         return dict(rows)
+
+
+TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
+
+
+def task_of(task: str | EpisodeTask) -> EpisodeTask:
+    """Task, by its name or by itself."""
+    if isinstance(task, str):
+        if task not in TASKS:
+            raise UnknownNameError("task", task, TASKS)
+        return TASKS[task]
+    if isinstance(task, type) or not hasattr(task, "rows"):
+        raise ArgumentError(
+            f"task must be the name of one or an object like those of torchdq.envs.tasks, found {task!r}"
+            + (f"; {task.__name__} is a class, call it" if isinstance(task, type) else "")
+        )
+    known: set[str] = {entry.name for entry in fields(task)} if is_dataclass(task) else set()
+    if unknown := getattr(task, "__dict__", {}).keys() - known:
+        raise ArgumentError(
+            f"task has the attributes {', '.join(unknown)}, which are not fields, so tasks that differ in them would "
+            f"share a program; make {type(task).__name__} a dataclass(frozen=True) with these fields"
+        )
+    return task
 
 
 # --- terms of tasks ---------------------------------------------------------------------------------------
@@ -294,6 +351,22 @@ def velocities(robot: Robot) -> list[float]:
 def speeds(robot: Robot, qd: Row) -> list[Number]:
     """Velocities, or accelerations per second, as fractions of the velocities' limits."""
     return [v * (1.0 / limit) for v, limit in zip(qd, velocities(robot), strict=True)]
+
+
+def seen(robot: Robot, q: Row, qd: Row) -> list[Number]:
+    """Sine and cosine of revolute joints or the position of prismatic ones, and velocities over their limits."""
+    found: list[Number] = []
+    for joint, x in zip(robot.joint_types, q, strict=True):
+        found += [x] if joint.slides else [x.sin(), x.cos()]
+    return [*found, *speeds(robot, qd)]
+
+
+def seen_bounds(robot: Robot) -> list[tuple[float, float]]:
+    """Bounds of what `seen` returns."""
+    found = []
+    for joint, r in zip(robot.joint_types, ranges(robot), strict=True):
+        found += [r.beyond] if joint.slides else [(-1.0, 1.0)] * 2
+    return [*found, *[(-FASTEST, FASTEST)] * robot.n]
 
 
 def tip(robot: Robot, at: Posed) -> Pure:

@@ -1,7 +1,7 @@
 """Tasks whose reward, observation, end or start are functions of tensors.
 
-Recorded tasks (`torchdq.envs.tasks`) are part of the program of a step and are faster. A `TorchTask` takes what it does
-not define from a recorded one, runs after the step, and needs no number-generic code:
+Recorded tasks (`torchdq.envs.tasks`) are part of the program of a step and are faster. A `TorchTask` runs after the
+step and needs no number-generic code. It may name a recorded task, from which it takes what it does not define:
 
     def reward(now: Now) -> dict[str, Tensor]:  # terms [N], which also are in `info`
         return {"near": torch.exp(-10 * now.rows["distance"]), "effort": -0.01 * now.action.square().mean(1)}
@@ -18,10 +18,13 @@ not define from a recorded one, runs after the step, and needs no number-generic
 
     task = TorchTask("reach", reward, observation, terminated, start, bounds=[(-10, 10)] * 13, draws=7)
     envs = ArmVectorEnv(4096, task, "panda")
+
+or stand alone: `TorchTask(reward=..., observation=..., start=..., bounds=..., draws=...)`.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -33,7 +36,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import floating, require_count, require_tensor
-from torchdq.envs.tasks import RESERVED, SENSIBLE, EpisodeTask
+from torchdq.envs.tasks import RESERVED, SENSIBLE, EpisodeTask, Plain
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.program.program import Argument
 from torchdq.robot import Robot
@@ -44,6 +47,14 @@ from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
 
+class TaskRows(dict[str, Tensor]):
+    """Rows of a task by name."""
+
+    def __missing__(self, name: str) -> Tensor:
+        """Raise, naming the rows that there are."""
+        raise UnknownNameError("row of the recorded task", name, self)
+
+
 class Now(NamedTuple):
     """A batch of environments after a step, or at the start of an episode, as the functions of a task see it."""
 
@@ -51,9 +62,9 @@ class Now(NamedTuple):
     qd: Tensor  # [N, n] velocities [rad/s or m/s]
     q_measured: Tensor  # [N, n] as the sensors read them
     qd_measured: Tensor  # [N, n]
-    goal: Tensor  # [N, ...] of the recorded task
+    goal: Tensor  # [N, ...] of the start
     time: Tensor  # [N] since the start of the episode [s]
-    action: Tensor  # [N, n] in [-1, 1]; zeros at a start
+    action: Tensor  # [N, n] in [-1, 1]; zeros at a start, and for passive joints
     rows: Mapping[str, Tensor]  # those of the recorded task: "observation", "reward", "reference" and others
     simulated: Callable[[], Robot]  # function that returns `robot`
 
@@ -70,14 +81,16 @@ class Now(NamedTuple):
 
 @dataclass(frozen=True)
 class TorchTask:
-    """A recorded task, parts of which are replaced by functions of tensors that are called after every step.
+    """Task whose reward, observation, end and start are functions of tensors, called after every step.
 
     Functions take rows that are independent of each other, and must return tensors whose row i depends on row i alone.
     They are called without gradients, and must not change tensors in place. A reward or an observation that is not
     finite ends the episode as a failure.
 
     Args:
-        recorded: the task that defines everything else, above all goal and reference; by its name or by itself.
+        recorded: task that defines everything else, above all goal and reference, by its name or by itself; None:
+            `torchdq.envs.tasks.Plain`, without goal and reward: a start at rest in the middle half of the joints'
+            ranges, an observation of measured positions and velocities, and a reference that stands still.
         reward: function of a `Now` that returns [N], or a dict of terms [N] by name, of which the reward is the sum and
             which `info` has, too; None: that of the recorded task.
         observation: function of a `Now` that returns [N, k], also called at starts; None: likewise.
@@ -91,14 +104,14 @@ class TorchTask:
 
     >>> import torch
     >>> from torchdq.envs import ArmVectorEnv, TorchTask
-    >>> still = TorchTask("reach", reward=lambda now: -now.qd.square().sum(1))
+    >>> still = TorchTask(reward=lambda now: -now.qd.square().sum(1))
     >>> envs = ArmVectorEnv(3, still, "panda")
     >>> observations, info = envs.reset(seed=0)
     >>> envs.step(torch.zeros(3, 7))[1].shape
     torch.Size([3])
     """
 
-    recorded: str | EpisodeTask = "reach"
+    recorded: str | EpisodeTask | None = None
     reward: Callable[[Now], Tensor | Mapping[str, Tensor]] | None = None
     observation: Callable[[Now], Tensor] | None = None
     terminated: Callable[[Now], Tensor] | None = None
@@ -108,6 +121,11 @@ class TorchTask:
 
     def __post_init__(self) -> None:
         require_count("draws", self.draws, least=0)
+        for name in ("reward", "observation", "terminated", "start"):
+            if not (getattr(self, name) is None or callable(getattr(self, name))):
+                raise ArgumentError(f"{name} must be a function or None, found {getattr(self, name)!r}")
+        if inspect.isroutine(self.recorded):
+            raise ArgumentError("recorded must be a task or its name, found a function; did you mean reward=...?")
         if (self.observation is None) != (self.bounds is None):
             raise ArgumentError(
                 "bounds must be given with an observation, and only then: a pair (lower, upper) for each of its k "
@@ -120,6 +138,16 @@ class TorchTask:
                     f"bounds must be pairs (lower, upper), one for each number of an observation, found {self.bounds!r}"
                 )
             object.__setattr__(self, "bounds", tuple(map(tuple, pairs.tolist())))
+        if self.recorded is None and self.reward is None:
+            raise ArgumentError("reward must be given unless a recorded task has one, such as TorchTask('reach', ...)")
+
+    def recorded_for(self, robot: Robot) -> str | EpisodeTask:
+        """The recorded task; a plain one has goals as wide as those of `start`, which is called once to see."""
+        if self.recorded is not None:
+            return self.recorded
+        begun = {} if self.start is None else self.start(robot, torch.full((1, self.draws), 0.5))
+        goal = begun.get("goal") if isinstance(begun, Mapping) else None
+        return Plain(goal.shape[-1] if isinstance(goal, Tensor) and goal.ndim else 0)
 
 
 class Functions(NamedTuple):
@@ -169,7 +197,7 @@ class Functions(NamedTuple):
             shapes = {name: trailing(SHAPES[name], self.robot.sizes) for name in self.differing}
             return self.simulated._with(**{name: bodies[name].reshape(-1, *shape) for name, shape in shapes.items()})
 
-        return Now(state.q, state.qd, q, qd, goal, time, action, rows, simulated)
+        return Now(state.q, state.qd, q, qd, goal, time, action, TaskRows(rows), simulated)
 
     def started(self, u: Tensor, looks: bool) -> dict[str, Tensor]:
         """Rows of the start that the task defines, of random numbers [N, draws].

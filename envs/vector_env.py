@@ -17,10 +17,9 @@ Other libraries take an `ArmVectorEnv`:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
 from numbers import Integral
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -33,12 +32,12 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import device_of, dtype_of, require_choice, require_count, require_tensor
 from torchdq.effects import Effect
-from torchdq.envs.actions import Actions, Kind, full
+from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of
 from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded, seeds_of
 from torchdq.envs.row_selection import Indexed, Masked, SomeRows, column
-from torchdq.envs.tasks import Checked, EpisodeTask, Reach, Track
+from torchdq.envs.tasks import Checked, EpisodeTask, task_of
 from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.posed import GEOMETRY
@@ -51,7 +50,6 @@ from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
-TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
 WORST = -1000.0  # reward of a step that failed, worse than any episode
 _HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
@@ -61,8 +59,9 @@ _RESTORED = ("q", "qd", "memory", "reading", "observation", "reference")  # buff
 class ArmVectorEnv(VectorEnv):
     """Environments of one robot and one task, stepped by one program.
 
-    Actions are in [-1, 1]^n. Others are clipped, and `info["clipped"]` counts them per row. Rows are independent: row i
-    of a batch that was seeded with s is, bit for bit, the single environment seeded with s + i.
+    Actions are in [-1, 1]^k, one number for each actuated joint. Others are clipped, and `info["clipped"]` counts them
+    per row. Rows are independent: row i of a batch that was seeded with s is, bit for bit, the single environment
+    seeded with s + i.
 
     A row whose numbers have left the finite range terminates alone: its observation is the last finite one, its reward
     -1000, worse than any episode, and `info["nonfinite"]` is true; the other entries of `info` are NaN then.
@@ -70,22 +69,26 @@ class ArmVectorEnv(VectorEnv):
     Args:
         num_envs: number of environments.
         task: "reach", "track", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
-        robot: name of a shipped robot, path of a URDF file, or a robot; it needs an end effector to reach.
+        robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed base; it needs an end effector to
+            reach.
         effects: effects of the scene; None: `torchdq.scene.defaults.default_effects(robot)`.
-        action: meaning of the actions. "torque": fractions of the torque limits. "residual": fractions of a fifth of
-            them, on top of a controller that follows the task's reference. "reference": offsets of the position that
-            the controller follows, full ones as far as the joint gets in 0.2 s. The reference of "reach" is to stand
-            still wherever the robot is: a residual pushes an arm that has no weight and comes to rest by itself, and
-            an offset moves it on.
+        action: meaning of the actions. "reference": offsets of the positions that a controller follows, full ones as
+            far as a joint moves in 0.2 s at its velocity limit. "torque": fractions of the torque limits. "residual":
+            fractions of a fifth of them, added to the torques of the controller. The controller follows the reference
+            of the task: in "track" the motion to track, in "reach" the position at the start of each step. There an
+            offset tells a joint where to go from where it is, and without offsets the arm comes to rest. None:
+            "reference", or "torque" if some joints are passive.
         controller: controller of residual and reference actions; None: computed torque of the rigid bodies as
             described, which knows nothing of friction or of what is randomised.
-        scale: size of a full action [N m or N; rad or m for "reference"], one number or n; None: as above.
+        scale: size of a full action [N m or N; rad or m for "reference"], one number or k; None: as above.
+        actuated: names or patterns of the joints that actions move; None: all. The others are passive: they get no
+            torque, from actions or a controller, and `action` is "torque".
         integrator: None: `LinearlyImplicit()`, which friction and limits cannot make unstable.
         dt: duration of a step [s].
         substeps: steps of the integrator within it.
         max_episode_steps: steps after which an episode is truncated; None: never.
         randomise: parameters drawn for every episode, such as {"mass": 0.1, "gravity": (0.9, 1.1), "payload": 2.0};
-            fractions, ranges or distributions, see `torchdq.envs.randomization`.
+            fractions, ranges, distributions or `Absolute` ranges, see `torchdq.envs.randomization`.
         autoreset_mode: time at which finished rows are reset, as gymnasium defines it. SAME_STEP: at once, and
             `info["final_obs"]` [N, ...] and `info["final_info"]` hold what came before in the rows of the masks
             `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action.
@@ -114,9 +117,10 @@ class ArmVectorEnv(VectorEnv):
         task: str | EpisodeTask | TorchTask = "reach",
         robot: str | Path | Robot = "panda",
         effects: Sequence[Effect] | None = None,
-        action: Kind = "torque",
+        action: Kind | None = None,
         controller: Controller | None = None,
         scale: float | Sequence[float] | None = None,
+        actuated: str | Sequence[str] | None = None,
         integrator: Integrator | None = None,
         dt: float = 0.02,
         substeps: int = 2,
@@ -132,13 +136,14 @@ class ArmVectorEnv(VectorEnv):
         require_count("num_envs", num_envs)
         if max_episode_steps is not None:
             require_count("max_episode_steps", max_episode_steps)
-        require_choice("action", action, get_args(Kind))
         require_choice("output", output, ("torch", "numpy"))
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
-        functions = task if isinstance(task, TorchTask) else None
-        self.task = _task_of(task.recorded if isinstance(task, TorchTask) else task)
         self.robot = _robot_of(robot)
+        functions = task if isinstance(task, TorchTask) else None
+        self.task = task_of(task.recorded_for(self.robot) if isinstance(task, TorchTask) else task)
+        joints = actuated_joints(self.robot, actuated)
+        kind = kind_of(action, self.robot, joints)
         self.dtype, self.device = dtype_of("dtype", dtype), device_of("device", device)
         modes = AutoresetMode.__members__
         self.autoreset_mode = modes[autoreset_mode] if autoreset_mode in modes else AutoresetMode(autoreset_mode)  # type: ignore[index]
@@ -157,13 +162,14 @@ class ArmVectorEnv(VectorEnv):
             "render_modes": ["rgb_array", "human"],
             "render_fps": max(1, round(1 / dt)),
         }
-        if action != "torque":
+        if kind != "torque":
             scene = scene.replace(controller=controller or ComputedTorqueController(KP, KD, nominal_robot(scene)))
         elif controller is not None:
             raise ArgumentError("controller must be None for torque actions; did you mean action='residual'?")
         self.scene, self._randomised = randomised(scene.to(self.device), randomise or {}, num_envs, like)
         _check_scene(self.scene, num_envs)
-        self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
+        size = torch.as_tensor(full(self.robot, kind, scale, joints)).to(like)
+        self._actions = Actions(kind, self.robot, joints, size)
         self._checked = Checked(self.task)
         self._functions = None if functions is None else Functions.of(functions, self.robot, self.scene, self.device)
         self._reset = Reset(self.scene, self._checked, self._randomised, self._functions)
@@ -181,7 +187,7 @@ class ArmVectorEnv(VectorEnv):
         bounds = self.task.bounds(self.robot) if bounds is None else bounds
         low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
         self.single_observation_space = Box(low, high, dtype=low.dtype.type)
-        self.single_action_space = Box(-1.0, 1.0, (self.robot.n,), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (len(self._actions.joints),), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
@@ -232,7 +238,7 @@ class ArmVectorEnv(VectorEnv):
         """Observations [N, ...], rewards [N], terminated [N], truncated [N] and `info` after `dt`.
 
         Args:
-            actions: [N, n] in [-1, 1], numpy or torch.
+            actions: [N, k] in [-1, 1], numpy or torch.
         """
         self._started("step")
         finished, counter = self._buffers["finished"], self._buffers["counter"]
@@ -352,7 +358,7 @@ class ArmVectorEnv(VectorEnv):
 
     def _drawn(self) -> dict[str, Tensor]:
         """The scene's own tensors that are drawn for every episode."""
-        return {f"{r.owner}.{name}": x for r in self._randomised for name, x in r.tensors(self.scene).items()}
+        return {f"{i}.{name}": x for r in self._randomised for (i, name), x in r.tensors(self.scene).items()}
 
     # --- internals ---
 
@@ -423,26 +429,6 @@ class ArmVectorEnv(VectorEnv):
 
     def _streams(self, buffers: Mapping[str, Tensor]) -> Streams:
         return Streams(buffers["key"], buffers["counter"])
-
-
-def _task_of(task: str | EpisodeTask) -> EpisodeTask:
-    """Task, by its name or by itself."""
-    if isinstance(task, str):
-        if task not in TASKS:
-            raise UnknownNameError("task", task, TASKS)
-        return TASKS[task]
-    if isinstance(task, type) or not hasattr(task, "rows"):
-        raise ArgumentError(
-            f"task must be the name of one or an object like those of torchdq.envs.tasks, found {task!r}"
-            + (f"; {task.__name__} is a class, call it" if isinstance(task, type) else "")
-        )
-    known: set[str] = {entry.name for entry in fields(task)} if is_dataclass(task) else set()
-    if unknown := getattr(task, "__dict__", {}).keys() - known:
-        raise ArgumentError(
-            f"task has the attributes {', '.join(unknown)}, which are not fields, so tasks that differ in them would "
-            f"share a program; make {type(task).__name__} a dataclass(frozen=True) with these fields"
-        )
-    return task
 
 
 def _robot_of(robot: str | Path | Robot) -> Robot:

@@ -93,7 +93,11 @@ ENVIRONMENTS: dict[str, Environment] = {
             ),
             Entries("position of the end effector, x y z in the base frame", "m", tip),
         ),
-        {**COMMON, "distance": "of the end effector from the goal, true and not measured [m]"},
+        {
+            **COMMON,
+            "distance": "of the end effector from the goal, true and not measured [m]",
+            "success": "1 where the distance is at most 0.05 m, otherwise 0",
+        },
         FIRST,
         "reference",
     ),

@@ -43,7 +43,8 @@ TASKS = """\
 ## Custom tasks
 
 A `TorchTask` takes reward, observation, end or start of an episode from functions of tensors, and everything else from
-a registered task.
+a registered task, if it names one. Without, as in [the guide](../guides/million.md#a-task-of-your-own), an episode
+starts at rest and the observation is the measured state.
 
 ```python
 from torchdq.envs import ArmVectorEnv, TorchTask
@@ -65,12 +66,19 @@ RANDOMISE = """\
 ## Domain randomisation
 
 `randomise` draws parameters in every episode. Values are a number, a pair (lower, upper), or a torch distribution with
-`icdf`, such as `Normal`.
+`icdf`, such as `Normal`. They are factors; an `Absolute` range is of the numbers of a parameter themselves.
 
 ```python
-envs = ArmVectorEnv(64, "reach", "panda", randomise={"mass": 0.1, "friction": (0.5, 1.5), "payload": 1.0})
+from torchdq.envs import Absolute
+
+tilted = Absolute([-1.0, -1.0, -9.81], [1.0, 1.0, -9.81])  # [m/s^2]
+drawn = {"mass": 0.1, "friction": (0.5, 1.5), "payload": 1.0, "Gravity.acceleration": tilted}
+envs = ArmVectorEnv(64, "reach", "panda", randomise=drawn)
 observation, info = envs.reset(seed=0)
-```"""
+```
+
+Several effects of a kind are counted from zero, in the order of the scene: `"Contact.0.height"` and
+`"Contact.1.height"`."""
 
 SAVING = """\
 ## Checkpoints

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,15 +18,17 @@ from pages.docstrings import documented
 from pages.effect_page import address as effect_address
 from pages.environment_cases import ENVIRONMENTS
 from pages.formulas import tex
+from pages.pictures import Curve, Picture, svg
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.envs import ArmVectorEnv, vector_env
-from torchdq.envs.actions import Kind, full
+from torchdq.envs.actions import Kind, full, kind_of
 from torchdq.envs.render import Painter
 from torchdq.robot import Robot
 from torchdq.scene.defaults import DAMPING, ROTOR
 
 ROOT = Path(__file__).resolve().parents[2]
 RATES = ROOT / "benchmarks" / "results" / "environments.json"
+LEARNED = ROOT / "benchmarks" / "results" / "learning.json"
 SCRIPT = "benchmarks/environments.py"
 ROBOT = "panda"  # the default
 DATA = "positions"  # entry of a PNG file: positions of the joints at the moments
@@ -60,6 +63,11 @@ def arm() -> Robot:
 def rates() -> dict[str, Any]:
     """Rates of every environment, measured and stored."""
     return json.loads(RATES.read_text(encoding="utf-8"))
+
+
+def learned(task: str) -> dict[str, Any] | None:
+    """Stored results of learning in an environment; None: there are none."""
+    return json.loads(LEARNED.read_text(encoding="utf-8"))["learning"].get(task)
 
 
 def page(task: str) -> str:
@@ -110,6 +118,7 @@ def page(task: str) -> str:
         f"One step is {dt:g} s, in {envs.scene.substeps} substeps of `{type(envs.scene.integrator).__name__}`.",
         "## info",
         table(("entry", "meaning"), [(f"`{name}`", words) for name, words in case.info.items()]),
+        *_learning(task),
         "## Speed",
         _rates(task),
         "## Versions",
@@ -162,9 +171,10 @@ def _range(numbers: tuple[float, ...]) -> str:
 
 def _actions(robot: Robot) -> str:
     rows = []
+    default_kind = kind_of(None, robot, range(robot.n))
     for kind in get_args(Kind):
-        numbers = ", ".join(f"{x:.3g}" for x in full(robot, kind, None))
-        default = " (default)" if kind == "torque" else ""
+        numbers = ", ".join(f"{x:.3g}" for x in full(robot, kind, None, range(robot.n)))
+        default = " (default)" if kind == default_kind else ""
         rows.append((f'`"{kind}"`{default}', ACTIONS[kind], numbers, ACTION_UNITS[kind]))
     return table(("`action`", "meaning", "a full action, joint by joint", "unit"), rows)
 
@@ -179,6 +189,60 @@ def _numbers(x: Any) -> str:
     """Numbers of all joints, once if they are equal."""
     row = x if isinstance(x, tuple) else (x,)
     return f"{row[0]:.4g}" if len(set(row)) == 1 else ", ".join(f"{value:.4g}" for value in row)
+
+
+def _learning(task: str) -> list[str]:
+    """Section on the policy that learns, with its curve; nothing where none was measured."""
+    if (found := learned(task)) is None:
+        return []
+    seeds, tests = found["seeds"], found["tests"]
+    seconds, steps = seeds[0][-1][0], sum(curve[-1][1] for curve in seeds) / len(seeds)
+
+    def row(what: str, results: Sequence[Sequence[float]]) -> tuple[str, str, str]:
+        distances = ", ".join(f"{1e3 * distance:.0f}" for _, _, distance, _ in results)
+        return what, f"{distances} mm", ", ".join(f"{success:.0%}" for *_, success in results)
+
+    rows = [row(name, [result]) for name, result in found["policies"].items()]
+    for at in (0.0, seconds / 3, seconds):
+        rows.append(row(f"PPO after {at:.0f} s", [min(curve, key=lambda x: abs(x[0] - at)) for curve in seeds]))
+    machine = ", ".join(f"{k} {v}" for k, v in json.loads(LEARNED.read_text(encoding="utf-8"))["machine"].items())
+    return [
+        "## Learning",
+        f"PPO of Stable-Baselines3 learns the task in {seconds / 60:.0f} minutes on one core:",
+        _learning_code(task, found),
+        f"![Median distance and success against time]({task}_learning.svg)",
+        f"Of {tests} episodes that training never saw: the median distance from the goal at the end, and the share of "
+        f"success, of {len(seeds)} seeds. Seconds are processor time of training, "
+        f"{steps / 1e6:.1f} million steps in {seconds:.0f} s.",
+        table(("policy", "median distance at the end", "success"), rows),
+        "The policy without action stands still. The one with known kinematics moves along the damped inverse of the "
+        "Jacobian; PPO is given no model of the arm. `python benchmarks/learn.py --page` measures curve and table: "
+        f"{machine}.",
+    ]
+
+
+def _learning_code(task: str, found: dict[str, Any]) -> str:
+    return f'''```python
+from stable_baselines3 import PPO
+
+from torchdq.envs import ArmVectorEnv
+from torchdq.envs.sb3 import StableBaselinesVecEnv
+
+vec = StableBaselinesVecEnv(ArmVectorEnv({found["arms"]}, "{task}", "{ROBOT}"))
+model = {found["line"]}
+# model.learn(5_000_000)
+```'''
+
+
+def learning_picture(task: str) -> str:
+    """SVG of the learning curves of an environment."""
+    curves = [list(zip(*curve, strict=True)) for curve in (learned(task) or {})["seeds"]]
+
+    def panel(label: str, column: int, factor: float, log: bool) -> Picture:
+        seeds = {f"seed {k}": Curve(x[0], [factor * y for y in x[column]]) for k, x in enumerate(curves)}
+        return Picture("processor time [s]", label, seeds, log)
+
+    return svg(panel("median distance at the end [mm]", 2, 1e3, True), panel("success [%]", 3, 100.0, False))
 
 
 def _rates(task: str) -> str:
@@ -249,4 +313,4 @@ def towards(now: Any) -> torch.Tensor:
     J = torchdq.jacobian(now.robot, now.q, now.robot.end_effector().name, expressed="world")[:, 3:]
     way = (now.goal - tip(now)).unsqueeze(-1)
     move = (J.mT @ torch.linalg.solve(J @ J.mT + 0.05**2 * torch.eye(3), way)).squeeze(-1)
-    return (move / torch.tensor(full(now.robot, "reference", None))).clamp(-1.0, 1.0)
+    return (move / torch.tensor(full(now.robot, "reference", None, range(now.robot.n)))).clamp(-1.0, 1.0)

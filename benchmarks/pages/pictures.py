@@ -72,16 +72,20 @@ class Picture(NamedTuple):
     x: str  # label of the axis, with a unit
     y: str
     curves: Mapping[str, Curve]
+    log: bool = False  # whether y is on a logarithmic scale
 
 
-def svg(picture: Picture) -> str:
-    """Text of an SVG file."""
+def svg(picture: Picture, *others: Picture) -> str:
+    """Text of an SVG file; others are below, with the same legend."""
+    pictures = (picture, *others)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=SIZE, layout="constrained")
-        axes = figure.add_subplot(xlabel=picture.x, ylabel=picture.y)
-        for (words, curve), look in zip(picture.curves.items(), LOOKS, strict=False):
-            colour, line = OTHER if words in REFERENCES else look
-            axes.plot(curve.x, curve.y, line, color=LIGHT[colour], label=words)
+        figure = Figure(figsize=(SIZE[0], len(pictures) * SIZE[1]), layout="constrained")
+        for k, one in enumerate(pictures):
+            scale = "log" if one.log else "linear"
+            axes = figure.add_subplot(len(pictures), 1, k + 1, xlabel=one.x, ylabel=one.y, yscale=scale)
+            for (words, curve), look in zip(one.curves.items(), LOOKS, strict=False):
+                colour, line = OTHER if words in REFERENCES else look
+                axes.plot(curve.x, curve.y, line, color=LIGHT[colour], label=words if k == 0 else None)
         if len(picture.curves) > 1:
             figure.legend(loc="outside upper left", ncols=3)
         file = io.StringIO()
@@ -94,7 +98,7 @@ def svg(picture: Picture) -> str:
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = text.replace("<defs>", f"<defs>\n  <style>{style}</style>", 1)
     text = re.sub(r'"[^"]*"', lambda attribute: LONG.sub(_short, attribute.group()), text)
-    points = json.dumps([_points(curve) for curve in picture.curves.values()])
+    points = json.dumps([_points(curve) for one in pictures for curve in one.curves.values()])
     return re.sub(
         r" +$", "", text.replace(" <defs>", f" <metadata>{points}</metadata>\n <defs>", 1), flags=re.MULTILINE
     )

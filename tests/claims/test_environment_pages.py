@@ -11,7 +11,7 @@ import pytest
 import torch
 from pages.docstrings import documented
 from pages.environment_cases import ENVIRONMENTS
-from pages.environment_page import DATA, newest, picture, rates, registered, situation, towards
+from pages.environment_page import DATA, learned, newest, picture, rates, registered, situation, towards
 
 from torchdq.envs import ArmVectorEnv
 
@@ -48,6 +48,7 @@ def test_the_pages_are_what_the_environments_say():
 
 def test_the_folder_holds_nothing_else():
     made = {f"{task}.{kind}" for task in ENVIRONMENTS for kind in ("md", "png")}
+    made |= {f"{task}_learning.svg" for task in ENVIRONMENTS if learned(task)}
     assert {path.name for path in FOLDER.iterdir()} == {"index.md", *made}
 
 
@@ -91,6 +92,16 @@ def test_an_episode_is_truncated_where_the_page_says_and_never_ends_before(task)
         assert not terminated and truncated == (k == spec.max_episode_steps)
     page = " ".join((FOLDER / f"{task}.md").read_text(encoding="utf-8").split())
     assert f"| truncated | after {spec.max_episode_steps} steps, {spec.max_episode_steps * 0.02:g} s" in page
+
+
+def test_the_line_of_the_guide_is_the_one_that_was_measured_and_it_learns():
+    found = learned("reach")
+    guide = (FOLDER.parent / "guides" / "million.md").read_text(encoding="utf-8")
+    assert found["line"] in guide and repr(found["line"]) in (FOLDER.parents[1] / "benchmarks/learn.py").read_text()
+    assert f'ArmVectorEnv({found["arms"]}, "reach", "panda")' in guide
+    for curve in found["seeds"]:
+        seconds, _, distance, success = curve[-1]
+        assert seconds < 182 and distance < 0.025 and success > 0.7
 
 
 def test_the_table_of_arguments_has_all_of_them():

@@ -6,7 +6,7 @@ from messages import refused
 from small_envs import ALL_DRAWN, PARTS, ROBOT, started
 from torch.distributions import Beta, Normal, Uniform
 
-from torchdq.envs import effects
+from torchdq.envs import Absolute, effects
 from torchdq.envs.randomization import SHORT, DrawnDelay
 from torchdq.errors import ArgumentError, UnknownNameError
 
@@ -105,6 +105,66 @@ def test_a_delay_between_steps_mixes_the_nearest_torques():
     assert make({"delay": (0.0, 1.25)}, 5).scene.effects[0].steps == 2
 
 
+BIAS = effects.Bias(0.0, 0.0)
+TILTED = Absolute([-1.0, -2.0, -9.81], [1.0, 2.0, -9.81])
+ABSOLUTE = {
+    "Bias.position": (Absolute(-0.2, 0.1), (-0.2, -0.2), (0.1, 0.1)),
+    "Gravity.acceleration": (TILTED, TILTED.lower, TILTED.upper),
+    "Coulomb.coulomb": (Absolute([0.0, 1.0], [0.5, 3.0]), (0.0, 1.0), (0.5, 3.0)),
+    "ComputedTorqueController.kp": (Absolute(50.0, 60.0), (50.0, 50.0), (60.0, 60.0)),
+}
+
+
+@pytest.mark.parametrize("name", ABSOLUTE)
+def test_absolute_ranges_are_of_the_numbers_themselves(name):
+    randomise, lower, upper = ABSOLUTE[name]
+    envs = make({name: randomise}, 400, effects=(*PARTS, BIAS), dtype="float64")
+    kind, _, parameter = name.partition(".")
+    found = next(
+        getattr(part, parameter) for part in (envs.scene.controller, *envs.scene.effects) if type(part).__name__ == kind
+    )
+    for column, a, b in zip(found.unbind(1), lower, upper, strict=True):
+        assert fills(column, a - 1e-9, b + 1e-9) if a < b else bool(((column - a).abs() < 1e-9).all())
+
+
+def test_absolute_numbers_of_a_distribution_may_be_negative():
+    envs = make({"Bias.position": Absolute(Normal(0.0, 0.1))}, 2000, effects=(*PARTS, BIAS))
+    found = drawn(envs, effects.Bias, "position")
+    assert abs(found.mean()) < 0.01 and abs(found.std() - 0.1) < 0.01
+    assert abs(torch.corrcoef(found.T)[0, 1]) < 0.1
+
+
+def test_a_drawn_bias_is_what_the_sensors_read():
+    envs = make({"Bias.position": Absolute(-0.2, 0.2)}, 5, effects=(effects.Gravity(), BIAS), dtype="float64")
+    envs.step(torch.zeros(5, 2))
+    state, bias = envs.get_state(), drawn(envs, effects.Bias, "position")
+    torch.testing.assert_close(state["reading"][:, :2] - state["q"], bias)
+
+
+def test_effects_of_a_kind_are_drawn_by_their_numbers():
+    parts = (effects.Payload(1.0), effects.Gravity(), effects.Payload(2.0), effects.Noise(0.01))
+    given = {"Payload.0.mass": (0.5, 0.6), "Payload.1.mass": Absolute(7.0, 8.0), "payload": 0.1, "mass": 0.1}
+    first, second, added = (e.mass for e in make(given, effects=parts).scene.effects if isinstance(e, effects.Payload))
+    assert fills(first, 0.5, 0.6) and fills(second, 7.0, 8.0) and fills(added, 0.0, 0.1)
+    with refused(UnknownNameError) as caught:
+        make({"Payload.mass": 0.1}, effects=parts)
+    assert "'Payload.0.mass'" in str(caught.value) and "'Payload.1.mass'" in str(caught.value)
+
+
+def test_all_friction_of_a_joint_has_one_factor():
+    parts = (effects.Viscous([1.0, 2.0]), effects.Stribeck(2.0, 3.0), effects.Directional(1.0, 4.0))
+    viscous, stribeck, directional = make({"friction": (0.5, 2.0)}, effects=parts).scene.effects
+    factor = viscous.coefficient / torch.tensor([1.0, 2.0])
+    for row, base in (
+        (stribeck.coulomb, 2.0),
+        (stribeck.static, 3.0),
+        (directional.forward, 1.0),
+        (directional.backward, 4.0),
+    ):
+        torch.testing.assert_close(row / base, factor)
+    assert fills(factor, 0.5, 2.0) and abs(torch.corrcoef(factor.T)[0, 1]) < 0.3
+
+
 def test_an_unknown_name_lists_all():
     with refused(UnknownNameError) as caught:
         make({"masses": 7.0})
@@ -131,6 +191,16 @@ def test_an_unknown_name_lists_all():
         {"damping": 0.1, "friction": 0.1},
         {"Noise.velocity": 0.1},
         [("mass", 0.1)],
+        {"mass": Absolute(0.5, 1.0)},
+        {"payload": Absolute(0.5, 1.0)},
+        {"friction": Absolute(0.5, 1.0)},
+        {"Coulomb.coulomb": Absolute(-1.0, 1.0)},
+        {"Coulomb.coulomb": Absolute(Normal(0.0, 1.0))},
+        {"Gravity.acceleration": Absolute([0.0, 0.0], [1.0, 1.0])},
+        {"Gravity.acceleration": Absolute([0.0, 0.0, 0.0], [1.0, -1.0, 1.0])},
+        {"Gravity.acceleration": Absolute(0.0, True)},
+        {"Gravity.acceleration": Absolute(0.0)},
+        {"Gravity.acceleration": Absolute(float("nan"), 1.0)},
     ],
 )
 def test_wrong_ranges_are_refused(randomise):

@@ -37,6 +37,10 @@ def test_what_is_seen_is_measured_and_what_is_rewarded_is_true():
         assert torch.allclose(observations[:, 0], (now["q"][:, 0] + 0.3).sin(), atol=1e-12)
     tip = torchdq.dq.translation(torchdq.forward_kinematics(ROBOT, now["q"], ROBOT.tip))
     assert torch.allclose(info["distance"], (now["goal"] - tip).norm(dim=1), atol=1e-6)
+    near = tip + torch.tensor([0.01, 0.049, 0.051, 0.2, 1.0])[:, None] * torch.tensor([0.0, 0.0, 1.0])
+    envs.set_state({**now, "qd": torch.zeros_like(now["qd"]), "goal": near})
+    info = envs.step(torch.zeros(5, 2, dtype=torch.float64))[4]
+    assert (info["success"] == (info["distance"] <= 0.05)).all() and {0.0, 1.0} == set(info["success"].tolist())
 
 
 def test_a_goal_can_be_reached():

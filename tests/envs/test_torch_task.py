@@ -155,23 +155,123 @@ def test_a_function_that_fails_ends_that_row_alone(name, bad):
     "task",
     [
         lambda: TorchTask("push"),
-        lambda: TorchTask(observation=state),
-        lambda: TorchTask(observation=state, bounds=[(1, -1)]),
-        lambda: TorchTask(start=lambda robot, u: {}, draws=True),
+        lambda: TorchTask("reach", 1.0),
+        lambda: TorchTask("reach", terminated=True),
+        lambda: TorchTask(lambda now: now.q.sum(1)),
+        lambda: TorchTask(),
+        lambda: TorchTask("reach", lambda now: now.rows["dist"]),
+        lambda: TorchTask("reach", observation=state),
+        lambda: TorchTask("reach", observation=state, bounds=[(1, -1)]),
+        lambda: TorchTask("reach", start=lambda robot, u: {}, draws=True),
         lambda: TorchTask(reward=lambda now: 1.0),
         lambda: TorchTask(reward=lambda now: now.q),
         lambda: TorchTask(reward=lambda now: now.q.sum()),
-        lambda: TorchTask(observation=state, bounds=BOUNDS[:3]),
-        lambda: TorchTask(reward=lambda now: {"distance": now.q[:, 0]}),
+        lambda: TorchTask("reach", observation=state, bounds=BOUNDS[:3]),
+        lambda: TorchTask("reach", lambda now: {"distance": now.q[:, 0]}),
         lambda: TorchTask(reward=lambda now: {"clipped": now.q[:, 0]}),
-        lambda: TorchTask(terminated=lambda now: now.q[:, 0]),
-        lambda: TorchTask(start=lambda robot, u: u),
-        lambda: TorchTask(start=lambda robot, u: {"x": u}),
-        lambda: TorchTask(start=lambda robot, u: {"q": u}, draws=3),
-        lambda: TorchTask(start=lambda robot, u: {"q": u / 0}, draws=2),
-        lambda: TorchTask(observation=lambda now: state(now) / 0, bounds=BOUNDS),
+        lambda: TorchTask("reach", terminated=lambda now: now.q[:, 0]),
+        lambda: TorchTask("reach", start=lambda robot, u: u),
+        lambda: TorchTask("reach", start=lambda robot, u: {"x": u}),
+        lambda: TorchTask("reach", start=lambda robot, u: {"q": u}, draws=3),
+        lambda: TorchTask("reach", start=lambda robot, u: {"q": u / 0}, draws=2),
+        lambda: TorchTask("reach", observation=lambda now: state(now) / 0, bounds=BOUNDS),
     ],
 )
 def test_wrong_functions_are_refused(task):
     with refused(torchdq.TorchdqError):
         make(task()).step(torch.zeros(5, 2))
+
+
+# --- tasks that name no other ----------------------------------------------------------------------------------------
+
+CARTPOLE = """<robot name="cartpole"><link name="rail"/>
+  <link name="cart"><inertial><mass value="1"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="pole"><inertial><origin xyz="0 0 -0.5"/><mass value="0.2"/>
+    <inertia ixx="0.02" iyy="0.02" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="slide" type="prismatic"><parent link="rail"/><child link="cart"/><axis xyz="1 0 0"/>
+    <limit lower="-2" upper="2" velocity="5" effort="20"/></joint>
+  <joint name="hinge" type="continuous"><parent link="cart"/><child link="pole"/><axis xyz="0 1 0"/></joint></robot>"""
+
+
+def upright(now):
+    """Reward of a pole that stands above a cart in the middle."""
+    x, angle = now.q.unbind(1)
+    return {"upright": -angle.cos(), "centred": -0.1 * x.square(), "effort": -0.01 * now.action.square().sum(1)}
+
+
+def hanging(robot, u):
+    """Start near the pole's rest, with the place for the cart as the goal."""
+    return {"q": 0.2 * (u - 0.5), "goal": u[:, :1]}
+
+
+@pytest.fixture(scope="module")
+def cartpole():
+    """A cart on a rail, with a pole that has no motor."""
+    return torchdq.Robot.from_urdf(CARTPOLE)
+
+
+def swinging(cartpole, num_envs=5, **arguments):
+    """Swing-up of a cart-pole, reset."""
+    parts = (effects.Gravity(), effects.Viscous([0.1, 0.0]))
+    task = TorchTask(reward=upright, start=hanging, draws=2)
+    given = {"robot": cartpole, "effects": parts, "actuated": "slide", "action": None, "scale": None}
+    return started(num_envs, task, **{**given, **arguments})
+
+
+def test_a_task_of_functions_alone_has_their_start_and_goal_and_a_plain_observation(cartpole):
+    envs, seen = swinging(cartpole), []
+    state = envs.get_state()
+    assert bool((state["q"].abs() <= 0.1).all()) and state["goal"].shape == (5, 1) and bool((state["goal"] > 0).all())
+    observations, rewards, *_, info = envs.step(torch.ones(5, 1))
+    q, qd = (envs.get_state()[name] for name in ("q", "qd"))
+    limits = torch.tensor([5.0, 2.0])  # a joint without a limit has 2 rad/s
+    expected = torch.cat([q[:, :1], q[:, 1:].sin(), q[:, 1:].cos(), qd / limits], 1)
+    torch.testing.assert_close(observations, expected)
+    torch.testing.assert_close(rewards, info["upright"] + info["centred"] + info["effort"])
+    alone = started(3, TorchTask(reward=lambda now: seen.append(now) or now.time))
+    assert alone.get_state()["goal"].shape == (3, 0) and alone.single_observation_space.shape == (6,)
+    alone.step(torch.zeros(3, 2))
+    assert seen[0].goal.shape == (3, 0)
+
+
+def test_a_passive_joint_gets_no_torque(cartpole):
+    """The step is that of the scene with the torques of the others alone, and none of a controller."""
+    envs = swinging(cartpole, dtype="float64", substeps=20, scale=7.0)
+    assert envs.single_action_space.shape == (1,)
+    before = envs.get_state()
+    envs.step(torch.ones(5, 1))
+    scene = torchdq.Scene(cartpole, envs.scene.effects, integrator=envs.scene.integrator, dt=0.02, substeps=20)
+    expected = scene.step(State(before["q"], before["qd"]), torque=torch.tensor([7.0, 0.0], dtype=torch.float64))
+    assert torch.equal(envs.get_state()["q"], expected.q) and torch.equal(envs.get_state()["qd"], expected.qd)
+    actions = []
+    watched = TorchTask(reward=lambda now: actions.append(now.action) or now.time)
+    other = started(5, watched, robot=cartpole, actuated=["slide"], scale=[7.0])
+    *_, info = other.step(torch.full((5, 1), -2.0))
+    assert actions[0].tolist() == [[-1.0, 0.0]] * 5 and info["clipped"].tolist() == [1] * 5
+    other = started(5, watched, robot=cartpole, actuated="h*", scale=1.0)
+    other.step(torch.full((5, 1), 0.5))
+    assert actions[1].tolist() == [[0.0, 0.5]] * 5
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"actuated": "wheel"},
+        {"actuated": ()},
+        {"actuated": 1},
+        {"action": "reference"},
+        {"action": "residual"},
+        {"scale": [20.0, 0.0]},
+        {"actuated": "*", "scale": [20.0, 0.0], "action": "torque"},
+        {"actuated": "hinge"},  # which has no torque limit
+    ],
+)
+def test_wrong_joints_are_refused(cartpole, arguments):
+    with refused(torchdq.TorchdqError):
+        swinging(cartpole, **arguments)
+
+
+def test_actions_of_passive_joints_are_refused(cartpole):
+    with refused(torchdq.ArgumentError):
+        swinging(cartpole).step(torch.zeros(5, 2))

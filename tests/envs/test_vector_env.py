@@ -241,7 +241,7 @@ KINDS = {
 @pytest.mark.parametrize("arguments", KINDS.values(), ids=KINDS)
 def test_a_row_is_the_single_environment(arguments):
     many = make(21, max_episode_steps=60, **arguments)
-    arguments = {"robot": ROBOT, "scale": 20.0, **arguments}
+    arguments = {"robot": ROBOT, "action": "torque", "scale": 20.0, **arguments}
     rows = (0, 7, 20)
     single = [ArmEnv(max_episode_steps=60, **arguments) for _ in rows]
     observations, _ = many.reset(seed=100)
@@ -294,7 +294,7 @@ def test_finished_rows_are_reset_in_the_same_step():
     assert info["_final_obs"].tolist() == info["_final_info"].tolist() == expected
     assert torch.equal(info["final_obs"], before)  # the last of the old episode, and of the others
     assert not torch.equal(observations[1], before[1]) and torch.equal(observations[2:], before[2:])
-    assert set(info["final_info"]) == {"clipped", "nonfinite", "distance"}
+    assert set(info["final_info"]) == {"clipped", "nonfinite", "distance", "success"}
     assert envs._buffers["steps"].tolist() == [2, 0, 2, 2, 2]
 
 
@@ -462,8 +462,18 @@ def test_actions_out_of_range_are_clipped_and_counted():
 
 
 def test_a_full_action_is_the_limit_of_the_torque():
-    envs = ArmVectorEnv(1, robot="panda", effects=())
+    envs = ArmVectorEnv(1, robot="panda", effects=(), action="torque")
     assert envs._actions.scale.tolist() == torchdq.robots.load("panda").limits.effort.tolist()
+
+
+def test_a_full_action_of_the_default_kind_moves_a_joint_at_its_velocity_limit():
+    """The gains of the controller are those of a joint that follows an offset of 0.2 s at the speed of 0.2 s."""
+    robot = torchdq.robots.load("panda")
+    envs = started(1, "reach", robot=robot, effects=(effects.Gravity(),), action=None, scale=None)
+    for _ in range(50):
+        envs.step(torch.eye(7)[:1])
+    expected = torch.eye(7)[0] * robot.limits.velocity
+    assert torch.allclose(envs.get_state()["qd"][0].double(), expected, atol=0.02 * float(expected[0]))
 
 
 # --- failing simulations ---------------------------------------------------------------------------------------------
@@ -588,6 +598,7 @@ def test_stable_baselines_that_is_missing_is_named(monkeypatch):
 def test_stable_baselines_trains():
     library = pytest.importorskip("stable_baselines3")
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
     from torchdq.envs.sb3 import StableBaselinesVecEnv
 
     with warnings.catch_warnings():
@@ -600,7 +611,31 @@ def test_stable_baselines_trains():
         observations, _, done, infos = envs.step(np.zeros((4, 2), np.float32))
     assert done.all() and infos[0]["TimeLimit.truncated"]
     assert infos[0]["terminal_observation"].shape == observations[0].shape
-    library.PPO("MlpPolicy", envs, n_steps=16, batch_size=32, device="cpu").learn(128)
+    monitored = vec_env.VecMonitor(envs)
+    model = library.PPO("MlpPolicy", monitored, n_steps=16, batch_size=32, device="cpu").learn(128)
+    assert len(model.ep_success_buffer) == len(model.ep_info_buffer) > 0  # of which it logs the means
+
+
+def test_stable_baselines_has_the_info_of_every_row():
+    pytest.importorskip("stable_baselines3")
+    from torchdq.envs.sb3 import StableBaselinesVecEnv
+
+    plain, envs = started(4, max_episode_steps=3), StableBaselinesVecEnv(make(4, max_episode_steps=3))
+    envs.seed(0)
+    envs.reset()
+    state = plain.get_state()
+    state["qd"][3] = 1e8  # fails
+    state["goal"][0] = torchdq.dq.translation(torchdq.forward_kinematics(ROBOT, state["q"], "tip"))[0]
+    for k in range(3):
+        for one in (plain, envs.envs) if k == 2 else ():
+            one.set_state({**state, "steps": one.get_state()["steps"]})
+        actions = torch.full((4, 2), 1.5 if k < 2 else 0.0)
+        _, _, done, infos = envs.step(actions.numpy())
+        *_, info = plain.step(actions)
+        for name in ("clipped", "nonfinite", "distance", "success"):
+            np.testing.assert_equal([row[name] for row in infos], info[name].tolist())
+        assert all(("is_success" in row) == ended for row, ended in zip(infos, done, strict=True))
+    assert infos[3]["nonfinite"] and [row["is_success"] for row in infos] == [True, False, False, False]
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def step(integrator: str, effect: str) -> Program:
 
 def environment(name: str, task: str) -> Program:
     """Program of a step of an environment, its rewards and observations included."""
-    envs = ArmVectorEnv(2, task, name)
+    envs = ArmVectorEnv(2, task, name, action="torque")
     return envs.scene.program("torque", *envs.task.inputs(envs.scene.n), task=Checked(envs.task))
 
 

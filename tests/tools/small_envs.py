@@ -16,7 +16,7 @@ ALL_DRAWN = {
 
 def make(num_envs=5, task="reach", **arguments):
     """Vector environment of a small robot."""
-    return ArmVectorEnv(num_envs, task, **{"robot": ROBOT, "scale": 20.0, **arguments})
+    return ArmVectorEnv(num_envs, task, **{"robot": ROBOT, "action": "torque", "scale": 20.0, **arguments})
 
 
 def started(num_envs=5, task="reach", **arguments):
