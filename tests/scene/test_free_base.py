@@ -328,7 +328,7 @@ def test_rows_of_a_batch_are_those_of_solo_runs_bit_for_bit(backend):
 )
 def test_gradients_through_a_rollout_are_those_of_differences(integrator):
     c, m = case("tree2"), motion(case("tree2"), batch=1)
-    parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.LuGre(0.2, deflection=0.1), effects.Drag(0.3, 0.1, 0.2))
+    parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.LuGre(0.2, deflection=0.1), effects.Drag(0.3, 0.1))
     scene = Scene(c.robot, (*parts, effects.Push("base")), integrator=integrator, dt=0.02)
     at = [m[name][0].clone().requires_grad_() for name in ("X_WB", "q", "V_WB_B", "qd", "tau", "f_base")]
     body = [getattr(c.robot, name).clone().requires_grad_() for name in ("base_mass", "base_com")]
