@@ -283,6 +283,38 @@ def test_drag_of_the_links_slows_the_whole_robot():
     assert (energy.diff(dim=0) < 0).all()
 
 
+@pytest.mark.parametrize("integrator", STEPPED, ids=called)
+def test_drag_is_that_of_links_which_fly_with_the_base(integrator):
+    """In proportion to the masses of the links it takes their momentum, k (p - that of the base), in every second."""
+    c, m, k, dt = case("tree3"), motion(case("tree3")), 0.7, 1e-6
+    scene = Scene(c.robot, (effects.Drag(linear=k * c.robot.mass),), integrator=integrator, dt=dt)
+    state = begun(scene, {**m, "V_WB_B": m["V_WB_B"] + 20.0})
+    (p, _), (after_p, _) = (floating.momentum(c.robot, s.X_WB, s.q, s.V_WB_B, s.qd) for s in (state, scene.step(state)))
+    w, v = state.V_WB_B.split(3, -1)
+    velocity = v + torch.linalg.cross(w, c.robot.base_com.expand_as(w))
+    of_links = p - c.robot.base_mass * dq.rotate(dq.rotation(state.X_WB), velocity)
+    assert ((after_p - p) / dt + k * of_links).abs().max() <= 1e-3 * of_links.abs().max()
+
+
+@pytest.mark.parametrize(("integrator", "steps"), [(LinearlyImplicit(), 64), (RungeKutta4(), 8)], ids=called)
+def test_the_error_falls_with_the_order_under_effects_of_all_kinds(integrator, steps):
+    c, m, T = case("tree3"), motion(case("tree3")), 0.1
+    parts = (
+        *(effects.Gravity(), effects.RotorInertia(0.1), effects.Payload(0.5, (0.1, 0.0, 0.1)), effects.Viscous(0.3)),
+        *(effects.Stribeck(0.2, 0.4, velocity=1.0, sign_width=1.0), effects.Elastic(30.0, 0.2, 0.5)),
+        *(effects.Drag(0.3, 0.1, 0.1, sign_width=0.5), effects.Push("base")),
+    )
+    exact = Scene(c.robot, parts, integrator=DormandPrince(1e-11, 1e-12), dt=T)
+    state = begun(exact, m)
+    expected = exact.step(state, m["tau"], push=m["f_base"])
+    errors = []
+    for n in (steps, 2 * steps):
+        scene = exact.replace(integrator=integrator, dt=T / n, backend=BACKEND)
+        found = scene.rollout(state, m["tau"].expand(n, 3, 3), push=m["f_base"].expand(n, 3, 6))
+        errors.append(max(float((x[-1] - expected.rows()[name]).abs().max()) for name, x in found.rows().items()))
+    assert errors[1] > 1e-11 and abs(math.log2(errors[0] / errors[1]) - integrator.order) <= 0.2
+
+
 def test_stiff_joints_on_a_free_base_are_held():
     """Damping and stiffness far beyond what explicit steps hold."""
     c, m = case("tree3"), motion(case("tree3"))
