@@ -176,7 +176,7 @@ def _for_trajectories(trial: Trial, error: float, divisible: bool) -> SceneRecom
     )
 
 
-class _Sought(NamedTuple):
+class _Searched(NamedTuple):
     """Integrator whose number of steps is being searched for."""
 
     integrator: Integrator
@@ -198,15 +198,15 @@ def _steppings(exact: Reference, error: float) -> tuple[Stepping, ...]:
     """
     trial, dt = exact.trial, exact.trial.scene.dt
     found: list[Stepping] = []
-    sought: list[_Sought] = []
+    searches: list[_Searched] = []
     for integrator in trial.integrators:
         known = exact.known[1] if integrator == exact.known[0] else {}
         per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
         search = steps_needed(integrator.order, error, known)
-        sought.append(_Sought(integrator, per_step, known, search, next(search)))
-    while sought:
-        one = min(sought, key=lambda s: s.operations)
-        sought.remove(one)
+        searches.append(_Searched(integrator, per_step, known, search, next(search)))
+    while searches:
+        one = min(searches, key=lambda s: s.operations)
+        searches.remove(one)
         most = trial.most_steps // trial.intervals
         if found:
             most = min(most, max(1, int(PRUNE * found[0].operations * dt / one.per_step)))
@@ -217,7 +217,7 @@ def _steppings(exact: Reference, error: float) -> tuple[Stepping, ...]:
         if made is None:
             made = trial.error(one.integrator, times, EXACT, exact.positions)
         try:
-            sought.append(one._replace(next=one.search.send((times, made))))
+            searches.append(one._replace(next=one.search.send((times, made))))
         except StopIteration as end:
             found += _meeting(exact, error, one, *end.value)
             found.sort(key=lambda c: c.operations)
@@ -229,7 +229,7 @@ def _steppings(exact: Reference, error: float) -> tuple[Stepping, ...]:
     return tuple(found)
 
 
-def _meeting(exact: Reference, error: float, of: _Sought, times: int, in_float64: float) -> list[Stepping]:
+def _meeting(exact: Reference, error: float, of: _Searched, times: int, in_float64: float) -> list[Stepping]:
     """Candidates of an integrator with a number of steps that meets the error in float64."""
     trial, found = exact.trial, []
     repeated = _repeated_share(trial.scene.robot, trial.state.q)
