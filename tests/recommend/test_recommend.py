@@ -261,6 +261,25 @@ def test_what_cannot_be_recommended_is_named(what):
         MISUSE[what]()
 
 
+@pytest.mark.parametrize("most", [128, 2**13])
+def test_the_search_costs_little_more_than_what_it_finds(most, monkeypatch):
+    """The cheapest attempts come first: where stiff joints make a method of low order hopeless, it is soon left."""
+    tried, path = [], Trial.path
+
+    def noted(trial, integrator, times, arithmetic):
+        if len(trial.state.q) == SAMPLES:  # a reference has twice as many
+            one = trial.scene.replace(integrator=integrator, substeps=1)
+            tried.append((one.count().total * times / one.dt, times * trial.intervals))
+        return path(trial, integrator, times, arithmetic)
+
+    monkeypatch.setattr(Trial, "path", noted)
+    scene = Scene(ROBOTS["two_link"], (effects.Gravity(), effects.Servo(200.0, 20.0)), dt=0.05)
+    found = recommend_settings(scene, 1e-3, 0.2, most_steps=most, target=torch.zeros(2, dtype=F64))
+    best = next(c.operations for c in found.others if c.arithmetic.dtype == F64)
+    assert max(operations for operations, _ in tried) <= 4.0 * best
+    assert max(steps for _, steps in tried) <= most
+
+
 def test_no_trajectory_has_more_steps_than_are_allowed():
     """Neither that of a reference nor that of a candidate; where these are too few, it says how small an error is."""
     robot, tried = ROBOTS["two_link"], []

@@ -75,6 +75,60 @@ def test_momentum_and_energy_are_conserved_at_the_order_of_the_integrator(name, 
     assert order >= integrator.order - 0.25, order
 
 
+def spinning(com, dtype=F64, size=10.0):
+    """Body of rotation rates of that size [rad/s], tilted, away from the origin, at 1.1 m/s, and its robot."""
+    robot = rigid_body(com=com, inertia=(0.25, 0.01, 0.2, 0.02, 0.0, 0.1))
+    w = size * dq.normalize(torch.tensor([0.0, 0.6, -0.5, 0.62], dtype=F64))[1:]
+    X = dq.normalize(torch.tensor([0.3, 0.4, -0.5, 0.7, 0.1, -2.0, 1.5, 0.8], dtype=F64))
+    V = torch.cat([w, torch.tensor([1.0, 0.3, -0.2], dtype=F64)])
+    return robot, {"q": torch.zeros(0, dtype=dtype), "X_WB": X.to(dtype), "V_WB_B": V.to(dtype)}
+
+
+@pytest.mark.parametrize("com", [(0.0, 0.0, 0.0), (0.1, -0.05, 0.2)], ids=["com at the origin", "com elsewhere"])
+@pytest.mark.parametrize("integrator", [*STEPPED, Repeated(LinearlyImplicit(), 3), DormandPrince()], ids=called)
+def test_a_body_in_flight_keeps_its_linear_momentum(integrator, com):
+    """Spinning at 10 rad/s it flies straight on, exactly, however its angular velocity is integrated."""
+    robot, start = spinning(com)
+    scene = Scene(robot, integrator=integrator, dt=0.01)
+    states = [scene.start(**start)]
+    for _ in range(50):
+        states.append(scene.step(states[-1]))
+    path = type(states[0])._make(None if x[0] is None else torch.stack(x) for x in zip(*states, strict=True))
+    p, _ = floating.momentum(robot, path.X_WB, path.q, path.V_WB_B, path.qd)
+    assert p.diff(dim=0).abs().max() <= 1e-13 and (p - p[0]).abs().max() <= 1e-12
+    x = floating.centre_of_mass(robot, path.X_WB, path.q)
+    line = x[0] + 0.01 * torch.arange(51, dtype=F64)[:, None] * p[0] / robot.base_mass
+    assert (x - line).abs().max() <= 1e-12
+    assert (path.V_WB_B[-1, 3:] - path.V_WB_B[0, 3:]).abs().max() > 0.5  # of the origin, in axes that turn
+
+
+@pytest.mark.parametrize("backend", ["eager", "c"])
+@pytest.mark.parametrize("integrator", STEPPED, ids=called)
+def test_a_body_in_flight_keeps_its_linear_momentum_in_single_precision(integrator, backend):
+    robot, start = spinning((0.1, -0.05, 0.2), torch.float32)
+    scene = Scene(robot, integrator=integrator, dt=0.01, backend=backend)
+    path = scene.rollout(scene.start(**start), steps=100)
+    p, _ = floating.momentum(robot, path.X_WB.double(), path.q.double(), path.V_WB_B.double(), path.qd.double())
+    assert (p - p[0]).abs().max() <= 100 * 2.0**-24 * p[0].norm() * 4
+
+
+@pytest.mark.parametrize("integrator", [*STEPPED, DormandPrince()], ids=called)
+def test_the_centre_of_mass_of_a_spinning_body_falls_on_a_parabola(integrator):
+    """A constant force gives it the momentum f t exactly; its path is that of a point under the same integrator."""
+    robot, start = spinning((0.1, -0.05, 0.2))
+    g, steps, dt = torch.tensor([0.0, 0.0, -9.81], dtype=F64), 40, 0.01
+    scene = Scene(robot.replace(gravity=g), (effects.Gravity(),), integrator=integrator, dt=dt)
+    state = scene.start(**start)
+    end = after(scene, state, steps * dt)
+    (p0, _), (p, _) = (floating.momentum(robot, s.X_WB, s.q, s.V_WB_B, s.qd) for s in (state, end))
+    c0, c = (floating.centre_of_mass(robot, s.X_WB, s.q) for s in (state, end))
+    T, m = steps * dt, robot.base_mass
+    assert (p - p0 - m * g * T).abs().max() <= 1e-12
+    # sums of the velocities at the beginnings or at the ends of the steps
+    late = {ExplicitEuler: -1, SemiImplicitEuler: 1, LinearlyImplicit: 1}.get(type(integrator), 0)
+    assert (c - c0 - p0 / m * T - 0.5 * g * T * (T + late * dt)).abs().max() <= 1e-12
+
+
 @pytest.mark.exhaustive
 def test_momentum_and_energy_over_ten_thousand_steps():
     """The order of a short run is that of a long one."""
@@ -109,16 +163,20 @@ def test_an_adaptive_integrator_keeps_momentum_and_energy():
     ("series", "size", "tolerance"), [(ORDER_4, 0.05, 1e-7), (EXACT, 0.05, 1e-14), (EXACT, 1.0, 1e-12)]
 )
 def test_the_rate_of_a_displacement_is_the_derivative_of_its_logarithm(series, size, tolerance):
-    xi, V = torch.randn(2, 20, 6, dtype=F64, generator=torch.Generator().manual_seed(3))
-    xi = size * xi / xi.norm(dim=-1, keepdim=True)
+    theta, w, p, u = torch.randn(4, 20, 3, dtype=F64, generator=torch.Generator().manual_seed(3))
+    theta = size * theta / theta.norm(dim=-1, keepdim=True)
 
     def displacement(t):
-        return 2 * dq.log(dq.mul(dq.exp(0.5 * xi), dq.exp(0.5 * t * V)))
+        """Rotation about own axes, translation in axes that do not turn, as one after the other."""
+        turn, turned = (dq.exp(0.5 * torch.cat([x, torch.zeros_like(x)], -1)) for x in (theta, t * w))
+        whole = dq.mul(turn, turned)
+        return torch.cat([2 * dq.log(whole)[..., :3], p + t * u], -1)
 
     t = torch.zeros(20, 1, dtype=F64)
     _, expected = torch.autograd.functional.jvp(displacement, t, torch.ones_like(t))
-    found = torch.stack(torch.broadcast_tensors(*rate(xi.unbind(-1), V.unbind(-1), series)), -1)
-    assert (found - expected).abs().max() <= tolerance * V.norm(dim=-1).max()
+    xi, v = (torch.cat(x, -1).unbind(-1) for x in ((theta, p), (w, u)))
+    found = torch.stack(torch.broadcast_tensors(*rate(xi, v, series)), -1)
+    assert (found - expected).abs().max() <= tolerance * w.norm(dim=-1).max()
 
 
 # --- analytic motions ------------------------------------------------------------------------------------------------
@@ -225,6 +283,38 @@ def test_drag_of_the_links_slows_the_whole_robot():
     assert (energy.diff(dim=0) < 0).all()
 
 
+@pytest.mark.parametrize("integrator", STEPPED, ids=called)
+def test_drag_is_that_of_links_which_fly_with_the_base(integrator):
+    """In proportion to the masses of the links it takes their momentum, k (p - that of the base), in every second."""
+    c, m, k, dt = case("tree3"), motion(case("tree3")), 0.7, 1e-6
+    scene = Scene(c.robot, (effects.Drag(linear=k * c.robot.mass),), integrator=integrator, dt=dt)
+    state = begun(scene, {**m, "V_WB_B": m["V_WB_B"] + 20.0})
+    (p, _), (after_p, _) = (floating.momentum(c.robot, s.X_WB, s.q, s.V_WB_B, s.qd) for s in (state, scene.step(state)))
+    w, v = state.V_WB_B.split(3, -1)
+    velocity = v + torch.linalg.cross(w, c.robot.base_com.expand_as(w))
+    of_links = p - c.robot.base_mass * dq.rotate(dq.rotation(state.X_WB), velocity)
+    assert ((after_p - p) / dt + k * of_links).abs().max() <= 1e-3 * of_links.abs().max()
+
+
+@pytest.mark.parametrize(("integrator", "steps"), [(LinearlyImplicit(), 64), (RungeKutta4(), 8)], ids=called)
+def test_the_error_falls_with_the_order_under_effects_of_all_kinds(integrator, steps):
+    c, m, T = case("tree3"), motion(case("tree3")), 0.1
+    parts = (
+        *(effects.Gravity(), effects.RotorInertia(0.1), effects.Payload(0.5, (0.1, 0.0, 0.1)), effects.Viscous(0.3)),
+        *(effects.Stribeck(0.2, 0.4, velocity=1.0, sign_width=1.0), effects.Elastic(30.0, 0.2, 0.5)),
+        *(effects.Drag(0.3, 0.1, 0.1, sign_width=0.5), effects.Push("base")),
+    )
+    exact = Scene(c.robot, parts, integrator=DormandPrince(1e-11, 1e-12), dt=T)
+    state = begun(exact, m)
+    expected = exact.step(state, m["tau"], push=m["f_base"])
+    errors = []
+    for n in (steps, 2 * steps):
+        scene = exact.replace(integrator=integrator, dt=T / n, backend=BACKEND)
+        found = scene.rollout(state, m["tau"].expand(n, 3, 3), push=m["f_base"].expand(n, 3, 6))
+        errors.append(max(float((x[-1] - expected.rows()[name]).abs().max()) for name, x in found.rows().items()))
+    assert errors[1] > 1e-11 and abs(math.log2(errors[0] / errors[1]) - integrator.order) <= 0.2
+
+
 def test_stiff_joints_on_a_free_base_are_held():
     """Damping and stiffness far beyond what explicit steps hold."""
     c, m = case("tree3"), motion(case("tree3"))
@@ -265,18 +355,22 @@ def test_rows_of_a_batch_are_those_of_solo_runs_bit_for_bit(backend):
             assert x.equal(path.rows()[name][:, k]), name
 
 
-def test_gradients_through_a_rollout_are_those_of_differences():
+@pytest.mark.parametrize(
+    "integrator", [RungeKutta4(), LinearlyImplicit(), Repeated(SemiImplicitEuler(), 2)], ids=called
+)
+def test_gradients_through_a_rollout_are_those_of_differences(integrator):
     c, m = case("tree2"), motion(case("tree2"), batch=1)
-    scene = Scene(c.robot, (effects.Gravity(), effects.Viscous(0.2)), integrator=RungeKutta4(), dt=0.02)
-    at = [m[name][0].clone().requires_grad_() for name in ("X_WB", "q", "V_WB_B", "qd", "tau")]
-    mass = c.robot.base_mass.clone().requires_grad_()
+    parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.LuGre(0.2, deflection=0.1), effects.Drag(0.3, 0.1))
+    scene = Scene(c.robot, (*parts, effects.Push("base")), integrator=integrator, dt=0.02)
+    at = [m[name][0].clone().requires_grad_() for name in ("X_WB", "q", "V_WB_B", "qd", "tau", "f_base")]
+    body = [getattr(c.robot, name).clone().requires_grad_() for name in ("base_mass", "base_com")]
 
-    def end(X, q, V, qd, tau, mass):
-        scene_of = scene.replace(robot=c.robot.replace(base_mass=mass))
-        path = scene_of.rollout(scene_of.start(q, qd, X_WB=X, V_WB_B=V), tau.expand(5, 2))
-        return torch.cat([path.X_WB[-1], path.q[-1], path.V_WB_B[-1], path.qd[-1]], -1)
+    def end(X, q, V, qd, tau, push, mass, com):
+        scene_of = scene.replace(robot=c.robot.replace(base_mass=mass, base_com=com))
+        path = scene_of.rollout(scene_of.start(q, qd, X_WB=X, V_WB_B=V), tau.expand(5, 2), push=push.expand(5, 6))
+        return torch.cat([path.X_WB[-1], path.q[-1], path.V_WB_B[-1], path.qd[-1], path.memory[-1]], -1)
 
-    torch.autograd.gradcheck(end, (*at, mass), atol=1e-6, fast_mode=True)
+    torch.autograd.gradcheck(end, (*at, *body), atol=1e-6, fast_mode=True)
 
 
 @pytest.mark.parametrize("rotation", [(0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.6, 0.8), (-1.0, 0.0, 0.0, 0.0)], ids=str)

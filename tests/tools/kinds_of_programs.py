@@ -128,11 +128,13 @@ INTEGRATORS = {
     "rk4": (integrators.RungeKutta4(), SEVERAL),
     "verlet": (integrators.StoermerVerlet(), SEVERAL),
 }
+FLOATING_TOO = ("semi", "implicit", "rk4")  # those for free bases
 
 
-def step(integrator: str, effect: str) -> Program:
+def step(integrator: str, effect: str, floating: bool = False) -> Program:
     """Program of a step of the panda under an effect."""
-    return Scene(robot("panda"), EFFECTS[effect], integrator=INTEGRATORS[integrator][0], dt=0.01).program()
+    known = free(robot("panda")) if floating else robot("panda")
+    return Scene(known, EFFECTS[effect], integrator=INTEGRATORS[integrator][0], dt=0.01).program()
 
 
 def environment(name: str, task: str) -> Program:
@@ -178,6 +180,7 @@ def studied(name: str, method: str) -> Program:
 PROGRAMS: dict[str, Callable[[], Program]] = {
     **{key: program for name in ROBOTS for key, program in recipes(name).items()},
     **{f"panda/scene/{i}/{e}": partial(step, i, e) for i, (_, several) in INTEGRATORS.items() for e in several},
+    **{f"panda/floating scene/{i}/{e}": partial(step, i, e, True) for i in FLOATING_TOO for e in ("none", "Contact")},
     **{
         f"{task.title()}/{name}": partial(environment, name, task)
         for task in ("reach", "track")

@@ -1,15 +1,16 @@
 """Command `scene`: a robot simulated with the effects that are asked for."""
 
 import io
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq import effects
+from torchdq import dq, effects
 from torchdq.base import machine
 from torchdq.base.checks import names_of, require_number
 from torchdq.base.files import write_atomically
@@ -21,7 +22,7 @@ from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.scene import controllers, integrators
 from torchdq.scene.defaults import default_effects
-from torchdq.scene.integrators import Integrator, Unrecorded
+from torchdq.scene.integrators import Integrator, Repeated, Unrecorded
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
@@ -31,15 +32,19 @@ STEPPERS = {
     for name, kind in vars(integrators).items()
     if isinstance(kind, type)
     and issubclass(kind, Integrator)
-    and kind not in (Integrator, Unrecorded)
+    and kind is not Integrator
+    and not issubclass(kind, Unrecorded)
     and all(entry.default is not MISSING for entry in fields(kind))
 }
 DEFAULT = "default"
+MOTION = ("start", "end", "speed at the end", "error")
 
 
 @dataclass(kw_only=True)
 class SceneCommand(RobotCommand):
-    """Simulation with the effects that you name: energies, operations and nanoseconds of a step, and a CSV file.
+    """Simulation with the effects that you name: energies, motion, operations and time of a step, and a CSV file.
+
+    Errors are of the end, by the length of the steps; a second run with steps half as long estimates them.
 
     Effects: default (those of the description), gravity, viscous=0.5, coulomb=2, joint-limits, saturation,
     first-order-lag=0.02, rotor-inertia=0.1, noise=0.001 and all others of torchdq.effects; a number is the first
@@ -71,40 +76,35 @@ class SceneCommand(RobotCommand):
         """Energies and price; it failed if the motion grows beyond all numbers."""
         require_number("seconds", self.seconds, positive=True)
         require_number("dt", self.dt, positive=True)
-        robot = self.load_moving().robot
+        robot = self.load_moving(or_free=True).robot
         names_of("integrator", self.integrator, STEPPERS, "integrator")
         controller = None if self.hold is None else controllers.PD(*self.hold)
         chosen = [one for text in self.effects for one in effects_of(text, robot)]
         scene = Scene(robot, chosen, controller, STEPPERS[self.integrator](), self.dt)
         q = per_joint("q", self.q, robot)
         start = scene.start(torch.zeros(robot.n, dtype=torch.float64).clamp(*robot.limits[:2]) if q is None else q)
-        steps = max(1, round(self.seconds / self.dt))
-        states = self._run(scene, start, steps)
-        energies = torch.cat([scene.energy(start)[None], scene.energy(states)])
+        path = _Path.of(scene, start, self._series(scene, start))
+        energies = scene.energy(path.states)
         price = scene.describe(seconds=self.price)
         if self.csv is not None:
-            self._write(self.csv, start, states, energies)
-        first, last, total = energies[0], energies[-1], energies.sum(-1)
+            self._write(self.csv, path.states, energies)
         failure = ""
-        if not bool(total.isfinite().all()):
-            at = self.dt * int((~total.isfinite()).nonzero()[0])
+        if not bool((finite := energies.isfinite().all(-1)).all()):
+            at = self.dt * int((~finite).nonzero()[0])
             cure = "A smaller --dt, another --integrator, or a start within the limits may help."
             failure = f"The simulation has failed: from {at:g} s on its numbers are not finite. {cure}"
-        shown = {"kinetic": energies[:, 0], "potential": energies[:, 1], "sum": total}
-        rows = [(name, *(f"{float(x):.6g}" for x in (e[0], e.max(), e[-1]))) for name, e in shown.items()]
         acting = [type(effect).__name__ for effect in scene.effects if not effect.idle()]
         names = ", ".join(acting) or "rigid bodies alone"
+        steps = len(energies) - 1
         many = f"{steps} step{'s' * (steps != 1)}"
         about = f"{robot.name}, {many} of {self.dt:g} s with {type(scene.integrator).__name__}: {names}"
-        text: list[str | Grid] = [about, Grid(("energy [J]", "start", "most", "end"), rows)]
-        joints = zip(robot.joint_names, start.q.tolist(), states.q[-1].tolist(), states.qd[-1].tolist(), strict=True)
-        positions = [(name, *(f"{x:.6g}" for x in values)) for name, *values in joints]
-        text += [Grid(("joint", "start", "end", "speed at the end"), positions)]
+        text: list[str | Grid] = [about, *path.tables()]
         if friction := at_speeds(scene.effects, robot.n):
             text += [f"{STATED}:", Grid(COLUMNS, list(zip(robot.joint_names, *friction, strict=True)))]
         text += ["price of a step:", str(price)]
         text += [Grid((), [("wrote", str(self.csv))])] if self.csv is not None else []
         text += [failure] if failure else []
+        order = ["kinetic", "potential"]
         data = {
             "robot": robot.name,
             "machine": machine.words(),
@@ -112,8 +112,9 @@ class SceneCommand(RobotCommand):
             "steps": steps,
             "dt": self.dt,
             "start": start.rows(),
-            "end": {name: x[-1] for name, x in states.rows().items()},
-            "energies": {"unit": "J", "order": ["kinetic", "potential"], "start": first, "end": last},
+            "end": path.end.rows(),
+            "energies": {"unit": "J", "order": order, "start": energies[0], "end": energies[-1]},
+            "errors": {"energy": path.error(path.energy)[-1], "q": path.error(lambda state: state.q)},
             "operations": price.total.operations,
             "nanoseconds": price.total.nanoseconds,
             "costs": [cost._asdict() for cost in price.costs],
@@ -123,22 +124,21 @@ class SceneCommand(RobotCommand):
         }
         return Outcome(tuple(text), data, bool(failure))
 
-    def _run(self, scene: Scene, start: State, steps: int) -> State:
-        """States after each step."""
-        torque, series = per_joint("torque", self.torque, scene.robot), dict[str, Any]()
-        if torque is not None:
-            series["torque"] = torque.expand(steps, -1)
+    def _series(self, scene: Scene, start: State) -> dict[str, Any]:
+        """Inputs of all steps."""
+        steps = max(1, round(self.seconds / self.dt))
+        constant = {"torque": per_joint("torque", self.torque, scene.robot)}
         if scene.controller is not None:
-            series["reference"] = torch.cat([start.q, *[torch.zeros_like(start.q)] * 2]).expand(steps, -1)
-        with torch.no_grad():
-            return scene.rollout(start, steps=steps, nonfinite="ignore", **series)
+            constant["reference"] = torch.cat([start.q, *[torch.zeros_like(start.q)] * 2])
+        series: dict[str, Any] = {name: x.expand(steps, -1) for name, x in constant.items() if x is not None}
+        if scene.noises:
+            series["noise"] = 1 - torch.rand(steps, scene.noises, dtype=start.q.dtype)
+        return {"steps": steps, **series}
 
-    def _write(self, path: Path, start: State, states: State, energies: Tensor) -> None:
+    def _write(self, path: Path, states: State, energies: Tensor) -> None:
         """Write the CSV file; the first row is the start."""
         columns = {"time": self.dt * torch.arange(len(energies), dtype=torch.float64)[:, None]}
-        for name, x in states.rows().items():
-            if name not in ("memory", "reading"):
-                columns[name] = torch.cat([getattr(start, name)[None], x])
+        columns |= {name: x for name, x in states.rows().items() if name not in ("memory", "reading")}
         header = ["time"]
         header += [f"{name}{k + 1}" for name, x in list(columns.items())[1:] for k in range(x.shape[1])]
         table = np.concatenate([x.numpy() for x in (*columns.values(), energies)], 1)
@@ -146,6 +146,73 @@ class SceneCommand(RobotCommand):
         text = io.StringIO()
         np.savetxt(text, table, "%.12g", ",", header=head, comments="")
         write_atomically({path: text.getvalue()})
+
+
+class _Path(NamedTuple):
+    """Motion of a scene, and the end of the one with steps half as long."""
+
+    scene: Scene
+    states: State  # [steps + 1, ...], the first of them the start
+    finer: State
+
+    @classmethod
+    def of(cls, scene: Scene, start: State, series: dict[str, Any]) -> Self:
+        """Motion from a start."""
+
+        def states(of: Scene) -> dict[str, Tensor]:
+            with torch.no_grad():
+                found = of.rollout(start, nonfinite="ignore", **series).rows()
+            return {name: torch.cat([x[None], found[name]]) for name, x in start.rows().items()}
+
+        halved = states(scene.replace(integrator=Repeated(scene.integrator, 2)))
+        return cls(scene, State(**states(scene)), State(**{name: x[-1] for name, x in halved.items()}))
+
+    @property
+    def end(self) -> State:
+        """State at the end."""
+        return State(**{name: x[-1] for name, x in self.states.rows().items()})
+
+    def energy(self, state: State) -> Tensor:
+        """Kinetic and potential energy, and their sum [..., 3]."""
+        found = self.scene.energy(state)
+        return torch.cat([found, found.sum(-1, keepdim=True)], -1)
+
+    def error(self, of: Callable[[State], Tensor]) -> Tensor:
+        """Errors of what is computed from the end, of which steps half as long take off the share of their order."""
+        return (of(self.end) - of(self.finer)).abs() / (1 - 0.5**self.scene.integrator.order)
+
+    def tables(self) -> list[Grid]:
+        """Energies, motion of a free base, and joints."""
+        e, robot = self.energy(self.states), self.scene.robot
+        columns = [e[0], e.amax(0), e[-1], self.error(self.energy)]
+        found = [_grid(("energy [J]", "start", "most", "end", "error"), ("kinetic", "potential", "sum"), columns)]
+        if robot.floating:
+            columns = [_place(self.states)[0], _place(self.end), _speed(self.end), self.error(_place)]
+            names = ("x [m]", "y [m]", "height [m]", "turned by [rad]")
+            found.append(_grid(("base", *MOTION), names, columns))
+        columns = [self.states.q[0], self.end.q, self.end.qd, self.error(lambda state: state.q)]
+        return [*found, _grid(("joint", *MOTION), robot.joint_names, columns)] if robot.n else found
+
+
+def _grid(header: tuple[str, ...], names: Sequence[str], columns: Sequence[Tensor]) -> Grid:
+    """Table of names and numbers, the last column of which are errors."""
+    *numbers, errors = [column.tolist() for column in columns]
+    cells = [[f"{x:.6g}" for x in column] for column in numbers] + [[f"{x:.2g}" for x in errors]]
+    return Grid(header, list(zip(names, *cells, strict=True)))
+
+
+def _place(state: State) -> Tensor:
+    """Position of a free base in the world, and the angle by which it is turned [..., 4]."""
+    X = state.rows()["X_WB"]
+    angle = 2 * dq.log_shortest(X)[..., :3].norm(dim=-1, keepdim=True)
+    return torch.cat([dq.translation(X), angle], -1)
+
+
+def _speed(state: State) -> Tensor:
+    """Velocity of a free base in the world, and its angular speed [..., 4]."""
+    rows = state.rows()
+    w, v = rows["V_WB_B"].split(3, -1)
+    return torch.cat([dq.rotate(dq.rotation(rows["X_WB"]), v), w.norm(dim=-1, keepdim=True)], -1)
 
 
 def effects_of(text: str, robot: Robot) -> list[effects.Effect]:

@@ -5,18 +5,15 @@ and are constant in B. The coordinate of a joint with one degree of freedom is a
 coordinates of a free joint are the pose of B in P. A fixed joint has no coordinates and no screws; it costs nothing.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
-from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-
-Exponential = Callable[[Screw], DualQuaternion]  # exponential of a pure dual quaternion
 
 
 class Coordinate(NamedTuple):
@@ -48,9 +45,6 @@ class Joint(Protocol):
     def project(self, F: Screw) -> tuple[Number, ...]:
         """Generalised forces of a wrench on the link: its power on each column (48)."""
 
-    def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
-        """Coordinates after a time h with constant velocities v."""
-
 
 @dataclass(frozen=True)
 class Along:
@@ -74,10 +68,6 @@ class Along:
     def project(self, F: Screw) -> tuple[Number, ...]:
         """Power of the wrench on the screw."""
         return (screw.power(F, self.screw),)  # (48), erratum A1
-
-    def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
-        """Coordinate q + h v."""
-        return (q[0] + h * v[0],)
 
     @property
     def direction(self) -> Pure:
@@ -157,10 +147,6 @@ class Fixed:
         """No generalised force."""
         return ()
 
-    def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
-        """No coordinates."""
-        return ()
-
 
 def _unit_screw(k: int) -> Screw:
     x = [1.0 if i == k else 0.0 for i in range(6)]
@@ -188,12 +174,6 @@ class Free:
     def project(self, F: Screw) -> tuple[Number, ...]:
         """Moment and force, the order of the velocities."""
         return (*F[1], *F[0])
-
-    def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
-        """Pose X exp(h V/2)."""
-        half = screw.scale(0.5 * h, (tuple(v[:3]), tuple(v[3:])))
-        p, d = dq.mul((tuple(q[:4]), tuple(q[4:])), exp(half))
-        return (*p, *d)
 
 
 REVOLUTE, PRISMATIC, HELICAL = "revolute", "prismatic", "helical"  # names of joint types in descriptions

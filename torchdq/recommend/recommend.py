@@ -1,14 +1,13 @@
 """Recommendation of precision, integrator and step for a requested error, found by trials on the scene itself.
 
 Trajectories from random states are compared with ones of steps so small that smaller ones change nothing, as far as
-these can be held. Every integrator is refined until it meets the error in float64; then it is tried whether
-float32 still does. The one with the fewest operations per simulated second is recommended, an operation in float32
-counting half.
+these can be held. Every integrator is refined until it meets the error in float64, the cheapest attempt first; then it
+is tried whether float32 still does. The one with the fewest operations per simulated second is recommended, an
+operation in float32 counting half.
 """
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -29,7 +28,17 @@ from torchdq.functions.compile import compile
 from torchdq.program.program import LARGEST_GROWTH, Program
 from torchdq.recommend.recommendation import Candidate, Recommendation, SceneRecommendation, Stepping
 from torchdq.recommend.reference import Reference, predictable, reference
-from torchdq.recommend.trials import ARITHMETICS, EXACT, MOST_STEPS, SAFETY, Trial, random_states
+from torchdq.recommend.trials import (
+    ARITHMETICS,
+    EXACT,
+    MOST_STEPS,
+    SAFETY,
+    Attempt,
+    Search,
+    Trial,
+    random_states,
+    steps_needed,
+)
 from torchdq.robot import Robot
 from torchdq.scene.integrators import Integrator, Repeated
 from torchdq.scene.scene import Scene
@@ -38,7 +47,6 @@ from torchdq.scene.state import State
 STATES = 256  # states at which accelerations are tried
 TYPICAL = 100.0  # errors of accelerations in units of eps times `error_growth`; measured on robots and chains
 MOST_SUBSTEPS = 16  # substeps in one program
-PROBE = 512  # steps of a trajectory by which the promise of an integrator is judged
 PRUNE = 4.0  # candidates costing more than this times the best are dropped
 BATCH = 4096  # samples per timed call
 SECONDS = 0.05  # time of measuring [s]
@@ -64,7 +72,8 @@ def recommend_settings(
         horizon: duration of the trajectories [s], rounded to steps of the scene; None: accelerations alone, of a robot.
         state: initial states, float64, shape [samples, n]; None: 64 random ones within the limits, moving at up to
             1 rad/s.
-        most_steps: largest number of steps of a trajectory that is tried; a search of fewer is shorter, and may fail.
+        most_steps: largest number of steps of a trajectory that is tried, the fewest first. Where none of so few meets
+            the error, it is refused, and not answered by a setting that does not.
         inputs: inputs of the scene at a step, held over the horizon; None: torques are zero, and a controller's
             reference is to stay.
 
@@ -167,55 +176,71 @@ def _for_trajectories(trial: Trial, error: float, divisible: bool) -> SceneRecom
     )
 
 
-class _Promise(NamedTuple):
-    """Integrator with its expected cost."""
+class _Searched(NamedTuple):
+    """Integrator whose number of steps is being searched for."""
 
-    operations: float  # in an interval
-    per_step: int  # operations
     integrator: Integrator
-    known: dict[int, float]  # errors by the number of steps per interval
+    per_step: int  # operations
+    known: Mapping[int, float]  # errors by the number of steps per interval
+    search: Search
+    next: Attempt
 
-
-def _promise(exact: Reference, integrator: Integrator, error: float) -> _Promise:
-    """Promise of an integrator, judged by the error of a short trial."""
-    trial = exact.trial
-    per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
-    times = 2 ** max(0, int(math.log2(PROBE / trial.intervals)))
-    known = exact.known[1] if integrator == exact.known[0] else {}
-    if times not in known:
-        known = {times: trial.error(integrator, times, EXACT, exact.positions)}
-    return _Promise(times * (known[times] / error) ** (1 / integrator.order) * per_step, per_step, integrator, known)
+    @property
+    def operations(self) -> int:
+        """Operations of the next attempt in an interval."""
+        return self.next.times * self.per_step
 
 
 def _steppings(exact: Reference, error: float) -> tuple[Stepping, ...]:
-    """Candidates that meet the error, the cheapest first; integrators that promise most are tried first."""
-    found: list[Stepping] = []
+    """Candidates that meet the error, the cheapest first.
+
+    The attempt of fewest operations is always the next, so that none is made that costs far more than the best so far.
+    """
     trial, dt = exact.trial, exact.trial.scene.dt
-    repeated = _repeated_share(trial.scene.robot, trial.state.q)
-    promises = [_promise(exact, integrator, error) for integrator in trial.integrators]
-    for promise in sorted(promises, key=lambda promise: promise.operations):
-        integrator, per_step = promise.integrator, promise.per_step
-        most = trial.most_steps / trial.intervals
+    found: list[Stepping] = []
+    searches: list[_Searched] = []
+    for integrator in trial.integrators:
+        known = exact.known[1] if integrator == exact.known[0] else {}
+        per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
+        search = steps_needed(integrator.order, error, known)
+        searches.append(_Searched(integrator, per_step, known, search, next(search)))
+    while searches:
+        one = min(searches, key=lambda s: s.operations)
+        searches.remove(one)
+        most = trial.most_steps // trial.intervals
         if found:
-            most = min(most, PRUNE * found[0].operations * dt / per_step)
-        needed = trial.steps_needed(integrator, exact.positions, error, most, promise.known)
-        if needed is None:
+            most = min(most, max(1, int(PRUNE * found[0].operations * dt / one.per_step)))
+        if one.next.too_few >= most:
             continue
-        times, in_float64 = needed
-        for arithmetic in ARITHMETICS:
-            made = in_float64
-            if arithmetic is not EXACT:
-                made = trial.error(integrator, times, arithmetic, exact.positions)
-            if made <= error:
-                operations = arithmetic.cost(repeated) * per_step * times / dt
-                found.append(Stepping(arithmetic, made, operations, integrator, dt / times, times))
-        found.sort(key=lambda c: c.operations)
+        times = min(one.next.times, most)
+        made = one.known.get(times)
+        if made is None:
+            made = trial.error(one.integrator, times, EXACT, exact.positions)
+        try:
+            searches.append(one._replace(next=one.search.send((times, made))))
+        except StopIteration as end:
+            found += _meeting(exact, error, one, *end.value)
+            found.sort(key=lambda c: c.operations)
     if not found:
         raise ArgumentError(
             f"no candidate was found in {trial.most_steps} steps that keeps {trial.name} over {trial.horizon:.3g} s to "
             f"{error / SAFETY:.1e}; give more steps, shorten the horizon or raise the error"
         )
     return tuple(found)
+
+
+def _meeting(exact: Reference, error: float, of: _Searched, times: int, in_float64: float) -> list[Stepping]:
+    """Candidates of an integrator with a number of steps that meets the error in float64."""
+    trial, found = exact.trial, []
+    repeated = _repeated_share(trial.scene.robot, trial.state.q)
+    for arithmetic in ARITHMETICS:
+        exactly = arithmetic is EXACT
+        made = in_float64 if exactly else trial.error(of.integrator, times, arithmetic, exact.positions)
+        if made <= error:
+            dt = trial.scene.dt
+            operations = arithmetic.cost(repeated) * of.per_step * times / dt
+            found.append(Stepping(arithmetic, made, operations, of.integrator, dt / times, times))
+    return found
 
 
 def _repeated_share(robot: Robot, q: Tensor) -> float:

@@ -112,7 +112,7 @@ def reference(trial: Trial, error: float) -> Reference:
         ArgumentError: not even the first interval can be held, or no steps are short enough.
     """
     shift = _shift(trial)
-    limit, closest = "", math.inf
+    limit, closest, spent = "", math.inf, False
     for integrator in trial.integrators[:2]:
         now, stuck = _Refinement(trial, integrator), 0
         while now.times * trial.intervals <= trial.most_steps:
@@ -136,15 +136,19 @@ def reference(trial: Trial, error: float) -> Reference:
             closest = min(closest, change)
             if stuck > 2:
                 break
+        else:
+            spent = True
     name = f"{trial.name} over {trial.horizon:.3g} s"
+    steps, cure = "however short the steps", ""
+    if spent:
+        steps, cure = f"in {trial.most_steps} steps", "give more steps, "
     if not closest < 1e3:
         raise ArgumentError(
-            f"{name} do not stay finite, however short the steps; is the controller stable with dt = "
-            f"{trial.scene.dt:g} s?"
+            f"{name} do not stay finite, {steps}; is the controller stable with dt = {trial.scene.dt:g} s?"
         )
     raise ArgumentError(
-        f"{name} can be computed to {closest * EXACTNESS / SAFETY:.1e} at best, not to "
-        f"{error / SAFETY:.1e}; shorten the horizon or raise the error"
+        f"{name} can be computed to {closest * EXACTNESS / SAFETY:.1e} at best, not to {error / SAFETY:.1e}"
+        f", {steps}; {cure}shorten the horizon or raise the error"
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -147,38 +147,44 @@ class Trial:
         """Largest error of the positions; infinite if one is not finite."""
         return distance(self.path(integrator, times, arithmetic), reference)
 
-    def steps_needed(
-        self, integrator: Integrator, reference: Tensor, error: float, most: float, known: Mapping[int, float]
-    ) -> tuple[int, float] | None:
-        """Steps per interval by which an integrator meets an error in float64, and the error it then makes.
 
-        Args:
-            most: number of steps per interval beyond which the search is given up; the result is None.
-            known: errors that numbers of steps are known to make.
-        """
+class Attempt(NamedTuple):
+    """Numbers of steps per interval."""
 
-        def made_by(times: int) -> float:
-            return known[times] if times in known else self.error(integrator, times, EXACT, reference)
+    times: int  # to be tried, or fewer of them
+    too_few: float  # that are not worth trying
 
-        too_few = max((times for times, made in known.items() if made > error), default=0)
-        enough = min((times for times in known if times > too_few), default=self.most_steps)
-        times = too_few or 1
-        found = made_by(times)
-        while found > error:
-            too_few = times
-            # as far as the order promises, but never trusting it beyond a factor of eight
-            factor = (found / error) ** (1 / integrator.order) if found < 0.1 else 8.0
-            if times * (factor if found < 0.01 else 1.0) >= most:
-                return None
-            times = min(math.ceil(times * min(max(1.1 * factor, 1.25), 8.0)), math.ceil(most), enough)
-            found = made_by(times)
-        # the last jump may have been far: first to where the order promises to end, then to the middle
-        between = max(math.ceil(1.05 * times * (found / error) ** (1 / integrator.order)), too_few + 1)
-        while too_few and times > CLOSE * too_few and between < times:
-            made = made_by(between)
-            times, too_few, found = (between, too_few, made) if made <= error else (times, between, found)
-            between = math.ceil(math.sqrt(times * too_few))
-        return times, found
+
+Search = Generator[Attempt, tuple[int, float], tuple[int, float]]
+
+
+def steps_needed(order: int, error: float, known: Mapping[int, float]) -> Search:
+    """Search for the number of steps per interval by which an integrator meets an error, and the error it then makes.
+
+    It asks for attempts, and is sent the number of steps that was tried, and the error that they made.
+
+    Args:
+        order: order of the integrator.
+        error: error to be met.
+        known: errors that numbers of steps are known to make.
+    """
+    too_few = max((times for times, made in known.items() if made > error), default=0)
+    enough = min((times for times in known if times > too_few), default=math.inf)
+    times, found = yield Attempt(too_few or 1, 0)
+    while found > error:
+        too_few = times
+        # as far as the order promises, but never trusting it beyond a factor of eight
+        factor = (found / error) ** (1 / order) if found < 0.1 else 8.0
+        times = int(min(math.ceil(times * min(max(1.1 * factor, 1.25), 8.0)), enough))
+        expected = too_few * factor if found < 0.01 else too_few
+        times, found = yield Attempt(times, expected if times < enough else too_few)
+    # the last jump may have been far: first to where the order promises to end, then to the middle
+    between = max(math.ceil(1.05 * times * (found / error) ** (1 / order)), too_few + 1)
+    while too_few and times > CLOSE * too_few and between < times:
+        between, made = yield Attempt(between, too_few)
+        times, too_few, found = (between, too_few, made) if made <= error else (times, between, found)
+        between = math.ceil(math.sqrt(times * too_few))
+    return times, found
 
 
 def random_states(robot: Robot, samples: int = SAMPLES, limits: object | None = None) -> tuple[Tensor, Tensor]:

@@ -49,7 +49,7 @@ class SceneSystem(System):
     # --- mechanics ---
 
     def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
-        """Positions at a displacement: joints and rotors along straight lines, a free base along a screw."""
+        """Positions at a displacement: joints and rotors along straight lines, a free base as in `free_base`."""
         n = self._moving
         joints = super().moved(x[:n], h, rate[:n])
         if not self.scene.spec.robot.floating:
@@ -66,13 +66,22 @@ class SceneSystem(System):
     def _at(self, x: Row) -> Posed:
         return self.scene.posed(x[: self._n], self.scene.base_of(x))
 
-    def _exerted(self, at: Posed, v: Row) -> list[Screw | None] | None:
+    def _motion(self, x: Row, v: Row) -> Row:
+        """Twist of a free base and velocities of the coordinates, in the order of the dynamics."""
+        n, scene = self._n, self.scene
+        return [*free_base.twist(x[-POSE:], v[-TWIST:], scene.base_com), *v[:n]] if self._free else v[:n]
+
+    def _still(self, x: Row, v: Row) -> Row:
+        """Motion seen by one who flies along with the centre of mass of a free base: the forces are the same."""
+        return self._motion(x, [*v[:-3], 0.0, 0.0, 0.0]) if self._free else self._motion(x, v)
+
+    def _exerted(self, at: Posed, x: Row, v: Row) -> list[Screw | None] | None:
         """Wrenches of the links on the environment; None: there are no body effects."""
         effects = self.scene.spec.of(BodyEffect)
         if not effects:
             return None
         robot = self.scene.spec.robot
-        bodies = Bodies(robot, at, at.twists(motion(self.scene, v)))
+        bodies = Bodies(robot, at, at.twists(self._motion(x, v)))
         wrenches: list[Screw | None] = [None] * (len(robot.link_names) + 1)  # the base's first
         for _, effect in effects:
             given = effect.wrenches(bodies, self.scene.inputs)
@@ -81,14 +90,19 @@ class SceneSystem(System):
         return [neg(f) for f in wrenches]
 
     def _solved(self, at: Posed, b: Row) -> tuple[Sequence[Number], Sequence[Number]]:
-        """Solution of M x = b: the rows of the joints, and those of a free base."""
-        x, growth = solve(self.scene.spec.robot, at, b, self.scene.linear)
+        """Solution of M a = b: the rows of the joints, and those of a free base."""
+        a, growth = solve(self.scene.spec.robot, at, b, self.scene.linear)
         self.watch(growth)
-        return x[-self._n :] if self._n else (), x[: len(x) - self._n]
+        return a[-self._n :] if self._n else (), a[: len(a) - self._n]
+
+    def _accelerated(self, at: Posed, forces: Row, x: Row, v: Row) -> tuple[Sequence[Number], Sequence[Number]]:
+        """Accelerations under forces of the joints: of the joints, and those that a free base is integrated with."""
+        qdd, base = self._solved(at, self._net(at, forces, x, v))
+        return qdd, free_base.at_centre(x[-POSE:], base, self.scene.base_com) if base else ()
 
     def _net(self, at: Posed, forces: Row, x: Row, v: Row) -> list[Number]:
         """Forces on a free base and on the joints, less those of velocities, gravity and wrenches."""
-        return difference([*self._free, *forces], at.torques(motion(self.scene, v), None, self._exerted(at, v)))
+        return difference([*self._free, *forces], at.torques(self._still(x, v), None, self._exerted(at, x, v)))
 
     # --- forces at the joints ---
 
@@ -167,7 +181,7 @@ class SceneSystem(System):
         """Accelerations in a state."""
         at = self._at(x)
         forces = self._explicit(x, v)
-        qdd, base = self._solved(at, self._net(at, forces.torques, x, v))
+        qdd, base = self._accelerated(at, forces.torques, x, v)
         rotors = self._transmission.accelerations(self.u, forces.passed)
         return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *base]
 
@@ -178,7 +192,7 @@ class SceneSystem(System):
         joints = self._transmission.eliminated(self.u, x, v[: self._moving], h)
         forces = self._forces(joints.torques, self._impedances(q, v, h), qd, h)
         inertia = [a + h * d for a, d in zip(joints.inertia, forces.damping, strict=True)]
-        qdd, base = self._solved(at.with_armature([*self._free, *inertia]), self._net(at, forces.torques, x, v))
+        qdd, base = self._accelerated(at.with_armature([*self._free, *inertia]), forces.torques, x, v)
         ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
         return [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h), *base]
 
@@ -187,7 +201,7 @@ class SceneSystem(System):
         q, qd = x[: self._n], v[: self._n]
         explicit = self._explicit(x, v)
         at, forces = self.scene.posed(q), explicit.torques
-        exerted = self._exerted(at, v)
+        exerted = self._exerted(at, x, v)
         if exerted is not None:
             # inverse dynamics at rest without gravity: the wrenches alone
             forces = difference(forces, at.without_gravity().torques(None, None, exerted))
@@ -201,12 +215,6 @@ class SceneSystem(System):
         # by the mass matrix, whose rounding is that of the solution, and not by the cheaper inverse dynamics
         momentum = matrix.matvec(self.scene.posed(x[:n]).mass_matrix(), v[:n], mul, plus)
         return [*self._solved(self.scene.posed(to[:n]), momentum)[0], *v[n:]]
-
-
-def motion(scene: RecordedScene, v: Row) -> Row:
-    """Velocities of a free base and of the coordinates, in the order of the dynamics, among integrated velocities."""
-    n = scene.spec.robot.n
-    return [*v[-TWIST:], *v[:n]] if scene.spec.robot.floating else v[:n]
 
 
 def with_growths(scene: RecordedScene, u: Row, rows: Callable[[SceneSystem], Rows]) -> Rows:
@@ -267,7 +275,10 @@ class TensorSystem(System):
         joints = joints + displacement[..., : joints.shape[-1]]
         if not self.spec.robot.floating:
             return [joints]
-        return [torch.cat([joints, dq.mul(x[0][..., -POSE:], dq.exp(0.5 * displacement[..., -TWIST:]))], -1)]
+        angular, linear = (0.5 * displacement[..., -TWIST:]).split(3, -1)
+        none = torch.zeros_like(linear)
+        turn, flight = dq.exp(torch.cat([angular, none], -1)), dq.exp(torch.cat([none, linear], -1))
+        return [torch.cat([joints, dq.mul(flight, dq.mul(x[0][..., -POSE:], turn))], -1)]
 
     def _joints(self, x: Tensor) -> Tensor:
         """Positions of joints and rotors."""

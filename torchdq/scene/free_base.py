@@ -1,8 +1,17 @@
-"""Motion of a free base over a step, on its group: X exp(xi/2) for a displacement xi, so that no pose is special.
+"""Motion of a free base over a step: its centre of mass on a straight line, its axes on the group of rotations.
 
-A method of higher order integrates the displacement from the start of the step. Its rate at a twist V is
+B is the frame of the base, C the one with its axes at its centre of mass c, and S, which stands still, the place of C
+at the start of the step. Integrators integrate the pose X_SC, which begins with 1, the angular velocity w of C in its
+own axes, and the velocity u of its origin in those of S:
 
-    xi' = V + [xi, V]/2 + [xi, [xi, V]]/12 - ...
+    X_SC' = T(h u) X_SC exp(h w/2),   T(p) = 1 + eps p/2
+
+A body without forces has a constant u, so that every integrator keeps its linear momentum. Of the twist V_WB_B that is
+not so: its linear velocity is in axes that turn.
+
+A method of higher order integrates the displacement (theta, p) from the start of the step. Its rate at (w, u) is
+
+    theta' = w + theta x w / 2 + theta x (theta x w) / 12 + ...,   p' = u
 
 with the factors B_k/k! of Bernoulli's numbers, of which these terms are enough up to order 4 (E. Hairer, C. Lubich,
 G. Wanner, Geometric Numerical Integration, 2006, section IV.7). A method of higher order takes more of them.
@@ -13,53 +22,70 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.algebra.quaternion import Number
-from torchdq.algebra.screw import Screw
+from torchdq.algebra.quaternion import Number, Pure
 from torchdq.dq.explog import entire
 from torchdq.dynamics.joints import Free
 from torchdq.dynamics.posed import Row
 from torchdq.functions.posed import as_screw
+from torchdq.numbers.functions import polynomial
 
 _BERNOULLI = (1 / 6, 1 / 30, 1 / 42, 1 / 30, 5 / 66, 691 / 2730, 7 / 6, 3617 / 510, 43867 / 798, 174611 / 330)
 ORDER_4 = (1.0 / 12.0,)
 EXACT = tuple(b / math.factorial(2 * k) for k, b in enumerate(_BERNOULLI, 1))  # up to rounding, below a radian
 POSE, TWIST = Free.nq, Free.nv  # numbers of a pose and of a twist
-
-
-def _exp(a: Screw) -> DualQuaternion:
-    return screw.exp(a, lambda v: entire(v, None))
+START = (1.0, *(0.0,) * (POSE - 1))  # X_SC at the start of a step
 
 
 def moved(X: Row, h: Number, rate: Row) -> tuple[Number, ...]:
-    """Pose after a time h at a constant rate of the displacement."""
-    return Free().moved(X, rate, h, _exp)
+    """Pose X_SC after a time h at a constant rate of the displacement."""
+    w, u = as_screw(rate)
+    turn = screw.exp((quat.scale(0.5 * h, w), quat.ZERO), lambda v: entire(v, None))
+    r, d = dq.mul(dq.from_pose(quat.ONE, quat.scale(h, u)), dq.mul(_pose(X), turn))
+    return (*r, *d)
 
 
-def rate(displacement: Row, V: Row, series: Sequence[float] = ORDER_4) -> tuple[Number, ...]:
-    """Rate of a displacement at a twist, of which `series` has the terms from the second commutator on."""
-    xi, twist = as_screw(displacement), as_screw(V)
-    once = screw.cross(xi, twist)
-    angular, linear = screw.cross(xi, once)
-    c: Number = series[-1]
-    slope: Number | None = None
-    if len(series) > 1:
-        # the series is one in the dual number xi . xi, as it would be in a real one for rotations alone
-        square, dual, slope = quat.dot(xi[0], xi[0]), 2.0 * quat.dot(*xi), 0.0
-        for term in series[-2::-1]:
-            slope, c = slope * square + c, c * square + term
-        slope = dual * slope
-    linear = quat.scale(c, linear) if slope is None else quat.add(quat.scale(c, linear), quat.scale(slope, angular))
-    more = (quat.scale(c, angular), linear)
-    w, v = screw.add(twist, screw.add(screw.scale(0.5, once), more))
-    return (*w, *v)
+def rate(displacement: Row, v: Row, series: Sequence[float] = ORDER_4) -> tuple[Number, ...]:
+    """Rate of a displacement at velocities v, of which `series` has the terms from the second cross product on."""
+    (theta, _), (w, u) = as_screw(displacement), as_screw(v)
+    once = quat.cross(theta, w)
+    factor = polynomial(series, quat.norm2(theta))
+    more = quat.scale(factor, quat.cross(theta, once))
+    return (*quat.add(w, quat.add(quat.scale(0.5, once), more)), *u)
 
 
-def unit(X: Row) -> tuple[Number, ...]:
+# --- between the frames ----------------------------------------------------------------------------------------------
+
+
+def at_centre(X: Row, V: Row, c: Pure) -> tuple[Number, ...]:
+    """Velocities (w, u) of C at X_SC, of the twist V of B; also their rates, of the rate of a twist with u = 0."""
+    w, v = as_screw(V)
+    return (*w, *quat.rotate(_pose(X)[0], quat.add(v, quat.cross(w, c))))
+
+
+def twist(X: Row, v: Row, c: Pure) -> tuple[Number, ...]:
+    """Twist V_WB_B of velocities (w, u) of C at X_SC."""
+    w, u = as_screw(v)
+    return (*w, *quat.sub(quat.rotate(quat.conj(_pose(X)[0]), u), quat.cross(w, c)))
+
+
+def placed(X_WB: Row, X: Row, c: Pure) -> DualQuaternion:
+    """Pose X_WB at X_SC, of that at the start of the step."""
+    r, d = _pose(X)
+    lever = quat.cross(c, quat.im(r))  # T(c) r T(-c) = r + eps c x r
+    return dq.mul(_pose(X_WB), (r, quat.add(d, (0.0, *lever))))
+
+
+def unit(X: DualQuaternion) -> tuple[Number, ...]:
     """Pose without the rounding errors of a step, which would add up: a unit dual quaternion to first order in them."""
-    r, d = tuple(X[:4]), tuple(X[4:])
+    r, d = X
     scale = 1.5 - 0.5 * quat.norm2(r)
     along = sum((a * b for a, b in zip(r, d, strict=True)), 0.0)
     return (*(scale * a for a in r), *(scale * (b - a * along) for a, b in zip(r, d, strict=True)))
+
+
+def _pose(X: Row) -> DualQuaternion:
+    return tuple(X[:4]), tuple(X[4:])

@@ -212,7 +212,7 @@ class SceneModel:
         rows = self.evaluate("drive", {**state.rows(), **inputs}, task)
         x, v = rows.pop("x"), rows.pop("v")
         acting = {name: inputs[name] for effect in self.effects for name in effect.inputs(self.n) if name in inputs}
-        system = TensorSystem(self.spec, self.evaluate, {**acting, "u": rows["u"]})
+        system = TensorSystem(self.spec, self.evaluate, {**acting, **{k: rows[k] for k in ("u", "X_WB") if k in rows}})
         for effect in self.effects:
             for name in effect.computed(self.n):
                 accelerations = partial(system.under, x, v, name)

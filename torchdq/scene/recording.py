@@ -26,7 +26,7 @@ from torchdq.program.autodiff import jacobian
 from torchdq.program.program import Argument, Program, Result, record
 from torchdq.robot.fields import trailing
 from torchdq.scene.effect_checks import row_and_memory
-from torchdq.scene.equations_of_motion import SceneSystem, motion, with_growths
+from torchdq.scene.equations_of_motion import SceneSystem, with_growths
 from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.integrators import Integrator
 from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
@@ -57,7 +57,7 @@ def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
 
 def flow(system: SceneSystem, x: Row, v: Row) -> tuple[Row, Row]:
     """Positions and velocities at the end of a step."""
-    spec, operations = system.scene.spec, x[0].tape.ops if x else ()
+    spec, operations = system.scene.spec, v[0].tape.ops if v else ()
     before = len(operations)
     for k in range(spec.substeps):
         x, v = spec.integrator.step(system, x, v, spec.dt / spec.substeps)
@@ -107,7 +107,8 @@ def _step(scene: RecordedScene, task: Task | None) -> Rows:
 
 def _drive(scene: RecordedScene, task: Task | None) -> Rows:
     u, x, v, memory = drive(scene)
-    return {"u": u, "x": x, "v": v, **_remembered(memory)}
+    start = {"X_WB": scene.inputs["X_WB"]} if scene.spec.robot.floating else {}
+    return {"u": u, "x": x, "v": v, **start, **_remembered(memory)}
 
 
 def _sense(scene: RecordedScene, task: Task | None) -> Rows:
@@ -124,9 +125,10 @@ def _begin(scene: RecordedScene, task: Task | None) -> Rows:
 
 
 def _energy(scene: RecordedScene, task: Task | None) -> Rows:
-    x, v = scene.with_base(scene.inputs["q"], scene.inputs["qd"])
-    at = scene.posed(scene.inputs["q"], scene.base_of(x))
-    return {"E": (at.kinetic_energy(motion(scene, v)), at.potential_energy())}
+    q, qd = scene.inputs["q"], scene.inputs["qd"]
+    x, _ = scene.with_base(q, qd)
+    at = scene.posed(q, scene.base_of(x))
+    return {"E": (at.kinetic_energy((*scene.inputs.get("V_WB_B", ()), *qd)), at.potential_energy())}
 
 
 def _bodies(scene: RecordedScene, task: Task | None) -> Rows:

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.quaternion import Pure
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.effect import Effect, Shapes
 from torchdq.effects.joint import JointEffect
@@ -14,11 +16,13 @@ from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError
 from torchdq.functions.posed import Overrides, posed
+from torchdq.functions.posed import field as tensor
 from torchdq.robot import Robot
 from torchdq.robot.fields import BODIES, SHAPES
+from torchdq.scene import free_base
 from torchdq.scene.controllers import Controller
 from torchdq.scene.effect_checks import changes
-from torchdq.scene.free_base import POSE, TWIST, unit
+from torchdq.scene.free_base import POSE, START, TWIST
 from torchdq.scene.integrators import Integrator
 
 Rows = dict[str, Row]
@@ -144,10 +148,9 @@ class RecordedScene:
     linear: bool  # True: accelerations by articulated bodies, in O(n)
     inputs: Mapping[str, Row] = field(default_factory=dict)
 
-    def posed(self, q: Row, X_WB: Row | None = None) -> Posed:
+    def posed(self, q: Row, X_WB: DualQuaternion | None = None) -> Posed:
         """Robot at joint positions and, if its base is free, at the pose of it, with the scene's changes."""
-        base = None if X_WB is None else (tuple(X_WB[:4]), tuple(X_WB[4:]))
-        return posed(self.spec.robot, q, self.overrides, self.per_sample, base)
+        return posed(self.spec.robot, q, self.overrides, self.per_sample, X_WB)
 
     def packed(self, q: Row, qd: Row, memory: Memory) -> tuple[Row, Row]:
         """Positions and velocities of the joints and then of the rotors behind them."""
@@ -158,22 +161,30 @@ class RecordedScene:
         """Velocities, and then what effects at the joints remember."""
         return (*v, *[value for i, _ in self.spec.of(JointEffect) for value in memory[i]])
 
+    @property
+    def base_com(self) -> Pure:
+        """Centre of mass of a free base, in its frame [m]."""
+        return tensor(self.spec.robot, "base_com", self.overrides)
+
     def with_base(self, x: Row, v: Row) -> tuple[Row, Row]:
-        """Integrated positions x and velocities v: `packed` ones, then those of a free base."""
+        """Integrated positions x and velocities v: `packed` ones, then those of a free base; see `free_base`."""
         if not self.spec.robot.floating:
             return x, v
-        return (*x, *self.inputs["X_WB"]), (*v, *self.inputs["V_WB_B"])
+        return (*x, *START), (*v, *free_base.at_centre(START, self.inputs["V_WB_B"], self.base_com))
 
-    def base_of(self, x: Row) -> Row | None:
-        """Pose of a free base among integrated positions; None: the base is fixed."""
-        return x[-POSE:] if self.spec.robot.floating else None
+    def base_of(self, x: Row) -> DualQuaternion | None:
+        """Pose X_WB of a free base, of integrated positions; None: the base is fixed."""
+        if not self.spec.robot.floating:
+            return None
+        return free_base.placed(self.inputs["X_WB"], x[-POSE:], self.base_com)
 
     def unpacked(self, x: Row, v: Row, memory: Memory) -> tuple[Rows, Memory]:
         """State of integrated positions x and velocities v, and the memory."""
         (at, _), n = self.spec.transmission, self.spec.robot.n
         rows: Rows = {"q": x[:n], "qd": v[:n]}
-        if self.spec.robot.floating:
-            rows |= {"X_WB": unit(x[-POSE:]), "V_WB_B": v[-TWIST:]}
+        if (X_WB := self.base_of(x)) is not None:
+            rows["X_WB"] = free_base.unit(X_WB)
+            rows["V_WB_B"] = free_base.twist(x[-POSE:], v[-TWIST:], self.base_com)
             x, v = x[:-POSE], v[:-TWIST]
         inner, v = v[len(x) :], v[: len(x)]
         memory = {**memory} if at is None else {**memory, at: (*x[n:], *v[n:])}
