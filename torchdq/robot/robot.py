@@ -29,7 +29,7 @@ from torchdq.robot.check import consistency, faults, units
 from torchdq.robot.check import report as reports
 from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.constants import Constants
-from torchdq.robot.description import RobotDescription
+from torchdq.robot.description import Base, RobotDescription
 from torchdq.robot.edit import combined, coupled, reduced, replaced, stacked
 from torchdq.robot.mjcf import read as mjcf
 from torchdq.robot.mjcf import writer as mjcf_writer
@@ -38,7 +38,6 @@ from torchdq.robot.urdf import read as urdf
 from torchdq.robot.urdf import writer as urdf_writer
 from torchdq.robot.urdf import xacro as xacro_file
 
-Base = Literal["fixed", "floating"]
 MimicJoints = Literal["coupled", "independent"]
 LONGEST_NAME = 300  # characters of a path that an error repeats
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
@@ -85,7 +84,7 @@ class Robot(RobotModel):
     def from_urdf(
         cls,
         source: str | PathLike[str] | bytes | IO[Any],
-        base: Base = "fixed",
+        base: Base = "file",
         lock: Mapping[str, float] | Sequence[str] | str | None = None,
         tip: str | None = None,
         gravity: Sequence[float] | None = GRAVITY,
@@ -99,11 +98,15 @@ class Robot(RobotModel):
         its angle. Meshes are never opened. Joint friction, damping and limits are read but are not part of the
         rigid-body dynamics. Errors that are not fatal are recorded in `notes`, by code and subject; `report()` lists
         them. Elements and attributes that seem misspelt, elements given twice and mimic joints whose drivers are not in
-        the file may change the dynamics: a warning names them.
+        the file may change the dynamics: a warning names them. So does one for limits that no motion can keep, as of
+        "lower" above "upper", which are taken as none.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
-            base: "fixed", or "floating": the link that no joint carries moves freely.
+            base: "file": floating if the file has a floating joint, otherwise fixed; "fixed": what such a joint carries
+                is held at the joint's origin; "floating": what it carries moves freely, or without such a joint the
+                link that no joint carries. A floating joint starts at a link that stands, which is the world: poses of
+                the base, `X_WB`, are in the frame of the link that no joint carries, whatever the joint's origin is.
             lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at zero. Joints
                 that mimic a locked one are locked too. A joint that mimics another one cannot be locked alone, unless
                 `mimic` is "independent".
@@ -135,7 +138,7 @@ class Robot(RobotModel):
     def from_mjcf(
         cls,
         source: str | PathLike[str] | bytes | IO[Any],
-        base: mjcf.MjcfBase = "file",
+        base: Base = "file",
         lock: Mapping[str, float] | Sequence[str] | str | None = None,
         tip: str | None = None,
         gravity: Sequence[float] | Literal["file"] | None = "file",

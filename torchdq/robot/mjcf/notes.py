@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -16,8 +15,7 @@ from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import FREE, MjcfJoint, actuators_at, names_of
 from torchdq.robot.mjcf.links import ModelLinks
 from torchdq.robot.mjcf.source import MjcfModel
-
-_URDF = re.compile(r"\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b", re.DOTALL)  # text whose root is that of a URDF
+from torchdq.robot.xml_text import root_name
 
 
 def gravity(of: MjcfModel) -> tuple[float, ...] | None:
@@ -147,7 +145,7 @@ def _ignored(
     if falls and relieved and _relieved(of) != {1.0}:
         what = "gravcomp ignored: gravity acts on them in full"
         found.append(Finding(f"{UNSIMULATED}gravcomp", ", ".join(relieved), what))
-    if _URDF.match(of.source.text):
+    if root_name(of.source.text) == "robot":
         what = "the file is a URDF, of which MuJoCo leaves out joints that mimic others, and frames on fixed joints"
         found.append(Finding(f"{UNSIMULATED}urdf", "", what, cure="Robot.from_urdf reads them"))
     return found
