@@ -150,9 +150,9 @@ class Robot(RobotModel):
         Positions are MuJoCo's `qpos`, which is `ref` at home. Bodies without joints are merged with their parents and
         stay as frames, as sites do. Rotor inertia (`armature`) is part of the mass matrix; linear equality constraints
         between joints are part of the robot. Damping, friction loss and limits are read but are not part of the
-        rigid-body dynamics; actuators, tendons, contacts, springs and other equality constraints are noted. `report()`
-        lists them. Armature of a free joint, and `gravcomp` of some bodies only or in part, are not used: a warning
-        says so. Meshes are opened only where a body's mass comes from them.
+        rigid-body dynamics; actuators, tendons, contacts and springs are noted. `report()` lists them. Armature of a
+        free joint, `gravcomp` of some bodies only or in part, and all other equality constraints, as of closed loops,
+        are not used: a warning says so. Meshes are opened only where a body's mass comes from them.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself, whose
