@@ -291,8 +291,30 @@ def test_a_file_is_read_by_what_is_in_it(here, capsys):
     body = "<body name='b'><joint/><geom size='.1'/></body>"
     here.joinpath("m.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     here.joinpath("u.xml").write_text(ARM)
+    comment = f"<!-- {'<mujoco>' * 10_000} -->"
+    here.joinpath("h.urdf").write_text(f"{comment}{ARM.replace('</robot>', '<mujoco><compiler/></mujoco></robot>')}")
     assert len(data(capsys, "report", "m.xml")["coordinates"]) == 1
     assert len(data(capsys, "report", "u.xml")["coordinates"]) == 2
+    assert data(capsys, "report", "h.urdf", "--base", "floating") == data(
+        capsys, "report", "u.xml", "--base", "floating"
+    )
+
+
+@pytest.mark.parametrize("mark", ["&#x9b;31m", "&#x85;", "&#x202e;", "&#10;j9  revolute  l9  99 kg", "&#13;", "&#9;"])
+def test_names_that_a_terminal_would_obey_are_escaped(here, capsys, mark):
+    text = ARM.replace("elbow", f"elbow{mark}").replace('lower="-2.5"', 'lower="5"').replace("lower", f"l{mark}")
+    here.joinpath("marked.urdf").write_text(text.replace(f'l{mark}="', 'lower="'), encoding="utf-8")
+    name = torchdq.Robot.from_urdf(here / "marked.urdf", on_unphysical="ignore").joint_names[1]
+    assert name.startswith("elbow") and not name.isprintable()
+    for arguments, code in (
+        (("report",), WELL),
+        (("scene", "--price", "0"), WELL),
+        (("report", "--tip", "x"), MISTAKE),
+    ):
+        out, errors = told(capsys, arguments[0], "marked.urdf", *arguments[1:], code=code)
+        assert (out + errors).replace("\n", "").isprintable() and "\nj9" not in out + errors
+    assert data(capsys, "report", "marked.urdf")["coordinates"][1] == name
+    assert (written := told(capsys, "report", "marked.urdf", "--json")[0]).replace("\n", "").isprintable() and written
 
 
 FILES = [path for name, path in oracles.urdf_paths().items() if name not in oracles.UNREADABLE]

@@ -30,7 +30,7 @@ from torchdq.command.report import ReportCommand
 from torchdq.command.scene import SceneCommand
 from torchdq.command.view import ViewCommand
 from torchdq.errors import TorchdqError, nearest
-from torchdq.findings import Finding, merged
+from torchdq.findings import Finding, merged, printable
 from torchdq.learning import LogError, LogWarning
 
 COMMANDS: dict[str, type[Command]] = {
@@ -149,6 +149,7 @@ def _say(kind: str, text: str) -> None:
     """Write a message to stderr, in lines that fit the terminal."""
     width = max(40, shutil.get_terminal_size().columns - 1)
     fill = partial(textwrap.wrap, width=width, break_long_words=False, break_on_hyphens=False)
-    lines = [line for part in f"{PROGRAM}: {kind}: {text}".split("\n") for line in fill(part) or [""]]
+    said = printable(f"{PROGRAM}: {kind}: {text}", kept="\n")
+    lines = [line for part in said.split("\n") for line in fill(part) or [""]]
     sys.stderr.write("\n".join(lines) + "\n")
     sys.stderr.flush()
