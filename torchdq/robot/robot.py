@@ -18,7 +18,7 @@ from torchdq.algebra.inertia import six
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import frozen, require_choice
 from torchdq.base.sources import file_name
-from torchdq.errors import DescriptionError, no_attribute
+from torchdq.errors import ArgumentError, DescriptionError, no_attribute
 from torchdq.program.transforms import any_requires_grad
 from torchdq.robot import from_dh as dh
 from torchdq.robot import from_name as named
@@ -75,7 +75,16 @@ class Robot(RobotModel):
     (2, ('joint1', 'joint2'))
     """
 
-    if not TYPE_CHECKING:  # type checkers know the names
+    if not TYPE_CHECKING:  # type checkers know the names and the fields
+
+        def __new__(cls, *args: Any, **fields: Any) -> Robot:
+            if len(args) == 1 and not fields:
+                given = f"{args[0]!r:.{LONGEST_NAME}}"
+                raise ArgumentError(
+                    f"Robot must have all of its fields, found {given} alone; to read a file, use "
+                    f"Robot.from_urdf({given}), or robots.load for a robot that comes with the package"
+                )
+            return super().__new__(cls)
 
         def __getattr__(self, name: str) -> Any:
             raise no_attribute("'Robot' object", name, [*dir(Robot), *vars(self)], _ELSEWHERE, "help(torchdq.Robot)")
