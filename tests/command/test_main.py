@@ -317,6 +317,14 @@ def test_names_that_a_terminal_would_obey_are_escaped(here, capsys, mark):
     assert (written := told(capsys, "report", "marked.urdf", "--json")[0]).replace("\n", "").isprintable() and written
 
 
+def test_a_body_that_cannot_exist_is_reported_and_is_not_simulated_unless_asked(here, capsys):
+    here.joinpath("light.urdf").write_text(ARM.replace('<mass value="2"/>', '<mass value="-2"/>'))
+    for arguments in (("report", "light.urdf"), ("scene", "light.urdf", "--price", "0", "--on-unphysical", "warn")):
+        assert "link 'upper': mass must not be negative" in " ".join(told(capsys, *arguments)[1].split())
+    _, errors = told(capsys, "scene", "light.urdf", code=MISTAKE)
+    assert "link 'upper': mass must not be negative" in " ".join(errors.split())
+
+
 FILES = [path for name, path in oracles.urdf_paths().items() if name not in oracles.UNREADABLE]
 QUICK = ("talos_full_v2.urdf", "romeo.urdf", "hextilt_flying_arm_5.urdf")
 # what no line of a report may be: a number that is none, an object, or a name of Python's

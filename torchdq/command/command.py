@@ -59,7 +59,7 @@ class RobotCommand(Command):
     """Joints to keep, by name or pattern; the others are locked at zero."""
     tip: str | None = None
     """Frame of the end effector; by default the only leaf of the tree."""
-    on_unphysical: OnUnphysical = "warn"
+    on_unphysical: OnUnphysical = "error"
     """What to do with a body that cannot exist."""
 
     def load(self) -> NamedRobot:

@@ -365,7 +365,7 @@ class Robot(RobotModel):
     def inertial_parameters(self) -> Tensor:
         """Inertial parameters pi [..., 10 links] about the link frames, in the order of the regressor.
 
-        Those of a free base come first.
+        Those of a floating base come first.
         """
         bodies = [link.inertia for link in self.tree().links if link.inertia is not None]
         numbers = [x for body in bodies for x in (body.mass, *body.first, *six(body.rotational))]

@@ -19,7 +19,7 @@ _ROOT = re.compile(rf"(?>{_BLANK}|<\?.*?\?>|<![^\[>]*>)*+<([^\s/>!?]+)", re.DOTA
 
 
 def root_name(text: str) -> str:
-    """Tag of the root element, by which formats are told apart; empty where a text begins with something else.
+    """Tag of the root element, by which formats differ; empty where a text begins with something else.
 
     >>> root_name("<?xml version='1.0'?><!-- <mujoco> --><robot name='arm'/>")
     'robot'

@@ -22,7 +22,7 @@ class ModelLinks(NamedTuple):
 
     of: Links
     lumped: int  # bodies that are part of others
-    left_out: list[str]  # bodies and sites that stand still, apart from a free base
+    left_out: list[str]  # bodies and sites that stand still, apart from a floating base
 
 
 def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> ModelLinks:
@@ -32,7 +32,7 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
         of: the model.
         joints: its joints.
         moves: displacement of each of them.
-        base: body that is the free base; None: the base is the world.
+        base: body that is the floating base; None: the base is the world.
     """
     m, names = of.model, names_of(of, "BODY", of.model.nbody)
     segments = [Segment(names[0], None, dual_quaternion.ONE)]

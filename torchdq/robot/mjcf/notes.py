@@ -107,7 +107,7 @@ def _unsimulated(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Fol
     given: list[tuple[str, Sequence[Any], str]] = [
         ("damping", [j for j in single if m.dof_dampingpoly[dof(j)].any()], "damping that is not linear, not used"),
         ("spring", [j for j in moving if _spring(of, j.row)], "springs given but not simulated"),
-        ("base", [j for j in free if _resists(of, dof(j))], "damping or friction of the free base, not used"),
+        ("base", [j for j in free if _resists(of, dof(j))], "damping or friction of the floating base, not used"),
         ("actuator", read, "actuators not simulated; their greatest efforts, damping and rotor inertia are read"),
         ("actuator", [name for k, name in actuators if k not in acting], "actuators that act on no joint, not used"),
         ("tendon", names_of(of, "TENDON", m.ntendon), "tendons not used"),

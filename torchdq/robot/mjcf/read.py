@@ -102,7 +102,7 @@ def _kept(joints: Sequence[MjcfJoint], moves: Sequence[Follows], names: Any, loc
 
 
 def _free_base(joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: Base) -> int | None:
-    """Body that is a free base, if there is one; raises if more than one is free or another joint has no coordinate."""
+    """Body that is the floating base; None: the base is fixed. Raises for two of them, and for ball joints."""
     left = [joint for joint in joints if moves[joint.row].leader is not None]
     if balls := [joint.name for joint in left if joint.kind == BALL]:
         raise DescriptionError(

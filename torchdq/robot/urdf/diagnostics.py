@@ -151,8 +151,8 @@ def _unusable(file: Elements) -> Iterator[Finding]:
 
 def _world(file: Elements, tree: Rooted) -> Iterator[Finding]:
     """Mass of the links that a floating base leaves behind."""
-    for name in sorted(tree.still) if tree.free else ():
-        if massive(file.links[name]):
+    for name in sorted(tree.still):
+        if tree.free is not None and massive(file.links[name]):
             what = f"its mass is not used, because it stands still: joint {tree.free.name!r} floats"
             yield Finding(
                 "base.left_behind", f"link {name!r}", what, cure="if it is part of the base, make that joint fixed"
