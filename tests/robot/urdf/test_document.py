@@ -296,6 +296,11 @@ def test_a_file_may_begin_with_blanks_comments_and_byte_order_marks(before, decl
     assert heavier.startswith(before + declaration) and torch.equal(Robot.from_urdf(heavier).mass, 2 * robot.mass)
 
 
+def test_a_body_alone_may_have_forces_and_frames_of_drake():
+    robot = Robot.from_urdf(urdf(link("drone"), '<frame name="f"/><force_element name="p"/>'), base="floating")
+    assert robot.base_mass == 1.0 and [x.severity for x in robot.notes if x.code == "element.ignored"] == ["note"] * 2
+
+
 @pytest.mark.parametrize("more", ['<group name="hand"/>', "<robot><link name='c'/></robot>", '<Joint name="j"/>'])
 def test_a_file_of_other_things_is_no_robot_without_joints(more):
     refuse(urdf(link("base", None), more))

@@ -15,6 +15,7 @@ MOST_BYTES = 10_000_000
 MOST_LINKS = 2_000
 # children of <robot>, besides links and joints, that say nothing of a tree of bodies
 EXTENSIONS = {"material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"}
+DRAKE = {"frame", "force_element"}  # beside the links of a body without joints
 SEMANTIC = {
     "group",
     "group_state",
@@ -73,7 +74,8 @@ def root_of(source: Any) -> ET.Element:
         shown = reprlib.repr(root.tag)[1:-1]
         raise DescriptionError(f"the file's root element must be <robot>, found <{shown}>; {advice}")
     # extensions with a prefix say nothing of bodies either
-    others = sorted(tag for tag in {child.tag for child in root} - {"link", "joint"} - EXTENSIONS if ":" not in tag)
+    read = {"link", "joint"} | EXTENSIONS | DRAKE
+    others = sorted(tag for tag in {child.tag for child in root} - read if ":" not in tag)
     if others and root.find("joint") is None:
         advice = "a robot is described by <link> and <joint>" if SEMANTIC.isdisjoint(others) else FOREIGN["srdf"]
         raise DescriptionError(f"<robot> holds no <joint> but {reprlib.repr(others)}; {advice}")
