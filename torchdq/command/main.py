@@ -9,11 +9,11 @@ import shutil
 import sys
 import textwrap
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import fields
 from functools import partial
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any
 
 import tyro
@@ -32,8 +32,7 @@ class Commands(Mapping[str, type[Command]]):
         self.places = places
 
     def __getitem__(self, name: str) -> type[Command]:
-        module, kind = self.places[name].split(".")
-        found: type[Command] = getattr(import_module(f"torchdq.command.{module}"), kind)
+        found: type[Command] = resolve_name(f"torchdq.command.{self.places[name]}")
         return found
 
     def __iter__(self) -> Iterator[str]:
@@ -44,15 +43,15 @@ class Commands(Mapping[str, type[Command]]):
 
 
 COMMANDS = Commands(
-    report="report.ReportCommand",
-    bench="bench.BenchCommand",
-    id="identify.IdCommand",
-    scene="scene.SceneCommand",
-    accuracy="accuracy.AccuracyCommand",
-    export="export.ExportCommand",
-    view="view.ViewCommand",
-    cost="cost.CostCommand",
-    doctor="doctor.DoctorCommand",
+    report="report:ReportCommand",
+    bench="bench:BenchCommand",
+    id="identify:IdCommand",
+    scene="scene:SceneCommand",
+    accuracy="accuracy:AccuracyCommand",
+    export="export:ExportCommand",
+    view="view:ViewCommand",
+    cost="cost:CostCommand",
+    doctor="doctor:DoctorCommand",
 )
 PROGRAM = "torchdq"
 ABOUT = (
@@ -96,7 +95,9 @@ def _parsed(given: Sequence[str]) -> Command:
         _say("error", f"there is no command {given[0]!r}; {meant}the commands are {', '.join(COMMANDS)}")
         raise SystemExit(USAGE)
     given = _apart(given)
-    kinds = {name: COMMANDS[name] for name in (given[:1] if given[:1] and given[0] in COMMANDS else COMMANDS)}
+    kinds: dict[str, Callable[..., Command]] = {
+        name: COMMANDS[name] for name in (given[:1] if given[:1] and given[0] in COMMANDS else COMMANDS)
+    }
     command: Command = tyro.extras.subcommand_cli_from_dict(
         kinds, prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
     )
