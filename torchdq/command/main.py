@@ -96,7 +96,7 @@ def _parsed(given: Sequence[str]) -> Command:
         raise SystemExit(USAGE)
     given = _apart(given)
     kinds: dict[str, Callable[..., Command]] = {
-        name: COMMANDS[name] for name in (given[:1] if given[:1] and given[0] in COMMANDS else COMMANDS)
+        name: COMMANDS[name] for name in (given[:1] if given and given[0] in COMMANDS else COMMANDS)
     }
     command: Command = tyro.extras.subcommand_cli_from_dict(
         kinds, prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
