@@ -77,8 +77,9 @@ class Reference:
     """Pinocchio's model of a file, in the coordinates of a robot."""
 
     def __init__(self, path: Path, robot: torchdq.Robot):
-        free = (pin.JointModelFreeFlyer(),) if robot.floating else ()
-        self.model = pin.buildModelFromUrdf(str(path), *free)
+        self.model = pin.buildModelFromUrdf(str(path))
+        if robot.floating and "JointModelFreeFlyer" not in (joint.shortname() for joint in self.model.joints):
+            self.model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
         self.data = self.model.createData()
         self.robot, self.base = robot, 6 * robot.floating
         joints = [self.model.joints[self.model.getJointId(name)] for name in robot.every_joint]
@@ -93,7 +94,8 @@ class Reference:
         if self.base:
             r = X[:4]
             position = 2 * (pin.Quaternion(*X[4:]) * pin.Quaternion(*r).conjugate()).coeffs()[:3]
-            q[:7] = [*position, *r[1:], r[0]]
+            at = self.model.jointPlacements[1].inverse() * pin.SE3(pin.Quaternion(*r), position)
+            q[:7] = pin.SE3ToXYZQUAT(at)
         for (at, size), x in zip(self.q_at, self.S @ z - self.home, strict=True):
             q[at : at + size] = x if size == 1 else (np.cos(x), np.sin(x))
         return q

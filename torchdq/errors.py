@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from difflib import SequenceMatcher, get_close_matches
 
-from torchdq.findings import Finding, merged
+from torchdq.findings import Finding, merged, printable
 
 NEAR = 0.5  # share of letters in common from which a known name may be meant
 
@@ -23,7 +23,7 @@ class TorchdqError(Exception):
     def __str__(self) -> str:
         if self.args and isinstance(self.args[0], Finding):
             return merged(self.findings)
-        return str(self.args[0]) if self.args else ""
+        return printable(str(self.args[0]), kept="\n") if self.args else ""
 
 
 class ArgumentError(TorchdqError, ValueError):
@@ -75,7 +75,7 @@ class UnknownNameError(TorchdqError, KeyError):
         super().__init__(self.message)
 
     def __str__(self) -> str:  # KeyError would print the quoted repr
-        return self.message
+        return printable(self.message)
 
 
 def nearest(name: str, known: Iterable[str]) -> list[str]:

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 Severity = Literal["ok", "note", "warning", "error"]
+
+
+def printable(text: str, kept: str = "") -> str:
+    """Text with escapes for what a terminal would obey: control characters, line breaks, marks of direction.
+
+    Names of files may hold them; every text that may hold such names passes here before it is shown.
+
+    >>> print(printable("elbow\\u202e\\n99 kg"))
+    elbow\\u202e\\n99 kg
+    """
+    if text.isprintable():
+        return text
+    return "".join(x if x.isprintable() or x in kept else json.dumps(x)[1:-1] for x in text)
 
 
 class Finding(NamedTuple):
@@ -35,7 +49,7 @@ class Finding(NamedTuple):
         cure = self.option if command_line and self.option is not None else self.cure
         claim = ", found ".join(part for part in (self.expected, self.found) if part)
         sentence = f"{self.subject}: {claim}" if self.subject else claim
-        return f"{sentence}; {cure}" if cure else sentence
+        return printable(f"{sentence}; {cure}" if cure else sentence)
 
 
 def merged(findings: Sequence[Finding], command_line: bool = False) -> str:

@@ -31,6 +31,7 @@ from torchdq.command.scene import KINDS, STEPPERS
 from torchdq.learning import read_log
 
 WIDE = 80  # columns of a terminal
+MASSLESS = ("--base", "floating", "--on-unphysical", "warn")  # the base of the arm
 
 ARM = """<robot name="arm"><link name="base"/>
 <link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
@@ -291,8 +292,38 @@ def test_a_file_is_read_by_what_is_in_it(here, capsys):
     body = "<body name='b'><joint/><geom size='.1'/></body>"
     here.joinpath("m.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     here.joinpath("u.xml").write_text(ARM)
+    comment = f"<!-- {'<mujoco>' * 10_000} -->"
+    here.joinpath("h.urdf").write_text(f"{comment}{ARM.replace('</robot>', '<mujoco><compiler/></mujoco></robot>')}")
     assert len(data(capsys, "report", "m.xml")["coordinates"]) == 1
     assert len(data(capsys, "report", "u.xml")["coordinates"]) == 2
+    assert data(capsys, "report", "h.urdf", "--base", "floating") == data(
+        capsys, "report", "u.xml", "--base", "floating"
+    )
+
+
+@pytest.mark.parametrize("mark", ["&#x9b;31m", "&#x85;", "&#x202e;", "&#10;j9  revolute  l9  99 kg", "&#13;", "&#9;"])
+def test_names_that_a_terminal_would_obey_are_escaped(here, capsys, mark):
+    text = ARM.replace("elbow", f"elbow{mark}").replace('lower="-2.5"', 'lower="5"').replace("lower", f"l{mark}")
+    here.joinpath("marked.urdf").write_text(text.replace(f'l{mark}="', 'lower="'), encoding="utf-8")
+    name = torchdq.Robot.from_urdf(here / "marked.urdf", on_unphysical="ignore").joint_names[1]
+    assert name.startswith("elbow") and not name.isprintable()
+    for arguments, code in (
+        (("report",), WELL),
+        (("scene", "--price", "0"), WELL),
+        (("report", "--tip", "x"), MISTAKE),
+    ):
+        out, errors = told(capsys, arguments[0], "marked.urdf", *arguments[1:], code=code)
+        assert (out + errors).replace("\n", "").isprintable() and "\nj9" not in out + errors
+    assert data(capsys, "report", "marked.urdf")["coordinates"][1] == name
+    assert (written := told(capsys, "report", "marked.urdf", "--json")[0]).replace("\n", "").isprintable() and written
+
+
+def test_a_body_that_cannot_exist_is_reported_and_is_not_simulated_unless_asked(here, capsys):
+    here.joinpath("light.urdf").write_text(ARM.replace('<mass value="2"/>', '<mass value="-2"/>'))
+    for arguments in (("report", "light.urdf"), ("scene", "light.urdf", "--price", "0", "--on-unphysical", "warn")):
+        assert "link 'upper': mass must not be negative" in " ".join(told(capsys, *arguments)[1].split())
+    _, errors = told(capsys, "scene", "light.urdf", code=MISTAKE)
+    assert "link 'upper': mass must not be negative" in " ".join(errors.split())
 
 
 FILES = [path for name, path in oracles.urdf_paths().items() if name not in oracles.UNREADABLE]
@@ -343,7 +374,7 @@ def test_bench_measures_every_function_at_every_batch(here, capsys):
 
 
 def test_bench_of_a_free_base(here, capsys):
-    out, _ = told(capsys, "bench", "arm.urdf", "--base", "floating", "--batches", "64", "--seconds", "0")
+    out, _ = told(capsys, "bench", "arm.urdf", *MASSLESS, "--batches", "64", "--seconds", "0")
     assert "forward_dynamics" in out and "64 samples" in out and max(map(len, out.splitlines())) <= WIDE
 
 
@@ -496,7 +527,7 @@ def test_c_is_exported(here, capsys):
 def test_casadi_and_free_bases_are_exported(here, capsys):
     found = data(capsys, "export", "arm.urdf", "mass_matrix", "--language", "casadi", "--out", "casadi")
     assert len(found["files"]) == 1 and "sparsity" in Path(found["files"][0]).read_text()
-    found = data(capsys, "export", "arm.urdf", "forward_dynamics", "--base", "floating")
+    found = data(capsys, "export", "arm.urdf", "forward_dynamics", *MASSLESS)
     assert found["function"] == "forward_dynamics_arm"
     assert "X_WB" in next(Path(file) for file in found["files"] if file.endswith(".h")).read_text()
 

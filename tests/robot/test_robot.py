@@ -1,7 +1,11 @@
 """Inertial parameters of a robot, how it prints, and batches of robots."""
 
+import copy
+import pickle
+
 import pytest
 import torch
+from messages import refused
 from robots import F64, LINE, forked, one_joint, panda, same, states
 
 import torchdq
@@ -28,6 +32,13 @@ def test_the_inertial_parameters_are_those_about_the_link_frame():
 def test_repr_says_what_it_is():
     assert repr(panda()) == "Robot('panda', 7 joints, chain, 16.06 kg, tip='tip')"
     assert "tree" in repr(forked())
+
+
+def test_a_robot_of_one_argument_says_how_to_read_a_file():
+    with refused(torchdq.ArgumentError):
+        torchdq.Robot("arm.urdf")
+    robot = copy.deepcopy(pickle.loads(pickle.dumps(panda())))
+    assert repr(robot) == repr(panda())
 
 
 # --- batches of robots -----------------------------------------------------------------------------------------------

@@ -180,8 +180,11 @@ def common_batch(given: Sequence[tuple[str, Tensor, Shape, bool]], subject: str)
                 f"{label} must have the shape [{', '.join(['...', *map(str, axes)])}]{subject}, found {tuple(x.shape)}"
             )
         batches[label] = tuple(x.shape[: x.ndim - len(axes)])
+    found_axes = [batch for batch in batches.values() if batch]
+    if all(batch == found_axes[0] for batch in found_axes):
+        return found_axes[0] if found_axes else ()
     try:
-        return tuple(torch.broadcast_shapes(*batches.values()))
+        return tuple(torch.broadcast_shapes(*batches.values()))  # whose first call takes a second: it imports sympy
     except RuntimeError as error:
         found = ", ".join(f"{label} {batch}" for label, batch in batches.items() if batch)
         raise ArgumentError(f"the batch axes of the arguments must broadcast, found {found}") from error

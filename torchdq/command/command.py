@@ -17,12 +17,13 @@ from torchdq.command.outcome import Outcome
 from torchdq.errors import ArgumentError, MissingFileError, MissingLibraryError, UnknownNameError
 from torchdq.robot import Robot, shipped
 from torchdq.robot.check.consistency import OnUnphysical
-from torchdq.robot.robot import Base
+from torchdq.robot.description import Base
+from torchdq.robot.xml_text import root_name
 
 RobotName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
 Dtype = Literal["float64", "float32"]
 ENDINGS = (".urdf", ".xml", ".xacro", ".mjcf")
-HEAD = 2**16  # bytes in which a file says what it is
+HEAD = 2**20  # bytes in which a file says what it is
 DESCRIPTION = "_description"  # end of the names in robot_descriptions
 
 
@@ -52,13 +53,13 @@ class RobotCommand(Command):
 
     robot: RobotName
     """URDF, xacro or MJCF file, shipped robot, or name in robot_descriptions."""
-    base: Base | None = None
-    """Base of the robot; by default fixed, or as an MJCF file has it."""
+    base: Base = "file"
+    """Base of the robot: as the file has it, fixed, or floating."""
     joints: tuple[str, ...] = ()
     """Joints to keep, by name or pattern; the others are locked at zero."""
     tip: str | None = None
     """Frame of the end effector; by default the only leaf of the tree."""
-    on_unphysical: OnUnphysical = "warn"
+    on_unphysical: OnUnphysical = "error"
     """What to do with a body that cannot exist."""
 
     def load(self) -> NamedRobot:
@@ -94,7 +95,7 @@ def _read(name: str, options: dict[str, Any]) -> NamedRobot:
         return NamedRobot(Robot.from_xacro(name, **options), "xacro", name)
     if path.is_file() and os.access(path, os.R_OK):
         with path.open("rb") as file:
-            if b"<mujoco" in file.read(HEAD):
+            if root_name(file.read(HEAD).decode("utf-8", "replace")) == "mujoco":
                 return NamedRobot(Robot.from_mjcf(name, **options), "mjcf", name)
     return NamedRobot(Robot.from_urdf(name, **options), "urdf", name)
 

@@ -82,7 +82,7 @@ class ExportCommand(RobotCommand):
         if Path(self.name).name != self.name:
             raise ArgumentError(f"name must be that of a file, without folders, found {self.name!r}; out is the folder")
         if robot.floating:
-            raise ArgumentError("base must be 'fixed' for torch, found a robot with a free base; export it as c")
+            raise ArgumentError("base must be 'fixed' for torch, found a robot with a floating base; export it as c")
         dtype = torch.float64 if self.dtype == "float64" else torch.float32
         layer = LAYERS[self.function](robot).to(dtype)
         sample = tuple(torch.zeros(2, robot.n, dtype=dtype) for _ in range(3))

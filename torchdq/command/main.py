@@ -9,41 +9,50 @@ import shutil
 import sys
 import textwrap
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import fields
 from functools import partial
+from pkgutil import resolve_name
 from typing import Any
 
 import tyro
 
 from torchdq import __version__
-from torchdq.command.accuracy import AccuracyCommand
-from torchdq.command.bench import BenchCommand
 from torchdq.command.command import Command
-from torchdq.command.cost import CostCommand
-from torchdq.command.doctor import DoctorCommand
-from torchdq.command.export import ExportCommand
-from torchdq.command.identify import IdCommand
 from torchdq.command.outcome import Grid, Outcome, write, write_json
-from torchdq.command.report import ReportCommand
-from torchdq.command.scene import SceneCommand
-from torchdq.command.view import ViewCommand
 from torchdq.errors import TorchdqError, nearest
-from torchdq.findings import Finding, merged
-from torchdq.learning import LogError, LogWarning
+from torchdq.findings import Finding, merged, printable
 
-COMMANDS: dict[str, type[Command]] = {
-    "report": ReportCommand,
-    "bench": BenchCommand,
-    "id": IdCommand,
-    "scene": SceneCommand,
-    "accuracy": AccuracyCommand,
-    "export": ExportCommand,
-    "view": ViewCommand,
-    "cost": CostCommand,
-    "doctor": DoctorCommand,
-}
+
+class Commands(Mapping[str, type[Command]]):
+    """Commands by name, each imported when it is asked for, so that none waits for what the others need."""
+
+    def __init__(self, **places: str):
+        self.places = places
+
+    def __getitem__(self, name: str) -> type[Command]:
+        found: type[Command] = resolve_name(f"torchdq.command.{self.places[name]}")
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.places)
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+
+COMMANDS = Commands(
+    report="report:ReportCommand",
+    bench="bench:BenchCommand",
+    id="identify:IdCommand",
+    scene="scene:SceneCommand",
+    accuracy="accuracy:AccuracyCommand",
+    export="export:ExportCommand",
+    view="view:ViewCommand",
+    cost="cost:CostCommand",
+    doctor="doctor:DoctorCommand",
+)
 PROGRAM = "torchdq"
 ABOUT = (
     "Rigid-body dynamics of robots. ROBOT is a URDF, xacro or MJCF file, a shipped robot such as panda, or a name in "
@@ -86,8 +95,11 @@ def _parsed(given: Sequence[str]) -> Command:
         _say("error", f"there is no command {given[0]!r}; {meant}the commands are {', '.join(COMMANDS)}")
         raise SystemExit(USAGE)
     given = _apart(given)
+    kinds: dict[str, Callable[..., Command]] = {
+        name: COMMANDS[name] for name in (given[:1] if given and given[0] in COMMANDS else COMMANDS)
+    }
     command: Command = tyro.extras.subcommand_cli_from_dict(
-        dict(COMMANDS), prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
+        kinds, prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
     )
     return command
 
@@ -136,8 +148,8 @@ def _run(command: Command) -> int:
 
 def _words(error: Exception | str) -> str:
     """Message of an error or a warning, with cures in options; one of the system names the file first."""
-    if isinstance(error, LogError | LogWarning):
-        return error.text(command_line=True)
+    if text := getattr(error, "text", None):  # of errors and warnings about logs
+        return str(text(command_line=True))
     if isinstance(error, TorchdqError) and isinstance(error.args[0], Finding):
         return merged(error.findings, command_line=True)
     if isinstance(error, TorchdqError) or not isinstance(error, OSError) or error.filename is None:
@@ -149,6 +161,7 @@ def _say(kind: str, text: str) -> None:
     """Write a message to stderr, in lines that fit the terminal."""
     width = max(40, shutil.get_terminal_size().columns - 1)
     fill = partial(textwrap.wrap, width=width, break_long_words=False, break_on_hyphens=False)
-    lines = [line for part in f"{PROGRAM}: {kind}: {text}".split("\n") for line in fill(part) or [""]]
+    said = printable(f"{PROGRAM}: {kind}: {text}", kept="\n")
+    lines = [line for part in said.split("\n") for line in fill(part) or [""]]
     sys.stderr.write("\n".join(lines) + "\n")
     sys.stderr.flush()

@@ -12,6 +12,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 from torch import Tensor
 
+from torchdq.findings import printable
+
 
 class Grid(NamedTuple):
     """Table of a text; cells that are too wide for the terminal are wrapped."""
@@ -46,16 +48,17 @@ def write(outcome: Outcome, as_json: bool, warnings: Sequence[str] = ()) -> None
             if not (isinstance(before, str) and before.endswith(":")):  # a title stands close to what it is of
                 console.print()
             if isinstance(part, Verbatim):
-                console.print(Text(part.text), soft_wrap=True)
+                console.print(Text(printable(part.text, kept="\n")), soft_wrap=True)
             else:
-                console.print(_drawn(part) if isinstance(part, Grid) else Text(part))
+                console.print(_drawn(part) if isinstance(part, Grid) else Text(printable(part, kept="\n")))
             before = part
     sys.stdout.write("\n".join(line.rstrip() for line in drawn.get().split("\n")))
 
 
 def write_json(data: Mapping[str, Any]) -> None:
     """Write one JSON object to stdout; numbers that are not finite are null."""
-    sys.stdout.write(json.dumps(plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    text = json.dumps(plain(data), indent=2, ensure_ascii=False, allow_nan=False)
+    sys.stdout.write(printable(text, kept="\n") + "\n")
 
 
 def plain(x: Any) -> Any:
@@ -85,5 +88,5 @@ def _drawn(grid: Grid) -> RichTable:
     for name in names:
         drawn.add_column(Text(name), overflow="fold")
     for row in grid.rows:
-        drawn.add_row(*(Text(cell) for cell in row))
+        drawn.add_row(*(Text(printable(cell)) for cell in row))
     return drawn

@@ -15,6 +15,7 @@ from torchdq.functions.catalogue import FLOATING, RECIPES, Function
 from torchdq.functions.options import options_of
 from torchdq.program.program import Argument, Count
 from torchdq.robot import Robot
+from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.check.report import HEADER
 from torchdq.robot.robot import constants
 
@@ -31,6 +32,9 @@ class ReportCommand(RobotCommand):
 
     Example: torchdq report arm.urdf
     """
+
+    on_unphysical: OnUnphysical = "warn"
+    """What to do with a body that cannot exist; it is reported, too."""
 
     def outcome(self) -> Outcome:
         """Page about the robot, without compiling anything."""

@@ -15,13 +15,14 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.joints import KINDS, Coordinate
 from torchdq.dynamics.tree import BASE
+from torchdq.errors import DescriptionError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import double
 from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits, RobotDescription, note
 from torchdq.robot.edit.couplings import Follows
 
-APART = -2  # link of what stands still apart from a free base
+APART = -2  # link of what stands still apart from a floating base
 NEAR = 1e-6  # difference of limits that is not noted: files are printed with about six digits
 
 
@@ -75,7 +76,10 @@ def linked(segments: Sequence[Segment], moves: Sequence[Follows], free: int | No
     Args:
         segments: those of the description, each after its parent.
         moves: displacement of every joint, by row.
-        free: segment that is a free base, apart from which nothing moves; None: the root is the base.
+        free: segment that is the floating base, apart from which nothing may move; None: the root is the base.
+
+    Raises:
+        DescriptionError: a joint moves something apart from the floating base.
     """
     links: list[MovingLink] = []
     places: list[tuple[int, DualQuaternion]] = []
@@ -86,6 +90,13 @@ def linked(segments: Sequence[Segment], moves: Sequence[Follows], free: int | No
         moving = [joint for joint in joints if moves[joint.row].leader is not None]
         for joint in joints:
             if joint in moving:
+                if link == APART:
+                    base = "" if free is None else segments[free].name
+                    raise DescriptionError(
+                        f"everything that moves must hang on the floating base {base!r}, found that joint "
+                        f"{joint.name!r} carries {name!r} apart from it; lock that joint, or hold the base with "
+                        "base='fixed'"
+                    )
                 links.append(MovingLink(name if joint is moving[-1] else f"{name} before {joint.name}", link, joint, X))
                 link, X = len(links) - 1, dual_quaternion.ONE
             elif x := moves[joint.row].offset:

@@ -1,4 +1,4 @@
-"""Bodies of the links of a robot, and of a free base: those that are fixed to each other as one, and taken apart."""
+"""Bodies of the links of a robot and of a floating base: those fixed to each other as one, and taken apart."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _fraction(part: Number, whole: Number) -> Number:
 
 
 def body_at(robot: RobotModel, link: int) -> RigidBody:
-    """Body of a link, or of a free base, as rows [...], [..., 3] and [..., 6]."""
+    """Body of a link, or of a floating base, as rows [...], [..., 3] and [..., 6]."""
     if link == BASE:
         return RigidBody(*(getattr(robot, name) for name in BASE_BODY))
     return RigidBody(robot.mass[..., link], robot.com[..., link, :], robot.inertia[..., link, :])

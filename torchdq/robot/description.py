@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from torchdq.findings import Finding
 from torchdq.robot.arrays import IDENTITY, distinct, inertias, matrices, table
 from torchdq.robot.check import consistency
 
+Base = Literal["file", "fixed", "floating"]
 NO_TIP = "tip.missing"  # code of a note that goes when a tip is chosen
 UNSIMULATED = "unsimulated."  # beginning of the codes of parts that would act on the motion, and have no field
 

@@ -47,7 +47,7 @@ class RobotModel:
     tip: str | None = None  # name of the frame of the end effector, F_{n+1}; None: not chosen
     home: Tensor | None = None  # [..., links] joint positions at home [rad or m]; None: zero
     armature: Tensor | None = None  # [..., n] rotor inertia at the joint [kg m^2 or kg]; None: none
-    base_mass: Tensor | None = None  # [...] of a free base [kg]; None: the base is fixed
+    base_mass: Tensor | None = None  # [...] of a floating base [kg]; None: the base is fixed
     base_com: Tensor | None = None  # [..., 3] in the frame of the base [m]
     base_inertia: Tensor | None = None  # [..., 6] about its centre of mass, as `inertia` [kg m^2]
     joint_map: JointMap | None = None  # joints that follow the coordinates; None: every joint is a coordinate
@@ -182,7 +182,7 @@ class RobotModel:
         masses = [self.mass.sum(-1), *([] if self.base_mass is None else [self.base_mass])]
         mass = "?" if any(x.is_meta for x in masses) else f"{sum(float(x.detach().mean()) for x in masses):.4g}"
         joints = f"{self.n} joints" if links == self.n else f"{self.n} joints that move {links} links"
-        free = "free base, " if self.floating else ""
+        free = "floating base, " if self.floating else ""
         return f"Robot({self.name!r}, {joints}, {free}{hangs}, {mass} kg, tip={self.tip!r})"
 
 
@@ -230,8 +230,8 @@ def require_shapes(robot: RobotModel) -> None:
     absent = [name for name in BASE_BODY if getattr(robot, name) is None]
     if 0 < len(absent) < 3:
         raise ArgumentError(
-            f"base_mass, base_com and base_inertia of robot {robot.name!r} must be given together, for a free base, or "
-            f"all be None; {', '.join(absent)} {'is' if len(absent) == 1 else 'are'} None"
+            f"base_mass, base_com and base_inertia of robot {robot.name!r} must be given together, for a floating "
+            f"base, or all be None; {', '.join(absent)} {'is' if len(absent) == 1 else 'are'} None"
         )
     for name, axes in SHAPES.items():
         value = getattr(robot, name)

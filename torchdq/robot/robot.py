@@ -18,7 +18,7 @@ from torchdq.algebra.inertia import six
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import frozen, require_choice
 from torchdq.base.sources import file_name
-from torchdq.errors import DescriptionError, no_attribute
+from torchdq.errors import ArgumentError, DescriptionError, no_attribute
 from torchdq.program.transforms import any_requires_grad
 from torchdq.robot import from_dh as dh
 from torchdq.robot import from_name as named
@@ -29,7 +29,7 @@ from torchdq.robot.check import consistency, faults, units
 from torchdq.robot.check import report as reports
 from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.constants import Constants
-from torchdq.robot.description import RobotDescription
+from torchdq.robot.description import Base, RobotDescription
 from torchdq.robot.edit import combined, coupled, reduced, replaced, stacked
 from torchdq.robot.mjcf import read as mjcf
 from torchdq.robot.mjcf import writer as mjcf_writer
@@ -38,7 +38,6 @@ from torchdq.robot.urdf import read as urdf
 from torchdq.robot.urdf import writer as urdf_writer
 from torchdq.robot.urdf import xacro as xacro_file
 
-Base = Literal["fixed", "floating"]
 MimicJoints = Literal["coupled", "independent"]
 LONGEST_NAME = 300  # characters of a path that an error repeats
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
@@ -76,7 +75,16 @@ class Robot(RobotModel):
     (2, ('joint1', 'joint2'))
     """
 
-    if not TYPE_CHECKING:  # type checkers know the names
+    if not TYPE_CHECKING:  # type checkers know the names and the fields
+
+        def __new__(cls, *args: Any, **fields: Any) -> Robot:
+            if len(args) == 1 and not fields:
+                given = f"{args[0]!r:.{LONGEST_NAME}}"
+                raise ArgumentError(
+                    f"Robot must have all of its fields, found {given} alone; to read a file, use "
+                    f"Robot.from_urdf({given}), or robots.load for a robot that comes with the package"
+                )
+            return super().__new__(cls)
 
         def __getattr__(self, name: str) -> Any:
             raise no_attribute("'Robot' object", name, [*dir(Robot), *vars(self)], _ELSEWHERE, "help(torchdq.Robot)")
@@ -85,7 +93,7 @@ class Robot(RobotModel):
     def from_urdf(
         cls,
         source: str | PathLike[str] | bytes | IO[Any],
-        base: Base = "fixed",
+        base: Base = "file",
         lock: Mapping[str, float] | Sequence[str] | str | None = None,
         tip: str | None = None,
         gravity: Sequence[float] | None = GRAVITY,
@@ -99,11 +107,15 @@ class Robot(RobotModel):
         its angle. Meshes are never opened. Joint friction, damping and limits are read but are not part of the
         rigid-body dynamics. Errors that are not fatal are recorded in `notes`, by code and subject; `report()` lists
         them. Elements and attributes that seem misspelt, elements given twice and mimic joints whose drivers are not in
-        the file may change the dynamics: a warning names them.
+        the file may change the dynamics: a warning names them. So does one for limits that no motion can keep, as of
+        "lower" above "upper", which are taken as none.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
-            base: "fixed", or "floating": the link that no joint carries moves freely.
+            base: "file": floating if the file has a floating joint, otherwise fixed; "fixed": what such a joint carries
+                is held at the joint's origin; "floating": what it carries moves freely, or without such a joint the
+                link that no joint carries. A floating joint starts at a link that stands, which is the world: poses of
+                the base, `X_WB`, are in the frame of the link that no joint carries, whatever the joint's origin is.
             lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at zero. Joints
                 that mimic a locked one are locked too. A joint that mimics another one cannot be locked alone, unless
                 `mimic` is "independent".
@@ -135,7 +147,7 @@ class Robot(RobotModel):
     def from_mjcf(
         cls,
         source: str | PathLike[str] | bytes | IO[Any],
-        base: mjcf.MjcfBase = "file",
+        base: Base = "file",
         lock: Mapping[str, float] | Sequence[str] | str | None = None,
         tip: str | None = None,
         gravity: Sequence[float] | Literal["file"] | None = "file",
@@ -147,9 +159,9 @@ class Robot(RobotModel):
         Positions are MuJoCo's `qpos`, which is `ref` at home. Bodies without joints are merged with their parents and
         stay as frames, as sites do. Rotor inertia (`armature`) is part of the mass matrix; linear equality constraints
         between joints are part of the robot. Damping, friction loss and limits are read but are not part of the
-        rigid-body dynamics; actuators, tendons, contacts, springs and other equality constraints are noted. `report()`
-        lists them. Armature of a free joint, and `gravcomp` of some bodies only or in part, are not used: a warning
-        says so. Meshes are opened only where a body's mass comes from them.
+        rigid-body dynamics; actuators, tendons, contacts and springs are noted. `report()` lists them. Armature of a
+        free joint, `gravcomp` of some bodies only or in part, and all other equality constraints, as of closed loops,
+        are not used: a warning says so. Meshes are opened only where a body's mass comes from them.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself, whose
@@ -353,7 +365,7 @@ class Robot(RobotModel):
     def inertial_parameters(self) -> Tensor:
         """Inertial parameters pi [..., 10 links] about the link frames, in the order of the regressor.
 
-        Those of a free base come first.
+        Those of a floating base come first.
         """
         bodies = [link.inertia for link in self.tree().links if link.inertia is not None]
         numbers = [x for body in bodies for x in (body.mass, *body.first, *six(body.rotational))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from xml.parsers import expat
 
@@ -10,6 +11,30 @@ from torchdq.errors import DescriptionError
 # robot descriptions stay far below; hostile files do not
 MOST_TAGS = 200_000
 MOST_ATTRIBUTES = 200_000
+
+
+_BLANK = r"(?>[\s\ufeff]|<!--.*?-->)"  # atomic: else the ways to part a row of comments double with each of them
+_BEGINNING = re.compile(rf"({_BLANK}++)(<\?xml\s.*?\?>)?", re.DOTALL)
+_ROOT = re.compile(rf"(?>{_BLANK}|<\?.*?\?>|<![^\[>]*>)*+<([^\s/>!?]+)", re.DOTALL)
+
+
+def root_name(text: str) -> str:
+    """Tag of the root element, by which formats differ; empty where a text begins with something else.
+
+    >>> root_name("<?xml version='1.0'?><!-- <mujoco> --><robot name='arm'/>")
+    'robot'
+    """
+    found = _ROOT.match(text)
+    return found[1] if found else ""
+
+
+def _well_begun(text: str) -> str:
+    """Text with blanks for what parsers refuse: byte order marks, and an XML declaration after blanks or comments."""
+    found = _BEGINNING.match(text)
+    if found is None:
+        return text
+    before, declaration = found[1].replace("\ufeff", "   "), " " * len((found[2] or "").encode())  # bytes keep places
+    return f"{before}{declaration}{text[found.end() :]}"
 
 
 def parsed(text: str, whole: bool = False) -> ET.Element:
@@ -24,7 +49,7 @@ def parsed(text: str, whole: bool = False) -> ET.Element:
     if whole:
         parser.CharacterDataHandler, parser.CommentHandler = builder.data, builder.comment
     try:
-        parser.Parse(text, True)
+        parser.Parse(_well_begun(text), True)
     except (expat.ExpatError, UnicodeError) as error:
         raise DescriptionError(f"the file is not well-formed XML: {error}") from error
     return builder.close()
@@ -36,7 +61,7 @@ def written(root: ET.Element, original: str) -> str:
     parser = expat.ParserCreate()
     parser.StartElementHandler = lambda *_: places.append(parser.CurrentByteIndex)
     parser.EndElementHandler = lambda *_: places.append(parser.CurrentByteIndex)
-    parser.Parse(original, True)
+    parser.Parse(_well_begun(original), True)
     data = original.encode()
     after = data.index(b">", places[-1]) + 1
     return data[: places[0]].decode() + ET.tostring(root, encoding="unicode") + data[after:].decode()

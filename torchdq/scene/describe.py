@@ -16,6 +16,7 @@ from torchdq.base.checks import dtype_of, require_count, require_number
 from torchdq.base.progress import Progress
 from torchdq.base.timing import measure
 from torchdq.effects.effect import Effect
+from torchdq.findings import printable
 from torchdq.robot import Robot
 from torchdq.robot.description import UNSIMULATED
 from torchdq.scene.model import SceneModel
@@ -57,7 +58,7 @@ class Description(NamedTuple):
         rows += [(c.effect, c.slot, f"{c.operations}", c.time) for c in (*self.costs, self.total)]
         widths = [max(len(row[k]) for row in rows) for k in range(4)]
         lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-        left_out = "\n".join(f"- {what}" for what in self.left_out) or "- nothing"
+        left_out = "\n".join(f"- {printable(what)}" for what in self.left_out) or "- nothing"
         outside = "".join(f"\n- {what}" for what in self.outside)
         if outside:
             outside = f"\n\ncomputed outside the program, and not among the operations:{outside}"

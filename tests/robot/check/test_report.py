@@ -1,5 +1,7 @@
 """Reports of robots."""
 
+import re
+
 from robots import panda
 
 import torchdq
@@ -16,6 +18,13 @@ def test_the_report_says_what_is_used_and_that_limits_are_not_enforced():
     for part in ("Robot('puma560'", "mass, centre of mass and inertia", "gravity [0.0, 0.0, -9.81]", "rotor inertia"):
         assert part in text
     assert "limits (not enforced)" in text
+
+
+def test_a_name_forges_no_row_of_the_report():
+    robot = panda()
+    names = ("a\nb  revolute  l9  99 kg", "c\u202e", "d\u009b", *robot.joint_names[3:])
+    text = str(robot.replace(joint_names=names).report())
+    assert text.replace("\n", "").isprintable() and not re.search("^b ", text, re.MULTILINE)
 
 
 def test_the_report_does_not_speak_of_what_is_absent():

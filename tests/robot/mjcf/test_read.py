@@ -144,12 +144,46 @@ def test_parts_that_are_not_used_are_noted():
         ("unsimulated.spring", "j"),
         ("unsimulated.actuator", "pull"),
         ("unsimulated.tendon", "t"),
-        ("unsimulated.equality", "connect 'loop', joint 'curve'"),
         ("unsimulated.fluid", "air or water"),
         ("unsimulated.gravcomp", "b"),
         ("body.mocap", ""),
     }
     assert "pull: actuators that act on no joint, not used" in str(robot.report())
+
+
+FOUR_BAR = """<mujoco><worldbody><site name="post" pos=".6 0 0"/><body name="a"><joint name="j"/><geom size=".1"/>
+  <body name="b" pos=".3 0 0"><joint name="k"/><geom size=".1"/><site name="end"/></body></body>
+  <body name="c" pos=".6 0 0"><joint name="m"/><geom size=".1"/></body></worldbody>
+  <tendon><fixed name="s"><joint joint="j" coef="1"/></fixed>
+  <fixed name="t"><joint joint="m" coef="1"/></fixed></tendon>
+  <equality>{}</equality></mujoco>"""
+OPEN = {  # constraint: its subject, and what a warning of it names
+    '<connect name="loop" body1="b" body2="c" anchor=".3 0 0"/>': ("connect 'loop'", ("b", "c")),
+    '<connect body1="b" anchor=".3 0 0"/>': ("connect 'equality0'", ("b", "world")),
+    '<connect name="loop" site1="end" site2="post"/>': ("connect 'loop'", ("end", "post")),
+    '<weld name="loop" body1="b" body2="c"/>': ("weld 'loop'", ("b", "c")),
+    '<joint name="curve" joint1="k" joint2="j" polycoef="0 1 2 0 0"/>': ("joint 'curve'", ("k", "j")),
+    '<tendon name="pull" tendon1="s" tendon2="t"/>': ("tendon 'pull'", ("s", "t")),
+}
+
+
+@pytest.mark.parametrize("constraint", OPEN)
+def test_an_equality_constraint_that_is_left_open_is_warned_of_by_name(constraint):
+    subject, ends = OPEN[constraint]
+    with messages.warned(UserWarning) as caught:
+        robot = torchdq.Robot.from_mjcf(FOUR_BAR.format(constraint))
+    assert [x.subject for x in robot.notes if x.code == "unsimulated.equality"] == [subject]
+    assert all(repr(end) in str(caught[0].message) for end in ends) and robot.n == 3
+    off = constraint.replace("/>", ' active="false"/>')
+    assert not [x for x in torchdq.Robot.from_mjcf(FOUR_BAR.format(off)).notes if x.code == "unsimulated.equality"]
+
+
+def test_a_loop_that_locked_joints_close_is_not_warned_of():
+    loop = FOUR_BAR.format('<connect name="loop" body1="b" body2="c" anchor=".3 0 0"/>')
+    still = torchdq.Robot.from_mjcf(loop, joints=["j"], lock=["k", "m"], on_unphysical="ignore")
+    assert [x.code for x in still.notes if x.code == "unsimulated.equality"]  # a moves b, and c stands
+    rigid = FOUR_BAR.format('<weld name="w" body1="a" body2="b"/>')
+    assert not [x for x in torchdq.Robot.from_mjcf(rigid, lock="k").notes if x.code == "unsimulated.equality"]
 
 
 def test_gravity_is_the_files_unless_it_is_given():

@@ -7,7 +7,7 @@ import time
 
 import pytest
 import torch
-from messages import refused
+from messages import refused, warned
 from urdf_text import also, arm, fixed, joint, link, torques, urdf
 
 import torchdq
@@ -267,6 +267,38 @@ def test_unexpanded_xacro_is_refused_with_the_command_that_expands_it(case, head
 def test_a_root_of_xacro_is_refused_as_xacro_and_a_declaration_is_none():
     refuse(f'<xacro:robot {XACRO}><link name="base"/></xacro:robot>')
     assert is_arm(arm().replace("<robot", f"<robot {XACRO}"))
+
+
+def test_calls_of_macros_that_xacro_left_beside_the_links_are_warned_of_and_definitions_are_not():
+    definitions = '<xacro:property name="x" value="${y}"/><xacro:arg name="hand" default="1"/>'
+    assert is_arm(also(definitions))
+    with warned(UserWarning):
+        robot = Robot.from_urdf(also('<xacro:hand_sensors_usb prefix="left"/>' * 2))
+    assert torch.equal(torques(robot), torques(arm()))
+    assert [x.code for x in robot.notes if x.severity == "warning"] == ["element.ignored"]
+    for inside in ("<xacro:a><xacro:b/></xacro:a>", '<xacro:a p="${x}"/>', '<xacro:if value="1"/>'):
+        refuse(also(inside))
+
+
+BEFORE = ["\n", " \t", "\ufeff\n", "\n\ufeff", "<!-- a comment, \u00e9 -->\n", "<!--a--><!--b-->\ufeff"]
+
+
+@pytest.mark.parametrize("before", BEFORE)
+@pytest.mark.parametrize("declaration", ["", "<?xml version='1.0' encoding='utf-8'?>\n"])
+def test_a_file_may_begin_with_blanks_comments_and_byte_order_marks(before, declaration, tmp_path):
+    text = before + declaration + arm()
+    path = tmp_path / "arm.urdf"
+    path.write_text(text, encoding="utf-8")
+    robot = Robot.from_urdf(path)
+    assert torch.equal(torques(robot), torques(arm())) and is_arm(text)
+    assert robot.to_urdf(text) == text
+    heavier = robot.replace(mass=2 * robot.mass).to_urdf(text)
+    assert heavier.startswith(before + declaration) and torch.equal(Robot.from_urdf(heavier).mass, 2 * robot.mass)
+
+
+def test_a_body_alone_may_have_forces_and_frames_of_drake():
+    robot = Robot.from_urdf(urdf(link("drone"), '<frame name="f"/><force_element name="p"/>'), base="floating")
+    assert robot.base_mass == 1.0 and [x.severity for x in robot.notes if x.code == "element.ignored"] == ["note"] * 2
 
 
 @pytest.mark.parametrize("more", ['<group name="hand"/>', "<robot><link name='c'/></robot>", '<Joint name="j"/>'])

@@ -1,12 +1,13 @@
 """Elements of URDF files: numbers, names and the tree that they make; every fault is named at once, and by code."""
 
+import math
 import re
 import time
 import tracemalloc
 
 import pytest
 import torch
-from messages import refused
+from messages import refused, warned
 from urdf_text import ENTRIES, LIMIT, also, arm, fixed, joint, link, torques, urdf
 
 from torchdq import DescriptionError, Robot
@@ -54,8 +55,6 @@ WRONG = {  # code of the fault: words of the arm's file, and others in their pla
         *((LIMIT, DYNAMICS.format(f'{key}="x"')) for key in ("damping", "friction")),
     ],
     "number.negative": [
-        ('effort="4"', 'effort="-4"'),
-        ('velocity="3"', 'velocity="-1e-9"'),
         *((LIMIT, DYNAMICS.format(f'{key}="-3"')) for key in ("damping", "friction")),
     ],
     "number.large": [
@@ -64,7 +63,6 @@ WRONG = {  # code of the fault: words of the arm's file, and others in their pla
         ('xyz="0.02 -0.03 0.1"', 'xyz="0 0 -1e60"'),
     ],
     "axis.zero": [('xyz="0.0 1.0 0.0"', f'xyz="{x}"') for x in ("0 0 0", "1e-10 0 0", "-0 0 0", "1e-320 0 0")],
-    "limits.reversed": [('upper="2"', 'upper="-2"')],
     "origin.quaternion": [('<origin xyz="0.0 0.0 0.3"', '<origin quat_xyzw="0 0 0 1" xyz="0 0 0.3"')],
 }
 
@@ -133,8 +131,13 @@ MALFORMED = {
     ),
     **{
         f"a joint of type {kind!r}": (link("x") + joint("j", "base", "x", kind), "joint.type", "joint 'j'")
-        for kind in ("floating", "ball", "Revolute", "")
+        for kind in ("ball", "Revolute", "")
     },
+    "a floating joint on a link that moves": (
+        link("x") + joint("j", "lower", "x", "floating", more=""),
+        "joint.floating",
+        "joint 'j'",
+    ),
 }
 
 
@@ -158,6 +161,33 @@ def test_all_faults_are_named_at_once():
     found = faults(also(more, arm(mass="nan", xyz="0 0")))
     assert len(found) >= len(cases) and {MALFORMED[case][1] for case in cases} <= {code for code, _ in found}
     assert [code for code, subject in found if subject == "link 'upper'"] == ["number.invalid"] * 2
+
+
+@pytest.mark.case("U3")
+def test_two_floating_joints_are_refused():
+    text = urdf(
+        link("world", None), link("a"), link("b"), *(joint(x, "world", x[-1], "floating") for x in ("to_a", "to_b"))
+    )
+    for base in ("file", "fixed", "floating"):
+        assert set(faults(text, base=base)) == {("joint.floating", "joint 'to_a'"), ("joint.floating", "joint 'to_b'")}
+
+
+UNUSABLE = {  # words of the limits of a joint: what they are taken for
+    'lower="3" upper="2" velocity="3" effort="4"': (-math.inf, math.inf, 3.0, 4.0),
+    'lower="1" velocity="3" effort="4"': (-math.inf, math.inf, 3.0, 4.0),  # upper is 0, as the format has it
+    'lower="-1" upper="2" velocity="-1e-9" effort="4"': (-1.0, 2.0, math.inf, 4.0),
+    'lower="0" upper="-1" velocity="-1" effort="-1"': (-math.inf, math.inf, math.inf, math.inf),
+}
+
+
+@pytest.mark.parametrize("given", UNUSABLE)
+def test_limits_that_no_motion_can_keep_are_none_and_are_warned_of(given):
+    text = arm().replace(LIMIT, f"<limit {given}/>", 1)
+    with warned(UserWarning):
+        robot = Robot.from_urdf(text)
+    assert tuple(x[0].item() for x in robot.limits) == UNUSABLE[given]
+    assert ("limits.unusable", "joint 'shoulder'") in {(x.code, x.subject) for x in robot.notes}
+    assert torch.equal(torques(robot), torques(arm()))
 
 
 @pytest.mark.case("U3", "U8")

@@ -32,7 +32,7 @@ from urdf_text import (
 )
 
 import torchdq
-from torchdq import ArgumentError, Robot, SingularInertiaError, TorchdqError, UnphysicalError, dq
+from torchdq import ArgumentError, DescriptionError, Robot, SingularInertiaError, TorchdqError, UnphysicalError, dq
 
 F64 = torch.float64
 
@@ -224,6 +224,63 @@ def test_a_free_base_has_the_body_of_its_link_and_of_what_is_locked_to_it():
 def test_a_free_base_with_inertia_alone_is_no_fault():
     found = Robot.from_urdf(tree().replace(link("base", None), link("base", 0.0)), base="floating")
     assert found.base_mass == 0.0 and ("inertia.massless", "link 'base'") in codes(found, ("note",))
+
+
+def floating(origin=((0.3, -0.2, 0.5), (0.4, 0.5, 0.6)), world=None, more=""):
+    """A file whose floating joint carries a trunk with arms, from a link with a stand on it."""
+    stand = fixed("bolt", "world", "stand", (0.1, 0, 0)) + link("stand", None)
+    joints = joint("root", "stand", "base", "floating", *origin, axis=None, more="")
+    return also(link("world", world) + stand + joints + more, FLYING)
+
+
+def test_what_a_floating_joint_carries_is_the_floating_base_as_in_pinocchio():
+    """X_WB is the base in the link that no joint carries; the joint's own coordinates are behind its origin."""
+    text = floating()
+    model = pin.buildModelFromXML(text)
+    data, n = model.createData(), model.nv - 6
+    robot = Robot.from_urdf(text)
+    assert robot.floating and robot.joint_names == tuple(model.names)[2:] and robot.frame_names[0] == "base"
+    rng = np.random.default_rng(0)
+    r, p = rng.normal(size=4), rng.normal(size=3)
+    r /= np.linalg.norm(r)
+    X = dq.from_pose(*map(torch.from_numpy, (r, p)))
+    q, qd, qdd = rng.normal(size=(3, n))
+    V, A = rng.normal(size=(2, 6))
+    at = model.jointPlacements[1].inverse() * pin.SE3(pin.Quaternion(*r), p)
+    where = np.concatenate([pin.SE3ToXYZQUAT(at), q])
+    swapped = [3, 4, 5, 0, 1, 2, *range(6, 6 + n)]  # (linear, angular) of Pinocchio
+    v, a = (np.concatenate(x)[swapped] for x in ((V, qd), (A, qdd)))
+    tensors = [*map(torch.from_numpy, (q, V, qd, A, qdd))]
+    found = torch.cat(torchdq.floating.inverse_dynamics(robot, X, *tensors), -1)
+    assert same(found, pin.rnea(model, data, where, v, a), 1e-12)  # (force, moment) of both
+    M = torchdq.floating.mass_matrix(robot, X, tensors[0])[0]
+    assert same(M, np.array(pin.crba(model, data, where))[np.ix_(swapped, swapped)], 1e-12)
+    pin.framesForwardKinematics(model, data, where)
+    for name in robot.frame_names:
+        pose = dq.to_matrix(torchdq.floating.forward_kinematics(robot, X, tensors[0], name))
+        assert same(pose, data.oMf[model.getFrameId(name)].homogeneous, 1e-12)
+
+
+def test_a_floating_joint_may_be_held_and_then_is_a_fixed_one():
+    text = floating()
+    held = Robot.from_urdf(text, base="fixed")
+    welded = Robot.from_urdf(text.replace('type="floating"', 'type="fixed"'))
+    assert held.frame_names == welded.frame_names and ("joint.held", "root") in codes(held)
+    assert torch.equal(torques(held), torques(welded)) and not held.floating and not welded.floating
+    assert Robot.from_urdf(text, base="floating").floating
+
+
+def test_links_that_a_floating_base_leaves_behind_are_no_frames_and_their_mass_is_warned_of():
+    found = Robot.from_urdf(floating())
+    assert ("frame.left_out", "stand, world") in codes(found) or ("frame.left_out", "world, stand") in codes(found)
+    assert not {"world", "stand"} & set(found.frame_names)
+    with warned(UserWarning):
+        heavy = Robot.from_urdf(floating(world=3.0))
+    assert ("base.left_behind", "link 'world'") in codes(heavy, ("warning",)) and heavy.base_mass == found.base_mass
+    bare = floating(more=link("door") + joint("hinge", "world", "door"))
+    with refused(DescriptionError):
+        Robot.from_urdf(bare)
+    assert Robot.from_urdf(bare, base="fixed").n == found.n + 1 == Robot.from_urdf(bare, lock="hinge").n + 1
 
 
 # --- tip, gravity, what is read but not simulated --------------------------------------------------------------------

@@ -40,10 +40,13 @@ TEXT = """<?xml version="1.0"?>
 <!-- the end -->
 """
 MIMIC = TEXT.replace('<dynamics damping="0.1">', f'{mimic("shoulder", 2)}<dynamics damping="0.1">')
+ROOT = '<link name="world"/><joint name="root" type="floating"><parent link="world"/><child link="base"/>'
+FLOATING = TEXT.replace("</robot>", f'{ROOT}<origin xyz="1 2 3" rpy="1 2 3"/></joint></robot>')
 ROBOTS = ["panda", "ur5_robot", "z1", "talos_left_arm", "double_pendulum", "go2"]
 TEXTS = {
     "two": TEXT,
     "mimic": MIMIC,
+    "floating": FLOATING,
     **{name: oracles.urdf_paths()[name].read_bytes().decode() for name in ROBOTS},
     **{f"random {i}": urdf(*random_elements(i)) for i in range(4)},
 }
@@ -60,6 +63,17 @@ def test_a_robot_is_read_back_as_it_was_written(name):
     written = other.to_urdf(text.encode())
     require_equal(read(written), other)
     assert differences(text, written)
+
+
+def test_the_body_of_a_floating_base_is_written_to_the_link_that_the_joint_carries():
+    robot = read(FLOATING)
+    written = robot.replace(base_mass=2 * robot.base_mass).to_urdf(FLOATING)
+    assert (
+        read(written).base_mass == 6.0
+        and '<link name="base"><inertial><mass value="6.0" /></inertial></link>' in written
+    )
+    held = read(FLOATING, base="fixed")
+    assert held.replace(mass=held.mass).to_urdf(FLOATING) == FLOATING
 
 
 def test_a_path_comments_and_what_stands_around_the_robot_stay(tmp_path):

@@ -41,9 +41,9 @@ def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[Finding]
     Principal moments must not be negative, and none may exceed the sum of the other two. Equality is possible (a
     point, a rod, a plate) and is accepted. In a batch of robots a link has the fault of the first robot that has one.
     """
-    batch = torch.broadcast_shapes(mass.shape[:-1], inertia.shape[:-3])
-    mass, inertia = (x.to("cpu", torch.float64) for x in (mass, inertia))
-    mass, inertia = mass.expand(*batch, -1), inertia.expand(*batch, -1, -1, -1)
+    mass, inertia = (x.to("cpu", torch.float64) for x in (mass[..., None, None], inertia))
+    mass, inertia = torch.broadcast_tensors(mass, inertia)
+    mass = mass[..., 0, 0]
     finite = mass.isfinite() & inertia.isfinite().all(-1).all(-1)
     moments = torch.linalg.eigvalsh(inertia.where(finite[..., None, None], 0.0))
     slack = (TOLERANCE * moments.abs().sum(-1)).maximum(rounding(mass))

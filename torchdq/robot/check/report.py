@@ -33,7 +33,7 @@ def report(robot: RobotModel) -> Report:
     used += [] if robot.gravity is None else [f"gravity {robot.gravity.tolist()} m/s^2"]
     used += [] if robot.armature is None else ["rotor inertia"]
     base = robot.base_mass
-    used += [] if base is None else [f"a free base of {float(base.detach().mean()):.4g} kg"]
+    used += [] if base is None else [f"a floating base of {float(base.detach().mean()):.4g} kg"]
     joints = tuple(
         (name, kind, link, f"{float(robot.mass.detach()[..., i].mean()):.4g} kg", _range(robot, name))
         for i, (name, kind, link) in enumerate(zip(robot.every_joint, robot.kinds, robot.link_names, strict=True))

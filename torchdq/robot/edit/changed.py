@@ -24,7 +24,7 @@ CLOSE = {torch.float64: 1e-12, torch.float32: 1e-6}  # as parts of the largest n
 
 
 class ChangedBody(NamedTuple):
-    """Body of a link, or of a free base, that was changed."""
+    """Body of a link, or of a floating base, that was changed."""
 
     link: int
     body: RigidBody

@@ -31,7 +31,7 @@ ABSENT = (0.0,) * 6  # inertia of a point
 def with_payload(
     robot: AnyRobot, mass: Any, com: Any = (0.0, 0.0, 0.0), inertia: Any = ABSENT, frame: str | None = None
 ) -> AnyRobot:
-    """Robot that holds a body, which becomes part of the link, or of the free base, that carries a frame.
+    """Robot that holds a body, which becomes part of the link, or of the floating base, that carries a frame.
 
     The inertial parameters become arguments of the programs, as by `replace`: another payload, a batch of them and
     gradients in their tensors need no new program. `effects.Payload` is for a body that a scene draws or learns.
@@ -231,7 +231,7 @@ def _require_batch(robot: RobotModel, name: str, axes: tuple[int, ...]) -> None:
 
 
 def _held(robot: RobotModel, link: int, X_BF: Tensor, held: RigidBody) -> dict[str, Tensor]:
-    """Inertial parameters of a robot one of whose links, or free base, holds a body at a pose."""
+    """Inertial parameters of a robot one of whose links, or floating base, holds a body at a pose."""
     whole = lumped(body_at(robot, link), [(X_BF, held)])
     if link == BASE:
         return dict(zip(BASE_BODY, whole, strict=True))

@@ -29,7 +29,7 @@ PER_COORDINATE = {"armature": -1, "damping": -1, "friction": -1}  # fields by th
 
 
 def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> AnyRobot:
-    """Robot with some joints fixed, whose links become parts of those before them, or of a free base.
+    """Robot with some joints fixed, whose links become parts of those before them, or of a floating base.
 
     Joints that follow only locked coordinates are fixed with them.
 
@@ -103,8 +103,8 @@ def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> An
 def subchain(robot: AnyRobot, base: str, tip: str) -> AnyRobot:
     """Chain of the joints between two frames, as a robot fixed at the first of them; all other links are left out.
 
-    Gravity is turned into the axes of the new base, which stands where it is with all joints at home and a free base
-    at the origin.
+    Gravity is turned into the axes of the new base, which stands where it is with all joints at home and a floating
+    base at the origin.
 
     Args:
         robot: the robot.

@@ -125,11 +125,20 @@ def _force(of: MjcfModel, k: int) -> float:
     return bound
 
 
+class Equality(NamedTuple):
+    """Equality constraint that is not simulated."""
+
+    name: str  # with its kind, as in connect 'loop'
+    ends: str  # what it holds together
+    bodies: set[int]  # that it holds together; empty where it holds others
+    disabled: bool  # by a flag of the file
+
+
 class Equalities(NamedTuple):
     """Equality constraints of a model that are active from the start."""
 
     couplings: list[tuple[str, int, Follows]]  # name, joint that follows, and how
-    others: list[str]  # kind and name of those that are not linear couplings of joints, or are disabled by a flag
+    others: list[Equality]  # those that are not linear couplings of joints, or are disabled by a flag
 
 
 def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
@@ -148,5 +157,22 @@ def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
             leader, factor = (None, 0.0) if second < 0 else (second, a1)
             found.append((name, first, Follows(leader, factor, a0)))
         else:
-            others.append(f"{kind.name.removeprefix('mjEQ_').lower()} {name!r}")
+            word = kind.name.removeprefix("mjEQ_")
+            others.append(Equality(f"{word.lower()} {name!r}", *_held_together(of, i, word), off))
     return Equalities(found, others)
+
+
+def _held_together(of: MjcfModel, equality: int, word: str) -> tuple[str, set[int]]:
+    """Names of what an equality constraint holds together, and the bodies, where these are bodies or sites on them."""
+    m, ids = of.model, [int(x[equality]) for x in (of.model.eq_obj1id, of.model.eq_obj2id) if x[equality] >= 0]
+    if word in ("JOINT", "TENDON") or word.startswith("FLEX"):
+        kind = word[:4] if word.startswith("FLEX") else word
+        count = {"JOINT": m.njnt, "TENDON": m.ntendon, "FLEX": m.nflex}[kind]
+        return f"{kind.lower()} {_both(names_of(of, kind, count), ids)}", set()
+    if m.eq_objtype[equality] == int(of.mujoco.mjtObj.mjOBJ_SITE):
+        return f"site {_both(names_of(of, 'SITE', m.nsite), ids)}", {int(m.site_bodyid[k]) for k in ids}
+    return f"body {_both(names_of(of, 'BODY', m.nbody), ids)}", {*ids}
+
+
+def _both(names: list[str], ids: list[int]) -> str:
+    return " and ".join(repr(names[k]) for k in ids)

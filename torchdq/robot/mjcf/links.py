@@ -9,7 +9,6 @@ from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
-from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, double
 from torchdq.robot.assembly import APART, Links, Segment, linked
 from torchdq.robot.description import Frame
@@ -23,7 +22,7 @@ class ModelLinks(NamedTuple):
 
     of: Links
     lumped: int  # bodies that are part of others
-    left_out: list[str]  # bodies and sites that stand still, apart from a free base
+    left_out: list[str]  # bodies and sites that stand still, apart from a floating base
 
 
 def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> ModelLinks:
@@ -33,7 +32,7 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
         of: the model.
         joints: its joints.
         moves: displacement of each of them.
-        base: body that is the free base; None: the base is the world.
+        base: body that is the floating base; None: the base is the world.
     """
     m, names = of.model, names_of(of, "BODY", of.model.nbody)
     segments = [Segment(names[0], None, dual_quaternion.ONE)]
@@ -42,13 +41,6 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
         X = _pose(m.body_quat[i], m.body_pos[i])
         segments.append(Segment(names[i], int(m.body_parentid[i]), X, own, body_of(of, i)))
     found = linked(segments, moves, base)
-    for link in found.links:
-        if link.parent == APART:
-            raise DescriptionError(
-                f"everything that moves must hang on the free body {names[base or 0]!r}, found that joint "
-                f"{link.joint.name!r} carries {link.name!r} apart from it; lock that joint, or hold the free body with "
-                "base='fixed'"
-            )
     carried = {link.joint.body for link in found.links} | {base}
     sites = [(name, *found.places[m.site_bodyid[i]], i) for i, name in enumerate(_site_names(of, names))]
     left_out = [name for name, (link, _) in zip(names[1:], found.places[1:], strict=True) if link == APART]

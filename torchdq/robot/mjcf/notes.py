@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,11 +12,10 @@ from torchdq.robot.assembly import APART
 from torchdq.robot.check.units import TURN
 from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
-from torchdq.robot.mjcf.joints import FREE, MjcfJoint, actuators_at, names_of
+from torchdq.robot.mjcf.joints import FREE, Equality, MjcfJoint, actuators_at, names_of
 from torchdq.robot.mjcf.links import ModelLinks
 from torchdq.robot.mjcf.source import MjcfModel
-
-_URDF = re.compile(r"\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b", re.DOTALL)  # text whose root is that of a URDF
+from torchdq.robot.xml_text import root_name
 
 
 def gravity(of: MjcfModel) -> tuple[float, ...] | None:
@@ -39,7 +37,7 @@ def diagnostics(
     joints: Sequence[MjcfJoint],
     moves: Sequence[Follows],
     bodies: ModelLinks,
-    others: Sequence[str],
+    others: Sequence[Equality],
     falls: bool,
 ) -> list[Finding]:
     """Findings of a model; parts that would act on its motion, and are not read, have codes that begin `UNSIMULATED`.
@@ -53,9 +51,10 @@ def diagnostics(
     """
     return [
         *_ignored(of, joints, moves, bodies, falls),
+        *_open(others, bodies),
         *_degrees(of, joints),
         *_used_otherwise(of, joints, moves, bodies),
-        *_unsimulated(of, joints, moves, others),
+        *_unsimulated(of, joints, moves),
     ]
 
 
@@ -92,9 +91,7 @@ def _used_otherwise(
     return [x for x in found if x.subject] + [note(code, [], words) for code, words in more.items() if words]
 
 
-def _unsimulated(
-    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], others: Sequence[str]
-) -> list[Finding]:
+def _unsimulated(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows]) -> list[Finding]:
     """Notes on parts that would act on the motion, and that a robot has no field for."""
     m = of.model
     moving = [joint for joint in joints if moves[joint.row].leader is not None]
@@ -110,11 +107,10 @@ def _unsimulated(
     given: list[tuple[str, Sequence[Any], str]] = [
         ("damping", [j for j in single if m.dof_dampingpoly[dof(j)].any()], "damping that is not linear, not used"),
         ("spring", [j for j in moving if _spring(of, j.row)], "springs given but not simulated"),
-        ("base", [j for j in free if _resists(of, dof(j))], "damping or friction of the free base, not used"),
+        ("base", [j for j in free if _resists(of, dof(j))], "damping or friction of the floating base, not used"),
         ("actuator", read, "actuators not simulated; their greatest efforts, damping and rotor inertia are read"),
         ("actuator", [name for k, name in actuators if k not in acting], "actuators that act on no joint, not used"),
         ("tendon", names_of(of, "TENDON", m.ntendon), "tendons not used"),
-        ("equality", others, "equality constraints not used"),
         ("flex", names_of(of, "FLEX", m.nflex), "flexible bodies not used"),
         ("plugin", names_of(of, "PLUGIN", m.nplugin), "plugins not used"),
         ("contact", ["geoms"] if of.collides else [], "contacts given but not simulated"),
@@ -147,9 +143,24 @@ def _ignored(
     if falls and relieved and _relieved(of) != {1.0}:
         what = "gravcomp ignored: gravity acts on them in full"
         found.append(Finding(f"{UNSIMULATED}gravcomp", ", ".join(relieved), what))
-    if _URDF.match(of.source.text):
+    if root_name(of.source.text) == "robot":
         what = "the file is a URDF, of which MuJoCo leaves out joints that mimic others, and frames on fixed joints"
         found.append(Finding(f"{UNSIMULATED}urdf", "", what, cure="Robot.from_urdf reads them"))
+    return found
+
+
+def _open(others: Sequence[Equality], bodies: ModelLinks) -> list[Finding]:
+    """Warnings of equality constraints that are left open; those of bodies on one link hold anyway."""
+    found = []
+    for name, ends, of, disabled in others:
+        if disabled:
+            found.append(note(f"{UNSIMULATED}equality", [name], "disabled by a flag of the file, not used"))
+        elif len({bodies.of.places[i][0] for i in of}) != 1:
+            what = f"it is left open, so that {ends} move apart"
+            cure = (
+                "closed loops are not simulated, only linear couplings of joints: write it as one, or lock its joints"
+            )
+            found.append(Finding(f"{UNSIMULATED}equality", name, what, cure=cure))
     return found
 
 

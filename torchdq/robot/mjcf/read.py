@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from torch import Tensor
 
@@ -19,15 +19,13 @@ from torchdq.findings import Finding
 from torchdq.robot.arrays import MOST, matrices
 from torchdq.robot.assembly import described
 from torchdq.robot.check import consistency
-from torchdq.robot.description import RobotDescription, note
+from torchdq.robot.description import Base, RobotDescription, note
 from torchdq.robot.edit.couplings import Follows, solved
 from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep, warn_beyond_limits
 from torchdq.robot.mjcf import notes as mjcf_notes
 from torchdq.robot.mjcf.joints import BALL, FREE, MjcfJoint, equalities, joints_of
 from torchdq.robot.mjcf.links import ModelLinks, links_of
 from torchdq.robot.mjcf.source import MjcfModel, compiled
-
-MjcfBase = Literal["file", "fixed", "floating"]
 
 
 class Mjcf(NamedTuple):
@@ -40,9 +38,9 @@ class Mjcf(NamedTuple):
     bodies: ModelLinks
 
 
-def read(source: Any, base: MjcfBase, kept: Any = None, lock: Any = None, gravity: Any = "file") -> Mjcf:
+def read(source: Any, base: Base, kept: Any = None, lock: Any = None, gravity: Any = "file") -> Mjcf:
     """Contents of a file; `Robot.from_mjcf` says what is expected."""
-    require_choice("base", base, ("file", "fixed", "floating"))
+    require_choice("base", base, get_args(Base))
     of = compiled(source)
     joints = joints_of(of)
     found = equalities(of, joints)
@@ -78,7 +76,7 @@ def read(source: Any, base: MjcfBase, kept: Any = None, lock: Any = None, gravit
 # --- joints that move ------------------------------------------------------------------------------------------------
 
 
-def _given(of: MjcfModel, joints: Sequence[MjcfJoint], base: MjcfBase, lock: Any) -> dict[int, float]:
+def _given(of: MjcfModel, joints: Sequence[MjcfJoint], base: Base, lock: Any) -> dict[int, float]:
     """Displacements [rad or m] of the joints that arguments hold."""
     by_name = {joint.name: joint for joint in joints}
     held = {joint.row: 0.0 for joint in joints if joint.kind == FREE and base == "fixed"}
@@ -103,8 +101,8 @@ def _kept(joints: Sequence[MjcfJoint], moves: Sequence[Follows], names: Any, loc
     return [x if x.leader in roots else Follows(None, 0.0, x.offset) for x in moves]
 
 
-def _free_base(joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: MjcfBase) -> int | None:
-    """Body that is a free base, if there is one; raises if more than one is free or another joint has no coordinate."""
+def _free_base(joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: Base) -> int | None:
+    """Body that is the floating base; None: the base is fixed. Raises for two of them, and for ball joints."""
     left = [joint for joint in joints if moves[joint.row].leader is not None]
     if balls := [joint.name for joint in left if joint.kind == BALL]:
         raise DescriptionError(

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from torchdq.base.optional import imported
 from torchdq.base.sources import located, xml
 from torchdq.errors import DescriptionError, MissingFileError, MissingLibraryError
+from torchdq.robot.xml_text import root_name
 
 OLDEST = 4  # version of MuJoCo
 MOST_BYTES = 50_000_000
@@ -78,7 +79,7 @@ def _attempt(step: Callable[[], Any], needed: list[str] | None = None) -> Any:
 def _text(source: Any) -> MjcfText:
     """XML text of a source."""
     text = xml("robot description", source, MOST_BYTES, DescriptionError, MissingFileError)
-    if "<mujoco" not in text and "<robot" not in text:
+    if root_name(text) not in ("mujoco", "robot"):
         expected = "an MJCF file, whose root element is <mujoco>"
         raise DescriptionError(f"the robot description must be {expected}, found {reprlib.repr(text)}")
     if "\0" in text:

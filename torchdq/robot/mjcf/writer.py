@@ -14,6 +14,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import double, matrices
 from torchdq.robot.bodies import NOTHING, merged
+from torchdq.robot.description import Base
 from torchdq.robot.edit.changed import (
     ChangedBody,
     ChangedJoint,
@@ -54,7 +55,7 @@ def to_mjcf(robot: RobotModel, original: Any) -> str:
         ArgumentError: the robot has other links, joints or frames than the file (it was locked or cut), or numbers that
             have no place there: limits of velocity and effort, infinite limits, bodies in files that are included.
     """
-    base: mjcf.MjcfBase = "fixed" if robot.base_mass is None else "floating"
+    base: Base = "fixed" if robot.base_mass is None else "floating"
     first = mjcf.read(original, base)
     text = first.of.source.text
     before = _robot(robot, first)

@@ -15,8 +15,9 @@ from torchdq.robot.assembly import Links
 from torchdq.robot.check.units import TURN
 from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
-from torchdq.robot.urdf.document import EXTENSIONS
+from torchdq.robot.urdf.document import DEFINITIONS, EXTENSIONS, XACRO
 from torchdq.robot.urdf.elements import Elements
+from torchdq.robot.urdf.segments import Rooted, massive
 
 TAGS = {
     "robot": {"link", "joint"} | EXTENSIONS,
@@ -41,8 +42,8 @@ MOST_NAMED = 20  # ignored elements, and as many that may matter
 def diagnostics(
     root: ET.Element,
     file: Elements,
+    tree: Rooted,
     links: Links,
-    frames: Sequence[str],
     free: Sequence[Follows],
     moves: Sequence[Follows],
     coupled: bool,
@@ -52,14 +53,14 @@ def diagnostics(
     Args:
         root: its root element.
         file: its links and joints.
+        tree: how they hang together.
         links: those that move.
-        frames: links that are left out because nothing carries them.
         free, moves: displacements of the joints, without and with locks.
         coupled: whether joints follow others by <mimic>.
     """
     joints = _joints(root, file, links, coupled)
-    rows = [*_bodies(root, file, links, frames), *joints, *_standing(file, free, moves)]
-    found = [*_ignored(root), *_orphans(file, coupled), *_degrees(file)]
+    rows = [*_bodies(root, file, tree, links), *joints, *_standing(file, free, moves)]
+    found = [*_ignored(root), *_orphans(file, coupled), *_unusable(file), *_world(file, tree), *_degrees(file)]
     # a note about joints, not about names, may be about all of them
     among = {code: len(links.links) for code, about, _ in joints if about and not isinstance(about[0], str)}
     return [*found, *(note(*row, among.get(row[0], 0)) for row in rows if row[1])]
@@ -92,6 +93,12 @@ def _tags(element: ET.Element, used: set[str]) -> Iterator[tuple[str, str, bool]
     for tag, count in counts.items():
         if tag in known and tag in used and count > 1 and element.tag != "robot":
             yield f"<{tag}> is given {count} times, of which the first is read", "", True
+        elif tag.startswith(XACRO) and tag not in DEFINITIONS:
+            yield (
+                f"<{_short(tag)}> is not read",
+                "expand the xacro file again if it stands for a part of the robot",
+                True,
+            )
         elif ":" in tag or tag in known:
             continue
         elif tag in USED:
@@ -134,6 +141,24 @@ def _orphans(file: Elements, coupled: bool) -> Iterator[Finding]:
             yield Finding("mimic.orphan", f"joint {name!r}", what, cure=meant)
 
 
+def _unusable(file: Elements) -> Iterator[Finding]:
+    """Limits that no motion can keep."""
+    for name, joint in file.joints.items():
+        if joint.unusable:
+            what = f"limits that no motion can keep are taken as none: {', '.join(joint.unusable)}"
+            yield Finding("limits.unusable", f"joint {name!r}", what)
+
+
+def _world(file: Elements, tree: Rooted) -> Iterator[Finding]:
+    """Mass of the links that a floating base leaves behind."""
+    for name in sorted(tree.still):
+        if tree.free is not None and massive(file.links[name]):
+            what = f"its mass is not used, because it stands still: joint {tree.free.name!r} floats"
+            yield Finding(
+                "base.left_behind", f"link {name!r}", what, cure="if it is part of the base, make that joint fixed"
+            )
+
+
 def _degrees(file: Elements) -> Iterator[Finding]:
     """Angles of placements that are larger than a turn."""
     placed = [(f"link {name!r}", "rpy of its inertial", body.origin.rpy) for name, body in file.links.items() if body]
@@ -149,15 +174,19 @@ def _degrees(file: Elements) -> Iterator[Finding]:
 NoteArguments = tuple[str, Sequence[Any], str]
 
 
-def _bodies(root: ET.Element, file: Elements, links: Links, frames: Sequence[str]) -> list[NoteArguments]:
+def _bodies(root: ET.Element, file: Elements, tree: Rooted, links: Links) -> list[NoteArguments]:
     """Links that are left out or have no numbers."""
+    world = [] if tree.free is None else [name for name in file.links if name in tree.still]
+    held = [x for x in file.joints.values() if x.kind == "floating" and x is not tree.free]
     bodies = {frame.name: file.links[frame.name] for frame in links.frames if frame.link >= 0}
     empty = [x.get("name", "") for x in root.findall("link") if x.find("inertial") is not None]
     empty = [name for name in empty if file.links.get(name) is None and name not in file.unreadable]
     points = [name for name, body in bodies.items() if body and body.mass and not body.stated]
-    fixed = [joint for joint in file.joints.values() if not joint.moves]
+    fixed = [joint for joint in file.joints.values() if joint.kind == "fixed"]
     return [
-        ("frame.left_out", frames, "nothing carries it and it has neither body nor joint, left out"),
+        ("frame.left_out", tree.frames, "nothing carries it and it has neither body nor joint, left out"),
+        ("frame.left_out", world, "left out, because it stands still and the base is floating"),
+        ("joint.held", held, "held where the file puts it"),
         ("inertial.unreadable", [*file.unreadable], "<inertial> cannot be read, of a link that never moves"),
         ("inertial.no_mass", empty, "<inertial> gives no <mass>, taken as massless"),
         ("link.massless", [name for name, x in bodies.items() if x is None or x.mass == 0], "no mass"),

@@ -15,6 +15,7 @@ MOST_BYTES = 10_000_000
 MOST_LINKS = 2_000
 # children of <robot>, besides links and joints, that say nothing of a tree of bodies
 EXTENSIONS = {"material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"}
+DRAKE = {"frame", "force_element"}  # beside the links of a body without joints
 SEMANTIC = {
     "group",
     "group_state",
@@ -41,7 +42,11 @@ UNMARKED = {  # by the beginning of the text
     "404": "a server's answer that there is no such file; check the address it was downloaded from",
     "solid": "this is a mesh; load the URDF file that names it",
 }
-XACRO = (
+XACRO = "xacro:"
+DEFINITIONS = {f"{XACRO}{name}" for name in ("property", "arg")}  # which hold no part of a robot
+# all others are calls of macros
+LANGUAGE = {f"{XACRO}{x}" for x in ("include", "macro", "if", "unless", "element", "attribute", "insert_block", "call")}
+UNEXPANDED = (
     "this is xacro, which must be expanded first: use Robot.from_xacro(path), or run `xacro` and load what it writes"
 )
 
@@ -63,13 +68,14 @@ def root_of(source: Any) -> ET.Element:
         raise DescriptionError(f"the file must hold <robot>, found <!DOCTYPE html>; {FOREIGN['html']}")
     root = parsed(text)
     if (found := next(_xacro(root), None)) is not None:
-        raise DescriptionError(f"{XACRO}; found {reprlib.repr(found)[1:-1]}")
+        raise DescriptionError(f"{UNEXPANDED}; found {reprlib.repr(found)[1:-1]}")
     if root.tag != "robot":
         advice = FOREIGN.get(root.tag, "a URDF file was expected")
         shown = reprlib.repr(root.tag)[1:-1]
         raise DescriptionError(f"the file's root element must be <robot>, found <{shown}>; {advice}")
     # extensions with a prefix say nothing of bodies either
-    others = sorted(tag for tag in {child.tag for child in root} - {"link", "joint"} - EXTENSIONS if ":" not in tag)
+    read = {"link", "joint"} | EXTENSIONS | DRAKE
+    others = sorted(tag for tag in {child.tag for child in root} - read if ":" not in tag)
     if others and root.find("joint") is None:
         advice = "a robot is described by <link> and <joint>" if SEMANTIC.isdisjoint(others) else FOREIGN["srdf"]
         raise DescriptionError(f"<robot> holds no <joint> but {reprlib.repr(others)}; {advice}")
@@ -80,15 +86,19 @@ def root_of(source: Any) -> ET.Element:
 
 
 def _xacro(root: ET.Element) -> Iterator[str]:
-    """Tags and values that only the macros of xacro can be, outside of what is not read."""
-    elements = [root]
+    """Tags and values that xacro has not expanded, and that the robot depends on.
+
+    Old versions of xacro leave calls of macros that they do not know; those beside the links and joints are only warned
+    of, unless they are all that there is.
+    """
+    elements, stray = [root], set() if root.find("joint") is None else {id(element) for element in root}
     while elements:
         element = elements.pop()
-        if element.tag in ("visual", "collision", *EXTENSIONS):
+        if element.tag in ("visual", "collision", *DEFINITIONS, *EXTENSIONS):
             continue
-        if element.tag.startswith("xacro:"):
+        if element.tag in LANGUAGE or (element.tag.startswith(XACRO) and id(element) not in stray):
             yield f"<{element.tag}>"
         for name, value in element.attrib.items():
-            if name.startswith("xacro:") or "${" in value or "$(" in value:
+            if name.startswith(XACRO) or "${" in value or "$(" in value:
                 yield f'{name}="{value}"'
         elements += reversed(element)

@@ -16,6 +16,7 @@ from torchdq.robot.arrays import MOST
 from torchdq.robot.edit.couplings import Follows
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+OTHERS = ("planar", "floating", "fixed")
 ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 PLANAR = ("x", "y", "angle")  # ends of the names of the joints that a planar joint is made of
 MOST_CHARACTERS = 1_000  # longest name
@@ -43,7 +44,7 @@ class UrdfJoint(NamedTuple):
     """Joint element."""
 
     name: str
-    kind: str  # "revolute", "prismatic" or "fixed"
+    kind: str  # "revolute", "prismatic", "fixed" or "floating"
     parent: str
     child: str
     origin: Origin
@@ -56,14 +57,15 @@ class UrdfJoint(NamedTuple):
     damping: float
     friction: float
     mimic: Follows | None  # the leader by name
+    unusable: tuple[str, ...] = ()  # limits that no motion can keep, taken as none
     row: int = -1  # among the joints of the file
     home: float = 0.0
     armature: float = 0.0
 
     @property
     def moves(self) -> bool:
-        """Whether the joint is not fixed."""
-        return self.kind != "fixed"
+        """Whether the joint has a coordinate; a floating one has none, as it carries the base."""
+        return self.kind in MOVING
 
     @property
     def screw(self) -> Screw:
@@ -199,10 +201,9 @@ def _inertial(link: ET.Element, faults: list[Finding]) -> Inertial | None:
 
 def _joint(name: str, element: ET.Element, faults: list[Finding]) -> UrdfJoint:
     part, kind = _Part(f"joint {name!r}", "", element, faults), element.get("type", "")
-    if kind not in MOVING and kind not in ("fixed", "planar"):
-        cure = "leave it out and pass base='floating' if it carries the robot" if kind == "floating" else ""
-        known = "type must be revolute, continuous, prismatic, planar or fixed"
-        part.fault("joint.type", known, reprlib.repr(kind), cure)
+    if kind not in MOVING and kind not in OTHERS:
+        known = f"type must be {', '.join((*MOVING, *OTHERS[:-1]))} or {OTHERS[-1]}"
+        part.fault("joint.type", known, reprlib.repr(kind))
     ends = []
     for end in ("parent", "child"):
         ends.append(part.child(end).name("link"))
@@ -220,14 +221,12 @@ def _joint(name: str, element: ET.Element, faults: list[Finding]) -> UrdfJoint:
             place = key in ("lower", "upper")
             # the format's own default for a limit that is not stated is 0 for the positions
             if place or key in limit.element.attrib:
-                bounds[key] = limit.number(key, 0.0, signed=place, most=math.inf)
-        if bounds["lower"] > bounds["upper"]:
-            expected = f"lower limit {bounds['lower']:g} is above upper limit {bounds['upper']:g}"
-            part.fault("limits.reversed", expected)
+                bounds[key] = limit.number(key, 0.0, most=math.inf)
+    bounds, unusable = _usable(bounds)
     dynamics, mimic = part.child("dynamics"), part.child("mimic")
     return UrdfJoint(
         name,
-        MOVING.get(kind, "planar" if kind == "planar" else "fixed"),
+        MOVING.get(kind, kind if kind in OTHERS else "fixed"),
         ends[0],
         ends[1],
         origin,
@@ -242,7 +241,18 @@ def _joint(name: str, element: ET.Element, faults: list[Finding]) -> UrdfJoint:
         mimic=None
         if mimic.element is None
         else Follows(mimic.name("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)),
+        unusable=unusable,
     )
+
+
+def _usable(bounds: dict[str, float]) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Limits without those that no motion can keep, by which files mean that there are none, and these in words."""
+    wrong = [key for key in ("velocity", "effort") if bounds[key] < 0]
+    shown = [f"{key} {bounds[key]:g}" for key in wrong]
+    if bounds["lower"] > bounds["upper"]:
+        wrong += ["lower", "upper"]
+        shown.insert(0, f"lower {bounds['lower']:g} above upper {bounds['upper']:g}")
+    return bounds | {key: UNLIMITED[key] for key in wrong}, tuple(shown)
 
 
 def _taken_apart(joint: UrdfJoint, names: list[str]) -> list[UrdfJoint]:
@@ -263,6 +273,7 @@ def _taken_apart(joint: UrdfJoint, names: list[str]) -> list[UrdfJoint]:
             origin=joint.origin if i == 0 else Origin(),
             axis=axes[i],
             **UNLIMITED,  # type: ignore[arg-type]
+            unusable=(),
             mimic=None,
         )
         for i, name in enumerate(names)

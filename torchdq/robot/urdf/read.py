@@ -13,7 +13,7 @@ from torchdq.findings import Finding
 from torchdq.robot.arrays import SIX, double, matrices
 from torchdq.robot.assembly import described, linked
 from torchdq.robot.check import consistency
-from torchdq.robot.description import RobotDescription, note
+from torchdq.robot.description import Base, RobotDescription, note
 from torchdq.robot.urdf.diagnostics import diagnostics
 from torchdq.robot.urdf.document import root_of
 from torchdq.robot.urdf.elements import Elements, elements
@@ -22,33 +22,39 @@ from torchdq.robot.urdf.segments import rooted, segments_of
 
 
 def read(
-    source: Any, kept: Any = None, lock: Any = None, base: str = "fixed", mimic: str = "coupled", repair: bool = False
+    source: Any, kept: Any = None, lock: Any = None, base: Base = "file", mimic: str = "coupled", repair: bool = False
 ) -> RobotDescription:
     """Description of the robot in a file; `Robot.from_urdf` says what is expected."""
-    free, coupled = base == "floating", mimic == "coupled"
+    coupled = mimic == "coupled"
     root = root_of(source)
     found = elements(root)
     faults: list[Finding] = []
-    tree = rooted(found, faults)
+    tree = rooted(found, base, faults)
+    root_floats = base == "floating" and tree.free is None
+    floating = root_floats or tree.free is not None
     still_free = motions(found.joints, coupled, faults)
     # bodies that never move need not be readable
-    excused = set() if free or faults else tree.still
+    excused = set() if root_floats or faults else tree.still
     unreadable = [x for name, all_of in found.unreadable.items() if name not in excused for x in all_of]
     if faults := [x._replace(severity="error") for x in (*unreadable, *found.faults, *faults)]:
         lines = "\n  ".join(map(str, faults))
         raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *faults)
     moves, lock_notes = locked(found, still_free, coupled, kept, lock)
     judged, findings = _physical(found, repair)
-    links = linked(segments_of(judged, tree.base, moves), moves)
-    moving = {frame.name for frame in links.frames if free or frame.link != BASE}
+    segments = segments_of(judged, tree.root, moves)
+    carried = None if tree.free is None else [segment.name for segment in segments].index(tree.free.child)
+    links = linked(segments, moves, carried)
+    moving = {frame.name for frame in links.frames if floating or frame.link != BASE}
     unphysical = [x for name, all_of in findings.items() if name in moving for x in all_of]
     body = links.bodies[BASE]
-    if free and not any((body.mass, *body.inertia)):
-        expected, missing = "a free base must have mass", "none on it and on links that are fixed to it"
+    if floating and not any((body.mass, *body.inertia)):
+        expected, missing = "a floating base must have mass", "none on it and on links that are fixed to it"
         cure = "give it mass, or pass base='fixed'"
-        unphysical.append(Finding("base.massless", f"link {tree.base!r}", expected, missing, cure, severity="error"))
-    notes = diagnostics(root, found, links, tree.frames, still_free, moves, coupled)
-    return described(found.name, links, moves, free, (*unphysical, *lock_notes, *notes))
+        unphysical.append(
+            Finding("base.massless", f"link {segments[carried or 0].name!r}", expected, missing, cure, severity="error")
+        )
+    notes = diagnostics(root, found, tree, links, still_free, moves, coupled)
+    return described(found.name, links, moves, floating, (*unphysical, *lock_notes, *notes))
 
 
 def _physical(file: Elements, repair: bool) -> tuple[Elements, dict[str, list[Finding]]]:

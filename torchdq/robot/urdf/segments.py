@@ -6,7 +6,7 @@ Joints come depth first, those on a link in the alphabetical order of their name
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from torchdq.algebra import dual_quaternion
@@ -16,36 +16,42 @@ from torchdq.algebra.inertia import RigidBody
 from torchdq.findings import Finding
 from torchdq.robot.assembly import Segment
 from torchdq.robot.bodies import NOTHING
+from torchdq.robot.description import Base
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.urdf.elements import Elements, Inertial, Origin, UrdfJoint, listed
 
+OPEN = (
+    "closed loops are not simulated: leave one of its joints out, and say by <mimic>, or by robot.couple, how the "
+    "others move with it"
+)
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Rooted(NamedTuple):
-    """Base of a tree of links."""
+    """Root of a tree of links."""
 
-    base: str  # link that no joint carries
+    root: str  # link that no joint carries
     frames: list[str]  # others that no joint carries, which are left out
-    still: set[str]  # links that never move
+    free: UrdfJoint | None  # floating joint, which carries the base; None: there is none, or it is held
+    still: set[str]  # links that never move, unless the root itself is a floating base
 
 
-def rooted(file: Elements, faults: list[Finding]) -> Rooted:
-    """Base of the links of a file; faults keep links and joints from being one tree."""
+def rooted(file: Elements, base: Base, faults: list[Finding]) -> Rooted:
+    """Root of the links of a file; faults keep links and joints from being one tree."""
     links = file.links
     carried: dict[str, str] = {}  # link -> joint that carries it
-    children = children_of(file.joints)
+    children = children_of(file.joints.values())
     for name, joint in file.joints.items():
         for end in (joint.parent, joint.child):
             if end and end not in links:
                 faults.append(Finding("link.unknown", f"joint {name!r}", f"there is no link {end!r}"))
         if joint.child in carried:
             found = f"it is carried by two joints, {carried[joint.child]!r} and {name!r}"
-            faults.append(Finding("link.carried_twice", f"link {joint.child!r}", found))
+            faults.append(Finding("link.carried_twice", f"link {joint.child!r}", found, cure=OPEN))
         if joint.child:
             carried[joint.child] = name
     roots = [link for link in links if link not in carried]
-    bases = roots if len(roots) == 1 else [link for link in roots if link in children or _massive(links[link])]
+    bases = roots if len(roots) == 1 else [link for link in roots if link in children or massive(links[link])]
     if len(bases) != 1:
         expected = "exactly one link must be the base, carried by no joint"
         expected = expected if links else f"the robot has no links; {expected}"
@@ -54,21 +60,28 @@ def rooted(file: Elements, faults: list[Finding]) -> Rooted:
     reached = below([*roots, *(parent for parent in children if parent not in links)], children)
     if loose := [link for link in links if link not in reached]:
         faults.append(Finding("link.loop", "", f"links {listed(loose)} hang in a loop"))
-    base = bases[0] if bases else ""
-    still = below([base], children_of(file.joints, fixed=True))
-    return Rooted(base, [link for link in roots if link not in bases], still)
+    root = bases[0] if bases else ""
+    world = below([root], children_of(x for x in file.joints.values() if x.kind == "fixed"))
+    floating = [joint for joint in file.joints.values() if joint.kind == "floating"]
+    for joint in floating:
+        if joint.parent not in world or len(floating) > 1:
+            expected = "a floating joint must be the only one, and carry the base of the robot from a link that stands"
+            faults.append(Finding("joint.floating", f"joint {joint.name!r}", expected, f"parent {joint.parent!r}"))
+    free = floating[0] if floating and base != "fixed" else None
+    still = below([root], children_of(x for x in file.joints.values() if not x.moves and x is not free))
+    return Rooted(root, [link for link in roots if link not in bases], free, still)
 
 
-def _massive(body: Inertial | None) -> bool:
+def massive(body: Inertial | None) -> bool:
+    """Whether a body has mass or inertia."""
     return body is not None and any((body.mass, *body.inertia))
 
 
-def children_of(joints: Mapping[str, UrdfJoint], fixed: bool = False) -> dict[str, list[str]]:
-    """Links that each link carries, by any joint or by fixed ones alone."""
+def children_of(joints: Iterable[UrdfJoint]) -> dict[str, list[str]]:
+    """Links that each link carries by these joints."""
     children: dict[str, list[str]] = {}
-    for joint in joints.values():
-        if not (fixed and joint.moves):
-            children.setdefault(joint.parent, []).append(joint.child)
+    for joint in joints:
+        children.setdefault(joint.parent, []).append(joint.child)
     return children
 
 
@@ -83,14 +96,14 @@ def below(roots: Sequence[str], children: Mapping[str, Sequence[str]]) -> set[st
     return reached
 
 
-def segments_of(file: Elements, base: str, moves: Sequence[Follows]) -> list[Segment]:
-    """Links as segments, from the base on."""
+def segments_of(file: Elements, root: str, moves: Sequence[Follows]) -> list[Segment]:
+    """Links as segments, from the root on."""
     carries: dict[str, list[UrdfJoint]] = {}
     for name in sorted(file.joints, reverse=True):
         carries.setdefault(file.joints[name].parent, []).append(file.joints[name])
-    found = [Segment(base, None, dual_quaternion.ONE, (), *body_of(file.links[base]))]
-    at = {base: 0}
-    waiting = [*carries.get(base, ())]
+    found = [Segment(root, None, dual_quaternion.ONE, (), *body_of(file.links[root]))]
+    at = {root: 0}
+    waiting = [*carries.get(root, ())]
     while waiting:
         joint = waiting.pop()
         # the effort of a joint that follows is its driver's

@@ -11,6 +11,7 @@ from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.bodies import NOTHING, merged
+from torchdq.robot.description import Base
 from torchdq.robot.edit.changed import (
     ChangedBody,
     ChangedJoint,
@@ -57,7 +58,7 @@ def to_urdf(robot: RobotModel, original: Any) -> str:
     text = text_of(original)
 
     def read_as(text: str, **options: Any) -> RobotModel:
-        base = "fixed" if robot.base_mass is None else "floating"
+        base: Base = "fixed" if robot.base_mass is None else "floating"
         return type(robot)(**vars(read(text, base=base, **options)), gravity=None)
 
     options: dict[str, Any] = {}
