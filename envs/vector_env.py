@@ -438,7 +438,7 @@ def _robot_of(robot: str | Path | Robot) -> Robot:
     found = robot if isinstance(robot, Robot) else Robot.from_urdf(robot)
     if found.floating:
         raise ArgumentError(
-            f"robot {found.name!r} must have a fixed base in environments, found a free one, which a Scene can step"
+            f"robot {found.name!r} must have a fixed base in environments, found a floating one, which a Scene can step"
         )
     one = {name: (getattr(found, name), len(SHAPES[name])) for name in (*GEOMETRY, "home")}
     one["limits"] = (max(found.limits, key=Tensor.dim), 1)

@@ -1,4 +1,4 @@
-"""Functions of robots with a free base agree with Pinocchio's with a free-flyer.
+"""Functions of robots with a floating base agree with Pinocchio's with a free-flyer.
 
 Errors are relative to the size of what is added up: of generalised forces, the sum of the magnitudes |Y| |pi| of their
 terms; of accelerations, 64 eps times the condition number of the mass matrix scaled to a unit diagonal.

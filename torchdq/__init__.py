@@ -26,7 +26,7 @@ Functions of a robot, batched and differentiable to any order:
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
     jacobian                twist of a frame from joint velocities
     computed_torque         torques of a tracking controller
-    floating                the same for robots with a free base, and their momentum: floating.inverse_dynamics, ...
+    floating                the same for robots with a floating base, and their momentum: floating.inverse_dynamics, ...
 
 Layers, with quantities that may be learned and stay physical:
     InverseDynamics         inverse dynamics, also under the name of the paper's algorithm, DQRNEA

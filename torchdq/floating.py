@@ -1,4 +1,4 @@
-"""Rigid-body dynamics of a robot with a free base: a humanoid, a quadruped, an arm on a satellite.
+"""Rigid-body dynamics of a robot with a floating base: a humanoid, a quadruped, an arm on a satellite.
 
 Load the robot with `base="floating"`. The pose of the base stays beside the joint positions q, never in one vector
 with them: X_WB [..., 8] is the pose of the base B in the world W, a unit dual quaternion (`torchdq.dq`). Velocities
@@ -98,7 +98,7 @@ def inverse_dynamics(
     """Wrench on the base [..., 6] and joint torques [..., n] that produce a motion.
 
     Args:
-        robot: the robot, with a free base.
+        robot: the robot, with a floating base.
         X_WB: pose of the base in the world, a unit dual quaternion, shape [..., 8] (see `torchdq.dq.normalize`).
             This is not checked: with a pose that is not unit, gravity has a wrong size.
         q: joint positions [rad or m], shape [..., n].

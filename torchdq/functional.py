@@ -9,8 +9,8 @@ finite and does not change another.
 NVIDIA GPUs; "eager", torch operations, on any device; "auto", the first of these that can run on the device; None, that
 of the innermost `torchdq.backend` block, or "auto".
 
-Functions of robots with a free base are those of `torchdq.floating`, with the same arguments in the same order, each
-with that of the base before it.
+Functions of robots with a floating base are those of `torchdq.floating`, with the same arguments in the same order,
+each with that of the base before it.
 """
 
 from collections.abc import Sequence

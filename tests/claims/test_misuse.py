@@ -94,7 +94,7 @@ MISUSE = {
     "compile a class": lambda: torchdq.compile(Robot),
     "compile no function": lambda: torchdq.compile(ARM),
     "compile a list": lambda: torchdq.compile(ARM, ["mass_matrix"]),
-    "compile for a free base": lambda: torchdq.compile(ARM, "floating.mass_matrix"),
+    "compile for a floating base": lambda: torchdq.compile(ARM, "floating.mass_matrix"),
     "export nowhere": lambda: torchdq.compile(ARM, "mass_matrix").export(None),
     "export into a file": lambda: torchdq.compile(ARM, "mass_matrix").export(__file__),
     # poses

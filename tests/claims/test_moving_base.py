@@ -30,7 +30,7 @@ X_BT = dq.from_pose((0.5, 0.5, -0.5, 0.5), (0.3, -0.2, 0.4))  # a tool on the la
 
 
 class Moving(NamedTuple):
-    """A random robot on a free base in every form, Pinocchio's model of it, and a motion."""
+    """A random robot on a floating base in every form, Pinocchio's model of it, and a motion."""
 
     case: FreeFlyer
     forms: dict[str, General | Aligned]

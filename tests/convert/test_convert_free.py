@@ -1,4 +1,4 @@
-"""Converters of free bases: there and back, in values and derivatives, and against Pinocchio and MuJoCo themselves."""
+"""Converters of floating bases: there and back, values and derivatives, against Pinocchio and MuJoCo themselves."""
 
 import mujoco
 import numpy as np

@@ -53,7 +53,7 @@ PROGRAMS = {
     "jacobian": lambda dtype: torchdq.compile(TWO, "forward_dynamics", dtype).jacobian(),
     "parameters": program(panda(), "inverse_dynamics"),
     "gradient in parameters": lambda dtype: torchdq.compile(two_link("mass"), "inverse_dynamics", dtype).vjp(),
-    "free base": program(free(), "floating.forward_dynamics"),
+    "floating base": program(free(), "floating.forward_dynamics"),
     "scene": scene_step,
     "a trained layer": lambda dtype: torchdq.compile(trained().program(parameters="arguments"), dtype=dtype),
     "a controller": lambda dtype: torchdq.compile(controllers.PD(9.0, 3.0).program(trained().robot), dtype=dtype),

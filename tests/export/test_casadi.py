@@ -42,7 +42,7 @@ PROGRAMS = {
     "gradient": lambda: of("two_link", "inverse_dynamics")().vjp(),
     "derivatives": lambda: of("two_link", "inverse_dynamics")().jacobian(["q", "qdd"]),
     "parameters": lambda: torchdq.compile(two_link("mass", "inertia"), "forward_dynamics"),
-    "free base": lambda: torchdq.compile(free(), "floating.inverse_dynamics"),
+    "floating base": lambda: torchdq.compile(free(), "floating.inverse_dynamics"),
     # friction has roots and comparisons, and no memory
     "scene": lambda: torchdq.compile(step(effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5))),
 }

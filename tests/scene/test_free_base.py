@@ -1,4 +1,4 @@
-"""Scenes of robots with a free base: conservation, analytic motions, effects on the base, batches, gradients."""
+"""Scenes of robots with a floating base: conservation, analytic motions, effects on the base, batches, gradients."""
 
 import math
 

@@ -210,7 +210,7 @@ def standing():
 
 
 def flying():
-    """Scene of a free base with memory and sensors, and its state in motion."""
+    """Scene of a floating base with memory and sensors, and its state in motion."""
     base = case("tree3")
     m = motion(base)
     scene = Scene(base.robot, (effects.Gravity(), effects.FirstOrderLag(0.05), effects.Noise(0.1, 0.2)))

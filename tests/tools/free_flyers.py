@@ -1,4 +1,4 @@
-"""Robots with a free base, each with a Pinocchio model of it whose root is a free-flyer.
+"""Robots with a floating base, each with a Pinocchio model of it whose root is a free-flyer.
 
 Trees are the random ones of `oracles`, on a base with a random body. The robots of example-robot-data get the body of
 their root link as Pinocchio reads it, or a made-up one where their file gives it none.

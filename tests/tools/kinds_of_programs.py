@@ -128,7 +128,7 @@ INTEGRATORS = {
     "rk4": (integrators.RungeKutta4(), SEVERAL),
     "verlet": (integrators.StoermerVerlet(), SEVERAL),
 }
-FLOATING_TOO = ("semi", "implicit", "rk4")  # those for free bases
+FLOATING_TOO = ("semi", "implicit", "rk4")  # those for floating bases
 
 
 def step(integrator: str, effect: str, floating: bool = False) -> Program:

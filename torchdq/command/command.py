@@ -81,7 +81,7 @@ class RobotCommand(Command):
             return (_read if is_file else _by_name)(name, options)
 
     def load_moving(self, or_free: bool = False) -> NamedRobot:
-        """Robot with a joint at least or, if that will do, a free base, and the file that it is from."""
+        """Robot with a joint at least or, if that will do, a floating base, and the file that it is from."""
         source = self.load()
         if not source.robot.n and not (or_free and source.robot.floating):
             raise ArgumentError(f"robot {source.robot.name!r} must have a joint that moves, found none in {self.robot}")

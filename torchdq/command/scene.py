@@ -182,7 +182,7 @@ class _Path(NamedTuple):
         return (of(self.end) - of(self.finer)).abs() / (1 - 0.5**self.scene.integrator.order)
 
     def tables(self) -> list[Grid]:
-        """Energies, motion of a free base, and joints."""
+        """Energies, motion of a floating base, and joints."""
         e, robot = self.energy(self.states), self.scene.robot
         columns = [e[0], e.amax(0), e[-1], self.error(self.energy)]
         found = [_grid(("energy [J]", "start", "most", "end", "error"), ("kinetic", "potential", "sum"), columns)]
@@ -202,14 +202,14 @@ def _grid(header: tuple[str, ...], names: Sequence[str], columns: Sequence[Tenso
 
 
 def _place(state: State) -> Tensor:
-    """Position of a free base in the world, and the angle by which it is turned [..., 4]."""
+    """Position of a floating base in the world, and the angle by which it is turned [..., 4]."""
     X = state.rows()["X_WB"]
     angle = 2 * dq.log_shortest(X)[..., :3].norm(dim=-1, keepdim=True)
     return torch.cat([dq.translation(X), angle], -1)
 
 
 def _speed(state: State) -> Tensor:
-    """Velocity of a free base in the world, and its angular speed [..., 4]."""
+    """Velocity of a floating base in the world, and its angular speed [..., 4]."""
     rows = state.rows()
     w, v = rows["V_WB_B"].split(3, -1)
     return torch.cat([dq.rotate(dq.rotation(rows["X_WB"]), v), w.norm(dim=-1, keepdim=True)], -1)

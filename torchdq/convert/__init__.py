@@ -1,4 +1,4 @@
-"""Poses, twists, wrenches and rows of robots with a free base in the conventions of other libraries.
+"""Poses, twists, wrenches and rows of robots with a floating base in the conventions of other libraries.
 
 Ours, as arguments and results of all functions:
 

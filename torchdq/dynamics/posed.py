@@ -110,7 +110,7 @@ class Posed(Protocol):
     def regressor(self, qd: Row | None, qdd: Row | None) -> Sequence[Sequence[Row | None]]:
         """Factors of the inertial parameters about the link frames of the description, [degree of freedom][body].
 
-        The bodies are a free base, if there is one, and the links.
+        The bodies are a floating base, if there is one, and the links.
         """
 
 

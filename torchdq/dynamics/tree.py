@@ -40,7 +40,7 @@ class Tree(NamedTuple):
         return self.links[-1].v.stop
 
     def bodies(self) -> range:
-        """Indices of the links that move: a free base, and all others."""
+        """Indices of the links that move: a floating base, and all others."""
         return range(0 if self.links[0].joint.nv else 1, len(self.links))
 
     def rates(self, v: Sequence[Number] | None) -> list[Any]:

@@ -66,7 +66,7 @@ def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | Non
     """
     sizes = require_robot(robot).sizes
     if robot.floating:
-        raise ArgumentError(f"robot {robot.name!r} must have a fixed base here, found a free one")
+        raise ArgumentError(f"robot {robot.name!r} must have a fixed base here, found a floating one")
     for name, x in quantities.items():
         if name not in optional:
             require_tensor(name, x)

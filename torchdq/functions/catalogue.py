@@ -69,7 +69,7 @@ _BEFORE = {"q": ("X_WB", (8,)), "qd": ("V_WB_B", (6,)), "qdd": ("A_WB_B", (6,))}
 
 
 def _free(name: str, *formulas: Callable[..., Results], results: Callable[..., tuple[Axes, ...]]) -> Recipe:
-    """Recipe of a function with a free base: the arguments of `name`, each of the base before that of the joints."""
+    """Recipe of a function with a floating base: the arguments of `name`, each of the base before that of joints."""
     found: list[ArgumentSpec] = []
     for argument, axes, optional in (like := RECIPES[name]).arguments:
         found += [(*_BEFORE[argument], optional)] if argument in _BEFORE else []
@@ -95,7 +95,7 @@ _FREE: dict[str, Recipe] = {
     "momentum": _free("kinetic_energy", free.momentum, results=lambda: ((3,), (3,))),
     "momentum_rate": _free("regressor", free.momentum_rate, results=lambda: ((3,), (3,))),
 }
-FLOATING = "floating."  # names of functions of robots with a free base begin so
+FLOATING = "floating."  # names of functions of robots with a floating base begin so
 RECIPES |= {FLOATING + name: recipe for name, recipe in _FREE.items()}
 DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1)}  # positions of the arguments that a result is differentiated by
 

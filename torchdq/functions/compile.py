@@ -308,7 +308,7 @@ def compile(
         function: "inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor", "jacobian",
             "forward_kinematics", "kinetic_energy", "potential_energy", "dynamics_jacobian",
             "inverse_dynamics_jacobian" (the same without the mass matrix), "computed_torque";
-            of a robot with a free base, "floating.inverse_dynamics" and so on.
+            of a robot with a floating base, "floating.inverse_dynamics" and so on.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or

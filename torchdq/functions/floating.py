@@ -1,4 +1,4 @@
-"""Formulas of the functions of robots with a free base.
+"""Formulas of the functions of robots with a floating base.
 
 The velocities are those of the base, its twist V_WB_B (angular, linear), and then those of the coordinates. Generalised
 forces have the same order: moment and force on the base, then torques.

@@ -1,4 +1,4 @@
-"""Formulas of the functions of robots with a fixed base; those of their place alone serve free bases too."""
+"""Formulas of the functions of robots with a fixed base; those of their place alone serve floating bases too."""
 
 from __future__ import annotations
 

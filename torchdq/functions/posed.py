@@ -29,7 +29,7 @@ from torchdq.robot.tree import general_tree, plain
 Overrides = Mapping[str, Sequence[Number] | None]
 
 GEOMETRY = ("X_PB_home", "screw")
-BASE = 6  # degrees of freedom of a free base, which come first
+BASE = 6  # degrees of freedom of a floating base, which come first
 
 
 def field(robot: Robot, name: str, overrides: Overrides):
@@ -75,7 +75,7 @@ def coordinates(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: D
 def aligned(
     robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool, X_WB: DualQuaternion | None = None
 ) -> Aligned:
-    """Robot at q in aligned frames, with a free base at X_WB if that is given; its geometry must be constant.
+    """Robot at q in aligned frames, with a floating base at X_WB if that is given; its geometry must be constant.
 
     To `group` inertial parameters saves operations if they do not depend on the sample.
     """
@@ -113,7 +113,7 @@ def posed(
 ) -> Posed:
     """Robot at q, in aligned frames if its geometry is constant, otherwise in the general form.
 
-    `per_sample` are names of its tensors that depend on the sample, X_WB is the pose of a free base.
+    `per_sample` are names of its tensors that depend on the sample, X_WB is the pose of a floating base.
     """
     at: Posed
     if any(name in overrides for name in GEOMETRY):
@@ -132,7 +132,7 @@ def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
         return at.factors(linear)
     except error_growth.NoInertiaError as error:
         joint = error.joint - (BASE if robot.floating else 0)
-        what = "the free base" if joint < 0 else f"joint {robot.joint_names[joint]!r}"
+        what = "the floating base" if joint < 0 else f"joint {robot.joint_names[joint]!r}"
         raise SingularInertiaError(
             f"{what} of robot {robot.name!r} moves no inertia, so its acceleration is undefined; give the links beyond "
             "it mass, or the joint armature"

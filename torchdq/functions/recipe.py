@@ -53,12 +53,12 @@ class RecipeInputs(NamedTuple):
         return at.robot if isinstance(at, Coupled) else at
 
     def base(self) -> DualQuaternion | None:
-        """Pose of a free base; None: the base is fixed."""
+        """Pose of a floating base; None: the base is fixed."""
         x = self.arguments.get("X_WB")
         return None if x is None else (tuple(x[:4]), tuple(x[4:]))
 
     def velocities(self) -> Sequence[Number | None] | None:
-        """Velocities of a free base and of the coordinates; None: zero."""
+        """Velocities of a floating base and of the coordinates; None: zero."""
         return self._row("V_WB_B", "qd")
 
     def accelerations(self) -> Sequence[Number | None] | None:

@@ -61,7 +61,7 @@ class RobotModule(nn.Module):
         require_choice("backend", backend, (None, *get_args(BackendName)))
         if require_robot(robot).floating:
             raise ArgumentError(
-                f"robot of {type(self).__name__} must have a fixed base, found {robot.name!r} with a free one; "
+                f"robot of {type(self).__name__} must have a fixed base, found {robot.name!r} with a floating one; "
                 "torchdq.floating has functions for it"
             )
         self._robot = robot

@@ -121,8 +121,8 @@ def _require_supported(scene: Scene, inputs: Mapping[str, Tensor]) -> None:
     """Raise unless a scene is one of a single robot with a fixed base, recorded whole, and has these inputs."""
     if scene.robot.floating:
         raise ArgumentError(
-            f"robot {scene.robot.name!r} must have a fixed base, found a free one: errors of poses have no measure; "
-            "scene.check says which steps hold"
+            f"robot {scene.robot.name!r} must have a fixed base, found a floating one: errors of poses have no "
+            "measure; scene.check says which steps hold"
         )
     for name in inputs:
         if name not in scene.inputs:

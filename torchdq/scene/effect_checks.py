@@ -103,17 +103,17 @@ def require_supported_base(robot: Robot, controller: Controller | None, integrat
     """Raise unless a robot can move, and controller and integrator serve its base: all of them do if it is fixed."""
     if not (robot.n or robot.floating):
         raise ArgumentError(
-            f"robot {robot.name!r} must have a joint that moves or a free base to be simulated, found neither; "
+            f"robot {robot.name!r} must have a joint that moves or a floating base to be simulated, found neither; "
             "where it is a single body, load it with base='floating'"
         )
     if robot.floating and controller is not None:
         raise ArgumentError(
-            f"controller must be None for a robot with a free base, found {type(controller).__name__}, which commands "
-            "joints of a robot with a fixed one; use effects.Servo, or compute torques with torchdq.floating"
+            f"controller must be None for a robot with a floating base, found {type(controller).__name__}, which "
+            "commands joints of a robot with a fixed one; use effects.Servo, or compute torques with torchdq.floating"
         )
     if robot.floating and integrator.FIXED:
         raise ArgumentError(
-            f"integrator must be one for robots with a free base, such as RungeKutta4, found "
+            f"integrator must be one for robots with a floating base, such as RungeKutta4, found "
             f"{type(integrator).__name__}: {integrator.FIXED}"
         )
 

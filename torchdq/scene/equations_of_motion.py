@@ -49,7 +49,7 @@ class SceneSystem(System):
     # --- mechanics ---
 
     def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
-        """Positions at a displacement: joints and rotors along straight lines, a free base as in `free_base`."""
+        """Positions at a displacement: joints and rotors along straight lines, a floating base as in `free_base`."""
         n = self._moving
         joints = super().moved(x[:n], h, rate[:n])
         if not self.scene.spec.robot.floating:
@@ -57,7 +57,7 @@ class SceneSystem(System):
         return [*joints, *free_base.moved(x[-POSE:], h, rate[-TWIST:])]
 
     def rates(self, h: Number, rate: Row, v: Row) -> Row:
-        """Rates of the displacement: the velocities, up to terms of the displacement of a free base."""
+        """Rates of the displacement: the velocities, up to terms of the displacement of a floating base."""
         if not self.scene.spec.robot.floating:
             return v
         displacement = [h * x for x in rate[-TWIST:]]
@@ -67,12 +67,12 @@ class SceneSystem(System):
         return self.scene.posed(x[: self._n], self.scene.base_of(x))
 
     def _motion(self, x: Row, v: Row) -> Row:
-        """Twist of a free base and velocities of the coordinates, in the order of the dynamics."""
+        """Twist of a floating base and velocities of the coordinates, in the order of the dynamics."""
         n, scene = self._n, self.scene
         return [*free_base.twist(x[-POSE:], v[-TWIST:], scene.base_com), *v[:n]] if self._free else v[:n]
 
     def _still(self, x: Row, v: Row) -> Row:
-        """Motion seen by one who flies along with the centre of mass of a free base: the forces are the same."""
+        """Motion seen by one who flies along with the centre of mass of a floating base: the forces are the same."""
         return self._motion(x, [*v[:-3], 0.0, 0.0, 0.0]) if self._free else self._motion(x, v)
 
     def _exerted(self, at: Posed, x: Row, v: Row) -> list[Screw | None] | None:
@@ -90,18 +90,18 @@ class SceneSystem(System):
         return [neg(f) for f in wrenches]
 
     def _solved(self, at: Posed, b: Row) -> tuple[Sequence[Number], Sequence[Number]]:
-        """Solution of M a = b: the rows of the joints, and those of a free base."""
+        """Solution of M a = b: the rows of the joints, and those of a floating base."""
         a, growth = solve(self.scene.spec.robot, at, b, self.scene.linear)
         self.watch(growth)
         return a[-self._n :] if self._n else (), a[: len(a) - self._n]
 
     def _accelerated(self, at: Posed, forces: Row, x: Row, v: Row) -> tuple[Sequence[Number], Sequence[Number]]:
-        """Accelerations under forces of the joints: of the joints, and those that a free base is integrated with."""
+        """Accelerations under joint forces: of the joints, and those that a floating base is integrated with."""
         qdd, base = self._solved(at, self._net(at, forces, x, v))
         return qdd, free_base.at_centre(x[-POSE:], base, self.scene.base_com) if base else ()
 
     def _net(self, at: Posed, forces: Row, x: Row, v: Row) -> list[Number]:
-        """Forces on a free base and on the joints, less those of velocities, gravity and wrenches."""
+        """Forces on a floating base and on the joints, less those of velocities, gravity and wrenches."""
         return difference([*self._free, *forces], at.torques(self._still(x, v), None, self._exerted(at, x, v)))
 
     # --- forces at the joints ---
@@ -117,7 +117,7 @@ class SceneSystem(System):
 
     @property
     def _free(self) -> Row:
-        """Zeros for the twist of a free base; none if the base is fixed."""
+        """Zeros for the twist of a floating base; none if the base is fixed."""
         return (0.0,) * TWIST if self.scene.spec.robot.floating else ()
 
     @property

@@ -1,4 +1,4 @@
-"""Motion of a free base over a step: its centre of mass on a straight line, its axes on the group of rotations.
+"""Motion of a floating base over a step: its centre of mass on a straight line, its axes on the group of rotations.
 
 B is the frame of the base, C the one with its axes at its centre of mass c, and S, which stands still, the place of C
 at the start of the step. Integrators integrate the pose X_SC, which begins with 1, the angular velocity w of C in its

@@ -13,8 +13,8 @@ system has positions x and velocities v (of the joints, and of the rotors of ela
 | Repeated | that of another | its times a number | that of another |
 | DormandPrince | 5 | adaptive | to tolerance |
 
-All but StoermerVerlet serve robots with a free base; see `free_base`. They keep the linear momentum of a single body up
-to rounding; its angular momentum, and both of a robot with joints, to their order.
+All but StoermerVerlet serve robots with a floating base; see `free_base`. They keep the linear momentum of a single
+body up to rounding; its angular momentum, and both of a robot with joints, to their order.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ __all__ = [
 class System(Protocol):
     """Equations of motion, as integrators evaluate them.
 
-    Positions need not have as many numbers as velocities: the pose of a free base has eight, it has six velocities, and
-    what friction remembers is among the velocities alone.
+    Positions need not have as many numbers as velocities: the pose of a floating base has eight, it has six velocities,
+    and what friction remembers is among the velocities alone.
     """
 
     def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:

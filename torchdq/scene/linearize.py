@@ -38,7 +38,7 @@ def linearize(
 ) -> Linearization:
     """Derivatives of the state after a step, with respect to the state before it and the torques: `A, B`.
 
-    A free base is refused, since its pose has 8 components for 6 directions. There `torch.func.jacrev` of `step`
+    A floating base is refused, since its pose has 8 components for 6 directions. There `torch.func.jacrev` of `step`
     gives the derivatives in these components.
 
     Args:
@@ -54,8 +54,8 @@ def linearize(
     require_state(state)
     if scene.robot.floating:
         raise ArgumentError(
-            f"robot {scene.robot.name!r} must have a fixed base to be linearized, found a free one, whose pose has 8 "
-            "components for 6 directions; differentiate scene.step with torch.func.jacrev, which gives the derivatives "
+            f"robot {scene.robot.name!r} must have a fixed base to be linearized, found a floating one, whose pose has "
+            "8 components for 6 directions; differentiate scene.step with torch.func.jacrev, which gives the derivatives "
             "in these components, or take finite differences of it"
         )
     scene.spec.require_inputs(inputs)

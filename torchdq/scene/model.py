@@ -140,8 +140,8 @@ class SceneModel:
             q: positions [rad or m], shape [..., n].
             qd: velocities [rad/s or m/s], shape [..., n]; None: at rest.
             noise: random numbers for the sensors, as in `step`.
-            X_WB: pose of a free base in the world, shape [..., 8]; None: at the origin.
-            V_WB_B: twist (angular, linear) of a free base in its axes [rad/s, m/s], shape [..., 6]; None: at rest.
+            X_WB: pose of a floating base in the world, shape [..., 8]; None: at the origin.
+            V_WB_B: twist (angular, linear) of a floating base in its axes [rad/s, m/s], shape [..., 6]; None: at rest.
         """
         moved = initial_motion(self.spec, {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B})
         if message := outside_limits(moved["q"], self.effects, self.robot):

@@ -163,17 +163,17 @@ class RecordedScene:
 
     @property
     def base_com(self) -> Pure:
-        """Centre of mass of a free base, in its frame [m]."""
+        """Centre of mass of a floating base, in its frame [m]."""
         return tensor(self.spec.robot, "base_com", self.overrides)
 
     def with_base(self, x: Row, v: Row) -> tuple[Row, Row]:
-        """Integrated positions x and velocities v: `packed` ones, then those of a free base; see `free_base`."""
+        """Integrated positions x and velocities v: `packed` ones, then those of a floating base; see `free_base`."""
         if not self.spec.robot.floating:
             return x, v
         return (*x, *START), (*v, *free_base.at_centre(START, self.inputs["V_WB_B"], self.base_com))
 
     def base_of(self, x: Row) -> DualQuaternion | None:
-        """Pose X_WB of a free base, of integrated positions; None: the base is fixed."""
+        """Pose X_WB of a floating base, of integrated positions; None: the base is fixed."""
         if not self.spec.robot.floating:
             return None
         return free_base.placed(self.inputs["X_WB"], x[-POSE:], self.base_com)

@@ -32,8 +32,8 @@ class State(NamedTuple):
     qd: Tensor  # [..., n] velocities [rad/s or m/s]
     memory: Tensor | None = None  # [..., m] memory of the scene's effects, in their order; None: they have none
     reading: Tensor | None = None  # [..., 2 n] measured positions and velocities; None: there are no sensors
-    X_WB: Tensor | None = None  # [..., 8] pose of a free base; None: the base is fixed
-    V_WB_B: Tensor | None = None  # [..., 6] twist (angular, linear) of a free base in its axes [rad/s, m/s]
+    X_WB: Tensor | None = None  # [..., 8] pose of a floating base; None: the base is fixed
+    V_WB_B: Tensor | None = None  # [..., 6] twist (angular, linear) of a floating base in its axes [rad/s, m/s]
 
     @property
     def measured(self) -> tuple[Tensor, Tensor]:

@@ -59,7 +59,7 @@ CASES: dict[str, str] = {
     "T1": "orders of convergence",
     "T2": "energy over long times",
     "T3": "reversibility, and conserved momenta",
-    "T4": "the pose of a free base stays a unit dual quaternion",
+    "T4": "the pose of a floating base stays a unit dual quaternion",
     "T5": "adaptive steps in single precision, and tolerances that cannot be met",
     "T6": "adaptive steps of a sample do not depend on the others",
     "T7": "gradients through adaptive steps",

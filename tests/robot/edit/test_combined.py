@@ -254,10 +254,10 @@ def test_joint_maps_of_both_robots_are_kept():
 
 
 @pytest.mark.filterwarnings(NO_PALM)
-@pytest.mark.parametrize("carrier", ["link", "free base", "fixed base"])
+@pytest.mark.parametrize("carrier", ["link", "floating base", "fixed base"])
 def test_the_free_base_of_an_attached_robot_becomes_part_of_its_carrier(carrier):
     first, other = random_tree(3, 2).robot, on_free_base(random_tree(2, 9).robot)
-    first = on_free_base(first) if carrier == "free base" else first
+    first = on_free_base(first) if carrier == "floating base" else first
     frame = "b1" if carrier == "link" else "base"
     robot = first.attach(other, frame, prefix="o_", base_pose=pose(5))
     without = other.replace(base_mass=None, base_com=None, base_inertia=None)

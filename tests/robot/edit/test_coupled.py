@@ -1,4 +1,4 @@
-"""Robots whose joints follow coordinates, q = S z + s0, on fixed and on free bases.
+"""Robots whose joints follow coordinates, q = S z + s0, on fixed and on floating bases.
 
 Evidence: the full robot, which other tests compare with Pinocchio, reduced by S by hand.
 """
@@ -107,7 +107,7 @@ def test_gradients_are_right_to_the_second_order(kind, backend):
     assert torch.autograd.gradgradcheck(run(torchdq.inverse_dynamics), rows, fast_mode=True)
 
 
-# --- free base -------------------------------------------------------------------------------------------------------
+# --- floating base ----------------------------------------------------------------------------------------------------
 
 
 @RUNS

@@ -200,7 +200,7 @@ def test_robots_of_a_stack_with_different_limits_are_locked_and_cut_as_one():
     assert stack.subchain("panda_link3", "panda_link6").limits.upper.shape == (2, 3)
 
 
-# --- joints that follow coordinates, and free bases ------------------------------------------------------------------
+# --- joints that follow coordinates, and floating bases ---------------------------------------------------------------
 
 GEARS = {"j2": {"j0": -1.5}, "j4": {"j3": 0.5}, "j5": {"j3": 2.0}}
 LOCKS = {"plain": {"j0": 0.4, "j2": -0.3}, "gears": {"j3": 0.3}, "root": {"j0": 0.2}, "dense": {"b": 0.7, "d": -0.2}}
@@ -226,7 +226,7 @@ def on_free_base(robot):
 @pytest.mark.parametrize("free", [False, True])
 @pytest.mark.parametrize("kind", LOCKS)
 def test_a_locked_coordinate_is_one_that_stands_still(kind, free):
-    """Joints that follow it alone are fixed too, and links that become part of a free base weigh there."""
+    """Joints that follow it alone are fixed too, and links that become part of a floating base weigh there."""
     full, lock = mapped(kind, free), LOCKS[kind]
     robot = full.lock(lock)
     assert robot.joint_names == tuple(name for name in full.joint_names if name not in lock)

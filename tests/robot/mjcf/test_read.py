@@ -325,7 +325,7 @@ def test_couplings_that_a_flag_disables_are_noted_and_not_used(flag):
     assert any("joint 'both'" in subject for code, subject in codes(robot) if code == "unsimulated.equality")
 
 
-# --- free bases ------------------------------------------------------------------------------------------------------
+# --- floating bases ---------------------------------------------------------------------------------------------------
 
 
 def test_a_free_joint_makes_a_floating_base():

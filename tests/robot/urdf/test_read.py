@@ -207,7 +207,7 @@ def test_a_planar_joint_about_z_slides_along_x_and_y(axis, x, y):
     assert same(position(robot, [0.3, -0.4, 0.7], "cart"), 0.3 * np.array(x) - 0.4 * np.array(y))
 
 
-# --- free bases ------------------------------------------------------------------------------------------------------
+# --- floating bases ---------------------------------------------------------------------------------------------------
 
 FLYING = tree().replace(link("base", None), link("base", 5.0))
 
@@ -354,8 +354,8 @@ UNPHYSICAL = {  # file, options, and faults by code and subject
         {},
         [("mass.negative", "link 'tool'")],
     ),
-    "a free base without mass": (tree(), {"base": "floating"}, [("base.massless", "link 'base'")]),
-    "a free base": (
+    "a floating base without mass": (tree(), {"base": "floating"}, [("base.massless", "link 'base'")]),
+    "a floating base": (
         tree().replace(link("base", None), link("base", -5.0)),
         {"base": "floating"},
         [("mass.negative", "link 'base'")],

@@ -27,7 +27,7 @@ class Aligned(NamedTuple):
 
     tree: Tree
     steps: Steps
-    X_WB: DualQuaternion | None  # pose of a free base; None: a fixed one
+    X_WB: DualQuaternion | None  # pose of a floating base; None: a fixed one
     alignments: tuple[Alignment, ...]  # constants of the moving links
     coms: tuple[Pure, ...]  # centres of mass of the moving links, in their aligned frames
     x: tuple[Number, ...]  # displacements of the joints from home
@@ -48,7 +48,7 @@ class Aligned(NamedTuple):
             alignments: of the moving links.
             coms: centres of mass of the moving links, in their link frames.
             x: displacements of the joints of the moving links.
-            X_WB: pose of a free base in the world; None: a fixed one.
+            X_WB: pose of a floating base in the world; None: a fixed one.
         """
         moving = zip(tree.links[1:], alignments, x, strict=True)
         steps = [Step(at.placement, _dual_angle(link.joint, at, x_i)) for link, at, x_i in moving]

@@ -80,7 +80,7 @@ def inverse_dynamics(
 
     Args:
         steps: poses of the links in their parents.
-        X_WB: pose of a free base in the world; None: a fixed one.
+        X_WB: pose of a floating base in the world; None: a fixed one.
         qd, qdd: velocities and accelerations; None: zero.
         exerted: wrenches that the links exert on the environment, in link frames; None: none.
     """
