@@ -55,8 +55,8 @@ def linearize(
     if scene.robot.floating:
         raise ArgumentError(
             f"robot {scene.robot.name!r} must have a fixed base to be linearized, found a floating one, whose pose has "
-            "8 components for 6 directions; differentiate scene.step with torch.func.jacrev, which gives the derivatives "
-            "in these components, or take finite differences of it"
+            "8 components for 6 directions; differentiate scene.step with torch.func.jacrev, which gives the "
+            "derivatives in these components, or take finite differences of it"
         )
     scene.spec.require_inputs(inputs)
     torque = state.q.new_zeros(scene.n) if torque is None else torque
