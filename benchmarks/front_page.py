@@ -59,7 +59,7 @@ def tiles() -> str:
         if name:
             row = measured(task, script)
             without = f"; {row.ratios[1]} x if MuJoCo has no dry friction" if row.ratios[1:] else ""
-            lines += [f"-   **{row.ratios[0]} x** {row.package}", ""]
+            lines += [f"-   **{row.ratios[0]} x** as fast as {row.package}", ""]
             lines += [f"    {name}: {row.ours} ns per arm against {row.theirs} ns{without}.", ""]
     return "\n".join([*lines, "</div>", "", machine()])
 
