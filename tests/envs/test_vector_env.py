@@ -298,6 +298,16 @@ def test_finished_rows_are_reset_in_the_same_step():
     assert envs._buffers["steps"].tolist() == [2, 0, 2, 2, 2]
 
 
+def test_a_torque_limit_of_zero_is_none():
+    limits = ROBOT.limits
+    still = ROBOT.replace(limits=limits._replace(effort=torch.tensor([0.0, 5.0], dtype=torch.float64)))
+    assert effects.Saturation((math.inf, 5.0)) in default_effects(still)
+    envs = ArmVectorEnv(2, "reach", still)
+    envs.reset(seed=0)
+    after, *_ = envs.step(torch.tensor([[1.0, 0.0], [-1.0, 0.0]]))
+    assert after[0, 4] > 0.01 and after[1, 4] < -0.01  # velocity of the first joint
+
+
 def test_finished_rows_are_reset_at_the_next_step():
     noisy = (*default_effects(ROBOT), effects.Noise(0.01, 0.01))
     envs, at_once = (make(max_episode_steps=3, autoreset_mode=mode, effects=noisy) for mode in ("NextStep", "SameStep"))

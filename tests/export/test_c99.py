@@ -250,10 +250,10 @@ def test_a_header_has_the_numbers_of_controller_and_friction(tmp_path):
         assert f" * {line}\n" in text["layer"]
     assert " * gravity = 0, -9.81, 0: gravitational acceleration in the base frame [m/s^2]\n" in text["layer"]
     assert " * friction: Viscous(coefficient=(0.25, 0.5))\n" in text["layer"]
-    assert " * friction at rest (breakaway) = 0.01 [N m or N]\n" in text["layer"]
+    assert " * friction at rest = 0.01 [N m or N]\n" in text["layer"]
     assert " * friction at 1 rad/s or m/s = 0.26, 0.51 [N m or N]\n" in text["layer"]
     assert " * friction: none\n" in text["none"] and "Coulomb" not in text["none"] + text["nothing"]
-    assert " * effect 1: Viscous(coefficient=0.1)\n * friction at rest (breakaway) = 0 [N m or N]\n" in text["nothing"]
+    assert " * effect 1: Viscous(coefficient=0.1)\n * friction at rest = 0 [N m or N]\n" in text["nothing"]
     assert "friction at" not in text["arguments"] + text["step"]  # whose friction is not known
     assert "coefficient=argument)" in text["arguments"] and "in   viscous[2]  viscous friction" in text["arguments"]
     assert "effect 0: Viscous(coefficient=(0.1, 0.2))" in text["step"]

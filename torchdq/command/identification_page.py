@@ -109,7 +109,7 @@ def _model(found: Identified) -> str:
     if joints := [(name, f"{x:.4g}", f"{error:.2g}", unit) for name, x, error, unit in rest if x or error]:
         parts.append(f"<p>Joints</p>{_table(('parameter', 'estimate', 'standard error', 'unit'), joints)}")
     if friction := found.friction_rows():
-        parts.append(f"<p>{STATED.capitalize()}</p>{_table(COLUMNS, friction)}")
+        parts.append(f"<p>F{STATED[1:]}</p>{_table(COLUMNS, friction)}")
     if found.gains is not None:
         rows = [
             (name, f"{x:.4g}", f"{error:.2g}")

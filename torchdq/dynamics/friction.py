@@ -4,7 +4,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.numbers.functions import sqrt
 
 SPEEDS = (0.0, 0.1, 1.0)  # at which reports state friction [rad/s or m/s]; zero: when the joint begins to slide
-STATED = "friction at rest (breakaway), and at 0.1 and 1 rad/s or m/s [N m or N]"
+STATED = "friction at rest, and at 0.1 and 1 rad/s or m/s [N m or N]"
 COLUMNS = ("joint", "at rest", "at 0.1", "at 1")
 
 

@@ -45,7 +45,7 @@ def at_speeds(effects: Sequence[Effect], n: int) -> tuple[tuple[str, ...], ...]:
 
 def lines(effects: Sequence[Effect], n: int) -> list[str]:
     """Lines about `at_speeds`, one for each speed, joint by joint; one text is that of all joints."""
-    names = [f"at {speed:g} rad/s or m/s" if speed else "at rest (breakaway)" for speed in SPEEDS]
+    names = [f"at {speed:g} rad/s or m/s" if speed else "at rest" for speed in SPEEDS]
     rows = [row[0] if len(set(row)) == 1 else ", ".join(row) for row in at_speeds(effects, n)]
     return [f"friction {name} = {row} [N m or N]" for name, row in zip(names, rows, strict=False)]
 

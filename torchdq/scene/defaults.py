@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,9 +26,10 @@ def default_effects(robot: Robot) -> tuple[Effect, ...]:
 
     Parameters are those of the description. Missing rotor inertia and damping are `ROTOR` and `DAMPING`, because small
     joints without them would exceed realistic speeds. Motors have a torque-speed limit if torque and velocity limits of
-    all joints are known; otherwise torques are only saturated.
+    all joints are known; otherwise torques are only saturated. A torque limit of zero, as in many files, is none.
     """
     limits, rotors = robot.limits, owned(robot, robot.armature)
+    torque = limits.effort.where(limits.effort > 0, math.inf)
     found: list[Effect] = [
         kinds.Gravity(),
         kinds.RotorInertia((ROTOR,) * robot.n if rotors is None else rotors),
@@ -40,8 +42,8 @@ def default_effects(robot: Robot) -> tuple[Effect, ...]:
     both = torch.stack([limits.effort, limits.velocity])
     if bool((both.isfinite() & (both > 0)).all()):
         found.append(kinds.TorqueSpeed())
-    elif bool(limits.effort.isfinite().any()):
-        found.append(kinds.Saturation())
+    elif bool(torque.isfinite().any()):
+        found.append(kinds.Saturation(owned(robot, torque)))
     return tuple(found)
 
 

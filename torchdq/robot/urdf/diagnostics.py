@@ -206,7 +206,10 @@ def _joints(root: ET.Element, file: Elements, links: Links, coupled: bool) -> li
         if limit is not None and (absent := [key for key in ("lower", "upper") if key not in limit.attrib])
     ]
     planar = [x.get("name", "") for x in root.findall("joint") if x.get("type") == "planar"]
-    zero = [x for x in joints if x.lower == x.upper or 0 in (x.velocity, x.effort)]
+    rooms = ((x.name, {"position": x.upper - x.lower, "velocity": x.velocity, "effort": x.effort}) for x in joints)
+    zero = [
+        f"{name} ({' and '.join(which)})" for name, room in rooms if (which := [k for k, x in room.items() if x == 0])
+    ]
     limited = [x for x in joints if any(map(math.isfinite, (x.lower, x.upper, x.velocity, x.effort or 0.0)))]
     return [
         ("limits.missing", [x for x, limit in bounds.items() if limit is None], "no <limit>, taken as unlimited"),
@@ -215,7 +218,7 @@ def _joints(root: ET.Element, file: Elements, links: Links, coupled: bool) -> li
         ("damping.unused", [x for x in joints if x.damping], "viscous damping given but not simulated"),
         ("friction.unused", [x for x in joints if x.friction], "Coulomb friction given but not simulated"),
         ("limits.unused", limited, "limits given but not enforced"),
-        ("limits.zero", zero, "limits of zero leave no room"),
+        ("limits.zero", zero, "limits that leave no room"),
         ("axis.scaled", [x for x in joints if x.scaled], "axes scaled to unit length"),
         (f"{UNSIMULATED}mimic", [x for x in joints if x.mimic and not coupled], "<mimic> not used, independent"),
     ]
