@@ -93,7 +93,7 @@ class TorchTask:
             ranges, an observation of measured positions and velocities, and a reference that stands still.
         reward: function of a `Now` that returns [N], or a dict of terms [N] by name, of which the reward is the sum and
             which `info` has, too; None: that of the recorded task.
-        observation: function of a `Now` that returns [N, k], also called at starts; None: likewise.
+        observation: function of a `Now` that returns [N, k], also called at starts; it needs `bounds`. None: likewise.
         terminated: function of a `Now` that returns a bool [N]; None: likewise.
         start: function of the robot, as described, and of random numbers in (0, 1) [N, draws] that returns
             {"q": [N, n]}, and may return "qd" [N, n] and "goal"; what it leaves out is that of the recorded task. None:

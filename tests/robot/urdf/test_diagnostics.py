@@ -136,7 +136,9 @@ def test_limits_of_zero_are_noted(zero):
     limits = {"lower": -1, "upper": 2, "effort": 3, "velocity": 4} | dict.fromkeys(zero.split(" and "), 0)
     more = "<limit " + " ".join(f'{key}="{x}"' for key, x in limits.items()) + "/>"
     what = "position" if "lower" in zero else zero
-    assert ("limits.zero", f"j ({what})") in codes(Robot.from_urdf(also(link("x") + joint("j", "lower", "x", more=more))))
+    assert ("limits.zero", f"j ({what})") in codes(
+        Robot.from_urdf(also(link("x") + joint("j", "lower", "x", more=more)))
+    )
 
 
 def test_the_report_says_all_that_was_found():
