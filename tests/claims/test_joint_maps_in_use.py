@@ -334,7 +334,7 @@ def test_scenes_are_linearized_checked_and_described():
     state = scene.start(0.1 * rows(3)[0])
     A, B = scene.linearize(state)
     assert A.shape == (4, 6, 6) and B.shape == (4, 6, 3)
-    assert scene.check(state, 0.05).holds
+    assert scene.check(state, 0.05).stable
     assert "dry friction of j0, j1, j3" in str(scene.describe(seconds=0))
     step = torch.zeros(3, dtype=F64)
     step[1] = 1e-6

@@ -122,7 +122,7 @@ def _require_supported(scene: Scene, inputs: Mapping[str, Tensor]) -> None:
     if scene.robot.floating:
         raise ArgumentError(
             f"robot {scene.robot.name!r} must have a fixed base, found a floating one: errors of poses have no "
-            "measure; scene.check says which steps hold"
+            "measure; scene.check says which steps are stable, and steps half as long how accurate they are"
         )
     for name in inputs:
         if name not in scene.inputs:

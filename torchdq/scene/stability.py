@@ -35,8 +35,8 @@ FAR = 1e6  # positions and velocities beyond which a row has diverged, though it
 STATES = 16  # states of a trial run that are looked at
 
 
-class Holding(NamedTuple):
-    """An integrator, and a number of its steps within one of the scene, that hold."""
+class Steps(NamedTuple):
+    """An integrator, and a number of its steps within one of the scene, that are stable."""
 
     integrator: Integrator
     substeps: int
@@ -49,7 +49,7 @@ class Holding(NamedTuple):
 
 @dataclass(frozen=True)
 class Check:
-    """Whether the steps of a scene are short enough; true if they are. `print` it."""
+    """Whether the steps of a scene are stable; true if they are. `print` it."""
 
     integrator: Integrator
     step: float  # duration of a step of the integrator [s]
@@ -57,35 +57,36 @@ class Check:
     growth: float  # largest factor by which a step magnifies a motion of the springs and dampers; up to 1 they settle
     joint: str  # joint that moves most in it
     diverged: Tensor  # [...] rows that are beyond 1e6 rad, m or rad/s at the end of the trial run, or not finite
-    alternatives: tuple[Holding, ...]  # that hold, where this one does not
+    alternatives: tuple[Steps, ...]  # stable ones, where these are not
 
     @property
-    def holds(self) -> bool:
+    def stable(self) -> bool:
         """True if springs and dampers settle, and no row diverges."""
         return self.growth <= GROWTH and not bool(self.diverged.any())
 
     def __bool__(self) -> bool:
-        return self.holds
+        return self.stable
 
     def __str__(self) -> str:
-        lines = [f"steps of {self.step:.3g} s with {self.integrator} {'hold' if self.holds else 'do not hold'}"]
+        lines = [f"steps of {self.step:.3g} s with {self.integrator} are {'stable' if self.stable else 'unstable'}"]
         if self.growth > GROWTH:
             lines.append(f"- stiffness and damping: a step magnifies a motion {self.growth:.3g} times, of {self.joint}")
         if bool(self.diverged.any()):
             rows = f"{int(self.diverged.sum())} of {self.diverged.numel()} rows"
             lines.append(f"- {rows} are out of bounds after {self.seconds:g} s")
-        if not self.holds:
-            lines += [f"- this holds: {found}" for found in self.alternatives]
-        if not (self.holds or self.alternatives):
-            lines.append("- none of the shorter steps that were tried holds; is the motion itself stable?")
+        if not self.stable:
+            lines += [f"- stable: {found}" for found in self.alternatives]
+        if not (self.stable or self.alternatives):
+            lines.append("- none of the shorter steps that were tried is stable; is the motion itself?")
         return "\n".join(lines)
 
 
 def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tensor | None) -> Check:
-    """Whether the steps are short enough for the stiffness and damping that is there; if not, what holds.
+    """Whether the steps are stable under the stiffness and damping that is there; if not, which are.
 
     A step must let the springs and dampers at the joints settle, as they are at the state and along a trial run
     from it; and all rows of that run must stay below 1e6 rad or m, and 1e6 rad/s or m/s. Computed in float64.
+    Stable steps need not be accurate: compare with steps half as long.
 
     Args:
         state: states to start from.
@@ -98,7 +99,7 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
     >>> parts = (effects.Viscous(500.0),)
     >>> scene = torchdq.Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.SemiImplicitEuler())
     >>> print(scene.check(scene.start(torch.zeros(2)), seconds=0.1))  # doctest: +ELLIPSIS
-    steps of 0.01 s with SemiImplicitEuler() do not hold...
+    steps of 0.01 s with SemiImplicitEuler() are unstable...
     """
     require_state(state)
     require_number("seconds", seconds, positive=True)
@@ -118,17 +119,17 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
     with Progress(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
         growth, joint, diverged = trial.run(integrator, times)
         found = Check(integrator, scene.dt / times, seconds, growth, joint, diverged, ())
-        if found.holds:
+        if found.stable:
             return found
         candidates: list[tuple[Integrator, int]] = []
         if not isinstance(integrator, DormandPrince):
             implicit = isinstance(integrator, LinearlyImplicit)
             candidates = [*([] if implicit else [(LinearlyImplicit(), times)]), (integrator, 2 * times)]
-        holding: list[Holding] = []
+        stable: list[Steps] = []
         for other, first in candidates:
             notice.at(f"trying shorter steps of {other}")
-            holding += trial.shortened(other, first, stiff=growth > GROWTH)
-    return Check(integrator, scene.dt / times, seconds, growth, joint, diverged, tuple(holding))
+            stable += trial.shortened(other, first, stiff=growth > GROWTH)
+    return Check(integrator, scene.dt / times, seconds, growth, joint, diverged, tuple(stable))
 
 
 @dataclass(frozen=True)
@@ -140,8 +141,8 @@ class _Trial:
     inputs: Mapping[str, Tensor]
     intervals: int
 
-    def shortened(self, integrator: Integrator, times: int, stiff: bool) -> list[Holding]:
-        """The first power of two of shorter steps that holds, if one does."""
+    def shortened(self, integrator: Integrator, times: int, stiff: bool) -> list[Steps]:
+        """The first power of two of shorter steps that is stable, if one is."""
         while times <= SHORTEST:
             intervals = min(self.intervals, max(1, ENOUGH // times)) if stiff else self.intervals
             if not stiff and times * intervals > FEW:
@@ -150,7 +151,7 @@ class _Trial:
             if self._growth(integrator, times, self.state)[0] <= GROWTH:
                 growth, _, diverged = replace(self, intervals=intervals).run(integrator, times)
                 if growth <= GROWTH and not bool(diverged.any()):
-                    return [Holding(integrator, times, self.scene.dt / times)]
+                    return [Steps(integrator, times, self.scene.dt / times)]
             times *= 2
         return []
 
