@@ -52,7 +52,7 @@ def test_checkpoints_change_neither_values_nor_gradients(checkpoint):
 
 @pytest.mark.parametrize("checkpoint, computed", [(0, 60), (8, 120)])
 def test_checkpoints_keep_less_and_compute_again(checkpoint, computed, monkeypatch):
-    """Without them the graph keeps every step's inputs; with them none, and each step is computed twice."""
+    """Without them the graph keeps every step's inputs; with them one state in so many, and each step runs twice."""
     kept, calls, step = {}, [], Scene.step
 
     def pack(x):
@@ -69,7 +69,7 @@ def test_checkpoints_keep_less_and_compute_again(checkpoint, computed, monkeypat
     with torch.autograd.graph.saved_tensors_hooks(pack, lambda x: x):
         found = scene.rollout(start, steps=60, checkpoint=checkpoint)
     assert (sum(kept.values()) >= 60 * 64 * 4 * 8) == (checkpoint == 0)
-    assert checkpoint == 0 or sum(kept.values()) <= 8 * 64 * 4 * 8
+    assert checkpoint == 0 or sum(kept.values()) <= 9 * 64 * 4 * 8  # eight states, and the friction
     found.q.sum().backward()
     assert len(calls) == computed
 
@@ -111,6 +111,18 @@ def test_transforms_have_no_values_to_look_at():
 
     q = random(4, 2)
     assert torch.equal(torch.func.vmap(end)(q), end(q))
+
+
+def test_checkpoints_have_no_effect_inside_of_transforms():
+    scene, q = Scene(ARM, (effects.Gravity(),)), random(4, 2)
+
+    def end(q, checkpoint=3):
+        return scene.rollout(scene.start(q), steps=5, checkpoint=checkpoint).q.square().sum()
+
+    by_row = torch.func.vmap(torch.func.grad(end))(q)
+    whole = torch.func.grad(lambda q: end(q, 0))(q)
+    assert (by_row - whole).abs().max() <= 1e-13 * whole.abs().max()
+    assert torch.equal(torch.compile(end, fullgraph=True, backend="eager")(q), end(q))
 
 
 def test_a_policy_is_asked_before_every_step():
@@ -186,6 +198,62 @@ def test_a_policy_that_remembers_is_refused_where_it_is_called_again():
         rolled(policy, 3)
     policy.eval()
     rolled(policy, 3).backward()
+
+
+def test_ends_that_remember_or_move_are_refused_where_they_are_asked_again():
+    scene, q = Scene(ARM, (effects.Gravity(),)), random(3, 2).requires_grad_()
+    counted, limit = [], double(9.0)[0]
+
+    def third(state):
+        counted.append(1)
+        return torch.full((3,), len(counted) > 3)
+
+    def beyond(state):
+        return state.q[:, 0].abs() > limit
+
+    scene.rollout(scene.start(q), steps=6, done=third).q.sum().backward()
+    counted.clear()
+    end = scene.rollout(scene.start(q), steps=6, done=third, checkpoint=2)
+    with refused(torchdq.ArgumentError):
+        end.q.sum().backward()
+    end = scene.rollout(scene.start(q), steps=6, done=beyond, checkpoint=2)
+    limit.fill_(0.0)
+    with refused(torchdq.ArgumentError):
+        end.q.sum().backward()
+
+
+class Drag(torch.nn.Module):
+    """Residual torque with a parameter."""
+
+    def __init__(self):
+        super().__init__()
+        self.gain = torch.nn.Parameter(double(0.3)[0])
+
+    def forward(self, q, qd):
+        return self.gain * qd
+
+
+class Damping(Drag):
+    """Policy with the same parameter."""
+
+    def forward(self, state, k):
+        return -self.gain * state.qd
+
+
+@pytest.mark.parametrize("changed", ["effect", "robot", "torque", "state", "network", "policy"])
+def test_a_tensor_changed_before_the_steps_are_computed_again_is_refused(changed):
+    """By torch, as it refuses changes of what it keeps for the gradient."""
+    friction, network, policy = double(0.1, 0.2), Drag(), Damping()
+    acting = (effects.Viscous(friction), effects.Residual(network))
+    scene = Scene(ARM.replace(mass=ARM.mass.clone().requires_grad_()), acting)
+    start, torque = scene.start(random(3, 2), random(3, 2, seed=1)), random(6, 3, 2, seed=2)
+    inputs = {"policy": policy} if changed == "policy" else {"torque": torque}
+    end = scene.rollout(start, steps=6, checkpoint=2, **inputs).q.sum()
+    tensors = {"effect": friction, "robot": scene.robot.mass, "torque": torque, "state": start.qd}
+    with torch.no_grad():
+        {**tensors, "network": network.gain, "policy": policy.gain}[changed].mul_(1.1)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        end.backward()
 
 
 @pytest.mark.parametrize("checkpoint", [0, 3])
@@ -283,6 +351,24 @@ def test_the_gradient_of_rows_that_end_is_that_of_the_steps_they_took(checkpoint
     expected = [sum(x[0] for x in alone), sum(x[1] for x in alone), torch.cat([x[2] for x in alone])]
     for a, b in zip(found, expected, strict=True):
         assert b.isfinite().all() and (a - b).abs().max() <= 1e-12 * b.abs().max()
+
+
+@pytest.mark.parametrize("checkpoint", [0, 2])
+@pytest.mark.parametrize("begun", [standing, flying])
+def test_a_row_without_values_that_has_ended_leaves_the_gradient_of_the_others(begun, checkpoint):
+    scene, start = begun()
+    robot = scene.robot.replace(mass=scene.robot.mass.clone().requires_grad_())
+    scene, noise = scene.replace(robot=robot), uniform(scene, 4, 3)
+    bad = State._make(None if x is None else x.index_fill(0, torch.tensor([1]), math.nan) for x in start)
+
+    def gradient(start):
+        inputs = {"noise": noise, "nonfinite": "ignore", "checkpoint": checkpoint}
+        inputs |= {name: random(4, 3, width, seed=k) for k, (name, width) in enumerate(scene.inputs.items())}
+        path = scene.rollout(start, done=lambda s: torch.tensor([False, True, False]), **inputs)
+        return torch.autograd.grad(sum(x[-1, [0, 2]].square().sum() for x in path.rows().values()), robot.mass)[0]
+
+    expected = gradient(start)
+    assert expected.abs().max() > 0 and (gradient(bad) - expected).abs().max() <= 1e-12 * expected.abs().max()
 
 
 def test_a_rollout_with_a_policy_and_ends_compiles_whole():

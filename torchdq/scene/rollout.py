@@ -18,7 +18,7 @@ from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 from torchdq.scene.model import SceneModel
-from torchdq.scene.state import State, nonfinite_rows, require_state
+from torchdq.scene.state import State, initial_motion, nonfinite_rows, require_state
 
 LONG = 50  # steps from which a rollout reports its progress
 Policy = Callable[[State, int], Tensor]
@@ -45,12 +45,12 @@ def rollout(
         steps: number of steps; None: as many as there are torques.
         policy: function `policy(state, k)` of the state and the number of the step, from 0, that returns the torques
             of this step, shape [..., n], instead of `torque`; a module, for instance. Where there are sensors it should
-            look at `state.measured`. With a checkpoint it is called again for the gradient, and must remember nothing:
-            no filter, counter or batch norm.
+            look at `state.measured`.
         done: function `done(state)` that is True, shape [...], for rows that have ended: they keep this state to the
             end of the rollout, and their gradient is that of the steps they took. None: no row ends.
         checkpoint: for the gradient, one state in so many is kept, and the others are computed again; 0 keeps the
-            inputs of every step.
+            inputs of every step. `policy` and `done` are then called again, and must remember nothing: no filter,
+            counter or batch norm. Without effect under torch.compile and inside of transforms of `torch.func`.
         nonfinite: "warn": warn if rows are not finite at the start, or no longer at the end; "ignore": do not.
         inputs: as in `step`, shape [steps, ...].
 
@@ -71,24 +71,28 @@ def rollout(
     warned = nonfinite == "warn" and not unseen
     if warned and (message := nonfinite_rows(state, scene.robot)):
         warnings.warn(message, stacklevel=2)
-    again = bool(checkpoint) and torch.is_grad_enabled() and not unseen
-    commands = None if policy is None else _Commands(policy, scene.n, again, {})
-    follow, notice = _Steps(scene, series, commands, done, state), Progress(f"rollout of {total} steps")
+    again = bool(checkpoint) and torch.is_grad_enabled() and not (unseen or state.q.is_inference())
+    functions = {"policy": policy, "done": done}
+    asked = {name: _Asked(name, x, again, {}) for name, x in functions.items() if x is not None}
+    idle = state if done is None else _finite(scene, state)
+    follow, notice = _Steps(scene, series, asked, idle), Progress(f"rollout of {total} steps")
+    read = _tensors_read(scene, series, asked) if again else []
 
-    def part(first: int, last: int, state: State) -> list[State]:
-        found: list[State] = []
+    def part(first: int, last: int, *tensors: Tensor | None) -> list[State]:
+        found, state = [], State._make(tensors[: len(State._fields)])
         for k in range(first, last):
             notice.at(f"step {k + 1} of {total}")
             state = follow.after(k, state)
             found.append(state)
         return found
 
-    run = partial(checkpointed, part, use_reentrant=False) if checkpoint else part
+    # torch refuses the gradient if an argument of what it runs again was changed in place since
+    run = partial(checkpointed, part, use_reentrant=False) if again else part
     stride, end = checkpoint or max(total, 1), state
     found: list[State] = []
     with notice if total >= LONG and not unseen else nullcontext():
         for first in range(0, total, stride):
-            found += run(first, min(first + stride, total), end)
+            found += run(first, min(first + stride, total), *end, *read)
             end = found[-1]
     if not found:
         return State._make(None if x is None else x[None][:0] for x in end)
@@ -139,38 +143,49 @@ def _require_function(name: str, x: Any, arguments: str) -> None:
     raise ArgumentError(f"{name} must be a function {name}({arguments}), found {found}")
 
 
-class _Commands(NamedTuple):
-    """Torques of a policy, which must depend on its arguments alone where it is called again for the gradient."""
+def _tensors_read(scene: SceneModel, series: Mapping[str, Tensor], asked: Mapping[str, _Asked]) -> list[Tensor]:
+    """Tensors that the steps read, beside the state: of the scene, of the inputs, and of modules."""
+    parts = [*(x.function for x in asked.values()), *(x for effect in scene.effects for x in vars(effect).values())]
+    modules = [x for part in parts if isinstance(part, nn.Module) for x in (*part.parameters(), *part.buffers())]
+    # tensors made in inference mode do not tell whether they were changed
+    return [x for x in (*scene.parameters.values(), *series.values(), *modules) if not x.is_inference()]
 
-    policy: Policy
-    n: int
+
+def _finite(scene: SceneModel, state: State) -> State:
+    """State with zeros and the unit pose in rows that are not finite."""
+    zero = State._make(None if x is None else torch.zeros_like(x) for x in state)
+    return _where(state.finite(), state, zero._replace(**initial_motion(scene.spec, {"q": zero.q})))
+
+
+class _Asked(NamedTuple):
+    """Function of the user, which must depend on its arguments alone where it is called again for the gradient."""
+
+    name: str
+    function: Callable[..., Tensor]
     again: bool
-    first: dict[int, Tensor]  # torques of the first call by step, if there is another
+    first: dict[int, Tensor]  # results of the first call by step, if there is another
 
     def _buffers(self) -> list[tuple[str, Tensor, int]]:
-        """Buffers of a policy that is a module, by name, and how often each was changed in place."""
-        found = self.policy.named_buffers() if self.again and isinstance(self.policy, nn.Module) else ()
+        """Buffers of a function that is a module, by name, and how often each was changed in place."""
+        found = self.function.named_buffers() if self.again and isinstance(self.function, nn.Module) else ()
         return [(name, x, x._version) for name, x in found if not x.is_inference()]
 
-    def at(self, k: int, state: State) -> Tensor:
-        """Torques of a step."""
-        before, torque = self._buffers(), self.policy(state, k)
-        if not isinstance(torque, Tensor) or torque.shape[-1:] != (self.n,) or torque.dtype != state.q.dtype:
-            raise ArgumentError(
-                f"policy must return torques, a tensor [..., {self.n}] of {state.q.dtype}, found {_kind(torque)}"
-            )
-        if not self.again:
-            return torque
+    def at(self, k: int, *arguments: Any) -> Tensor:
+        """Result of the function at a step."""
+        before, x = self._buffers(), self.function(*arguments)
+        if not self.again or not isinstance(x, Tensor):
+            return x
         changed = [a[0] for a, b in zip(before, self._buffers(), strict=False) if a[1] is not b[1] or a[2] != b[2]]
-        first = self.first.setdefault(k, torque.detach().clone())
-        other = first.shape != torque.shape or bool(((first != torque) & ~(first.isnan() & torque.isnan())).any())
+        first = self.first.setdefault(k, x.detach().clone())
+        other = first.shape != x.shape or bool(((first != x) & ~(first.isnan() & x.isnan())).any())
         if changed or other:
-            found = f"that it changes its buffer {changed[0]!r}" if changed else "other torques the second time"
+            found = f"that it changes its buffer {changed[0]!r}" if changed else "another result the second time"
             raise ArgumentError(
-                f"policy must depend on state and k alone where checkpoint is not 0, since it is called again for the "
-                f"gradient, found {found}; use checkpoint=0, or a policy that remembers nothing, as after policy.eval()"
+                f"{self.name} must depend on its arguments alone where checkpoint is not 0, since it is called again "
+                f"for the gradient, found {found}; use checkpoint=0, or a {self.name} that remembers nothing, as "
+                f"modules do after eval(), and take the gradient before a tensor that it reads is changed"
             )
-        return torque
+        return x
 
 
 class _Steps(NamedTuple):
@@ -178,27 +193,31 @@ class _Steps(NamedTuple):
 
     scene: SceneModel
     series: Mapping[str, Tensor]
-    commands: _Commands | None
-    done: Done | None
-    start: State
+    asked: Mapping[str, _Asked]
+    idle: State  # state from which rows that have ended are stepped
 
     def after(self, k: int, state: State) -> State:
         """State after step k of the rows that have not ended."""
-        if self.done is None:
+        if "done" not in self.asked:
             return self._stepped(k, state)
         with torch.no_grad():
-            ended = self.done(state)
+            ended = self.asked["done"].at(k, state)
         shape = state.q.shape[:-1]
         if not isinstance(ended, Tensor) or ended.dtype != torch.bool or ended.shape != shape:
             raise ArgumentError(f"done must return a tensor of bool of shape {tuple(shape)}, found {_kind(ended)}")
-        # a row that has ended is stepped from its start, and that step is left out: where it ended the gradient may not
-        # be finite, and zero times that would be NaN in the parameters that all rows share
-        return _where(ended, state, self._stepped(k, _where(ended, self.start, state)))
+        # a row that has ended is stepped from its start, or a finite state instead, and that step is left out: where it
+        # ended the gradient may not be finite, and zero times that would be NaN in the parameters that all rows share
+        return _where(ended, state, self._stepped(k, _where(ended, self.idle, state)))
 
     def _stepped(self, k: int, state: State) -> State:
         given = {name: x[k] for name, x in self.series.items()}
-        if self.commands is not None:
-            given["torque"] = self.commands.at(k, state)
+        if "policy" in self.asked:
+            given["torque"] = torque = self.asked["policy"].at(k, state, k)
+            n, dtype = self.scene.n, state.q.dtype
+            if not isinstance(torque, Tensor) or torque.shape[-1:] != (n,) or torque.dtype != dtype:
+                raise ArgumentError(
+                    f"policy must return torques, a tensor [..., {n}] of {dtype}, found {_kind(torque)}"
+                )
         return self.scene.step(state, **given)
 
 
