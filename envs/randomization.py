@@ -362,7 +362,8 @@ def _require_allowed(scene: Scene, drawn: Sequence[Randomised], names: Mapping[O
             except ArgumentError as error:
                 what = " and ".join(f"randomise[{name!r}]" for name in dict.fromkeys(names[i, name] for name in own))
                 raise ArgumentError(
-                    f"{what} must draw only what {type(part).__name__} takes: {error}; narrow the range, or leave it out"
+                    f"{what} must draw only what {type(part).__name__} takes: {error}; narrow the range, or "
+                    "leave it out"
                 ) from error
 
 

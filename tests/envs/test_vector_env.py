@@ -328,7 +328,8 @@ def test_finished_rows_are_reset_at_the_next_step():
 def test_info_of_a_row_that_was_reset_is_that_of_its_start():
     terms = TorchTask("reach", reward=lambda now: {"near": -now.rows["distance"], "fast": now.qd.square().sum(1)})
     envs = started(task=terms, max_episode_steps=3, autoreset_mode="NextStep", dtype="float64")
-    envs._buffers["steps"][[1, 3]] = 1  # two rows are ahead of the others
+    ahead = torch.tensor([0, 1, 0, 1, 0], dtype=torch.int32)
+    envs.set_state({**envs.get_state(), "steps": ahead})
     for _ in range(2):
         *_, truncated, info = envs.step(torch.full((5, 2), 1.4))
     assert truncated.tolist() == [False, True, False, True, False]
