@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -27,7 +27,7 @@ class Actions:
 
     kind: Kind
     robot: Robot
-    joints: tuple[int, ...]  # the k actuated ones
+    joints: tuple[int, ...]  # the k actuated ones, in the order of the columns
     scale: Tensor  # [n] size of a full action, zero for passive joints [N m or N; rad or m of a reference]
 
     def clipped(self, actions: Any, num_envs: int, looks: bool = True) -> tuple[Tensor, Tensor]:
@@ -47,7 +47,7 @@ class Actions:
             ) from error
         shape = (num_envs, len(self.joints))
         if found.shape != shape:
-            what = "joint" if self.whole else "actuated joint"
+            what = "joint" if shape[1] == self.robot.n else "actuated joint"
             raise ArgumentError(
                 f"actions must have the shape {shape}, one row for each environment and one number for each {what} of "
                 f"robot {self.robot.name!r}, found {tuple(found.shape)}"
@@ -69,13 +69,13 @@ class Actions:
         return self._of_all_joints(inside), (inside != found).sum(1)
 
     @property
-    def whole(self) -> bool:
-        """Whether all joints are actuated."""
-        return len(self.joints) == self.robot.n
+    def _plain(self) -> bool:
+        """Whether the columns are all joints in the order of the robot."""
+        return self.joints == tuple(range(self.robot.n))
 
     def _of_all_joints(self, actions: Tensor) -> Tensor:
         """Actions [N, n] of those of the actuated joints."""
-        if self.whole:
+        if self._plain:
             return actions
         columns = [torch.zeros_like(actions[:, 0])] * self.robot.n
         for joint, column in zip(self.joints, actions.unbind(1), strict=True):
@@ -94,13 +94,18 @@ class Actions:
 
 
 def actuated_joints(robot: Robot, actuated: str | Sequence[str] | None) -> tuple[int, ...]:
-    """Numbers of the actuated joints, of names or patterns; None: of all joints."""
+    """Numbers of the actuated joints, each once, in the order of names or patterns; None: of all joints.
+
+    Those that one pattern or a set names are in the order of the robot.
+    """
     if actuated is None:
         return tuple(range(robot.n))
-    found = matching("actuated", actuated, robot.joint_names, "joint")
-    if not found:
+    names = robot.joint_names
+    if not matching("actuated", actuated, names, "joint"):
         raise ArgumentError("actuated must name at least one joint, found none")
-    return tuple(i for i, name in enumerate(robot.joint_names) if name in found)
+    words = (actuated,) if isinstance(actuated, str | Set) else actuated
+    found = [name for one in words for name in matching("actuated", one, names, "joint")]
+    return tuple(map(names.index, dict.fromkeys(found)))
 
 
 def kind_of(action: Kind | None, robot: Robot, joints: Sequence[int]) -> Kind:

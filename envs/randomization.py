@@ -20,6 +20,8 @@ cumulative distribution (`icdf`), such as Uniform, Normal or LogNormal. An `Abso
 of a kind are counted from zero, in the order of the scene: "Contact.0.height", "Contact.1.height".
 
 Everything is drawn from the environments' own streams of random numbers, so a row is the same whatever the others are.
+What an effect or a controller would refuse as a constant is refused at construction, and so are draws that only
+together are wrong, such as a lower limit above the upper one.
 A drawn payload and a drawn delay add to those that the scene has.
 """
 
@@ -40,8 +42,8 @@ from torchdq.dynamics.posed import Row
 from torchdq.effects import Gravity, MassScale, Payload, RotorInertia, Viscous
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.effect import MOST_LATE, Effect, Parameter, Shapes
-from torchdq.envs.rng import SMALLEST
-from torchdq.envs.row_selection import SomeRows
+from torchdq.envs.rng import SMALLEST, seeded
+from torchdq.envs.row_selection import Indexed, SomeRows
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.numbers.functions import absolute, maximum
 from torchdq.robot.fields import trailing
@@ -69,6 +71,8 @@ class Absolute:
 
 
 Randomise = Mapping[str, float | tuple[float, float] | Distribution | Absolute]  # by name, as above
+SAMPLES = 256  # draws that are tried at construction, beside the ends of the ranges
+TRIED = 2**16  # rows of them that are tried at once
 ADDED = {"com": -math.inf, "payload": 0.0, "delay": 0.0}  # not drawn as factors, and their smallest values
 
 
@@ -115,11 +119,18 @@ class Randomised(NamedTuple):
 
     def draw(self, scene: Scene, rows: SomeRows, u: Tensor) -> None:
         """Write new values into some rows; u are random numbers [k, width]."""
-        drawn = self.span(u)
-        for parameter, target in self.tensors(scene).items():
-            base = rows.of(self.bases[parameter])
+        found, targets = self.values(rows, u), self.tensors(scene)
+        for parameter, x in found.items():
+            rows.write(targets[parameter], x)
+
+    def values(self, rows: SomeRows, u: Tensor) -> dict[Owned, Tensor]:
+        """Values [k, ...] of the parameters of some rows; u are random numbers [k, width]."""
+        drawn, found = self.span(u), {}
+        for parameter, x in self.bases.items():
+            base = rows.of(x)
             value = drawn.reshape(base.shape)
-            rows.write(target, {"factor": base * value, "shift": base + value, "absolute": value}[self.how])
+            found[parameter] = {"factor": base * value, "shift": base + value, "absolute": value}[self.how]
+        return found
 
 
 @dataclass(frozen=True)
@@ -190,8 +201,12 @@ def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) 
         if how == "factor" and not any(bool(x.any()) for r in found for x in r.bases.values()):
             raise ArgumentError(f"randomise[{name!r}] is a factor of zeros and would change nothing; leave it out")
         for r in found:
-            _require_room(scene, name, r)
+            if r.span.shape not in ((), (1,), (r.width,)):
+                raise ArgumentError(
+                    f"randomise[{name!r}] must have one range, or {r.width} of them, found the shape {r.span.shape}"
+                )
         drawn += found
+    _require_allowed(scene, drawn, taken, num_envs)
     for r in drawn:
         scene = _with_rows(scene, r)
     return scene, tuple(drawn)
@@ -317,16 +332,55 @@ def _absolute(what: str, x: Absolute, like: Tensor) -> Span:
     return Span(like.new_tensor(ends[0]), like.new_tensor(ends[1]))
 
 
-def _require_room(scene: Scene, name: str, r: Randomised) -> None:
-    """Raise unless there is one range for all numbers or one for each, and parameters allow all that may be drawn."""
-    what = f"randomise[{name!r}]"
-    if r.span.shape not in ((), (1,), (r.width,)):
-        raise ArgumentError(f"{what} must have one range, or {r.width} of them, found the shape {r.span.shape}")
-    if r.how == "absolute":
-        for (owner, parameter), base in r.bases.items():
-            for end in (r.span.lower, r.span.upper):
-                part = _parts(scene)[owner]
-                replace(part, **{parameter: end.expand(r.width).reshape(base[0].shape)}).resolved(scene.robot)
+def _require_allowed(scene: Scene, drawn: Sequence[Randomised], names: Mapping[Owned, str], num_envs: int) -> None:
+    """Raise if an effect or the controller refuses some of what may be drawn together.
+
+    Args:
+        scene: the scene without what is drawn.
+        drawn: what is drawn.
+        names: names in `randomise` of the parameters that are drawn.
+        num_envs: number of environments; samples are tried in all of them if their other numbers differ.
+    """
+    if not drawn:
+        return
+    bases = {parameter: x for r in drawn for parameter, x in r.bases.items()}
+    parts = {i: part for i, part in _parts(scene).items() if any(i == owner for owner, _ in bases)}
+    batched = {
+        i: {name: x for name, x in part.tensors().items() if x.ndim > len(part.SHAPES[name]) and len(x) > 1}
+        for i, part in parts.items()
+    }
+    differ = any(batched.values()) or any(x.stride(0) for x in bases.values())
+    number, like = num_envs if differ else 1, next(iter(bases.values()))
+    for u in _samples(drawn, like).split(max(1, TRIED // number)):
+        rows = Indexed(torch.arange(number, device=like.device).repeat(len(u)))
+        columns = u.repeat_interleave(number, 0).split([r.width for r in drawn], 1)
+        values = {owned: x for r, c in zip(drawn, columns, strict=True) for owned, x in r.values(rows, c).items()}
+        for i, part in parts.items():
+            own = {name: x for (owner, name), x in values.items() if owner == i}
+            try:
+                replace(part, **{name: rows.of(x) for name, x in batched[i].items()} | own).resolved(scene.robot)
+            except ArgumentError as error:
+                what = " and ".join(f"randomise[{name!r}]" for name in dict.fromkeys(names[i, name] for name in own))
+                raise ArgumentError(
+                    f"{what} must draw only what {type(part).__name__} takes: {error}; narrow the range, or "
+                    "leave it out"
+                ) from error
+
+
+def _samples(drawn: Sequence[Randomised], like: Tensor) -> Tensor:
+    """Random numbers [k, all widths] that are tried: each at both ends, with the others at both ends, and some within.
+
+    So the worst of a condition that is monotone in one number or in two, such as an order, is among them.
+    """
+    ends = [
+        (0.0, 1.0) if r.span.distribution is None else (SMALLEST[like.dtype], 1 - SMALLEST[like.dtype]) for r in drawn
+    ]
+    low, high = (
+        torch.cat([like.new_full((r.width,), end[k]) for r, end in zip(drawn, ends, strict=True)]) for k in (0, 1)
+    )
+    one = torch.eye(len(low), dtype=torch.bool, device=like.device)
+    within, _ = seeded(0, SAMPLES, like.device).uniform(len(low), like.dtype)
+    return torch.cat([low[None], high[None], torch.where(one, high, low), torch.where(one, low, high), within])
 
 
 # --- scenes ----------------------------------------------------------------------------------------------------------

@@ -44,8 +44,12 @@ class Reset:
         self.opening = scene.replace(effects=acting, controller=None)
         self.robot = mean_robot(scene.robot)
 
-    def __call__(self, rows: SomeRows, streams: Streams, dtype: torch.dtype) -> dict[str, Tensor]:
-        """Buffers of new episodes, by name, shape [k, ...]; drawn parameters are written into the scene.
+    def __call__(
+        self, rows: SomeRows, streams: Streams, dtype: torch.dtype
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Buffers of new episodes and rows of the task at their start, by name, shape [k, ...].
+
+        Drawn parameters are written into the scene.
 
         Args:
             rows: the environments.
@@ -74,7 +78,7 @@ class Reset:
             seen["observation"] = own.observed(now)
             if looks:
                 require_finite_start("observation", seen["observation"])
-        return fresh | state.rows() | {"observation": seen["observation"], "reference": seen["reference"]}
+        return fresh | state.rows() | {name: seen.pop(name) for name in ("observation", "reference")}, seen
 
     def blank(
         self, num_envs: int, width: int, seed: int, dtype: torch.dtype, device: torch.device

@@ -26,7 +26,8 @@ class StableBaselinesVecEnv(VecEnv):
     model = stable_baselines3.PPO("MlpPolicy", StableBaselinesVecEnv(ArmVectorEnv(256, "reach")))
 
     The info of an environment has its row of everything in `info`. At the end of an episode it also has "is_success",
-    if the task has a row "success": Stable-Baselines3 logs its mean as `rollout/success_rate`.
+    whether a row or term named "success" is above zero, if the task has one: Stable-Baselines3 logs its mean as
+    `rollout/success_rate`.
 
     Args:
         envs: in the mode SAME_STEP.
@@ -65,7 +66,7 @@ class StableBaselinesVecEnv(VecEnv):
             for i in done.nonzero()[0]:
                 infos[i] |= {"terminal_observation": last[i], "TimeLimit.truncated": not terminated[i]}
                 if "success" in infos[i]:
-                    infos[i]["is_success"] = infos[i]["success"] == 1.0  # NaN where the simulation has failed
+                    infos[i]["is_success"] = infos[i]["success"] > 0  # NaN where the simulation has failed
         return _array(observations), _array(rewards), done, infos
 
     def close(self) -> None:

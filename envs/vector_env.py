@@ -59,9 +59,9 @@ _RESTORED = ("q", "qd", "memory", "reading", "observation", "reference")  # buff
 class ArmVectorEnv(VectorEnv):
     """Environments of one robot and one task, stepped by one program.
 
-    Actions are in [-1, 1]^k, one number for each actuated joint. Others are clipped, and `info["clipped"]` counts them
-    per row. Rows are independent: row i of a batch that was seeded with s is, bit for bit, the single environment
-    seeded with s + i.
+    Actions are in [-1, 1]^k, one number for each actuated joint, in the order of `actuated`. Others are clipped, and
+    `info["clipped"]` counts them per row. Rows are independent: row i of a batch that was seeded with s is, bit for
+    bit, the single environment seeded with s + i.
 
     A row whose numbers have left the finite range terminates alone: its observation is the last finite one, its reward
     -1000, worse than any episode, and `info["nonfinite"]` is true; the other entries of `info` are NaN then.
@@ -80,9 +80,11 @@ class ArmVectorEnv(VectorEnv):
             "reference", or "torque" if some joints are passive.
         controller: controller of residual and reference actions; None: computed torque of the rigid bodies as
             described, which knows nothing of friction or of what is randomised.
-        scale: size of a full action [N m or N; rad or m for "reference"], one number or k; None: as above.
-        actuated: names or patterns of the joints that actions move; None: all. The others are passive: they get no
-            torque, from actions or a controller, and `action` is "torque".
+        scale: size of a full action [N m or N; rad or m for "reference"], one number or k, in the order of
+            `actuated`; None: as above.
+        actuated: names or patterns of the joints that actions move, one column each in the order given, those of a
+            pattern in the order of the robot; None: all. The others are passive: they get no torque, from actions or a
+            controller, and `action` is "torque".
         integrator: None: `LinearlyImplicit()`, which friction and limits cannot make unstable.
         dt: duration of a step [s].
         substeps: steps of the integrator within it.
@@ -91,7 +93,8 @@ class ArmVectorEnv(VectorEnv):
             fractions, ranges, distributions or `Absolute` ranges, see `torchdq.envs.randomization`.
         autoreset_mode: time at which finished rows are reset, as gymnasium defines it. SAME_STEP: at once, and
             `info["final_obs"]` [N, ...] and `info["final_info"]` hold what came before in the rows of the masks
-            `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action.
+            `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action:
+            its reward is 0, and `info` has the rows of the task at the start, and otherwise 0.
             DISABLED: when `reset(options={"reset_mask": mask})` is called; stepping a finished row is an error.
         dtype: float32 or float64, torch's, numpy's or by name.
         device: device of the environments. On a GPU the host does not wait for flags: instead of an error, a row fails
@@ -166,8 +169,8 @@ class ArmVectorEnv(VectorEnv):
             scene = scene.replace(controller=controller or ComputedTorqueController(KP, KD, nominal_robot(scene)))
         elif controller is not None:
             raise ArgumentError("controller must be None for torque actions; did you mean action='residual'?")
+        _check_scene(scene, num_envs)
         self.scene, self._randomised = randomised(scene.to(self.device), randomise or {}, num_envs, like)
-        _check_scene(self.scene, num_envs)
         size = torch.as_tensor(full(self.robot, kind, scale, joints)).to(like)
         self._actions = Actions(kind, self.robot, joints, size)
         self._checked = Checked(self.task)
@@ -226,7 +229,7 @@ class ArmVectorEnv(VectorEnv):
             given = mask & torch.tensor([s is not None for s in seeds], device=self.device)
             fresh = seeded([s or 0 for s in seeds], self.num_envs, self.device)
             buffers |= self._streams(buffers).with_rows(Masked(given), fresh)._asdict()
-        buffers = self._begun(buffers, self._some(mask))
+        buffers, _ = self._begun(buffers, self._some(mask))
         self._keep(buffers)
         self._unreset = self._any(buffers["finished"])
         if self.render_mode == "human":
@@ -269,14 +272,15 @@ class ArmVectorEnv(VectorEnv):
         if self._unreset and self.autoreset_mode == AutoresetMode.NEXT_STEP:
             # this step is the reset of the rows that had finished
             buffers["counter"] = torch.where(finished, counter, buffers["counter"])
-            buffers = self._begun(buffers, self._some(finished))
+            buffers, seen = self._begun(buffers, begun := self._some(finished))
             going = ~finished
             reward, terminated, truncated = reward.masked_fill(finished, 0.0), terminated & going, truncated & going
-            info["nonfinite"] = failed & going
+            info = {name: x.masked_fill(column(finished, x), 0) for name, x in info.items()}
+            info |= {name: begun.replaced(info[name], seen[name]) for name in info.keys() & seen.keys()}
             any_done = self._any(buffers["finished"])
         elif any_done and self.autoreset_mode == AutoresetMode.SAME_STEP:
             info.update(final_obs=last, _final_obs=done, final_info=dict(info), _final_info=done)
-            buffers = self._begun(buffers, self._some(done))
+            buffers, _ = self._begun(buffers, self._some(done))
             any_done = False
         self._keep(buffers)
         self._unreset = any_done
@@ -402,15 +406,16 @@ class ArmVectorEnv(VectorEnv):
         """Rows of a mask [N]."""
         return Indexed(mask.nonzero().squeeze(1)) if self._looks else Masked(mask)
 
-    def _begun(self, buffers: Mapping[str, Tensor], rows: SomeRows) -> dict[str, Tensor]:
-        """Buffers with new episodes in some rows."""
+    def _begun(self, buffers: Mapping[str, Tensor], rows: SomeRows) -> tuple[dict[str, Tensor], Mapping[str, Tensor]]:
+        """Buffers with new episodes in some rows, and the task's rows at their start."""
         found = dict(buffers)
-        for name, x in self._reset(rows, self._streams(buffers).rows(rows), self.dtype).items():
+        fresh, seen = self._reset(rows, self._streams(buffers).rows(rows), self.dtype)
+        for name, x in fresh.items():
             if name in _HANDED_OUT or isinstance(rows, Masked):
                 found[name] = rows.replaced(buffers[name], x)
             else:
                 rows.write(buffers[name], x)
-        return found
+        return found, seen
 
     def _keep(self, buffers: dict[str, Tensor]) -> None:
         """Make them the buffers; on a GPU in memory that stays, so that a CUDA graph of a step can be repeated."""

@@ -208,6 +208,38 @@ def test_wrong_ranges_are_refused(randomise):
         make(randomise)
 
 
+FLOOR = effects.Contact(normal=(0.0, 1.0, 0.0))
+BOX = (1.0, 0.0, 1.0, 0.0, 0.0, 1.9)  # nearly as flat as a body can be
+REFUSED = [
+    (FLOOR, {"Contact.normal": Absolute([-0.5, 0.75**0.5, 0.0], [0.5, 0.75**0.5, 0.0])}),  # both ends are unit vectors
+    (FLOOR, {"Contact.normal": 0.3}),
+    (
+        effects.JointLimits(-1.0, 1.0),
+        {"JointLimits.lower": Absolute(-1.0, 0.5), "JointLimits.upper": Absolute(0.0, 1.0)},
+    ),
+    (effects.JointLimits(-1.0, torch.linspace(3, 1, 200)[:, None]), {"JointLimits.lower": Absolute(-1.0, 1.5)}),
+    (effects.JointLimits(1.0, 2.0), {"JointLimits.lower": (1.0, 3.0)}),
+    (effects.Stribeck(1.0, 1.2), {"Stribeck.static": 0.9}),
+    (effects.Stribeck(1.0, 1.2), {"Stribeck.static": Uniform(0.5, 1.0), "Stribeck.coulomb": Uniform(0.1, 0.7)}),
+    (effects.Payload(1.0, inertia=BOX), {"Payload.inertia": 0.9}),
+]
+
+
+@pytest.mark.parametrize("effect, randomise", REFUSED)
+def test_draws_that_an_effect_refuses_are_refused_at_construction(effect, randomise):
+    with refused(ArgumentError) as caught:
+        make(randomise, effects=(effect,))
+    assert all(repr(name) in str(caught.value) for name in randomise)
+
+
+def test_rows_of_their_own_are_refused_by_what_is_drawn_for_them():
+    """Limits of every row: what is drawn is compared with those of that row."""
+    upper = torch.linspace(1, 3, 200)[:, None].expand(200, 2)
+    envs = make({"JointLimits.lower": Absolute(-1.0, 1.0)}, effects=(effects.JointLimits(-1.0, upper),))
+    limits = envs.scene.effects[0]
+    assert bool((limits.lower < limits.upper).all()) and torch.equal(limits.upper.float(), upper)
+
+
 @pytest.mark.parametrize("name", ["damping", "armature", "gravity", "gains"])
 def test_a_factor_of_nothing_is_refused(name):
     with refused(ArgumentError):

@@ -12,6 +12,7 @@ from small_envs import actions_of, started
 import torchdq
 from torchdq.envs import State, TorchTask, effects
 from torchdq.envs.tasks import Reach
+from torchdq.scene.integrators import ExplicitEuler
 
 BOUNDS = [(-math.inf, math.inf)] * 4
 
@@ -270,6 +271,32 @@ def test_a_passive_joint_gets_no_torque(cartpole):
 def test_wrong_joints_are_refused(cartpole, arguments):
     with refused(torchdq.TorchdqError):
         swinging(cartpole, **arguments)
+
+
+@pytest.mark.parametrize(
+    "actuated, order",
+    [
+        (["panda_joint6", "panda_joint2"], [5, 1]),
+        (["panda_joint[32]", "*2", "panda_joint1"], [1, 2, 0]),
+        ({"panda_joint6", "panda_joint2"}, [1, 5]),
+        ([f"panda_joint{i}" for i in range(7, 0, -1)], [6, 5, 4, 3, 2, 1, 0]),
+    ],
+    ids=["names", "patterns", "set", "all"],
+)
+def test_actions_and_their_scale_follow_the_names(actuated, order):
+    """Work of the first step from rest, on joints that inertia alone resists: qd = M^-1 tau dt."""
+    panda, k = torchdq.robots.load("panda"), len(order)
+    still = TorchTask(reward=lambda now: now.time)
+    scale, action = [1.0 + i for i in range(k)], torch.linspace(0.2, 0.9, k, dtype=torch.float64)
+    given = {"effects": (), "integrator": ExplicitEuler(), "substeps": 1, "dtype": "float64", "action": "torque"}
+    envs = started(1, still, robot=panda, actuated=actuated, scale=scale, **given)
+    q = envs.get_state()["q"]
+    envs.step(action[None])
+    torque = torch.zeros(1, 7, dtype=torch.float64)
+    for column, joint in enumerate(order):
+        torque[0, joint] = scale[column] * action[column]
+    found = (torchdq.mass_matrix(panda, q) @ envs.get_state()["qd"][..., None]).squeeze(-1) / 0.02
+    torch.testing.assert_close(found, torque, rtol=1e-9, atol=1e-9)
 
 
 def test_actions_of_passive_joints_are_refused(cartpole):

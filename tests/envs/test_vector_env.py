@@ -325,6 +325,25 @@ def test_finished_rows_are_reset_at_the_next_step():
     assert same(envs.step(action)[:4], at_once.step(action)[:4])
 
 
+def test_info_of_a_row_that_was_reset_is_that_of_its_start():
+    terms = TorchTask("reach", reward=lambda now: {"near": -now.rows["distance"], "fast": now.qd.square().sum(1)})
+    envs = started(task=terms, max_episode_steps=3, autoreset_mode="NextStep", dtype="float64")
+    ahead = torch.tensor([0, 1, 0, 1, 0], dtype=torch.int32)
+    envs.set_state({**envs.get_state(), "steps": ahead})
+    for _ in range(2):
+        *_, truncated, info = envs.step(torch.full((5, 2), 1.4))
+    assert truncated.tolist() == [False, True, False, True, False]
+    _, rewards, _, _, info = envs.step(torch.full((5, 2), 1.4))
+    state = envs.get_state()
+    tip = torchdq.dq.translation(torchdq.forward_kinematics(ROBOT, state["q"], "tip"))
+    distance = (tip - state["goal"]).norm(dim=1)
+    torch.testing.assert_close(info["distance"], distance)  # now, beside the observation of now
+    assert info["success"].tolist() == (distance <= 0.05).tolist()
+    assert info["clipped"].tolist() == [2, 0, 2, 0, 2] and not bool(info["nonfinite"].any())
+    torch.testing.assert_close(info["near"] + info["fast"], rewards)
+    assert rewards[1] == rewards[3] == 0.0
+
+
 def test_finished_rows_wait_to_be_reset():
     envs = started(max_episode_steps=3, autoreset_mode=AutoresetMode.DISABLED)
     for _ in range(3):
@@ -357,7 +376,8 @@ def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
         actions = torch.full((5, 2), 1.5 - 0.2 * k)
         found = [envs.step(actions) for envs in (looking, blind)]
         assert same(found[0][:4], found[1][:4])
-        assert all(torch.equal(x, y) for x, y in zip(*(step[4]["nonfinite"] for step in found), strict=True))
+        for name in found[0][4].keys() & {"clipped", "nonfinite", "distance", "success"}:
+            torch.testing.assert_close(found[1][4][name], found[0][4][name], rtol=0, atol=0, equal_nan=True)
         if mode == AutoresetMode.DISABLED and bool((found[0][2] | found[0][3]).any()):
             for envs in (looking, blind):
                 envs.reset(options={"reset_mask": found[0][2] | found[0][3]})
@@ -646,6 +666,17 @@ def test_stable_baselines_has_the_info_of_every_row():
             np.testing.assert_equal([row[name] for row in infos], info[name].tolist())
         assert all(("is_success" in row) == ended for row, ended in zip(infos, done, strict=True))
     assert infos[3]["nonfinite"] and [row["is_success"] for row in infos] == [True, False, False, False]
+
+
+def test_success_is_what_is_above_zero():
+    pytest.importorskip("stable_baselines3")
+    from torchdq.envs.sb3 import StableBaselinesVecEnv
+
+    bonus = torch.tensor([5.0, 0.2, 0.0, -1.0])
+    envs = StableBaselinesVecEnv(make(4, TorchTask(reward=lambda now: {"success": bonus}), max_episode_steps=1))
+    envs.reset()
+    *_, infos = envs.step(np.zeros((4, 2), np.float32))
+    assert [row["is_success"] for row in infos] == [True, True, False, False]
 
 
 @pytest.mark.parametrize(

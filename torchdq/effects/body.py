@@ -172,8 +172,12 @@ class Contact(BodyEffect):
         """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
         whole = super().resolved(robot)
         normal = tensor_of(whole.normal).double()
-        if not without_values((normal,)) and bool(((normal.square().sum(-1) - 1).abs() > 1e-5).any()):
-            raise ArgumentError(f"normal of Contact must be a unit vector, found {self.normal}")
+        if without_values((normal,)):
+            return whole
+        wrong = (normal.square().sum(-1) - 1).abs() > 1e-5
+        if bool(wrong.any()):
+            found = ", ".join(f"{x:.4g}" for x in normal[wrong][0].tolist())
+            raise ArgumentError(f"normal of Contact must be a unit vector, found ({found})")
         return whole
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
