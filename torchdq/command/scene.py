@@ -69,7 +69,7 @@ class SceneCommand(RobotCommand):
     """Gains kp and kd of a controller that holds the start."""
     csv: Path | None = None
     """File of the motion: time, q1 ..., qd1 ..., energies."""
-    price: float = 1.0
+    price: float = 3.0
     """Time for measuring what every effect costs [s]; 0: operations alone."""
 
     def outcome(self) -> Outcome:

@@ -22,7 +22,7 @@ from torchdq.robot.description import UNSIMULATED
 from torchdq.scene.model import SceneModel
 from torchdq.scene.state import State, initial_motion
 
-MEASURED = 0.2  # longest time of measuring each effect [s]
+MEASURED = 0.1  # longest time of measuring each effect [s]
 
 
 class EffectCost(NamedTuple):
