@@ -202,14 +202,14 @@ def test_a_policy_that_remembers_is_refused_where_it_is_called_again():
 
 def test_ends_that_remember_or_move_are_refused_where_they_are_asked_again():
     scene, q = Scene(ARM, (effects.Gravity(),)), random(3, 2).requires_grad_()
-    counted, limit = [], double(9.0)[0]
+    counted, limits = [], [9.0]
 
     def third(state):
         counted.append(1)
         return torch.full((3,), len(counted) > 3)
 
     def beyond(state):
-        return state.q[:, 0].abs() > limit
+        return state.q[:, 0].abs() > limits[0]
 
     scene.rollout(scene.start(q), steps=6, done=third).q.sum().backward()
     counted.clear()
@@ -217,7 +217,7 @@ def test_ends_that_remember_or_move_are_refused_where_they_are_asked_again():
     with refused(torchdq.ArgumentError):
         end.q.sum().backward()
     end = scene.rollout(scene.start(q), steps=6, done=beyond, checkpoint=2)
-    limit.fill_(0.0)
+    limits[0] = 0.0
     with refused(torchdq.ArgumentError):
         end.q.sum().backward()
 
@@ -240,16 +240,19 @@ class Damping(Drag):
         return -self.gain * state.qd
 
 
-@pytest.mark.parametrize("changed", ["effect", "robot", "torque", "state", "network", "policy"])
+@pytest.mark.parametrize("changed", ["effect", "robot", "torque", "state", "network", "policy", "closed over"])
 def test_a_tensor_changed_before_the_steps_are_computed_again_is_refused(changed):
     """By torch, as it refuses changes of what it keeps for the gradient."""
     friction, network, policy = double(0.1, 0.2), Drag(), Damping()
     acting = (effects.Viscous(friction), effects.Residual(network))
     scene = Scene(ARM.replace(mass=ARM.mass.clone().requires_grad_()), acting)
     start, torque = scene.start(random(3, 2), random(3, 2, seed=1)), random(6, 3, 2, seed=2)
-    inputs = {"policy": policy} if changed == "policy" else {"torque": torque}
+    gain = double(3.0, 2.0)
+    inputs = {"torque": torque}
+    if changed in ("policy", "closed over"):
+        inputs = {"policy": policy if changed == "policy" else lambda state, k: -gain * (state.q - state.q.detach())}
     end = scene.rollout(start, steps=6, checkpoint=2, **inputs).q.sum()
-    tensors = {"effect": friction, "robot": scene.robot.mass, "torque": torque, "state": start.qd}
+    tensors = {"effect": friction, "robot": scene.robot.mass, "torque": torque, "state": start.qd, "closed over": gain}
     with torch.no_grad():
         {**tensors, "network": network.gain, "policy": policy.gain}[changed].mul_(1.1)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):

@@ -144,11 +144,14 @@ def _require_function(name: str, x: Any, arguments: str) -> None:
 
 
 def _tensors_read(scene: SceneModel, series: Mapping[str, Tensor], asked: Mapping[str, _Asked]) -> list[Tensor]:
-    """Tensors that the steps read, beside the state: of the scene, of the inputs, and of modules."""
+    """Tensors that the steps read, beside the state: of the scene, of the inputs, and of modules and functions."""
     parts = [*(x.function for x in asked.values()), *(x for effect in scene.effects for x in vars(effect).values())]
-    modules = [x for part in parts if isinstance(part, nn.Module) for x in (*part.parameters(), *part.buffers())]
+    for closed in [inspect.getclosurevars(part) for part in parts if inspect.isfunction(part)]:
+        parts += [*closed.nonlocals.values(), *closed.globals.values()]
+    found = [*scene.parameters.values(), *series.values(), *(part for part in parts if isinstance(part, Tensor))]
+    found += [x for part in parts if isinstance(part, nn.Module) for x in (*part.parameters(), *part.buffers())]
     # tensors made in inference mode do not tell whether they were changed
-    return [x for x in (*scene.parameters.values(), *series.values(), *modules) if not x.is_inference()]
+    return [x for x in found if not x.is_inference()]
 
 
 def _finite(scene: SceneModel, state: State) -> State:
