@@ -152,12 +152,13 @@ class Function(_Call, Computation):
             )
 
     def require_base(self) -> None:
-        """Raise unless the base of the robot is fixed, or free, as the function has it."""
+        """Raise unless the base of the robot is fixed, or floating, as the function has it."""
         fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
         if (fields["base_mass"] is not None) != (plain != self.name):
-            kind, way = ("a fixed", "torchdq") if plain != self.name else ("a free", "torchdq.floating")
+            fixed = plain != self.name
+            kind, other, way = ("fixed", "floating", "torchdq") if fixed else ("floating", "fixed", "torchdq.floating")
             raise ArgumentError(
-                f"robot {fields['name']!r} has {kind} base: use {way}.{plain}, or load it with another base="
+                f"robot {fields['name']!r} has a {kind} base: use {way}.{plain}, or load it with base={other!r}"
             )
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
