@@ -65,7 +65,7 @@ def tiles() -> str:
 
 
 def machine() -> str:
-    """What all rows have in common."""
+    """Conditions of all rows: machine, batch and precision."""
     (found,) = re.findall(r"^Measured on: processor (.*?), vector instructions (\w+)", report.shown("peers.py"), re.M)
     return f"One thread of an {found[0]} ({found[1]}), 4096 arms at once, float64."
 
@@ -74,7 +74,7 @@ PAGES = {report.ROOT / "README.md": table, report.ROOT / "docs/index.md": tiles}
 
 
 def follow(arguments: argparse.Namespace) -> None:
-    """Write the first pages anew, if a script that measures their numbers has written its page."""
+    """Update of the first pages, after a script that measures their numbers has written its own."""
     if arguments.page:
         for page, text in PAGES.items():
             report.between_marks(text(), __file__, page)

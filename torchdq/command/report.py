@@ -34,7 +34,7 @@ class ReportCommand(RobotCommand):
     """
 
     on_unphysical: OnUnphysical = "warn"
-    """What to do with a body that cannot exist; it is reported, too."""
+    """Treatment of bodies that cannot exist, which are also reported."""
 
     def outcome(self) -> Outcome:
         """Page about the robot, without compiling anything."""

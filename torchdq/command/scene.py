@@ -159,18 +159,17 @@ class _Path(NamedTuple):
     def of(cls, scene: Scene, start: State, series: dict[str, Any]) -> Self:
         """Motion from a start."""
 
-        def states(of: Scene) -> dict[str, Tensor]:
+        def states(of: Scene) -> State:
             with torch.no_grad():
                 found = of.rollout(start, nonfinite="ignore", **series).rows()
-            return {name: torch.cat([x[None], found[name]]) for name, x in start.rows().items()}
+            return State(**{name: torch.cat([x[None], found[name]]) for name, x in start.rows().items()})
 
-        halved = states(scene.replace(integrator=Repeated(scene.integrator, 2)))
-        return cls(scene, State(**states(scene)), State(**{name: x[-1] for name, x in halved.items()}))
+        return cls(scene, states(scene), states(scene.replace(integrator=Repeated(scene.integrator, 2))).last)
 
     @property
     def end(self) -> State:
         """State at the end."""
-        return State(**{name: x[-1] for name, x in self.states.rows().items()})
+        return self.states.last
 
     def energy(self, state: State) -> Tensor:
         """Kinetic and potential energy, and their sum [..., 3]."""
