@@ -62,6 +62,7 @@ STOREYS = {
     "torchdq.robot.model": 3,
     "torchdq.robot.tree": 4,
     "torchdq.robot.bodies": 4,
+    "torchdq.robot.contact_points": 4,
     "torchdq.robot.check": 5,
     "torchdq.robot.edit": 6,
     "torchdq.robot.from_dh": 6,
