@@ -20,6 +20,7 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import lift, total
 from torchdq.dynamics import ltdl
+from torchdq.dynamics.point_mass import PointMass
 from torchdq.dynamics.posed import Exerted, Factors, Point, Posed, Row, factors_by_entries
 
 
@@ -90,6 +91,10 @@ class Coupled(NamedTuple):
     def without_gravity(self) -> Coupled:
         """Posed robot without gravity."""
         return self._replace(robot=self.robot.without_gravity())
+
+    def with_masses(self, masses: Sequence[PointMass]) -> Coupled:
+        """Posed robot with masses at points of links."""
+        return self._replace(robot=self.robot.with_masses(masses))
 
     # --- mapped ---
 

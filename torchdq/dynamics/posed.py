@@ -18,6 +18,7 @@ from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import error_growth, ltdl
+from torchdq.dynamics.point_mass import PointMass
 
 Row = Sequence[Number]
 Exerted = Sequence[Screw | None]  # wrench (force, moment) that each link exerts on the environment; None: none
@@ -97,6 +98,9 @@ class Posed(Protocol):
 
     def with_armature(self, more: Row) -> Posed:
         """Posed robot with additional rotor inertia, on the diagonal of the mass matrix."""
+
+    def with_masses(self, masses: Sequence[PointMass]) -> Posed:
+        """Posed robot with masses at points of links in the mass matrix; its other results have no meaning."""
 
     def without_gravity(self) -> Posed:
         """Posed robot without gravity."""

@@ -6,7 +6,7 @@ before it. The velocities of all joints form one row; a link has the slice of it
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from torchdq.algebra.quaternion import Number, Pure
@@ -73,6 +73,14 @@ class Tree(NamedTuple):
                 for link in self.links
             )
         )
+
+    def with_bodies(self, more: Mapping[int, Any]) -> Tree:
+        """Tree with further bodies on its links, by the links' indices."""
+        links = list(self.links)
+        for i, body in more.items():
+            own = links[i].inertia
+            links[i] = links[i]._replace(inertia=body if own is None else own.plus(body))
+        return self._replace(links=tuple(links))
 
 
 def _plus(a: Number | None, b: Number) -> Number:

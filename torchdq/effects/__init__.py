@@ -1,7 +1,8 @@
 """Physical effects of a scene, each an object that belongs to one slot."""
 
 from torchdq.effects.actuator import CommandDelay, DeadBand, FirstOrderLag, QuantisedCommand, Saturation, TorqueSpeed
-from torchdq.effects.body import Contact, Drag, Push
+from torchdq.effects.body import Drag, Push
+from torchdq.effects.contact import Contact
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Coulomb, Directional, LoadDependent, LuGre, Quadratic, Ripple, Stribeck, Viscous
 from torchdq.effects.joint import JointLimits, Servo, Spring

@@ -1,4 +1,9 @@
-"""Body effects: wrenches of the environment on links."""
+"""Body effects: wrenches of the environment on links; contact is in `contact`.
+
+A wrench acts as it is at the start of a step. A force on a point may be an impedance instead, as those of joints are:
+a linearly implicit integrator then takes it at the velocity of the point at the end of the step, and however large the
+coefficients are, the force cannot overshoot.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +11,44 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple, Self
 
+from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
-from torchdq.algebra.quaternion import Pure
+from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.base.checks import tensor_of
-from torchdq.dynamics.posed import Point, Posed
+from torchdq.dynamics.point_mass import PointMass
+from torchdq.dynamics.posed import Point, Posed, Row
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link, undefined
 from torchdq.errors import ArgumentError
 from torchdq.functions.posed import frame
-from torchdq.numbers.functions import maximum, sqrt
-from torchdq.program.transforms import without_values
+from torchdq.numbers.functions import sqrt
 from torchdq.robot import Robot
+
+
+class PointImpedance(NamedTuple):
+    """Force f - (D + E n n^T) (u' - u) on a point of a link, whose velocity is u now and u' at the end of a step.
+
+    D >= 0 and D + E >= 0 are as at the start of the step, so that it has one solution, which loses energy.
+    """
+
+    link: int
+    point: Pure  # in link axes, as all vectors here [m]
+    force: Pure  # f [N]
+    damping: Number  # D [N s/m]
+    normal: Pure | None = None  # n; None: E is zero
+    along: Number = 0.0  # E [N s/m]
+    moment: Pure | None = None  # about the point, now; None: zero [N m]
+    spin: Number = 0.0  # rotational damping of that moment, the same about all axes, not negative [N m s/rad]
+
+    @property
+    def wrench(self) -> Screw:
+        """Wrench about the origin of the link, at the velocity u."""
+        moment = quat.cross(self.point, self.force)
+        return self.force, moment if self.moment is None else quat.add(self.moment, moment)
+
+    def mass(self, h: Number) -> PointMass:
+        """Masses that a step h adds for it."""
+        return PointMass(self.link, self.point, h * self.damping, self.normal, h * self.along, h * self.spin)
 
 
 class Bodies(NamedTuple):
@@ -32,6 +63,11 @@ class Bodies(NamedTuple):
         link, X_BF = frame(self.robot, name)
         return link, self.posed.point(link, X_BF)
 
+    def point(self, name: str, center: Pure) -> tuple[int, Pure]:
+        """Link of a frame, and a point given in the frame on it."""
+        link, X_BF = frame(self.robot, name)
+        return link, self.posed.point(link, dq.mul(X_BF, dq.from_pose(quat.ONE, center))).position
+
     def velocity(self, i: int, r: Pure) -> Pure:
         """Velocity of a point of a link, in link axes."""
         w, v = self.V[i]
@@ -40,13 +76,25 @@ class Bodies(NamedTuple):
 
 @dataclass(frozen=True)
 class BodyEffect(Effect):
-    """Wrench on one or more links."""
+    """Wrench on one or more links, impedances of points, or both."""
 
     SLOT: ClassVar[str] = "body"
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
         """Wrenches (force, moment) by link number, in and about the frames of `bodies`."""
-        raise undefined(self, "wrenches")
+        if type(self).impedances is BodyEffect.impedances:
+            raise undefined(self, "wrenches or impedances")
+        return {}
+
+    def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
+        """Impedances of points over a step h, in addition to the wrenches; h = 0: forces now."""
+        return ()
+
+    def memory_at_end(
+        self, bodies: Bodies, inputs: Inputs, memory: Row, ends: Sequence[Pure], h: Number
+    ) -> Sequence[Number]:
+        """Memory at the end of that step, whose points have the velocities `ends` then."""
+        return ()
 
 
 @dataclass(frozen=True)
@@ -99,7 +147,8 @@ class Push(BodyEffect):
 class Drag(BodyEffect):
     """Drag of a medium on every link: f = -(a + b |v|) v at the centre of mass, moment -c w.
 
-    A floating base is not a link and has no drag.
+    A linearly implicit step takes v and w at its end, and |v| at its start. A floating base is not a link and has no
+    drag.
 
     Args:
         linear: a [N s/m], shape [..., links]; Stokes.
@@ -115,82 +164,13 @@ class Drag(BodyEffect):
     angular: Parameter = 0.0
     sign_width: Parameter = 1e-3
 
-    def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
+    def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
         """The drag on every link."""
-        result = {}
+        result = []
         for i, (a, b, angular) in enumerate(zip(self.linear, self.quadratic, self.angular, strict=True), 1):
             c = bodies.posed.com(i)
             v = bodies.velocity(i, c)
-            speed = sqrt(quat.dot(v, v) + self.sign_width * self.sign_width)
-            force = quat.scale(-(a + b * speed), v)
+            damping = a + b * sqrt(quat.dot(v, v) + self.sign_width * self.sign_width)
             moment = quat.scale(-angular, bodies.V[i][0])
-            result[i] = (force, quat.add(moment, quat.cross(c, force)))
+            result.append(PointImpedance(i, c, quat.scale(-damping, v), damping, moment=moment, spin=angular))
         return result
-
-
-@dataclass(frozen=True)
-class Contact(BodyEffect):
-    """Compliant contact of a frame's origin with a half-space: normal force k d (1 + c dd), friction coefficient mu.
-
-        d = height - n . p,   f = f_n n - mu f_n v_t / sqrt(|v_t|^2 + w^2),   f_n = max(k d (1 + c dd), 0)
-
-    Source of the normal force: Hunt and Crossley 1975. The force is continuous and never attractive.
-
-    Args:
-        frame: name of the frame; None: the robot's end effector.
-        height: of the surface along the normal, from the origin of the base, or of the world for a floating base [m].
-        normal: unit normal n of the surface, in the base frame or in the world frame, shape [..., 3].
-        stiffness: k [N/m], a number or [...].
-        dissipation: c [s/m], a number or [...].
-        friction: mu, a number or [...].
-        sign_width: w, the sliding speed below which friction is viscous [m/s], a number or [...].
-    """
-
-    SHAPES: ClassVar[Shapes] = {
-        "height": (),
-        "normal": (3,),
-        "stiffness": (),
-        "dissipation": (),
-        "friction": (),
-        "sign_width": (),
-    }
-    SIGNED = frozenset({"height", "normal"})
-    DIVIDING = frozenset({"sign_width"})
-    frame: str | None = None
-    height: Parameter = 0.0
-    normal: Parameter = (0.0, 0.0, 1.0)
-    stiffness: Parameter = 1e4
-    dissipation: Parameter = 1.0
-    friction: Parameter = 0.0
-    sign_width: Parameter = 1e-2
-
-    def described(self, robot: Robot) -> Self:
-        """Copy with the name of its frame."""
-        return on_a_link(self, robot)
-
-    def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
-        whole = super().resolved(robot)
-        normal = tensor_of(whole.normal).double()
-        if without_values((normal,)):
-            return whole
-        wrong = (normal.square().sum(-1) - 1).abs() > 1e-5
-        if bool(wrong.any()):
-            found = ", ".join(f"{x:.4g}" for x in normal[wrong][0].tolist())
-            raise ArgumentError(f"normal of Contact must be a unit vector, found ({found})")
-        return whole
-
-    def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
-        """The contact force on the link."""
-        link, point = bodies.frame(str(self.frame))
-        p = point.position
-        v = bodies.velocity(link, p)
-        n = bodies.posed.to_link(link, self.normal)
-        approach = quat.dot(n, v)
-        depth = maximum(self.height - quat.dot(self.normal, bodies.posed.position(link, p)), 0.0)
-        f_n = maximum(self.stiffness * depth * (1.0 - self.dissipation * approach), 0.0)
-        force = quat.scale(f_n, n)
-        sliding = quat.sub(v, quat.scale(approach, n))
-        speed = sqrt(quat.dot(sliding, sliding) + self.sign_width * self.sign_width)
-        force = quat.sub(force, quat.scale(self.friction * f_n / speed, sliding))
-        return {link: (force, quat.cross(p, force))}

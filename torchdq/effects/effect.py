@@ -154,6 +154,7 @@ class Effect(Parametric):
     SOLE: ClassVar[Mapping[str, str]] = {}  # attributes of the description reserved for this effect, and why
     SHARED: ClassVar[frozenset[str]] = frozenset()  # inputs that it shares with others
     SCALES: ClassVar[tuple[str, ...]] = ()  # parameters that friction randomisation scales together
+    IMPLICIT: ClassVar[str] = ""  # reason why only linearly implicit steps hold it; "": all do
 
     def inputs(self, n: int) -> dict[str, int]:
         """Names and widths of its inputs at a step."""
@@ -178,6 +179,10 @@ class Effect(Parametric):
     def free_range(self) -> tuple[Parameter, Parameter] | None:
         """Positions [n] below and above which it acts as a limit; None: it is not a limit."""
         return None
+
+    def stepped(self, robot: Robot, h: float) -> Self:
+        """Copy for steps h [s], where its parameters depend on them."""
+        return self
 
     def start(self, q: Row, qd: Row) -> Row:
         """Memory in the initial state."""

@@ -14,7 +14,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
-from torchdq.effects.body import BodyEffect
+from torchdq.effects.body import BodyEffect, PointImpedance
 from torchdq.effects.effect import Effect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.model import ModelEffect
@@ -24,17 +24,26 @@ from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES, trailing
 from torchdq.scene.controllers import Controller
-from torchdq.scene.integrators import Integrator
+from torchdq.scene.integrators import Integrator, LinearlyImplicit, Repeated
 
 SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
 OWN = ("q", "qd", "X_WB", "V_WB_B", "memory", "reading", "torque", "reference", "noise")  # inputs of every scene
 _warned: Bounded[tuple[str, type[Effect]], bool] = Bounded(PROGRAMS)  # idle effects that a warning has named
 
 
-def resolved_effects(effects: Sequence[Effect], robot: Robot) -> tuple[Effect, ...]:
-    """Effects with the numbers of a robot; raises if they cannot be those of one scene."""
+def resolved_effects(effects: Sequence[Effect], robot: Robot, integrator: Integrator, h: float) -> tuple[Effect, ...]:
+    """Effects with the numbers of a robot, for steps h; raises if they cannot be those of one scene."""
     _require_compatible(effects)
-    resolved = tuple(effect.resolved(robot) for effect in effects)
+    within = integrator.integrator if isinstance(integrator, Repeated) else integrator
+    for effect in effects:
+        if effect.IMPLICIT and not isinstance(within, LinearlyImplicit):
+            raise ArgumentError(
+                f"integrator must be LinearlyImplicit in a scene with {type(effect).__name__}, found {integrator}: "
+                f"{effect.IMPLICIT}"
+            )
+    if isinstance(integrator, Repeated):
+        h = h / integrator.times
+    resolved = tuple(effect.stepped(robot, h).resolved(robot) for effect in effects)
     for given, effect in zip(effects, resolved, strict=True):
         _warn_if_idle(given, effect, robot)
         for name in effect.inputs(robot.n):
@@ -161,6 +170,24 @@ def wrenches(effect: Effect, found: Any, links: int) -> Mapping[int, Screw]:
             )
         if not _is_row(wrench, 2) or not all(x is None or _is_row(x, 3) for x in wrench):
             raise ArgumentError(f"{what} must be (force, moment) with three numbers each, found {_kind(wrench)}")
+    return found
+
+
+def points(effect: Effect, found: Any, links: int) -> Sequence[PointImpedance]:
+    """Impedances of points; raises unless they are on links from 0, the base, on."""
+    what = f"impedances of {type(effect).__name__}"
+    if not _is_row(found) or not all(isinstance(point, PointImpedance) for point in found):
+        raise ArgumentError(f"{what} must return a sequence of PointImpedance, found {_kind(found)}")
+    for point in found:
+        if not 0 <= point.link <= links:
+            raise ArgumentError(f"{what} must be on links from 0, the base, to {links}, found {point.link!r}")
+    return found
+
+
+def memory(effect: Effect, method: str, found: Any, kept: int) -> Row:
+    """Memory of an effect; raises unless it has `kept` numbers."""
+    if not _is_row(found, kept):
+        raise ArgumentError(f"{method} of {type(effect).__name__} must return {kept} numbers, found {_kind(found)}")
     return found
 
 

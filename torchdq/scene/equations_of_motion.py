@@ -13,11 +13,13 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.algebra import matrix
+from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add, difference, neg
 from torchdq.dynamics.posed import Posed, Row
-from torchdq.effects.body import Bodies, BodyEffect
+from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
+from torchdq.effects.effect import Effect
 from torchdq.effects.joint import Impedance, JointEffect, load_size, total
 from torchdq.effects.transmission import Transmission
 from torchdq.functions.posed import posed, solve
@@ -36,6 +38,14 @@ class _Forces(NamedTuple):
     passed: Row  # torques that the transmission passes on [N m or N]
     damping: list[Number]  # [N m s/rad or N s/m]
     torques: list[Number]  # all that acts on the joints [N m or N]
+
+
+class _Acting(NamedTuple):
+    """What acts on the bodies of a robot."""
+
+    bodies: Bodies
+    exerted: list[Screw | None]  # wrenches of the links on the environment, the base's first
+    points: list[Sequence[PointImpedance]]  # of each body effect
 
 
 @dataclass(frozen=True)
@@ -75,34 +85,43 @@ class SceneSystem(System):
         """Motion seen by one who flies along with the centre of mass of a floating base: the forces are the same."""
         return self._motion(x, [*v[:-3], 0.0, 0.0, 0.0]) if self._free else self._motion(x, v)
 
-    def _exerted(self, at: Posed, x: Row, v: Row) -> list[Screw | None] | None:
-        """Wrenches of the links on the environment; None: there are no body effects."""
-        effects = self.scene.spec.of(BodyEffect)
+    def _acting(self, at: Posed, x: Row, v: Row, h: Number = 0.0) -> _Acting | None:
+        """What acts on bodies over a step h; None: there are no body effects."""
+        effects, robot = self.scene.spec.of(BodyEffect), self.scene.spec.robot
         if not effects:
             return None
-        robot = self.scene.spec.robot
         bodies = Bodies(robot, at, at.twists(self._motion(x, v)))
-        wrenches: list[Screw | None] = [None] * (len(robot.link_names) + 1)  # the base's first
-        for _, effect in effects:
-            given = effect.wrenches(bodies, self.scene.inputs)
-            for i, wrench in effect_checks.wrenches(effect, given, len(robot.link_names)).items():
-                wrenches[i] = add(wrenches[i], wrench)
-        return [neg(f) for f in wrenches]
+        links, inputs = len(robot.link_names), self.scene.inputs
+        exerted: list[Screw | None] = [None] * (links + 1)  # the base's first
+        points = []
+        for (_, effect), memory in zip(effects, self._remembered(v, BodyEffect), strict=True):
+            for i, wrench in effect_checks.wrenches(effect, effect.wrenches(bodies, inputs), links).items():
+                exerted[i] = add(exerted[i], neg(wrench))
+            found = effect_checks.points(effect, effect.impedances(bodies, inputs, memory, h), links)
+            for point in found:
+                exerted[point.link] = add(exerted[point.link], neg(point.wrench))
+            points.append(found)
+        return _Acting(bodies, exerted, points)
 
-    def _solved(self, at: Posed, b: Row) -> tuple[Sequence[Number], Sequence[Number]]:
-        """Solution of M a = b: the rows of the joints, and those of a floating base."""
+    def _exerted(self, at: Posed, x: Row, v: Row) -> list[Screw | None] | None:
+        """Wrenches of the links on the environment; None: there are no body effects."""
+        acting = self._acting(at, x, v)
+        return None if acting is None else acting.exerted
+
+    def _solved(self, at: Posed, b: Row) -> Sequence[Number]:
+        """Solution of M a = b."""
         a, growth = solve(self.scene.spec.robot, at, b, self.scene.linear)
         self.watch(growth)
-        return a[-self._n :] if self._n else (), a[: len(a) - self._n]
+        return a
 
-    def _accelerated(self, at: Posed, forces: Row, x: Row, v: Row) -> tuple[Sequence[Number], Sequence[Number]]:
-        """Accelerations under joint forces: of the joints, and those that a floating base is integrated with."""
-        qdd, base = self._solved(at, self._net(at, forces, x, v))
-        return qdd, free_base.at_centre(x[-POSE:], base, self.scene.base_com) if base else ()
+    def _parts(self, x: Row, a: Sequence[Number]) -> tuple[Sequence[Number], Sequence[Number]]:
+        """Accelerations of the joints, and those that a floating base is integrated with."""
+        split = len(a) - self._n
+        return a[split:], free_base.at_centre(x[-POSE:], a[:split], self.scene.base_com) if split else ()
 
-    def _net(self, at: Posed, forces: Row, x: Row, v: Row) -> list[Number]:
+    def _net(self, at: Posed, forces: Row, x: Row, v: Row, exerted: list[Screw | None] | None) -> list[Number]:
         """Forces on a floating base and on the joints, less those of velocities, gravity and wrenches."""
-        return difference([*self._free, *forces], at.torques(self._still(x, v), None, self._exerted(at, x, v)))
+        return difference([*self._free, *forces], at.torques(self._still(x, v), None, exerted))
 
     # --- forces at the joints ---
 
@@ -124,14 +143,20 @@ class SceneSystem(System):
     def _transmission(self) -> Transmission:
         return self.scene.spec.transmission[1]
 
-    def _inner(self, v: Row) -> list[tuple[JointEffect, Row]]:
-        """Effects at the joints, each with what it remembers."""
+    def _remembered(self, v: Row, kind: type[Effect]) -> list[Row]:
+        """What each effect of a kind remembers, of those whose memory is integrated."""
         result, at = [], self._moving
-        for _, effect in self.scene.spec.of(JointEffect):
+        for _, effect in self.scene.spec.integrated:
             size = effect.memory(self._n)
-            result.append((effect, v[at : at + size]))
+            if isinstance(effect, kind):
+                result.append(v[at : at + size])
             at += size
         return result
+
+    def _inner(self, v: Row) -> list[tuple[JointEffect, Row]]:
+        """Effects at the joints, each with what it remembers."""
+        effects = self.scene.spec.of(JointEffect)
+        return [(effect, row) for (_, effect), row in zip(effects, self._remembered(v, JointEffect), strict=True)]
 
     def _impedances(self, q: Row, v: Row, h: Number = 0.0) -> list[list[Impedance]]:
         """Impedances of every joint, at the end of a step."""
@@ -181,20 +206,43 @@ class SceneSystem(System):
         """Accelerations in a state."""
         at = self._at(x)
         forces = self._explicit(x, v)
-        qdd, base = self._accelerated(at, forces.torques, x, v)
+        qdd, base = self._parts(x, self._solved(at, self._net(at, forces.torques, x, v, self._exerted(at, x, v))))
         rotors = self._transmission.accelerations(self.u, forces.passed)
-        return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *base]
+        kept = sum(effect.memory(self._n) for _, effect in self.scene.spec.of(BodyEffect))  # by implicit steps alone
+        return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *[0.0] * kept, *base]
 
-    def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
-        """Mean accelerations over a step whose impedances and transmission act on the state at its end."""
+    def implicit_velocities(self, x: Row, v: Row, h: Number) -> list[Number]:
+        """Velocities at the end of a step whose impedances and transmission act on the state at its end."""
         q, qd = x[: self._n], v[: self._n]
         at = self._at(x)
         joints = self._transmission.eliminated(self.u, x, v[: self._moving], h)
         forces = self._forces(joints.torques, self._impedances(q, v, h), qd, h)
         inertia = [a + h * d for a, d in zip(joints.inertia, forces.damping, strict=True)]
-        qdd, base = self._accelerated(at.with_armature([*self._free, *inertia]), forces.torques, x, v)
+        heavy, acting = at.with_armature([*self._free, *inertia]), self._acting(at, x, v, h)
+        if acting is not None:
+            heavy = heavy.with_masses([point.mass(h) for found in acting.points for point in found])
+        net = self._net(at, forces.torques, x, v, None if acting is None else acting.exerted)
+        solution = self._solved(heavy, net)
+        qdd, base = self._parts(x, solution)
         ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
-        return [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h), *base]
+        rates = [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h)]
+        moved = [w + h * a for w, a in zip(v[: len(rates)], rates, strict=True)]
+        kept = [] if acting is None else self._kept(acting, v, at.twists(solution), h)
+        return [*moved, *kept, *[w + h * a for w, a in zip(v[len(v) - len(base) :], base, strict=True)]]
+
+    def _kept(self, acting: _Acting, v: Row, A: Sequence[Screw], h: Number) -> list[Number]:
+        """Memory of effects on bodies at the end of a step, with the rates A of the links' twists over it."""
+        bodies, after = acting.bodies, Bodies(self.scene.spec.robot, acting.bodies.posed, A)
+        result: list[Number] = []
+        effects = self.scene.spec.of(BodyEffect)
+        for (_, effect), points, memory in zip(effects, acting.points, self._remembered(v, BodyEffect), strict=True):
+            ends = [
+                quat.add(bodies.velocity(p.link, p.point), quat.scale(h, after.velocity(p.link, p.point)))
+                for p in points
+            ]
+            found = effect.memory_at_end(bodies, self.scene.inputs, memory, ends, h)
+            result += effect_checks.memory(effect, "memory_at_end", found, len(memory))
+        return result
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations M(q)^-1 (dL/dq + forces), and those of the rotors."""
@@ -207,14 +255,14 @@ class SceneSystem(System):
             forces = difference(forces, at.without_gravity().torques(None, None, exerted))
         rate = [f + g for f, g in zip(forces, lagrangian_gradient(self.scene, q, qd), strict=True)]
         rotors = self._transmission.accelerations(self.u, explicit.passed)
-        return [*self._solved(at, rate)[0], *rotors, *self._inner_rates(q, v, qd)]
+        return [*self._solved(at, rate), *rotors, *self._inner_rates(q, v, qd)]
 
     def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at the positions `to` that have the momentum of (x, v); rotors keep theirs."""
         n = self._n
         # by the mass matrix, whose rounding is that of the solution, and not by the cheaper inverse dynamics
         momentum = matrix.matvec(self.scene.posed(x[:n]).mass_matrix(), v[:n], mul, plus)
-        return [*self._solved(self.scene.posed(to[:n]), momentum)[0], *v[n:]]
+        return [*self._solved(self.scene.posed(to[:n]), momentum), *v[n:]]
 
 
 def with_growths(scene: RecordedScene, u: Row, rows: Callable[[SceneSystem], Rows]) -> Rows:
@@ -301,9 +349,9 @@ class TensorSystem(System):
         """Accelerations in a state."""
         return self._evaluated("accelerations", x=x[0], v=v[0])
 
-    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Tensor]:
-        """Mean accelerations over a step whose impedances act on the state at its end."""
-        return self._evaluated("implicit_accelerations", x=x[0], v=v[0], h=x[0].new_full((1,), h))
+    def implicit_velocities(self, x: Row, v: Row, h: float) -> list[Tensor]:
+        """Velocities at the end of a step whose impedances act on the state at its end."""
+        return self._evaluated("implicit_velocities", x=x[0], v=v[0], h=x[0].new_full((1,), h))
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Tensor]:
         """Rate of the momentum, as an acceleration."""

@@ -67,8 +67,8 @@ class System(Protocol):
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
 
-    def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
-        """Mean accelerations over a step h whose impedances act on the state at its end."""
+    def implicit_velocities(self, x: Row, v: Row, h: Number) -> list[Number]:
+        """Velocities at the end of a step h whose impedances act on the state at its end."""
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """M(x)^-1 (dL/dx + forces): the rate of the momentum at (x, v), as an acceleration."""
@@ -121,8 +121,9 @@ class SemiImplicitEuler(Integrator):
 class LinearlyImplicit(Integrator):
     """Linearly implicit Euler method: (M + h D + h^2 K)(v' - v) = h (forces(x, v) - h K v), x' = x + h v'.
 
-    D and K are the damping and stiffness of the joint effects, on the diagonal, where they cost an addition each. For
-    stiff friction, servos and limits; wrenches on bodies and actuators stay explicit.
+    D and K are the damping and stiffness of the joint effects, on the diagonal, where they cost an addition each, and
+    those of points of bodies, such as contacts, as masses on their links. For stiff friction, servos, limits and ground;
+    other wrenches on bodies, and actuators, stay explicit.
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
@@ -133,7 +134,7 @@ class LinearlyImplicit(Integrator):
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
         """Velocities first, the impedances acting on the end of the step; positions with the new ones."""
-        v = _plus(v, h, system.implicit_accelerations(x, v, h))
+        v = system.implicit_velocities(x, v, h)
         return system.moved(x, h, v), v
 
 

@@ -87,7 +87,8 @@ def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memor
     if scene.spec.senses:
         rows["reading"] = reading
     if task is not None:
-        rows.update(task.rows(View(scene, q, qd, reading, u, scene.inputs)))
+        base = moved.get("X_WB", ()), moved.get("V_WB_B", ())
+        rows.update(task.rows(View(scene, q, qd, reading, u, scene.inputs, *base, memory)))
     return rows
 
 
@@ -131,6 +132,13 @@ def _energy(scene: RecordedScene, task: Task | None) -> Rows:
     return {"E": (at.kinetic_energy((*scene.inputs.get("V_WB_B", ()), *qd)), at.potential_energy())}
 
 
+def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
+    given, memory = scene.inputs, scene.spec.split(scene.inputs.get("memory", ()))
+    found = scene.contacts(given["q"], given["qd"], memory, given.get("X_WB", ()), given.get("V_WB_B", ()))
+    rows = {name: [getattr(point, name) for point in found] for name in ("normal_force", "touching", "depth", "slip")}
+    return {"force": [x for point in found for x in point.force], **rows}
+
+
 def _bodies(scene: RecordedScene, task: Task | None) -> Rows:
     return {name: row for name, row in scene.overrides.items() if row is not None}
 
@@ -153,7 +161,7 @@ def _frozen(scene: RecordedScene, task: Task | None) -> Rows:
 EVALUATIONS = {
     "frozen": _frozen,
     "accelerations": _evaluation(SceneSystem.accelerations, "x", "v"),
-    "implicit_accelerations": _evaluation(lambda s, x, v, h: s.implicit_accelerations(x, v, h[0]), "x", "v", "h"),
+    "implicit_velocities": _evaluation(lambda s, x, v, h: s.implicit_velocities(x, v, h[0]), "x", "v", "h"),
     "momentum_accelerations": _evaluation(SceneSystem.momentum_accelerations, "x", "v"),
     "velocities_at": _evaluation(SceneSystem.velocities_at, "x", "v", "to"),
 }
@@ -163,6 +171,7 @@ STAGES = {
     "sense": _sense,
     "begin": _begin,
     "energy": _energy,
+    "contacts": _contacts,
     "bodies": _bodies,
     **EVALUATIONS,
 }

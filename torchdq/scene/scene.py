@@ -5,6 +5,7 @@ slot, and costs what it adds to the one program that a step is recorded into.
 """
 
 from torchdq.base.checks import frozen
+from torchdq.scene import contacts as touching
 from torchdq.scene import describe as descriptions
 from torchdq.scene import linearize as derivatives
 from torchdq.scene import rollout as rollouts
@@ -44,4 +45,4 @@ class Scene(SceneModel):
     """
 
     rollout, linearize = rollouts.rollout, derivatives.linearize
-    check, describe = stability.check, descriptions.describe
+    check, describe, contacts = stability.check, descriptions.describe, touching.contacts

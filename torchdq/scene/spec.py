@@ -9,6 +9,8 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Pure
 from torchdq.dynamics.posed import Posed, Row
+from torchdq.effects.body import Bodies, BodyEffect
+from torchdq.effects.contact import Contact, Reading
 from torchdq.effects.effect import Effect, Shapes
 from torchdq.effects.joint import JointEffect
 from torchdq.effects.model import ModelEffect
@@ -117,9 +119,14 @@ class SceneSpec:
         return sum(effect.memory(self.robot.n) for effect in self.effects)
 
     @property
+    def integrated(self) -> list[tuple[int, Effect]]:
+        """Effects at the joints and on bodies, whose memory is integrated with the velocities, with their positions."""
+        return [*self.of(JointEffect), *self.of(BodyEffect)]
+
+    @property
     def inner(self) -> int:
-        """Number of values that effects at the joints remember, which are integrated with the velocities."""
-        return sum(effect.memory(self.robot.n) for _, effect in self.of(JointEffect))
+        """Number of values that those effects remember."""
+        return sum(effect.memory(self.robot.n) for _, effect in self.integrated)
 
     def shapes(self, owner: int) -> Shapes:
         """Trailing axes of the parameters of the robot, the controller, or the effect at a position."""
@@ -152,14 +159,20 @@ class RecordedScene:
         """Robot at joint positions and, if its base is free, at the pose of it, with the scene's changes."""
         return posed(self.spec.robot, q, self.overrides, self.per_sample, X_WB)
 
+    def contacts(self, q: Row, qd: Row, memory: Memory, X_WB: Row = (), V_WB_B: Row = ()) -> list[Reading]:
+        """Contact of every point in a state."""
+        at = self.posed(q, (tuple(X_WB[:4]), tuple(X_WB[4:])) if X_WB else None)
+        bodies = Bodies(self.spec.robot, at, at.twists([*V_WB_B, *qd]))
+        return [reading for i, effect in self.spec.of(Contact) for reading in effect.readings(bodies, memory[i])]
+
     def packed(self, q: Row, qd: Row, memory: Memory) -> tuple[Row, Row]:
         """Positions and velocities of the joints and then of the rotors behind them."""
         at, transmission = self.spec.transmission
         return transmission.extended(q, qd, () if at is None else memory[at])
 
     def with_inner(self, v: Row, memory: Memory) -> Row:
-        """Velocities, and then what effects at the joints remember."""
-        return (*v, *[value for i, _ in self.spec.of(JointEffect) for value in memory[i]])
+        """Velocities, and then what effects at the joints and on bodies remember."""
+        return (*v, *[value for i, _ in self.spec.integrated for value in memory[i]])
 
     @property
     def base_com(self) -> Pure:
@@ -188,7 +201,7 @@ class RecordedScene:
             x, v = x[:-POSE], v[:-TWIST]
         inner, v = v[len(x) :], v[: len(x)]
         memory = {**memory} if at is None else {**memory, at: (*x[n:], *v[n:])}
-        for i, effect in self.spec.of(JointEffect):
+        for i, effect in self.spec.integrated:
             size = effect.memory(n)
             memory[i], inner = inner[:size], inner[size:]
         return rows, memory
@@ -203,6 +216,14 @@ class View(NamedTuple):
     reading: Row  # 2 n
     torque: Row  # behind the actuators, over the last step
     inputs: Mapping[str, Row]
+    X_WB: Row = ()  # pose of a floating base
+    V_WB_B: Row = ()  # its twist
+    memory: Memory = {}  # noqa: RUF012  # of each effect
+
+    @property
+    def contacts(self) -> list[Reading]:
+        """Contact of every point of the scene."""
+        return self.scene.contacts(self.q, self.qd, self.memory, self.X_WB, self.V_WB_B)
 
 
 def recorded(

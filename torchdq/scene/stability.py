@@ -244,9 +244,10 @@ class _Frozen(System):
     def accelerations(self, x: Row, v: Row) -> list[Tensor]:
         return self._solved(self.M, self.D, x[0], v[0])
 
-    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Tensor]:
+    def implicit_velocities(self, x: Row, v: Row, h: float) -> list[Tensor]:
         at_end = self.D + h * self.K
-        return self._solved(self.M + h * at_end, at_end, x[0], v[0])
+        (a,) = self._solved(self.M + h * at_end, at_end, x[0], v[0])
+        return [v[0] + h * a]
 
     momentum_accelerations = accelerations
 

@@ -11,7 +11,7 @@ eliminated one degree at a time. If b are the torques less the inverse dynamics 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from torchdq.algebra import quaternion as quat
@@ -70,12 +70,8 @@ class Articulated(NamedTuple):
         f, n = wrench
         rn, rf = quat.scale(r, n), quat.scale(r, f)
 
-        def less(s: Six, v: Pure, rv: Pure) -> Six:
-            entries = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
-            return tuple(e - rv[i] * v[j] for e, (i, j) in zip(s, entries, strict=True))
-
         B = [list(quat.sub(row, quat.scale(rn_i, f))) for row, rn_i in zip(self.B, rn, strict=True)]
-        A, C = list(less(self.A, n, rn)), list(less(self.C, f, rf))
+        A, C = list(_with_product(self.A, quat.neg(rn), n)), list(_with_product(self.C, quat.neg(rf), f))
         k = None if rotor else _axis(a)
         if k is not None:
             # zero in exact arithmetic
@@ -85,6 +81,13 @@ class Articulated(NamedTuple):
                 row, column = (k, j) if k < 3 else (j, k - 3)
                 B[row][column] = 0.0
         return Articulated(tuple(A), tuple(map(tuple, B)), tuple(C))
+
+    def with_outer(self, e: Number, s: Screw) -> Articulated:
+        """Inertia I + e s s^T of a mass e that moves along one line, with the wrench s of a unit force on it."""
+        n, m = s
+        en, em = quat.scale(e, n), quat.scale(e, m)
+        B = tuple(quat.add(row, quat.scale(x, n)) for row, x in zip(self.B, em, strict=True))
+        return Articulated(_with_product(self.A, em, m), B, _with_product(self.C, en, n))
 
     def turned(self, axis: int, angle: Angle) -> Articulated:
         """Inertia in a frame in which the present frame is rotated about an axis."""
@@ -111,6 +114,12 @@ class Articulated(NamedTuple):
 
 
 _ROWS = ((0, 1, 3), (1, 2, 4), (3, 4, 5))  # positions of the entries of each row among the six numbers
+_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+
+
+def _with_product(s: Six, u: Pure, v: Pure) -> Six:
+    """Symmetric matrix S + u v^T of parallel vectors."""
+    return tuple(e + u[i] * v[j] for e, (i, j) in zip(s, _ENTRIES, strict=True))
 
 
 def _axis(a: Screw) -> int | None:
@@ -126,9 +135,16 @@ class BodyFactors(NamedTuple):
     inverses: tuple[Number, ...]  # inverse pivots
 
 
-def factorise(tree: Tree, steps: Steps) -> BodyFactors:
-    """Factors of the mass matrix, by articulated bodies from the leaves to the base."""
+def factorise(tree: Tree, steps: Steps, outer: Iterable[tuple[int, Number, Screw]] = ()) -> BodyFactors:
+    """Factors of the mass matrix, by articulated bodies from the leaves to the base.
+
+    Args:
+        tree, steps: bodies, and poses of the links in their parents.
+        outer: links with a mass e that moves along one line only, with the wrench s of a unit force on it (i, e, s).
+    """
     inertia = [None if link.inertia is None else Articulated.rigid(link.inertia) for link in tree.links]
+    for i, e, s in outer:
+        inertia[i] = inertia[i].with_outer(e, s)  # type: ignore[union-attr]  # it has a body, see `PointMass`
     responses: list[Screw] = [((), ())] * tree.nv
     inverses: list[Number] = [0.0] * tree.nv
     for i in reversed(range(len(tree.links))):

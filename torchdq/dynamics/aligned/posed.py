@@ -10,13 +10,16 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.elementary import DualAngle, together
+from torchdq.algebra.inertia import Moments
 from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra import screw
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import crba, energy, regressor
 from torchdq.dynamics.aligned import aba, kinematics, rnea
 from torchdq.dynamics.aligned.placement import Alignment, Step, Steps
 from torchdq.dynamics.joints import Along, Coordinate
+from torchdq.dynamics.point_mass import PointMass, on_links, with_outer
 from torchdq.dynamics.posed import Exerted, Factors, Point, Row, factors_by_entries
 from torchdq.dynamics.tree import Tree
 from torchdq.numbers.functions import cos, sin
@@ -31,6 +34,7 @@ class Aligned(NamedTuple):
     alignments: tuple[Alignment, ...]  # constants of the moving links
     coms: tuple[Pure, ...]  # centres of mass of the moving links, in their aligned frames
     x: tuple[Number, ...]  # displacements of the joints from home
+    masses: tuple[PointMass, ...] = ()  # at points of links, of which `tree` has the parts that are rigid bodies
 
     @classmethod
     def at(
@@ -76,16 +80,18 @@ class Aligned(NamedTuple):
     def position(self, i: int, r: Pure) -> Pure:
         """Position in the world of a point of a link."""
         p = kinematics.position(self.tree, self.steps, i, r)
-        return p if self.X_WB is None else quat.add(quat.rotate(self.X_WB[0], p), dq.translation(self.X_WB))
+        if self.X_WB is None:
+            return p
+        return quat.add(screw.columns_times(quat.rotation_columns(self.X_WB[0]), p), dq.translation(self.X_WB))
 
     def to_world(self, i: int, v: Pure) -> Pure:
         """Components in world axes of a vector of a link."""
         v = kinematics.to_base(self.tree, self.steps, i, v)
-        return v if self.X_WB is None else quat.rotate(self.X_WB[0], v)
+        return v if self.X_WB is None else screw.columns_times(quat.rotation_columns(self.X_WB[0]), v)
 
     def to_link(self, i: int, v: Pure) -> Pure:
         """Components in link axes of a vector of the world."""
-        v = v if self.X_WB is None else quat.rotate(quat.conj(self.X_WB[0]), v)
+        v = v if self.X_WB is None else screw.columns_times(quat.rotation_columns(quat.conj(self.X_WB[0])), v)
         return kinematics.to_link(self.tree, self.steps, i, v)
 
     def poses(self) -> list[DualQuaternion]:
@@ -133,19 +139,27 @@ class Aligned(NamedTuple):
 
     def mass_matrix(self) -> Matrix:
         """Mass matrix."""
-        return crba.mass_matrix(self.tree, self.composites(), lambda i, F: self.steps[i].to_parent(F))
+        M = crba.mass_matrix(self.tree, self.composites(), lambda i, F: self.steps[i].to_parent(F))
+        return with_outer(M, self.masses, lambda i, F: rnea.generalised(self.tree, self.steps, i, F))
 
     def factors(self, linear: bool) -> Factors:
         """Factors of the mass matrix, entry by entry or by articulated bodies."""
         if not linear:
             return factors_by_entries(self.tree.predecessors(), self.mass_matrix())
-        found = aba.factorise(self.tree, self.steps)
-        diagonal = crba.diagonal(self.tree, self.composites())
+        outer = [(at.link, at.along, at.wrench) for at in self.masses if at.normal is not None]
+        found = aba.factorise(self.tree, self.steps, outer)
+        bound = self.tree.with_bodies(on_links([at.beyond for at in self.masses], Moments.from_com))
+        diagonal = crba.diagonal(bound, self._replace(tree=bound).composites())
         return Factors(diagonal, found.inverses, partial(aba.solve, self.tree, self.steps, found))
 
     def with_armature(self, more: Row) -> Aligned:
         """Posed robot with additional rotor inertia."""
         return self._replace(tree=self.tree.with_armature(more))
+
+    def with_masses(self, masses: Sequence[PointMass]) -> Aligned:
+        """Posed robot with masses at points of links, which have no weight."""
+        tree = self.tree.with_bodies(on_links(masses, Moments.from_com))
+        return self._replace(tree=tree, masses=(*self.masses, *masses))
 
     def without_gravity(self) -> Aligned:
         """Posed robot without gravity."""

@@ -21,7 +21,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add
 from torchdq.dynamics.acceleration import Matrix3, apply, net_wrench, tensor
 from torchdq.dynamics.aligned.placement import Step, Steps
-from torchdq.dynamics.tree import Tree
+from torchdq.dynamics.tree import Tree, freedoms, path
 
 
 class FrameMotion(NamedTuple):
@@ -101,6 +101,18 @@ def inverse_dynamics(
         if step is not None:
             passed_on[link.parent].append(step.to_parent(F))
     return tau
+
+
+def generalised(tree: Tree, steps: Steps, i: int, F: Screw) -> list[Number | None]:
+    """Generalised forces of a wrench F on link i, in its frame; None: the link does not move with that coordinate."""
+    found: list[Number | None] = [None] * tree.nv
+    for j in path(tree.links, i):
+        for k, a in freedoms(tree.links[j]):
+            found[k] = screw.power(F, a)
+        step = steps[j]
+        if step is not None:
+            F = step.to_parent(F)
+    return found
 
 
 def twists(tree: Tree, steps: Steps, qd: Sequence[Number] | None) -> list[Screw]:

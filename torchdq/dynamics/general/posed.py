@@ -19,6 +19,7 @@ from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.dynamics import crba, energy, regressor
 from torchdq.dynamics.acceleration import tensor
 from torchdq.dynamics.general import kinematics, rnea
+from torchdq.dynamics.point_mass import PointMass, on_links, with_outer
 from torchdq.dynamics.posed import Exerted, Factors, Point, Row, factors_by_entries
 from torchdq.dynamics.tree import Tree
 
@@ -30,6 +31,7 @@ class General(NamedTuple):
     X_PB: tuple[Any, ...]  # poses of the links in their parents; None: the frames coincide
     Ad: tuple[Adjoint | None, ...]
     coms: tuple[Pure, ...]  # centres of mass of the moving links
+    masses: tuple[PointMass, ...] = ()  # at points of links, of which `tree` has the parts that are rigid bodies
 
     @classmethod
     def at(cls, tree: Tree, coms: Sequence[Pure], q: Sequence[Any]) -> General:
@@ -97,7 +99,13 @@ class General(NamedTuple):
 
     def mass_matrix(self) -> Matrix:
         """Mass matrix."""
-        return crba.mass_matrix(self.tree, self.composites(), lambda i, F: kinematics.to_parent(self.Ad[i], F))
+        M = crba.mass_matrix(self.tree, self.composites(), lambda i, F: kinematics.to_parent(self.Ad[i], F))
+        return with_outer(M, self.masses, self._generalised)
+
+    def _generalised(self, i: int, F: Screw) -> list[Number | None]:
+        """Generalised forces of a wrench on a link; None: the link does not move with that coordinate."""
+        columns = kinematics.joint_screws(self.tree, self.Ad, i)
+        return [screw.power(F, columns[k]) if k in columns else None for k in range(self.tree.nv)]
 
     def factors(self, linear: bool) -> Factors:
         """Factors of the mass matrix, always entry by entry."""
@@ -106,6 +114,11 @@ class General(NamedTuple):
     def with_armature(self, more: Row) -> General:
         """Posed robot with additional rotor inertia."""
         return self._replace(tree=self.tree.with_armature(more))
+
+    def with_masses(self, masses: Sequence[PointMass]) -> General:
+        """Posed robot with masses at points of links, which have no weight."""
+        tree = self.tree.with_bodies(on_links(masses, Inertia.from_com))
+        return self._replace(tree=tree, masses=(*self.masses, *masses))
 
     def without_gravity(self) -> General:
         """Posed robot without gravity."""

@@ -1,0 +1,305 @@
+"""Contact of points and spheres of a robot with the ground, implicit in the step, with friction that sticks.
+
+A step h takes the normal force of Hunt and Crossley and the friction of bristles at its end, where the point has the
+velocity u' (depth d, normal n, bristles z, coefficients as at the start):
+
+    f_n = k d - k (h + c max(d, 0)) n.u'
+    f_t = -s y,   y = k z + k (h + T) u_t',   s = min(1, mu f_n / |y|)
+    z'  = (s y / k + (T/h) z) / (1 + T/h)
+
+Both are f - C (u' - u) with a symmetric C >= 0, so the step has one solution for any k. Where friction sticks, s is 1:
+it is a spring, and nothing creeps. Where it would leave the cone, it returns to it along the secant through the origin.
+Bristles never give more energy than they hold, whatever s in [0, 1] is: a cone that is not right costs accuracy only.
+So the cone is that of the last step's normal force (of the predicted one at first touch), and |y| is extrapolated from
+the last two steps, which makes the friction of sliding exact to second order in h.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple, Self
+
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.base.checks import matching, tensor_of
+from torchdq.dynamics.posed import Row
+from torchdq.dynamics.tree import BASE
+from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
+from torchdq.effects.effect import Inputs, Parameter, Shapes
+from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import below, clip, maximum, select, sqrt
+from torchdq.program.transforms import without_values
+from torchdq.robot import ContactPoint, Robot
+from torchdq.robot.contact_points import require_contact_point
+
+SINK = 1e-3  # depth of the points of a robot at rest, where the stiffness follows from it [m]
+FIRMEST = 4.0  # largest stiffness, in masses of the robot over the square of a step
+WEIGHT = 9.81  # acceleration that the weight of a robot at rest is taken with [m/s^2]
+NEAR = 1e-6  # depth from which a point was in contact over the last step, above the rounding of its memory [m]
+TINY = 1e-6  # friction beside which the size of none counts as zero [N]
+WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
+KEPT = 5  # numbers that a point remembers
+
+Surface = Callable[[Number, Number], tuple[Number, Number, Number]]
+
+
+class Reading(NamedTuple):
+    """Contact of one point in a state."""
+
+    force: Pure  # on the robot, in world axes [N]
+    normal_force: Number  # [N]
+    touching: Number  # 1, or 0 where no force acts
+    depth: Number  # negative above the ground [m]
+    slip: Number  # speed along the surface [m/s]
+
+
+class _Place(NamedTuple):
+    """A point above the ground and its motion, in link axes."""
+
+    link: int
+    normal: Pure
+    point: Pure  # of the link, that is lowest
+    depth: Number
+    approach: Number  # velocity along the normal, negative towards the ground [m/s]
+    slip: Pure  # velocity along the surface [m/s]
+
+
+class _Law(NamedTuple):
+    """Law of one point over a step, with its coefficients at the start."""
+
+    place: _Place
+    active: Number  # 1 where a normal force acts, otherwise 0
+    impedance: Number  # of the normal force [N s/m]
+    tangential: Number  # impedance of the friction that sticks [N s/m]
+    bristles: Pure  # z, in link axes [m]
+    trial: Pure  # y, the friction that would stick, at the velocity now [N]
+    size: Number  # |y| [N]
+    share: Number  # s
+
+
+@dataclass(frozen=True)
+class Contact(BodyEffect):
+    """Compliant contact of points of the robot with the ground, by normal forces and dry friction that sticks.
+
+        f_n = k d (1 + c dd) >= 0,   |f_t| <= mu f_n
+
+    The force at a depth d is continuous and never attractive; at rest friction holds without creep, and sliding it is
+    mu f_n. For `LinearlyImplicit`, which takes the force at the end of the step and holds any stiffness; an impact is
+    of first order in the step. A point remembers five numbers of a state: bristles of the friction in world axes [m],
+    normal force and size of the friction over the last step [N].
+
+    Sources: K. H. Hunt and F. R. E. Crossley, "Coefficient of restitution interpreted as damping in vibroimpact",
+    Journal of Applied Mechanics, 1975, for the normal force; M. Anitescu and F. A. Potra, "A time-stepping method for
+    stiff multibody dynamics with contact and friction", 2002, for contact in linearly implicit steps.
+
+    Args:
+        points: points that touch: names or patterns of frames, whose contact points are those of `robot.contact_points`,
+            or the frame's origin where the file has none; or `ContactPoint` objects; None: the end effector's origin.
+        height: of a plane along its normal, from the origin of the base, or of the world for a floating base [m].
+        normal: its unit normal n, in the base frame or in the world frame, shape [..., 3].
+        surface: ground other than a plane: a function of recorded numbers (x, y) [m] that returns the height above
+            z = height [m] and its slopes along x and y; None: the plane.
+        stiffness: k of every point, of the normal force and of the friction that sticks [N/m], a number or [...]; None:
+            so that the robot at rest sinks 1 mm. At most 4 m / h^2, for a robot of mass m and a step h.
+        dissipation: c [s/m], a number or [...].
+        friction: mu, a number or [...].
+        stiction: False: no memory, and friction that is viscous below 10 mm/s, which has a smooth gradient and creeps.
+        settling: T, time in which bent bristles of a massless point relax [s], a number or [...].
+
+    >>> import torchdq
+    >>> from torchdq import effects
+    >>> scene = torchdq.Scene(torchdq.robots.load("panda"), (effects.Contact(height=0.2, friction=0.5),), dt=0.005)
+    """
+
+    SHAPES: ClassVar[Shapes] = {
+        "height": (),
+        "normal": (3,),
+        "stiffness": (),
+        "dissipation": (),
+        "friction": (),
+        "settling": (),
+    }
+    SIGNED = frozenset({"height", "normal"})
+    IMPLICIT = "its stiff forces act at the end of a step"
+    points: Any = None
+    height: Parameter = 0.0
+    normal: Parameter = (0.0, 0.0, 1.0)
+    surface: Surface | None = None
+    stiffness: Parameter = None
+    dissipation: Parameter = 1.0
+    friction: Parameter = 0.8
+    stiction: bool = True
+    settling: Parameter = 1e-3
+
+    # --- parameters ---
+
+    def described(self, robot: Robot) -> Self:
+        """Copy with its contact points, on links that move, and a stiffness."""
+        points = _points(self.points, robot)
+        for point in points:
+            if robot.frame(point.frame).link == BASE and not robot.floating:
+                raise ArgumentError(f"points of Contact hold {point.frame!r}, which is fixed to the base")
+        if self.surface is not None and not callable(self.surface):
+            raise ArgumentError(f"surface of Contact must be a function of (x, y), found {self.surface!r}")
+        if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
+            raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
+        stiffness = self.stiffness
+        if stiffness is None:
+            stiffness = max(1.0, _mass(robot) * WEIGHT / (SINK * len(points)))
+        return replace(self, points=points, stiffness=stiffness)
+
+    def resolved(self, robot: Robot) -> Self:
+        """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
+        whole = super().resolved(robot)
+        normal = tensor_of(whole.normal).double()
+        if without_values((normal,)):
+            return whole
+        wrong = (normal.square().sum(-1) - 1).abs() > 1e-5
+        if bool(wrong.any()):
+            found = ", ".join(f"{x:.4g}" for x in normal[wrong][0].tolist())
+            raise ArgumentError(f"normal of Contact must be a unit vector, found ({found})")
+        return whole
+
+    def stepped(self, robot: Robot, h: float) -> Self:
+        """Copy for steps h: the stiffness is at most 4 m / h^2; raises if one that is given is above."""
+        most = FIRMEST * max(_mass(robot), 1e-9) / h**2
+        if self.stiffness is None:
+            own = self.described(robot)
+            return replace(self, stiffness=min(own.stiffness, most))
+        stiffness = tensor_of(self.stiffness)
+        if not without_values((stiffness,)) and stiffness.numel() and (found := float(stiffness.max())) > most:
+            raise ArgumentError(
+                f"stiffness of Contact must be at most 4 m / h^2 = {most:.4g} N/m for robot {robot.name!r} and steps of "
+                f"{h:g} s, found {found:.4g}: a point would leave the ground faster than it came; take softer ground or "
+                "shorter steps"
+            )
+        return self
+
+    def memory(self, n: int) -> int:
+        """Bristles, normal force and size of the friction of every point; none without stiction."""
+        return KEPT * len(self.points) if self.stiction else 0
+
+    # --- law ---
+
+    def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
+        """Forces of the points."""
+        found = []
+        for law in self._laws(bodies, memory, h):
+            place = law.place
+            force = self.stiffness * place.depth - law.impedance * place.approach
+            normal, D = select(law.active, force, 0.0), law.share * law.tangential
+            acting = quat.sub(quat.scale(normal, place.normal), quat.scale(law.share, law.trial))
+            along = select(law.active, law.impedance, 0.0) - D
+            found.append(PointImpedance(place.link, place.point, acting, D, place.normal, along))
+        return found
+
+    def memory_at_end(
+        self, bodies: Bodies, inputs: Inputs, memory: Row, ends: Sequence[Pure], h: Number
+    ) -> Sequence[Number]:
+        """Bristles that are bent by the friction that acted, the normal force, and the size."""
+        after: list[Number] = []
+        if not self.stiction:
+            return after
+        lag = self.settling / h
+        for law, end in zip(self._laws(bodies, memory, h), ends, strict=True):
+            place = law.place
+            along = quat.dot(place.normal, end)
+            slip = quat.sub(end, quat.scale(along, place.normal))
+            # s y / k = s (z + (h + T) u_t')
+            acted = quat.scale(law.share, quat.add(law.bristles, quat.scale(h + self.settling, slip)))
+            bent = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, law.bristles)))
+            force = maximum(self.stiffness * place.depth - law.impedance * along, 0.0)
+            after += [*bodies.posed.to_world(place.link, bent), select(law.active, force, 0.0), law.size]
+        return after
+
+    def readings(self, bodies: Bodies, memory: Row) -> list[Reading]:
+        """Contact of every point in a state."""
+        found = []
+        for k, place in enumerate(self._places(bodies)):
+            to_world, speed = bodies.posed.to_world, sqrt(quat.dot(place.slip, place.slip))
+            if self.stiction:
+                z, f_n = tuple(memory[KEPT * k : KEPT * k + 3]), memory[KEPT * k + 3]
+                force = quat.sub(quat.scale(f_n, to_world(place.link, place.normal)), quat.scale(self.stiffness, z))
+            else:
+                (law,) = self._laws(bodies, (), 0.0, [place])
+                f_n = select(law.active, self.stiffness * place.depth - law.impedance * place.approach, 0.0)
+                acting = quat.sub(quat.scale(f_n, place.normal), quat.scale(law.share, law.trial))
+                force = to_world(place.link, acting)
+            found.append(Reading(force, f_n, below(0.0, f_n), place.depth, speed))
+        return found
+
+    def _places(self, bodies: Bodies) -> Iterator[_Place]:
+        """Places of the points."""
+        for point in self.points:
+            link, c = bodies.point(point.frame, point.center)
+            p = bodies.posed.position(link, c)
+            n, depth = self._ground(p, point.radius)
+            normal = bodies.posed.to_link(link, n)
+            lowest = quat.sub(c, quat.scale(point.radius, normal)) if point.radius else c
+            u = bodies.velocity(link, lowest)
+            along = quat.dot(normal, u)
+            yield _Place(link, normal, lowest, depth, along, quat.sub(u, quat.scale(along, normal)))
+
+    def _ground(self, p: Pure, radius: float) -> tuple[Pure, Number]:
+        """Normal of the ground below a sphere at p, in the world, and the sphere's depth."""
+        if self.surface is None:
+            return self.normal, self.height + radius - quat.dot(self.normal, p)
+        x, y, z = p
+        height, a, b = self.surface(x, y)
+        w = 1.0 / sqrt(1.0 + a * a + b * b)
+        return (-a * w, -b * w, w), radius - (z - height - self.height) * w
+
+    def _laws(
+        self, bodies: Bodies, memory: Row, h: Number, places: Sequence[_Place] | None = None
+    ) -> Iterator[_Law]:
+        """Laws of the points over a step h."""
+        k = self.stiffness
+        for i, place in enumerate(self._places(bodies) if places is None else places):
+            Z_n, Z_t = k * (h + self.dissipation * maximum(place.depth, 0.0)), k * (h + self.settling)
+            force = k * place.depth - Z_n * place.approach  # at the velocity now
+            if not self.stiction:
+                active = below(0.0, force)
+                load = self.friction * select(active, force, 0.0)
+                share = load / sqrt(quat.dot(place.slip, place.slip) + WIDTH * WIDTH)
+                yield _Law(place, active, Z_n, 1.0, quat.ZERO, place.slip, 0.0, share)
+                continue
+            *kept, pressed, last = memory[KEPT * i : KEPT * (i + 1)]
+            z = bodies.posed.to_link(place.link, tuple(kept))
+            if self.surface is not None:  # whose normal turns
+                z = quat.sub(z, quat.scale(quat.dot(place.normal, z), place.normal))
+            was = below(k * NEAR, pressed)
+            # the prediction alone would let a point chatter that lands, and the depth alone hold one that leaves
+            active = maximum(below(0.0, force), was * below(0.0, place.depth))
+            load = select(active, select(was, pressed, maximum(force, 0.0)), 0.0)
+            trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
+            size = sqrt(quat.dot(trial, trial) + TINY * TINY)
+            ahead = select(was, clip(size + (size - last), 0.5 * size, 2.0 * size), size)
+            limit = self.friction * load
+            share = select(below(limit, ahead), limit / ahead, 1.0)
+            yield _Law(place, active, Z_n, Z_t, z, trial, size, share)
+
+
+def _points(points: Any, robot: Robot) -> tuple[ContactPoint, ...]:
+    """Contact points, by names and patterns of frames or as they are."""
+    if points is None:
+        return (ContactPoint(robot.end_effector().name),)
+    given = points if isinstance(points, tuple) and not isinstance(points, ContactPoint) else (points,)
+    found: list[ContactPoint] = []
+    for one in given:
+        if isinstance(one, str):
+            found += [ContactPoint(name) for name in matching("points", one, robot.frame_names, "frame")]
+        else:
+            require_contact_point(robot, one)
+            found.append(one)
+    if not found:
+        raise ArgumentError("points of Contact must be at least one, found none")
+    return tuple(found)
+
+
+def _mass(robot: Robot) -> float:
+    """Mass of everything that moves, of the lightest of several robots [kg]."""
+    whole = robot.mass.detach().sum(-1)
+    if robot.floating and robot.base_mass is not None:
+        whole = whole + robot.base_mass.detach()
+    return float(whole.min()) if whole.numel() else 0.0
