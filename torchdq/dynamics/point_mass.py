@@ -54,7 +54,9 @@ def on_links(masses: Iterable[PointMass], body: Callable[[Number, Pure, tuple[Nu
     return found
 
 
-def with_outer(M: Matrix, masses: Sequence[PointMass], forces: Callable[[int, Screw], Sequence[Number | None]]) -> Matrix:
+def with_outer(
+    M: Matrix, masses: Sequence[PointMass], forces: Callable[[int, Screw], Sequence[Number | None]]
+) -> Matrix:
     """Mass matrix with e g g^T of every mass; `forces` takes a link and a wrench on it, and returns g."""
     rows = [list(row) for row in M]
     for at in masses:

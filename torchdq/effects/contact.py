@@ -16,7 +16,7 @@ the last two steps, which makes the friction of sliding exact to second order in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -94,8 +94,8 @@ class Contact(BodyEffect):
     stiff multibody dynamics with contact and friction", 2002, for contact in linearly implicit steps.
 
     Args:
-        points: points that touch: names or patterns of frames, whose contact points are those of `robot.contact_points`,
-            or the frame's origin where the file has none; or `ContactPoint` objects; None: the end effector's origin.
+        points: points that touch: names or patterns of frames, of which `robot.contact_points` gives the points, or the
+            frame's origin where the file has none; or `ContactPoint` objects; None: the end effector's origin.
         height: of a plane along its normal, from the origin of the base, or of the world for a floating base [m].
         normal: its unit normal n, in the base frame or in the world frame, shape [..., 3].
         surface: ground other than a plane: a function of recorded numbers (x, y) [m] that returns the height above
@@ -170,9 +170,9 @@ class Contact(BodyEffect):
         stiffness = tensor_of(self.stiffness)
         if not without_values((stiffness,)) and stiffness.numel() and (found := float(stiffness.max())) > most:
             raise ArgumentError(
-                f"stiffness of Contact must be at most 4 m / h^2 = {most:.4g} N/m for robot {robot.name!r} and steps of "
-                f"{h:g} s, found {found:.4g}: a point would leave the ground faster than it came; take softer ground or "
-                "shorter steps"
+                f"stiffness of Contact must be at most 4 m / h^2 = {most:.4g} N/m for robot {robot.name!r} and steps "
+                f"of {h:g} s, found {found:.4g}: a point would leave the ground faster than it came; take softer "
+                "ground or shorter steps"
             )
         return self
 
@@ -250,9 +250,7 @@ class Contact(BodyEffect):
         w = 1.0 / sqrt(1.0 + a * a + b * b)
         return (-a * w, -b * w, w), radius - (z - height - self.height) * w
 
-    def _laws(
-        self, bodies: Bodies, memory: Row, h: Number, places: Sequence[_Place] | None = None
-    ) -> Iterator[_Law]:
+    def _laws(self, bodies: Bodies, memory: Row, h: Number, places: Sequence[_Place] | None = None) -> Iterator[_Law]:
         """Laws of the points over a step h."""
         k = self.stiffness
         for i, place in enumerate(self._places(bodies) if places is None else places):

@@ -122,8 +122,8 @@ class LinearlyImplicit(Integrator):
     """Linearly implicit Euler method: (M + h D + h^2 K)(v' - v) = h (forces(x, v) - h K v), x' = x + h v'.
 
     D and K are the damping and stiffness of the joint effects, on the diagonal, where they cost an addition each, and
-    those of points of bodies, such as contacts, as masses on their links. For stiff friction, servos, limits and ground;
-    other wrenches on bodies, and actuators, stay explicit.
+    those of points of bodies, such as contacts, as masses on their links. For stiff friction, servos, limits and
+    ground; other wrenches on bodies, and actuators, stay explicit.
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.elementary import DualAngle, together
 from torchdq.algebra.inertia import Moments
 from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.algebra import screw
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import crba, energy, regressor
 from torchdq.dynamics.aligned import aba, kinematics, rnea
