@@ -1,0 +1,81 @@
+"""What `scene.contacts` reads in a state: forces that carry the robot, touch, depth and slip of every point."""
+
+import math
+
+import pytest
+import torch
+from messages import refused
+
+import torchdq
+from torchdq import Scene, dq, effects
+from torchdq.errors import ArgumentError
+from torchdq.robot import ContactPoint
+
+F64 = torch.float64
+MASS, SIDE, G = 2.0, 0.1, 9.81
+BOX = f"""<robot name="box"><link name="box"><inertial><mass value="{MASS}"/>
+<inertia ixx="0.003" iyy="0.003" izz="0.003" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
+CORNERS = tuple(ContactPoint("box", (x, y, -SIDE / 2)) for x in (-SIDE / 2, SIDE / 2) for y in (-SIDE / 2, SIDE / 2))
+
+
+def scene(*points: ContactPoint, **parameters) -> Scene:
+    gravity = effects.Gravity((0.0, 0.0, -G))
+    robot = torchdq.Robot.from_urdf(BOX, base="floating")
+    return Scene(robot, (gravity, effects.Contact(points, stiffness=1e4, **parameters)), dt=0.005)
+
+
+def pose(height: float, angle: float = 0.0) -> torch.Tensor:
+    turn = torch.tensor([math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0], dtype=F64)
+    return dq.from_pose(turn, torch.tensor([0.0, 0.0, height], dtype=F64))
+
+
+def after(scene: Scene, steps: int, X_WB: torch.Tensor, **start: torch.Tensor):
+    state = scene.start(torch.zeros(0, dtype=F64), X_WB=X_WB, **start)
+    for _ in range(steps):
+        state = scene.step(state)
+    return state
+
+
+@pytest.mark.parametrize("stiction", [True, False])
+def test_a_body_at_rest_is_carried(stiction):
+    resting = scene(*CORNERS, stiction=stiction)
+    found = resting.contacts(after(resting, 400, pose(SIDE / 2)))
+    torch.testing.assert_close(found.force.sum(-2), torch.tensor([0.0, 0.0, MASS * G], dtype=F64), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(found.normal_force, torch.full((4,), MASS * G / 4, dtype=F64), rtol=1e-6, atol=0.0)
+    torch.testing.assert_close(found.depth, found.normal_force / 1e4, rtol=1e-6, atol=0.0)
+    assert found.touching.all()
+    assert (found.slip < 1e-6).all()
+
+
+@pytest.mark.parametrize("stiction", [True, False])
+def test_friction_of_a_sliding_body_opposes_its_slip(stiction):
+    sliding = scene(*CORNERS, friction=0.3, stiction=stiction)
+    V = torch.tensor([0.0, 0.0, 0.0, 2.0, 0.0, 0.0], dtype=F64)
+    state = after(sliding, 60, pose(SIDE / 2 - MASS * G / 4e4), V_WB_B=V)
+    found = sliding.contacts(state)
+    assert found.touching.all()
+    torch.testing.assert_close(found.force[:, 0], -0.3 * found.normal_force, rtol=1e-3, atol=0.0)
+    torch.testing.assert_close(found.slip, state.V_WB_B[3].expand(4), rtol=1e-4, atol=0.0)
+
+
+def test_forces_are_those_of_the_world_and_points_count_in_the_order_of_the_effects():
+    gravity, robot = effects.Gravity((0.0, 0.0, -G)), torchdq.Robot.from_urdf(BOX, base="floating")
+    floors = [effects.Contact(part, stiffness=1e4) for part in (CORNERS[:1], CORNERS[1:])]
+    two = Scene(robot, (gravity, *floors), dt=0.005)
+    one = scene(*CORNERS)
+    tilted = pose(0.07, 0.4)
+    for a, b in zip(two.contacts(after(two, 30, tilted)), one.contacts(after(one, 30, tilted)), strict=True):
+        torch.testing.assert_close(a, b)
+
+
+def test_a_body_in_the_air_touches_nothing():
+    found = scene(*CORNERS).contacts(after(scene(*CORNERS), 3, pose(1.0)))
+    assert not found.touching.any()
+    assert (found.force == 0).all()
+    assert (found.depth < -0.9).all()
+
+
+def test_a_scene_without_contact_has_none():
+    bare = Scene(torchdq.robots.load("two_link"))
+    with refused(ArgumentError):
+        bare.contacts(bare.start(torch.zeros(2)))
