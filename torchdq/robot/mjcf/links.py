@@ -16,7 +16,6 @@ from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import MjcfJoint, names_of
 from torchdq.robot.mjcf.source import MjcfModel
 
-
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3}  # numbers of a geom's size
 
 
@@ -73,7 +72,8 @@ def _site_names(of: MjcfModel, bodies: list[str]) -> list[str]:
 
 def _shapes(of: MjcfModel) -> list[list[Shape]]:
     """Shapes of the geoms that take part in contacts, by body."""
-    m, found = of.model, [[] for _ in range(of.model.nbody)]
+    m = of.model
+    found: list[list[Shape]] = [[] for _ in range(m.nbody)]
     for body, name, mesh in of.meshes:
         found[body].append(Shape(f"mesh {mesh!r}", name=name))
     for i in range(m.ngeom):

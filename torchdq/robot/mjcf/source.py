@@ -64,7 +64,9 @@ def compiled(source: Any) -> MjcfModel:
     except (ValueError, mujoco.FatalError):  # whatever was left out was wanted
         model, meshes = _attempt(lambda: _parsed(mujoco, text).compile(), needed), []
     degrees, weighed = bool(spec.compiler.degree), _from_geoms(mujoco, spec)
-    return MjcfModel(mujoco, model, "robot" if name in ("", UNNAMED) else name, degrees, weighed, collides, meshes, text)
+    return MjcfModel(
+        mujoco, model, "robot" if name in ("", UNNAMED) else name, degrees, weighed, collides, meshes, text
+    )
 
 
 def _attempt(step: Callable[[], Any], needed: list[str] | None = None) -> Any:

@@ -1,4 +1,4 @@
-"""Collision shapes of the links of a URDF file; those that cannot be read are kept with the reason, and refused late."""
+"""Collision shapes of the links of a URDF file; one that cannot be read is kept with the reason."""
 
 from __future__ import annotations
 
