@@ -18,17 +18,18 @@ class HeightMap:
     """Heights of the ground on a square grid, bilinear in between; beyond the edge its height continues.
 
     The height at x, y = origin + spacing (column, row) is heights[..., row, column]. Robots of a batch share a map, or
-    have one each. Gradients flow to the heights.
+    have one each. Gradients flow to the heights. A map is the `surface` of an `effects.Contact`: before each step torch
+    looks up the plane that is tangent to it below every point, and the step takes that plane for the ground.
 
     Args:
         heights: [m], shape [..., rows, columns], at least two of each.
         spacing: distance of neighbouring heights [m].
-        origin: x and y of the first height [m], in the world frame.
+        origin: x and y of the first height [m], in the world frame, or in that of a fixed base.
 
     >>> import torch
     >>> from torchdq.envs import effects
     >>> stairs = effects.HeightMap(torch.tensor([[0.0, 0.0, 0.2, 0.2]] * 2), spacing=0.5)
-    >>> height, slope_x, slope_y = stairs.at(torch.tensor([0.25, 0.75, 9.0]), torch.tensor([0.1, 0.1, 0.1]))
+    >>> height, slope_x, slope_y = stairs(torch.tensor([0.25, 0.75, 9.0]), torch.tensor([0.1, 0.1, 0.1]))
     >>> height, slope_x
     (tensor([0.0000, 0.1000, 0.2000]), tensor([0.0000, 0.4000, 0.0000]))
     """
@@ -48,16 +49,15 @@ class HeightMap:
         if not isinstance(self.origin, Sequence) or len(self.origin) != 2 or not all(map(is_number, self.origin)):
             raise ArgumentError(f"origin of HeightMap must be two numbers, x and y [m], found {self.origin!r}")
 
-    def at(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Height [m] of the ground below points, and its slopes dz/dx and dz/dy, each of shape [..., points].
 
         Args:
             x, y: places of the points [m], shape [..., points]; the other axes are batch axes, as those of the heights.
         """
         *batch, rows, columns = self.heights.shape
-        heights, first = self.heights.to(x.device).flatten(), 0
-        if batch:
-            first = torch.arange(0, heights.numel(), rows * columns, device=x.device).reshape(*batch, 1)
+        heights = self.heights.to(x.device).flatten()
+        first = torch.arange(0, heights.numel(), rows * columns, device=x.device).reshape(*batch, 1) if batch else 0
         (left, right, a), (front, back, b) = self._cell(x, 0, columns), self._cell(y, 1, rows)
 
         def of(row: Tensor, column: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import product
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Pure
 from torchdq.base.checks import matching, require_number, require_object
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot.description import Shape
 from torchdq.robot.model import RobotModel
 
@@ -66,6 +67,13 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
                 radius = shape.size[0] if shape.kind in ("sphere", "capsule") else 0.0
                 found += [ContactPoint(frame.name, _placed(shape.X_FS, p), radius) for p in points]
     return tuple(found)
+
+
+def points_of(robot: RobotModel, pattern: str) -> tuple[ContactPoint, ...]:
+    """Contact points of frames, or the origins of the frames where the description has none."""
+    with suppress(UnknownNameError):
+        return contact_points(robot, pattern)
+    return tuple(map(ContactPoint, matching("points", pattern, robot.frame_names, "frame")))
 
 
 def _points(shape: Shape) -> list[Pure] | None:
