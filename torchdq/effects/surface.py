@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import floating, is_number, require_finite, require_number
+from torchdq.base.checks import floating, require_finite, require_number
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 
@@ -46,8 +46,10 @@ class HeightMap:
         if not without_values((self.heights,)):
             require_finite(**{"heights of HeightMap": self.heights})
         require_number("spacing of HeightMap", self.spacing, positive=True)
-        if not isinstance(self.origin, Sequence) or len(self.origin) != 2 or not all(map(is_number, self.origin)):
+        if not isinstance(self.origin, Sequence) or len(self.origin) != 2:
             raise ArgumentError(f"origin of HeightMap must be two numbers, x and y [m], found {self.origin!r}")
+        for x in self.origin:
+            require_number("origin of HeightMap", x)
 
     def __call__(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Height [m] of the ground below points, and its slopes dz/dx and dz/dy, each of shape [..., points].
