@@ -9,6 +9,7 @@ from torchdq.effects.joint import JointLimits, Servo, Spring
 from torchdq.effects.model import Gravity, MassScale, Payload, RotorInertia
 from torchdq.effects.residual import Residual
 from torchdq.effects.sensor import Bias, MeasurementDelay, Noise, QuantisedReading
+from torchdq.effects.surface import HeightMap
 from torchdq.effects.transmission import Elastic
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Elastic",
     "FirstOrderLag",
     "Gravity",
+    "HeightMap",
     "JointLimits",
     "LoadDependent",
     "LuGre",

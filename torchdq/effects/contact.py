@@ -16,22 +16,26 @@ the last two steps, which makes the friction of sliding exact to second order in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
+import torch
+from torch import Tensor
+
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.base.checks import matching, tensor_of
+from torchdq.base.checks import tensor_of
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
-from torchdq.effects.effect import Inputs, Parameter, Shapes
+from torchdq.effects.effect import TENSOR, Inputs, Parameter, Shapes
+from torchdq.effects.surface import HeightMap
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import below, clip, maximum, select, sqrt
 from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
-from torchdq.robot.contact_points import require_contact_point
+from torchdq.robot.contact_points import points_of, require_contact_point
 
 SINK = 1e-3  # depth of the points of a robot at rest, where the stiffness follows from it [m]
 FIRMEST = 4.0  # largest stiffness, in masses of the robot over the square of a step
@@ -40,8 +44,6 @@ NEAR = 1e-6  # depth from which a point was in contact over the last step, above
 TINY = 1e-6  # friction beside which the size of none counts as zero [N]
 WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
 KEPT = 5  # numbers that a point remembers
-
-Surface = Callable[[Number, Number], tuple[Number, Number, Number]]
 
 
 class Reading(NamedTuple):
@@ -99,7 +101,8 @@ class Contact(BodyEffect):
         height: of a plane along its normal, from the origin of the base, or of the world for a floating base [m].
         normal: its unit normal n, in the base frame or in the world frame, shape [..., 3].
         surface: ground other than a plane: a function of recorded numbers (x, y) [m] that returns the height above
-            z = height [m] and its slopes along x and y; None: the plane.
+            z = height [m] and its slopes along x and y; or an `effects.HeightMap`, a plane of which torch looks up
+            below every point before each step; None: the plane.
         stiffness: k of every point, of the normal force and of the friction that sticks [N/m], a number or [...]; None:
             so that the robot at rest sinks 1 mm. At most 4 m / h^2, for a robot of mass m and a step h.
         dissipation: c [s/m], a number or [...].
@@ -125,7 +128,7 @@ class Contact(BodyEffect):
     points: Any = None
     height: Parameter = 0.0
     normal: Parameter = (0.0, 0.0, 1.0)
-    surface: Surface | None = None
+    surface: Any = None
     stiffness: Parameter = None
     dissipation: Parameter = 1.0
     friction: Parameter = 0.8
@@ -141,7 +144,9 @@ class Contact(BodyEffect):
             if robot.frame(point.frame).link == BASE and not robot.floating:
                 raise ArgumentError(f"points of Contact hold {point.frame!r}, which is fixed to the base")
         if self.surface is not None and not callable(self.surface):
-            raise ArgumentError(f"surface of Contact must be a function of (x, y), found {self.surface!r}")
+            raise ArgumentError(
+                f"surface of Contact must be a function of (x, y), or a HeightMap, found {self.surface!r}"
+            )
         if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
         stiffness = self.stiffness
@@ -176,6 +181,34 @@ class Contact(BodyEffect):
             )
         return self
 
+    def template(self) -> Self:
+        """Copy without the heights of a map, because programs do not depend on them."""
+        found = super().template()
+        return replace(found, surface=TENSOR) if isinstance(self.surface, HeightMap) else found
+
+    def computed(self, n: int) -> dict[str, int]:
+        """Planes below the points [3 points], if there is a map."""
+        mapped = self.surface is TENSOR or isinstance(self.surface, HeightMap)
+        return {f"ground_{self.points[0].frame}": 3 * len(self.points)} if mapped else {}
+
+    def outside(self) -> str:
+        """Description of the map; "" without one."""
+        if not isinstance(self.surface, HeightMap):
+            return ""
+        rows, columns = self.surface.heights.shape[-2:]
+        return f"a map of {rows} x {columns} heights, in which torch looks up a plane below every point once per step"
+
+    def planes(self, places: Tensor) -> Tensor:
+        """Planes z = c + a x + b y tangent to the map, c, a and b [..., 3 points], at x and y [..., 2 points]."""
+        x, y = places.chunk(2, -1)
+        height, a, b = self.surface(x, y)
+        return torch.cat(torch.broadcast_tensors(height - a * x - b * y, a, b), -1)
+
+    def places(self, bodies: Bodies) -> list[Number]:
+        """x, and then y, of all points."""
+        found = [bodies.posed.position(*bodies.point(point.frame, point.center)) for point in self.points]
+        return [p[axis] for axis in (0, 1) for p in found]
+
     def memory(self, n: int) -> int:
         """Bristles, normal force and size of the friction of every point; none without stiction."""
         return KEPT * len(self.points) if self.stiction else 0
@@ -185,7 +218,7 @@ class Contact(BodyEffect):
     def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
         """Forces of the points."""
         found = []
-        for law in self._laws(bodies, memory, h):
+        for law in self._laws(self._places(bodies, inputs), bodies, memory, h):
             place = law.place
             force = self.stiffness * place.depth - law.impedance * place.approach
             normal, D = select(law.active, force, 0.0), law.share * law.tangential
@@ -202,7 +235,7 @@ class Contact(BodyEffect):
         if not self.stiction:
             return after
         lag = self.settling / h
-        for law, end in zip(self._laws(bodies, memory, h), ends, strict=True):
+        for law, end in zip(self._laws(self._places(bodies, inputs), bodies, memory, h), ends, strict=True):
             place = law.place
             along = quat.dot(place.normal, end)
             slip = quat.sub(end, quat.scale(along, place.normal))
@@ -213,47 +246,52 @@ class Contact(BodyEffect):
             after += [*bodies.posed.to_world(place.link, bent), select(law.active, force, 0.0), law.size]
         return after
 
-    def readings(self, bodies: Bodies, memory: Row) -> list[Reading]:
+    def readings(self, bodies: Bodies, inputs: Inputs, memory: Row) -> list[Reading]:
         """Contact of every point in a state."""
         found = []
-        for k, place in enumerate(self._places(bodies)):
+        for k, place in enumerate(self._places(bodies, inputs)):
             to_world, speed = bodies.posed.to_world, sqrt(quat.dot(place.slip, place.slip))
             if self.stiction:
                 z, f_n = tuple(memory[KEPT * k : KEPT * k + 3]), memory[KEPT * k + 3]
                 force = quat.sub(quat.scale(f_n, to_world(place.link, place.normal)), quat.scale(self.stiffness, z))
             else:
-                (law,) = self._laws(bodies, (), 0.0, [place])
+                (law,) = self._laws([place], bodies, (), 0.0)
                 f_n = select(law.active, self.stiffness * place.depth - law.impedance * place.approach, 0.0)
                 acting = quat.sub(quat.scale(f_n, place.normal), quat.scale(law.share, law.trial))
                 force = to_world(place.link, acting)
             found.append(Reading(force, f_n, below(0.0, f_n), place.depth, speed))
         return found
 
-    def _places(self, bodies: Bodies) -> Iterator[_Place]:
+    def _places(self, bodies: Bodies, inputs: Inputs) -> Iterator[_Place]:
         """Places of the points."""
-        for point in self.points:
+        planes = [inputs[name] for name in self.computed(0)]
+        for k, point in enumerate(self.points):
             link, c = bodies.point(point.frame, point.center)
             p = bodies.posed.position(link, c)
-            n, depth = self._ground(p, point.radius)
+            n, depth = self._ground(p, point.radius, *(row[k :: len(self.points)] for row in planes))
             normal = bodies.posed.to_link(link, n)
             lowest = quat.sub(c, quat.scale(point.radius, normal)) if point.radius else c
             u = bodies.velocity(link, lowest)
             along = quat.dot(normal, u)
             yield _Place(link, normal, lowest, depth, along, quat.sub(u, quat.scale(along, normal)))
 
-    def _ground(self, p: Pure, radius: float) -> tuple[Pure, Number]:
-        """Normal of the ground below a sphere at p, in the world, and the sphere's depth."""
+    def _ground(self, p: Pure, radius: float, plane: Row = ()) -> tuple[Pure, Number]:
+        """Normal of the ground below a sphere at p, in the world, and the sphere's depth; `plane`: that of a map."""
         if self.surface is None:
             return self.normal, self.height + radius - quat.dot(self.normal, p)
         x, y, z = p
-        height, a, b = self.surface(x, y)
+        if plane:
+            c, a, b = plane
+            height = c + a * x + b * y
+        else:
+            height, a, b = self.surface(x, y)
         w = 1.0 / sqrt(1.0 + a * a + b * b)
         return (-a * w, -b * w, w), radius - (z - height - self.height) * w
 
-    def _laws(self, bodies: Bodies, memory: Row, h: Number, places: Sequence[_Place] | None = None) -> Iterator[_Law]:
+    def _laws(self, places: Iterable[_Place], bodies: Bodies, memory: Row, h: Number) -> Iterator[_Law]:
         """Laws of the points over a step h."""
         k = self.stiffness
-        for i, place in enumerate(self._places(bodies) if places is None else places):
+        for i, place in enumerate(places):
             Z_n, Z_t = k * (h + self.dissipation * maximum(place.depth, 0.0)), k * (h + self.settling)
             force = k * place.depth - Z_n * place.approach  # at the velocity now
             if not self.stiction:
@@ -286,7 +324,7 @@ def _points(points: Any, robot: Robot) -> tuple[ContactPoint, ...]:
     found: list[ContactPoint] = []
     for one in given:
         if isinstance(one, str):
-            found += [ContactPoint(name) for name in matching("points", one, robot.frame_names, "frame")]
+            found += points_of(robot, one)
         else:
             require_contact_point(robot, one)
             found.append(one)

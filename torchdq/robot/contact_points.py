@@ -1,12 +1,22 @@
-"""Points at which robots touch the ground."""
+"""Points at which robots touch the ground: given, or those of the collision shapes of a description."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import product
 from typing import NamedTuple
 
-from torchdq.base.checks import require_number, require_object
-from torchdq.errors import ArgumentError
+from torchdq.algebra import dual_quaternion
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.quaternion import Pure
+from torchdq.base.checks import matching, require_number, require_object
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.robot.description import Shape
 from torchdq.robot.model import RobotModel
+
+DIGITS = 12  # of a centre [m]
 
 
 class ContactPoint(NamedTuple):
@@ -15,6 +25,75 @@ class ContactPoint(NamedTuple):
     frame: str  # name
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in the frame [m]
     radius: float = 0.0  # [m]
+
+
+def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[ContactPoint, ...]:
+    """Contact points of the collision elements of a URDF file, or of the geoms of an MJCF file, on some frames.
+
+    A sphere is one point with its radius, a capsule two at its ends, a box its eight corners, and a cylinder four on
+    each of its rims. Only geoms that take part in contacts count. What lies between the points does not touch.
+
+    Args:
+        robot: the robot.
+        pattern: name of a frame (a link, also one on a fixed joint, or a body) or of a collision element (a geom), a
+            pattern such as "*_foot", or a sequence of them.
+
+    Raises:
+        UnknownNameError: no frame with collision elements has such a name.
+        ArgumentError: a collision element is a mesh, or another shape that has no such points.
+
+    >>> import torchdq
+    >>> sphere = '<collision><origin xyz="0 0 -0.1"/><geometry><sphere radius="0.02"/></geometry></collision>'
+    >>> ends = '<joint name="j" type="prismatic"><parent link="base"/><child link="foot"/></joint>'
+    >>> text = f'<robot name="leg"><link name="base"/><link name="foot">{sphere}</link>{ends}</robot>'
+    >>> torchdq.Robot.from_urdf(text).contact_points("foot")
+    (ContactPoint(frame='foot', center=(0.0, 0.0, -0.1), radius=0.02),)
+    """
+    known = {frame.name for frame in robot.frames if frame.shapes}
+    known |= {shape.name for frame in robot.frames for shape in frame.shapes if shape.name}
+    chosen = matching("pattern", pattern, sorted(known), f"frame with collision elements of robot {robot.name!r}")
+    found = []
+    for frame in robot.frames:
+        for shape in frame.shapes:
+            if frame.name in chosen or shape.name in chosen:
+                points = _points(shape)
+                if points is None:
+                    raise ArgumentError(
+                        f"collision elements of {frame.name!r} of robot {robot.name!r} must be spheres, capsules, "
+                        f"boxes or cylinders, whose points can touch, found {shape.kind}; give points instead, as in "
+                        f"ContactPoint({frame.name!r}, center=(0.0, 0.0, 0.0), radius=0.02), or put a sphere into the "
+                        "file"
+                    )
+                radius = shape.size[0] if shape.kind in ("sphere", "capsule") else 0.0
+                found += [ContactPoint(frame.name, _placed(shape.X_FS, p), radius) for p in points]
+    return tuple(found)
+
+
+def points_of(robot: RobotModel, pattern: str) -> tuple[ContactPoint, ...]:
+    """Contact points of frames, or the origins of the frames where the description has none."""
+    with suppress(UnknownNameError):
+        return contact_points(robot, pattern)
+    return tuple(map(ContactPoint, matching("points", pattern, robot.frame_names, "frame")))
+
+
+def _points(shape: Shape) -> list[Pure] | None:
+    """Points of a shape in its own axes; None: it has none."""
+    if shape.kind == "sphere":
+        return [quat.ZERO]
+    if shape.kind == "capsule":
+        return [(0.0, 0.0, z) for z in (-shape.size[1], shape.size[1])]
+    if shape.kind == "box":
+        return [*product(*((-x, x) for x in shape.size))]
+    if shape.kind == "cylinder":
+        a, h = shape.size
+        return [(x, y, z) for z in (-h, h) for x, y in ((-a, 0.0), (0.0, -a), (0.0, a), (a, 0.0))]
+    return None
+
+
+def _placed(X: DualQuaternion, p: Pure) -> Pure:
+    """Point in the axes that a pose is given in, without rounding, which programs would multiply by."""
+    x, y, z = quat.add(dual_quaternion.translation(X), quat.rotate(X[0], p))
+    return (round(x, DIGITS) + 0.0, round(y, DIGITS) + 0.0, round(z, DIGITS) + 0.0)
 
 
 def require_contact_point(robot: RobotModel, point: ContactPoint) -> None:

@@ -7,6 +7,8 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.algebra import dual_quaternion
+from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.findings import Finding
@@ -34,12 +36,22 @@ class Limits(NamedTuple):
     effort: Tensor  # [N m or N]
 
 
+class Shape(NamedTuple):
+    """Collision shape S fixed to a frame F; the axis of a capsule or a cylinder is z."""
+
+    kind: str  # "sphere", "capsule", "cylinder" or "box"; other words say what it is instead
+    size: tuple[float, ...] = ()  # radius; radius and half length; half lengths [m]
+    X_FS: DualQuaternion = dual_quaternion.ONE
+    name: str = ""  # of the collision element
+
+
 class Frame(NamedTuple):
     """Named frame F fixed to a link B."""
 
     name: str
     link: int  # index of the link, -1: the base
     X_BF: Tensor  # [8]
+    shapes: tuple[Shape, ...] = ()  # collision shapes that the description has there
 
 
 class JointMap(NamedTuple):

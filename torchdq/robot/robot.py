@@ -29,6 +29,7 @@ from torchdq.robot.check import consistency, faults, units
 from torchdq.robot.check import report as reports
 from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.constants import Constants
+from torchdq.robot.contact_points import contact_points
 from torchdq.robot.description import Base, RobotDescription
 from torchdq.robot.edit import combined, coupled, reduced, replaced, stacked
 from torchdq.robot.mjcf import read as mjcf
@@ -349,7 +350,7 @@ class Robot(RobotModel):
     with_payload, with_tool, attach = combined.with_payload, combined.with_tool, combined.attach
     stack = classmethod(stacked.stack)
 
-    report, tree = reports.report, trees.tree
+    report, tree, contact_points = reports.report, trees.tree, contact_points
 
     def check(self) -> None:
         """Raise unless the robot can exist, and warn of other units: a file's checks on all values, batches included.

@@ -19,6 +19,7 @@ from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_choice, require_count, require_number, require_object
+from torchdq.effects.contact import Contact
 from torchdq.effects.effect import Effect
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import Precision, check_precision
@@ -163,7 +164,8 @@ class SceneModel:
         """
         if task is None and not self.spec.senses and not self.spec.remembers:
             return State(**moved), {}
-        state, rows = _split(self.evaluate("begin", self._with_noise({**moved, **inputs}, noise), task))
+        given = {**moved, **inputs, **self.grounds(State(**moved))}
+        state, rows = _split(self.evaluate("begin", self._with_noise(given, noise), task))
         return state._replace(**moved), rows
 
     def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
@@ -191,7 +193,8 @@ class SceneModel:
         self.spec.require_inputs(inputs, task)
         present = {name: x for name, x in inputs.items() if x is not None}
         if not isinstance(self.integrator, Unrecorded):
-            if self.computed:
+            present |= self.grounds(state)
+            if not self.computed.keys() <= present.keys():
                 system, *_ = self.drive(state, present, task)
                 present |= {name: system.inputs[name] for name in self.computed}
             return _split(self.evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
@@ -202,7 +205,8 @@ class SceneModel:
             noise = None if noise is None else noise.double()
         system, x, v, rows = self.drive(state, present, task)
         x, v = self.integrator.flow(system, x, v, self.dt)
-        sensed = self.evaluate("sense", self._with_noise({"x": x, "v": v, **rows, **present}, noise), task)
+        given = {"x": x, "v": v, **rows, **present, **{name: system.inputs[name] for name in self.computed}}
+        sensed = self.evaluate("sense", self._with_noise(given, noise), task)
         return _split({name: x.to(dtype) for name, x in sensed.items()})
 
     def drive(
@@ -212,13 +216,22 @@ class SceneModel:
         rows = self.evaluate("drive", {**state.rows(), **inputs}, task)
         x, v = rows.pop("x"), rows.pop("v")
         acting = {name: inputs[name] for effect in self.effects for name in effect.inputs(self.n) if name in inputs}
-        system = TensorSystem(self.spec, self.evaluate, {**acting, **{k: rows[k] for k in ("u", "X_WB") if k in rows}})
+        held = self.grounds(state) | {k: rows[k] for k in ("u", "X_WB") if k in rows}
+        system = TensorSystem(self.spec, self.evaluate, {**acting, **held})
         for effect in self.effects:
-            for name in effect.computed(self.n):
+            for name in effect.computed(self.n).keys() - held.keys():
                 accelerations = partial(system.under, x, v, name)
                 torques = effect.torques(state.q, state.qd, accelerations)  # type: ignore[attr-defined]
                 system = replace(system, inputs={**system.inputs, name: torques})
         return system, x, v, rows
+
+    def grounds(self, state: State) -> dict[str, Tensor]:
+        """Planes that effects look up in maps of heights, tangent to them below their points in a state, by name."""
+        maps = {name: e for e in self.effects if isinstance(e, Contact) for name in e.computed(self.n)}
+        if not maps:
+            return {}
+        moving = {name: x for name, x in state.rows().items() if name in self.spec.moving}
+        return {name: maps[name].planes(x) for name, x in self.evaluate("places", moving).items()}
 
     def finite(self, state: State) -> Tensor:
         """True for every row of a state whose numbers are all finite, shape [...]."""

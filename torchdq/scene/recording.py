@@ -17,6 +17,8 @@ from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import Named
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
+from torchdq.effects.body import Bodies
+from torchdq.effects.contact import Contact
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.steady import lines
 from torchdq.errors import ArgumentError
@@ -139,6 +141,14 @@ def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
     return {"force": [x for point in found for x in point.force], **rows}
 
 
+def _places(scene: RecordedScene, task: Task | None) -> Rows:
+    """Places of contact points above maps, by the name of the row that is looked up there."""
+    given, robot = scene.inputs, scene.spec.robot
+    at = scene.posed(given["q"], scene.base_of(scene.with_base(given["q"], given["qd"])[0]))
+    bodies = Bodies(robot, at, [])
+    return {name: x.places(bodies) for _, x in scene.spec.of(Contact) for name in x.computed(robot.n)}
+
+
 def _bodies(scene: RecordedScene, task: Task | None) -> Rows:
     return {name: row for name, row in scene.overrides.items() if row is not None}
 
@@ -172,6 +182,7 @@ STAGES = {
     "begin": _begin,
     "energy": _energy,
     "contacts": _contacts,
+    "places": _places,
     "bodies": _bodies,
     **EVALUATIONS,
 }

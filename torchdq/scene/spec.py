@@ -163,7 +163,11 @@ class RecordedScene:
         """Contact of every point in a state."""
         at = self.posed(q, (tuple(X_WB[:4]), tuple(X_WB[4:])) if X_WB else None)
         bodies = Bodies(self.spec.robot, at, at.twists([*V_WB_B, *qd]))
-        return [reading for i, effect in self.spec.of(Contact) for reading in effect.readings(bodies, memory[i])]
+        return [
+            reading
+            for i, effect in self.spec.of(Contact)
+            for reading in effect.readings(bodies, self.inputs, memory[i])
+        ]
 
     def packed(self, q: Row, qd: Row, memory: Memory) -> tuple[Row, Row]:
         """Positions and velocities of the joints and then of the rotors behind them."""

@@ -139,7 +139,8 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
         dq.mul(X, x) if p == BASE else x for x, p in zip(other.X_PB_home.unbind(-2), other.parents, strict=True)
     ]
     frames = (
-        Frame(start + x.name, link[x.link], dq.mul(X, x.X_BF) if x.link == BASE else x.X_BF) for x in other.frames
+        x._replace(name=start + x.name, link=link[x.link], X_BF=dq.mul(X, x.X_BF) if x.link == BASE else x.X_BF)
+        for x in other.frames
     )
     carrier, known = {name: getattr(robot, name) for name in (*LINK_BODY, *BASE_BODY)}, set(robot._arguments)
     if with_base := other.floating and (at.link != BASE or robot.floating):

@@ -19,7 +19,7 @@ from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import IDENTITY
 from torchdq.robot.bodies import body_at, lumped, mixed
-from torchdq.robot.description import Frame, JointMap, Limits
+from torchdq.robot.description import JointMap, Limits
 from torchdq.robot.edit.locking import lock_notes, positions, require_free, warn_beyond_limits
 from torchdq.robot.fields import BASE_BODY
 from torchdq.robot.model import AnyRobot, RobotModel, batches, factors, followed, sum_of
@@ -93,7 +93,7 @@ def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> An
         mass=_stacked(masses, robot.mass[..., :0], -1),
         com=_stacked(coms, robot.com[..., :0, :]),
         inertia=_stacked(inertias, robot.inertia[..., :0, :]),
-        frames=tuple(Frame(x.name, new[carrier[x.link]], dq.mul(X_CB[x.link], x.X_BF)) for x in robot.frames),
+        frames=tuple(x._replace(link=new[carrier[x.link]], X_BF=dq.mul(X_CB[x.link], x.X_BF)) for x in robot.frames),
         notes=(*robot.notes, *lock_notes(stand, limits)),
         _arguments=mixed(robot._arguments),
         **changes,
@@ -131,7 +131,7 @@ def subchain(robot: AnyRobot, base: str, tip: str) -> AnyRobot:
         X_WF, link = dq.mul(robot.X_PB_home[link], X_WF), robot.parents[link]
     X_FB = dq.conj(first.X_BF)
     new = {first.link: BASE} | {old: i for i, old in enumerate(chain)}
-    frames = [Frame(x.name, new[x.link], x.X_BF) for x in robot.frames if x.link in new]
+    frames = [x._replace(link=new[x.link]) for x in robot.frames if x.link in new]
     left_out = ", ".join(name for i, name in enumerate(robot.every_joint) if i not in chain)
     cut = f"chain from {base!r} to {tip!r}, without the joints {left_out}"
     notes = [Finding("robot.cut", "", cut, severity="note")] if left_out else []

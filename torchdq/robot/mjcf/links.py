@@ -11,10 +11,12 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
 from torchdq.robot.arrays import IDENTITY, double
 from torchdq.robot.assembly import APART, Links, Segment, linked
-from torchdq.robot.description import Frame
+from torchdq.robot.description import Frame, Shape
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import MjcfJoint, names_of
 from torchdq.robot.mjcf.source import MjcfModel
+
+SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3}  # numbers of a geom's size
 
 
 class ModelLinks(NamedTuple):
@@ -34,12 +36,12 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
         moves: displacement of each of them.
         base: body that is the floating base; None: the base is the world.
     """
-    m, names = of.model, names_of(of, "BODY", of.model.nbody)
-    segments = [Segment(names[0], None, dual_quaternion.ONE)]
+    m, names, shapes = of.model, names_of(of, "BODY", of.model.nbody), _shapes(of)
+    segments = [Segment(names[0], None, dual_quaternion.ONE, shapes=tuple(shapes[0]))]
     for i in range(1, m.nbody):
         own = [joint for joint in joints if joint.body == i and joint.single]
         X = _pose(m.body_quat[i], m.body_pos[i])
-        segments.append(Segment(names[i], int(m.body_parentid[i]), X, own, body_of(of, i)))
+        segments.append(Segment(names[i], int(m.body_parentid[i]), X, own, body_of(of, i), shapes=tuple(shapes[i])))
     found = linked(segments, moves, base)
     carried = {link.joint.body for link in found.links} | {base}
     sites = [(name, *found.places[m.site_bodyid[i]], i) for i, name in enumerate(_site_names(of, names))]
@@ -65,6 +67,21 @@ def _site_names(of: MjcfModel, bodies: list[str]) -> list[str]:
         while name in (*bodies, *found):
             name += "_site"
         found.append(name)
+    return found
+
+
+def _shapes(of: MjcfModel) -> list[list[Shape]]:
+    """Shapes of the geoms that take part in contacts, by body."""
+    m = of.model
+    found: list[list[Shape]] = [[] for _ in range(m.nbody)]
+    for body, name, mesh in of.meshes:
+        found[body].append(Shape(f"mesh {mesh!r}", name=name))
+    for i in range(m.ngeom):
+        if m.geom_contype[i] or m.geom_conaffinity[i]:
+            kind = of.mujoco.mjtGeom(int(m.geom_type[i])).name.removeprefix("mjGEOM_").lower()
+            geom = m.geom(i)
+            size = m.geom_size[i, : SIZES.get(kind, 0)].tolist()
+            found[m.geom_bodyid[i]].append(Shape(kind, tuple(size), _pose(m.geom_quat[i], m.geom_pos[i]), geom.name))
     return found
 
 

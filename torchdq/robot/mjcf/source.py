@@ -43,6 +43,7 @@ class MjcfModel(NamedTuple):
     degrees: bool  # whether angles of the file are in degrees
     weighed: bool  # whether masses come from geoms even where the file states them
     collides: bool  # whether geoms of the file take part in contacts
+    meshes: list[tuple[int, str, str]]  # body, name and mesh of geoms that take part in contacts and were left out
     source: MjcfText
 
 
@@ -56,13 +57,16 @@ def compiled(source: Any) -> MjcfModel:
     text = source if isinstance(source, MjcfText) else _text(source)
     spec = _attempt(lambda: _parsed(mujoco, text))
     name, collides = spec.modelname, any(x.contype or x.conaffinity for x in spec.geoms) or bool(spec.pairs)
-    needed = _without_meshes(mujoco, spec)
+    needed, left_out = _without_meshes(mujoco, spec)
     try:
         model = spec.compile()
+        meshes = [(body.id, *names) for body, *names in left_out]
     except (ValueError, mujoco.FatalError):  # whatever was left out was wanted
-        model = _attempt(lambda: _parsed(mujoco, text).compile(), needed)
+        model, meshes = _attempt(lambda: _parsed(mujoco, text).compile(), needed), []
     degrees, weighed = bool(spec.compiler.degree), _from_geoms(mujoco, spec)
-    return MjcfModel(mujoco, model, "robot" if name in ("", UNNAMED) else name, degrees, weighed, collides, text)
+    return MjcfModel(
+        mujoco, model, "robot" if name in ("", UNNAMED) else name, degrees, weighed, collides, meshes, text
+    )
 
 
 def _attempt(step: Callable[[], Any], needed: list[str] | None = None) -> Any:
@@ -119,14 +123,18 @@ def _from_geoms(mujoco: Any, spec: Any) -> bool:
     return spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
 
 
-def _without_meshes(mujoco: Any, spec: Any) -> list[str]:
-    """Remove what needs other files and gives no body its mass; the names of bodies whose mass comes from meshes."""
+def _without_meshes(mujoco: Any, spec: Any) -> tuple[list[str], list[tuple[Any, str, str]]]:
+    """Remove what needs other files and gives no body its mass.
+
+    Returns:
+        Names of bodies whose mass comes from meshes; body, name and mesh of geoms for contacts that were removed.
+    """
     always = _from_geoms(mujoco, spec)
     first, last = spec.compiler.inertiagrouprange
     for kind in UNUSED:
         for element in list(getattr(spec, kind)):
             spec.delete(element)
-    needed = []
+    needed, left_out = [], []
     for body in spec.bodies:
         weighed = body.name != "world" and (always or not body.explicitinertial)
         for geom in list(body.geoms):
@@ -136,6 +144,8 @@ def _without_meshes(mujoco: Any, spec: Any) -> list[str]:
             if weighed and first <= geom.group <= last and not massless:
                 needed.append(body.name or "a body without name")
             else:
+                if geom.contype or geom.conaffinity:
+                    left_out.append((body, geom.name, geom.meshname or geom.hfieldname))
                 spec.delete(geom)
     kept = {geom.meshname for geom in spec.geoms} | {flex.name for flex in spec.flexes}
     for mesh in list(spec.meshes):
@@ -146,4 +156,4 @@ def _without_meshes(mujoco: Any, spec: Any) -> list[str]:
     for kind in ("hfields", "materials", "textures"):
         for element in list(getattr(spec, kind)):
             spec.delete(element)
-    return list(dict.fromkeys(needed))
+    return list(dict.fromkeys(needed)), left_out

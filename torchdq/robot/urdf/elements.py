@@ -86,7 +86,7 @@ class Elements(NamedTuple):
 def elements(root: ET.Element) -> Elements:
     """Links and joints of a root element; planar joints are taken apart into two slides and a turn."""
     faults: list[Finding] = []
-    name = _Part("robot", "", root, faults).name("name") or "robot"
+    name = Part("robot", "", root, faults).name("name") or "robot"
     links, joints = (_by_name(root, tag, faults) for tag in ("link", "joint"))
     unreadable: dict[str, list[Finding]] = {name: [] for name in links}
     bodies = {name: _inertial(link, unreadable[name]) for name, link in links.items()}
@@ -110,7 +110,7 @@ def elements(root: ET.Element) -> Elements:
 def _by_name(root: ET.Element, tag: str, faults: list[Finding]) -> dict[str, ET.Element]:
     found: dict[str, ET.Element] = {}
     for element in root.findall(tag):
-        name = _Part(tag, "", element, faults).name("name")
+        name = Part(tag, "", element, faults).name("name")
         if not name:
             faults.append(Finding("name.missing", tag, f"a <{tag}> has no name"))
         elif name in found:
@@ -119,7 +119,7 @@ def _by_name(root: ET.Element, tag: str, faults: list[Finding]) -> dict[str, ET.
     return found
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
     """Element of a link or a joint; faults of its attributes are added to a list."""
 
     subject: str  # link or joint
@@ -127,10 +127,10 @@ class _Part(NamedTuple):
     element: ET.Element | None
     faults: list[Finding]
 
-    def child(self, tag: str) -> _Part:
+    def child(self, tag: str) -> Part:
         """First child with a tag."""
         child = None if self.element is None else self.element.find(tag)
-        return _Part(self.subject, f"{self.what}{tag} ", child, self.faults)
+        return Part(self.subject, f"{self.what}{tag} ", child, self.faults)
 
     def fault(self, code: str, expected: str, found: str = "", cure: str = "") -> None:
         """Add a fault."""
@@ -185,13 +185,13 @@ class _Part(NamedTuple):
 
 def _inertial(link: ET.Element, faults: list[Finding]) -> Inertial | None:
     """Inertial element of a link; None if it is absent or gives no mass."""
-    part = _Part(f"link {link.get('name', '')[:MOST_CHARACTERS]!r}", "", link, faults)
+    part = Part(f"link {link.get('name', '')[:MOST_CHARACTERS]!r}", "", link, faults)
     if link.find("inertial") is None:
         return None
     origin = part.child("inertial").origin()
     if link.find("inertial/mass") is None:
         return None
-    part = _Part(part.subject, "", link.find("inertial"), faults)
+    part = Part(part.subject, "", link.find("inertial"), faults)
     inertia = part.child("inertia")
     # one attribute that is not given is a fault; without any the body is a point
     stated = inertia.element is not None and bool(inertia.element.attrib)
@@ -200,7 +200,7 @@ def _inertial(link: ET.Element, faults: list[Finding]) -> Inertial | None:
 
 
 def _joint(name: str, element: ET.Element, faults: list[Finding]) -> UrdfJoint:
-    part, kind = _Part(f"joint {name!r}", "", element, faults), element.get("type", "")
+    part, kind = Part(f"joint {name!r}", "", element, faults), element.get("type", "")
     if kind not in MOVING and kind not in OTHERS:
         known = f"type must be {', '.join((*MOVING, *OTHERS[:-1]))} or {OTHERS[-1]}"
         part.fault("joint.type", known, reprlib.repr(kind))

@@ -14,6 +14,7 @@ from torchdq.robot.arrays import SIX, double, matrices
 from torchdq.robot.assembly import described, linked
 from torchdq.robot.check import consistency
 from torchdq.robot.description import Base, RobotDescription, note
+from torchdq.robot.urdf.collision import shapes_of
 from torchdq.robot.urdf.diagnostics import diagnostics
 from torchdq.robot.urdf.document import root_of
 from torchdq.robot.urdf.elements import Elements, elements
@@ -41,7 +42,8 @@ def read(
         raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *faults)
     moves, lock_notes = locked(found, still_free, coupled, kept, lock)
     judged, findings = _physical(found, repair)
-    segments = segments_of(judged, tree.root, moves)
+    shapes = shapes_of(root)
+    segments = [x._replace(shapes=shapes.get(x.name, ())) for x in segments_of(judged, tree.root, moves)]
     carried = None if tree.free is None else [segment.name for segment in segments].index(tree.free.child)
     links = linked(segments, moves, carried)
     moving = {frame.name for frame in links.frames if floating or frame.link != BASE}
