@@ -87,7 +87,8 @@ def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memor
     if scene.spec.senses:
         rows["reading"] = reading
     if task is not None:
-        rows.update(task.rows(View(scene, q, qd, reading, u, scene.inputs)))
+        base = (moved[name] for name in ("X_WB", "V_WB_B") if name in moved)
+        rows.update(task.rows(View(scene, q, qd, reading, u, scene.inputs, *base)))
     return rows
 
 
@@ -210,7 +211,7 @@ class Stage(_StageFields, Computation):
             return (after,), (after, J // after)
         if self.stage not in ("step", "sense", "begin"):
             return super().results(program)
-        rows = (*self.spec.state, "observation", "reference")
+        rows = (*self.spec.state, "observation", "reference", "carry")
         widths = [(result.name, len(result.values)) for result in program.results]
         return tuple([(width,) if width > 1 or name in rows else () for name, width in widths])
 

@@ -203,6 +203,12 @@ class View(NamedTuple):
     reading: Row  # 2 n
     torque: Row  # behind the actuators, over the last step
     inputs: Mapping[str, Row]
+    X_WB: Row = ()  # pose [8] and twist [6] of a floating base
+    V_WB_B: Row = ()
+
+    def posed(self, q: Row) -> Posed:
+        """Robot at joint positions, in the world if its base is floating."""
+        return self.scene.posed(q, (tuple(self.X_WB[:4]), tuple(self.X_WB[4:])) if self.X_WB else None)
 
 
 def recorded(
