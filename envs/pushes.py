@@ -56,5 +56,5 @@ class Pushes:
         rows = some(time >= push[:, 6] + self.duration)
         u, after = streams.rows(rows).uniform(WIDTH, push.dtype)
         push = rows.replaced(push, self.drawn(u, rows.of(time)))
-        acts = (time >= push[:, 6]) & (time < push[:, 6] + self.duration)
+        acts = time >= push[:, 6]
         return torch.where(acts[:, None], push[:, :6], 0.0), push, streams.with_rows(rows, after)

@@ -258,6 +258,9 @@ def test_a_step_of_a_floating_robot_is_that_of_its_scene():
 
 def test_a_floating_robot_sees_its_base_and_the_way_of_its_end_effector_in_the_world():
     envs = free()
+    spinning = torch.linspace(-2.0, 2.0, 24, dtype=torch.float64).reshape(4, 6)
+    envs.set_state({**envs.get_state(), "V_WB_B": spinning})
+    steps(envs, 10)
     observation, now = envs.step(torch.zeros(4, 2))[0], envs.get_state()
     tip = floating.forward_kinematics(FREE, now["X_WB"], now["q"], FREE.tip)
     up = dq.rotate(dq.conj(dq.rotation(now["X_WB"])), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
@@ -315,11 +318,11 @@ def test_starts_and_goals_are_within_the_limits_that_are_simulated():
     assert torch.cdist(goal, near).amin(1).max() < 0.02
 
 
-def test_a_base_that_spins_without_bound_has_failed():
+def test_a_base_that_flies_off_has_failed():
     envs = free(effects=())
     now = envs.get_state()
     fast = now["V_WB_B"].clone()
-    fast[1, 2] = 1e7
+    fast[1, 5] = 1e7
     envs.set_state({**now, "V_WB_B": fast})
     _, rewards, terminated, _, info = envs.step(torch.zeros(4, 2))
     assert info["nonfinite"].tolist() == terminated.tolist() == [False, True, False, False]
