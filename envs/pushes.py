@@ -52,7 +52,7 @@ class Pushes:
     def at(
         self, time: Tensor, push: Tensor, streams: Streams, some: Callable[[Tensor], SomeRows]
     ) -> tuple[Tensor, Tensor, Streams]:
-        """Wrench [N, 6] at a time [N], the next push [N, 7], drawn anew where one is over, and the streams."""
+        """Wrench [N, 6] at a time [N], the next push [N, 7], drawn again where one is over, and the streams."""
         rows = some(time >= push[:, 6] + self.duration)
         u, after = streams.rows(rows).uniform(WIDTH, push.dtype)
         push = rows.replaced(push, self.drawn(u, rows.of(time)))

@@ -50,7 +50,7 @@ class Reset:
     ) -> None:
         self.scene, self.checked, self.randomised, self.functions = scene, checked, randomised, functions
         self.pushes = pushes
-        acting = [effect for effect in scene.effects if effect.SLOT == "sensor" or effect.memory(scene.n)]
+        acting = [x for x in scene.effects if x.SLOT in ("sensor", "body") or x.memory(scene.n)]  # seen at a start
         self.opening = scene.replace(effects=acting, controller=None)
         self.robot = mean_robot(scene.robot)
 
@@ -113,7 +113,7 @@ def task_inputs(
 ) -> dict[str, Tensor]:
     """Inputs of a task, without the state: goal [N, ...], time [N, 1], and action and carry, absent at a start."""
     wanted = task.inputs(scene.n)
-    given = {name: buffers[name] for name in ("goal", "carry") if name in wanted and name in buffers}
+    given: dict[str, Tensor] = {name: buffers[name] for name in ("goal", "carry") if name in wanted and name in buffers}
     if "time" in wanted:
         given["time"] = (buffers["steps"].to(buffers["goal"].dtype) * scene.dt)[:, None]
     if "action" in wanted and action is not None:

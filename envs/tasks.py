@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from torchdq.algebra import dual_quaternion as dq
@@ -64,8 +64,6 @@ class EpisodeTask(Task, Protocol):
     Its class and its fields tell programs apart: make a number that may change a field. A change of anything else, such
     as a global or an attribute of the class, has no effect until `torchdq.clear_caches()`.
     """
-
-    def __hash__(self) -> int: ...
 
     def defaults(self, robot: Robot) -> Mapping[str, Any]:
         """Arguments of environments whose effects are not given: `effects`, `scale`, `substeps`, `randomise`, `pushes`.
@@ -317,29 +315,6 @@ class Checked:
         return dict(rows)
 
 
-TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
-
-
-def task_of(task: str | EpisodeTask) -> EpisodeTask:
-    """Task, by its name or by itself."""
-    if isinstance(task, str):
-        if task not in TASKS:
-            raise UnknownNameError("task", task, TASKS)
-        return TASKS[task]
-    if isinstance(task, type) or not hasattr(task, "rows"):
-        raise ArgumentError(
-            f"task must be the name of one or an object like those of torchdq.envs.tasks, found {task!r}"
-            + (f"; {task.__name__} is a class, call it" if isinstance(task, type) else "")
-        )
-    known: set[str] = {entry.name for entry in fields(task)} if is_dataclass(task) else set()
-    if unknown := getattr(task, "__dict__", {}).keys() - known:
-        raise ArgumentError(
-            f"task has the attributes {', '.join(unknown)}, which are not fields, so tasks that differ in them would "
-            f"share a program; make {type(task).__name__} a dataclass(frozen=True) with these fields"
-        )
-    return task
-
-
 # --- terms of tasks ---------------------------------------------------------------------------------------
 
 
@@ -387,7 +362,7 @@ def seen(view: View) -> list[Number]:
     robot, n, found = view.scene.spec.robot, len(view.q), list[Number]()
     for joint, x in zip(robot.joint_types, view.reading[:n], strict=True):
         found += [x] if joint.slides else [x.sin(), x.cos()]
-    up = quat.rotate(quat.conj(view.X_WB[:4]), (0.0, 0.0, 1.0)) if robot.floating else ()
+    up = quat.rotate(quat.conj(tuple(view.X_WB[:4])), (0.0, 0.0, 1.0)) if robot.floating else ()
     return [*found, *speeds(robot, view.reading[n:]), *up, *view.V_WB_B]
 
 

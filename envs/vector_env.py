@@ -46,7 +46,8 @@ from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import KEPT, Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded, seeds_of
 from torchdq.envs.row_selection import Indexed, Masked, SomeRows, column
-from torchdq.envs.tasks import STATE, Checked, EpisodeTask, task_of
+from torchdq.envs.task_names import task_of
+from torchdq.envs.tasks import STATE, Checked, EpisodeTask
 from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.posed import GEOMETRY
