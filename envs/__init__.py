@@ -4,12 +4,24 @@ from gymnasium import register
 
 from torchdq import effects
 from torchdq.envs.env import ArmEnv
+from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Absolute
 from torchdq.envs.torch_task import TorchTask
 from torchdq.envs.vector_env import ArmVectorEnv
 from torchdq.scene import Scene, State, controllers, integrators
 
-__all__ = ["Absolute", "ArmEnv", "ArmVectorEnv", "Scene", "State", "TorchTask", "controllers", "effects", "integrators"]
+__all__ = [
+    "Absolute",
+    "ArmEnv",
+    "ArmVectorEnv",
+    "Pushes",
+    "Scene",
+    "State",
+    "TorchTask",
+    "controllers",
+    "effects",
+    "integrators",
+]
 
 for _task in ("Reach", "Track"):
     register(

@@ -1,4 +1,4 @@
-"""Actions of an environment: offsets of the reference that a controller follows, torques, or torques on top of it."""
+"""Actions of an environment: offsets of what a controller or a servo follows, torques, or torques on top of it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import and_more, is_number, matching, require_choice, require_tensor
+from torchdq.effects import Effect
 from torchdq.envs.tasks import velocities
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 
-Kind = Literal["reference", "torque", "residual"]
+Kind = Literal["reference", "target", "torque", "residual"]
 SHARE = {"torque": 1.0, "residual": 0.2}  # full action as a share of the torque limits
+OFFSET = 0.25  # full action of a servo's target [rad or m]
 HORIZON = 0.2  # time in which a joint at its velocity limit moves by a full reference action [s]
 
 
@@ -28,7 +30,7 @@ class Actions:
     kind: Kind
     robot: Robot
     joints: tuple[int, ...]  # the k actuated ones, in the order of the columns
-    scale: Tensor  # [n] size of a full action, zero for passive joints [N m or N; rad or m of a reference]
+    scale: Tensor  # [n] size of a full action, zero for passive joints [N m or N; rad or m of a reference or target]
 
     def clipped(self, actions: Any, num_envs: int, looks: bool = True) -> tuple[Tensor, Tensor]:
         """Actions [N, n] within their bounds, zero for passive joints, and the number clipped in each row [N].
@@ -90,7 +92,8 @@ class Actions:
         if self.kind == "residual":
             return {"torque": scaled, "reference": reference}
         n = self.robot.n
-        return {"reference": torch.cat([reference[:, :n] + scaled, reference[:, n:]], 1)}
+        moved = reference[:, :n] + scaled
+        return {"target": moved} if self.kind == "target" else {"reference": torch.cat([moved, reference[:, n:]], 1)}
 
 
 def actuated_joints(robot: Robot, actuated: str | Sequence[str] | None) -> tuple[int, ...]:
@@ -108,16 +111,22 @@ def actuated_joints(robot: Robot, actuated: str | Sequence[str] | None) -> tuple
     return tuple(map(names.index, dict.fromkeys(found)))
 
 
-def kind_of(action: Kind | None, robot: Robot, joints: Sequence[int]) -> Kind:
-    """Meaning of the actions; None: "reference", or "torque" where some joints are passive."""
+def kind_of(action: Kind | None, robot: Robot, joints: Sequence[int], effects: Sequence[Effect]) -> Kind:
+    """Meaning of the actions; None: "target" of a servo, "torque" if joints are passive or the base floats."""
     passive = [name for i, name in enumerate(robot.joint_names) if i not in joints]
+    servo = any("target" in effect.inputs(robot.n) for effect in effects)
     if action is None:
-        return "torque" if passive else "reference"
+        return "target" if servo else "torque" if passive or robot.floating else "reference"
     require_choice("action", action, get_args(Kind))
-    if passive and action != "torque":
+    if servo != (action == "target"):
         raise ArgumentError(
-            f"action must be 'torque' where joints are passive, found {action!r}: its controller would drive "
-            f"{', '.join(passive)}, too"
+            f"action must be 'target' where effects have a Servo, and only there, found {action!r}"
+            + ("" if servo else "; add effects.Servo(kp, kd)")
+        )
+    if passive and action in ("reference", "residual"):
+        raise ArgumentError(
+            f"action must be 'torque' or 'target' where joints are passive, found {action!r}: its controller would "
+            f"drive {', '.join(passive)}, too"
         )
     return action
 
@@ -133,6 +142,8 @@ def full(robot: Robot, kind: Kind, scale: float | Sequence[float] | None, joints
                 f"scale must be a positive number or {len(joints)} of them, one for each joint in actuated, found "
                 f"{scale!r}"
             )
+    elif kind == "target":
+        numbers = [OFFSET] * len(joints)
     elif kind == "reference":
         limits = velocities(robot)
         numbers = [HORIZON * limits[i] for i in joints]

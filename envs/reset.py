@@ -12,6 +12,7 @@ from torch import Tensor
 from torchdq.backends.choice import choose
 from torchdq.backends.precision import run
 from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.envs.pushes import WIDTH, Pushes
 from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams, seeded
 from torchdq.envs.row_selection import Masked, SomeRows
@@ -25,6 +26,8 @@ from torchdq.scene.defaults import mean_robot
 from torchdq.scene.scene import Scene
 from torchdq.scene.spec import Task
 
+KEPT = ("observation", "reference", "carry")  # rows of a task that an environment keeps from step to step
+
 
 class Reset:
     """Random start of the episodes of a scene and a task.
@@ -33,14 +36,21 @@ class Reset:
         scene: the scene of the episodes.
         checked: the task of the episodes, with the check of its numbers.
         randomised: parameters of the scene that are drawn as well.
+        pushes: inputs that are drawn as well.
         functions: functions of tensors that replace parts of the task; None: there are none.
     """
 
     def __init__(
-        self, scene: Scene, checked: Checked, randomised: tuple[Randomised, ...], functions: Functions | None
+        self,
+        scene: Scene,
+        checked: Checked,
+        randomised: tuple[Randomised, ...],
+        pushes: Mapping[str, Pushes],
+        functions: Functions | None,
     ) -> None:
         self.scene, self.checked, self.randomised, self.functions = scene, checked, randomised, functions
-        acting = [effect for effect in scene.effects if effect.SLOT == "sensor" or effect.memory(scene.n)]
+        self.pushes = pushes
+        acting = [x for x in scene.effects if x.SLOT in ("sensor", "body") or x.memory(scene.n)]  # seen at a start
         self.opening = scene.replace(effects=acting, controller=None)
         self.robot = mean_robot(scene.robot)
 
@@ -58,9 +68,10 @@ class Reset:
         """
         task, own, looks = self.checked.task, self.functions, not isinstance(rows, Masked)
         draws = [task.draws(self.robot), 0 if own is None else own.task.draws]
-        widths = [*draws, *[r.width for r in self.randomised], self.scene.noises]
+        widths = [*draws, *[r.width for r in self.randomised], *[WIDTH] * len(self.pushes), self.scene.noises]
         u, streams = streams.uniform(sum(widths), dtype)
         u, u_own, *drawn, noise = u.split(widths, 1)
+        begun, drawn = drawn[len(self.randomised) :], drawn[: len(self.randomised)]
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)
         program = _program(self.checked, self.robot)
@@ -70,23 +81,27 @@ class Reset:
             fresh.update(own.started(u_own, looks))
         steps = torch.zeros(len(u), dtype=torch.int32, device=u.device)
         fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
+        for (name, pushes), x in zip(self.pushes.items(), begun, strict=True):
+            fresh[name] = pushes.drawn(x, x.new_zeros(len(x)))
         opening = _of_rows(self.opening, rows)
         given = task_inputs(task, fresh, opening)
-        state, seen = opening.begin({"q": fresh["q"], "qd": fresh["qd"]}, given, noise, self.checked)
+        moved = {name: fresh[name] for name in self.scene.spec.moving}
+        state, seen = opening.begin(moved, given, noise, self.checked)
         if own is not None:
             now = own.now(state, fresh["goal"], steps, seen, scene=lambda: _of_rows(self.scene, rows))
             seen["observation"] = own.observed(now)
             if looks:
                 require_finite_start("observation", seen["observation"])
-        return fresh | state.rows() | {name: seen.pop(name) for name in ("observation", "reference")}, seen
+        return fresh | state.rows() | {name: seen.pop(name) for name in KEPT if name in seen}, seen
 
     def blank(
         self, num_envs: int, width: int, seed: int, dtype: torch.dtype, device: torch.device
     ) -> dict[str, Tensor]:
         """Buffers before a first episode, with observations of a width and streams of a seed."""
         n = self.scene.n
-        widths = {**self.scene.spec.state, "goal": self.checked.inputs(n)["goal"], "reference": 3 * n}
-        widths["observation"] = width
+        own = {name: wide for name, wide in self.checked.inputs(n).items() if name in ("goal", "carry")}
+        own |= dict.fromkeys(self.pushes, WIDTH)
+        widths = {**self.scene.spec.state, **own, "reference": 3 * n, "observation": width}
         found = {name: torch.zeros(num_envs, wide, dtype=dtype, device=device) for name, wide in widths.items()}
         found["steps"] = torch.zeros(num_envs, dtype=torch.int32, device=device)
         found["finished"] = torch.zeros(num_envs, dtype=torch.bool, device=device)
@@ -96,9 +111,9 @@ class Reset:
 def task_inputs(
     task: Task, buffers: Mapping[str, Tensor], scene: Scene, action: Tensor | None = None
 ) -> dict[str, Tensor]:
-    """Inputs of a task, without the state: goal [N, ...], time [N, 1] and action [N, n], absent at a start."""
+    """Inputs of a task, without the state: goal [N, ...], time [N, 1], and action and carry, absent at a start."""
     wanted = task.inputs(scene.n)
-    given = {"goal": buffers["goal"]}
+    given: dict[str, Tensor] = {name: buffers[name] for name in ("goal", "carry") if name in wanted and name in buffers}
     if "time" in wanted:
         given["time"] = (buffers["steps"].to(buffers["goal"].dtype) * scene.dt)[:, None]
     if "action" in wanted and action is not None:

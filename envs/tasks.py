@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from torchdq.algebra import dual_quaternion as dq
@@ -33,52 +33,67 @@ from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.numbers.record import Recorded
 from torchdq.program.program import GROWTH
 from torchdq.robot import Robot
+from torchdq.scene.free_base import POSE, START, TWIST
 from torchdq.scene.spec import Rows, Task, View
 
 SPEED = 2.0  # velocity limit of a joint whose description has none [rad/s or m/s]
 FASTEST = 10.0  # bound of observed velocities, in multiples of the limit
+TUMBLING = 20.0  # bound of the observed twist of a floating base [rad/s, m/s]
 EFFORT = 0.01  # cost per step of full actions of all joints
 CLOSE = 0.05  # distance at which half of the bonus is earned [m]
 TIGHT = 0.1  # root mean square error at which half of the reward is earned [rad or m]
 HIGHEST = 2.0  # largest rate of the sinusoids of a reference [rad/s]
 SENSIBLE = 1e6  # bound of velocities and rewards; beyond it the simulation has failed
-RESERVED = ("q", "qd", "memory", "reading", "valid", GROWTH, "clipped", "nonfinite", "final_obs", "final_info")
+STATE = ("q", "qd", "X_WB", "V_WB_B", "memory", "reading")
+RESERVED = (*STATE, "valid", GROWTH, "clipped", "nonfinite", "final_obs", "final_info")
 
 
 class EpisodeTask(Task, Protocol):
     """A task of an environment; frozen and hashable, since it is part of the key of its programs.
 
     Its rows are "observation", "reward" [1] and "reference" [3 n], the positions, velocities and accelerations that a
-    controller is to follow over the next step; "terminated" [1], not zero where the episode ends, and "success" [1], 1
-    where the task is achieved and 0 elsewhere, may be among them. "success" and others go to the environment's `info`.
-    In addition to its "goal" it may take the "action" [n] in [-1, 1] and the "time" [1] since the start of the episode
-    [s]; at the start of an episode there is no action. A goal of three numbers is drawn as a point.
+    controller or servo is to follow over the next step; "terminated" [1], not zero where the episode ends, and
+    "success" [1], 1 where the task is achieved and 0 elsewhere, may be among them. "success" and others go to the
+    environment's `info`. In addition to its "goal" it may take the "action" [n] in [-1, 1] and the "time" [1] since the
+    start of the episode [s]. A goal of three numbers is drawn as a point.
+
+    What it remembers from step to step, such as the last action, is the row "carry" [k]: it comes back as the input
+    "carry" of the next step. At the start of an episode there is neither action nor carry.
 
     A task is recorded once, when its first environment is reset, and its numbers are part of the program from then on.
     Its class and its fields tell programs apart: make a number that may change a field. A change of anything else, such
     as a global or an attribute of the class, has no effect until `torchdq.clear_caches()`.
     """
 
-    def __hash__(self) -> int: ...
+    def defaults(self, robot: Robot) -> Mapping[str, Any]:
+        """Arguments of environments whose effects are not given: `effects`, `scale`, `substeps`, `randomise`, `pushes`.
+
+        Each may be left out, and is replaced by one that is given.
+        """
+        return {}
 
     def draws(self, robot: Robot) -> int:
         """Number of random numbers that an episode starts from."""
 
     def start(self, robot: Robot, u: Row) -> Rows:
-        """Rows "q", "qd" and "goal" of random numbers in (0, 1)."""
+        """Rows "q", "qd" and "goal" of random numbers in (0, 1), and of a floating base "X_WB" and "V_WB_B".
+
+        A base whose pose and twist are left out starts at the origin and at rest.
+        """
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
         """Lower and upper bound of every number of an observation."""
 
 
 @dataclass(frozen=True)
-class Reach:
+class Reach(EpisodeTask):
     """Bring the end effector to a point that it can reach, from standstill.
 
     Goal: the point in the base frame [m], that of random joint positions within their limits. Observation: sine and
     cosine of revolute joints or the position of prismatic ones, velocities as fractions of their limits, the vector
     from the end effector to the goal, and the position of the end effector, as measured. Success: d is at most 0.05 m.
-    Reward, of the true state:
+    Positions are in the frame at which a floating base starts, and its motion is observed, too: the direction of the
+    world's z axis and the twist of the base, in its axes. Reward, of the true state:
 
         1 / (1 + (d / 0.05)^2) - d - 0.01 mean(action^2),   d the distance [m]
 
@@ -107,10 +122,10 @@ class Reach:
     def rows(self, view: View) -> Rows:
         """Rows as the class states them."""
         robot, n, goal = view.scene.spec.robot, len(view.q), view.inputs["goal"]
-        q, qd = view.reading[:n], view.reading[n:]
-        p = tip(robot, view.scene.posed(q))
-        observation = [*seen(robot, q, qd), *quat.sub(goal, p), *p]
-        error = quat.sub(goal, tip(robot, view.scene.posed(view.q)))
+        q = view.reading[:n]
+        p = tip(robot, view.posed(q))
+        observation = [*seen(view), *quat.sub(goal, p), *p]
+        error = quat.sub(goal, tip(robot, view.posed(view.q)))
         squared = quat.dot(error, error)
         distance = sqrt(squared + 1e-12)
         bonus = 1.0 / (1.0 + squared * (1.0 / CLOSE**2))
@@ -124,7 +139,7 @@ class Reach:
 
 
 @dataclass(frozen=True)
-class Track:
+class Track(EpisodeTask):
     """Follow a smooth reference, the sum of two sinusoids per joint, from a start on it.
 
     Goal: middle, and amplitude, rate [rad/s] and phase [rad] of both sinusoids, of every joint [7 n]; within the limits
@@ -198,11 +213,12 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Plain:
+class Plain(EpisodeTask):
     """Neither goal nor reward: what a `TorchTask` starts from that names no other task.
 
     Start at rest, as in `Reach`. Observation: sine and cosine of revolute joints or the position of prismatic ones, and
-    velocities as fractions of their limits, as measured. Reference: to stand still at the present position.
+    velocities as fractions of their limits, as measured; of a floating base as in `Reach`. Reference: to stand still at
+    the present position; where actions are targets of a servo, at that of the start.
 
     Args:
         goal: number of numbers of a goal, all zero.
@@ -211,8 +227,8 @@ class Plain:
     goal: int = 0
 
     def inputs(self, n: int) -> dict[str, int]:
-        """Names and widths of the inputs: the goal."""
-        return {"goal": self.goal}
+        """Names and widths of the inputs: the goal, and the position of the start."""
+        return {"goal": self.goal, "carry": n}
 
     def draws(self, robot: Robot) -> int:
         """Number of random numbers that an episode starts from: one for every joint."""
@@ -230,9 +246,13 @@ class Plain:
     def rows(self, view: View) -> Rows:
         """Rows as the class states them."""
         robot, n = view.scene.spec.robot, len(view.q)
-        q, qd = view.reading[:n], view.reading[n:]
-        observation = within(seen(robot, q, qd), self.bounds(robot))
-        return {"observation": observation, "reward": [0.0], "reference": [*q, *[0.0] * (2 * n)]}
+        start, held = view.inputs.get("carry", view.q), "target" in view.scene.spec.inputs()
+        return {
+            "observation": within(seen(view), self.bounds(robot)),
+            "reward": [0.0],
+            "reference": [*(start if held else view.reading[:n]), *[0.0] * (2 * n)],
+            "carry": start,
+        }
 
 
 @dataclass(frozen=True)
@@ -247,29 +267,33 @@ class Checked:
     def inputs(self, n: int) -> dict[str, int]:
         """Inputs of the task."""
         found, known = self.task.inputs(n), {"action": n, "time": 1}
-        if "goal" not in found or any(known.get(name) != width for name, width in found.items() if name != "goal"):
+        own = ("goal", "carry")
+        if "goal" not in found or any(known.get(name) != width for name, width in found.items() if name not in own):
             raise ArgumentError(
-                f"{type(self.task).__name__}.inputs must give the width of 'goal', and may ask for {known}, found "
-                f"{found}"
+                f"{type(self.task).__name__}.inputs must give the width of 'goal', may give that of 'carry', and may "
+                f"ask for {known}, found {found}"
             )
         return found
 
     def start(self, robot: Robot, u: Row) -> Rows:
         """Rows of the task at a start."""
         widths = {"q": robot.n, "qd": robot.n, "goal": self.inputs(robot.n)["goal"]}
-        rows = self._rows("start", self.task.start(robot, u), widths)
+        base = {"X_WB": START, "V_WB_B": (0.0,) * TWIST} if robot.floating else {}
+        found = self.task.start(robot, u)
+        rows = self._rows("start", {**base, **found} if isinstance(found, Mapping) else found, widths)
         for name in rows:
-            if name not in widths:
-                raise UnknownNameError(f"row of a start that {type(self.task).__name__}.start may return", name, widths)
+            if name not in (known := (*widths, *base)):
+                raise UnknownNameError(f"row of a start that {type(self.task).__name__}.start may return", name, known)
         return rows
 
     def rows(self, view: View) -> Rows:
         """Rows of the task, and "valid"."""
         robot = view.scene.spec.robot
         widths = {"observation": len(self.task.bounds(robot)), "reward": 1, "reference": 3 * robot.n}
+        widths |= {name: width for name, width in self.inputs(robot.n).items() if name == "carry"}
         rows = self._rows("rows", self.task.rows(view), widths)
         # NaN and infinity survive sums; positions follow the velocities
-        squares = [x * x for x in (*view.qd, *rows["reward"], sum(rows["observation"], 0.0))]
+        squares = [x * x for x in (*view.qd, *view.V_WB_B, *rows["reward"], sum(rows["observation"], 0.0))]
         return {**rows, "valid": [at_least(SENSIBLE**2, sum(squares, 0.0))]}
 
     def _rows(self, method: str, rows: Any, widths: Mapping[str, int]) -> Rows:
@@ -278,7 +302,7 @@ class Checked:
         if not isinstance(rows, Mapping) or not widths.keys() <= rows.keys():
             found = ", ".join(rows) if isinstance(rows, Mapping) else type(rows).__name__
             raise ArgumentError(f"{what} must return a dict of rows with {', '.join(widths)}, found {found}")
-        widths = {"terminated": 1, "success": 1, **widths}
+        widths = {"terminated": 1, "success": 1, "X_WB": POSE, "V_WB_B": TWIST, **widths}
         for name, row in rows.items():
             if method == "rows" and name in RESERVED:
                 raise ArgumentError(f"{what} must not return a row {name!r}: the environment has its own")
@@ -289,29 +313,6 @@ class Checked:
             if len(row) != widths.get(name, len(row)):
                 raise ArgumentError(f"{what} must return {name!r} of width {widths[name]}, found {len(row)}")
         return dict(rows)
-
-
-TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
-
-
-def task_of(task: str | EpisodeTask) -> EpisodeTask:
-    """Task, by its name or by itself."""
-    if isinstance(task, str):
-        if task not in TASKS:
-            raise UnknownNameError("task", task, TASKS)
-        return TASKS[task]
-    if isinstance(task, type) or not hasattr(task, "rows"):
-        raise ArgumentError(
-            f"task must be the name of one or an object like those of torchdq.envs.tasks, found {task!r}"
-            + (f"; {task.__name__} is a class, call it" if isinstance(task, type) else "")
-        )
-    known: set[str] = {entry.name for entry in fields(task)} if is_dataclass(task) else set()
-    if unknown := getattr(task, "__dict__", {}).keys() - known:
-        raise ArgumentError(
-            f"task has the attributes {', '.join(unknown)}, which are not fields, so tasks that differ in them would "
-            f"share a program; make {type(task).__name__} a dataclass(frozen=True) with these fields"
-        )
-    return task
 
 
 # --- terms of tasks ---------------------------------------------------------------------------------------
@@ -353,12 +354,16 @@ def speeds(robot: Robot, qd: Row) -> list[Number]:
     return [v * (1.0 / limit) for v, limit in zip(qd, velocities(robot), strict=True)]
 
 
-def seen(robot: Robot, q: Row, qd: Row) -> list[Number]:
-    """Sine and cosine of revolute joints or the position of prismatic ones, and velocities over their limits."""
-    found: list[Number] = []
-    for joint, x in zip(robot.joint_types, q, strict=True):
+def seen(view: View) -> list[Number]:
+    """Sine and cosine of revolute joints or the position of prismatic ones, and velocities over their limits.
+
+    For a floating base also the world's z axis and the twist of the base, in its axes.
+    """
+    robot, n, found = view.scene.spec.robot, len(view.q), list[Number]()
+    for joint, x in zip(robot.joint_types, view.reading[:n], strict=True):
         found += [x] if joint.slides else [x.sin(), x.cos()]
-    return [*found, *speeds(robot, qd)]
+    up = quat.rotate(quat.conj(tuple(view.X_WB[:4])), (0.0, 0.0, 1.0)) if robot.floating else ()
+    return [*found, *speeds(robot, view.reading[n:]), *up, *view.V_WB_B]
 
 
 def seen_bounds(robot: Robot) -> list[tuple[float, float]]:
@@ -366,11 +371,12 @@ def seen_bounds(robot: Robot) -> list[tuple[float, float]]:
     found = []
     for joint, r in zip(robot.joint_types, ranges(robot), strict=True):
         found += [r.beyond] if joint.slides else [(-1.0, 1.0)] * 2
-    return [*found, *[(-FASTEST, FASTEST)] * robot.n]
+    base = [(-1.0, 1.0)] * 3 + [(-TUMBLING, TUMBLING)] * TWIST if robot.floating else []
+    return [*found, *[(-FASTEST, FASTEST)] * robot.n, *base]
 
 
 def tip(robot: Robot, at: Posed) -> Pure:
-    """Position of the end effector in the base frame [m]."""
+    """Position of the end effector in the base frame, or in the world if the base is floating [m]."""
     link, X_BF = frame(robot, robot.end_effector().name)
     return at.position(link, at.point(link, X_BF).position)
 

@@ -44,7 +44,7 @@ from torchdq.robot.fields import SHAPES, trailing
 from torchdq.robot.model import batches
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
-from torchdq.scene.state import State
+from torchdq.scene.state import State, require_unit
 
 
 class TaskRows(dict[str, Tensor]):
@@ -67,6 +67,8 @@ class Now(NamedTuple):
     action: Tensor  # [N, n] in [-1, 1]; zeros at a start, and for passive joints
     rows: Mapping[str, Tensor]  # those of the recorded task: "observation", "reward", "reference" and others
     simulated: Callable[[], Robot]  # function that returns `robot`
+    X_WB: Tensor | None = None  # [N, 8] pose of a floating base
+    V_WB_B: Tensor | None = None  # [N, 6] its twist, in its own axes [rad/s, m/s]
 
     @property
     def robot(self) -> Robot:
@@ -96,8 +98,8 @@ class TorchTask:
         observation: function of a `Now` that returns [N, k], also called at starts; it needs `bounds`. None: likewise.
         terminated: function of a `Now` that returns a bool [N]; None: likewise.
         start: function of the robot, as described, and of random numbers in (0, 1) [N, draws] that returns
-            {"q": [N, n]}, and may return "qd" [N, n] and "goal"; what it leaves out is that of the recorded task. None:
-            likewise.
+            {"q": [N, n]}, and may return "qd" [N, n], "goal" and, of a floating base, "X_WB" [N, 8] and "V_WB_B"
+            [N, 6]; what it leaves out is that of the recorded task. None: likewise.
         bounds: a pair (lower, upper) for each of the k numbers of an observation, such as [(-10, 10)] * k; may be
             infinite. They become `single_observation_space`; observations are not clipped.
         draws: random numbers that `start` takes for each episode.
@@ -197,7 +199,7 @@ class Functions(NamedTuple):
             shapes = {name: trailing(SHAPES[name], self.robot.sizes) for name in self.differing}
             return self.simulated._with(**{name: bodies[name].reshape(-1, *shape) for name, shape in shapes.items()})
 
-        return Now(state.q, state.qd, q, qd, goal, time, action, TaskRows(rows), simulated)
+        return Now(state.q, state.qd, q, qd, goal, time, action, TaskRows(rows), simulated, state.X_WB, state.V_WB_B)
 
     def started(self, u: Tensor, looks: bool) -> dict[str, Tensor]:
         """Rows of the start that the task defines, of random numbers [N, draws].
@@ -206,7 +208,7 @@ class Functions(NamedTuple):
         """
         if self.task.start is None:
             return {}
-        found, widths = self.task.start(self.robot, u), {"q": self.robot.n, "qd": self.robot.n, "goal": None}
+        found, widths = self.task.start(self.robot, u), {**self.scene.spec.moving, "goal": None}
         if not isinstance(found, Mapping):
             raise ArgumentError(f"start must return a dict of {', '.join(widths)}, found {type(found).__name__}")
         for name in found:
@@ -215,6 +217,8 @@ class Functions(NamedTuple):
         rows = {name: _row(f"start's {name!r}", x, (len(u), widths[name]), u) for name, x in found.items()}
         for name, x in rows.items() if looks else ():
             require_finite_start(f"start's {name!r}", x)
+        if looks and "X_WB" in rows:
+            require_unit(rows["X_WB"])
         return rows
 
     def observed(self, now: Now) -> Tensor:

@@ -30,14 +30,24 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import device_of, dtype_of, require_choice, require_count, require_tensor
+from torchdq.base.checks import (
+    device_of,
+    dtype_of,
+    require_choice,
+    require_count,
+    require_object,
+    require_tensor,
+    tensor_of,
+)
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of
+from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Randomise, randomised
-from torchdq.envs.reset import Reset, task_inputs
+from torchdq.envs.reset import KEPT, Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded, seeds_of
 from torchdq.envs.row_selection import Indexed, Masked, SomeRows, column
-from torchdq.envs.tasks import Checked, EpisodeTask, task_of
+from torchdq.envs.task_names import task_of
+from torchdq.envs.tasks import STATE, Checked, EpisodeTask
 from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.posed import GEOMETRY
@@ -53,7 +63,7 @@ from torchdq.scene.state import State
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
 WORST = -1000.0  # reward of a step that failed, worse than any episode
 _HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
-_RESTORED = ("q", "qd", "memory", "reading", "observation", "reference")  # buffers set back after a failed step
+_RESTORED = (*STATE, *KEPT)  # buffers set back after a failed step
 
 
 class ArmVectorEnv(VectorEnv):
@@ -69,28 +79,30 @@ class ArmVectorEnv(VectorEnv):
     Args:
         num_envs: number of environments.
         task: "reach", "track", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
-        robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed base; it needs an end effector to
-            reach.
-        effects: effects of the scene; None: `torchdq.scene.defaults.default_effects(robot)`.
+        robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed or a floating base; it needs an
+            end effector to reach.
+        effects: effects of the scene; None: those of the task, or `torchdq.scene.defaults.default_effects(robot)`.
         action: meaning of the actions. "reference": offsets of the positions that a controller follows, full ones as
-            far as a joint moves in 0.2 s at its velocity limit. "torque": fractions of the torque limits. "residual":
-            fractions of a fifth of them, added to the torques of the controller. The controller follows the reference
-            of the task: in "track" the motion to track, in "reach" the position at the start of each step. There an
-            offset tells a joint where to go from where it is, and without offsets the arm comes to rest. None:
-            "reference", or "torque" if some joints are passive.
+            far as a joint moves in 0.2 s at its velocity limit. "target": offsets of the targets of `effects.Servo`,
+            full ones 0.25 rad or m. "torque": fractions of the torque limits. "residual": fractions of a fifth of them,
+            added to the torques of the controller. Controller and servo follow the reference of the task: in "track"
+            the motion to track, in "reach" the position at the start of each step. There an offset tells a joint where
+            to go from where it is, and without offsets the arm comes to rest. None: "target" if there is a servo, or
+            "reference", or "torque" if some joints are passive or the base floats.
         controller: controller of residual and reference actions; None: computed torque of the rigid bodies as
-            described, which knows nothing of friction or of what is randomised.
-        scale: size of a full action [N m or N; rad or m for "reference"], one number or k, in the order of
-            `actuated`; None: as above.
+            described, which knows nothing of friction or of what is randomised; a floating base needs another one.
+        scale: size of a full action [N m or N; rad or m for "reference" and "target"], one number or k, in the order
+            of `actuated`; None: as above.
         actuated: names or patterns of the joints that actions move, one column each in the order given, those of a
             pattern in the order of the robot; None: all. The others are passive: they get no torque, from actions or a
-            controller, and `action` is "torque".
+            controller, and `action` is "torque" or "target", where the servo's gains say how firmly they are held.
         integrator: None: `LinearlyImplicit()`, which friction and limits cannot make unstable.
         dt: duration of a step [s].
-        substeps: steps of the integrator within it.
+        substeps: steps of the integrator within it; None: 2, unless the task says otherwise.
         max_episode_steps: steps after which an episode is truncated; None: never.
         randomise: parameters drawn for every episode, such as {"mass": 0.1, "gravity": (0.9, 1.1), "payload": 2.0};
             fractions, ranges, distributions or `Absolute` ranges, see `torchdq.envs.randomization`.
+        pushes: `torchdq.envs.Pushes` at random times by the names of the inputs of `effects.Push`.
         autoreset_mode: time at which finished rows are reset, as gymnasium defines it. SAME_STEP: at once, and
             `info["final_obs"]` [N, ...] and `info["final_info"]` hold what came before in the rows of the masks
             `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action:
@@ -126,9 +138,10 @@ class ArmVectorEnv(VectorEnv):
         actuated: str | Sequence[str] | None = None,
         integrator: Integrator | None = None,
         dt: float = 0.02,
-        substeps: int = 2,
+        substeps: int | None = None,
         max_episode_steps: int | None = 250,
         randomise: Randomise | None = None,
+        pushes: Mapping[str, Pushes] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         dtype: torch.dtype | str = torch.float32,
         device: torch.device | str = "cpu",
@@ -145,8 +158,10 @@ class ArmVectorEnv(VectorEnv):
         self.robot = _robot_of(robot)
         functions = task if isinstance(task, TorchTask) else None
         self.task = task_of(task.recorded_for(self.robot) if isinstance(task, TorchTask) else task)
+        given = {"effects": effects, "scale": scale, "substeps": substeps, "randomise": randomise, "pushes": pushes}
+        chosen = dict(self.task.defaults(self.robot)) if effects is None else {}
+        chosen |= {name: x for name, x in given.items() if x is not None}
         joints = actuated_joints(self.robot, actuated)
-        kind = kind_of(action, self.robot, joints)
         self.dtype, self.device = dtype_of("dtype", dtype), device_of("device", device)
         modes = AutoresetMode.__members__
         self.autoreset_mode = modes[autoreset_mode] if autoreset_mode in modes else AutoresetMode(autoreset_mode)  # type: ignore[index]
@@ -154,28 +169,32 @@ class ArmVectorEnv(VectorEnv):
         like = torch.empty(0, dtype=self.dtype, device=self.device)
         scene = Scene(
             self.robot,
-            default_effects(self.robot) if effects is None else effects,
+            chosen["effects"] if "effects" in chosen else default_effects(self.robot),
             integrator=integrator or LinearlyImplicit(),
             dt=dt,
-            substeps=substeps,
+            substeps=chosen.get("substeps", 2),
             backend=backend,
         )
+        self.robot = _within_limits(scene)
+        scene = scene.replace(robot=self.robot)
+        kind = kind_of(action, self.robot, joints, scene.effects)
         self.metadata = {
             "autoreset_mode": self.autoreset_mode,
             "render_modes": ["rgb_array", "human"],
             "render_fps": max(1, round(1 / dt)),
         }
-        if kind != "torque":
+        if kind in ("reference", "residual"):
             scene = scene.replace(controller=controller or ComputedTorqueController(KP, KD, nominal_robot(scene)))
         elif controller is not None:
-            raise ArgumentError("controller must be None for torque actions; did you mean action='residual'?")
-        _check_scene(scene, num_envs)
-        self.scene, self._randomised = randomised(scene.to(self.device), randomise or {}, num_envs, like)
-        size = torch.as_tensor(full(self.robot, kind, scale, joints)).to(like)
+            raise ArgumentError(f"controller must be None for {kind} actions; did you mean action='residual'?")
+        self._pushes: Mapping[str, Pushes] = chosen.get("pushes", {})
+        _check_scene(scene, num_envs, self._pushes)
+        self.scene, self._randomised = randomised(scene.to(self.device), chosen.get("randomise", {}), num_envs, like)
+        size = torch.as_tensor(full(self.robot, kind, chosen.get("scale"), joints)).to(like)
         self._actions = Actions(kind, self.robot, joints, size)
         self._checked = Checked(self.task)
         self._functions = None if functions is None else Functions.of(functions, self.robot, self.scene, self.device)
-        self._reset = Reset(self.scene, self._checked, self._randomised, self._functions)
+        self._reset = Reset(self.scene, self._checked, self._randomised, self._pushes, self._functions)
         self._define_spaces(functions.bounds if functions else None)
         # single numbers as tensors, since torch takes 2 us to make one
         self._valid = like.new_ones(())
@@ -384,17 +403,20 @@ class ArmVectorEnv(VectorEnv):
     def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The task's rows after a step, and the buffers."""
         buffers = dict(self._buffers)
-        buffers["steps"] = buffers["steps"] + self._one
+        time, buffers["steps"] = buffers["steps"].to(self.dtype) * self.scene.dt, buffers["steps"] + self._one
         given = task_inputs(self.task, buffers, self.scene, actions)
         given |= self._actions.inputs(actions, buffers["reference"])
+        for name, pushes in self._pushes.items():
+            given[name], buffers[name], after = pushes.at(time, buffers[name], self._streams(buffers), self._some)
+            buffers |= after._asdict()
         noise = None
         if self.scene.noises:
             noise, (buffers["key"], buffers["counter"]) = self._streams(buffers).uniform(self.scene.noises, self.dtype)
-        state = State(buffers["q"], buffers["qd"], buffers.get("memory"), buffers.get("reading"))
+        state = State(**{name: buffers[name] for name in STATE if name in buffers})
         state, rows = self.scene.advance(state, given, noise, self._checked)
         if self._functions is not None:
             rows = self._functions.after(self._functions.now(state, buffers["goal"], buffers["steps"], rows, actions))
-        buffers.update(state.rows(), observation=rows.pop("observation"), reference=rows.pop("reference"))
+        buffers.update(state.rows(), **{name: rows.pop(name) for name in KEPT if name in buffers})
         return rows, buffers
 
     def _any(self, mask: Tensor) -> bool:
@@ -441,10 +463,6 @@ def _robot_of(robot: str | Path | Robot) -> Robot:
     if isinstance(robot, str) and not robot.lstrip().startswith("<") and Path(robot).suffix == "":
         robot = load(robot)
     found = robot if isinstance(robot, Robot) else Robot.from_urdf(robot)
-    if found.floating:
-        raise ArgumentError(
-            f"robot {found.name!r} must have a fixed base in environments, found a floating one, which a Scene can step"
-        )
     one = {name: (getattr(found, name), len(SHAPES[name])) for name in (*GEOMETRY, "home")}
     one["limits"] = (max(found.limits, key=Tensor.dim), 1)
     for name, (x, axes) in one.items():
@@ -456,14 +474,30 @@ def _robot_of(robot: str | Path | Robot) -> Robot:
     return found
 
 
-def _check_scene(scene: Scene, num_envs: int) -> None:
-    """Raise if an effect takes an input that an environment cannot supply, or has another number of rows."""
-    for effect in scene.effects:
-        for wanted in effect.inputs(scene.n):
-            raise ArgumentError(
-                f"effects: {type(effect).__name__} takes the input {wanted!r}, which an environment cannot supply; "
-                "leave it out"
-            )
+def _within_limits(scene: Scene) -> Robot:
+    """The scene's robot with the limits that effects simulate, which may be narrower than those described."""
+    limits = scene.robot.limits
+    for low, high in [bounds for effect in scene.effects if (bounds := effect.free_range()) is not None]:
+        lower, upper = (tensor_of(x).detach().to(limits.lower).reshape(-1, scene.n) for x in (low, high))
+        limits = limits._replace(
+            lower=torch.maximum(lower.amax(0), limits.lower), upper=torch.minimum(upper.amin(0), limits.upper)
+        )
+    same = all(map(torch.equal, limits, scene.robot.limits))
+    return scene.robot if same else scene.robot.replace(limits=limits)
+
+
+def _check_scene(scene: Scene, num_envs: int, pushes: Mapping[str, Pushes]) -> None:
+    """Raise if an effect takes an input that is not supplied, if pushes have no effect, or a tensor has other rows."""
+    wanted = {name: type(effect).__name__ for effect in scene.effects for name in effect.inputs(scene.n)}
+    for name in wanted.keys() - {"target", *pushes}:
+        cure = "give it by pushes, or leave it out" if wanted[name] == "Push" else "leave it out"
+        raise ArgumentError(
+            f"effects: {wanted[name]} takes the input {name!r}, which an environment does not supply; {cure}"
+        )
+    for name, one in pushes.items():
+        if wanted.get(name) != "Push":
+            raise UnknownNameError("input to push", name, [known for known, kind in wanted.items() if kind == "Push"])
+        require_object(f"pushes[{name!r}]", one, Pushes, "torchdq.envs", "Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0))")
     for name, batch in scene.batches.items():
         if batch not in ((), (1,), (num_envs,)):
             raise ArgumentError(f"{name} must be one for all or have {num_envs} rows, found the batch axes {batch}")

@@ -1,15 +1,16 @@
 """Tasks: what is observed, rewarded and followed, and a task of one's own."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
 from messages import refused
-from small_envs import ROBOT, make, started, steps
+from small_envs import FREE, ROBOT, make, started, steps
 
 import torchdq
-from torchdq.envs import ArmVectorEnv, effects
+from torchdq import dq, floating
+from torchdq.envs import ArmVectorEnv, State, TorchTask, effects
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import at_least
@@ -163,6 +164,7 @@ CHANGES = {
         lambda x: {**x, "clipped": [0.0]},
     ],
     "start": [
+        lambda x: {**x, "X_WB": [1.0] * 8},
         without("goal"),
         lambda x: {**x, "goal": x["goal"][:2]},
         lambda x: list(x),
@@ -200,3 +202,128 @@ def test_a_task_whose_attributes_are_no_fields_is_refused():
 
     with refused(ArgumentError):
         ArmVectorEnv(2, Weighted(5.0), "two_link", scale=10.0)
+
+
+# --- floating bases, servos, limits, and what a task remembers --------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Remembers(Reach):
+    """Counts its steps and keeps the last action."""
+
+    def inputs(self, n):
+        return {**super().inputs(n), "carry": 1 + n}
+
+    def rows(self, view):
+        before = view.inputs.get("carry", [0.0] * 3)
+        action = view.inputs.get("action", [0.0] * 2)
+        rows = super().rows(view)
+        return {**rows, "reward": [before[0]], "last": before[1:], "carry": [before[0] + 1.0, *action]}
+
+
+@pytest.mark.parametrize("mode", ["SAME_STEP", "NEXT_STEP"])
+def test_what_a_task_remembers_comes_back_at_the_next_step_and_not_in_the_next_episode(mode):
+    envs = started(3, Remembers(), max_episode_steps=4, autoreset_mode=mode)
+    envs.set_state({**envs.get_state(), "steps": torch.tensor([0, 1, 2], dtype=torch.int32)})
+    last, found = torch.zeros(3, 2), []
+    for k in range(4):
+        action = torch.full((3, 2), 0.1 * (k + 1))
+        _, reward, *_, info = envs.step(action)
+        running = reward > 1
+        assert torch.equal(info["last"][running], last[running]) and "carry" not in info
+        last = action
+        found.append(reward.tolist())
+    # the start of an episode carries 1, as its row says; a step of NEXT_STEP that resets has the reward 0
+    expected = {
+        "SAME_STEP": [[1, 1, 1], [2, 2, 2], [3, 3, 1], [4, 1, 2]],
+        "NEXT_STEP": [[1, 1, 1], [2, 2, 2], [3, 3, 0], [4, 0, 1]],
+    }
+    assert found == expected[mode]
+
+
+def free(task="reach", **arguments):
+    """Two seconds old environments of a free robot."""
+    envs = started(4, task, robot=FREE, dtype="float64", **{"effects": (effects.Gravity(),), **arguments})
+    steps(envs, 10)
+    return envs
+
+
+def test_a_step_of_a_floating_robot_is_that_of_its_scene():
+    envs, action = free(), torch.full((4, 2), 0.3, dtype=torch.float64)
+    before = State(**{name: envs.get_state()[name] for name in ("q", "qd", "X_WB", "V_WB_B")})
+    envs.step(action)
+    expected, found = envs.scene.step(before, torque=20.0 * action), envs.get_state()
+    assert all(torch.equal(found[name], x) for name, x in expected.rows().items())
+
+
+def test_a_floating_robot_sees_its_base_and_the_way_of_its_end_effector_in_the_world():
+    envs = free()
+    spinning = torch.linspace(-2.0, 2.0, 24, dtype=torch.float64).reshape(4, 6)
+    envs.set_state({**envs.get_state(), "V_WB_B": spinning})
+    steps(envs, 10)
+    observation, now = envs.step(torch.zeros(4, 2))[0], envs.get_state()
+    tip = floating.forward_kinematics(FREE, now["X_WB"], now["q"], FREE.tip)
+    up = dq.rotate(dq.conj(dq.rotation(now["X_WB"])), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    p = dq.translation(tip)
+    expected = torch.cat([up, now["V_WB_B"], now["goal"] - p, p], 1)
+    assert torch.allclose(observation[:, 6:], expected, atol=1e-9)
+
+
+POSED = TorchTask(
+    reward=lambda now: now.X_WB[:, 0] + now.V_WB_B[:, 5],
+    start=lambda robot, u: {"q": u[:, :2], "V_WB_B": u[:, 3:], "X_WB": dq.from_pose(torch.eye(1, 4).to(u), u[:, :3])},
+    draws=9,
+)
+
+
+def test_a_floating_robot_starts_where_its_task_says():
+    envs = started(4, POSED, robot=FREE, dtype="float64", effects=())
+    now = envs.get_state()
+    assert bool(((now["V_WB_B"] > 0) & (now["V_WB_B"] < 1)).all()) and len(now["V_WB_B"].unique()) == 24
+    assert torch.equal(now["X_WB"][:, 0], torch.ones(4))
+    rewards = envs.step(torch.zeros(4, 2))[1]
+    now = envs.get_state()
+    assert torch.equal(rewards, now["X_WB"][:, 0] + now["V_WB_B"][:, 5])
+    twice = replace(POSED, start=lambda robot, u: {"X_WB": 2 * dq.from_pose(torch.eye(1, 4).to(u), u[:, :3])})
+    with refused(ArgumentError):
+        started(4, twice, robot=FREE, effects=())
+
+
+def test_actions_are_offsets_of_the_targets_of_servos():
+    """Of those of the start, where no task has others; a joint without a gain is free."""
+    held = effects.Servo((200.0, 0.0), (20.0, 0.0))
+    still = TorchTask(reward=lambda now: now.time, start=lambda robot, u: {"q": u}, draws=2)
+    envs = started(5, still, effects=(held, effects.RotorInertia(0.1)), action=None, scale=None, dtype="float64")
+    before = envs.get_state()["q"]
+    for _ in range(100):
+        envs.step(torch.tensor([1.0, -0.4]).expand(5, 2))
+    found = envs.get_state()["q"] - before
+    assert torch.allclose(found[:, 0], torch.full((5,), 0.25, dtype=torch.float64), atol=1e-3)
+    reference = envs.get_state()["reference"][:, :2]
+    assert torch.equal(reference, before)
+
+
+def test_starts_and_goals_are_within_the_limits_that_are_simulated():
+    lower, upper = torch.tensor([-0.4, 0.1]), torch.tensor([0.4, 0.9])
+    limits = effects.JointLimits(lower.expand(200, 2), tuple(upper.tolist()))
+    reach = started(200, effects=(effects.Gravity(), limits))
+    track = started(200, "track", effects=(effects.Gravity(), limits))
+    for envs in (reach, track):
+        q, reference = (envs.get_state()[name][:, :2] for name in ("q", "reference"))
+        assert bool(((q > lower) & (q < upper) & (reference > lower) & (reference < upper)).all())
+        assert torch.equal(torch.stack(envs.robot.limits[:2]).float(), torch.stack([lower, upper]))
+    q = torch.cartesian_prod(*(torch.linspace(a, b, 33) for a, b in zip(lower, upper, strict=True)))
+    near = dq.translation(torchdq.forward_kinematics(ROBOT, q, ROBOT.tip))
+    goal = reach.get_state()["goal"]
+    assert torch.cdist(goal, near).amin(1).max() < 0.02
+
+
+def test_a_base_that_flies_off_has_failed():
+    envs = free(effects=())
+    now = envs.get_state()
+    fast = now["V_WB_B"].clone()
+    fast[1, 5] = 1e7
+    envs.set_state({**now, "V_WB_B": fast})
+    _, rewards, terminated, _, info = envs.step(torch.zeros(4, 2))
+    assert info["nonfinite"].tolist() == terminated.tolist() == [False, True, False, False]
+    assert rewards[1] == -1000

@@ -16,7 +16,7 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from messages import refused
-from small_envs import ALL_DRAWN, PARTS, ROBOT, actions_of, make, same, started, steps
+from small_envs import ALL_DRAWN, FREE, PARTS, PUSHES, ROBOT, actions_of, make, same, started, steps
 
 import torchdq
 from torchdq.backends import c_library as build
@@ -235,6 +235,14 @@ KINDS = {
     "randomised": {"task": "track", "action": "residual", "effects": PARTS, "randomise": ALL_DRAWN},
     "memory": {"effects": (effects.Gravity(), *MEMORY, effects.Noise(0.01))},
     "in torch": {"task": IN_TORCH, "effects": (effects.Viscous(1.0),)},
+    "free and pushed": {
+        **{"robot": FREE, "effects": (effects.Gravity(), effects.Push(), effects.Noise(0.01)), "pushes": PUSHES},
+        "randomise": {"mass": 0.2},
+    },
+    "free with servos": {
+        **{"task": TorchTask(reward=lambda now: now.X_WB[:, 0]), "robot": FREE, "action": "target", "scale": None},
+        "effects": (effects.Servo(5.0, 1.0),),
+    },
 }
 
 
@@ -362,7 +370,8 @@ def test_finished_rows_wait_to_be_reset():
 def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
     options = {
         "randomise": {"mass": 0.2, "friction": 0.3},
-        "effects": (*default_effects(ROBOT), effects.Noise(0.01, 0.01)),
+        "effects": (*default_effects(ROBOT), effects.Noise(0.01, 0.01), effects.Push()),
+        **{"robot": FREE, "pushes": PUSHES},
     }
     looking, blind = (make(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
     blind._looks = False
@@ -599,6 +608,7 @@ WRONG = {
     "effects": ((effects.Gravity,), (effects.Servo(10.0),), (effects.Payload(torch.rand(4, 1)),)),
     "action": ("force",),
     "scale": (None, [1.0]),
+    "pushes": (PUSHES,),
     "dt": (0.0,),
     "num_envs": (0,),
     "max_episode_steps": (0,),

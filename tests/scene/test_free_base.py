@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 import torchdq
 from torchdq import dq, floating
 from torchdq.envs import Scene, effects
+from torchdq.scene.controllers import PD, ComputedTorqueController
 from torchdq.scene.free_base import EXACT, ORDER_4, rate
 from torchdq.scene.integrators import (
     DormandPrince,
@@ -390,10 +391,23 @@ def started(scale):
     return scene.start(torch.zeros(0, dtype=F64), X_WB=scale * UPRIGHT)
 
 
+def test_feedback_of_the_joints_moves_a_free_robot_without_a_force_from_outside():
+    robot, m = case("tree3").robot.replace(gravity=None), motion(case("tree3"))
+    scene = Scene(robot, (effects.RotorInertia(0.5),), PD(40.0, 20.0), RungeKutta4(), dt=0.005)
+    state, wanted = scene.start(m["q"], X_WB=m["X_WB"]), 0.3 * m["q"]
+    reference = torch.cat([wanted, 0 * wanted, 0 * wanted], -1).expand(2000, *wanted.shape[:-1], -1)
+    path = scene.rollout(state, reference=reference)
+    assert (path.q[-1] - wanted).abs().max() < 1e-3 and (path.X_WB[-1] - m["X_WB"]).abs().max() > 0.01
+    assert (invariants(scene, path) - invariants(scene, state))[..., 1:].abs().max() < 1e-5
+
+
 FREE = Scene(case("tree2").robot)
 FIXED = FREE.replace(robot=FREE.robot.replace(base_mass=None, base_com=None, base_inertia=None))
 MISUSE = {
     "integrator of momenta": lambda m: FREE.replace(integrator=StoermerVerlet()),
+    "computed torque": lambda m: FREE.replace(controller=ComputedTorqueController(100.0, 20.0)),
+    "model of a free robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, FREE.robot)),
+    "model of a fixed robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, FIXED.robot)),
     "pose of a fixed base": lambda m: FIXED.start(m["q"], X_WB=m["X_WB"]),
     "state of a fixed base": lambda m: FREE.step(FIXED.start(m["q"])),
     **{f"pose of size {scale}": lambda m, scale=scale: started(scale) for scale in (0.0, 1.001, 2.0)},

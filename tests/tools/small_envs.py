@@ -4,9 +4,15 @@ import torch
 from torch.distributions import LogNormal
 
 import torchdq
-from torchdq.envs import ArmVectorEnv, effects
+from torchdq.envs import ArmVectorEnv, Pushes, effects
 
 ROBOT = torchdq.robots.load("two_link")
+FREE = ROBOT.replace(
+    base_mass=torch.tensor(3.0),
+    base_com=torch.tensor([0.0, 0.1, 0.0]),
+    base_inertia=torch.tensor([0.3, 0.0, 0.4, 0.0, 0.0, 0.5]),
+).bake()  # flying freely
+PUSHES = {"push": Pushes((5.0, 5.0, 5.0, 1.0, 1.0, 1.0), every=(0.05, 0.2))}
 PARTS = (effects.Gravity(), effects.RotorInertia(0.1), effects.Viscous(2.0), effects.Coulomb(0.5), effects.Noise(0.01))
 ALL_DRAWN = {
     **{"mass": 0.2, "com": 0.02, "friction": (0.5, 2.0), "gravity": LogNormal(0.0, 0.02), "armature": 0.5},

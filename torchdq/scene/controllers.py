@@ -26,6 +26,8 @@ __all__ = ["PD", "ComputedTorqueController", "Controller"]
 class Controller(Parametric):
     """Torques from the input `reference` [..., 3 n]: desired positions, velocities and accelerations."""
 
+    FIXED: ClassVar[str] = ""  # reason why a robot with a floating base is refused; "": it is not
+
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
         """Torques at the measured positions and velocities; `at` is the scene's robot at these positions."""
         raise undefined(self, "torques")
@@ -76,6 +78,11 @@ class Feedback(Controller):
         believed, what = self.model, f"model of {type(self).__name__}"
         if believed is None:
             return self
+        if robot.floating or believed.floating:
+            raise ArgumentError(
+                f"{what} must be None for a robot with a floating base: what its joints carry depends on the forces on "
+                "the base"
+            )
         if believed.n != robot.n:
             raise ArgumentError(f"{what} must have the {robot.n} joints of robot {robot.name!r}, found {believed.n}")
         for name in arguments(believed):
@@ -119,6 +126,8 @@ class ComputedTorqueController(Feedback):
     >>> bool((end.abs() < 1e-3).all())
     True
     """
+
+    FIXED: ClassVar[str] = "its torques would need the forces of the ground on the base; use PD or effects.Servo"
 
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
         """Torques of the corrected acceleration."""

@@ -115,10 +115,10 @@ def require_supported_base(robot: Robot, controller: Controller | None, integrat
             f"robot {robot.name!r} must have a joint that moves or a floating base to be simulated, found neither; "
             "where it is a single body, load it with base='floating'"
         )
-    if robot.floating and controller is not None:
+    if robot.floating and controller is not None and controller.FIXED:
         raise ArgumentError(
-            f"controller must be None for a robot with a floating base, found {type(controller).__name__}, which "
-            "commands joints of a robot with a fixed one; use effects.Servo, or compute torques with torchdq.floating"
+            f"controller must be one for robots with a floating base, found {type(controller).__name__}: "
+            f"{controller.FIXED}"
         )
     if robot.floating and integrator.FIXED:
         raise ArgumentError(

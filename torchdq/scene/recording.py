@@ -31,7 +31,7 @@ from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
 from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.integrators import Integrator
-from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
+from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, pose_of, recorded
 
 MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
 
@@ -136,7 +136,8 @@ def _energy(scene: RecordedScene, task: Task | None) -> Rows:
 
 def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
     given, memory = scene.inputs, scene.spec.split(scene.inputs.get("memory", ()))
-    found = scene.contacts(given["q"], given["qd"], memory, given.get("X_WB", ()), given.get("V_WB_B", ()))
+    at = scene.posed(given["q"], pose_of(given.get("X_WB", ())))
+    found = scene.contacts(at, [*given.get("V_WB_B", ()), *given["qd"]], memory)
     rows = {name: [getattr(point, name) for point in found] for name in ("normal_force", "touching", "depth", "slip")}
     return {"force": [x for point in found for x in point.force], **rows}
 
@@ -230,7 +231,7 @@ class Stage(_StageFields, Computation):
             return (after,), (after, J // after)
         if self.stage not in ("step", "sense", "begin"):
             return super().results(program)
-        rows = (*self.spec.state, "observation", "reference")
+        rows = (*self.spec.state, "observation", "reference", "carry")
         widths = [(result.name, len(result.values)) for result in program.results]
         return tuple([(width,) if width > 1 or name in rows else () for name, width in widths])
 

@@ -159,10 +159,9 @@ class RecordedScene:
         """Robot at joint positions and, if its base is free, at the pose of it, with the scene's changes."""
         return posed(self.spec.robot, q, self.overrides, self.per_sample, X_WB)
 
-    def contacts(self, q: Row, qd: Row, memory: Memory, X_WB: Row = (), V_WB_B: Row = ()) -> list[Reading]:
-        """Contact of every point in a state."""
-        at = self.posed(q, (tuple(X_WB[:4]), tuple(X_WB[4:])) if X_WB else None)
-        bodies = Bodies(self.spec.robot, at, at.twists([*V_WB_B, *qd]))
+    def contacts(self, at: Posed, qd: Row, memory: Memory) -> list[Reading]:
+        """Contact of every point in a state; the twist of a floating base is before the velocities of the joints."""
+        bodies = Bodies(self.spec.robot, at, at.twists(qd))
         return [
             reading
             for i, effect in self.spec.of(Contact)
@@ -211,6 +210,11 @@ class RecordedScene:
         return rows, memory
 
 
+def pose_of(row: Row) -> DualQuaternion | None:
+    """Pose of eight numbers; None of none."""
+    return (tuple(row[:4]), tuple(row[4:])) if row else None
+
+
 class View(NamedTuple):
     """A state as a task sees it."""
 
@@ -220,14 +224,18 @@ class View(NamedTuple):
     reading: Row  # 2 n
     torque: Row  # behind the actuators, over the last step
     inputs: Mapping[str, Row]
-    X_WB: Row = ()  # pose of a floating base
-    V_WB_B: Row = ()  # its twist
+    X_WB: Row = ()  # pose [8] and twist [6] of a floating base
+    V_WB_B: Row = ()
     memory: Memory = {}  # noqa: RUF012  # of each effect
+
+    def posed(self, q: Row) -> Posed:
+        """Robot at joint positions, in the world if its base is floating."""
+        return self.scene.posed(q, pose_of(self.X_WB))
 
     @property
     def contacts(self) -> list[Reading]:
         """Contact of every point of the scene."""
-        return self.scene.contacts(self.q, self.qd, self.memory, self.X_WB, self.V_WB_B)
+        return self.scene.contacts(self.posed(self.q), [*self.V_WB_B, *self.qd], self.memory)
 
 
 def recorded(

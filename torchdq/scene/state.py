@@ -83,14 +83,14 @@ def initial_motion(spec: SceneSpec, given: Mapping[str, Tensor | None]) -> dict[
     q = present["q"]
     moved = {name: q.new_zeros(width) for name, width in spec.moving.items()}
     if "X_WB" in present:
-        _require_unit(present["X_WB"])
+        require_unit(present["X_WB"])
     if "X_WB" in moved:
         moved["X_WB"] = torch.eye(1, POSE, dtype=q.dtype, device=q.device)[0]
     # clones, so that later changes of q do not move the state
     return {name: x.clone().expand(*batch, x.shape[-1]) for name, x in {**moved, **present}.items()}
 
 
-def _require_unit(X_WB: Tensor) -> None:
+def require_unit(X_WB: Tensor) -> None:
     """Raise unless poses, except those with NaN, are unit dual quaternions up to their rounding."""
     if without_values((X_WB,)) or not X_WB.numel():
         return

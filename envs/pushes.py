@@ -1,0 +1,60 @@
+"""Pushes: wrenches on a robot at random times, as inputs of an `effects.Push`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchdq.base.checks import is_number
+from torchdq.envs.rng import Streams
+from torchdq.envs.row_selection import SomeRows
+from torchdq.errors import ArgumentError
+
+WIDTH = 7  # numbers of a push: its wrench, and the time at which it begins
+
+
+@dataclass(frozen=True)
+class Pushes:
+    """Pushes of random wrenches at random times, each as long as the others.
+
+    Args:
+        wrench: largest force and moment along each axis [N, N m], 6 numbers; each component is drawn evenly from minus
+            to plus that.
+        every: shortest and longest time from the start of the episode, or the end of a push, to the next one [s].
+        duration: of a push [s].
+
+    >>> from torchdq.envs import ArmVectorEnv, Pushes, effects
+    >>> pushed = {"push": Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0), every=(0.5, 2.0))}
+    >>> envs = ArmVectorEnv(64, "reach", "panda", effects=(effects.Gravity(), effects.Push()), pushes=pushed)
+    """
+
+    wrench: Sequence[float]
+    every: tuple[float, float] = (3.0, 8.0)
+    duration: float = 0.1
+
+    def __post_init__(self) -> None:
+        rows = {"wrench": (self.wrench, 6), "every": (self.every, 2), "duration": ((self.duration,), 1)}
+        for name, (row, width) in rows.items():
+            if not (isinstance(row, Sequence) and len(row) == width and all(is_number(x) and x >= 0 for x in row)):
+                raise ArgumentError(f"{name} of Pushes must be {width} numbers from 0, found {getattr(self, name)!r}")
+        if not (self.every[0] <= self.every[1] and self.duration > 0):
+            raise ArgumentError(f"every of Pushes must be (shortest, longest), and duration above 0, found {self}")
+
+    def drawn(self, u: Tensor, time: Tensor) -> Tensor:
+        """Next push [k, 7] after a time [k], of random numbers [k, 7]."""
+        first, last = self.every
+        begin = time + first + (last - first) * u[:, 6]
+        return torch.cat([(2.0 * u[:, :6] - 1.0) * u.new_tensor(self.wrench), begin[:, None]], 1)
+
+    def at(
+        self, time: Tensor, push: Tensor, streams: Streams, some: Callable[[Tensor], SomeRows]
+    ) -> tuple[Tensor, Tensor, Streams]:
+        """Wrench [N, 6] at a time [N], the next push [N, 7], drawn again where one is over, and the streams."""
+        rows = some(time >= push[:, 6] + self.duration)
+        u, after = streams.rows(rows).uniform(WIDTH, push.dtype)
+        push = rows.replaced(push, self.drawn(u, rows.of(time)))
+        acts = time >= push[:, 6]
+        return torch.where(acts[:, None], push[:, :6], 0.0), push, streams.with_rows(rows, after)
