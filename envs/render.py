@@ -275,26 +275,26 @@ class Viewer:
     def __init__(self, robot: Robot, port: int = 8080):
         self.skeleton = Skeleton(robot)
         middle, radius = self.skeleton.view()
-        self._line = radius / 2
+        self.rule = radius / 2
         self._server = _library("viser").ViserServer(host="127.0.0.1", port=port)
         self.url = f"http://127.0.0.1:{self._server.get_port()}"
         scene = self._server.scene
         scene.set_up_direction("+z")
         camera = self._server.initial_camera
         camera.look_at, camera.position = tuple(middle), tuple(middle + radius * np.array([1.6, -2.2, 1.0]))
-        self._ground = scene.add_grid(
-            "/ground", width=8 * radius, height=8 * radius, cell_size=radius / 4, section_size=self._line
+        self.ground = scene.add_grid(
+            "/ground", width=8 * radius, height=8 * radius, cell_size=radius / 4, section_size=self.rule
         )
-        self._base = scene.add_box("/base", color=_rgb(INK), dimensions=(0.18 * radius, 0.18 * radius, 0.02 * radius))
+        self.base = scene.add_box("/base", color=_rgb(INK), dimensions=(0.18 * radius, 0.18 * radius, 0.02 * radius))
         lines = np.zeros((len(self.skeleton.lines), 2, 3))
-        self._lines = scene.add_line_segments("/links", lines, colors=_rgb(LINK), thickness=0.05 * radius)
+        self.links = scene.add_line_segments("/links", lines, colors=_rgb(LINK), thickness=0.05 * radius)
         self._balls = {
             point: scene.add_icosphere(f"/joints/{point}", radius=0.04 * radius, color=_rgb(INK))
             for point in self.skeleton.joints
         }
         if self.skeleton.tip is not None:
             self._balls[self.skeleton.tip] = scene.add_icosphere("/tip", radius=0.045 * radius, color=_rgb(TIP))
-        self._target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
+        self.target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
         self.show(torch.zeros(robot.n))
 
     def show(self, q: Any, target: Any = None, X_WB: Any = None) -> None:
@@ -307,15 +307,15 @@ class Viewer:
         points = points - place
         goal = None if target is None else tuple(_rows("target", target, 3, 1)[0].numpy() - place)
         with self._server.atomic():
-            self._ground.position = (*(-place[:2] % self._line), -place[2])
+            self.ground.position = (*(-place[:2] % self.rule), -place[2])
             if X_WB is not None:
-                self._base.wxyz = tuple(_rows("X_WB", X_WB, 8, 1)[0, :4].tolist())
-            self._lines.points = points[self.skeleton.lines].astype(np.float32)
+                self.base.wxyz = tuple(_rows("X_WB", X_WB, 8, 1)[0, :4].tolist())
+            self.links.points = points[self.skeleton.lines].astype(np.float32)
             for point, ball in self._balls.items():
                 ball.position = tuple(points[point])
-            self._target.visible = goal is not None
+            self.target.visible = goal is not None
             if goal is not None:
-                self._target.position = goal
+                self.target.position = goal
 
     def close(self) -> None:
         """Stop serving the view."""

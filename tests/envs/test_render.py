@@ -252,11 +252,11 @@ def test_the_live_view_follows_a_floating_base(walker):
     viewer = Viewer(robot)
     viewer.show([0.3, -0.4], X_WB=X[0], target=[0.0, 0.0, 0.0])
     place = dq.translation(X[0]).numpy()
-    assert viewer._target.position == pytest.approx(-place)
-    assert viewer._lines.points[0, 0] == pytest.approx([0.0, 0.0, 0.0])
-    turns = (viewer._ground.position + place) / viewer._line
+    assert viewer.target.position == pytest.approx(-place)
+    assert viewer.links.points[0, 0] == pytest.approx([0.0, 0.0, 0.0])
+    turns = (viewer.ground.position + place) / viewer.rule
     assert turns[2] == pytest.approx(0.0) and turns[:2] == pytest.approx(turns[:2].round())
-    assert viewer._base.wxyz == pytest.approx(X[0, :4].numpy())
+    assert viewer.base.wxyz == pytest.approx(X[0, :4].numpy())
     viewer.close()
 
 
