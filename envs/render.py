@@ -1,7 +1,8 @@
 """Pictures of a robot: images by matplotlib, a live view in the browser by viser, films by Pillow.
 
 The skeleton is drawn: for every link a thick line from the frame of its parent, through its joint's axis, to its own
-frame. This looks like the robot if link frames lie on the links, as those of URDF and of DH parameters do.
+frame. This looks like the robot if link frames lie on the links, as those of URDF and of DH parameters do. The view
+follows a floating base, and lines on the ground pass below it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchdq import floating
 from torchdq.base.optional import imported
 from torchdq.dq import rotate, rotation, translation
 from torchdq.dynamics.tree import BASE
@@ -29,9 +31,11 @@ __all__ = ["Painter", "Skeleton", "save_gif"]
 
 MOST_ARMS = 16  # arms in one image
 PAPER, GROUND, SHADOW, INK = "#f7f8fa", "#eef1f4", "#cfd6de", "#2f4156"
+RULE = "#d9dfe6"  # lines on the ground
 LINK, JOINT, TIP, TARGET = "#7d9fc0", "#f7f8fa", "#f2a541", "#d1344b"
 AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # direction of the camera, which is far away [rad]
 PIECES = 6  # pieces of a line, each drawn at its own depth
+RULES = 4  # lines on the ground in a radius of the view
 
 
 def _library(module: str) -> Any:
@@ -55,8 +59,8 @@ class Skeleton:
     """Points of a robot and the lines between them.
 
     The points are the base, every link's origin, the points on joint axes that are nearest to the origins, and ends: a
-    link that carries no other ends at the end effector or, where that is at its origin, at its centre of mass. Of a
-    batch of robots it is the first.
+    link that carries no other ends at the end effector, at the last of its frames or, where these are at its origin, at
+    its centre of mass. Of a batch of robots it is the first.
 
     >>> import torchdq
     >>> skeleton = Skeleton(torchdq.robots.load("two_link"))
@@ -91,30 +95,46 @@ class Skeleton:
         for i, name in enumerate(robot.link_names):
             ends_in_tip = tip is not None and tip.link == i and translation(tip.X_BF).norm() > 1e-6
             if i not in robot.parents and not ends_in_tip:
-                self.lines.append((origins[i], self._point(name, self.robot.com[i])))
+                fixed = [(float(translation(f.X_BF).norm()), f.name) for f in robot.frames if f.link == i]
+                far, frame = max(fixed)
+                end = self._point(frame, torch.zeros(3)) if far > 1e-6 else self._point(name, self.robot.com[i])
+                self.lines.append((origins[i], end))
 
     def _point(self, frame: str, offset: Tensor) -> int:
         self._frames.append(self.robot.frame_names.index(frame))
         self._offsets.append(offset.double())
         return len(self._frames)
 
-    def points(self, q: Any, most: int | None = None) -> np.ndarray:
-        """Positions [k, points, 3] in the base frame [m] at q [rad or m], shape [n] or, with k <= most, [k, n]."""
+    def points(self, q: Any, most: int | None = None, X_WB: Any = None) -> np.ndarray:
+        """Positions [k, points, 3] in the world [m] at q [rad or m], shape [n] or, with k <= most, [k, n].
+
+        X_WB is the pose of a floating base, shape [8] or [k, 8]; None: at the origin, as a fixed base is.
+        """
         rows = _rows("q", q, self.robot.n, most)
+        if X_WB is not None and not self.robot.floating:
+            raise ArgumentError(f"X_WB must be None, found one for robot {self.robot.name!r}, whose base is fixed")
+        base = _rows("X_WB", torch.eye(8)[0] if X_WB is None else X_WB, 8, len(rows)).expand(len(rows), 8)
         with torch.no_grad():
-            X = forward_kinematics(self.robot, rows, backend="eager")[:, self._frames]
+            if self.robot.floating:
+                X = floating.forward_kinematics(self.robot, base, rows, backend="eager")
+            else:
+                X = forward_kinematics(self.robot, rows, backend="eager")
+            X = X[:, self._frames]
             moving = translation(X) + rotate(rotation(X), torch.stack(self._offsets))
-        return np.pad(moving.numpy(), ((0, 0), (1, 0), (0, 0)))
+        return torch.cat([translation(base)[:, None], moving], 1).numpy()
 
     def view(self) -> tuple[np.ndarray, float]:
-        """Centre [3] and radius [m] of a ball around the robot, from 512 positions within its limits."""
+        """Centre [3] and radius [m] of a ball around the robot, from 512 positions within its limits.
+
+        That of a robot with a floating base is around its base, which may turn.
+        """
         free = torch.tensor([math.pi if joint.turns else 1.0 for joint in self.robot.joint_types], dtype=torch.float64)
         limits = self.robot.limits
         lower = torch.where(limits.lower.isfinite(), limits.lower, -free)
         upper = torch.where(limits.upper.isfinite(), limits.upper, free)
         share = torch.rand(512, self.robot.n, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
         points = self.points(lower + share * (upper - lower)).reshape(-1, 3)
-        middle = (points.min(0) + points.max(0)) / 2
+        middle = (points.min(0) + points.max(0)) / 2 * (not self.robot.floating)
         return middle, float(np.linalg.norm(points - middle, axis=-1).max())
 
 
@@ -156,21 +176,24 @@ class Painter:
         pixels = centres.reshape(-1, *(1,) * (x.ndim - 2), 2) + seen[..., :2] * cell.min() / 2.1
         return pixels, seen[..., 2], cell.min() / 2.1
 
-    def frame(self, q: Any, target: Any = None, text: str | None = None) -> np.ndarray:
+    def frame(self, q: Any, target: Any = None, text: str | None = None, X_WB: Any = None) -> np.ndarray:
         """Image [height, width, 3], uint8, of one robot or of k <= 16 of them.
 
         Args:
             q: joint positions [rad or m], shape [n] or [k, n]. A robot whose position is not finite is left out.
-            target: marked positions in the base frame [m], shape [3] or [k, 3]; None: none.
+            target: marked positions in the world, that of a fixed base [m], shape [3] or [k, 3]; None: none.
             text: text in the upper left corner.
+            X_WB: pose of a floating base in the world, shape [8] or [k, 8]; None: at the origin.
         """
-        points = self.skeleton.points(q, MOST_ARMS)
+        points = self.skeleton.points(q, MOST_ARMS, X_WB)
         arms = len(points)
+        place = points[:, :1] * self.skeleton.robot.floating  # [k, 1, 3], which the view follows
+        points = points - place
         goal = np.full((1, 3), np.nan) if target is None else _rows("target", target, 3, arms).numpy()
         if len(goal) not in (1, arms):
             raise ArgumentError(f"target must have one row or one for each of the {arms} robots, found {len(goal)}")
-        mark = np.broadcast_to(goal, (arms, 3))[:, None, None].repeat(2, 2)  # [k, 1, 2, 3], a line without length
-        lines, flat = points[:, self.skeleton.lines], np.array([1.0, 1.0, 0.0])
+        mark = (goal[:, None] - place)[:, :, None].repeat(2, 2)  # [k, 1, 2, 3], a line without length
+        lines = points[:, self.skeleton.lines]
         joints, tips = (
             points[:, at, None].repeat(2, 2)
             for at in (self.skeleton.joints, [] if self.skeleton.tip is None else [self.skeleton.tip])
@@ -180,13 +203,15 @@ class Painter:
         pieces = np.stack([cuts[:, :, :-1], cuts[:, :, 1:]], -2).reshape(arms, -1, 2, 3)
         turn = np.linspace(0.0, 2 * np.pi, 97)
         disc = self.radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
+        rules = self._rules(place) if self.skeleton.robot.floating else np.zeros((arms, 0, 2, 3))
         self._figure.clear(keep_observers=False)
         self._figure.set_facecolor(PAPER)
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, self.size[0]), ylim=(0, self.size[1]))
         axes.set_axis_off()
-        ground = self.project(np.broadcast_to(disc, (arms, *disc.shape)))[0]
-        axes.add_collection(self._artists.PolyCollection(ground, facecolor=GROUND), autolim=False)
-        self._draw(axes, [(lines * flat, 0.06, SHADOW, 0.0), (mark * flat, 0.07, SHADOW, 0.0)])
+        disc, rules, *shadows = (_on_ground(x, place) for x in (disc[None], rules, lines, mark))
+        axes.add_collection(self._artists.PolyCollection(self.project(disc)[0], facecolor=GROUND), autolim=False)
+        self._draw(axes, [(rules, 0.008, RULE, 0.0)])
+        self._draw(axes, [(x, width, SHADOW, 0.0) for x, width in zip(shadows, (0.06, 0.07), strict=True)])
         self._draw(
             axes,
             [
@@ -206,6 +231,15 @@ class Painter:
         )
         self._canvas.draw()
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+    def _rules(self, place: np.ndarray) -> np.ndarray:
+        """Lines [k, lines, 2, 3] on the ground along x and y of the world, as far as they are in the view."""
+        step = self.radius / RULES
+        at = step * np.arange(1 - RULES, RULES + 1) - place[..., :2].swapaxes(1, 2) % step  # [k, 2, lines]
+        half = np.sqrt(np.maximum(self.radius**2 - at**2, 0.0))
+        ends = np.stack([np.stack([at, -half], -1), np.stack([at, half], -1)], -2)
+        ends[:, 1] = ends[:, 1, ..., ::-1]
+        return np.pad(ends, ((0, 0),) * 4 + ((0, 1),)).reshape(len(place), -1, 2, 3)
 
     def _draw(self, axes: Any, strokes: Sequence[tuple[np.ndarray, float, str, float]]) -> None:
         """Draw lines [k, lines, 2, 3] of a width, colour and bias toward the camera, the farthest first.
@@ -241,40 +275,58 @@ class Viewer:
     def __init__(self, robot: Robot, port: int = 8080):
         self.skeleton = Skeleton(robot)
         middle, radius = self.skeleton.view()
+        self.rule = radius / 2
         self._server = _library("viser").ViserServer(host="127.0.0.1", port=port)
         self.url = f"http://127.0.0.1:{self._server.get_port()}"
         scene = self._server.scene
         scene.set_up_direction("+z")
         camera = self._server.initial_camera
         camera.look_at, camera.position = tuple(middle), tuple(middle + radius * np.array([1.6, -2.2, 1.0]))
-        scene.add_grid("/ground", width=4 * radius, height=4 * radius, cell_size=radius / 4, section_size=radius)
-        scene.add_box("/base", color=_rgb(INK), dimensions=(0.18 * radius, 0.18 * radius, 0.02 * radius))
+        self.ground = scene.add_grid(
+            "/ground", width=8 * radius, height=8 * radius, cell_size=radius / 4, section_size=self.rule
+        )
+        self.base = scene.add_box("/base", color=_rgb(INK), dimensions=(0.18 * radius, 0.18 * radius, 0.02 * radius))
         lines = np.zeros((len(self.skeleton.lines), 2, 3))
-        self._lines = scene.add_line_segments("/links", lines, colors=_rgb(LINK), thickness=0.05 * radius)
+        self.links = scene.add_line_segments("/links", lines, colors=_rgb(LINK), thickness=0.05 * radius)
         self._balls = {
             point: scene.add_icosphere(f"/joints/{point}", radius=0.04 * radius, color=_rgb(INK))
             for point in self.skeleton.joints
         }
         if self.skeleton.tip is not None:
             self._balls[self.skeleton.tip] = scene.add_icosphere("/tip", radius=0.045 * radius, color=_rgb(TIP))
-        self._target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
+        self.target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
         self.show(torch.zeros(robot.n))
 
-    def show(self, q: Any, target: Any = None) -> None:
-        """Show the robot at the positions q [n] [rad or m], and a target [3] in the base frame [m]."""
-        points = self.skeleton.points(q, 1)[0]
-        goal = None if target is None else tuple(_rows("target", target, 3, 1)[0].tolist())
+    def show(self, q: Any, target: Any = None, X_WB: Any = None) -> None:
+        """Show the robot at the positions q [n] [rad or m], and a target [3] in the world, that of a fixed base [m].
+
+        X_WB is the pose [8] of a floating base in the world; None: at the origin.
+        """
+        points = self.skeleton.points(q, 1, X_WB)[0]
+        place = points[0]
+        points = points - place
+        goal = None if target is None else tuple(_rows("target", target, 3, 1)[0].numpy() - place)
         with self._server.atomic():
-            self._lines.points = points[self.skeleton.lines].astype(np.float32)
+            self.ground.position = (*(-place[:2] % self.rule), -place[2])
+            if X_WB is not None:
+                self.base.wxyz = tuple(_rows("X_WB", X_WB, 8, 1)[0, :4].tolist())
+            self.links.points = points[self.skeleton.lines].astype(np.float32)
             for point, ball in self._balls.items():
                 ball.position = tuple(points[point])
-            self._target.visible = goal is not None
+            self.target.visible = goal is not None
             if goal is not None:
-                self._target.position = goal
+                self.target.position = goal
 
     def close(self) -> None:
         """Stop serving the view."""
         self._server.stop()
+
+
+def _on_ground(x: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Positions [k, ..., 3] of k arms below or above those, on the ground; all are seen from places [k, 1, 3]."""
+    x = x + np.zeros((len(place), *(1,) * (x.ndim - 1)))
+    x[..., 2] = -place.reshape(-1, *(1,) * (x.ndim - 2), 3)[..., 2]
+    return x
 
 
 def _rgb(colour: str) -> tuple[int, ...]:

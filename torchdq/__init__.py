@@ -31,6 +31,7 @@ Functions of a robot, batched and differentiable to any order:
 Layers, with quantities that may be learned and stay physical:
     InverseDynamics         inverse dynamics, also under the name of the paper's algorithm, DQRNEA
     ForwardDynamics         forward dynamics
+    nn                      these, and both for robots with a floating base
     ResidualDynamics        inverse dynamics and a network for what it lacks
     ComputedTorque          controller, of a robot or of a trained layer
 

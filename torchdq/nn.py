@@ -2,20 +2,25 @@
 
 InverseDynamics   joint torques of a motion; `DQRNEA` is its name after the paper's algorithm
 ForwardDynamics   joint accelerations under torques
+FloatingInverseDynamics, FloatingForwardDynamics
+                  the same for robots with a floating base
 ComputedTorque    tracking controller, of a robot or of a trained layer
 ResidualDynamics  inverse dynamics and a network for the residual torques
 PredictedTorques  torques of a `ResidualDynamics` with their standard errors and intervals
-RobotModule       base of the first three
+RobotModule       base of those of a robot alone
 """
 
 from torchdq.layers.computed_torque import ComputedTorque
 from torchdq.layers.dynamics import DQRNEA, ForwardDynamics, InverseDynamics
+from torchdq.layers.floating import FloatingForwardDynamics, FloatingInverseDynamics
 from torchdq.layers.residual import PredictedTorques, ResidualDynamics
 from torchdq.layers.robot_module import RobotModule
 
 __all__ = [
     "DQRNEA",
     "ComputedTorque",
+    "FloatingForwardDynamics",
+    "FloatingInverseDynamics",
     "ForwardDynamics",
     "InverseDynamics",
     "PredictedTorques",

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from contextlib import closing
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -543,6 +544,20 @@ def test_a_robot_is_viewed(here, capsys):
     pytest.importorskip("viser")
     found = data(capsys, "view", "arm.urdf", "--seconds", "0.2", "--port", "8123")
     assert found["frames"] >= 1 and found["url"].startswith("http://127.0.0.1:")
+
+
+def test_a_robot_with_a_floating_base_is_viewed_on_the_ground(here, capsys):
+    pytest.importorskip("viser")
+    from torchdq.command.view import standing
+    from torchdq.envs.render import Viewer
+
+    with pytest.warns(UserWarning):
+        assert data(capsys, "view", "arm.urdf", *MASSLESS, "--seconds", "0.1")["frames"] >= 1
+        robot = torchdq.Robot.from_urdf(ARM, base="floating", on_unphysical="warn")
+    with closing(Viewer(robot)) as viewer:
+        q = torch.tensor([1.0, 0.5])
+        before, after = (viewer.skeleton.points(q, X_WB=X)[..., 2].min() for X in (None, standing(viewer, q)))
+        assert before < -0.3 and abs(after) < 1e-6
 
 
 def test_joints_sway_within_their_limits():

@@ -9,7 +9,19 @@ from messages import refused
 from urdf_text import joint, link, urdf
 
 import torchdq
-from torchdq.envs.render import LINK, MOST_ARMS, TARGET, Painter, Skeleton, Viewer, save_gif
+from torchdq import dq
+from torchdq.envs.render import (
+    GROUND,
+    LINK,
+    MOST_ARMS,
+    RULES,
+    TARGET,
+    Painter,
+    Skeleton,
+    Viewer,
+    _on_ground,
+    save_gif,
+)
 from torchdq.errors import MissingLibraryError
 
 np = pytest.importorskip("numpy")
@@ -90,6 +102,35 @@ def test_of_a_batch_of_robots_the_first_is_drawn(panda):
     assert (Skeleton(heavier).points(POSE) == Skeleton(panda).points(POSE)).all()
 
 
+def test_the_last_link_of_a_leg_ends_at_its_last_frame():
+    foot = joint("ankle", "wrist", "foot", "fixed", xyz=(0, 0, 0.4))
+    text = urdf(link("base"), link("wrist"), link("foot"), joint("turn", "base", "wrist"), foot)
+    points = Skeleton(torchdq.Robot.from_urdf(text).with_tip(None)).points([0.0])[0]
+    assert points[-1] == pytest.approx([0.0, 0.0, 0.4])
+
+
+@pytest.fixture(scope="module")
+def walker():
+    """Base with two legs, and poses of it."""
+    legs = [link(name, xyz=(0, 0, -0.2)) for name in ("left", "right")]
+    joints = [joint(name, "base", name, xyz=(0, y, 0), axis=(0, 1, 0)) for name, y in (("left", 0.1), ("right", -0.1))]
+    robot = torchdq.Robot.from_urdf(urdf(link("base"), *legs, *joints, name="walker"), base="floating")
+    X = dq.exp(torch.tensor([[0.1, 0.4, -0.3, 0.5, 0.2, 0.3], [0.3, 0.1, 0.9, -1.0, 2.0, 0.4]]).double())
+    return robot, X
+
+
+def test_points_of_a_floating_base_are_in_the_world(walker):
+    robot, X = walker
+    skeleton, q = Skeleton(robot), torch.tensor([[0.3, -0.4], [1.0, 0.5]]).double()
+    points = skeleton.points(q, X_WB=X)
+    legs = dq.translation(torchdq.floating.forward_kinematics(robot, X, q, ["left", "right"]))
+    assert points[:, 0] == pytest.approx(dq.translation(X).numpy())
+    assert points[:, skeleton.joints] == pytest.approx(legs.numpy())
+    assert skeleton.points(q) == pytest.approx(skeleton.points(q, X_WB=torch.eye(8)[0]))
+    with refused(torchdq.ArgumentError):
+        skeleton.points(q, X_WB=X[:, :7])
+
+
 # --- images ----------------------------------------------------------------------------------------------------------
 
 
@@ -131,6 +172,32 @@ def test_a_robot_whose_position_is_not_finite_is_left_out(painter):
     assert not coloured(image, TARGET).any()  # none was given
 
 
+def test_the_view_follows_a_floating_base_and_the_lines_on_the_ground_stay(walker):
+    robot, X = walker
+    painter, q = Painter(robot), [0.3, -0.4]
+    X = X[0]
+
+    def at(*place):
+        X_WB = dq.mul(dq.from_pose(torch.eye(4, dtype=X.dtype)[0], torch.tensor(place, dtype=X.dtype)), X)
+        return painter.frame(q, X_WB=X_WB, target=torch.tensor([0.3, 0.2, 0.1]) + torch.tensor(place))
+
+    step = painter.radius / RULES
+    here, there, between, higher = at(0.0, 0.0, 0.0), at(3 * step, -step, 0.0), at(0.4 * step, 0.0, 0.0), at(0, 0, 0.2)
+    assert (here != there).mean() < 1e-3  # up to roundings
+    changed = (here != between).any(-1)
+    assert 0.005 < changed.mean() < 0.2 and not (changed & coloured(here, LINK)).any()
+    assert coloured(higher, LINK).sum() == pytest.approx(coloured(here, LINK).sum(), rel=0.01)
+    low, lower = (np.flatnonzero(coloured(image, GROUND).any(-1)).max() for image in (here, higher))
+    assert lower == 399 or lower > low + 10
+
+
+def test_shadows_are_on_the_ground():
+    points = np.random.default_rng(0).normal(size=(2, 5, 2, 3))
+    place = np.array([[[1.0, 2.0, 3.0]], [[-1.0, 0.0, 0.5]]])
+    found = _on_ground(points - place[:, None], place) + place[:, None]
+    assert (found[..., 2] == 0).all() and found[..., :2] == pytest.approx(points[..., :2])
+
+
 # --- refusals --------------------------------------------------------------------------------------------------------
 
 
@@ -143,6 +210,7 @@ MISUSE = [
     *(lambda painter, size=size: Painter(painter.skeleton.robot, size) for size in ((400,), (0, 400), (400.0, 400.0))),
     *(lambda painter, frames=frames: save_gif(frames, "never.gif") for frames in FRAMES),
     *(lambda painter, fps=fps: save_gif([painter.frame(POSE)], "never.gif", fps) for fps in (0, 51, float("nan"))),
+    lambda painter: painter.frame(POSE, X_WB=torch.eye(8)[0]),
 ]
 
 
@@ -176,6 +244,20 @@ def test_a_film_has_all_its_images(painter, tmp_path):
         assert film.n_frames == 5
         assert film.size == (400, 400)
         assert film.info["duration"] == 50
+
+
+def test_the_live_view_follows_a_floating_base(walker):
+    pytest.importorskip("viser")
+    robot, X = walker
+    viewer = Viewer(robot)
+    viewer.show([0.3, -0.4], X_WB=X[0], target=[0.0, 0.0, 0.0])
+    place = dq.translation(X[0]).numpy()
+    assert viewer.target.position == pytest.approx(-place)
+    assert viewer.links.points[0, 0] == pytest.approx([0.0, 0.0, 0.0])
+    turns = (viewer.ground.position + place) / viewer.rule
+    assert turns[2] == pytest.approx(0.0) and turns[:2] == pytest.approx(turns[:2].round())
+    assert viewer.base.wxyz == pytest.approx(X[0, :4].numpy())
+    viewer.close()
 
 
 def test_the_live_view_is_served_until_it_is_closed(panda):

@@ -1,31 +1,53 @@
-"""Derivatives of a step: those of differences, for every kind of scene."""
+"""Derivatives of a step: those of differences, for every kind of scene; those of Pinocchio, modes, a regulator."""
 
+import cmath
+
+import numpy as np
+import pinocchio as pin
 import pytest
 import torch
+from free_flyers import case, motion
 from helpers import double, random
-from messages import refused
 from scenes import ARM, TREE
+from scipy.linalg import solve_discrete_are
 
 import torchdq
+from torchdq import dq
 from torchdq.envs import Scene, State, effects
 from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import Repeated, RungeKutta4
+from torchdq.scene.linearize import ORDER
+
+
+def moved(state, ds):
+    """State displaced by the numbers of a linearization; the pose of a floating base on the group."""
+    rows = state.rows()
+    names = [name for name in ORDER if name in rows]
+    parts = dict(
+        zip(names, ds.split([6 if name == "X_WB" else rows[name].shape[-1] for name in names], -1), strict=True)
+    )
+    found = {name: rows[name] + d for name, d in parts.items() if name != "X_WB"}
+    if "X_WB" in parts:
+        found["X_WB"] = dq.mul(rows["X_WB"], dq.exp(parts["X_WB"] / 2))
+    return State(**found)
+
+
+def apart(one, other):
+    """Numbers that displace one state to another."""
+    rows, to = one.rows(), other.rows()
+    found = {name: to[name] - x for name, x in rows.items()}
+    if "X_WB" in rows:
+        found["X_WB"] = 2 * dq.log_shortest(dq.mul(dq.conj(rows["X_WB"]), to["X_WB"]))
+    return torch.cat([found[name] for name in ORDER if name in rows], -1)
 
 
 def differences(scene, state, torque, **inputs):
     """Central differences of a step in every number of the state and of the torques."""
-    rows = [*state.rows().values(), torque]
-    names, widths = list(state.rows()), [x.shape[-1] for x in rows]
-    z = torch.cat(rows, -1)
-
-    def after(z):
-        *parts, u = z.split(widths, -1)
-        return torch.cat(
-            list(scene.step(State(**dict(zip(names, parts, strict=True))), u, **inputs).rows().values()), -1
-        )
-
-    h = 1e-6
-    columns = [(after(z + h * e) - after(z - h * e)) / (2 * h) for e in torch.eye(z.shape[-1], dtype=z.dtype)]
+    s, n, h = apart(state, state).shape[-1], scene.n, 1e-5 if scene.robot.floating else 1e-6
+    columns = []
+    for e in torch.eye(s + n, dtype=torque.dtype):
+        ends = [scene.step(moved(state, k * e[:s]), torque + k * e[s:], **inputs) for k in (h, -h)]
+        columns.append(apart(ends[1], ends[0]) / (2 * h))
     return torch.stack(columns, -1)
 
 
@@ -40,6 +62,11 @@ LINEARIZED = {
         {"reference": random(4, 6, seed=9)},
     ),
     "RungeKutta4": (Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4()), {}),
+    "floating": (Scene(case("tree3").robot, (effects.Gravity(), effects.Viscous(0.3)), dt=0.02), {}),
+    "floating, remembering and sensing": (
+        Scene(case("tree2").robot, (effects.Elastic(50.0, 0.5, 0.1), effects.Bias(0.1, 0.2)), integrator=RungeKutta4()),
+        {},
+    ),
     "Repeated": (Scene(ARM, (effects.Gravity(),), integrator=Repeated(RungeKutta4(), 3)), {}),
 }
 
@@ -48,12 +75,13 @@ LINEARIZED = {
 def test_a_linearization_is_made_of_the_derivatives_of_a_step(kind):
     scene, inputs = LINEARIZED[kind]
     n = scene.n
-    state = scene.start(random(4, n), random(4, n, seed=1))
+    base = {"X_WB": dq.exp(random(4, 6, seed=5)), "V_WB_B": random(4, 6, seed=6)} if scene.robot.floating else {}
+    state = scene.start(random(4, n), random(4, n, seed=1), **base)
     if state.memory is not None:
         state = state._replace(memory=state.memory + 0.1 * random(*state.memory.shape, seed=2))
     torque = random(4, n, seed=3)
     A, B = scene.linearize(state, torque, **inputs)
-    s = sum(x.shape[-1] for x in state.rows().values())
+    s = apart(state, state).shape[-1]
     assert (A.shape, B.shape) == ((4, s, s), (4, s, n))
     expected = differences(scene, state, torque, **inputs)
     found = torch.cat([A, B], -1)
@@ -71,33 +99,82 @@ def test_a_linearization_of_one_state_is_a_pair_of_matrices():
     assert torch.equal(whole.A[0], A)
 
 
-def test_a_step_of_a_free_base_is_differentiated_by_torch_in_place_of_linearize():
-    body = {"base_mass": double(2.0)[0], "base_com": double(0.1, 0, 0), "base_inertia": double(0.2, 0, 0.3, 0, 0, 0.4)}
-    scene = Scene(torchdq.robots.load("two_link").replace(**body), (effects.Gravity(),), dt=0.01)
-    X_WB = torchdq.dq.exp(random(6, seed=5))
-    state = scene.start(random(2), random(2, seed=1), X_WB=X_WB, V_WB_B=random(6, seed=2))
-    with refused(torchdq.ArgumentError):
-        scene.linearize(state)
-    rows, torque = state.rows(), random(2, seed=3)
-    names, widths = tuple(rows), [x.shape[-1] for x in rows.values()]
+@pytest.mark.parametrize("name", ["tree3", "tree7"])
+def test_the_limit_of_short_steps_is_pinocchios(name):
+    """(A - 1)/h and B/h of a floating base at h -> 0 are derivatives of Pinocchio's dynamics on its group."""
+    c, h = case(name), 1e-7
+    m, n = motion(c), c.robot.n
+    scene = Scene(c.robot, (effects.Gravity(), effects.RotorInertia(c.robot.armature)), dt=h)
+    A, B = scene.linearize(scene.start(m["q"], m["qd"], X_WB=m["X_WB"], V_WB_B=m["V_WB_B"]), m["tau"])
+    v = n + 6
+    for k in range(len(A)):
+        data, q = c.model.createData(), c.configuration(m["X_WB"][k], m["q"][k])
+        rate, tau = c.velocity(m["V_WB_B"][k], m["qd"][k]), c.velocity(torch.zeros(6), m["tau"][k])
+        pin.computeABADerivatives(c.model, data, q, rate, tau)
+        turned = (pin.dIntegrate(c.model, q, h * rate, pin.ArgumentPosition.ARG0) - np.eye(v)) / h
+        moves = (turned, np.eye(v), data.ddq_dq, data.ddq_dv)
+        expected = np.block([[x[np.ix_(c.order, c.order)] for x in moves[i : i + 2]] for i in (0, 2)])
+        found = ((A[k] - torch.eye(2 * v)) / h).numpy()
+        assert np.abs(found - expected).max() <= 10 * h * np.abs(expected @ expected).max()
+        push = data.Minv[np.ix_(c.order, c.order)][:, 6:]
+        assert np.abs(B[k, v:].numpy() / h - push).max() <= 10 * h * np.abs(expected[v:] @ expected[:, v:] @ push).max()
 
-    def after(z):
-        stepped = scene.step(State(**dict(zip(names, z.split(widths), strict=True))), torque)
-        return torch.cat(list(stepped.rows().values()))
 
-    z, pose = torch.cat(list(rows.values())), sum(widths[: names.index("X_WB")])
-    found, h = torch.func.jacrev(after)(z), 1e-5
-    assert found.shape == (18, 18)
-    for k in range(16):  # 6 directions of the pose, and the other components
-        way, ahead, behind = torch.zeros(18, dtype=z.dtype), z.clone(), z.clone()
-        if k < 6:
-            unit = torch.eye(6, dtype=z.dtype)[k]
-            at = slice(pose, pose + 8)
-            ahead[at], behind[at] = (torchdq.dq.mul(X_WB, torchdq.dq.exp(s * h * unit)) for s in (1, -1))
-            way[at] = torchdq.dq.mul(X_WB, torch.cat([z.new_zeros(1), unit[:3], z.new_zeros(1), unit[3:]]))
-        else:
-            j = [i for i in range(18) if not pose <= i < pose + 8][k - 6]
-            way[j] = 1.0
-            ahead[j], behind[j] = z[j] + h, z[j] - h
-        expected = (after(ahead) - after(behind)) / (2 * h)
-        assert (found @ way - expected).abs().max() <= 1e-7 * (1 + expected.abs().max())
+INERTIA = (0.1, 0.2, 0.25)  # of a body about its axes [kg m^2]
+
+
+def lone(**start):
+    """Rigid body in flight, and its linearization."""
+    body = {"base_mass": double(2.0)[0], "base_com": double(0.0, 0, 0), "base_inertia": double(0.1, 0, 0.2, 0, 0, 0.25)}
+    scene = Scene(case("quadrotor_base").robot.replace(**body), integrator=RungeKutta4(), dt=0.01)
+    return scene.linearize(scene.start(double(), X_WB=dq.exp(random(6, seed=3)), **start)).A
+
+
+def test_a_body_at_rest_in_space_is_a_double_integrator_of_its_displacement():
+    A = lone()
+    one = torch.eye(12, dtype=A.dtype)
+    assert (A - one - 0.01 * one.roll(6, -1).triu()).abs().max() <= 1e-15
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_spinning_body_has_the_modes_of_euler(axis):
+    """Rates: sqrt((I - I_1) (I_2 - I) / (I_1 I_2)) w; real about the middle axis alone, where it tumbles."""
+    w, others = 3.0, [x for k, x in enumerate(INERTIA) if k != axis]
+    rate = w * cmath.sqrt((INERTIA[axis] - others[0]) * (others[1] - INERTIA[axis]) / (others[0] * others[1]))
+    A = lone(V_WB_B=w * torch.eye(6, dtype=torch.float64)[axis])
+    found = torch.linalg.eigvals(A[6:9, 6:9])
+    for sign in (1, -1):
+        assert (found - cmath.exp(0.01 * sign * rate)).abs().min() <= 1e-7
+    assert (float(found.abs().max()) > 1.01) == (axis == 1)
+
+
+WHEELS = (
+    """<robot name="satellite"><link name="body"><inertial><mass value="10"/>
+<inertia ixx="1" iyy="1.2" izz="0.8" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+    + "".join(
+        f"""<joint name="{x}" type="continuous"><parent link="body"/><child link="wheel_{x}"/>
+<axis xyz="{axis}"/></joint><link name="wheel_{x}"><inertial><mass value="0.5"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+        for x, axis in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True)
+    )
+    + "</robot>"
+)
+
+
+def test_a_regulator_of_the_linearization_turns_a_satellite_by_its_wheels():
+    """LQR of the attitude and its rate, from 80 degrees about a skew axis."""
+    satellite = torchdq.Robot.from_urdf(WHEELS, base="floating")
+    scene = Scene(satellite, dt=0.1)
+    goal = scene.start(torch.zeros(3, dtype=torch.float64))
+    A, B = (x.numpy() for x in scene.linearize(goal))
+    kept = [0, 1, 2, 9, 10, 11]  # attitude and its rate; wheels and place are as they come
+    A, B = A[np.ix_(kept, kept)], B[kept]
+    P = solve_discrete_are(A, B, np.eye(6), 10 * np.eye(3))
+    K = torch.from_numpy(np.linalg.solve(10 * np.eye(3) + B.T @ P @ B, B.T @ P @ A))
+    axis = double(0.6, -0.48, 0.64)
+    state = goal._replace(X_WB=dq.exp(torch.cat([axis * 1.4 / 2, double(0.0, 0, 0)])))
+    path = scene.rollout(state, steps=400, policy=lambda s, k: -K @ apart(goal, s)[kept])
+    off = torch.stack([apart(goal, type(path)(*(None if x is None else x[k] for x in path))) for k in (99, 199, 399)])
+    size = off[:, kept].norm(dim=-1)
+    closed = float(np.abs(np.linalg.eigvals(A - B @ K.numpy())).max())
+    assert size[2] <= 2 * size[1] * closed**200 + 1e-12 and closed < 0.97

@@ -3,12 +3,15 @@
 import math
 
 import pytest
+import torch
 from helpers import INERTIA, WHEEL, called, double, thinned
 from messages import refused, warned
 from scenes import ARM, PANDA
 
 import torchdq
+from torchdq import dq
 from torchdq.envs import Scene, effects
+from torchdq.robot import ContactPoint
 from torchdq.scene import stability
 from torchdq.scene.controllers import ComputedTorqueController
 from torchdq.scene.integrators import (
@@ -151,3 +154,67 @@ def test_a_check_of_nothing_is_refused(given):
     scene = Scene(ARM, (effects.Servo(1.0),))
     with refused(torchdq.ArgumentError):
         scene.check(**{"state": scene.start(double(0.0, 0.0)), "target": double(0.0, 0.0), **given})
+
+
+# --- ground ----------------------------------------------------------------------------------------------------------
+
+BOX = torchdq.Robot.from_urdf(
+    """<robot name="box"><link name="box"><inertial><mass value="2"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>""",
+    base="floating",
+)
+CORNERS = tuple(ContactPoint("box", (x, y, -0.05)) for x in (-0.1, 0.1) for y in (-0.1, 0.1))
+NONE = double().reshape(0)
+
+
+def on_ground(dt=0.005, substeps=1, turn=0.0, heights=(0.05,), **contact):
+    """Scene of the box on a plane that is turned about y, and its start above it."""
+    normal = (math.sin(turn), 0.0, math.cos(turn))
+    scene = Scene(
+        BOX, (effects.Gravity(), effects.Contact(CORNERS, normal=normal, **contact)), dt=dt, substeps=substeps
+    )
+    turned = double(math.cos(turn / 2), 0.0, math.sin(turn / 2), 0.0)
+    return scene, scene.start(NONE, X_WB=dq.from_pose(turned, double(*heights)[:, None] * double(normal)))
+
+
+def test_points_at_rest_sink_by_their_share_of_the_weight():
+    scene, state = on_ground(stiffness=2e3, dissipation=100.0)
+    check = scene.check(state, seconds=2.0)
+    assert check and check.ground.deepest == pytest.approx(2 * 9.81 / 4 / 2e3, rel=1e-3)
+    assert check.ground.slip < 1e-9 and (check.ground.aloft, check.ground.rows) == (0, 1)
+    assert check.ground.firmest == pytest.approx(4 * 2 / 0.005**2) and check.ground.stiffness == 2e3
+    assert "up to 2.5 mm" in str(check) and "3.2e+05 N/m" in str(check)
+
+
+def test_a_box_that_slides_is_seen_to_slide():
+    turn, mu = math.radians(30.0), 0.2
+    scene, state = on_ground(turn=turn, friction=mu)
+    speed = 9.81 * (math.sin(turn) - mu * math.cos(turn))
+    assert scene.check(state).ground.slip == pytest.approx(speed, rel=0.02)
+    sticking, state = on_ground(turn=turn, friction=0.8)
+    assert sticking.check(state).ground.slip < 1e-6
+
+
+def test_rows_that_do_not_touch_the_ground_are_not_said_to_be_checked():
+    scene, state = on_ground(heights=(0.06, 30.0))
+    flying = torch.zeros(2, 6, dtype=torch.float64)
+    flying[1, 3] = 3.0
+    ground = scene.check(state._replace(V_WB_B=flying)).ground
+    assert (ground.aloft, ground.rows) == (1, 2) and ground.slip < 1e-3
+    assert "not checked in 1 of 2 rows" in str(ground)
+    aloft = scene.check(scene.start(NONE, X_WB=state.X_WB[1]))
+    assert aloft.ground.aloft == 1 and str(aloft.ground).startswith("- contact: not checked in 1 of 1 rows")
+
+
+def test_soft_ground_is_named():
+    scene, state = on_ground(stiffness=100.0)
+    assert "soft" in str(scene.check(state)) and "soft" not in str(scene.check(state, seconds=0.01))
+
+
+def test_the_bound_of_the_stiffness_is_that_of_the_steps_of_the_integrator():
+    scene, state = on_ground(dt=0.02, substeps=4, stiffness=2e5)
+    assert scene.check(state).ground.firmest == pytest.approx(3.2e5)
+
+
+def test_a_scene_without_contact_has_no_ground():
+    assert Scene(ARM).check(Scene(ARM).start(double(0.0, 0.0)), seconds=0.05).ground is None

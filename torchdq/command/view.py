@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
+from torchdq import dq
 from torchdq.command.command import RobotCommand, per_joint
 from torchdq.command.outcome import Outcome
 from torchdq.envs.render import Viewer
@@ -22,6 +23,8 @@ FREE = (math.pi / 2, 0.1)  # reach of a joint without limits: a turning and a sl
 @dataclass(kw_only=True)
 class ViewCommand(RobotCommand):
     """The robot in the browser, its joints swaying one after the other. Ctrl-C ends it.
+
+    A robot with a floating base has its lowest point on the ground.
 
     Example: torchdq view panda
     """
@@ -42,12 +45,19 @@ class ViewCommand(RobotCommand):
         start, shown = time.monotonic(), 0
         with suppress(KeyboardInterrupt), closing(viewer):
             while self.seconds is None or time.monotonic() < start + self.seconds:
-                viewer.show(swaying(robot, time.monotonic() - start) if q is None else q)
+                at = swaying(robot, time.monotonic() - start) if q is None else q
+                viewer.show(at, X_WB=standing(viewer, at) if robot.floating else None)
                 shown += 1
                 time.sleep(1 / FRAMES)
         return Outcome(
             (f"{shown} pictures of {robot.name}",), {"robot": robot.name, "url": viewer.url, "frames": shown}
         )
+
+
+def standing(viewer: Viewer, q: torch.Tensor) -> torch.Tensor:
+    """Pose [8] of a floating base that stands upright on the lowest point of the robot."""
+    lowest = float(viewer.skeleton.points(q)[..., 2].min())
+    return dq.from_pose(torch.tensor([1.0, 0.0, 0.0, 0.0]), torch.tensor([0.0, 0.0, -lowest]))
 
 
 def swaying(robot: Robot, t: float) -> torch.Tensor:

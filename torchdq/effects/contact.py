@@ -168,7 +168,7 @@ class Contact(BodyEffect):
 
     def stepped(self, robot: Robot, h: float) -> Self:
         """Copy for steps h: the stiffness is at most 4 m / h^2; raises if one that is given is above."""
-        most = FIRMEST * max(_mass(robot), 1e-9) / h**2
+        most = firmest(robot, h)
         if self.stiffness is None:
             own = self.described(robot)
             return replace(self, stiffness=min(own.stiffness, most))
@@ -331,6 +331,11 @@ def _points(points: Any, robot: Robot) -> tuple[ContactPoint, ...]:
     if not found:
         raise ArgumentError("points of Contact must be at least one, found none")
     return tuple(found)
+
+
+def firmest(robot: Robot, h: float) -> float:
+    """Largest stiffness of contacts for steps h [N/m]."""
+    return FIRMEST * max(_mass(robot), 1e-9) / h**2
 
 
 def _mass(robot: Robot) -> float:

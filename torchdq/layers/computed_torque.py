@@ -102,7 +102,7 @@ class ComputedTorque(RobotModule):
         given = {"q": q, "qd": qd, "q_des": q_des, "qd_des": qd_des, "qdd_des": qdd_des, "f_tip": f_tip}
         # a layer of one's own that derives from `InverseDynamics` may compute something else
         if self.model is None or getattr(type(self.model), "forward", None) is InverseDynamics.forward:
-            return self._evaluated(given)
+            return self._evaluated(given)[0]
         check(self.robot, ("f_tip",), **given)
         kp, kd = self.kp.to(q), self.kd.to(q)
         return self.model(q, qd, commanded(q, qd, q_des, qd_des, qdd_des, kp, kd), f_tip)

@@ -60,7 +60,7 @@ class InverseDynamics(RobotModule):
         f_ext: Tensor | None = None,
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.inverse_dynamics`."""
-        return self._evaluated({"q": q, "qd": qd, "qdd": qdd, "f_tip": f_tip, "f_ext": f_ext})
+        return self._evaluated({"q": q, "qd": qd, "qdd": qdd, "f_tip": f_tip, "f_ext": f_ext})[0]
 
 
 class DQRNEA(InverseDynamics):
@@ -105,4 +105,4 @@ class ForwardDynamics(RobotModule):
         self, q: Tensor, qd: Tensor | None, tau: Tensor, f_tip: Tensor | None = None, f_ext: Tensor | None = None
     ) -> Tensor:
         """Joint accelerations [..., n]; see `torchdq.forward_dynamics`."""
-        return self._evaluated({"q": q, "qd": qd, "tau": tau, "f_tip": f_tip, "f_ext": f_ext})
+        return self._evaluated({"q": q, "qd": qd, "tau": tau, "f_tip": f_tip, "f_ext": f_ext})[0]

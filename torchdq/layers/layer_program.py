@@ -30,7 +30,7 @@ from torchdq.robot.robot import arguments, constants
 Parameters = Literal["constants", "arguments"]
 GAINS = ("kp", "kd")  # those of computed torque control
 OWN = (*GAINS, "offset")  # parameters of a layer that are neither of its robot nor of its friction
-WRENCHES = ("f_tip", "f_ext")
+WRENCHES = ("f_tip", "f_ext", "f_base")
 
 
 class _LayerFields(NamedTuple):

@@ -16,6 +16,7 @@ from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import friction
 from torchdq.errors import ArgumentError, nearest
 from torchdq.functions.call import Precision, function_of, with_tensors
+from torchdq.functions.catalogue import FLOATING
 from torchdq.layers.layer_friction import layer_friction
 from torchdq.layers.layer_program import GAINS, OWN, LayerFunction, Parameters, program
 from torchdq.layers.parametrizations import PhysicalInertia, Positive, restored
@@ -30,6 +31,8 @@ CONSTRAINED: dict[str, type[Positive | PhysicalInertia]] = {
     "mass": Positive,
     "armature": Positive,
     "inertia": PhysicalInertia,
+    "base_mass": Positive,
+    "base_inertia": PhysicalInertia,
 }
 INITIAL = {"armature": 1e-3, "offset": 0.0}  # initial value of what the description does not give [SI]
 LAYER_TORQUES = ("friction", "offset")  # learned torques that are not those of rigid bodies
@@ -45,7 +48,7 @@ class RobotModule(nn.Module):
     viscous: Tensor  # [n], if friction is learned
     coulomb: Tensor  # [n], if friction is learned
     offset: Tensor  # [n], if it is learned
-    _function: str  # in the catalogue, without friction and offset
+    _function = ""  # in the catalogue, without friction and offset
     precision: Precision = "auto"
 
     def __init__(
@@ -59,10 +62,13 @@ class RobotModule(nn.Module):
         super().__init__()
         require_number("sign_width", sign_width, positive=True)
         require_choice("backend", backend, (None, *get_args(BackendName)))
-        if require_robot(robot).floating:
+        if require_robot(robot).floating != self._function.startswith(FLOATING):
+            kind, found, cure = ("fixed", "floating", "torchdq.nn.FloatingInverseDynamics or FloatingForwardDynamics")
+            if not robot.floating:
+                kind, found, cure = found, kind, "torchdq.InverseDynamics or ForwardDynamics"
             raise ArgumentError(
-                f"robot of {type(self).__name__} must have a fixed base, found {robot.name!r} with a floating one; "
-                "torchdq.floating has functions for it"
+                f"robot of {type(self).__name__} must have a {kind} base, found {robot.name!r} with a {found} one; "
+                f"use {cure}, or effects.Servo to control joints on any base"
             )
         self._robot = robot
         self.learn = learnable(robot, learn)
@@ -79,7 +85,7 @@ class RobotModule(nn.Module):
                 form = forms.get(quantity)
                 if form is not None:
                     parametrize.register_parametrization(self, quantity, form(quantity))
-                if form is not None or quantity == "com":
+                if form is not None or quantity in ("com", "base_com"):
                     self._initial[quantity] = self._unconstrained(quantity).detach().clone()
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -94,7 +100,7 @@ class RobotModule(nn.Module):
         made = "_initial" in self.__dict__ and isinstance(value, Tensor)
         if made and (name in self._parameters or parametrize.is_parametrized(self, name)):
             present = getattr(self, name)
-            joints = value.shape[-present.ndim :][:1]
+            joints = value.shape[max(value.ndim - present.ndim, 0) :][:1]
             if joints != present.shape[:1] and value.ndim:
                 expected = ", ".join(["...", *map(str, present.shape)])
                 raise ArgumentError(f"{name} must have the shape [{expected}], found {tuple(value.shape)}")
@@ -144,18 +150,17 @@ class RobotModule(nn.Module):
         of = self._friction.parts(self._coefficients())
         return friction(of, zeros if q is None else q, qd, zeros if load is None else load, self.backend)
 
-    def _evaluated(self, inputs: dict[str, Tensor | None]) -> Tensor:
-        """Result of the layer's program, of the arguments of its function."""
+    def _evaluated(self, inputs: dict[str, Tensor | None]) -> list[Tensor]:
+        """Results of the layer's program, of the arguments of its function."""
         robot, friction = self.robot, self._friction
         if self._rigid:
-            return function_of(self._function, robot, inputs, self.backend, (), self.precision)[0]
+            return function_of(self._function, robot, inputs, self.backend, (), self.precision)
         own, _ = self._own_quantities()
         single = tuple([name for name in GAINS if name in own and not own[name].ndim])
         what = LayerFunction(constants(robot), self._function, single, friction.fixed.templates)
         parameters = {name: own[name] for name in OWN if name in own}
         given = {**with_tensors(robot, inputs), **friction.parts(own).tensors, **parameters}
-        (result,) = evaluate(what, given, self.backend, self.precision == "double").values()
-        return result
+        return list(evaluate(what, given, self.backend, self.precision == "double").values())
 
     def program(self, *wrenches: str, parameters: Parameters = "constants") -> Program:
         """Program of the layer, with learned friction and offset, for `torchdq.compile` and its `export`.
@@ -198,9 +203,10 @@ class RobotModule(nn.Module):
         for quantity, initial in self._initial.items():
             present = self._unconstrained(quantity)
             square = (present - initial.to(present)).square()
-            if quantity == "com":
-                square = square / self._sizes_squared(square).unsqueeze(-1)
-            terms.append(square.sum(-1).mean() if quantity in ("com", "inertia") else square.mean())
+            body = quantity.removeprefix("base_")
+            if body == "com":
+                square = square / self._sizes_squared(square, quantity.removesuffix("com")).unsqueeze(-1)
+            terms.append(square.sum(-1).mean() if body in ("com", "inertia") else square.mean())
         return torch.stack(terms).sum() if terms else torch.zeros((), dtype=torch.float64)
 
     def _unconstrained(self, quantity: str) -> Tensor:
@@ -209,9 +215,9 @@ class RobotModule(nn.Module):
             return self.parametrizations[quantity].original  # type: ignore[union-attr,index]
         return getattr(self, quantity)
 
-    def _sizes_squared(self, like: Tensor) -> Tensor:
-        """Second moments of every described body over its mass [..., n] [m^2]."""
-        inertia, mass = (x.detach().to(like) for x in (self._robot.inertia, self._robot.mass))
+    def _sizes_squared(self, like: Tensor, of: str) -> Tensor:
+        """Second moments of every described body over its mass [..., n] [m^2]; those `of` the base, "base_"."""
+        inertia, mass = (getattr(self._robot, of + name).detach().to(like) for name in ("inertia", "mass"))
         spread = inertia[..., (0, 2, 5)].sum(-1) / 2
         # without a mass the ratio is undefined, and the least size is as good as any
         return (spread / mass.where(mass > 0, torch.inf)).clamp(min=SMALLEST_SIZE**2)

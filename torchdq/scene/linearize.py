@@ -15,18 +15,25 @@ from typing import Generic, NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq import dq
 from torchdq.backends.call import batch_of, evaluate
 from torchdq.errors import ArgumentError
+from torchdq.scene.free_base import POSE
 from torchdq.scene.integrators import Unrecorded
 from torchdq.scene.model import AnyScene, SceneModel
 from torchdq.scene.recording import Stage
 from torchdq.scene.state import State, require_state
 
+ORDER = ("X_WB", "q", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state in a linearization
+PURE = [1, 2, 3, 5, 6, 7]  # numbers of a pure dual quaternion
+
 
 class Linearization(NamedTuple):
     """Linear system of a step: s' + ds' = s' + A ds + B du.
 
-    A state s has its rows one after the other: q, qd, then memory and reading where there are such.
+    The numbers of ds are (q, qd) for a fixed base and (xi, q, V_WB_B, qd) for a floating one, then memory and reading
+    where there are such. xi, six numbers, displaces the pose to X_WB exp(xi/2): a rotation and a translation (angular,
+    linear) in the axes of the base [rad, m].
     """
 
     A: Tensor  # [..., s, s] derivative with respect to the state before the step
@@ -38,8 +45,7 @@ def linearize(
 ) -> Linearization:
     """Derivatives of the state after a step, with respect to the state before it and the torques: `A, B`.
 
-    A floating base is refused, since its pose has 8 components for 6 directions. There `torch.func.jacrev` of `step`
-    gives the derivatives in these components.
+    `2 * dq.log_shortest(dq.mul(dq.conj(X), X_WB))` is the displacement xi of a floating base from a pose X.
 
     Args:
         state: states, shape [..., n]; derivatives are those of every row by itself.
@@ -52,31 +58,33 @@ def linearize(
     (torch.Size([5, 4, 4]), torch.Size([5, 4, 2]))
     """
     require_state(state)
-    if scene.robot.floating:
-        raise ArgumentError(
-            f"robot {scene.robot.name!r} must have a fixed base to be linearized, found a floating one, whose pose has "
-            "8 components for 6 directions; differentiate scene.step with torch.func.jacrev, which gives the "
-            "derivatives in these components, or take finite differences of it"
-        )
     scene.spec.require_inputs(inputs)
     torque = state.q.new_zeros(scene.n) if torque is None else torque
     given = {name: x for name, x in {**inputs, "noise": noise}.items() if x is not None}
     batch_of(Stage(scene.spec, "step"), {**state.rows(), "torque": torque, **given})  # raises, naming what does not fit
-    parts = [*state.rows().values(), torque]
+    rows = state.rows()
+    names = [name for name in ORDER if name in rows]
+    parts = [*(rows[name] for name in names), torque]
+    widths = [x.shape[-1] for x in parts]
     batch = torch.broadcast_shapes(*(x.shape[:-1] for x in (*parts, *given.values())), *scene.batches.values())
-    names, widths = tuple(state.rows()), [x.shape[-1] for x in parts]
 
     def after(z: Tensor) -> Tensor:
-        *rows, u = z.split(widths, -1)
-        stepped = scene.step(State(**dict(zip(names, rows, strict=True))), u, **given)
-        return torch.cat(list(stepped.rows().values()), -1)
+        *before, u = z.split(widths, -1)
+        found = scene.step(State(**dict(zip(names, before, strict=True))), u, **given).rows()
+        return torch.cat([found[name] for name in names], -1)
 
     ends, pull, *_ = torch.func.vjp(after, torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1))
-    s = ends.shape[-1]
+    units = torch.eye(ends.shape[-1], dtype=ends.dtype, device=ends.device).expand(*batch, -1, -1)
+    if scene.robot.floating:  # a pose X changes by dX = X xi/2, so that xi = 2 conj(X) dX
+        displaced = 2 * dq.hamilton_left(dq.conj(ends[..., :POSE]))[..., PURE, :]
+        units = torch.cat([torch.nn.functional.pad(displaced, (0, units.shape[-1] - POSE)), units[..., POSE:, :]], -2)
     # samples do not depend on each other, so that one gradient per row of the state is enough for all of them
-    units = torch.eye(s, dtype=ends.dtype, device=ends.device).reshape(s, *[1] * len(batch), s)
-    (found,) = torch.func.vmap(pull)(units.expand(s, *ends.shape))
-    A, B = found.movedim(0, -2).split([s, scene.n], -1)
+    (found,) = torch.func.vmap(pull)(units.movedim(-2, 0))
+    found = found.movedim(0, -2)
+    if scene.robot.floating:
+        directions = dq.hamilton_left(rows["X_WB"])[..., PURE] / 2
+        found = torch.cat([found[..., :POSE] @ directions, found[..., POSE:]], -1)
+    A, B = found.split([units.shape[-2], scene.n], -1)
     return Linearization(A, B)
 
 

@@ -3,7 +3,8 @@
 With mass matrix, damping and stiffness frozen as they are in a state, the joints are a linear system of springs and
 dampers, M a + D v + K x = 0, whose motions never grow. A step of an integrator multiplies them by a matrix; if one of
 its eigenvalues is larger than 1, the integrator makes them grow. That is asked at the start and along a trial run, in
-which all rows must stay within bounds, whatever else acts: contacts, controllers, speed.
+which all rows must stay within bounds, whatever else acts: controllers, speed, contacts. The run tells how deep points
+sink into the ground, and whether they touched it at all.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_number
+from torchdq.base.checks import require_number, tensor_of
 from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
+from torchdq.effects.contact import Contact, firmest
 from torchdq.errors import ArgumentError
+from torchdq.scene.contacts import contacts
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
 from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
@@ -33,6 +36,7 @@ FEW = 2**13  # steps of a trial run of shorter steps where rows diverge for anot
 SHORTEST = 2**12  # shorter steps that are tried, in one of the scene's
 FAR = 1e6  # positions and velocities beyond which a row has diverged, though it may stay finite [rad, m, s]
 STATES = 16  # states of a trial run that are looked at
+DEEP = 0.01  # depth from which points that sink into the ground are pointed out [m]
 
 
 class Steps(NamedTuple):
@@ -47,6 +51,32 @@ class Steps(NamedTuple):
         return f"integrator={self.integrator}, {steps}steps of {self.step:.3g} s"
 
 
+class GroundCheck(NamedTuple):
+    """Contact with the ground in the rows of a trial run that stay within bounds."""
+
+    deepest: float  # largest depth of a point in it [m]
+    slip: float  # largest speed along the ground of a point that touches at its end [m/s]
+    aloft: int  # rows that never touched
+    rows: int
+    stiffness: float  # of the firmest contact [N/m]
+    firmest: float  # stiffness that the step allows, 4 m / h^2 [N/m]
+
+    def __str__(self) -> str:
+        lines = []
+        if self.aloft < self.rows:
+            lines.append(
+                f"- contact: points sink up to {1e3 * self.deepest:.2g} mm and slip at {self.slip:.2g} m/s at the end; "
+                f"stiffness {self.stiffness:.3g} N/m, of at most 4 m / h^2 = {self.firmest:.3g} N/m"
+            )
+        if self.deepest > DEEP:
+            lines.append(
+                "- contact: the ground is soft for this motion; give a larger stiffness, or start nearer to it"
+            )
+        if self.aloft:
+            lines.append(f"- contact: not checked in {self.aloft} of {self.rows} rows, which did not touch the ground")
+        return "\n".join(lines)
+
+
 @dataclass(frozen=True)
 class Check:
     """Whether the steps of a scene are stable; true if they are. `print` it."""
@@ -57,7 +87,8 @@ class Check:
     growth: float  # largest factor by which a step magnifies a motion of the springs and dampers; up to 1 they settle
     joint: str  # joint that moves most in it
     diverged: Tensor  # [...] rows that are beyond 1e6 rad, m or rad/s at the end of the trial run, or not finite
-    alternatives: tuple[Steps, ...]  # stable ones, where these are not
+    alternatives: tuple[Steps, ...] = ()  # stable ones, where these are not
+    ground: GroundCheck | None = None  # None: the scene has no `effects.Contact`
 
     @property
     def stable(self) -> bool:
@@ -78,7 +109,7 @@ class Check:
             lines += [f"- stable: {found}" for found in self.alternatives]
         if not (self.stable or self.alternatives):
             lines.append("- none of the shorter steps that were tried is stable; is the motion itself?")
-        return "\n".join(lines)
+        return "\n".join([*lines, *([] if self.ground is None else [str(self.ground)])])
 
 
 def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tensor | None) -> Check:
@@ -86,7 +117,8 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
 
     A step must let the springs and dampers at the joints settle, as they are at the state and along a trial run
     from it; and all rows of that run must stay below 1e6 rad or m, and 1e6 rad/s or m/s. Computed in float64.
-    Stable steps need not be accurate: compare with steps half as long.
+    Stable steps need not be accurate: compare with steps half as long. Contacts are checked where points touch the
+    ground during the run, and the result says how many rows did not.
 
     Args:
         state: states to start from.
@@ -112,13 +144,12 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
             raise ArgumentError(f"state must be finite to start a trial run from, found: {unusable}")
         warnings.warn(f"{unusable}; the others are checked", stacklevel=2)
     given = {name: x.double() for name, x in inputs.items() if x is not None}
-    trial = _Trial(scene.replace(substeps=1), state.to(torch.float64), given, intervals)
+    trial = _Trial(scene, state.to(torch.float64), given, intervals)
     integrator, times = scene.integrator, scene.substeps
     if isinstance(scene.integrator, Repeated):
         integrator, times = scene.integrator.integrator, scene.integrator.times
     with Progress(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
-        growth, joint, diverged = trial.run(integrator, times)
-        found = Check(integrator, scene.dt / times, seconds, growth, joint, diverged, ())
+        found = trial.run(integrator, times)
         if found.stable:
             return found
         candidates: list[tuple[Integrator, int]] = []
@@ -128,8 +159,8 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
         stable: list[Steps] = []
         for other, first in candidates:
             notice.at(f"trying shorter steps of {other}")
-            stable += trial.shortened(other, first, stiff=growth > GROWTH)
-    return Check(integrator, scene.dt / times, seconds, growth, joint, diverged, tuple(stable))
+            stable += trial.shortened(other, first, stiff=found.growth > GROWTH)
+    return replace(found, alternatives=tuple(stable))
 
 
 @dataclass(frozen=True)
@@ -148,17 +179,17 @@ class _Trial:
             if not stiff and times * intervals > FEW:
                 break
             # a look at the start alone saves most trial runs
-            if self._growth(integrator, times, self.state)[0] <= GROWTH:
-                growth, _, diverged = replace(self, intervals=intervals).run(integrator, times)
-                if growth <= GROWTH and not bool(diverged.any()):
-                    return [Steps(integrator, times, self.scene.dt / times)]
+            well = self._growth(integrator, times, self.state)[0] <= GROWTH
+            if well and replace(self, intervals=intervals).run(integrator, times):
+                return [Steps(integrator, times, self.scene.dt / times)]
             times *= 2
         return []
 
-    def run(self, integrator: Integrator, times: int) -> tuple[float, str, Tensor]:
-        """Largest growth of a motion, the joint that moves in it, and the rows that diverge."""
+    def run(self, integrator: Integrator, times: int) -> Check:
+        """Check of an integrator and a number of its steps, without alternatives."""
         adaptive = isinstance(integrator, DormandPrince)
-        scene = self.scene.replace(integrator=integrator if adaptive else Repeated(integrator, times))
+        scene = self.scene.replace(substeps=1, integrator=integrator if adaptive else Repeated(integrator, times))
+        step, seconds = self.scene.dt / times, self.intervals * self.scene.dt
         series: dict[str, Any] = {name: x.expand(self.intervals, *x.shape) for name, x in self._inputs().items()}
         with torch.no_grad():
             path = rollout(scene, self.state, steps=self.intervals, nonfinite="ignore", **series)
@@ -167,14 +198,35 @@ class _Trial:
         ends = path.finite() & (torch.cat(moving, -1).abs() < FAR).all(-1)
         diverged = begins & ~ends[-1]
         if adaptive:
-            return 1.0, "", diverged
+            return Check(integrator, step, seconds, 1.0, "", diverged)
         at = torch.linspace(0, self.intervals - 1, min(STATES, self.intervals)).long()
         kept = ends[at][..., None]
         seen = State._make(
             None if x is None or first is None else torch.cat([first.expand_as(x[:1]), torch.where(kept, x[at], first)])
             for x, first in zip(path, self.state, strict=True)
         )
-        return *self._growth(integrator, times, seen), diverged
+        ground = self._ground(scene, path, step) if scene.spec.of(Contact) else None
+        return Check(integrator, step, seconds, *self._growth(integrator, times, seen), diverged, ground=ground)
+
+    def _ground(self, scene: SceneModel, path: State, step: float) -> GroundCheck | None:
+        """Contact along a trial run."""
+        kept = path.finite().all(0)
+        if not bool(kept.any()):
+            return None
+        along = State._make(None if x is None else x[:, kept] for x in path)
+        with torch.no_grad():
+            found = contacts(scene, along)
+        aloft = ~found.touching.any(-1).any(0)
+        slip = torch.where(found.touching[-1], found.slip[-1], 0.0)
+        stiffness = max(float(tensor_of(effect.stiffness).max()) for _, effect in scene.spec.of(Contact))
+        return GroundCheck(
+            max(0.0, float(found.depth.max())),
+            float(slip.max()),
+            int(aloft.sum()),
+            aloft.numel(),
+            stiffness,
+            firmest(scene.robot, step),
+        )
 
     def _inputs(self) -> dict[str, Tensor]:
         """Inputs of a step; where nothing else is given, sensors read without noise and controllers hold the start."""
