@@ -15,7 +15,8 @@ from torch import Tensor
 from torchdq.base.checks import dtype_of, require_count, require_number
 from torchdq.base.progress import Progress
 from torchdq.base.timing import measure
-from torchdq.effects.effect import Effect
+from torchdq.effects.effect import Effect, unbounded
+from torchdq.effects.joint import Servo
 from torchdq.findings import printable
 from torchdq.robot import Robot
 from torchdq.robot.description import UNSIMULATED
@@ -164,7 +165,7 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
         ("damping", robot.damping > 0, "damping of {}", "Viscous()"),
         ("friction", robot.friction > 0, "dry friction of {}", "Coulomb()"),
         ("limits.lower", limits.lower.isfinite() | limits.upper.isfinite(), "position limits of {}", "JointLimits()"),
-        ("limits.effort", limits.effort.isfinite(), "torque limits of {}", "Saturation()"),
+        ("limits.effort", limits.effort.isfinite(), "torque limits of {}", "Saturation(), or limit of Servo"),
         (
             "limits.velocity",
             limits.velocity.isfinite(),
@@ -173,6 +174,8 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
         ),
     )
     simulated = {source for effect in effects for source in effect.DESCRIBED.values()}
+    if any(isinstance(effect, Servo) and not all(map(unbounded, effect.limit)) for effect in effects):
+        simulated.add("limits.effort")
     lines = []
     for source, there, words, effect in parts:
         there = there.reshape(there.shape[:-1].numel(), there.shape[-1]).any(0)  # in one of several robots
