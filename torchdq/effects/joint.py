@@ -9,7 +9,7 @@ reverse a motion. Explicit integrators evaluate the torque itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple, Self
 
@@ -25,7 +25,7 @@ from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 
 TOUCHING = 2.0**-126  # smallest normal number of float32: least force of an active limit [N m or N]
-LARGEST = 2.0**60  # limit of a servo that stands for an infinite one: a quotient of infinities is no number [N m or N]
+LARGEST = 2.0**60  # what stands for an infinite limit of a servo, so that no quotient is inf / inf [N m or N]
 
 
 class Impedance(NamedTuple):
@@ -148,6 +148,10 @@ class Servo(JointEffect):
     def inputs(self, n: int) -> dict[str, int]:
         """The target [n]."""
         return {"target": n}
+
+    def simulates(self) -> Collection[str]:
+        """Limits of the torque, if it has any."""
+        return () if all(map(unbounded, self.limit)) else ("limits.effort",)
 
     def described(self, robot: Robot) -> Self:
         """Copy with an infinite limit instead of None."""

@@ -15,8 +15,7 @@ from torch import Tensor
 from torchdq.base.checks import dtype_of, require_count, require_number
 from torchdq.base.progress import Progress
 from torchdq.base.timing import measure
-from torchdq.effects.effect import Effect, unbounded
-from torchdq.effects.joint import Servo
+from torchdq.effects.effect import Effect
 from torchdq.findings import printable
 from torchdq.robot import Robot
 from torchdq.robot.description import UNSIMULATED
@@ -173,9 +172,7 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
             "TorqueSpeed(), which takes the torque away there",
         ),
     )
-    simulated = {source for effect in effects for source in effect.DESCRIBED.values()}
-    if any(isinstance(effect, Servo) and not all(map(unbounded, effect.limit)) for effect in effects):
-        simulated.add("limits.effort")
+    simulated = {source for effect in effects for source in effect.simulates()}
     lines = []
     for source, there, words, effect in parts:
         there = there.reshape(there.shape[:-1].numel(), there.shape[-1]).any(0)  # in one of several robots
