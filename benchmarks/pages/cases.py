@@ -163,7 +163,7 @@ CASES: dict[str, Case] = {
     "Servo": _case(
         "effects.Servo(100.0, 10.0)",
         """
-        scene = Scene(robot, (effects.Gravity(), effects.Servo(kp=400.0, kd=40.0)))
+        scene = Scene(robot, (effects.Gravity(), effects.Servo(kp=400.0, kd=40.0, limit=[30.0, 10.0])))
         target = torch.tensor([0.5, -0.5]).expand(100, 2)  # an input of every step
         state = scene.rollout(scene.start(torch.zeros(2)), target=target)
         """,

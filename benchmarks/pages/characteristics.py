@@ -208,6 +208,7 @@ def _limits() -> Picture:
 
 def _servo() -> Picture:
     made = {f"kd {kd:g}": ("wheel", (effects.Servo(100.0, kd),)) for kd in (5.0, 20.0)}
+    made["kd 20, limit 20"] = ("wheel", (effects.Servo(100.0, 20.0, limit=20.0),))
     return over_time(POSITION, 120, 0.01, {k: (kind, parts) for k, (kind, parts) in made.items()}, "q", target=1.0)
 
 

@@ -59,7 +59,7 @@ def tensors_of(effect: Effect, robot: Robot, batch: int) -> Effect:
     """Effect with a tensor [batch, ...] instead of each number that differs from its default."""
     whole = effect.resolved(robot)
     defaults = {entry.name: entry.default for entry in dataclasses.fields(effect)}
-    given = [name for name in whole.SHAPES if defaults[name] is None or getattr(effect, name) != defaults[name]]
+    given = [name for name in whole.SHAPES if name in whole.DESCRIBED or getattr(effect, name) != defaults[name]]
 
     def spread(name: str) -> Tensor:
         shape = trailing(whole.SHAPES[name], robot.sizes)
@@ -122,6 +122,11 @@ def allowed(effect: Effect, name: str, robot: Robot) -> str:
     else:
         words = "> 0" if half else "≥ 1"
     return words + (", may be infinite" if infinite else "")
+
+
+def required(effect: Effect, name: str, robot: Robot) -> bool:
+    """Whether a parameter must be given: None stands for nothing."""
+    return not _works(lambda: dataclasses.replace(effect, **{name: None}).resolved(robot))
 
 
 def _works(call: Any) -> bool:

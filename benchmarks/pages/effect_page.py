@@ -12,7 +12,7 @@ from typing import Any
 
 from pages.cases import CASES, START, built
 from pages.docstrings import ArgumentText, documented
-from pages.effect_facts import allowed, arm, facts, kinds, operations
+from pages.effect_facts import allowed, arm, facts, kinds, operations, required
 from pages.formulas import tex
 from pages.text import MADE, sentence, table, wrapped
 from torchdq import effects
@@ -105,7 +105,7 @@ def parameters(kind: type[Effect]) -> str:
                 linked(text.meaning or entry.name, kind.__name__),
                 text.unit or ("1" if entry.name in kind.SHAPES else ""),
                 f"`{text.shape}`" if text.shape else "one number" if entry.name in kind.SHAPES else "",
-                _default(kind, entry),
+                _default(effect, entry),
                 values,
             )
         )
@@ -122,10 +122,10 @@ def _arguments(kind: type[Effect]) -> dict[str, ArgumentText]:
     return found
 
 
-def _default(kind: type[Effect], entry: Any) -> str:
-    if entry.name in kind.DESCRIBED:
-        return f"`robot.{kind.DESCRIBED[entry.name]}`"
-    if entry.default is dataclasses.MISSING or (entry.default is None and entry.name in kind.SHAPES):
+def _default(effect: Effect, entry: Any) -> str:
+    if entry.name in effect.DESCRIBED:
+        return f"`robot.{effect.DESCRIBED[entry.name]}`"
+    if entry.default is dataclasses.MISSING or (entry.default is None and required(effect, entry.name, arm())):
         return "must be given"
     return f"`{entry.default!r}`"
 

@@ -1,15 +1,16 @@
 """Joint effects: springs, servos, limits and memoryless friction have the torques of their formulas."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from effect_harness import CASES, FORMS, JOINT, TARGET, agrees, bare, close, double, forms_of, pinocchio
+from effect_harness import CASES, FORMS, JOINT, TARGET, agrees, bare, close, double, forms_of, given, pinocchio
 
 import torchdq
 from torchdq.envs import Scene, State, effects
-from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit, SemiImplicitEuler
+from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta4, SemiImplicitEuler
 
 
 def joint_effect(b, kind, form):
@@ -45,6 +46,74 @@ def test_the_implicit_integrator_takes_the_state_at_the_end_of_the_step(name, ki
     after = scene.step(scene.start(b.q, b.qd), torque=b.u, **inputs)
     assert close((after.qd - b.qd).numpy() / h, expected.accelerations, expected.size + np.abs(qd) / h)
     assert close(after.q.numpy(), q + h * after.qd.numpy(), np.abs(q) + np.abs(h * after.qd.numpy()))
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("h", [0.0, 0.05])
+@pytest.mark.parametrize("name", CASES)
+def test_a_servo_with_a_limit_is_scaled_to_it(name, h, form):
+    """Explicit integrators (h = 0) clip the torque; in an implicit step stiffness, damping and force scale together."""
+    b, ranges = bare(name), ((5.0, 20.0), (0.5, 2.0), (1.0, 9.0))
+    kp, kd, most = (given(form, *x, b.n, seed) for seed, x in enumerate(ranges))
+    q, qd, target = b.q.numpy(), b.qd.numpy(), TARGET[:, : b.n]
+    tau = kp.values * (target - q - h * qd) - kd.values * qd
+    s = np.minimum(1.0, most.values / np.abs(tau))
+    assert (s < 1).any()
+    expected = pinocchio(b, s * tau, implicit=s * (h * kd.values + h * h * kp.values))
+    integrator, dt = (LinearlyImplicit(), h) if h else (ExplicitEuler(), 1.0)
+    scene = Scene(b.robot, (effects.Servo(kp.parameter, kd.parameter, most.parameter),), integrator=integrator, dt=dt)
+    after = scene.step(scene.start(b.q, b.qd), torque=b.u, target=double(target))
+    assert close((after.qd - b.qd).numpy() / dt, expected.accelerations, expected.size + np.abs(qd) / dt)
+
+
+WHEEL = torchdq.Robot.from_screws([[0, 0, 1, 0, 0, 0]], [1.0], [[0.0] * 3], [torch.eye(3)], gravity=None)
+
+
+@pytest.mark.parametrize("h", [0.001, 0.005, 0.02])
+def test_a_servo_alone_never_exceeds_its_limit_nor_gains_energy(h):
+    """Energy of the wheel and of a spring whose force ends at the limit: 3 % of Euler's error are allowed at 20 ms."""
+    limit, generator = 2.0, torch.Generator().manual_seed(1)
+    kp = double([1.0, 1e4, 1e12]).repeat_interleave(192)[:, None]
+    kd = kp * double([0.0, 0.1, 1.0]).repeat(192)[:, None]
+    q, qd = torch.randn(2, 576, 1, generator=generator, dtype=torch.float64) * double([[[1.0]], [[5.0]]])
+
+    def energy(q, qd):
+        stretch = (q.abs() - limit / kp).clamp(min=0)
+        return 0.5 * qd**2 + 0.5 * kp * (q.abs() - stretch) ** 2 + limit * stretch
+
+    scene = Scene(WHEEL, (effects.Servo(kp, kd, limit),), dt=h)
+    path = scene.rollout(scene.start(q, qd), target=torch.zeros(int(1 / h), 576, 1, dtype=torch.float64))
+    torques = torch.diff(torch.cat([qd[None], path.qd]), dim=0) / h
+    assert torques.abs().max() <= limit * (1 + 1e-9)
+    assert torques.abs().max() > 0.99 * limit
+    assert (energy(path.q, path.qd) <= energy(q, qd) * (1 + 1.5 * h)).all()
+
+
+def test_the_torque_of_a_limited_servo_converges_to_the_clipped_one():
+    """A chain that swings by servos at their limits, against small Runge-Kutta steps of the clipped torque: order 1."""
+    b, T = bare("two_link"), 0.2
+    servo, target = effects.Servo(80.0, 4.0, [3.0, 1.5]), double([0.8, -0.6])
+
+    def end(dt, integrator):
+        scene = Scene(b.robot, (servo,), integrator=integrator, dt=dt)
+        return scene.rollout(scene.start(b.q, b.qd), target=target.expand(round(T / dt), 2)).q[-1]
+
+    exact = end(5e-4, RungeKutta4())
+    errors = [float((end(dt, LinearlyImplicit()) - exact).abs().max()) for dt in (4e-3, 2e-3, 1e-3)]
+    assert errors[2] < 0.01
+    assert all(1.7 < errors[k] / errors[k + 1] < 2.3 for k in range(2))
+
+
+def test_an_infinite_limit_is_none_and_costs_nothing():
+    robot, servo = CASES["two_link"].robot, effects.Servo(5.0, 1.0)
+    counts = [Scene(robot, (e,)).count().total for e in (servo, effects.Servo(5.0, 1.0, math.inf))]
+    assert counts[0] == counts[1] < Scene(robot, (effects.Servo(5.0, 1.0, 3.0),)).count().total
+    q, target = double([0.4, -0.7]), double([1e6, 0.1])
+    ends = [
+        (scene := Scene(robot, (replace(servo, limit=most),), dt=0.01)).step(scene.start(q), target=target).qd
+        for most in (None, double([math.inf, math.inf]))
+    ]
+    assert torch.equal(*ends)
 
 
 def test_effects_at_the_joints_add_up():

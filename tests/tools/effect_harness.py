@@ -222,7 +222,7 @@ EVERY = {
     ),
     "Ripple": lambda: (effects.Ripple(p(0.3, 0.5), p(0.3, -0.5), p(-0.2, 0.1), warming=p(0.02, 0.01)), warm()),
     "Spring": lambda: (effects.Spring(p(3.0, 5.0), p(0.1, -0.2)), {}),
-    "Servo": lambda: (effects.Servo(p(3.0, 5.0), p(0.2, 0.1)), {"target": p(0.5, 0.1)}),
+    "Servo": lambda: (effects.Servo(p(3.0, 5.0), p(0.2, 0.1), p(9.0, 1.2)), {"target": p(0.5, 0.1)}),
     "JointLimits": lambda: (effects.JointLimits(p(-0.5, -0.6), p(0.2, 0.5), p(30.0, 50.0), p(1.0, 2.0)), {}),
     "Elastic": lambda: (effects.Elastic(p(30.0, 50.0), p(0.3, 0.1), p(0.2, 0.3)), {}),
     "Push": lambda: (effects.Push(axes="body"), {"push": p(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)}),

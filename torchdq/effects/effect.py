@@ -11,7 +11,7 @@ numbers.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, ClassVar, Self
@@ -64,6 +64,10 @@ class Parametric:
     def missing(self) -> dict[str, str]:
         """Parameters that are None, with the attributes of the robot that replace them."""
         return {name: source for name, source in self.DESCRIBED.items() if getattr(self, name) is None}
+
+    def simulates(self) -> Collection[str]:
+        """Attributes of the robot that stand for something it simulates."""
+        return self.DESCRIBED.values()
 
     def described(self, robot: Robot) -> Self:
         """Copy with the values of the robot's description instead of None."""

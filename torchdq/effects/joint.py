@@ -8,8 +8,9 @@ reverse a motion. Explicit integrators evaluate the torque itself.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple, Self
 
 import torch
@@ -24,6 +25,7 @@ from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 
 TOUCHING = 2.0**-126  # smallest normal number of float32: least force of an active limit [N m or N]
+LARGEST = 2.0**60  # what stands for an infinite limit of a servo, so that no quotient is inf / inf [N m or N]
 
 
 class Impedance(NamedTuple):
@@ -41,6 +43,12 @@ class Impedance(NamedTuple):
     def damping_at_end(self, h: Number) -> Number:
         """D + h K: damping of an implicit step h, at whose end the force is f + h K qd."""
         return self.damping + (h * self.stiffness) * self.active
+
+    def limited(self, most: Number, qd: Number, h: Number) -> Impedance:
+        """Impedance scaled so that its torque at the end of a step h, with the velocity qd, is at most `most`."""
+        most = minimum(most, LARGEST)
+        s = most / maximum(absolute(self.force + self.damping_at_end(h) * qd), most)
+        return Impedance(s * self.damping, s * self.force, s * self.stiffness)
 
 
 def spring(k: Number, stretch: Number, damping: Number = 0.0) -> Impedance:
@@ -115,24 +123,45 @@ class Servo(JointEffect):
     """Continuous position servo: tau = kp (target - q) - kd qd, with the input `target` [..., n].
 
     Unlike a controller, which samples the state once per step, it is part of the integrated equations, so that the
-    linearly implicit integrator keeps it stable at any gain.
+    linearly implicit integrator keeps it stable at any gain. A limit scales kp and kd of a joint over a step h by a
+    factor s that follows from the state at its start.
+
+        s = min(1, limit / |kp (target - q - h qd) - kd qd|)
+
+    Explicit integrators, whose h is 0 here, keep the limit exactly. An implicit step takes the torque at its end, which
+    may exceed the limit by s (kd + h kp) times the change of qd over the step: where others accelerate the joint, as a
+    blow does; the servo itself only makes its torque smaller.
 
     Args:
         kp: stiffness [N m/rad or N/m], shape [..., n].
         kd: damping [N m s/rad or N s/m], shape [..., n].
+        limit: largest torque [N m or N], shape [..., n]; None: infinite, which costs nothing.
     """
 
-    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
+    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",), "limit": ("n",)}
+    UNBOUNDED = frozenset({"limit"})
+    DIVIDING = frozenset({"limit"})
     kp: Parameter
     kd: Parameter = 0.0
+    limit: Parameter = None
 
     def inputs(self, n: int) -> dict[str, int]:
         """The target [n]."""
         return {"target": n}
 
-    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """Impedances with D = kd, f = kp (q - target)."""
-        return [spring(k, x - r, d) for k, d, r, x in zip(self.kp, self.kd, inputs["target"], q, strict=True)]
+    def simulates(self) -> Collection[str]:
+        """Limits of the torque, if it has any."""
+        return () if all(map(unbounded, self.limit)) else ("limits.effort",)
+
+    def described(self, robot: Robot) -> Self:
+        """Copy with an infinite limit instead of None."""
+        return replace(self, limit=math.inf) if self.limit is None else self
+
+    def impedances_at_end(self, q: Row, qd: Row, inputs: Inputs, memory: Row, h: Number) -> Sequence[Impedance]:
+        """Impedances with D = kd, f = kp (q - target), within the limits."""
+        rows = zip(self.kp, self.kd, self.limit, inputs["target"], q, qd, strict=True)
+        free = [(spring(k, x - r, d), most, v) for k, d, most, r, x, v in rows]
+        return [z if unbounded(most) else z.limited(most, v, h) for z, most, v in free]
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
         ("damping", robot.damping > 0, "damping of {}", "Viscous()"),
         ("friction", robot.friction > 0, "dry friction of {}", "Coulomb()"),
         ("limits.lower", limits.lower.isfinite() | limits.upper.isfinite(), "position limits of {}", "JointLimits()"),
-        ("limits.effort", limits.effort.isfinite(), "torque limits of {}", "Saturation()"),
+        ("limits.effort", limits.effort.isfinite(), "torque limits of {}", "Saturation(), or limit of Servo"),
         (
             "limits.velocity",
             limits.velocity.isfinite(),
@@ -172,7 +172,7 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
             "TorqueSpeed(), which takes the torque away there",
         ),
     )
-    simulated = {source for effect in effects for source in effect.DESCRIBED.values()}
+    simulated = {source for effect in effects for source in effect.simulates()}
     lines = []
     for source, there, words, effect in parts:
         there = there.reshape(there.shape[:-1].numel(), there.shape[-1]).any(0)  # in one of several robots
