@@ -98,7 +98,7 @@ def identified() -> set[type]:
 
 def kinds() -> list[type[Effect]]:
     """All public effects."""
-    return [getattr(effects, name) for name in effects.__all__ if name != "Effect"]
+    return [getattr(effects, name) for name in effects.__all__ if name not in ("Effect", "HeightMap")]
 
 
 def allowed(effect: Effect, name: str, robot: Robot) -> str:

@@ -125,7 +125,7 @@ STEPPED = ("QuantisedCommand", "QuantisedReading")  # differentiable only betwee
 
 
 def test_every_effect_is_there():
-    assert set(EVERY) == set(effects.__all__) - {"Effect"}
+    assert set(EVERY) == set(effects.__all__) - {"Effect", "HeightMap"}
 
 
 def differentiable(effect, inputs, integrator, steps):

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple, Self
 
+from torch import Tensor
+
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
@@ -89,6 +91,14 @@ class BodyEffect(Effect):
     def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
         """Impedances of points over a step h, in addition to the wrenches; h = 0: forces now."""
         return ()
+
+    def places(self, bodies: Bodies) -> Sequence[Number]:
+        """Places at which torch looks up its computed row before a step, as numbers of the pose."""
+        return ()
+
+    def looked_up(self, places: Tensor) -> Tensor:
+        """Computed row at those places."""
+        return places
 
     def memory_at_end(
         self, bodies: Bodies, inputs: Inputs, memory: Row, ends: Sequence[Pure], h: Number

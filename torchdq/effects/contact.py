@@ -198,7 +198,7 @@ class Contact(BodyEffect):
         rows, columns = self.surface.heights.shape[-2:]
         return f"a map of {rows} x {columns} heights, in which torch looks up a plane below every point once per step"
 
-    def planes(self, places: Tensor) -> Tensor:
+    def looked_up(self, places: Tensor) -> Tensor:
         """Planes z = c + a x + b y tangent to the map, c, a and b [..., 3 points], at x and y [..., 2 points]."""
         x, y = places.chunk(2, -1)
         height, a, b = self.surface(x, y)

@@ -226,13 +226,14 @@ class SceneModel:
         return system, x, v, rows
 
     def grounds(self, state: State) -> dict[str, Tensor]:
-        """Planes that effects look up in maps of heights, tangent to them below their points in a state, by name."""
-        own = [self.effects[i] for i, _ in self.spec.of(BodyEffect)]
-        maps = {name: effect for effect in own for name in effect.computed(self.n)}
-        if not maps:
+        """Rows that effects on bodies look up below their points in a state, by name."""
+        names: dict[str, Any] = {}
+        for i, effect in self.spec.of(BodyEffect) if self.computed else ():
+            names |= dict.fromkeys(effect.computed(self.n), self.effects[i])
+        if not names:
             return {}
         moving = {name: x for name, x in state.rows().items() if name in self.spec.moving}
-        return {name: maps[name].planes(x) for name, x in self.evaluate("places", moving).items()}  # type: ignore[attr-defined]
+        return {name: names[name].looked_up(x) for name, x in self.evaluate("places", moving).items()}
 
     def finite(self, state: State) -> Tensor:
         """True for every row of a state whose numbers are all finite, shape [...]."""
