@@ -82,6 +82,42 @@ def test_drag_resists_the_motion_of_every_link(name, form):
     assert agrees(b, effects.Drag(**parameters), torques=torques)
 
 
+@pytest.mark.parametrize("tensors", [False, True], ids=["constant", "tensors"])
+@pytest.mark.parametrize("name", CASES)
+def test_a_spring_to_a_point_pulls_the_frame_there(name, tensors):
+    b, rng = bare(name), np.random.default_rng(8)
+    frame = b.robot.end_effector().name
+    values = {"anchor": rng.normal(size=3), "stiffness": 30.0, "damping": 2.0}
+    if tensors:
+        values = {"anchor": rng.normal(size=(SAMPLES, 3)), **{x: rng.uniform(1, 30, SAMPLES) for x in list(values)[1:]}}
+    torques = []
+    for k in range(SAMPLES):
+        at = at_frame(b, frame, k)
+        a, stiffness, damping = (x[k] if tensors else x for x in values.values())
+        torques.append(at.jacobian[:3].T @ (stiffness * (a - at.position) - damping * at.velocity))
+    parameters = {x: double(y) if tensors else tuple(y) if x == "anchor" else y for x, y in values.items()}
+    assert agrees(b, effects.PointSpring(**parameters), torques=np.array(torques))
+
+
+@pytest.mark.parametrize("stiffness", [1e3, 1e9])
+def test_a_body_on_a_spring_swings_at_its_frequency_and_a_stiff_spring_holds_it(stiffness):
+    mass, dt = 2.0, 1e-3
+    robot = torchdq.Robot.from_urdf(
+        f'<robot name="b"><link name="b"><inertial><mass value="{mass}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" '
+        'ixz="0" iyz="0"/></inertial></link></robot>',
+        base="floating",
+    )
+    scene = Scene(robot, (effects.PointSpring("b", (0.1, 0.0, 0.0), stiffness),), dt=dt)
+    path = scene.rollout(scene.start(torch.zeros(0, dtype=torch.float64)), steps=1000)
+    x = torchdq.dq.translation(path.X_WB)[:, 0] - 0.1
+    if stiffness > 1e6:  # as damped as an implicit step is
+        assert x[-1].abs() < 1e-9
+        assert (x.abs() <= 0.1 + 1e-12).all()
+    else:  # implicit steps with h w = 0.022
+        turns = (x[:-1] * x[1:] < 0).nonzero().flatten().double()
+        assert abs(turns.diff().mean() * dt / (np.pi / np.sqrt(stiffness / mass)) - 1) < 2e-3
+
+
 def contact(b, values, k, frame):
     """Force of the ground and the joint torques it causes."""
     at = at_frame(b, frame, k)
