@@ -65,18 +65,26 @@ class Quadruped:
         centres = [dq.translation(X[k]) + dq.rotate(dq.rotation(X[k]), q.new_tensor(p.center)) for k, p in enumerate(points)]
         return max(p.radius - c[2] for p, c in zip(points, centres, strict=True))
 
-    def scene(self, dt: float, firm: float = 2.0, **ground: Any) -> Scene:
-        """Scene with servos that sag by a fraction of a radian under the weight."""
-        kp = firm * self.weight * float(self.height(self.q))
-        hold = effects.Servo(kp, kp / 40.0)
-        contact = effects.Contact(self.feet, **ground)
+    def scene(self, dt: float, firm: float = 2.0, sink: float = 1e-3, **ground: Any) -> Scene:
+        """Scene with servos as firm as half of the weight on one leg asks for, and a ground in which the robot sinks.
+
+        Numbers are tensors, so that scenes with others share their programs.
+        """
+        kp = self.q.new_tensor(firm * self.weight * float(self.height(self.q)))
+        hold = effects.Servo(kp.expand(self.robot.n), (kp / 40.0).expand(self.robot.n), self.robot.limits.effort)
+        stiffness = self.q.new_tensor(self.weight / (sink * len(self.robot.contact_points(self.feet))))
+        ground = {"normal": self.normal(0.0), **ground} if "surface" not in ground else ground
+        contact = effects.Contact(self.feet, stiffness=stiffness, **ground)
         return Scene(self.robot, (effects.Gravity(), effects.RotorInertia(0.01), hold, contact), dt=dt)
 
     def placed(self, scene: Scene, q: Tensor, above: float = 0.0, tilt: float = 0.0) -> State:
         """State at rest with the feet on the ground, or above it."""
-        up = q.new_tensor([math.sin(tilt), 0.0, math.cos(tilt)])
         turned = q.new_tensor([math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0])
-        return scene.start(q, X_WB=dq.from_pose(turned, (self.height(q) + above) * up))
+        return scene.start(q, X_WB=dq.from_pose(turned, (self.height(q) + above) * self.normal(tilt)))
+
+    def normal(self, tilt: float) -> Tensor:
+        """Normal of a plane that rises towards -x."""
+        return self.q.new_tensor([math.sin(tilt), 0.0, math.cos(tilt)])
 
 
 def held(scene: Scene, state: State, target: Tensor, seconds: float) -> State:
@@ -87,7 +95,7 @@ def held(scene: Scene, state: State, target: Tensor, seconds: float) -> State:
 
 def landing(dog: Quadruped, dt: float) -> tuple[Tensor, Tensor]:
     """Times [s] and sums of the normal forces in weights, of a fall from 10 cm."""
-    scene = dog.scene(dt, stiffness=2e4)
+    scene = dog.scene(dt, sink=2e-3)
     path = held(scene, dog.placed(scene, dog.q, above=DROP), dog.q, 0.6)
     force = scene.contacts(path).normal_force.sum(-1) / dog.weight
     return dt * torch.arange(1, len(force) + 1), force
@@ -96,7 +104,7 @@ def landing(dog: Quadruped, dt: float) -> tuple[Tensor, Tensor]:
 def jump(dog: Quadruped, dt: float) -> float:
     """Height that the base gains in a jump from a crouch, with servos that are told to stretch the legs [m]."""
     crouch, stretched = dog.q * 1.5, dog.q * 0.4
-    scene = dog.scene(dt, firm=6.0, stiffness=2e4)
+    scene = dog.scene(dt, firm=6.0, sink=2e-3)
     ready = held(scene, dog.placed(scene, crouch), crouch, 1.0).last
     path = held(scene, ready, stretched, 1.0)
     return float((dq.translation(path.X_WB)[:, 2]).max() - dq.translation(ready.X_WB)[2])
@@ -104,7 +112,7 @@ def jump(dog: Quadruped, dt: float) -> float:
 
 def creep(dog: Quadruped, dt: float) -> float:
     """Way of the base on a slope of 10 degrees from 5 s to 20 s [m]."""
-    scene = dog.scene(dt, normal=(math.sin(SLOPE), 0.0, math.cos(SLOPE)))
+    scene = dog.scene(dt, normal=dog.normal(SLOPE))
     first = held(scene, dog.placed(scene, dog.q, tilt=SLOPE), dog.q, 5.0).last
     last = held(scene, first, dog.q, 15.0).last
     return float((dq.translation(last.X_WB) - dq.translation(first.X_WB)).norm())
@@ -114,7 +122,7 @@ def pictures(dog: Quadruped, path: Path, falls: Sequence[tuple[Tensor, Tensor]])
     """Draw the robot on three grounds, and the forces of landings."""
     grounds = {
         "flat ground": {},
-        "a slope of 10 degrees": {"normal": (math.sin(SLOPE), 0.0, math.cos(SLOPE))},
+        "a slope of 10 degrees": {"normal": dog.normal(SLOPE)},
         "waves": {"surface": lambda x, y: (0.02 * (8.0 * x).sin(), 0.16 * (8.0 * x).cos(), 0.0)},
     }
     figure = plt.figure(figsize=(9, 6.2), layout="constrained")
