@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from torchdq.base.checks import tensor_of
 from torchdq.base.optional import imported
 from torchdq.dq import rotate, rotation, translation
 from torchdq.dynamics.tree import BASE
-from torchdq.effects import Contact, Effect
+from torchdq.effects import Contact, Effect, HeightMap
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
 from torchdq.robot import Robot
@@ -337,6 +338,9 @@ def _ground(effects: Sequence[Effect]) -> Callable[[Tensor, Tensor], Any]:
     height, (a, b, c) = height.reshape(-1)[0], normal.reshape(-1, 3)[0]
     if found.surface is not None:
         surface = found.surface
+        if isinstance(surface, HeightMap):
+            heights = surface.heights.detach().cpu()
+            surface = replace(surface, heights=heights.reshape(-1, *heights.shape[-2:])[0])
         return lambda x, y: height + surface(x, y)[0]
     return lambda x, y: (height - a * x - b * y) / c
 

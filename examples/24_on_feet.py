@@ -131,7 +131,7 @@ def pictures(dog: Quadruped, path: Path, falls: Sequence[tuple[Tensor, Tensor]])
         scene = dog.scene(5e-3, **ground)
         tilt = SLOPE if "normal" in ground else 0.0
         end = held(scene, dog.placed(scene, dog.q, above=0.03, tilt=tilt), dog.q, 1.0).last
-        axes.imshow(Painter(dog.robot, (420, 420), scene.effects).frame(end.q, X_WB=end.X_WB))
+        axes.imshow(Painter(dog.robot, (420, 420), scene.effects).frame(end.q, X_WB=end.X_WB)[90:])
         axes.set_axis_off()
         axes.set_title(name)
     axes = below.subplots()
