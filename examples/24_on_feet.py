@@ -1,10 +1,10 @@
-"""A quadruped of yours stands on its feet: forces, a slope, waves, and what longer steps change in a landing and a jump.
+"""A quadruped of yours stands on its feet: forces, a slope, waves, and a landing and a jump at three steps.
 
     python examples/24_on_feet.py
     python examples/24_on_feet.py --robot a1.urdf --feet "*_foot" --hip 0 --thigh 0.8 --knee -1.6
 
-Joints of the file are hips, thighs and knees, leg after leg. The figure `out/on_feet.png` shows the robot on flat ground,
-on a slope and on waves, and the forces of a landing with steps of 1, 5 and 10 ms.
+Joints of the file are hips, thighs and knees, leg after leg. The figure `out/on_feet.png` shows the robot on flat
+ground, on a slope and on waves, and the forces of a landing with steps of 1, 5 and 10 ms.
 """
 
 import math
@@ -62,7 +62,9 @@ class Quadruped:
         """Height of a level base at which the lowest foot touches the ground [m]."""
         points = self.robot.contact_points(self.feet)
         X = floating.forward_kinematics(self.robot, torch.eye(8, dtype=q.dtype)[0], q, [p.frame for p in points])
-        centres = [dq.translation(X[k]) + dq.rotate(dq.rotation(X[k]), q.new_tensor(p.center)) for k, p in enumerate(points)]
+        centres = [
+            dq.translation(X[k]) + dq.rotate(dq.rotation(X[k]), q.new_tensor(p.center)) for k, p in enumerate(points)
+        ]
         return max(p.radius - c[2] for p, c in zip(points, centres, strict=True))
 
     def scene(self, dt: float, firm: float = 2.0, sink: float = 1e-3, **ground: Any) -> Scene:
@@ -153,8 +155,8 @@ def main(args: Args) -> dict[float, tuple[float, float, float]]:
     end = held(scene, begun, dog.q, 2.0).last
     seen = scene.contacts(end)
     print(scene.check(begun, target=dog.q))
-    forces = ", ".join(f"{f:.1f}" for f in seen.normal_force)
-    print(f"{robot.name}: forces of the feet {forces} N, weight {dog.weight:.1f} N, base at {dq.translation(end.X_WB)[2]:.3f} m")
+    forces, z = ", ".join(f"{f:.1f}" for f in seen.normal_force), float(dq.translation(end.X_WB)[2])
+    print(f"{robot.name}: forces of the feet {forces} N, weight {dog.weight:.1f} N, base at {z:.3f} m")
     falls = [landing(dog, dt) for dt in STEPS]
     found = {dt: (float(f.max()), jump(dog, dt), creep(dog, dt)) for dt, (_, f) in zip(STEPS, falls, strict=True)}
     for dt, (peak, height, way) in found.items():
