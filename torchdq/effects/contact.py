@@ -173,7 +173,7 @@ class Contact(BodyEffect):
             own = self.described(robot)
             return replace(self, stiffness=min(own.stiffness, most))
         stiffness = tensor_of(self.stiffness)
-        if not without_values((stiffness,)) and stiffness.numel() and (found := float(stiffness.max())) > most:
+        if not without_values((stiffness,)) and stiffness.numel() and (found := float(stiffness.detach().max())) > most:
             raise ArgumentError(
                 f"stiffness of Contact must be at most 4 m / h^2 = {most:.4g} N/m for robot {robot.name!r} and steps "
                 f"of {h:g} s, found {found:.4g}: a point would leave the ground faster than it came; take softer "
