@@ -159,7 +159,8 @@ class ArmVectorEnv(VectorEnv):
         functions = task if isinstance(task, TorchTask) else None
         self.task = task_of(task.recorded_for(self.robot) if isinstance(task, TorchTask) else task)
         given = {"effects": effects, "scale": scale, "substeps": substeps, "randomise": randomise, "pushes": pushes}
-        chosen = dict(self.task.defaults(self.robot)) if effects is None else {}
+        own = self.task.defaults(self.robot) if effects is None else {}
+        chosen = {name: x for name, x in own.items() if name != "scale" or action is None}
         chosen |= {name: x for name, x in given.items() if x is not None}
         joints = actuated_joints(self.robot, actuated)
         self.dtype, self.device = dtype_of("dtype", dtype), device_of("device", device)
