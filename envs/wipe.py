@@ -29,7 +29,7 @@ LANDING = 0.5  # time in which the reference comes down [s]
 CLOSE, TIGHT = 0.01, 0.2  # distance [m] and share of the force at which half of each part of the reward is earned
 FAR, CRUSHED = 0.1, 100.0  # distance [m] and force [N] that end an episode
 FASTEST = 2.0  # bound of the observed velocity of the tool [m/s]
-DAMPING, PULL = 1e-4, 0.02  # squared damping of the inverse kinematics [m^2], share of the way home in a step
+DAMPING = 1e-4  # of the inverse kinematics, squared [m^2]
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class Wipe(EpisodeTask):
 
         0.5 / (1 + (d / 0.01)^2) + 0.5 / (1 + (e / 0.2)^2) - 0.01 mean(action^2),   d, e errors of path [m] and force
 
-    The table is at the height of the end effector in `home`. Its friction, stiffness and height are random: 0.25 to
-    0.75, 6 to 60 kN/m, and up to 5 mm higher or lower.
+    Table: at the height of the end effector in `home`, and in every episode up to 5 mm higher or lower, with a friction
+    of 0.25 to 0.75 and a stiffness of 6 to 60 kN/m, unless `randomise` says otherwise.
 
     Args:
         home: joint positions [rad or m], with the end effector on the table where paths are.
@@ -100,7 +100,7 @@ class Wipe(EpisodeTask):
         start = (x + AROUND * (2.0 * u[4] - 1.0), y + AROUND * (2.0 * u[5] - 1.0), self.table(robot) + ABOVE)
         q: Row = self.home
         for _ in range(4):
-            q = self._moved(robot, q, start)
+            q = _moved(robot, q, start)
         second = select(at_least(0.5, u[6]), size, 0.0)
         goal = [*start[:2], size * angle.cos(), size * angle.sin(), second, speed / size, force]
         return {"q": q, "qd": [0.0] * robot.n, "goal": goal}
@@ -122,7 +122,7 @@ class Wipe(EpisodeTask):
         robot, n, goal, time = view.scene.spec.robot, len(view.q), view.inputs["goal"], view.inputs["time"][0]
         table, force = self.table(robot), sum((contact.normal_force for contact in view.contacts), 0.0)
         (x, y), velocity = self.path(goal, time)
-        p, v = self._tool(robot, view.reading[:n], view.reading[n:])
+        p, v = _tool(robot, view.reading[:n], view.reading[n:])
         way = quat.sub((x, y, table), p)
         seen_now = [*seen(view), *way, *quat.sub((*velocity, 0.0), v), *velocity, force, goal[6]]
         true = tip(robot, posed(robot, view.q, {}, ()))
@@ -130,7 +130,7 @@ class Wipe(EpisodeTask):
         distance, error = sqrt(squared + 1e-12), absolute(force / goal[6] - 1.0)
         before = view.inputs.get("carry", view.q)
         down = minimum(time * (1.0 / LANDING), 1.0)
-        q = self._moved(robot, before, (x, y, table + ABOVE - (ABOVE + self.press) * down))
+        q = _moved(robot, before, (x, y, table + ABOVE - (ABOVE + self.press) * down))
         rates = [(b - a) * (1.0 / view.scene.spec.dt) for a, b in zip(before, q, strict=True)]
         parts = (1.0 + distance * distance * (1.0 / CLOSE**2), 1.0 + error * error * (1.0 / TIGHT**2))
         return {
@@ -145,25 +145,23 @@ class Wipe(EpisodeTask):
             "success": [at_least(0.01, distance) * at_least(0.1, error)],
         }
 
-    def _tool(self, robot: Robot, q: Row, qd: Row) -> tuple[Pure, Pure]:
-        """Position and velocity of the end effector."""
-        at = posed(robot, q, {}, ())
-        v: Pure = quat.ZERO
-        for column, rate in zip(_columns(robot, at), qd, strict=True):
-            v = quat.add(v, quat.scale(rate, column))
-        return tip(robot, at), v
 
-    def _moved(self, robot: Robot, q: Row, p: Pure) -> list[Number]:
-        """Joint positions that bring the end effector from those at q to p, nearer to home where it is free to."""
-        at = posed(robot, q, {}, ())
-        columns = _columns(robot, at)
-        pull = [PULL * (home - x) for home, x in zip(self.home, q, strict=True)]
-        way = quat.sub(p, tip(robot, at))
-        for column, x in zip(columns, pull, strict=True):
-            way = quat.sub(way, quat.scale(x, column))
-        JJ = [[sum((c[i] * c[j] for c in columns), DAMPING if i == j else 0.0) for j in range(3)] for i in range(3)]
-        y = ltdl.solve((-1, 0, 1), ltdl.factorise((-1, 0, 1), JJ), way)
-        return [x + h + quat.dot(column, y) for x, h, column in zip(q, pull, columns, strict=True)]
+def _tool(robot: Robot, q: Row, qd: Row) -> tuple[Pure, Pure]:
+    """Position and velocity of the end effector."""
+    at = posed(robot, q, {}, ())
+    v: Pure = quat.ZERO
+    for column, rate in zip(_columns(robot, at), qd, strict=True):
+        v = quat.add(v, quat.scale(rate, column))
+    return tip(robot, at), v
+
+
+def _moved(robot: Robot, q: Row, p: Pure) -> list[Number]:
+    """Joint positions near q that bring the end effector to p: a step by the damped inverse of the Jacobian."""
+    at = posed(robot, q, {}, ())
+    columns = _columns(robot, at)
+    JJ = [[sum((c[i] * c[j] for c in columns), DAMPING if i == j else 0.0) for j in range(3)] for i in range(3)]
+    y = ltdl.solve((-1, 0, 1), ltdl.factorise((-1, 0, 1), JJ), quat.sub(p, tip(robot, at)))
+    return [x + quat.dot(column, y) for x, column in zip(q, columns, strict=True)]
 
 
 def _columns(robot: Robot, at: Any) -> list[Pure]:
