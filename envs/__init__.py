@@ -23,7 +23,7 @@ __all__ = [
     "integrators",
 ]
 
-for _task in ("Reach", "Track"):
+for _task in ("Reach", "Track", "Wipe"):
     register(
         f"torchdq/{_task}-v0",
         entry_point="torchdq.envs.env:ArmEnv",

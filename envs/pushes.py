@@ -46,8 +46,8 @@ class Pushes:
     def drawn(self, u: Tensor, time: Tensor) -> Tensor:
         """Next push [k, 7] after a time [k], of random numbers [k, 7]."""
         first, last = self.every
-        begin = time + first + (last - first) * u[:, 6]
-        return torch.cat([(2.0 * u[:, :6] - 1.0) * u.new_tensor(self.wrench), begin[:, None]], 1)
+        wrench = [size * (2.0 * x - 1.0) for size, x in zip(self.wrench, u[:, :6].unbind(1), strict=True)]
+        return torch.stack([*wrench, time + first + (last - first) * u[:, 6]], 1)
 
     def at(
         self, time: Tensor, push: Tensor, streams: Streams, some: Callable[[Tensor], SomeRows]

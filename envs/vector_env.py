@@ -78,7 +78,7 @@ class ArmVectorEnv(VectorEnv):
 
     Args:
         num_envs: number of environments.
-        task: "reach", "track", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
+        task: "reach", "track", "wipe", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed or a floating base; it needs an
             end effector to reach.
         effects: effects of the scene; None: those of the task, or `torchdq.scene.defaults.default_effects(robot)`.
@@ -159,7 +159,8 @@ class ArmVectorEnv(VectorEnv):
         functions = task if isinstance(task, TorchTask) else None
         self.task = task_of(task.recorded_for(self.robot) if isinstance(task, TorchTask) else task)
         given = {"effects": effects, "scale": scale, "substeps": substeps, "randomise": randomise, "pushes": pushes}
-        chosen = dict(self.task.defaults(self.robot)) if effects is None else {}
+        own = self.task.defaults(self.robot) if effects is None else {}
+        chosen = {name: x for name, x in own.items() if name != "scale" or action is None}
         chosen |= {name: x for name, x in given.items() if x is not None}
         joints = actuated_joints(self.robot, actuated)
         self.dtype, self.device = dtype_of("dtype", dtype), device_of("device", device)
@@ -336,7 +337,13 @@ class ArmVectorEnv(VectorEnv):
             return None
         return tuple(self._painter.frame(q[i], target[i], X_WB=X_WB[i]) for i in range(self.num_envs))
 
-    # --- saving ---
+    # --- state ---
+
+    @property
+    def state(self) -> State:
+        """State of the environments' scenes, of which `scene` tells more, as `scene.contacts(state)` does."""
+        self._started("state")
+        return State(**{name: self._buffers[name] for name in STATE if name in self._buffers})
 
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
@@ -414,8 +421,7 @@ class ArmVectorEnv(VectorEnv):
         noise = None
         if self.scene.noises:
             noise, (buffers["key"], buffers["counter"]) = self._streams(buffers).uniform(self.scene.noises, self.dtype)
-        state = State(**{name: buffers[name] for name in STATE if name in buffers})
-        state, rows = self.scene.advance(state, given, noise, self._checked)
+        state, rows = self.scene.advance(self.state, given, noise, self._checked)
         if self._functions is not None:
             rows = self._functions.after(self._functions.now(state, buffers["goal"], buffers["steps"], rows, actions))
         buffers.update(state.rows(), **{name: rows.pop(name) for name in KEPT if name in buffers})

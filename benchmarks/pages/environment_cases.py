@@ -12,8 +12,10 @@ import torch
 from torch import Tensor
 
 import torchdq
-from torchdq.envs.tasks import Reach, Track, velocities
+from torchdq.envs.tasks import EpisodeTask, Reach, Track, velocities
+from torchdq.envs.wipe import Wipe
 from torchdq.robot import Robot
+from torchdq.scene.contacts import Contacts
 
 
 class Situation(NamedTuple):
@@ -24,6 +26,7 @@ class Situation(NamedTuple):
     qd: Tensor
     goal: Tensor  # of the task
     time: float  # since the start of the episode [s]
+    contacts: Contacts | None = None  # of the scene, where it has some
 
 
 class Entries(NamedTuple):
@@ -37,11 +40,15 @@ class Entries(NamedTuple):
 class Environment(NamedTuple):
     """A registered environment as its page shows it."""
 
-    task: type[Reach | Track]
+    task: type[EpisodeTask]
     observation: tuple[Entries, ...]
     info: Mapping[str, str]
     versions: Mapping[str, str]
     hint: str  # a first policy, for the example
+    other: str = "ur10e"  # robot of the example
+    beside: str = ""  # default effects beside those of an arm
+    more: tuple[str, ...] = ()  # further parts of the page
+    ends: str = "only if the simulation failed: a state is non-finite, or far too large"
 
 
 def fractions(robot: Robot, x: Tensor) -> Tensor:
@@ -70,6 +77,25 @@ def reference(now: Situation, order: int) -> Tensor:
         amplitude, rate, phase = waves[:, :, k : k + 3].unbind(-1)
         found = found + amplitude * rate**order * torch.sin(rate * now.time + phase + order * torch.pi / 2)
     return found
+
+
+def path(now: Situation, order: int) -> Tensor:
+    """Point on the path [N, 3] of `Wipe` on its table as described, or its velocity (order 1)."""
+    x, y, a, b, second, rate, _ = now.goal.unbind(1)
+    turned = (now.goal.new_tensor([0.0, -1.0]), now.goal.new_tensor([1.0, 0.0]))
+    first = torch.stack([a, b], 1)
+    other = torch.stack([first @ axis for axis in turned], 1) * (second / first.norm(dim=1))[:, None]
+    phase = (rate * now.time + order * torch.pi / 2)[:, None]
+    moved = rate[:, None] ** order * (first * torch.cos(phase) + other * torch.sin(phase))
+    if order:
+        return torch.cat([moved, 0 * moved[:, :1]], 1)
+    return torch.cat([torch.stack([x, y], 1) - first + moved, 0 * moved[:, :1] + Wipe().table(now.robot)], 1)
+
+
+def tip_velocity(now: Situation) -> Tensor:
+    """Velocity of the end effector [N, 3] in base axes."""
+    J = torchdq.jacobian(now.robot, now.q, now.robot.end_effector().name, expressed="world")[:, 3:]
+    return (J @ now.qd[:, :, None])[:, :, 0]
 
 
 COMMON = {
@@ -119,5 +145,42 @@ ENVIRONMENTS: dict[str, Environment] = {
         {**COMMON, "error": "root mean square error of the positions, true and not measured [rad or m]"},
         FIRST,
         "residual",
+    ),
+    "wipe": Environment(
+        Wipe,
+        (
+            Entries(
+                "sine and cosine of each revolute joint, in turn; of a prismatic joint its position [m]", "1", turns
+            ),
+            Entries("velocity of each joint over its limit", "1", lambda now: fractions(now.robot, now.qd)),
+            Entries(
+                "vector from the end effector to the point of the path, x y z in the base frame",
+                "m",
+                lambda now: path(now, 0) - tip(now),
+            ),
+            Entries("rate of that vector", "m/s", lambda now: path(now, 1) - tip_velocity(now)),
+            Entries("velocity of the point of the path, x y", "m/s", lambda now: path(now, 1)[:, :2]),
+            Entries("normal force on the table", "N", lambda now: now.contacts.normal_force.sum(1, keepdim=True)),
+            Entries("commanded normal force", "N", lambda now: now.goal[:, 6:]),
+        ),
+        {
+            **COMMON,
+            "distance": "of the end effector from the path, along the table, true and not measured [m]",
+            "force": "normal force on the table [N]",
+            "error": "of the force, as a share of the commanded one",
+            "success": "1 where the distance is at most 0.01 m and the error at most 0.1, otherwise 0",
+        },
+        FIRST,
+        "reference",
+        "panda",
+        "a table",
+        (
+            "## A policy of a few lines",
+            "[`examples/24_wipe.py`](../../examples/24_wipe.py) shifts the reference by the error of the path and by "
+            "the integral of the error of the force. From two seconds on, the force on circles is within 10 % of the "
+            "commanded one, and friction within 1 % of its coefficient times the normal force. On lines the friction "
+            "turns with the motion, and the force leaves 10 % for a twentieth of the time.",
+        ),
+        "if the end effector is 0.1 m from the path, the force above 100 N, or the simulation failed",
     ),
 }

@@ -20,8 +20,9 @@ from pages.environment_cases import ENVIRONMENTS
 from pages.formulas import tex
 from pages.pictures import Curve, Picture, svg
 from pages.text import MADE, sentence, table, wrapped
+from torchdq.effects import Contact
 from torchdq.envs import ArmVectorEnv, vector_env
-from torchdq.envs.actions import Kind, full, kind_of
+from torchdq.envs.actions import Kind, full
 from torchdq.envs.render import Painter
 from torchdq.robot import Robot
 from torchdq.scene.defaults import DAMPING, ROTOR
@@ -74,6 +75,7 @@ def page(task: str) -> str:
     """Page of an environment."""
     case, spec, robot = ENVIRONMENTS[task], newest(task), arm()
     said, envs = documented(case.task, frozenset({"action"})), ArmVectorEnv(1, task, robot)
+    beside = f" and {case.beside}" if case.beside else ""
     limit, dt = spec.max_episode_steps or 0, envs.scene.dt
     start = documented(case.task.start)
     joints = f"`{ROBOT}`, {robot.n} joints"
@@ -94,7 +96,7 @@ def page(task: str) -> str:
         "## Action",
         f"`Box(-1, 1, ({robot.n},))`. The argument `action` sets the meaning of a full action; `scale` replaces the "
         "numbers.",
-        _actions(robot),
+        _actions(task, robot),
         "## Reward",
         f"$$\n{tex(said.formulas[0], frozenset({'action'}))}\n$$",
         "It is computed from the true state, not from measurements. A step in which the simulation fails has the "
@@ -103,22 +105,23 @@ def page(task: str) -> str:
         table(
             ("flag", "condition"),
             [
-                ("terminated", "only if the simulation failed: a state is non-finite, or far too large"),
+                ("terminated", case.ends),
                 ("truncated", f"after {limit} steps, {limit * dt:g} s; `max_episode_steps` replaces it"),
             ],
         ),
         "## Start of an episode",
-        f"{start.summary} An episode starts from {case.task().draws(robot) // robot.n} random numbers per joint, "
-        "determined by the seed: row i of a batch with the seed s is bitwise the same as the single environment with "
-        "the seed s + i. [`randomise`](index.md#domain-randomisation) draws parameters of the robot as well.",
+        f"{start.summary} An episode starts from {case.task().draws(robot)} random numbers, determined by the seed: "
+        "row i of a batch with the seed s is bitwise the same as the single environment with the seed s + i. "
+        "[`randomise`](index.md#domain-randomisation) draws parameters of the robot as well.",
         "## Effects",
-        f"With `effects=None` those of a typical arm, with the parameters of its description. Missing ones are "
+        f"With `effects=None` those of a typical arm{beside}, with the parameters of its description. Missing ones are "
         f"{ROTOR:g} kg m^2 for rotors and {DAMPING:g} N m s/rad for damping. For `{ROBOT}`:",
         table(("effect", "parameters"), [_effect(effect) for effect in envs.scene.effects]),
         f"One step is {dt:g} s, in {envs.scene.substeps} substeps of `{type(envs.scene.integrator).__name__}`.",
         "## info",
         table(("entry", "meaning"), [(f"`{name}`", words) for name, words in case.info.items()]),
         *_learning(task),
+        *case.more,
         "## Speed",
         _rates(task),
         "## Versions",
@@ -134,16 +137,17 @@ def _paragraphs(task: type) -> list[str]:
     sentences = [
         words
         for paragraph in documented(task, frozenset({"action"})).text
-        for words in re.split(r"(?<=\.)\s+(?=Goal|Observation|Reward|Reference)", paragraph)
+        for words in re.split(r"(?<=\.)\s+(?=Goal|Observation|Success|Reward|Reference)", paragraph)
     ]
-    return [sentence(x) for x in sentences if x.startswith(("Goal", "Reference"))]
+    return [sentence(x) for x in sentences if x.startswith(("Goal", "Reference", "Table"))]
 
 
 def _observation(task: str, robot: Robot) -> str:
     bounds, rows, at = ENVIRONMENTS[task].task().bounds(robot), [], 0
     for entries, width in zip(ENVIRONMENTS[task].observation, widths(task), strict=True):
         low, high = zip(*bounds[at : at + width], strict=True)
-        rows.append((f"{at} to {at + width - 1}", entries.what, entries.unit, _range(low), _range(high)))
+        numbers = f"{at} to {at + width - 1}" if width > 1 else f"{at}"
+        rows.append((numbers, entries.what, entries.unit, _range(low), _range(high)))
         at += width
     return table(("entries", "quantity", "unit", "lower bound", "upper bound"), rows)
 
@@ -160,8 +164,10 @@ def situation(envs: ArmVectorEnv) -> Any:
     """State of environments without sensors."""
     from pages.environment_cases import Situation
 
-    state = envs.get_state()
-    return Situation(envs.robot, state["q"], state["qd"], state["goal"], float(state["steps"][0]) * envs.scene.dt)
+    found, scene = envs.get_state(), envs.scene
+    touching = any(isinstance(effect, Contact) for effect in scene.effects)
+    contacts, time = scene.contacts(envs.state) if touching else None, float(found["steps"][0]) * scene.dt
+    return Situation(envs.robot, found["q"], found["qd"], found["goal"], time, contacts)
 
 
 def _range(numbers: tuple[float, ...]) -> str:
@@ -169,12 +175,11 @@ def _range(numbers: tuple[float, ...]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _actions(robot: Robot) -> str:
-    rows = []
-    default_kind = kind_of(None, robot, range(robot.n))
-    for kind in get_args(Kind):
-        numbers = ", ".join(f"{x:.3g}" for x in full(robot, kind, None, range(robot.n)))
-        default = " (default)" if kind == default_kind else ""
+def _actions(task: str, robot: Robot) -> str:
+    rows, own = [], ArmVectorEnv(1, task, robot)._actions
+    for kind in (kind for kind in get_args(Kind) if kind in ACTIONS):
+        sizes = own.scale.tolist() if kind == own.kind else full(robot, kind, None, range(robot.n))
+        numbers, default = ", ".join(f"{x:.3g}" for x in sizes), " (default)" if kind == own.kind else ""
         rows.append((f'`"{kind}"`{default}', ACTIONS[kind], numbers, ACTION_UNITS[kind]))
     return table(("`action`", "meaning", "a full action, joint by joint", "unit"), rows)
 
@@ -187,6 +192,8 @@ def _effect(effect: Any) -> tuple[str, str]:
 
 def _numbers(x: Any) -> str:
     """Numbers of all joints, once if they are equal."""
+    if isinstance(x, torch.Tensor):
+        return "drawn"
     row = x if isinstance(x, tuple) else (x,)
     return f"{row[0]:.4g}" if len(set(row)) == 1 else ", ".join(f"{value:.4g}" for value in row)
 
@@ -264,7 +271,7 @@ def measured(stored: dict[str, Any]) -> str:
 
 
 def _example(task: str, id: str) -> str:
-    hint = ENVIRONMENTS[task].hint
+    hint, other = ENVIRONMENTS[task].hint, ENVIRONMENTS[task].other
     return f'''import gymnasium
 import torch
 
@@ -274,11 +281,11 @@ env = gymnasium.make("{id}")  # one, in numpy
 observation, info = env.reset(seed=0)
 observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
 
-envs = torchdq.envs.ArmVectorEnv(64, "{task}", "ur10e", action="{hint}")  # 64, in tensors
+envs = torchdq.envs.ArmVectorEnv(64, "{task}", "{other}", action="{hint}")  # 64, in tensors
 observation, info = envs.reset(seed=0)
 total = torch.zeros(64)
 for _ in range(50):
-    observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
+    observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, {torchdq.robots.load(other).n}))
     total += reward'''
 
 

@@ -44,6 +44,15 @@ def test_many_arms_reach_and_are_filmed(tmp_path):
     assert imread(tmp_path / "new" / "reach.png")[..., :3].std() > 0.03
 
 
+def test_arms_wipe_with_the_force_that_is_commanded_and_the_friction_of_the_table(tmp_path, capsys):
+    main = import_module("24_wipe")
+    found = main.main(main.Args(arms=96, steps=300, out=tmp_path))
+    assert found.error.max() < 0.1 and (found.friction - 1).abs().max() < 0.01
+    assert found.distance.median() < 2e-3 and found.distance.max() < 0.01
+    assert (found.line_error < 0.1).float().mean() > 0.9
+    assert imread(tmp_path / "wipe.png")[..., :3].std() > 0.03
+
+
 def test_a_satellite_moves_the_other_way(tmp_path, capsys):
     main = import_module("12_satellite")
     turn, linear, angular = main.main(main.Args(duration=2.0, step=1e-2, out=tmp_path))

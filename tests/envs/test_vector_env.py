@@ -20,8 +20,9 @@ from small_envs import ALL_DRAWN, FREE, PARTS, PUSHES, ROBOT, actions_of, make, 
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.envs import ArmEnv, ArmVectorEnv, TorchTask, effects
+from torchdq.envs import Absolute, ArmEnv, ArmVectorEnv, TorchTask, effects
 from torchdq.envs.tasks import Reach
+from torchdq.robot import ContactPoint
 from torchdq.scene import controllers
 from torchdq.scene.defaults import default_effects
 
@@ -36,6 +37,13 @@ IN_TORCH = TorchTask(
     bounds=[(-math.inf, math.inf)] * 4,
     draws=2,
 )
+FEET = effects.Contact(tuple(ContactPoint("base", (x, y, -0.2), 0.02) for x in (-1.0, 2.5) for y in (-1.5, 1.5)))
+
+
+def stand(robot, u):
+    """Starts on feet, slightly above the ground, in slow motion."""
+    place = torchdq.dq.from_pose(torch.eye(1, 4).to(u), torch.tensor([0.0, 0.0, 0.24]).to(u).expand(len(u), 3))
+    return {"q": 0.2 * u[:, :2], "qd": u[:, 2:] - 0.5, "X_WB": place}
 
 
 def stacked(limits=False):
@@ -238,6 +246,15 @@ KINDS = {
     "free and pushed": {
         **{"robot": FREE, "effects": (effects.Gravity(), effects.Push(), effects.Noise(0.01)), "pushes": PUSHES},
         "randomise": {"mass": 0.2},
+    },
+    "standing": {
+        **{"task": TorchTask(reward=lambda now: -now.V_WB_B.square().sum(1), start=stand, draws=4), "robot": FREE},
+        **{
+            "effects": (effects.Gravity((0.0, 0.0, -9.81)), effects.Servo(40.0, 4.0), FEET),
+            "action": "target",
+            "scale": None,
+        },
+        "randomise": {"Contact.friction": 0.5, "Contact.stiffness": 0.5, "Contact.height": Absolute(-0.01, 0.01)},
     },
     "free with servos": {
         **{"task": TorchTask(reward=lambda now: now.X_WB[:, 0]), "robot": FREE, "action": "target", "scale": None},
@@ -712,3 +729,19 @@ def test_static_friction_stays_above_that_of_motion_and_rows_keep_their_own():
     assert torch.allclose(stribeck.static, 1.1 * stribeck.coulomb)
     assert bool((viscous.coefficient >= 0.5 * rows).all()) and bool((viscous.coefficient <= 1.5 * rows).all())
     assert float((viscous.coefficient / rows).std()) > 0.1
+
+
+def test_a_robot_that_stands_carries_its_weight_and_rests_where_it_was():
+    """On grounds that differ; from a state that was saved it goes on the same, bristles included."""
+    envs = started(30, **{**KINDS["standing"], "dtype": "float64", "max_episode_steps": None})
+    held = torch.zeros(30, 2)
+    for _ in range(150):
+        envs.step(held)
+    saved, weight = envs.get_state(), 9.81 * (3.0 + float(ROBOT.mass.sum()))
+    contacts, heights = envs.scene.contacts(envs.state), saved["2.height"]
+    assert (contacts.normal_force.sum(1) - weight).abs().max() < 1e-3 * weight
+    assert contacts.touching.all() and (torchdq.dq.translation(saved["X_WB"])[:, 2] - 0.22 - heights).abs().max() < 5e-3
+    assert saved["V_WB_B"].abs().max() < 1e-3
+    later = steps(envs, 50)
+    envs.set_state(saved)
+    assert same(steps(envs, 50), later) and not same(steps(envs, 50), later)
