@@ -24,7 +24,7 @@ from torchdq import Scene, dq, effects, floating
 from torchdq.envs.render import Painter
 from torchdq.scene.state import State
 
-STEPS = (1e-3, 5e-3, 1e-2)  # [s]
+STEPS = {1e-3: GREY, 5e-3: BLUE, 1e-2: ORANGE}  # of different durations [s], and their colours
 SLOPE = math.radians(10.0)
 DROP = 0.1  # height of the fall [m]
 
@@ -137,7 +137,7 @@ def pictures(dog: Quadruped, path: Path, falls: Sequence[tuple[Tensor, Tensor]])
         axes.set_axis_off()
         axes.set_title(name)
     axes = below.subplots()
-    for (t, force), dt, colour in zip(falls, STEPS, (GREY, BLUE, ORANGE), strict=True):
+    for (t, force), (dt, colour) in zip(falls, STEPS.items(), strict=True):
         axes.plot(t, force, color=colour, label=f"steps of {1e3 * dt:g} ms")
     axes.set(xlabel="time after a fall from 10 cm begins [s]", ylabel="force of the feet / weight", xlim=(0.1, 0.5))
     axes.legend()
