@@ -104,7 +104,7 @@ def landing(dog: Quadruped, dt: float) -> tuple[Tensor, Tensor]:
 
 
 def jump(dog: Quadruped, dt: float) -> float:
-    """Height that the base gains in a jump from a crouch, with servos that are told to stretch the legs [m]."""
+    """Height that the base gains in a jump from a crouch, in which the targets of the servos stretch the legs [m]."""
     crouch, stretched = dog.q * 1.5, dog.q * 0.4
     scene = dog.scene(dt, firm=6.0, sink=2e-3)
     ready = held(scene, dog.placed(scene, crouch), crouch, 1.0).last
