@@ -8,7 +8,8 @@ follows a floating base, and lines on the ground pass below it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,11 @@ import torch
 from torch import Tensor
 
 from torchdq import floating
+from torchdq.base.checks import tensor_of
 from torchdq.base.optional import imported
 from torchdq.dq import rotate, rotation, translation
 from torchdq.dynamics.tree import BASE
+from torchdq.effects import Contact, Effect, HeightMap
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
 from torchdq.robot import Robot
@@ -60,7 +63,7 @@ class Skeleton:
 
     The points are the base, every link's origin, the points on joint axes that are nearest to the origins, and ends: a
     link that carries no other ends at the end effector, at the last of its frames or, where these are at its origin, at
-    its centre of mass. Of a batch of robots it is the first.
+    its centre of mass; points that `effects.Contact` gives are balls. Of a batch of robots it is the first.
 
     >>> import torchdq
     >>> skeleton = Skeleton(torchdq.robots.load("two_link"))
@@ -68,7 +71,7 @@ class Skeleton:
     array([0. , 0.5, 0. , 1.5, 1. , 2. ])
     """
 
-    def __init__(self, robot: Robot):
+    def __init__(self, robot: Robot, effects: Sequence[Effect] = ()):
         if not require_robot(robot).n:
             raise ArgumentError(f"robot {robot.name!r} must have a joint to be drawn, found none")
         batched = {name: getattr(robot, name).detach() for name in arguments(robot)}
@@ -77,6 +80,7 @@ class Skeleton:
         self.joints: list[int] = []  # point on the axis of each joint
         self.tip: int | None = None  # point of the end effector
         self.lines: list[tuple[int, int]] = []  # points at their ends
+        self.balls: list[tuple[int, float]] = []  # contact points, and their radii [m]
         self._frames: list[int] = []  # frame that each point but the base is fixed to
         self._offsets: list[Tensor] = []  # position of the point in that frame [m]
 
@@ -99,6 +103,9 @@ class Skeleton:
                 far, frame = max(fixed)
                 end = self._point(frame, torch.zeros(3)) if far > 1e-6 else self._point(name, self.robot.com[i])
                 self.lines.append((origins[i], end))
+        for effect in effects:
+            for p in effect.described(self.robot).points if isinstance(effect, Contact) else ():
+                self.balls.append((self._point(p.frame, torch.tensor(p.center)), p.radius))
 
     def _point(self, frame: str, offset: Tensor) -> int:
         self._frames.append(self.robot.frame_names.index(frame))
@@ -144,15 +151,17 @@ class Painter:
     Args:
         robot: the robot.
         size: width and height of the images [pixels].
+        effects: those of the scene, of which the points and the ground of `Contact` are drawn.
 
     Raises:
         MissingLibraryError: matplotlib is not installed.
     """
 
-    def __init__(self, robot: Robot, size: tuple[int, int] = (400, 400)):
+    def __init__(self, robot: Robot, size: tuple[int, int] = (400, 400), effects: Sequence[Effect] = ()):
         if len(size) != 2 or not all(isinstance(x, int) and x >= 16 for x in size):
             raise ArgumentError(f"size must be (width, height), whole numbers from 16, found {size!r}")
-        self.size, self.skeleton = size, Skeleton(robot)
+        self.size, self.skeleton, self._ground = size, Skeleton(robot, effects), _ground(effects)
+        self._ruled = robot.floating or any(isinstance(effect, Contact) for effect in effects)
         self.middle, self.radius = self.skeleton.view()
         right = np.array([-math.sin(AZIMUTH), math.cos(AZIMUTH), 0.0])
         toward = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), math.tan(ELEVATION)]) * math.cos(ELEVATION)
@@ -198,25 +207,23 @@ class Painter:
             points[:, at, None].repeat(2, 2)
             for at in (self.skeleton.joints, [] if self.skeleton.tip is None else [self.skeleton.tip])
         )
-        t = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
-        cuts = lines[:, :, :1] * (1 - t) + lines[:, :, 1:] * t
-        pieces = np.stack([cuts[:, :, :-1], cuts[:, :, 1:]], -2).reshape(arms, -1, 2, 3)
         turn = np.linspace(0.0, 2 * np.pi, 97)
         disc = self.radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
-        rules = self._rules(place) if self.skeleton.robot.floating else np.zeros((arms, 0, 2, 3))
+        rules = _rules(self.radius, place) if self._ruled else np.zeros((arms, 0, 2, 3))
         self._figure.clear(keep_observers=False)
         self._figure.set_facecolor(PAPER)
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, self.size[0]), ylim=(0, self.size[1]))
         axes.set_axis_off()
-        disc, rules, *shadows = (_on_ground(x, place) for x in (disc[None], rules, lines, mark))
+        disc, rules, *shadows = (_on_ground(self._ground, x, place) for x in (disc[None], rules, lines, mark))
         axes.add_collection(self._artists.PolyCollection(self.project(disc)[0], facecolor=GROUND), autolim=False)
         self._draw(axes, [(rules, 0.008, RULE, 0.0)])
         self._draw(axes, [(x, width, SHADOW, 0.0) for x, width in zip(shadows, (0.06, 0.07), strict=True)])
         self._draw(
             axes,
             [
-                (pieces, 0.085, INK, -0.06),
-                (pieces, 0.06, LINK, 0.0),
+                (_pieces(lines), 0.085, INK, -0.06),
+                (_pieces(lines), 0.06, LINK, 0.0),
+                *self._balls(points),
                 (joints, 0.075, INK, 0.06),
                 (joints, 0.045, JOINT, 0.061),
                 (tips, 0.09, INK, 0.06),
@@ -232,14 +239,11 @@ class Painter:
         self._canvas.draw()
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
-    def _rules(self, place: np.ndarray) -> np.ndarray:
-        """Lines [k, lines, 2, 3] on the ground along x and y of the world, as far as they are in the view."""
-        step = self.radius / RULES
-        at = step * np.arange(1 - RULES, RULES + 1) - place[..., :2].swapaxes(1, 2) % step  # [k, 2, lines]
-        half = np.sqrt(np.maximum(self.radius**2 - at**2, 0.0))
-        ends = np.stack([np.stack([at, -half], -1), np.stack([at, half], -1)], -2)
-        ends[:, 1] = ends[:, 1, ..., ::-1]
-        return np.pad(ends, ((0, 0),) * 4 + ((0, 1),)).reshape(len(place), -1, 2, 3)
+    def _balls(self, points: np.ndarray) -> list[tuple[np.ndarray, float, str, float]]:
+        """Strokes of the contact points."""
+        balls = [(points[:, [at], None].repeat(2, 2), 2 * r / self.radius) for at, r in self.skeleton.balls]
+        inner = [(ball, max(width, 0.05), TIP, 0.062) for ball, width in balls]
+        return [*((ball, width + 0.025, INK, 0.06) for ball, width, *_ in inner), *inner]
 
     def _draw(self, axes: Any, strokes: Sequence[tuple[np.ndarray, float, str, float]]) -> None:
         """Draw lines [k, lines, 2, 3] of a width, colour and bias toward the camera, the farthest first.
@@ -267,24 +271,23 @@ class Viewer:
     Args:
         robot: the robot.
         port: port of the address; the next free one is taken.
+        effects: as in `Painter`.
 
     Raises:
         MissingLibraryError: viser is not installed.
     """
 
-    def __init__(self, robot: Robot, port: int = 8080):
-        self.skeleton = Skeleton(robot)
+    def __init__(self, robot: Robot, port: int = 8080, effects: Sequence[Effect] = ()):
+        self.skeleton, self._ground = Skeleton(robot, effects), _ground(effects)
         middle, radius = self.skeleton.view()
-        self.rule = radius / 2
+        self._reach = 2 * radius
         self._server = _library("viser").ViserServer(host="127.0.0.1", port=port)
         self.url = f"http://127.0.0.1:{self._server.get_port()}"
         scene = self._server.scene
         scene.set_up_direction("+z")
         camera = self._server.initial_camera
         camera.look_at, camera.position = tuple(middle), tuple(middle + radius * np.array([1.6, -2.2, 1.0]))
-        self.ground = scene.add_grid(
-            "/ground", width=8 * radius, height=8 * radius, cell_size=radius / 4, section_size=self.rule
-        )
+        self.ground = scene.add_line_segments("/ground", np.zeros((1, 2, 3)), colors=_rgb(SHADOW))
         self.base = scene.add_box("/base", color=_rgb(INK), dimensions=(0.18 * radius, 0.18 * radius, 0.02 * radius))
         lines = np.zeros((len(self.skeleton.lines), 2, 3))
         self.links = scene.add_line_segments("/links", lines, colors=_rgb(LINK), thickness=0.05 * radius)
@@ -294,6 +297,9 @@ class Viewer:
         }
         if self.skeleton.tip is not None:
             self._balls[self.skeleton.tip] = scene.add_icosphere("/tip", radius=0.045 * radius, color=_rgb(TIP))
+        for point, r in self.skeleton.balls:
+            r = max(r, 0.025 * radius)
+            self._balls[point] = scene.add_icosphere(f"/contacts/{point}", radius=r, color=_rgb(TIP))
         self.target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
         self.show(torch.zeros(robot.n))
 
@@ -307,7 +313,8 @@ class Viewer:
         points = points - place
         goal = None if target is None else tuple(_rows("target", target, 3, 1)[0].numpy() - place)
         with self._server.atomic():
-            self.ground.position = (*(-place[:2] % self.rule), -place[2])
+            rules = _on_ground(self._ground, _rules(self._reach, place[None, None]), place[None, None])
+            self.ground.points = rules[0].astype(np.float32)
             if X_WB is not None:
                 self.base.wxyz = tuple(_rows("X_WB", X_WB, 8, 1)[0, :4].tolist())
             self.links.points = points[self.skeleton.lines].astype(np.float32)
@@ -322,11 +329,45 @@ class Viewer:
         self._server.stop()
 
 
-def _on_ground(x: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Positions [k, ..., 3] of k arms below or above those, on the ground; all are seen from places [k, 1, 3]."""
-    x = x + np.zeros((len(place), *(1,) * (x.ndim - 1)))
-    x[..., 2] = -place.reshape(-1, *(1,) * (x.ndim - 2), 3)[..., 2]
-    return x
+def _ground(effects: Sequence[Effect]) -> Callable[[Tensor, Tensor], Any]:
+    """Height of the ground at x and y [m]: that of the first `Contact`, of the first robot; otherwise zero."""
+    found = next((effect for effect in effects if isinstance(effect, Contact)), None)
+    if found is None:
+        return lambda x, y: 0.0
+    height, normal = (tensor_of(x).detach().double().cpu() for x in (found.height, found.normal))
+    height, (a, b, c) = height.reshape(-1)[0], normal.reshape(-1, 3)[0]
+    if found.surface is not None:
+        surface = found.surface
+        if isinstance(surface, HeightMap):
+            heights = surface.heights.detach().cpu()
+            surface = replace(surface, heights=heights.reshape(-1, *heights.shape[-2:])[0])
+        return lambda x, y: height + surface(x, y)[0]
+    return lambda x, y: (height - a * x - b * y) / c
+
+
+def _rules(radius: float, place: np.ndarray) -> np.ndarray:
+    """Lines [k, lines, 2, 3] along x and y of the world within a radius, seen from places [k, 1, 3]."""
+    step = radius / RULES
+    at = step * np.arange(1 - RULES, RULES + 1) - place[..., :2].swapaxes(1, 2) % step  # [k, 2, lines]
+    half = np.sqrt(np.maximum(radius**2 - at**2, 0.0))
+    ends = np.stack([np.stack([at, -half], -1), np.stack([at, half], -1)], -2)
+    ends[:, 1] = ends[:, 1, ..., ::-1]
+    return _pieces(np.pad(ends, ((0, 0),) * 4 + ((0, 1),)).reshape(len(place), -1, 2, 3))
+
+
+def _pieces(lines: np.ndarray) -> np.ndarray:
+    """Lines [k, lines, 2, 3] cut into pieces."""
+    t = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
+    cuts = lines[:, :, :1] * (1 - t) + lines[:, :, 1:] * t
+    return np.stack([cuts[:, :, :-1], cuts[:, :, 1:]], -2).reshape(len(lines), -1, 2, 3)
+
+
+def _on_ground(ground: Callable[[Tensor, Tensor], Any], x: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Positions [k, ..., 3] below or above those, on the ground; all are seen from places [k, 1, 3]."""
+    place = place.reshape(-1, *(1,) * (x.ndim - 2), 3)
+    found = torch.from_numpy(x + place)
+    found[..., 2] = torch.as_tensor(ground(*found[..., :2].unbind(-1)))
+    return found.numpy() - place
 
 
 def _rgb(colour: str) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
@@ -55,7 +55,7 @@ class EpisodeTask(Task, Protocol):
     controller or servo is to follow over the next step; "terminated" [1], not zero where the episode ends, and
     "success" [1], 1 where the task is achieved and 0 elsewhere, may be among them. "success" and others go to the
     environment's `info`. In addition to its "goal" it may take the "action" [n] in [-1, 1] and the "time" [1] since the
-    start of the episode [s]. A goal of three numbers is drawn as a point.
+    start of the episode [s]. A goal of three numbers is drawn as a point, unless POINT is False.
 
     What it remembers from step to step, such as the last action, is the row "carry" [k]: it comes back as the input
     "carry" of the next step. At the start of an episode there is neither action nor carry.
@@ -64,6 +64,8 @@ class EpisodeTask(Task, Protocol):
     Its class and its fields tell programs apart: make a number that may change a field. A change of anything else, such
     as a global or an attribute of the class, has no effect until `torchdq.clear_caches()`.
     """
+
+    POINT: ClassVar[bool] = True
 
     def defaults(self, robot: Robot) -> Mapping[str, Any]:
         """Arguments of environments whose effects are not given: `effects`, `scale`, `substeps`, `randomise`, `pushes`.

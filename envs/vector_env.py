@@ -327,13 +327,15 @@ class ArmVectorEnv(VectorEnv):
         from torchdq.envs.render import Painter, Viewer
 
         if self._painter is None:
-            self._painter = Painter(self.robot) if self.render_mode == "rgb_array" else Viewer(self.robot)
-        q, goal = self._buffers["q"].cpu(), self._buffers["goal"].cpu()
-        target = goal if goal.shape[1] == 3 else [None] * len(q)  # three numbers are a point
+            kind = Painter if self.render_mode == "rgb_array" else Viewer
+            self._painter = kind(self.robot, effects=self.scene.effects)
+        none = [None] * self.num_envs
+        q, goal, X_WB = (self._buffers[name].cpu() if name in self._buffers else none for name in ("q", "goal", "X_WB"))
+        target = goal if goal.shape[1] == 3 and self.task.POINT else none
         if self.render_mode == "human":
-            self._painter.show(q[0], target[0])
+            self._painter.show(q[0], target[0], X_WB=X_WB[0])
             return None
-        return tuple(self._painter.frame(q[i], target[i]) for i in range(self.num_envs))
+        return tuple(self._painter.frame(q[i], target[i], X_WB=X_WB[i]) for i in range(self.num_envs))
 
     # --- state ---
 

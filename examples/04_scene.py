@@ -58,7 +58,7 @@ def main(args: Args) -> tuple[dict[str, float], float]:
     torch.set_num_threads(1)
     torch.manual_seed(0)
     console = Console(width=110)
-    whole = Scene(robot, PARTS, integrator=integrators.RungeKutta4(), dt=args.step)
+    whole = Scene(robot, PARTS, integrator=integrators.LinearlyImplicit(), dt=args.step)
     description = whole.describe(seconds=args.seconds)
 
     q = torch.tensor([0.3, 0.4, 0.2, -1.2, 0.1, 1.5, 0.5], dtype=torch.float64)

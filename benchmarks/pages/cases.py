@@ -217,11 +217,13 @@ CASES: dict[str, Case] = {
     "Contact": _case(
         "effects.Contact(height=0.1, friction=0.5)",
         """
-        floor = effects.Contact(height=-1.0, normal=(0.0, 1.0, 0.0), friction=0.5)
-        scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.5), floor), dt=0.001)
-        state = scene.rollout(scene.start(torch.zeros(2)), steps=200)
+        floor = effects.Contact("tip", height=-1.0, normal=(0.0, 1.0, 0.0), friction=0.5)
+        scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.5), floor), dt=0.005)
+        states = scene.rollout(scene.start(torch.zeros(2)), steps=400)
+        found = scene.contacts(states)  # of every step: force [400, 1, 3], touching, depth, slip
+        assert found.touching[-1].all() and found.force[-1, 0, 1] > 0
         """,
-        "effects.Contact(stiffness=0.0)",
+        "effects.Contact(stiffness=0.0, stiction=False)",
     ),
     # --- actuator ---
     "Saturation": _case(

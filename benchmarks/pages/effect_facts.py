@@ -32,7 +32,7 @@ class Facts(NamedTuple):
 
     operations: int  # that it adds to a step, its parameters being numbers
     with_tensors: int | None  # the same, each sample having parameters of its own; None: it has none
-    states: float  # numbers per joint that it remembers
+    states: float  # numbers that it remembers, per joint or per point of a body
     noises: float  # random numbers per joint that a step takes
     inputs: tuple[str, ...]
     once: str
@@ -77,7 +77,7 @@ def facts(name: str) -> Facts:
     return Facts(
         operations(effect) - bare,
         differing,
-        effect.memory(n) / n,
+        effect.resolved(robot).memory(n) / (1 if effect.SLOT == "body" else n),
         effect.noises(n) / n,
         tuple(effect.inputs(n)),
         effect.ONCE,
@@ -98,7 +98,7 @@ def identified() -> set[type]:
 
 def kinds() -> list[type[Effect]]:
     """All public effects."""
-    return [getattr(effects, name) for name in effects.__all__ if name != "Effect"]
+    return [getattr(effects, name) for name in effects.__all__ if name not in ("Effect", "HeightMap")]
 
 
 def allowed(effect: Effect, name: str, robot: Robot) -> str:

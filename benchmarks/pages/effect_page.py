@@ -172,7 +172,7 @@ def _time(price: list[float]) -> str:
 def _remembers(name: str) -> str:
     found, words = facts(name), []
     if found.states:
-        words.append(f"It has {found.states:g} states per joint, in `state.memory`")
+        words.append(f"It has {found.states:g} states per {_owner(found.slot)}, in `state.memory`")
         words[-1] = words[-1].replace(" 1 states", " one state")
     if found.noises:
         words.append(f"It uses {found.noises:g} random numbers per joint and step")
@@ -180,6 +180,11 @@ def _remembers(name: str) -> str:
     if outside:
         words.append(f"Outside the program, {outside}")
     return ". ".join(words or ["It has no states, and uses no random numbers"]) + "."
+
+
+def _owner(slot: str) -> str:
+    """What states belong to."""
+    return "point" if slot == "body" else "joint"
 
 
 def _absent(name: str) -> str:
@@ -261,9 +266,9 @@ the description that the scene does not simulate."""
 
 FOOT = """\
 *Operations* are those that the effect adds to one step of a seven-joint arm, first with numbers as parameters, then
-with tensors that differ from sample to sample; *ns* is the time of the first. *States* are the states per joint of the
-effect. Every effect can be used in a scene; *also in* lists other uses: *layer* is `torchdq.DQRNEA(robot,
-friction=...)` and the other layers, *identify* is `torchdq.learning.identify`, and *C* is
+with tensors that differ from sample to sample; *ns* is the time of the first. *States* are the states of the effect
+per joint, or per point of a contact. Every effect can be used in a scene; *also in* lists other uses: *layer* is
+`torchdq.DQRNEA(robot, friction=...)` and the other layers, *identify* is `torchdq.learning.identify`, and *C* is
 `torchdq.compile(scene.program()).export(folder)`.
 
 Your own effect is a small class, see [Contributing](../contributing.md#an-effect)."""

@@ -1,4 +1,4 @@
-"""Body effects: pushes, drag and contact are the torques of their wrenches."""
+"""Body effects: pushes and drag are the torques of their wrenches; contact is in `test_contact`."""
 
 import itertools
 from typing import NamedTuple
@@ -6,12 +6,9 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
-import torch
 from effect_harness import CASES, FORMS, SAMPLES, agrees, bare, double, forms_of
 
-import torchdq
-from torchdq.envs import Scene, State, effects
-from torchdq.scene.integrators import ExplicitEuler
+from torchdq.envs import Scene, effects
 
 
 class At(NamedTuple):
@@ -82,65 +79,37 @@ def test_drag_resists_the_motion_of_every_link(name, form):
     assert agrees(b, effects.Drag(**parameters), torques=torques)
 
 
-def contact(b, values, k, frame):
-    """Force of the ground and the joint torques it causes."""
-    at = at_frame(b, frame, k)
-    n = values["normal"][k]
-    depth = max(values["height"][k] - n @ at.position, 0.0)
-    rate = -(n @ at.velocity)
-    f_n = max(values["stiffness"][k] * depth * (1 + values["dissipation"][k] * rate), 0.0)
-    sliding = at.velocity - (n @ at.velocity) * n
-    f = f_n * n - values["friction"][k] * f_n * sliding / np.sqrt(sliding @ sliding + values["sign_width"][k] ** 2)
-    return f, at.jacobian[:3].T @ f
-
-
 @pytest.mark.parametrize("tensors", [False, True], ids=["constant", "tensors"])
 @pytest.mark.parametrize("name", CASES)
-def test_contact_pushes_along_the_normal_and_rubs_across_it(name, tensors):
-    b = bare(name)
+def test_a_spring_to_a_point_pulls_the_frame_there(name, tensors):
+    b, rng = bare(name), np.random.default_rng(8)
     frame = b.robot.end_effector().name
-    rng = np.random.default_rng(4)
-    normal = rng.normal(size=3)
-    normal /= np.linalg.norm(normal)
-    single = {"stiffness": 100.0, "dissipation": 0.3, "friction": 0.7, "sign_width": 0.2}
-    values = {name: np.full(SAMPLES, x) for name, x in single.items()} | {"normal": np.tile(normal, (SAMPLES, 1))}
-    heights = np.array([at_frame(b, frame, k).position @ normal for k in range(SAMPLES)])
+    values = {"anchor": rng.normal(size=3), "stiffness": 30.0, "damping": 2.0}
     if tensors:
-        values["height"] = heights + np.linspace(-0.1, 0.3, SAMPLES)
-        parameters = {name: double(x) for name, x in values.items()}
-    else:
-        values["height"] = np.full(SAMPLES, float(np.median(heights)) + 0.05)
-        parameters = single | {"normal": normal.tolist(), "height": values["height"][0]}
-    forces, torques = zip(*(contact(b, values, k, frame) for k in range(SAMPLES)), strict=True)
-    assert 0 < sum(np.linalg.norm(f) > 0 for f in forces) < SAMPLES  # some touch, some do not
-    assert agrees(b, effects.Contact(**parameters), torques=np.array(torques))
+        values = {"anchor": rng.normal(size=(SAMPLES, 3)), **{x: rng.uniform(1, 30, SAMPLES) for x in list(values)[1:]}}
+    torques = []
+    for k in range(SAMPLES):
+        at = at_frame(b, frame, k)
+        a, stiffness, damping = (x[k] if tensors else x for x in values.values())
+        torques.append(at.jacobian[:3].T @ (stiffness * (a - at.position) - damping * at.velocity))
+    parameters = {x: double(y) if tensors else tuple(y) if x == "anchor" else y for x, y in values.items()}
+    assert agrees(b, effects.PointSpring(**parameters), torques=np.array(torques))
 
 
-def tip_force(q, qd, effect):
-    """Force on the tip of the arm, in its plane, from the joint torques it causes."""
-    robot = CASES["two_link"].robot
-    made, empty = (
-        Scene(robot, parts, integrator=ExplicitEuler(), dt=1.0).step(State(q, qd)) for parts in ((effect,), ())
+@pytest.mark.parametrize("stiffness", [1e3, 1e9])
+def test_a_body_on_a_spring_swings_at_its_frequency_and_a_stiff_spring_holds_it(stiffness):
+    mass, dt = 2.0, 1e-3
+    robot = torchdq.Robot.from_urdf(
+        f'<robot name="b"><link name="b"><inertial><mass value="{mass}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" '
+        'ixz="0" iyz="0"/></inertial></link></robot>',
+        base="floating",
     )
-    tau = torch.einsum("bij,bj->bi", torchdq.mass_matrix(robot, q), made.qd - empty.qd)
-    a, s = q[:, 0], q.sum(-1)
-    rows = [torch.stack([-a.sin() - s.sin(), -s.sin()], -1), torch.stack([a.cos() + s.cos(), s.cos()], -1)]
-    J = torch.stack(rows, -2)  # of a two-link arm with links of one metre
-    return torch.linalg.solve(J.mT, tau), torch.einsum("bij,bj->bi", J, qd)
-
-
-def test_the_ground_never_pulls_and_rubs_no_more_than_its_cone_allows():
-    generator = torch.Generator().manual_seed(0)
-    q = torch.rand(2000, 2, generator=generator, dtype=torch.float64) * 2 + 0.3
-    qd = torch.randn(2000, 2, generator=generator, dtype=torch.float64) * 4
-    effect = effects.Contact(height=1.2, normal=(0.0, 1.0, 0.0), stiffness=50.0, dissipation=2.0, friction=0.6)
-    force, velocity = tip_force(q, qd, effect)
-    tip = q[:, 0].sin() + q.sum(-1).sin()
-    assert (force[:, 1] >= -1e-9).all()
-    assert (force[:, 0].abs() <= 0.6 * force[:, 1] + 1e-9).all()
-    assert (force[:, 0] * velocity[:, 0] <= 1e-9).all()
-    assert (force[tip > 1.2].abs() < 1e-9).all()
-    touching = force[:, 1] > 1e-6
-    assert 100 < touching.sum() < 1900
-    # a tip that leaves fast enough is let go at once
-    assert ((tip < 1.2) & ~touching & (velocity[:, 1] > 0.5)).any()
+    scene = Scene(robot, (effects.PointSpring("b", (0.1, 0.0, 0.0), stiffness),), dt=dt)
+    path = scene.rollout(scene.start(torch.zeros(0, dtype=torch.float64)), steps=1000)
+    x = torchdq.dq.translation(path.X_WB)[:, 0] - 0.1
+    if stiffness > 1e6:  # as damped as an implicit step is
+        assert x[-1].abs() < 1e-9
+        assert (x.abs() <= 0.1 + 1e-12).all()
+    else:  # implicit steps with h w = 0.022
+        turns = (x[:-1] * x[1:] < 0).nonzero().flatten().double()
+        assert abs(turns.diff().mean() * dt / (np.pi / np.sqrt(stiffness / mass)) - 1) < 2e-3

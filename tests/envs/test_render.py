@@ -10,19 +10,23 @@ from urdf_text import joint, link, urdf
 
 import torchdq
 from torchdq import dq
+from torchdq.envs import Scene, effects
 from torchdq.envs.render import (
     GROUND,
     LINK,
     MOST_ARMS,
     RULES,
     TARGET,
+    TIP,
     Painter,
     Skeleton,
     Viewer,
+    _ground,
     _on_ground,
     save_gif,
 )
 from torchdq.errors import MissingLibraryError
+from torchdq.robot import ContactPoint
 
 np = pytest.importorskip("numpy")
 pytest.importorskip("matplotlib")
@@ -194,8 +198,38 @@ def test_the_view_follows_a_floating_base_and_the_lines_on_the_ground_stay(walke
 def test_shadows_are_on_the_ground():
     points = np.random.default_rng(0).normal(size=(2, 5, 2, 3))
     place = np.array([[[1.0, 2.0, 3.0]], [[-1.0, 0.0, 0.5]]])
-    found = _on_ground(points - place[:, None], place) + place[:, None]
-    assert (found[..., 2] == 0).all() and found[..., :2] == pytest.approx(points[..., :2])
+    for ground in (lambda x, y: 0.0, lambda x, y: 0.1 * x * y):
+        found = _on_ground(ground, points - place[:, None], place) + place[:, None]
+        assert found[..., 2] == pytest.approx(ground(points[..., 0], points[..., 1]), abs=1e-12)
+        assert found[..., :2] == pytest.approx(points[..., :2])
+
+
+@pytest.mark.parametrize(
+    ("contact", "height"),
+    [
+        ({"height": 0.1}, lambda x, y: 0.1),
+        ({"normal": (0.6, 0.0, 0.8), "height": torch.tensor([0.1, 9.0])}, lambda x, y: (0.1 - 0.6 * x) / 0.8),
+        (
+            {"surface": lambda x, y: (0.1 * x.sin(), 0.1 * x.cos(), 0.0), "height": 0.2},
+            lambda x, y: 0.2 + 0.1 * x.sin(),
+        ),
+    ],
+    ids=["plane", "slope", "waves"],
+)
+def test_the_ground_of_a_scene_is_drawn_below_its_contact_points(walker, contact, height):
+    robot, X = walker
+    scene = Scene(robot, (effects.Contact(ContactPoint("left", (0.0, 0.0, -0.4), 0.03), **contact),), dt=0.001)
+    x, y = torch.linspace(-1, 1, 5).double(), torch.linspace(0, 1, 5).double()
+    assert torch.allclose(
+        torch.as_tensor(_ground(scene.effects)(x, y)).double(), torch.as_tensor(height(x, y)).double()
+    )
+    painter, q = Painter(robot, effects=scene.effects), [0.3, -0.4]
+    image = painter.frame(q, X_WB=X[0])
+    assert coloured(image, TIP).any() and not coloured(Painter(robot).frame(q, X_WB=X[0]), TIP).any()
+    foot = torchdq.floating.forward_kinematics(robot, X[0], torch.tensor(q).double(), "left")
+    p = dq.mul(foot, dq.from_pose(torch.eye(4)[0].double(), torch.tensor([0.0, 0.0, -0.4]).double()))
+    (ball, radius), *_ = painter.skeleton.balls
+    assert painter.skeleton.points(q, X_WB=X[0])[0, ball] == pytest.approx(dq.translation(p).numpy()) and radius == 0.03
 
 
 # --- refusals --------------------------------------------------------------------------------------------------------
@@ -252,10 +286,12 @@ def test_the_live_view_follows_a_floating_base(walker):
     viewer = Viewer(robot)
     viewer.show([0.3, -0.4], X_WB=X[0], target=[0.0, 0.0, 0.0])
     place = dq.translation(X[0]).numpy()
+    rules = viewer.ground.points + place
+    step = 2 * viewer.skeleton.view()[1] / RULES
+    along = np.abs(rules[:, :, :2] / step - (rules[:, :, :2] / step).round()).max(1)  # at whole numbers of steps
+    assert along.min(-1).max() < 1e-4 and np.abs(rules[..., 2]).max() < 1e-6
     assert viewer.target.position == pytest.approx(-place)
     assert viewer.links.points[0, 0] == pytest.approx([0.0, 0.0, 0.0])
-    turns = (viewer.ground.position + place) / viewer.rule
-    assert turns[2] == pytest.approx(0.0) and turns[:2] == pytest.approx(turns[:2].round())
     assert viewer.base.wxyz == pytest.approx(X[0, :4].numpy())
     viewer.close()
 

@@ -11,6 +11,7 @@ from small_envs import FREE, ROBOT, make, started, steps
 import torchdq
 from torchdq import dq, floating
 from torchdq.envs import ArmVectorEnv, State, TorchTask, effects
+from torchdq.envs.render import Painter
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import at_least
@@ -254,6 +255,15 @@ def test_a_step_of_a_floating_robot_is_that_of_its_scene():
     envs.step(action)
     expected, found = envs.scene.step(before, torque=20.0 * action), envs.get_state()
     assert all(torch.equal(found[name], x) for name, x in expected.rows().items())
+
+
+def test_a_floating_robot_is_drawn_where_its_base_is():
+    pytest.importorskip("matplotlib")
+    envs = free(render_mode="rgb_array")
+    now, (frame, *_) = envs.get_state(), envs.render()
+    painter = Painter(FREE, effects=envs.scene.effects)
+    assert (frame == painter.frame(now["q"][0], now["goal"][0], X_WB=now["X_WB"][0])).all()
+    assert (frame != painter.frame(now["q"][0], now["goal"][0])).any()
 
 
 def test_a_floating_robot_sees_its_base_and_the_way_of_its_end_effector_in_the_world():

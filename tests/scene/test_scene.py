@@ -49,7 +49,7 @@ NOTHING = {
     "Limits": effects.JointLimits(-math.inf, math.inf),
     "Limits without stiffness": effects.JointLimits(-1.0, 1.0, 0.0),
     "Drag": effects.Drag(0.0, 0.0, 0.0),
-    "Contact": effects.Contact(stiffness=0.0),
+    "Contact": effects.Contact(stiffness=0.0, stiction=False),
     "RotorInertia": effects.RotorInertia(0.0),
     "MassScale": effects.MassScale(1.0),
     "Payload": effects.Payload(0.0, (0.1, 0.2, 0.3)),
@@ -266,7 +266,7 @@ def test_compiled_scenes_agree_with_eager_ones(which, dtype):
     if "Verlet" in which:
         scene = scene.replace(integrator=StoermerVerlet(2), effects=RICH[:4], controller=None)
     if "Kutta" in which:
-        scene = scene.replace(integrator=RungeKutta4())
+        scene = scene.replace(integrator=RungeKutta4(), effects=[part for part in RICH if not part.IMPLICIT])
     if which == "panda":
         scene = scene.replace(effects=RICH[:6], controller=None)
     tolerance = 1e-11 if dtype == torch.float64 else 2e-3

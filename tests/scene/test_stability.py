@@ -168,13 +168,13 @@ NONE = double().reshape(0)
 
 
 def on_ground(dt=0.005, substeps=1, turn=0.0, heights=(0.05,), **contact):
-    """Scene of the box on a plane that is turned about y, and its start above it."""
-    normal = (math.sin(turn), 0.0, math.cos(turn))
-    scene = Scene(
-        BOX, (effects.Gravity(), effects.Contact(CORNERS, normal=normal, **contact)), dt=dt, substeps=substeps
-    )
+    """Scene of the box on a plane that is turned about y, and its start above it; tensors make its programs few."""
+    normal = double(math.sin(turn), 0.0, math.cos(turn))
+    given = {"stiffness": 5e3, "dissipation": 1.0, "friction": 0.8, **contact}
+    ground = effects.Contact(CORNERS, normal=normal, **{name: double(x)[0] for name, x in given.items()})
+    scene = Scene(BOX, (effects.Gravity(), ground), dt=dt, substeps=substeps, backend="auto")
     turned = double(math.cos(turn / 2), 0.0, math.sin(turn / 2), 0.0)
-    return scene, scene.start(NONE, X_WB=dq.from_pose(turned, double(*heights)[:, None] * double(normal)))
+    return scene, scene.start(NONE, X_WB=dq.from_pose(turned, double(*heights)[:, None] * normal))
 
 
 def test_points_at_rest_sink_by_their_share_of_the_weight():

@@ -16,7 +16,7 @@ from oracles import Case, random_tree, shipped, states
 
 from torchdq.envs import Scene, effects
 from torchdq.robot import Limits
-from torchdq.scene.integrators import ExplicitEuler
+from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit
 
 EPS = 2.0**-52
 CASES = {"two_link": shipped("two_link"), "tree": random_tree(3, seed=6, armature=True), "panda": shipped("panda")}
@@ -228,7 +228,7 @@ EVERY = {
     "Push": lambda: (effects.Push(axes="body"), {"push": p(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)}),
     "Drag": lambda: (effects.Drag(p(0.3, 0.1), p(0.2, 0.4), p(0.01, 0.02), p(0.1)), {}),
     "Contact": lambda: (
-        effects.Contact(None, p(1.5), p(0.28, 0.96, 0.0), p(40.0), p(0.5), p(0.6), p(0.2)),
+        effects.Contact(None, p(1.5), p(0.28, 0.96, 0.0), None, p(40.0), p(0.5), p(0.6), settling=p(0.01)),
         {},
     ),
     "Saturation": lambda: (effects.Saturation(p(1.0, 5.0)), {}),
@@ -243,6 +243,11 @@ EVERY = {
     "Residual": lambda: (effects.Residual(torch.mul), {}),
     "QuantisedReading": lambda: (effects.QuantisedReading(p(0.03, 0.04), p(0.3, 0.4)), {}),
 }
+
+
+def integrates(kind, integrator):
+    """Whether an integrator takes an effect."""
+    return isinstance(integrator, LinearlyImplicit) or not getattr(effects, kind).IMPLICIT
 
 
 def constant(kind):

@@ -121,14 +121,14 @@ EFFECTS = {
     "DragContactPush": (DRAG, CONTACT, effects.Push()),
 }
 # the other integrators evaluate effects the way these two do, only more often
-SEVERAL = ("none", "Gravity", "Elastic", "Drag", "Contact")
+SEVERAL = ("none", "Gravity", "Elastic", "Drag")
 INTEGRATORS = {
-    "semi": (integrators.SemiImplicitEuler(), EFFECTS),
+    "semi": (integrators.SemiImplicitEuler(), [name for name in EFFECTS if "Contact" not in name]),
     "implicit": (integrators.LinearlyImplicit(), EFFECTS),
     "rk4": (integrators.RungeKutta4(), SEVERAL),
     "verlet": (integrators.StoermerVerlet(), SEVERAL),
 }
-FLOATING_TOO = ("semi", "implicit", "rk4")  # those for floating bases
+FLOATING_TOO = {"semi": ("none",), "implicit": ("none", "Contact"), "rk4": ("none",)}  # those for floating bases
 
 
 def step(integrator: str, effect: str, floating: bool = False) -> Program:
@@ -180,7 +180,11 @@ def studied(name: str, method: str) -> Program:
 PROGRAMS: dict[str, Callable[[], Program]] = {
     **{key: program for name in ROBOTS for key, program in recipes(name).items()},
     **{f"panda/scene/{i}/{e}": partial(step, i, e) for i, (_, several) in INTEGRATORS.items() for e in several},
-    **{f"panda/floating scene/{i}/{e}": partial(step, i, e, True) for i in FLOATING_TOO for e in ("none", "Contact")},
+    **{
+        f"panda/floating scene/{i}/{e}": partial(step, i, e, True)
+        for i, several in FLOATING_TOO.items()
+        for e in several
+    },
     **{
         f"{task.title()}/{name}": partial(environment, name, task)
         for task in ("reach", "track")

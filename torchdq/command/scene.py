@@ -26,7 +26,9 @@ from torchdq.scene.integrators import Integrator, Repeated, Unrecorded
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
-KINDS = {name.lower(): getattr(effects, name) for name in effects.__all__ if name not in ("Effect", "Residual")}
+KINDS = {
+    name.lower(): getattr(effects, name) for name in effects.__all__ if name not in ("Effect", "HeightMap", "Residual")
+}
 STEPPERS = {
     name: kind
     for name, kind in vars(integrators).items()

@@ -1,7 +1,7 @@
 """Physical effects of a scene, each an object that belongs to one slot."""
 
 from torchdq.effects.actuator import CommandDelay, DeadBand, FirstOrderLag, QuantisedCommand, Saturation, TorqueSpeed
-from torchdq.effects.body import Drag, Push
+from torchdq.effects.body import Drag, PointSpring, Push
 from torchdq.effects.contact import Contact
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Coulomb, Directional, LoadDependent, LuGre, Quadratic, Ripple, Stribeck, Viscous
@@ -32,6 +32,7 @@ __all__ = [
     "MeasurementDelay",
     "Noise",
     "Payload",
+    "PointSpring",
     "Push",
     "Quadratic",
     "QuantisedCommand",

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple, Self
 
+from torch import Tensor
+
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
@@ -89,6 +91,14 @@ class BodyEffect(Effect):
     def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
         """Impedances of points over a step h, in addition to the wrenches; h = 0: forces now."""
         return ()
+
+    def places(self, bodies: Bodies) -> Sequence[Number]:
+        """Places at which torch looks up its computed row before a step, as numbers of the pose."""
+        return ()
+
+    def looked_up(self, places: Tensor) -> Tensor:
+        """Computed row at those places."""
+        return places
 
     def memory_at_end(
         self, bodies: Bodies, inputs: Inputs, memory: Row, ends: Sequence[Pure], h: Number
@@ -174,3 +184,36 @@ class Drag(BodyEffect):
             moment = quat.scale(-angular, bodies.V[i][0])
             result.append(PointImpedance(i, c, quat.scale(-damping, v), damping, moment=moment, spin=angular))
         return result
+
+
+@dataclass(frozen=True)
+class PointSpring(BodyEffect):
+    """Spring and damper between a frame's origin p and a point of the world: f = -k (p - a) - b v.
+
+    A linearly implicit step takes p and v at its end, so that it holds any stiffness.
+
+    Args:
+        frame: name of the frame; None: the robot's end effector.
+        anchor: a, in the base frame, or in the world frame for a floating base [m], shape [..., 3].
+        stiffness: k [N/m], a number or [...].
+        damping: b [N s/m], a number or [...].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"anchor": (3,), "stiffness": (), "damping": ()}
+    SIGNED = frozenset({"anchor"})
+    frame: str | None = None
+    anchor: Parameter = (0.0, 0.0, 0.0)
+    stiffness: Parameter = 1e3
+    damping: Parameter = 0.0
+
+    def described(self, robot: Robot) -> Self:
+        """Copy with the name of its frame."""
+        return on_a_link(self, robot)
+
+    def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
+        """The force on the frame's origin."""
+        link, point = bodies.frame(str(self.frame))
+        r, damping = point.position, self.damping + h * self.stiffness
+        stretch = bodies.posed.to_link(link, quat.sub(bodies.posed.position(link, r), self.anchor))
+        force = quat.add(quat.scale(self.stiffness, stretch), quat.scale(damping, bodies.velocity(link, r)))
+        return [PointImpedance(link, r, quat.neg(force), damping)]

@@ -173,7 +173,7 @@ class Contact(BodyEffect):
             own = self.described(robot)
             return replace(self, stiffness=min(own.stiffness, most))
         stiffness = tensor_of(self.stiffness)
-        if not without_values((stiffness,)) and stiffness.numel() and (found := float(stiffness.max())) > most:
+        if not without_values((stiffness,)) and stiffness.numel() and (found := float(stiffness.detach().max())) > most:
             raise ArgumentError(
                 f"stiffness of Contact must be at most 4 m / h^2 = {most:.4g} N/m for robot {robot.name!r} and steps "
                 f"of {h:g} s, found {found:.4g}: a point would leave the ground faster than it came; take softer "
@@ -198,7 +198,7 @@ class Contact(BodyEffect):
         rows, columns = self.surface.heights.shape[-2:]
         return f"a map of {rows} x {columns} heights, in which torch looks up a plane below every point once per step"
 
-    def planes(self, places: Tensor) -> Tensor:
+    def looked_up(self, places: Tensor) -> Tensor:
         """Planes z = c + a x + b y tangent to the map, c, a and b [..., 3 points], at x and y [..., 2 points]."""
         x, y = places.chunk(2, -1)
         height, a, b = self.surface(x, y)

@@ -61,9 +61,10 @@ class HeightMap:
         heights = self.heights.to(x.device).flatten()
         first = torch.arange(0, heights.numel(), rows * columns, device=x.device).reshape(*batch, 1) if batch else 0
         (left, right, a), (front, back, b) = self._cell(x, 0, columns), self._cell(y, 1, rows)
+        front, back = first + columns * front, first + columns * back
 
         def of(row: Tensor, column: Tensor) -> Tensor:
-            at = first + columns * row + column
+            at = row + column
             return heights.index_select(0, at.flatten()).reshape(at.shape).to(x.dtype)
 
         corner, behind = of(front, left), of(back, left)
@@ -79,5 +80,5 @@ class HeightMap:
         """
         u = (x - self.origin[axis]) / self.spacing
         lower = u.detach().floor()
-        left = lower.nan_to_num().clamp(-1, count).long()
-        return left.clamp(0, count - 1), (left + 1).clamp(0, count - 1), u - lower
+        left = lower.nan_to_num()
+        return left.clamp(0, count - 1).long(), (left + 1).clamp(0, count - 1).long(), u - lower

@@ -41,7 +41,7 @@ class _Forces(NamedTuple):
 
 
 class _Acting(NamedTuple):
-    """What acts on the bodies of a robot."""
+    """Wrenches and impedances that act on the bodies of a robot."""
 
     bodies: Bodies
     exerted: list[Screw | None]  # wrenches of the links on the environment, the base's first
@@ -86,7 +86,7 @@ class SceneSystem(System):
         return self._motion(x, [*v[:-3], 0.0, 0.0, 0.0]) if self._free else self._motion(x, v)
 
     def _acting(self, at: Posed, x: Row, v: Row, h: Number = 0.0) -> _Acting | None:
-        """What acts on bodies over a step h; None: there are no body effects."""
+        """Wrenches and impedances on bodies over a step h; None: there are no body effects."""
         effects, robot = self.scene.spec.of(BodyEffect), self.scene.spec.robot
         if not effects:
             return None
@@ -144,7 +144,7 @@ class SceneSystem(System):
         return self.scene.spec.transmission[1]
 
     def _remembered(self, v: Row, kind: type[Effect]) -> list[Row]:
-        """What each effect of a kind remembers, of those whose memory is integrated."""
+        """Memory of each effect of a kind, of those whose memory is integrated."""
         result, at = [], self._moving
         for _, effect in self.scene.spec.integrated:
             size = effect.memory(self._n)

@@ -19,7 +19,7 @@ from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_choice, require_count, require_number, require_object
-from torchdq.effects.contact import Contact
+from torchdq.effects.body import BodyEffect
 from torchdq.effects.effect import Effect
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import Precision, check_precision
@@ -226,12 +226,14 @@ class SceneModel:
         return system, x, v, rows
 
     def grounds(self, state: State) -> dict[str, Tensor]:
-        """Planes that effects look up in maps of heights, tangent to them below their points in a state, by name."""
-        maps = {name: e for e in self.effects if isinstance(e, Contact) for name in e.computed(self.n)}
-        if not maps:
+        """Rows that effects on bodies look up below their points in a state, by name."""
+        names: dict[str, Any] = {}
+        for i, effect in self.spec.of(BodyEffect) if self.computed else ():
+            names |= dict.fromkeys(effect.computed(self.n), self.effects[i])
+        if not names:
             return {}
         moving = {name: x for name, x in state.rows().items() if name in self.spec.moving}
-        return {name: maps[name].planes(x) for name, x in self.evaluate("places", moving).items()}
+        return {name: names[name].looked_up(x) for name, x in self.evaluate("places", moving).items()}
 
     def finite(self, state: State) -> Tensor:
         """True for every row of a state whose numbers are all finite, shape [...]."""

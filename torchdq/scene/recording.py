@@ -17,8 +17,7 @@ from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import Named
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
-from torchdq.effects.body import Bodies
-from torchdq.effects.contact import Contact
+from torchdq.effects.body import Bodies, BodyEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.steady import lines
 from torchdq.errors import ArgumentError
@@ -143,11 +142,10 @@ def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
 
 
 def _places(scene: RecordedScene, task: Task | None) -> Rows:
-    """Places of contact points above maps, by the name of the row that is looked up there."""
+    """Places of points, by the name of the row that is looked up there."""
     given, robot = scene.inputs, scene.spec.robot
-    at = scene.posed(given["q"], scene.base_of(scene.with_base(given["q"], given["qd"])[0]))
-    bodies = Bodies(robot, at, [])
-    return {name: x.places(bodies) for _, x in scene.spec.of(Contact) for name in x.computed(robot.n)}
+    bodies = Bodies(robot, scene.posed(given["q"], pose_of(given.get("X_WB", ()))), [])
+    return {name: x.places(bodies) for _, x in scene.spec.of(BodyEffect) for name in x.computed(robot.n)}
 
 
 def _bodies(scene: RecordedScene, task: Task | None) -> Rows:

@@ -218,7 +218,7 @@ class _Trial:
             found = contacts(scene, along)
         aloft = ~found.touching.any(-1).any(0)
         slip = torch.where(found.touching[-1], found.slip[-1], 0.0)
-        stiffness = max(float(tensor_of(effect.stiffness).max()) for _, effect in scene.spec.of(Contact))
+        stiffness = max(float(tensor_of(e.stiffness).max()) for e in scene.effects if isinstance(e, Contact))
         return GroundCheck(
             max(0.0, float(found.depth.max())),
             float(slip.max()),
