@@ -62,6 +62,23 @@ observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 7))
 A recorded task is part of the program of the step, and faster; it is a class like `torchdq.envs.tasks.Reach`, see
 [Contributing](../contributing.md#a-task)."""
 
+SERVOS = """\
+## Servos, floating bases and pushes
+
+With an [`effects.Servo`](../effects/servo.md), actions are offsets of its targets. A robot with a floating base starts
+at the origin and at rest, unless the start of the task has the pose `"X_WB"` and the twist `"V_WB_B"`. `Pushes` come at
+random times.
+
+```python
+from torchdq.envs import Pushes, effects
+
+parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.Servo(300.0, 30.0), effects.Push())
+pushes = {"push": Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0), every=(0.5, 2.0))}  # [N, N m], between two pushes [s]
+envs = ArmVectorEnv(64, "reach", "panda", effects=parts, pushes=pushes)
+observation, info = envs.reset(seed=0)
+observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 7))
+```"""
+
 RANDOMISE = """\
 ## Domain randomisation
 
@@ -117,6 +134,7 @@ def index() -> str:
         "All three take the arguments of `ArmVectorEnv`, listed here with their defaults.",
         arguments(),
         TASKS,
+        SERVOS,
         f"{RANDOMISE}\n\n{_randomised()}",
         SAVING,
         f"## With other libraries\n\n{_libraries()}",
