@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass
 
 from torchdq.envs.tasks import EpisodeTask, Reach, Track
+from torchdq.envs.walk import Walk
 from torchdq.errors import ArgumentError, UnknownNameError
 
-TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
+TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track(), "walk": Walk()}
 
 
 def task_of(task: str | EpisodeTask) -> EpisodeTask:
