@@ -102,7 +102,8 @@ class Contact(BodyEffect):
         normal: its unit normal n, in the base frame or in the world frame, shape [..., 3].
         surface: ground other than a plane: a function of recorded numbers (x, y) [m] that returns the height above
             z = height [m] and its slopes along x and y; or an `effects.HeightMap`, a plane of which torch looks up
-            below every point before each step; None: the plane.
+            below every point before each step. There a sphere of radius r touches with its lowest point, so that it
+            sinks by r (1 - cos) on a slope. None: the plane.
         stiffness: k of every point, of the normal force and of the friction that sticks [N/m], a number or [...]; None:
             so that the robot at rest sinks 1 mm. At most 4 m / h^2, for a robot of mass m and a step h.
         dissipation: c [s/m], a number or [...].
@@ -144,9 +145,7 @@ class Contact(BodyEffect):
             if robot.frame(point.frame).link == BASE and not robot.floating:
                 raise ArgumentError(f"points of Contact hold {point.frame!r}, which is fixed to the base")
         if self.surface is not None and not callable(self.surface):
-            raise ArgumentError(
-                f"surface of Contact must be a function of (x, y), or a HeightMap, found {self.surface!r}"
-            )
+            raise ArgumentError(f"surface of Contact must be a function of (x, y), found {self.surface!r}")
         if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
         stiffness = self.stiffness
@@ -287,7 +286,8 @@ class Contact(BodyEffect):
         else:
             height, a, b = self.surface(x, y)
         w = 1.0 / sqrt(1.0 + a * a + b * b)
-        return (-a * w, -b * w, w), radius - (z - height - self.height) * w
+        # of its lowest point: the distance of its centre would jump where slopes do, and give energy
+        return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w
 
     def _laws(self, places: Iterable[_Place], bodies: Bodies, memory: Row, h: Number) -> Iterator[_Law]:
         """Laws of the points over a step h."""

@@ -135,8 +135,8 @@ def _require_supported(scene: Scene, inputs: Mapping[str, Tensor]) -> None:
             )
     if scene.spec.computed():
         raise ArgumentError(
-            "a scene must be without effects.Residual, whose torque is held over dt whatever the integrator, and without "
-            "a HeightMap; ask about the scene without it, and halve dt until the motion with it stays the same"
+            "a scene must be without effects.Residual and HeightMap, whose rows are held over dt whatever the "
+            "integrator; ask about the scene without it, and halve dt until the motion with it stays the same"
         )
 
 
