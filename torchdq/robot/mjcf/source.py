@@ -124,11 +124,7 @@ def _from_geoms(mujoco: Any, spec: Any) -> bool:
 
 
 def _without_meshes(mujoco: Any, spec: Any) -> tuple[list[str], list[tuple[Any, str, str]]]:
-    """Remove what needs other files and gives no body its mass.
-
-    Returns:
-        Names of bodies whose mass comes from meshes; body, name and mesh of geoms for contacts that were removed.
-    """
+    """Names of bodies whose mass comes from meshes; body, name and mesh of geoms for contacts that are now removed."""
     always = _from_geoms(mujoco, spec)
     first, last = spec.compiler.inertiagrouprange
     for kind in UNUSED:
