@@ -102,8 +102,8 @@ class Contact(BodyEffect):
         normal: its unit normal n, in the base frame or in the world frame, shape [..., 3].
         surface: ground other than a plane: a function of recorded numbers (x, y) [m] that returns the height above
             z = height [m] and its slopes along x and y; or an `effects.HeightMap`, a plane of which torch looks up
-            below every point before each step. There a sphere of radius r touches with its lowest point, so that it
-            sinks by r (1 - cos) on a slope. None: the plane.
+            below every point before each step. On either a sphere of radius r touches with its lowest point, and so
+            sinks by r (1 - cos) where the ground slopes. None: the plane.
         stiffness: k of every point, of the normal force and of the friction that sticks [N/m], a number or [...]; None:
             so that the robot at rest sinks 1 mm. At most 4 m / h^2, for a robot of mass m and a step h.
         dissipation: c [s/m], a number or [...].
