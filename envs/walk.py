@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import Any, ClassVar
 
 from torchdq import effects
 from torchdq.algebra import dual_quaternion as dq
@@ -80,6 +80,8 @@ class Walk(EpisodeTask):
     >>> from torchdq.envs.walk import Walk
     >>> envs = ArmVectorEnv(64, Walk(forward=(0.0, 1.0)), "go2", max_episode_steps=1000)
     """
+
+    POINT: ClassVar[bool] = False
 
     forward: tuple[float, float] = (0.4, 1.1)
     sideways: tuple[float, float] = (0.0, 0.0)

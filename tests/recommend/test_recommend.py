@@ -243,6 +243,7 @@ MISUSE = {
     "several robots": lambda: recommend_settings(MANY),
     "accelerations of several robots": lambda: recommend_settings(MANY, 1e-2, None),
     "floating base": lambda: recommend_settings(FREE, 1e-3, 0.1),
+    "contact": lambda: recommend_settings(Scene(ARM, (effects.Contact(height=0.1),), dt=0.001), 1e-3, 0.1),
     "positions as a state": lambda: recommend_settings(ARM, 1e-3, 0.1, torch.zeros(3, 2)),
     "list": lambda: recommend_settings(ARM, 1e-3, 0.1, torque=[1.0, 2.0]),
     "nan": lambda: recommend_settings(ARM, 1e-3, 0.1, torque=torch.tensor([1.0, math.nan])),

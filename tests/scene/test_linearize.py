@@ -63,6 +63,10 @@ LINEARIZED = {
     ),
     "RungeKutta4": (Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4()), {}),
     "floating": (Scene(case("tree3").robot, (effects.Gravity(), effects.Viscous(0.3)), dt=0.02), {}),
+    "floating, in contact": (
+        Scene(case("tree2").robot, (effects.Contact(height=100.0, stiffness=2.0, dissipation=0.01, friction=0.5),)),
+        {},
+    ),
     "floating, remembering and sensing": (
         Scene(case("tree2").robot, (effects.Elastic(50.0, 0.5, 0.1), effects.Bias(0.1, 0.2)), integrator=RungeKutta4()),
         {},

@@ -208,7 +208,7 @@ def test_rows_that_do_not_touch_the_ground_are_not_said_to_be_checked():
 
 def test_soft_ground_is_named():
     scene, state = on_ground(stiffness=100.0)
-    assert "soft" in str(scene.check(state)) and "soft" not in str(scene.check(state, seconds=0.01))
+    assert "firmer" in str(scene.check(state)) and "firmer" not in str(scene.check(state, seconds=0.01))
 
 
 def test_the_bound_of_the_stiffness_is_that_of_the_steps_of_the_integrator():

@@ -133,10 +133,16 @@ def _require_supported(scene: Scene, inputs: Mapping[str, Tensor]) -> None:
                 f"recommend_settings tries one robot at a time, found batch axes {batch} of {name}; "
                 f"give it the one that is hardest to simulate, with the lightest links or the stiffest joints"
             )
+    for effect in scene.effects:
+        if effect.IMPLICIT:
+            raise ArgumentError(
+                f"a scene must be without effects.{type(effect).__name__}, which other integrators than "
+                "LinearlyImplicit do not take; halve dt until the motion stays the same, and see scene.check"
+            )
     if scene.spec.computed():
         raise ArgumentError(
-            "a scene must be without effects.Residual and HeightMap, whose rows are held over dt whatever the "
-            "integrator; ask about the scene without it, and halve dt until the motion with it stays the same"
+            "a scene must be without effects.Residual, whose torque is held over dt whatever the integrator; ask about "
+            "the scene without it, and halve dt until the motion with it stays the same"
         )
 
 

@@ -70,7 +70,7 @@ class GroundCheck(NamedTuple):
             )
         if self.deepest > DEEP:
             lines.append(
-                "- contact: the ground is soft for this motion; give a larger stiffness, or start nearer to it"
+                "- contact: that is deep; take firmer ground, or a start that is neither in it nor far above it"
             )
         if self.aloft:
             lines.append(f"- contact: not checked in {self.aloft} of {self.rows} rows, which did not touch the ground")
