@@ -99,7 +99,7 @@ TABLES: dict[str, Callable[[Rows], str]] = {
 
 SECTIONS = {
     "What one gains or loses by the step": (
-        "Impacts are of the first order in the step, and plastic where it is long: take 1 to 2 ms for jumps and bounces, "
+        "Impacts are of the first order in the step, and plastic in long ones: take 1 to 2 ms for jumps and bounces, "
         "5 ms for walking, 10 ms for standing and wiping. The expected values are those of analysis; the height of the "
         "jump is MuJoCo's, with steps of 0.2 ms.",
         ("accuracy", "standing"),
@@ -111,7 +111,7 @@ SECTIONS = {
     ),
     "Price beside MuJoCo": (
         "A step of 4096 samples in float32, per sample, and a step of MuJoCo on the same file with spheres as feet: "
-        "medians of CPU times of one thread, in turns. MuJoCo pays for the points that touch, a program for all it has.",
+        "medians of CPU times of one thread, in turns. MuJoCo pays for points that touch, a program for all it has.",
         ("price", "gradient"),
     ),
 }
