@@ -106,12 +106,13 @@ SECTIONS = {
     ),
     "Stability": (
         "Go2 with 20 points is dropped in 64 random states, passive and with servos at random targets. The last row of "
-        "every step has the largest stiffness that it allows. Energy is kinetic, potential, and that of the servos.",
+        "every step has the largest stiffness that it allows. Energy is kinetic, potential, and of the servos. The "
+        "gains are of explicit inertial forces: at 20 ms an impact at 6 m/s turns a joint by half a radian in a step.",
         ("stability",),
     ),
     "Price beside MuJoCo": (
         "A step of 4096 samples in float32, per sample, and a step of MuJoCo on the same file with spheres as feet: "
-        "medians of CPU times of one thread, in turns. MuJoCo pays for points that touch, a program for all it has.",
+        "least CPU times of one thread, in turns. MuJoCo pays for the points that touch, a program for all it has.",
         ("price", "gradient"),
     ),
 }
