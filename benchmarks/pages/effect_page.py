@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from pages import contact_tables
 from pages.cases import CASES, START, built
 from pages.docstrings import ArgumentText, documented
 from pages.effect_facts import allowed, arm, facts, kinds, operations, required
@@ -28,6 +29,7 @@ SLOTS = {
     "sensor": "Sensors change the measurement one after the other, in the order of the list, before the controller.",
 }
 LAST = "It acts after all other model effects, wherever it is in the list."
+MEASURED = {"Contact": contact_tables.sections}  # further sections of a page
 SYMBOLS = frozenset({"load", "target"})  # symbols of formulas that are not parameters
 
 
@@ -62,6 +64,7 @@ def page(name: str) -> str:
         "## Cost",
         _price(name),
         _remembers(name),
+        *(MEASURED[name]() if name in MEASURED else ()),
         "## Absence",
         _absent(name),
         "## Combination with other effects",

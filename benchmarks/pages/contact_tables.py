@@ -1,0 +1,128 @@
+"""Tables of what was measured of contact, for the page of the effect."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from pages.text import table
+
+STORED = Path(__file__).resolve().parents[1] / "results" / "contact.json"
+Rows = Sequence[dict[str, Any]]
+
+
+def price(rows: Rows) -> str:
+    """Operations and times by the number of points."""
+    return table(
+        ("robot", "points", "operations", "over none", "ns", "MuJoCo", "ratio"),
+        [
+            (
+                row["robot"],
+                str(row["points"]),
+                str(row["operations"]),
+                f"{row['over none']:.2f}",
+                f"{row['ns']:.0f}",
+                f"{row['MuJoCo ns']:.0f} ns, {row['in contact']} in contact",
+                f"{row['ratio']:.0f} x",
+            )
+            for row in rows
+        ],
+    )
+
+
+def gradient(rows: Rows) -> str:
+    """Gradients of 24 steps."""
+    head = ("gradient of 24 steps", "over the rollout", "relative error against differences")
+    return table(head, [(row["robot"], f"{row['ratio']:.1f} x", f"{row['error']:.1g}") for row in rows])
+
+
+def accuracy(rows: Rows) -> str:
+    """What is measured at 1, 5 and 10 ms."""
+    found = [(row["what"], row["expected"], *map(_number, row["found"])) for row in rows]
+    return table(("measured", "expected", "1 ms", "5 ms", "10 ms"), found)
+
+
+def _number(x: float) -> str:
+    return f"{x:.4f}" if abs(x) >= 1e-3 else "0" if abs(x) < 1e-15 else f"{x:.0e}"
+
+
+def stability(rows: Rows) -> str:
+    """Energy gained by the step and the stiffness."""
+    return table(
+        ("step", "k [N/m]", "largest gain, passive", "with servos", "states lost"),
+        [
+            (
+                f"{1e3 * row['dt']:g} ms",
+                f"{row['k']:.2g}",
+                _gain(row["passive"]),
+                _gain(row["servos"]),
+                str(row["lost"]),
+            )
+            for row in rows
+        ],
+    )
+
+
+def _gain(x: float) -> str:
+    return f"{100 * x:.2g} %" if x > 1e-9 else "none"
+
+
+def standing(rows: Rows) -> str:
+    """Movement of a standing robot."""
+    head = ("moved in a minute [mm]", "at rest", "shaken by 1 N m", "on a slope of 10 degrees")
+    return table(head, [(row["who"], *[f"{x:.2g}" for x in row["moved"]]) for row in rows])
+
+
+def servos(rows: Rows) -> str:
+    """Torques of servos over their limit."""
+    head = ("step", "largest torque over the limit", "99.9 % are below", "share above the limit")
+    return table(
+        head,
+        [
+            (f"{1e3 * x['dt']:g} ms", f"{x['largest']:.2f}", f"{x['99.9 %']:.3f}", f"{100 * x['share above']:.2g} %")
+            for x in rows
+        ],
+    )
+
+
+TABLES: dict[str, Callable[[Rows], str]] = {
+    "price": price,
+    "gradient": gradient,
+    "accuracy": accuracy,
+    "stability": stability,
+    "standing": standing,
+    "servos": servos,
+}
+
+
+SECTIONS = {
+    "What one gains or loses by the step": (
+        "Impacts are of the first order in the step, and plastic in long ones: take 1 to 2 ms for jumps and bounces, "
+        "5 ms for walking, 10 ms for standing and wiping. The expected values are those of analysis; the height of the "
+        "jump is MuJoCo's, with steps of 0.2 ms.",
+        ("accuracy", "standing"),
+    ),
+    "Stability": (
+        "Go2 with 20 points is dropped in 64 random states, passive and with servos at random targets. The last row of "
+        "every step has the largest stiffness that it allows. Energy is kinetic, potential, and of the servos. The "
+        "gains are of explicit inertial forces: at 20 ms an impact at 6 m/s turns a joint by half a radian in a step.",
+        ("stability",),
+    ),
+    "Price beside MuJoCo": (
+        "A step of 4096 samples in float32, per sample, and a step of MuJoCo on the same file with spheres as feet: "
+        "least CPU times of one thread, in turns. MuJoCo pays for the points that touch, a program for all it has.",
+        ("price", "gradient"),
+    ),
+}
+
+
+def sections() -> list[str]:
+    """Sections of the page, of what was measured and stored."""
+    found = json.loads(STORED.read_text(encoding="utf-8"))
+    parts = []
+    for title, (text, names) in SECTIONS.items():
+        parts += [f"## {title}", text, *[TABLES[name](found[name]) for name in names]]
+    machine = ", ".join(f"{key} {value}" for key, value in found["machine"].items())
+    return [*parts, f"Measured by `python benchmarks/contact.py`: {machine}."]
