@@ -46,7 +46,7 @@ class Environment(NamedTuple):
     versions: Mapping[str, str]
     hint: str  # a first policy, for the example
     other: str = "ur10e"  # robot of the example
-    beside: str = ""  # default effects beside those of an arm
+    also: str = ""  # default effects in addition to those of an arm
     more: tuple[str, ...] = ()  # further parts of the page
     ends: str = "only if the simulation failed: a state is non-finite, or far too large"
 
@@ -176,7 +176,7 @@ ENVIRONMENTS: dict[str, Environment] = {
         "a table",
         (
             "## A policy of a few lines",
-            "[`examples/24_wipe.py`](../../examples/24_wipe.py) shifts the reference by the error of the path and by "
+            "[`examples/25_wipe.py`](../../examples/25_wipe.py) shifts the reference by the error of the path and by "
             "the integral of the error of the force. From two seconds on, the force on circles is within 10 % of the "
             "commanded one, and friction within 1 % of its coefficient times the normal force. On lines the friction "
             "turns with the motion, and the force leaves 10 % for a twentieth of the time.",

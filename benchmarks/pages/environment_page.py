@@ -75,7 +75,7 @@ def page(task: str) -> str:
     """Page of an environment."""
     case, spec, robot = ENVIRONMENTS[task], newest(task), arm()
     said, envs = documented(case.task, frozenset({"action"})), ArmVectorEnv(1, task, robot)
-    beside = f" and {case.beside}" if case.beside else ""
+    also = f" and {case.also}" if case.also else ""
     limit, dt = spec.max_episode_steps or 0, envs.scene.dt
     start = documented(case.task.start)
     joints = f"`{ROBOT}`, {robot.n} joints"
@@ -114,7 +114,7 @@ def page(task: str) -> str:
         "row i of a batch with the seed s is bitwise the same as the single environment with the seed s + i. "
         "[`randomise`](index.md#domain-randomisation) draws parameters of the robot as well.",
         "## Effects",
-        f"With `effects=None` those of a typical arm{beside}, with the parameters of its description. Missing ones are "
+        f"With `effects=None` those of a typical arm{also}, with the parameters of its description. Missing ones are "
         f"{ROTOR:g} kg m^2 for rotors and {DAMPING:g} N m s/rad for damping. For `{ROBOT}`:",
         table(("effect", "parameters"), [_effect(effect) for effect in envs.scene.effects]),
         f"One step is {dt:g} s, in {envs.scene.substeps} substeps of `{type(envs.scene.integrator).__name__}`.",
