@@ -31,3 +31,11 @@ for _task in ("Reach", "Track", "Wipe"):
         max_episode_steps=250,
         kwargs={"task": _task.lower()},
     )
+
+register(
+    "torchdq/Walk-v0",
+    entry_point="torchdq.envs.env:ArmEnv",
+    vector_entry_point="torchdq.envs.vector_env:made_by_gymnasium",
+    max_episode_steps=1000,
+    kwargs={"task": "walk", "robot": "go2"},
+)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,9 +20,8 @@ from torchdq.envs.tasks import Checked
 from torchdq.envs.torch_task import Functions, require_finite_start
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
-from torchdq.robot.fields import SHAPES
-from torchdq.robot.robot import arguments
 from torchdq.scene.defaults import mean_robot
+from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 from torchdq.scene.spec import Task
 
@@ -129,16 +128,17 @@ def _of_rows(scene: Scene, rows: SomeRows) -> Scene:
     def chosen(x: Tensor, axes: int) -> Tensor:
         return rows.of(x) if x.ndim > axes and len(x) > 1 else x
 
-    tensors: dict[str, Any] = {
-        name: chosen(getattr(scene.robot, name), len(SHAPES[name])) for name in arguments(scene.robot)
-    }
-    effects = [
-        replace(effect, **{name: chosen(x, len(effect.SHAPES[name])) for name, x in effect.tensors().items()})
-        for effect in scene.effects
-    ]
-    if not tensors and not any(effect.tensors() for effect in effects):
+    if not scene.parameters:
         return scene
-    return scene.replace(robot=scene.robot.replace(**tensors) if tensors else scene.robot, effects=effects)
+    found, stage = copy(scene), Stage(scene.spec, "begin")
+    parameters = {name: chosen(x, len(stage.axes(name))) for name, x in scene.parameters.items()}
+    effects = [
+        replace(effect, **{name: parameters[f"{i}.{name}"] for name in effect.tensors()})
+        for i, effect in enumerate(scene.effects)
+    ]
+    for name, value in {"parameters": parameters, "effects": tuple(effects)}.items():
+        object.__setattr__(found, name, value)  # without the checks of a new scene, which take a millisecond
+    return found
 
 
 @remembered(PROGRAMS)

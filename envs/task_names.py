@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass
 
 from torchdq.envs.tasks import EpisodeTask, Reach, Track
+from torchdq.envs.walk import Walk
 from torchdq.envs.wipe import Wipe
 from torchdq.errors import ArgumentError, UnknownNameError
 
-TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track(), "wipe": Wipe()}
+TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track(), "walk": Walk(), "wipe": Wipe()}
 
 
 def task_of(task: str | EpisodeTask) -> EpisodeTask:

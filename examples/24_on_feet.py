@@ -24,7 +24,7 @@ from torchdq import Scene, dq, effects, floating
 from torchdq.envs.render import Painter
 from torchdq.scene.state import State
 
-STEPS = (1e-3, 5e-3, 1e-2)  # [s]
+STEPS = {1e-3: GREY, 5e-3: BLUE, 1e-2: ORANGE}  # of different durations [s], and their colours
 SLOPE = math.radians(10.0)
 DROP = 0.1  # height of the fall [m]
 
@@ -104,7 +104,7 @@ def landing(dog: Quadruped, dt: float) -> tuple[Tensor, Tensor]:
 
 
 def jump(dog: Quadruped, dt: float) -> float:
-    """Height that the base gains in a jump from a crouch, with servos that are told to stretch the legs [m]."""
+    """Height that the base gains in a jump from a crouch, in which the targets of the servos stretch the legs [m]."""
     crouch, stretched = dog.q * 1.5, dog.q * 0.4
     scene = dog.scene(dt, firm=6.0, sink=2e-3)
     ready = held(scene, dog.placed(scene, crouch), crouch, 1.0).last
@@ -137,7 +137,7 @@ def pictures(dog: Quadruped, path: Path, falls: Sequence[tuple[Tensor, Tensor]])
         axes.set_axis_off()
         axes.set_title(name)
     axes = below.subplots()
-    for (t, force), dt, colour in zip(falls, STEPS, (GREY, BLUE, ORANGE), strict=True):
+    for (t, force), (dt, colour) in zip(falls, STEPS.items(), strict=True):
         axes.plot(t, force, color=colour, label=f"steps of {1e3 * dt:g} ms")
     axes.set(xlabel="time after a fall from 10 cm begins [s]", ylabel="force of the feet / weight", xlim=(0.1, 0.5))
     axes.legend()

@@ -214,6 +214,17 @@ CASES: dict[str, Case] = {
         """,
         "effects.Drag()",
     ),
+    "PointSpring": _case(
+        "effects.PointSpring(damping=10.0)",
+        """
+        spring = effects.PointSpring("tip", anchor=(1.0, 1.0, 0.0), stiffness=200.0, damping=20.0)
+        scene = Scene(robot, (effects.Viscous(2.0), spring))
+        state = scene.rollout(scene.start(torch.tensor([0.2, 0.8])), steps=500).last
+        tip = torchdq.dq.translation(torchdq.forward_kinematics(robot, state.q)[robot.frame_names.index("tip")])
+        assert torch.allclose(tip, torch.tensor([1.0, 1.0, 0.0]), atol=0.02)
+        """,
+        "effects.PointSpring(stiffness=0.0)",
+    ),
     "Contact": _case(
         "effects.Contact(height=0.1, friction=0.5)",
         """

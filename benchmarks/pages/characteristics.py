@@ -248,6 +248,15 @@ def _drag() -> Picture:
     return Picture("velocity [m/s]", "force on the body [N]", curves)
 
 
+def _point_spring() -> Picture:
+    steps, dt = 400, 0.005
+    found = {}
+    for b in (0.0, 2.0):
+        parts = (effects.Gravity(), effects.PointSpring("body", (0.0, 0.0, 0.5), stiffness=50.0, damping=b))
+        found[f"damping {b:g}"] = motion("mass", parts, steps, dt, q=0.5).q
+    return Picture(TIME, "height of a mass [m]", {k: Curve(times(steps, dt), column(x)) for k, x in found.items()})
+
+
 def _contact() -> Picture:
     steps, dt = 1500, 0.001
     found = {}
@@ -298,6 +307,7 @@ CHARACTERISTICS: dict[str, Callable[[], Picture]] = {
     "Residual": _residual,
     "Push": _push,
     "Drag": _drag,
+    "PointSpring": _point_spring,
     "Contact": _contact,
     "Saturation": lambda: over_command(4.0, limit__2=effects.Saturation(2.0)),
     "TorqueSpeed": _motor,

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 import torch
 from oracles import random_tree, shipped, states
+from robots import ARMS
 
 import torchdq
 from torchdq import dq
 from torchdq.robot.description import Frame
 
 EPS = 2.0**-52
-ROBOTS = {name: shipped(name).robot for name in torchdq.robots.names()}
+ROBOTS = {name: shipped(name).robot for name in ARMS}
 ROBOTS |= {f"tree{n}": random_tree(n, seed=n, armature=n == 7).robot for n in (1, 4, 7, 11)}
 SHORT = ("two_link", "puma560", "tree4", "tree7")  # for what a few robots show as well as all
 

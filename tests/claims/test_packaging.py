@@ -27,6 +27,8 @@ with warnings.catch_warnings(record=True) as said:
     warnings.simplefilter("always")
     for name in torchdq.robots.names():
         robot = torchdq.robots.load(name)
+        if robot.floating:
+            continue
         q = torch.full((2, robot.n), 0.3, dtype=torch.float64)
         assert torchdq.inverse_dynamics(robot, q, q, q).isfinite().all(), name
 print(*[str(one.message) for one in said], sep="\\n")

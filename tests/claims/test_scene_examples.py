@@ -2,6 +2,7 @@
 
 from importlib import import_module
 
+import oracles
 import pytest
 
 for needed in ("matplotlib", "rich", "tyro"):
@@ -60,6 +61,16 @@ def test_a_satellite_moves_the_other_way(tmp_path, capsys):
     assert linear < 1e-5 and angular < 1e-5
     assert imread(tmp_path / "satellite.png")[..., :3].std() > 0.03
     assert "ends 0.0" in capsys.readouterr().out
+
+
+def test_a_quadruped_stands_on_its_feet(tmp_path, capsys, monkeypatch):
+    main = import_module("24_on_feet")
+    monkeypatch.setattr(main, "STEPS", {5e-3: main.STEPS[5e-3]})
+    found = main.main(main.Args(robot=str(oracles.urdf_paths()["a1"]), out=tmp_path))
+    landing, jump, creep = found[5e-3]
+    assert 4.0 < landing < 7.0 and 0.3 < jump < 0.8 and creep < 1e-6
+    assert imread(tmp_path / "on_feet.png")[..., :3].std() > 0.03
+    assert "are stable" in (said := capsys.readouterr().out) and "forces of the feet" in said
 
 
 def test_a_cat_lands_on_its_feet(tmp_path):

@@ -6,8 +6,10 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
+import torch
 from effect_harness import CASES, FORMS, SAMPLES, agrees, bare, double, forms_of
 
+import torchdq
 from torchdq.envs import Scene, effects
 
 

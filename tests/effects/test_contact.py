@@ -110,6 +110,17 @@ def _pressed_states(case, points, normal, k, rng, rows=24):
     return s.q.numpy(), s.qd.numpy(), s.qdd.numpy(), memory
 
 
+def test_a_memory_of_the_size_of_rounding_is_none():
+    """A point that comes down meets the friction of its first touch, whatever is left of its last one."""
+    scene, X = ground(ball(), 5e-3), at(0.1 - 1e-4, 1)
+    V = double([[0.0, 0, 0, 1.0, 0, -0.5]])
+    clean = begin(scene, X, V)
+    left = clean._replace(memory=double([[0.0, 0.0, 0.0, 1e-12, 0.0]]))
+    clean, left = scene.step(clean), scene.step(left)
+    assert clean.V_WB_B[0, 3] < 0.99
+    assert torch.allclose(clean.V_WB_B, left.V_WB_B, rtol=0, atol=1e-12)
+
+
 # --- friction --------------------------------------------------------------------------------------------------------
 
 SHARES = double(0.5, 0.9, 0.99, 1.01, 1.1, 1.5)  # of the friction angle
@@ -251,6 +262,7 @@ def test_a_tumbling_cube_loses_energy_and_comes_to_rest(stiction):
     with torch.no_grad():
         path = scene.rollout(state, steps=800)
     found = scene.contacts(path)
+    assert found.touching.any() and (found.force[~found.touching] == 0).all()
     stored = 0.5 * 5e3 * found.depth.clamp(min=0).square().sum(-1)
     if stiction:
         stored = stored + 0.5 * 5e3 * path.memory.unflatten(-1, (8, 5))[..., :3].square().sum((-1, -2))

@@ -13,6 +13,7 @@ import torch
 from helpers import double, random
 from messages import refused
 from oracles import EPS, random_tree, shipped, states
+from robots import ARMS
 
 import torchdq
 from torchdq.scene import controllers
@@ -20,7 +21,7 @@ from torchdq.scene import controllers
 BACKEND = "auto"
 
 F64 = torch.float64
-ARMS = {name: shipped(name).robot for name in torchdq.robots.names()}
+ARMS = {name: shipped(name).robot for name in ARMS}
 ARMS |= {"tree": random_tree(8, seed=3, armature=True).robot}
 
 

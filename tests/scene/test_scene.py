@@ -49,6 +49,7 @@ NOTHING = {
     "Limits": effects.JointLimits(-math.inf, math.inf),
     "Limits without stiffness": effects.JointLimits(-1.0, 1.0, 0.0),
     "Drag": effects.Drag(0.0, 0.0, 0.0),
+    "PointSpring": effects.PointSpring(stiffness=0.0),
     "Contact": effects.Contact(stiffness=0.0, stiction=False),
     "RotorInertia": effects.RotorInertia(0.0),
     "MassScale": effects.MassScale(1.0),

@@ -227,6 +227,7 @@ EVERY = {
     "Elastic": lambda: (effects.Elastic(p(30.0, 50.0), p(0.3, 0.1), p(0.2, 0.3)), {}),
     "Push": lambda: (effects.Push(axes="body"), {"push": p(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)}),
     "Drag": lambda: (effects.Drag(p(0.3, 0.1), p(0.2, 0.4), p(0.01, 0.02), p(0.1)), {}),
+    "PointSpring": lambda: (effects.PointSpring(None, p(0.3, 0.2, 0.1), p(40.0), p(2.0)), {}),
     "Contact": lambda: (
         effects.Contact(None, p(1.5), p(0.28, 0.96, 0.0), None, p(40.0), p(0.5), p(0.6), settling=p(0.01)),
         {},

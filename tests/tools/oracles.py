@@ -17,6 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pinocchio as pin
 import torch
+from robots import ARMS
 
 import torchdq
 from torchdq.dynamics.general.posed import General
@@ -395,7 +396,7 @@ def tree(seed: int) -> Case:
 
 
 TREE_NAMES = tuple(f"tree{seed}" for seed in range(TREES))
-SHIPPED_NAMES = tuple(f"shipped-{name}" for name in torchdq.robots.names())
+SHIPPED_NAMES = tuple(f"shipped-{name}" for name in ARMS)
 
 # a robot of every folder: chains and trees, hinges, slides and unbounded joints, with and without mass, few joints and
 # many; and random trees of every size, with and without rotors, one of them large

@@ -13,6 +13,7 @@ DIRECTION = np.array([2.0, -3.0, 6.0]) / 7.0
 LINE = np.concatenate([DIRECTION, np.cross(POINT, DIRECTION)])  # screws of a revolute and of a prismatic joint
 SLIDE = np.concatenate([np.zeros(3), DIRECTION])
 BALL = (0.02, 0, 0.02, 0, 0, 0.02)
+ARMS = tuple(name for name in torchdq.robots.names() if not torchdq.robots.load(name).floating)  # that are shipped
 
 
 def row(*numbers):

@@ -253,7 +253,8 @@ class Contact(BodyEffect):
             to_world, speed = bodies.posed.to_world, sqrt(quat.dot(place.slip, place.slip))
             if self.stiction:
                 z, f_n = tuple(memory[KEPT * k : KEPT * k + 3]), memory[KEPT * k + 3]
-                force = quat.sub(quat.scale(f_n, to_world(place.link, place.normal)), quat.scale(self.stiffness, z))
+                bent = select(below(0.0, f_n), self.stiffness, 0.0)  # those of a point that left relax without a force
+                force = quat.sub(quat.scale(f_n, to_world(place.link, place.normal)), quat.scale(bent, z))
             else:
                 (law,) = self._laws([place], bodies, (), 0.0)
                 f_n = select(law.active, self.stiffness * place.depth - law.impedance * place.approach, 0.0)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from torchdq.errors import UnknownNameError
 from torchdq.robot.robot import Robot
-from torchdq.robot.shipped import panda, puma560, two_link, ur10e
+from torchdq.robot.shipped import go2, panda, puma560, two_link, ur10e
 
 __all__ = ["load", "names"]
 
@@ -13,6 +13,7 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
     "panda": panda.build,
     "ur10e": ur10e.build,
     "puma560": puma560.build,
+    "go2": go2.build,
 }
 
 
@@ -20,7 +21,7 @@ def names() -> tuple[str, ...]:
     """Names of the shipped robots.
 
     >>> names()
-    ('two_link', 'panda', 'ur10e', 'puma560')
+    ('two_link', 'panda', 'ur10e', 'puma560', 'go2')
     """
     return tuple(ROBOTS)
 

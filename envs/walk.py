@@ -1,0 +1,249 @@
+"""Task of a quadruped that walks: it follows commanded velocities on a ground that differs from episode to episode."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+from torchdq import effects
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.quaternion import Number
+from torchdq.base.checks import matching
+from torchdq.dynamics.posed import Row
+from torchdq.dynamics.tree import BASE
+from torchdq.envs.pushes import Pushes
+from torchdq.envs.tasks import EpisodeTask, within
+from torchdq.errors import ArgumentError
+from torchdq.functions.posed import frame as frame_of
+from torchdq.functions.posed import posed
+from torchdq.numbers.functions import at_least, below, exp, maximum, sqrt
+from torchdq.robot import ContactPoint, Robot
+from torchdq.scene.free_base import START
+from torchdq.scene.spec import Rows, View
+
+FULL = 1.5  # full action, an offset of a servo's target [rad]
+STAND = {"?L_hip_joint": 0.1, "?R_hip_joint": -0.1, "F?_thigh_joint": 0.8, "R?_thigh_joint": 1.0, "*_calf_joint": -1.5}
+SOFT, LAG = 0.6, 40.0  # gains of the servos: kp in m g times the height of the base per rad, and kp / kd [1/s]
+ROTOR = 0.01  # rotor inertia where the description has none [kg m^2]
+STEEPEST = 0.6  # cosine of the largest tilt, 53 degrees
+CROUCH = 0.88  # desired height of the base, in heights of the start
+SHARP = 0.1  # squared error of a velocity at which its reward falls to 1/e [m^2/s^2, rad^2/s^2]
+STRIDE = 0.3  # time in the air from which a step is rewarded [s]
+AROUND, SLOW = 0.1, 0.2  # largest deviations of a start from the stand: of joints [rad], and of the twist [rad/s, m/s]
+SEEN = {"velocity": 2.0, "rate": 0.25, "down": 1.0, "offset": 1.0, "speed": 0.05, "action": 6.0}  # factors, in order
+WIDEST = 20.0  # bound of observed numbers
+
+# weights of the terms of the reward, per second
+WEIGHTS = {
+    "velocity": 1.5,  # exp(-(squared error of the velocity) / 0.1)
+    "turning": 0.5,  # the same of the yaw rate
+    "air_time": 1.0,  # time of every step in the air beyond 0.3 s, once as it lands
+    "vertical": -2.0,  # squared vertical velocity [m/s]
+    "rocking": -0.05,  # squared rates of roll and pitch [rad/s]
+    "tilt": -2.0,  # squared sine of the tilt
+    "height": -20.0,  # squared deviation of the height [m]
+    "hips": -0.1,  # squared deviation from the stand of the joints that the base carries [rad]
+    "torque": -2e-4,  # squared torques [N m]
+    "acceleration": -2.5e-7,  # squared accelerations of the joints [rad/s^2]
+    "action_rate": -0.36,  # squared change of the actions
+}
+
+
+@dataclass(frozen=True)
+class Walk(EpisodeTask):
+    """Follow a commanded velocity of the base on four feet, from a stand.
+
+    Goal: forward and sideways velocity [m/s] and yaw rate [rad/s] of the base. Actions: offsets of the targets of the
+    joints' servos from the stand, full ones 1.5 rad. Observation, in the order and with the factors of `SEEN`: velocity
+    of the base and of the goal, angular velocity and yaw rate of the goal, and the direction of gravity, in axes of the
+    base; offsets of the joints from the stand, their velocities, and the last action. Reward: the sum of the terms in
+    `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends where the base tilts by
+    more than 53 degrees or sinks below `lowest`, or where another point of the scene's contacts than a foot touches.
+
+    By default the ground's friction is 0.36 to 1.24 and its stiffness differs by a factor of ten, masses differ by up
+    to 10 %, and the base is pushed.
+
+    Args:
+        forward, sideways: least and largest commanded velocity [m/s].
+        turning: least and largest commanded yaw rate [rad/s].
+        stand: position of joints at the stand, by names and patterns; others are at zero [rad].
+        feet: names or patterns of the frames that touch the ground, as `effects.Contact` takes them.
+        fatal: others that touch it, which ends the episode.
+        lowest: height of the base at which the episode ends, in heights of the stand.
+        weights: weights that replace those of `WEIGHTS`.
+
+    >>> from torchdq.envs import ArmVectorEnv
+    >>> from torchdq.envs.walk import Walk
+    >>> envs = ArmVectorEnv(64, Walk(forward=(0.0, 1.0)), "go2", max_episode_steps=1000)
+    """
+
+    forward: tuple[float, float] = (0.4, 1.1)
+    sideways: tuple[float, float] = (0.0, 0.0)
+    turning: tuple[float, float] = (-1.0, 1.0)
+    stand: Any = tuple(STAND.items())
+    feet: Any = "*_foot"
+    fatal: tuple[Any, ...] = ()
+    lowest: float = 0.5
+    weights: Any = ()
+
+    def __post_init__(self) -> None:
+        for name in ("stand", "weights"):  # hashable
+            object.__setattr__(self, name, tuple(dict(getattr(self, name)).items()))
+        if unknown := dict(self.weights).keys() - WEIGHTS.keys():
+            raise ArgumentError(f"weights of Walk must be among {', '.join(WEIGHTS)}, found {', '.join(unknown)}")
+
+    def defaults(self, robot: Robot) -> Mapping[str, Any]:
+        """Arguments of environments: servos that carry the robot's weight, contact of the feet, and what is random."""
+        if not robot.floating:
+            raise ArgumentError(f"robot {robot.name!r} must have a floating base to walk; load it with base='floating'")
+        weight, effort = 9.81 * float(robot.mass.sum() + robot.base_mass), robot.limits.effort
+        kp = SOFT * weight * self.height(robot, self.joints(robot))
+        push = effects.Push(next(frame.name for frame in robot.frames if frame.link == BASE))
+        return {
+            "effects": (
+                effects.Gravity(),
+                effects.RotorInertia(ROTOR if robot.armature is None else None),
+                effects.Servo(kp, kp / LAG, limit=effort.where(effort > 0, math.inf).tolist()),
+                effects.Contact((self.feet, *self.fatal)),
+                push,
+            ),
+            "scale": FULL,
+            "substeps": 4,
+            "randomise": {"Contact.friction": (0.45, 1.55), "Contact.stiffness": (0.2, 2.0), "mass": 0.1},
+            "pushes": {push.name: Pushes((0.3 * weight, 0.3 * weight, 0.0, 0.0, 0.0, 0.0))},
+        }
+
+    def joints(self, robot: Robot) -> list[float]:
+        """Joint positions at the stand [rad]."""
+        found = dict.fromkeys(robot.joint_names, 0.0)
+        for pattern, angle in self.stand:
+            found |= dict.fromkeys(matching("stand", pattern, robot.joint_names, "joint"), float(angle))
+        return list(found.values())
+
+    def height(self, robot: Robot, q: Row) -> Number:
+        """Height of a level base at joint positions, its lowest foot on the ground [m]."""
+        at, depths = posed(robot, q, {}, (), (START[:4], START[4:])), []
+        for foot in self._feet(robot):
+            link, X_BF = frame_of(robot, foot.frame)
+            center = at.point(link, dq.mul(X_BF, dq.from_pose(START[:4], foot.center))).position
+            depths.append(foot.radius - at.position(link, center)[2])
+        return reduce(maximum, depths)
+
+    def inputs(self, n: int) -> dict[str, int]:
+        """Names and widths of the inputs: command and action; last action and velocities, and times in the air."""
+        return {"goal": 3, "action": n, "carry": 2 * n + 4}
+
+    def draws(self, robot: Robot) -> int:
+        """Number of random numbers that an episode starts from."""
+        return robot.n + 9
+
+    def start(self, robot: Robot, u: Row) -> Rows:
+        """Start near the stand, a foot on the ground, in slow motion, and a command."""
+        n, ranges = robot.n, (self.forward, self.sideways, self.turning)
+        q = [x + AROUND * (2.0 * y - 1.0) for x, y in zip(self.joints(robot), u[:n], strict=True)]
+        return {
+            "q": q,
+            "qd": [0.0] * n,
+            "X_WB": [*START[:4], 0.0, 0.0, 0.0, 0.5 * self.height(robot, q)],
+            "V_WB_B": [SLOW * (2.0 * y - 1.0) for y in u[n : n + 6]],
+            "goal": [a + (b - a) * y for (a, b), y in zip(ranges, u[n + 6 :], strict=True)],
+        }
+
+    def bounds(self, robot: Robot) -> list[tuple[float, float]]:
+        """Bounds of the observation."""
+        return [(-WIDEST, WIDEST)] * (12 + 3 * robot.n)
+
+    def rows(self, view: View) -> Rows:
+        """Rows as the class states them."""
+        robot, n, goal, w, v = view.scene.spec.robot, len(view.q), view.inputs["goal"], view.V_WB_B[:3], view.V_WB_B[3:]
+        action, down = view.inputs.get("action", [0.0] * n), self._down(view)
+        stand, touching, fatal = self.joints(robot), *self._touching(view)
+        terms, air = self._terms(view, action, touching)
+        weights = {**WEIGHTS, **dict(self.weights)}
+        weighted = {name: [weights[name] * x] for name, x in terms.items()}
+        seen = {
+            "velocity": [*v, *goal[:2]],
+            "rate": [*w, goal[2]],
+            "down": down,
+            "offset": [x - y for x, y in zip(view.reading[:n], stand, strict=True)],
+            "speed": view.reading[n:],
+            "action": action,
+        }
+        seen = {name: [SEEN[name] * x for x in row] for name, row in seen.items()}
+        low = at_least(self.lowest * self.height(robot, stand), self._height(view))
+        return {
+            "observation": within([x for row in seen.values() for x in row], self.bounds(robot)),
+            "reward": [view.scene.spec.dt * maximum(sum((x for (x,) in weighted.values()), 0.0), 0.0)],
+            "reference": [*stand, *[0.0] * (2 * n)],
+            "carry": [*action, *view.qd, *air],
+            "terminated": [reduce(maximum, [low, at_least(down[2], -STEEPEST), *fatal])],
+            "speed_error": [sqrt(squares([v[0] - goal[0], v[1] - goal[1]]) + 1e-12)],
+            "touching": touching,
+            **weighted,
+        }
+
+    def _terms(self, view: View, action: Row, touching: Row) -> tuple[dict[str, Number], list[Number]]:
+        """Terms of the reward without their weights, and the times of the feet in the air."""
+        robot, n, dt, goal = view.scene.spec.robot, len(view.q), view.scene.spec.dt, view.inputs["goal"]
+        w, v, down, stand = view.V_WB_B[:3], view.V_WB_B[3:], self._down(view), self.joints(robot)
+        carry = view.inputs.get("carry", [0.0] * (2 * n + 4))
+        last, before, air = carry[:n], carry[n : 2 * n], carry[2 * n :]
+        landed = [(t + dt - STRIDE) * on * below(0.0, t) for t, on in zip(air, touching, strict=True)]
+        terms = {
+            "velocity": exp(squares([v[0] - goal[0], v[1] - goal[1]]) * (-1.0 / SHARP)),
+            "turning": exp(squares([w[2] - goal[2]]) * (-1.0 / SHARP)),
+            "air_time": sum(landed, 0.0),
+            "vertical": v[2] * v[2],
+            "rocking": squares(w[:2]),
+            "tilt": squares(down[:2]),
+            "height": squares([self._height(view) - CROUCH * self.height(robot, stand)]),
+            "hips": squares([view.q[i] - stand[i] for i, parent in enumerate(robot.parents) if parent < 0]),
+            "torque": squares(self._torques(view)),
+            "acceleration": squares([(a - b) * (1.0 / dt) for a, b in zip(view.qd, before, strict=True)]),
+            "action_rate": squares([a - b for a, b in zip(action, last, strict=True)]),
+        }
+        return terms, [(t + dt) * (1.0 - on) for t, on in zip(air, touching, strict=True)]
+
+    def _feet(self, robot: Robot) -> tuple[ContactPoint, ...]:
+        """Contact points of the feet; raises unless there are four feet."""
+        found = effects.Contact(self.feet).described(robot).points
+        if (number := len({point.frame for point in found})) != 4:
+            raise ArgumentError(f"feet of Walk must be four frames of robot {robot.name!r}, found {number}")
+        return found
+
+    def _touching(self, view: View) -> tuple[list[Number], list[Number]]:
+        """Whether each foot touches the ground, 1 or 0, and whether each other point of the contacts does."""
+        feet, others = {point.frame: 0.0 for point in self._feet(view.scene.spec.robot)}, []
+        points = [p for effect in view.scene.spec.effects if isinstance(effect, effects.Contact) for p in effect.points]
+        for point, contact in zip(points, view.contacts, strict=True):
+            if point.frame in feet:
+                feet[point.frame] = maximum(feet[point.frame], contact.touching)
+            else:
+                others.append(contact.touching)
+        return list(feet.values()), others
+
+    def _down(self, view: View) -> Row:
+        """Direction of gravity in axes of the base."""
+        return quat.rotate(quat.conj(view.X_WB[:4]), (0.0, 0.0, -1.0))
+
+    def _height(self, view: View) -> Number:
+        """Height of the base [m]."""
+        return dq.translation((view.X_WB[:4], view.X_WB[4:]))[2]
+
+    def _torques(self, view: View) -> list[Number]:
+        """Torques of actuators and servos."""
+        found = list(view.torque)
+        for effect in view.scene.spec.effects:
+            if isinstance(effect, effects.Servo) and "target" in view.inputs:
+                impedances = effect.impedances_at_end(view.q, view.qd, view.inputs, (), 0.0)
+                found = [t - z.force - z.damping * x for t, z, x in zip(found, impedances, view.qd, strict=True)]
+        return found
+
+
+def squares(row: Row) -> Number:
+    """Sum of squares."""
+    return sum((x * x for x in row), 0.0)

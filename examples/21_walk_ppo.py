@@ -1,0 +1,247 @@
+"""Walking, learned on one thread: a quadruped follows commanded velocities after a minute of PPO.
+
+    python examples/21_walk_ppo.py [--seconds 90] [--seed 0] [--turning 1] [--robot FILE] [--device cuda] [--out FOLDER]
+    torchrun --nproc-per-node 4 examples/21_walk_ppo.py
+
+PPO (J. Schulman et al., "Proximal Policy Optimization Algorithms", 2017) in this one file and in torch alone, for any
+vector environment of torchdq: many robots in one program, short rollouts, generalised advantages, a learning rate that
+follows the change of the policy (N. Rudin et al., "Learning to Walk in Minutes Using Massively Parallel Deep
+Reinforcement Learning", 2021). An episode that reaches its time limit counts as one that goes on. Under `torchrun`
+every process has robots of its own, and gradients are averaged.
+
+The robots of `torchdq/Walk-v0` differ in ground and masses, and are pushed. A policy walks when 48 robots on the
+nominal ground walk for 10 s, none falls, and the error of their mean speed is below 0.1 m/s at 0.5, 0.75 and 1.0 m/s
+and, with `--turning`, of their mean yaw rate below 0.15 rad/s. It is tested now and then until it does, and learns on
+to the end of `--seconds`. Times are those of the processor, tests included. `out/walk.pt` has the policy.
+"""
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import torch
+import torch.distributed as dist
+import tyro
+from devices import OnDevice
+from torch import Tensor, nn
+
+import torchdq
+from torchdq import Robot
+from torchdq.envs import ArmVectorEnv, Pushes
+from torchdq.envs.walk import SEEN, Walk
+
+HORIZON, EPOCHS, BATCHES = 24, 2, 8  # steps of a rollout, passes through them, and parts of each pass
+GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
+KL, FASTEST, SLOWEST = 0.01, 1e-2, 1e-5  # desired change of the policy in an update; bounds of the learning rate
+STD, UNIT = 0.8, 1 / 6  # first standard deviation of the policy's outputs, and such an output as an action
+SHOWN = ("reward", "ended", "speed_error")  # means that are printed
+SPEEDS, EACH = (0.5, 0.75, 1.0), 16  # commands of the test [m/s], and robots with each
+
+
+@dataclass
+class Args(OnDevice):
+    seconds: float = 90.0
+    """Processor time to learn in."""
+    seed: int = 0
+    """Seed of policy and robots."""
+    robots: int = 1024
+    """Robots of each process."""
+    robot: str = "go2"
+    """Name of a shipped robot, or the file of a quadruped."""
+    forward: tuple[float, float] = (0.4, 1.1)
+    """Commanded velocities [m/s]."""
+    turning: float = 0.0
+    """Largest commanded yaw rate [rad/s]."""
+    out: Path = Path("out")
+    """Folder of the policy."""
+
+
+class Policy(nn.Module):
+    """Normal distribution of actions, and value of a state, of observations [N, k]."""
+
+    def __init__(self, observations: int, actions: int) -> None:
+        super().__init__()
+        self.actor, self.critic = network(observations, actions, 0.1), network(observations, 1, 1.0)
+        self.log_std = nn.Parameter(torch.full((actions,), STD).log())
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Mean actions, in the policy's units."""
+        return self.actor(observation)
+
+    def value(self, observation: Tensor) -> Tensor:
+        return self.critic(observation).squeeze(-1)
+
+    def log_prob(self, mean: Tensor, sample: Tensor) -> Tensor:
+        """Logarithm of the density, up to a constant."""
+        return -0.5 * (sample - mean).square() @ (-2 * self.log_std).exp() - self.log_std.sum()
+
+
+def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
+    layers = nn.Sequential(nn.Linear(inputs, 64), nn.ELU(), nn.Linear(64, 64), nn.ELU(), nn.Linear(64, outputs))
+    with torch.no_grad():
+        layers[-1].weight.mul_(gain)
+        layers[-1].bias.zero_()
+    return layers
+
+
+def mean_of_all(*tensors: Tensor) -> None:
+    """Make tensors their means over all processes."""
+    if dist.is_initialized():
+        flat = torch.cat([x.reshape(-1) for x in tensors])
+        dist.all_reduce(flat)
+        for x, mean in zip(tensors, (flat / dist.get_world_size()).split([x.numel() for x in tensors]), strict=True):
+            x.copy_(mean.reshape(x.shape))
+
+
+class PPO:
+    """Learner on a vector environment with tensors."""
+
+    def __init__(self, envs: ArmVectorEnv, seed: int) -> None:
+        rank = dist.get_rank() if dist.is_initialized() else 0
+        torch.manual_seed(seed)  # the same policy in all processes, and different robots
+        self.envs, device = envs, envs.device
+        self.observation, _ = envs.reset(seed=(10_000 * seed + rank) * envs.num_envs)
+        self.policy = Policy(self.observation.shape[1], envs.single_action_space.shape[0]).to(device)
+        self.optimizer = torch.optim.Adam(self.policy.parameters(), lr=1e-3, fused=True)
+        torch.manual_seed(10_000 * seed + rank)
+        if envs.max_episode_steps:  # episodes that end at different times
+            steps = torch.randint(envs.max_episode_steps, (envs.num_envs,), dtype=torch.int32)
+            envs.set_state({**envs.get_state(), "steps": steps.to(device)})
+
+    @torch.no_grad()
+    def rollout(self) -> tuple[list[Tensor], dict[str, float]]:
+        """Observations, actions, their log probabilities, returns, advantages [samples, ...], and means of `info`."""
+        policy, rows, means = self.policy, [], {}
+        std = policy.log_std.exp()
+        for _ in range(HORIZON):
+            mean = policy(self.observation)
+            action = mean + std * torch.randn_like(mean)
+            seen, reward, terminated, truncated, info = self.envs.step(UNIT * action)
+            late, reward = truncated & ~terminated, reward.clamp(min=-1.0)  # of a simulation that failed
+            if late.any():
+                reward = reward + GAMMA * torch.where(late, policy.value(info["final_obs"]), 0.0)
+            going = (~(terminated | truncated)).float()
+            rows.append((self.observation, action, policy.log_prob(mean, action), reward, going))
+            self.observation = seen
+            for name, x in (("reward", reward), ("ended", terminated), *info.items()):
+                if isinstance(x, Tensor) and x.ndim == 1:
+                    means[name] = means.get(name, 0.0) + float(x.float().mean()) / HORIZON
+        observation, action, log_prob, reward, going = map(torch.stack, zip(*rows, strict=True))
+        value = torch.stack([policy.value(x) for x in (*observation, self.observation)])
+        advantages, advantage = [], torch.zeros_like(reward[0])
+        for t in reversed(range(HORIZON)):
+            advantage = reward[t] + GAMMA * going[t] * (value[t + 1] + LAMBDA * advantage) - value[t]
+            advantages.append(advantage)
+        advantage = torch.stack(advantages[::-1])
+        returns = advantage + value[:-1]
+        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        return [x.flatten(0, 1) for x in (observation, action, log_prob, returns, advantage)], means
+
+    def update(self, samples: list[Tensor]) -> None:
+        """Change the policy so that better actions become more likely, and the values come closer to the returns."""
+        policy, parameters = self.policy, list(self.policy.parameters())
+        group = self.optimizer.param_groups[0]
+        for _ in range(EPOCHS):
+            for indices in torch.randperm(len(samples[0]), device=samples[0].device).chunk(BATCHES):
+                observation, action, before, returns, advantage = (x.index_select(0, indices) for x in samples)
+                change = policy.log_prob(policy(observation), action) - before
+                ratio = change.exp()
+                gain = torch.minimum(ratio * advantage, ratio.clamp(1 - CLIP, 1 + CLIP) * advantage).mean()
+                error = (policy.value(observation) - returns).square().mean()
+                loss = error - gain
+                self.optimizer.zero_grad()
+                loss.backward()
+                kl = (ratio - 1 - change).mean().detach()
+                mean_of_all(kl, *[x.grad for x in parameters])
+                nn.utils.clip_grad_norm_(parameters, 1.0)
+                self.optimizer.step()
+                factor = 1 / 1.5 if kl > 2 * KL else 1.5 if kl < KL / 2 else 1.0
+                group["lr"] = min(max(group["lr"] * factor, SLOWEST), FASTEST)
+
+
+class Test:
+    """Robots on the nominal ground, with nominal masses and without pushes, and their commands.
+
+    Args:
+        task: the task.
+        robot: the robot.
+        turning: largest commanded yaw rate [rad/s].
+        device: device of the environments.
+        friction: factor of the friction of the ground.
+    """
+
+    def __init__(
+        self, task: Walk, robot: Robot, turning: float, device: torch.device | str = "cpu", friction: float = 1.0
+    ) -> None:
+        # the same parameters as in training, so that the program is the same
+        same = {"Contact.friction": (friction, friction), "Contact.stiffness": (1.0, 1.0), "mass": (1.0, 1.0)}
+        options = {"randomise": same, "pushes": {"push": Pushes((0.0,) * 6)}, "max_episode_steps": None}
+        self.envs = ArmVectorEnv(EACH * len(SPEEDS), task, robot, device=device, **options)
+        self.commands = torch.zeros(self.envs.num_envs, 3, device=device)
+        self.commands[:, 0] = torch.tensor(SPEEDS).repeat_interleave(EACH)
+        self.commands[:, 2] = turning * torch.linspace(-1, 1, EACH).repeat(len(SPEEDS))
+
+    @torch.no_grad()
+    def __call__(self, policy: nn.Module, seconds: float = 10.0) -> tuple[float, float, float]:
+        """Share of robots that stay up, and errors of mean speed [m/s] and yaw rate [rad/s] after 2 s.
+
+        They are the largest over the commanded speeds of the mean over robots.
+        """
+        envs, (start, end) = self.envs, (round(x / self.envs.scene.dt) for x in (2.0, seconds))
+        observation, _ = envs.reset(seed=1_000_000_000)
+        envs.set_state({**envs.get_state(), "goal": self.commands})
+        up, mean = torch.ones(envs.num_envs, dtype=torch.bool, device=envs.device), torch.zeros_like(self.commands)
+        for k in range(end):
+            observation, _, terminated, _, _ = envs.step(UNIT * policy(observation))
+            up &= ~terminated
+            if k >= start:
+                velocity = observation[:, :2] / SEEN["velocity"], observation[:, 7:8] / SEEN["rate"]
+                mean += torch.cat(velocity, 1) / (end - start)
+        error = (mean - self.commands).abs().reshape(len(SPEEDS), EACH, 3).mean(1).amax(0)
+        return float(up.float().mean()), float(error[0]), float(error[2])
+
+
+def main(args: Args) -> float | None:
+    """Processor time until the policy walks [s]; None: it does not."""
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
+    if "RANK" in os.environ:
+        dist.init_process_group("nccl" if args.place.type == "cuda" else "gloo")
+    processes, first = (dist.get_world_size(), dist.get_rank() == 0) if dist.is_initialized() else (1, True)
+    shipped = args.robot in torchdq.robots.names()
+    robot = torchdq.robots.load(args.robot) if shipped else Robot.from_urdf(args.robot, base="floating")
+    task = Walk(args.forward, turning=(-args.turning, args.turning))
+    learner = PPO(ArmVectorEnv(args.robots, task, robot, max_episode_steps=1000, device=args.place), args.seed)
+    test = Test(task, robot, args.turning, args.place)
+    test(learner.policy, 0.04)  # compiles
+    begin, walks, k, spent = time.process_time(), None, 0, 0.0
+    while spent < args.seconds:
+        samples, means = learner.rollout()
+        learner.update(samples)
+        k, spent = k + 1, time.process_time() - begin
+        stop = torch.tensor(float(spent >= args.seconds), device=args.place)
+        mean_of_all(stop)  # so that all processes do as many updates
+        spent = max(spent, args.seconds) if stop > 0 else min(spent, 0.999 * args.seconds)
+        if k % 10 == 0 and first:
+            shown = "  ".join(f"{name} {means[name]:.3f}" for name in SHOWN)
+            print(f"{spent:5.1f} s  {k * len(samples[0]) * processes / 1e6:.2f} million samples  {shown}", flush=True)
+        if first and k % 5 == 0 and walks is None and means["ended"] < 2e-3 and means["speed_error"] < 0.25:
+            up, speed, rate = test(learner.policy)
+            print(f"{spent:5.1f} s  test: {up:.0%} up, errors {speed:.3f} m/s and {rate:.3f} rad/s", flush=True)
+            walks = spent if up == 1 and speed < 0.1 and rate < 0.15 else None
+    if first:
+        args.out.mkdir(parents=True, exist_ok=True)
+        torch.save(learner.policy.actor.state_dict(), args.out / "walk.pt")
+        up, speed, rate = test(learner.policy)
+        print(f"at the end: {up:.0%} up, errors {speed:.3f} m/s and {rate:.3f} rad/s")
+    return walks
+
+
+if __name__ == "__main__":
+    walks = main(tyro.cli(Args))
+    print("does not walk yet" if walks is None else f"walks after {walks:.0f} s")
+    sys.exit(walks is None)
