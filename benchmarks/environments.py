@@ -55,7 +55,7 @@ def single(id: str) -> Callable[[], object]:
 
 def batched(task: str, batch: int) -> Callable[[], object]:
     """A step of many, each at another time of its episode."""
-    envs = ArmVectorEnv(batch, task)
+    envs = ArmVectorEnv(batch, task, environment_page.robot_of(task))
     envs.reset(seed=0)
     state = envs.get_state()
     ages = torch.randint(250, state["steps"].shape, generator=torch.Generator().manual_seed(0))

@@ -70,7 +70,7 @@ class EpisodeTask(Task, Protocol):
     def defaults(self, robot: Robot) -> Mapping[str, Any]:
         """Arguments of environments whose effects are not given: `effects`, `scale`, `substeps`, `randomise`, `pushes`.
 
-        Each may be left out, and is replaced by one that is given. The scale is that of the actions without `action`.
+        Each may be left out, and is replaced by one that is given. The scale is that of the default `action`.
         """
         return {}
 

@@ -159,8 +159,7 @@ class ArmVectorEnv(VectorEnv):
         functions = task if isinstance(task, TorchTask) else None
         self.task = task_of(task.recorded_for(self.robot) if isinstance(task, TorchTask) else task)
         given = {"effects": effects, "scale": scale, "substeps": substeps, "randomise": randomise, "pushes": pushes}
-        own = self.task.defaults(self.robot) if effects is None else {}
-        chosen = {name: x for name, x in own.items() if name != "scale" or action is None}
+        chosen = dict(self.task.defaults(self.robot)) if effects is None else {}
         chosen |= {name: x for name, x in given.items() if x is not None}
         joints = actuated_joints(self.robot, actuated)
         self.dtype, self.device = dtype_of("dtype", dtype), device_of("device", device)
@@ -191,7 +190,9 @@ class ArmVectorEnv(VectorEnv):
         self._pushes: Mapping[str, Pushes] = chosen.get("pushes", {})
         _check_scene(scene, num_envs, self._pushes)
         self.scene, self._randomised = randomised(scene.to(self.device), chosen.get("randomise", {}), num_envs, like)
-        size = torch.as_tensor(full(self.robot, kind, chosen.get("scale"), joints)).to(like)
+        if kind == kind_of(None, self.robot, joints, scene.effects):
+            scale = chosen.get("scale")  # of the actions that the task is made for
+        size = torch.as_tensor(full(self.robot, kind, scale, joints)).to(like)
         self._actions = Actions(kind, self.robot, joints, size)
         self._checked = Checked(self.task)
         self._functions = None if functions is None else Functions.of(functions, self.robot, self.scene, self.device)

@@ -159,7 +159,8 @@ def _moved(robot: Robot, q: Row, p: Pure) -> list[Number]:
     """Joint positions near q that bring the end effector to p: a step by the damped inverse of the Jacobian."""
     at = posed(robot, q, {}, ())
     columns = _columns(robot, at)
-    JJ = [[sum((c[i] * c[j] for c in columns), DAMPING if i == j else 0.0) for j in range(3)] for i in range(3)]
+    three, damping = range(3), (DAMPING, 0.0)
+    JJ = tuple(tuple(sum((c[i] * c[j] for c in columns), damping[i != j]) for j in three) for i in three)
     y = ltdl.solve((-1, 0, 1), ltdl.factorise((-1, 0, 1), JJ), quat.sub(p, tip(robot, at)))
     return [x + quat.dot(column, y) for x, column in zip(q, columns, strict=True)]
 

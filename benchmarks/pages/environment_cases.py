@@ -13,9 +13,11 @@ from torch import Tensor
 
 import torchdq
 from torchdq.envs.tasks import EpisodeTask, Reach, Track, velocities
+from torchdq.envs.walk import SEEN, WEIGHTS, Walk
 from torchdq.envs.wipe import Wipe
 from torchdq.robot import Robot
 from torchdq.scene.contacts import Contacts
+from torchdq.scene.defaults import DAMPING, ROTOR
 
 
 class Situation(NamedTuple):
@@ -26,7 +28,8 @@ class Situation(NamedTuple):
     qd: Tensor
     goal: Tensor  # of the task
     time: float  # since the start of the episode [s]
-    contacts: Contacts | None = None  # of the scene, where it has some
+    contacts: Contacts | None  # of the scene, where it has some
+    state: Mapping[str, Tensor]  # everything else
 
 
 class Entries(NamedTuple):
@@ -35,6 +38,9 @@ class Entries(NamedTuple):
     what: str
     unit: str
     value: Callable[[Situation], Tensor]  # [N, entries]
+
+
+ABSENT = f"Missing ones are {ROTOR:g} kg m^2 for rotors and {DAMPING:g} N m s/rad for damping"
 
 
 class Environment(NamedTuple):
@@ -46,7 +52,7 @@ class Environment(NamedTuple):
     versions: Mapping[str, str]
     hint: str  # a first policy, for the example
     other: str = "ur10e"  # robot of the example
-    beside: str = ""  # default effects beside those of an arm
+    effects: str = f"those of a typical arm, with the parameters of its description. {ABSENT}"
     more: tuple[str, ...] = ()  # further parts of the page
     ends: str = "only if the simulation failed: a state is non-finite, or far too large"
 
@@ -92,6 +98,21 @@ def path(now: Situation, order: int) -> Tensor:
     return torch.cat([torch.stack([x, y], 1) - first + moved, 0 * moved[:, :1] + Wipe().table(now.robot)], 1)
 
 
+def walked(name: str, value: Callable[[Situation], Tensor]) -> Callable[[Situation], Tensor]:
+    """Observed entries of `Walk`, of the quantity itself."""
+    return lambda now: SEEN[name] * value(now)
+
+
+def offsets(now: Situation) -> Tensor:
+    """Positions of the joints less those of the stand."""
+    return now.q - torch.tensor(Walk().joints(now.robot), dtype=now.q.dtype)
+
+
+def down(now: Situation) -> Tensor:
+    """Direction of gravity in axes of the base."""
+    return torchdq.dq.rotate(torchdq.dq.conj(now.state["X_WB"][:, :4]), now.q.new_tensor([0.0, 0.0, -1.0]))
+
+
 def tip_velocity(now: Situation) -> Tensor:
     """Velocity of the end effector [N, 3] in base axes."""
     J = torchdq.jacobian(now.robot, now.q, now.robot.end_effector().name, expressed="world")[:, 3:]
@@ -103,6 +124,20 @@ COMMON = {
     "nonfinite": "true if the simulation failed in this step",
 }
 FIRST = {"v0": "first version"}
+
+TERMS = {  # of the reward of `Walk`
+    "velocity": "exp(-x / 0.1), x the squared error of the velocity [m^2/s^2]",
+    "turning": "exp(-x / 0.1), x the squared error of the yaw rate [rad^2/s^2]",
+    "air_time": "the time that each foot was in the air beyond 0.3 s, once as it lands [s]",
+    "vertical": "the squared vertical velocity [m/s]",
+    "rocking": "the squared rates of roll and pitch [rad/s]",
+    "tilt": "the squared sine of the tilt",
+    "height": "the squared deviation of the height [m]",
+    "hips": "the squared deviations from the stand of the joints that the base carries [rad]",
+    "torque": "the squared torques [N m]",
+    "acceleration": "the squared accelerations of the joints [rad/s^2]",
+    "action_rate": "the squared changes of the actions",
+}
 
 ENVIRONMENTS: dict[str, Environment] = {
     "reach": Environment(
@@ -146,6 +181,33 @@ ENVIRONMENTS: dict[str, Environment] = {
         FIRST,
         "residual",
     ),
+    "walk": Environment(
+        Walk,
+        (
+            Entries("velocity of the base", "0.5 m/s", walked("velocity", lambda now: now.state["V_WB_B"][:, 3:])),
+            Entries("commanded velocity, x y", "0.5 m/s", walked("velocity", lambda now: now.goal[:, :2])),
+            Entries("angular velocity of the base", "4 rad/s", walked("rate", lambda now: now.state["V_WB_B"][:, :3])),
+            Entries("commanded yaw rate", "4 rad/s", walked("rate", lambda now: now.goal[:, 2:])),
+            Entries("direction of gravity in axes of the base", "1", walked("down", down)),
+            Entries("position of each joint less that of the stand", "rad", walked("offset", offsets)),
+            Entries("velocity of each joint", "20 rad/s", walked("speed", lambda now: now.qd)),
+            Entries(
+                "last action, in full ones", "1/6", walked("action", lambda now: now.state["carry"][:, : now.robot.n])
+            ),
+        ),
+        {
+            **COMMON,
+            "speed_error": "size of the error of the velocity [m/s]",
+            "touching": "1 for each foot that touches the ground, otherwise 0",
+            **{name: f"{WEIGHTS[name]:g} times {what}" for name, what in TERMS.items()},
+        },
+        FIRST,
+        "target",
+        "go2",
+        "gravity, rotors, servos, contact of the feet, and a push on the base",
+        (),
+        "if the base tilts by more than 53 degrees or sinks below half its height, or the simulation failed",
+    ),
     "wipe": Environment(
         Wipe,
         (
@@ -173,10 +235,10 @@ ENVIRONMENTS: dict[str, Environment] = {
         FIRST,
         "reference",
         "panda",
-        "a table",
+        f"those of a typical arm and a table, with the parameters of its description. {ABSENT}",
         (
             "## A policy of a few lines",
-            "[`examples/24_wipe.py`](../../examples/24_wipe.py) shifts the reference by the error of the path and by "
+            "[`examples/25_wipe.py`](../../examples/25_wipe.py) shifts the reference by the error of the path and by "
             "the integral of the error of the force. From two seconds on, the force on circles is within 10 % of the "
             "commanded one, and friction within 1 % of its coefficient times the normal force. On lines the friction "
             "turns with the motion, and the force leaves 10 % for a twentieth of the time.",

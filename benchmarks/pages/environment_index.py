@@ -9,7 +9,7 @@ import torch
 
 from pages.docstrings import documented
 from pages.environment_cases import ENVIRONMENTS
-from pages.environment_page import ROBOT, SCRIPT, arm, measured, newest, rate_words, rates
+from pages.environment_page import SCRIPT, measured, newest, rate_words, rates, robot_of
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.envs import ArmVectorEnv, randomization, vector_env
 
@@ -109,26 +109,27 @@ envs.set_state(saved)  # the step is undone
 
 def index() -> str:
     """Page about all environments."""
-    robot, stored, rows = arm(), rates(), []
+    stored, rows = rates(), []
     for task in ENVIRONMENTS:
-        spec, kind = newest(task), ENVIRONMENTS[task].task
+        spec, kind, robot = newest(task), ENVIRONMENTS[task].task, robot_of(task)
         best = max(rate for _, _, rate in stored["rates"][task])
         rows.append(
             (
                 f"[{spec.id}]({task}.md)",
                 sentence(documented(kind).summary),
+                f"`{robot.name}`",
                 f"{len(kind().bounds(robot))}",
                 f"{robot.n}",
                 f"{spec.max_episode_steps}",
                 rate_words(best),
             )
         )
-    head = ("id", "task", "observation", "action", "steps of an episode", "steps per second")
+    head = ("id", "task", "robot", "observation", "action", "steps of an episode", "steps per second")
     parts = [
         "# Environments",
         MADE.format(script=SCRIPT),
         INTRODUCTION,
-        f"{table(head, rows)}\n\nOf the default robot, `{ROBOT}`. {measured(stored)}",
+        f"{table(head, rows)}\n\nOf the default robots. {measured(stored)}",
         WAYS,
         "## Arguments",
         "All three take the arguments of `ArmVectorEnv`, listed here with their defaults.",

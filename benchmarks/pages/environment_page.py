@@ -25,7 +25,6 @@ from torchdq.envs import ArmVectorEnv, vector_env
 from torchdq.envs.actions import Kind, full
 from torchdq.envs.render import Painter
 from torchdq.robot import Robot
-from torchdq.scene.defaults import DAMPING, ROTOR
 
 ROOT = Path(__file__).resolve().parents[2]
 RATES = ROOT / "benchmarks" / "results" / "environments.json"
@@ -38,8 +37,9 @@ ACTIONS = {
     "torque": "torque of each joint",
     "residual": "torque added to a controller that follows the task's reference",
     "reference": "offset of the position that the controller follows",
+    "target": "offset of the target of the servo",
 }
-ACTION_UNITS = {"torque": "N m or N", "residual": "N m or N", "reference": "rad or m"}
+ACTION_UNITS = {"torque": "N m or N", "residual": "N m or N", "reference": "rad or m", "target": "rad or m"}
 
 
 def registered() -> dict[str, list[gymnasium.envs.registration.EnvSpec]]:
@@ -56,9 +56,9 @@ def newest(task: str) -> gymnasium.envs.registration.EnvSpec:
     return max(registered()[task], key=lambda spec: spec.version or 0)
 
 
-def arm() -> Robot:
-    """The robot of the tables."""
-    return torchdq.robots.load(ROBOT)
+def robot_of(task: str) -> Robot:
+    """The default robot of an environment."""
+    return torchdq.robots.load(newest(task).kwargs.get("robot", ROBOT))
 
 
 def rates() -> dict[str, Any]:
@@ -73,12 +73,11 @@ def learned(task: str) -> dict[str, Any] | None:
 
 def page(task: str) -> str:
     """Page of an environment."""
-    case, spec, robot = ENVIRONMENTS[task], newest(task), arm()
+    case, spec, robot = ENVIRONMENTS[task], newest(task), robot_of(task)
     said, envs = documented(case.task, frozenset({"action"})), ArmVectorEnv(1, task, robot)
-    beside = f" and {case.beside}" if case.beside else ""
     limit, dt = spec.max_episode_steps or 0, envs.scene.dt
     start = documented(case.task.start)
-    joints = f"`{ROBOT}`, {robot.n} joints"
+    joints = f"`{robot.name}`, {robot.n} joints"
     parts = [
         f"# {spec.id.split('/')[1]}",
         MADE.format(script=SCRIPT),
@@ -88,7 +87,7 @@ def page(task: str) -> str:
         f"![One arm at five moments of an episode]({task}.png)",
         f"One episode, after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s.",
         "## Task",
-        *_paragraphs(case.task),
+        *_paragraphs(case.task, "Goal", "Reference", "Table", "By default"),
         "## Observation",
         f"`Box({len(case.task().bounds(robot))},)` for the default robot ({joints}), as measured by the sensors. "
         "Entries are clipped to their bounds.",
@@ -98,7 +97,8 @@ def page(task: str) -> str:
         "numbers.",
         _actions(task, robot),
         "## Reward",
-        f"$$\n{tex(said.formulas[0], frozenset({'action'}))}\n$$",
+        *[f"$$\n{tex(formula, frozenset({'action'}))}\n$$" for formula in said.formulas],
+        *_paragraphs(case.task, "Reward: "),
         "It is computed from the true state, not from measurements. A step in which the simulation fails has the "
         f"reward {vector_env.WORST:g}.",
         "## End of an episode",
@@ -114,8 +114,7 @@ def page(task: str) -> str:
         "row i of a batch with the seed s is bitwise the same as the single environment with the seed s + i. "
         "[`randomise`](index.md#domain-randomisation) draws parameters of the robot as well.",
         "## Effects",
-        f"With `effects=None` those of a typical arm{beside}, with the parameters of its description. Missing ones are "
-        f"{ROTOR:g} kg m^2 for rotors and {DAMPING:g} N m s/rad for damping. For `{ROBOT}`:",
+        f"With `effects=None` {case.effects}. For `{robot.name}`:",
         table(("effect", "parameters"), [_effect(effect) for effect in envs.scene.effects]),
         f"One step is {dt:g} s, in {envs.scene.substeps} substeps of `{type(envs.scene.integrator).__name__}`.",
         "## info",
@@ -132,14 +131,14 @@ def page(task: str) -> str:
     return "\n\n".join(wrapped(part) for part in parts) + "\n"
 
 
-def _paragraphs(task: type) -> list[str]:
-    """Sentences of the docstring about goal and reference; the reward has its own section."""
+def _paragraphs(task: type, *about: str) -> list[str]:
+    """Sentences of the docstring that begin with some words."""
     sentences = [
         words
         for paragraph in documented(task, frozenset({"action"})).text
         for words in re.split(r"(?<=\.)\s+(?=Goal|Observation|Success|Reward|Reference)", paragraph)
     ]
-    return [sentence(x) for x in sentences if x.startswith(("Goal", "Reference", "Table"))]
+    return [sentence(x) for x in sentences if x.startswith(about)]
 
 
 def _observation(task: str, robot: Robot) -> str:
@@ -154,7 +153,7 @@ def _observation(task: str, robot: Robot) -> str:
 
 def widths(task: str) -> list[int]:
     """Number of entries of each part of an observation, of the default robot."""
-    envs = ArmVectorEnv(1, task, ROBOT)
+    envs = ArmVectorEnv(1, task, robot_of(task))
     envs.reset(seed=0)
     now = situation(envs)
     return [entries.value(now).shape[1] for entries in ENVIRONMENTS[task].observation]
@@ -167,7 +166,7 @@ def situation(envs: ArmVectorEnv) -> Any:
     found, scene = envs.get_state(), envs.scene
     touching = any(isinstance(effect, Contact) for effect in scene.effects)
     contacts, time = scene.contacts(envs.state) if touching else None, float(found["steps"][0]) * scene.dt
-    return Situation(envs.robot, found["q"], found["qd"], found["goal"], time, contacts)
+    return Situation(envs.robot, found["q"], found["qd"], found["goal"], time, contacts, found)
 
 
 def _range(numbers: tuple[float, ...]) -> str:
@@ -177,7 +176,7 @@ def _range(numbers: tuple[float, ...]) -> str:
 
 def _actions(task: str, robot: Robot) -> str:
     rows, own = [], ArmVectorEnv(1, task, robot)._actions
-    for kind in (kind for kind in get_args(Kind) if kind in ACTIONS):
+    for kind in (own.kind,) if own.kind == "target" else (kind for kind in get_args(Kind) if kind != "target"):
         sizes = own.scale.tolist() if kind == own.kind else full(robot, kind, None, range(robot.n))
         numbers, default = ", ".join(f"{x:.3g}" for x in sizes), " (default)" if kind == own.kind else ""
         rows.append((f'`"{kind}"`{default}', ACTIONS[kind], numbers, ACTION_UNITS[kind]))
@@ -297,14 +296,14 @@ def picture(task: str) -> bytes:
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    envs = ArmVectorEnv(1, task, ROBOT, action=ENVIRONMENTS[task].hint)  # type: ignore[arg-type]
+    envs = ArmVectorEnv(1, task, robot_of(task), action=ENVIRONMENTS[task].hint)  # type: ignore[arg-type]
     envs.reset(seed=SEED)
     painter, frames, positions = Painter(envs.robot, (240, 280)), [], []
     for step in range(MOMENTS[-1] + 1):
         now = situation(envs)
         if step in MOMENTS:
             target = now.goal[0] if now.goal.shape[1] == 3 else None
-            frames.append(painter.frame(now.q[0], target))
+            frames.append(painter.frame(now.q[0], target, X_WB=now.state["X_WB"][0] if "X_WB" in now.state else None))
             positions.append([round(x, 4) for x in now.q[0].tolist()])
         envs.step(towards(now) if task == "reach" else torch.zeros(1, envs.robot.n))
     file, data = io.BytesIO(), PngInfo()

@@ -11,21 +11,22 @@ import pytest
 import torch
 from pages.docstrings import documented
 from pages.environment_cases import ENVIRONMENTS
-from pages.environment_page import DATA, learned, newest, picture, rates, registered, situation, towards
+from pages.environment_page import DATA, learned, newest, picture, rates, registered, robot_of, situation, towards
 
 from torchdq.envs import ArmVectorEnv
+from torchdq.envs.walk import WEIGHTS
 
 REMEDY = "write it again with `python benchmarks/environments.py --write`"
 FOLDER = benchmark.FOLDER
 EVERY = pytest.mark.parametrize("task", ENVIRONMENTS)
 F64 = torch.float64
-GENTLE = {"wipe": 0.1}  # share of full random actions, of which some would end an episode
+GENTLE = {"wipe": 0.1, "walk": 0.1}  # share of full random actions, of which some would end an episode
 BACKEND = "auto"  # many steps
 
 
-def moving(task, robot="panda", **arguments):
+def moving(task, robot=None):
     """Environments after some random actions, their last observation and what `step` returned."""
-    envs = ArmVectorEnv(8, task, robot, dtype=F64, **arguments)
+    envs = ArmVectorEnv(8, task, robot or robot_of(task), dtype=F64)
     envs.reset(seed=4)
     generator = torch.Generator().manual_seed(2)
     for _ in range(30):
@@ -56,7 +57,7 @@ def test_the_folder_holds_nothing_else():
 @pytest.mark.parametrize("other", [False, True], ids=["default", "other"])
 @EVERY
 def test_entries_of_an_observation_are_what_the_table_says(task, other):
-    envs, (observation, *_), _ = moving(task, ENVIRONMENTS[task].other if other else "panda")
+    envs, (observation, *_), _ = moving(task, ENVIRONMENTS[task].other if other else None)
     now, at = situation(envs), 0
     for entries in ENVIRONMENTS[task].observation:
         expected = entries.value(now)
@@ -68,9 +69,13 @@ def test_entries_of_an_observation_are_what_the_table_says(task, other):
 @EVERY
 def test_the_reward_is_the_formula_of_the_page(task):
     case = ENVIRONMENTS[task]
-    (formula, *_) = documented(case.task, frozenset({"action"})).formulas
+    (formula, *_) = documented(case.task, frozenset({"action"})).formulas or ("",)
     code = re.sub(r"(?<=\d) (?=[a-z])", " * ", formula.partition(",  ")[0].replace("^", "**"))
     _, (_, reward, _, _, info), actions = moving(task)
+    if task == "walk":  # a sum of terms
+        expected = 0.02 * sum(info[name] for name in WEIGHTS).clamp(min=0)
+        torch.testing.assert_close(reward, expected, rtol=1e-9, atol=1e-9)
+        return
     known = {"d": info.get("distance"), "e": info.get("error"), "action": actions, "mean": lambda x: x.mean(1)}
     torch.testing.assert_close(reward, eval(code, known), rtol=1e-9, atol=1e-9)
 

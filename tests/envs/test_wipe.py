@@ -79,7 +79,6 @@ def test_what_is_random_are_the_table_and_the_path_unless_other_effects_are_give
     plain = ArmVectorEnv(5, "wipe", "panda", effects=(effects.Gravity(), effects.Contact(height=0.25)))
     plain.reset(seed=0)
     assert not any("." in name for name in plain.get_state())
-    assert plain._actions.scale[0] == torch.tensor(0.2 * 2.175)  # the scale of any arm, as its effects
 
 
 def test_another_arm_needs_another_home():
