@@ -25,6 +25,8 @@ from torchdq.robot import ContactPoint, Robot
 from torchdq.scene.free_base import START
 from torchdq.scene.spec import Rows, View
 
+__all__ = ["Walk"]
+
 FULL = 1.5  # full action, an offset of a servo's target [rad]
 STAND = {"?L_hip_joint": 0.1, "?R_hip_joint": -0.1, "F?_thigh_joint": 0.8, "R?_thigh_joint": 1.0, "*_calf_joint": -1.5}
 SOFT, LAG = 0.6, 40.0  # gains of the servos: kp in m g times the height of the base per rad, and kp / kd [1/s]
@@ -34,7 +36,6 @@ CROUCH = 0.88  # desired height of the base, in heights of the start
 SHARP = 0.1  # squared error of a velocity at which its reward falls to 1/e [m^2/s^2, rad^2/s^2]
 STRIDE = 0.3  # time in the air from which a step is rewarded [s]
 AROUND, SLOW = 0.1, 0.2  # largest deviations of a start from the stand: of joints [rad], and of the twist [rad/s, m/s]
-SEEN = {"velocity": 2.0, "rate": 0.25, "down": 1.0, "offset": 1.0, "speed": 0.05, "action": 6.0}  # factors, in order
 WIDEST = 20.0  # bound of observed numbers
 
 # weights of the terms of the reward, per second
@@ -64,7 +65,7 @@ class Walk(EpisodeTask):
     `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends where the base tilts by
     more than 53 degrees or sinks below `lowest`, or where another point of the scene's contacts than a foot touches.
 
-    By default the ground's friction is 0.36 to 1.24 and its stiffness differs by a factor of ten, masses differ by up
+    By default the ground's friction is 0.24 to 1.2 and its stiffness differs by a factor of ten, masses differ by up
     to 10 %, and the base is pushed.
 
     Args:
@@ -83,6 +84,10 @@ class Walk(EpisodeTask):
 
     POINT: ClassVar[bool] = False
 
+    SEEN: ClassVar[Mapping[str, float]] = {
+        **{"velocity": 2.0, "rate": 0.25, "down": 1.0},
+        **{"offset": 1.0, "speed": 0.05, "action": 6.0},
+    }
     forward: tuple[float, float] = (0.4, 1.1)
     sideways: tuple[float, float] = (0.0, 0.0)
     turning: tuple[float, float] = (-1.0, 1.0)
@@ -102,7 +107,7 @@ class Walk(EpisodeTask):
         """Arguments of environments: servos that carry the robot's weight, contact of the feet, and what is random."""
         if not robot.floating:
             raise ArgumentError(f"robot {robot.name!r} must have a floating base to walk; load it with base='floating'")
-        weight, effort = 9.81 * float(robot.mass.sum() + robot.base_mass), robot.limits.effort
+        weight, effort = 9.81 * float(robot.mass.sum() + (robot.base_mass or 0.0)), robot.limits.effort
         kp = SOFT * weight * self.height(robot, self.joints(robot))
         push = effects.Push(next(frame.name for frame in robot.frames if frame.link == BASE))
         return {
@@ -115,7 +120,7 @@ class Walk(EpisodeTask):
             ),
             "scale": FULL,
             "substeps": 4,
-            "randomise": {"Contact.friction": (0.45, 1.55), "Contact.stiffness": (0.2, 2.0), "mass": 0.1},
+            "randomise": {"Contact.friction": (0.3, 1.5), "Contact.stiffness": (0.2, 2.0), "mass": 0.1},
             "pushes": {push.name: Pushes((0.3 * weight, 0.3 * weight, 0.0, 0.0, 0.0, 0.0))},
         }
 
@@ -175,7 +180,7 @@ class Walk(EpisodeTask):
             "speed": view.reading[n:],
             "action": action,
         }
-        seen = {name: [SEEN[name] * x for x in row] for name, row in seen.items()}
+        seen = {name: [self.SEEN[name] * x for x in row] for name, row in seen.items()}
         low = at_least(self.lowest * self.height(robot, stand), self._height(view))
         return {
             "observation": within([x for row in seen.values() for x in row], self.bounds(robot)),
@@ -208,7 +213,8 @@ class Walk(EpisodeTask):
             "acceleration": squares([(a - b) * (1.0 / dt) for a, b in zip(view.qd, before, strict=True)]),
             "action_rate": squares([a - b for a, b in zip(action, last, strict=True)]),
         }
-        return terms, [(t + dt) * (1.0 - on) for t, on in zip(air, touching, strict=True)]
+        passed = dt if "carry" in view.inputs else 0.0
+        return terms, [(t + passed) * (1.0 - on) for t, on in zip(air, touching, strict=True)]
 
     def _feet(self, robot: Robot) -> tuple[ContactPoint, ...]:
         """Contact points of the feet; raises unless there are four feet."""
@@ -220,7 +226,7 @@ class Walk(EpisodeTask):
     def _touching(self, view: View) -> tuple[list[Number], list[Number]]:
         """Whether each foot touches the ground, 1 or 0, and whether each other point of the contacts does."""
         feet, others = {point.frame: 0.0 for point in self._feet(view.scene.spec.robot)}, []
-        points = [p for effect in view.scene.spec.effects if isinstance(effect, effects.Contact) for p in effect.points]
+        points = [point for _, effect in view.scene.spec.of(effects.Contact) for point in effect.points]
         for point, contact in zip(points, view.contacts, strict=True):
             if point.frame in feet:
                 feet[point.frame] = maximum(feet[point.frame], contact.touching)
@@ -230,19 +236,18 @@ class Walk(EpisodeTask):
 
     def _down(self, view: View) -> Row:
         """Direction of gravity in axes of the base."""
-        return quat.rotate(quat.conj(view.X_WB[:4]), (0.0, 0.0, -1.0))
+        return quat.rotate(quat.conj(tuple(view.X_WB[:4])), (0.0, 0.0, -1.0))
 
     def _height(self, view: View) -> Number:
         """Height of the base [m]."""
-        return dq.translation((view.X_WB[:4], view.X_WB[4:]))[2]
+        return dq.translation((tuple(view.X_WB[:4]), tuple(view.X_WB[4:])))[2]
 
     def _torques(self, view: View) -> list[Number]:
         """Torques of actuators and servos."""
         found = list(view.torque)
-        for effect in view.scene.spec.effects:
-            if isinstance(effect, effects.Servo) and "target" in view.inputs:
-                impedances = effect.impedances_at_end(view.q, view.qd, view.inputs, (), 0.0)
-                found = [t - z.force - z.damping * x for t, z, x in zip(found, impedances, view.qd, strict=True)]
+        for _, servo in view.scene.spec.of(effects.Servo) if "target" in view.inputs else ():
+            impedances = servo.impedances_at_end(view.q, view.qd, view.inputs, (), 0.0)
+            found = [t - z.force - z.damping * x for t, z, x in zip(found, impedances, view.qd, strict=True)]
         return found
 
 

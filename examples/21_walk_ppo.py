@@ -32,7 +32,7 @@ from torch import Tensor, nn
 import torchdq
 from torchdq import Robot
 from torchdq.envs import ArmVectorEnv, Pushes
-from torchdq.envs.walk import SEEN, Walk
+from torchdq.envs.walk import Walk
 
 HORIZON, EPOCHS, BATCHES = 24, 2, 8  # steps of a rollout, passes through them, and parts of each pass
 GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
@@ -199,7 +199,7 @@ class Test:
             observation, _, terminated, _, _ = envs.step(UNIT * policy(observation))
             up &= ~terminated
             if k >= start:
-                velocity = observation[:, :2] / SEEN["velocity"], observation[:, 7:8] / SEEN["rate"]
+                velocity = observation[:, :2] / Walk.SEEN["velocity"], observation[:, 7:8] / Walk.SEEN["rate"]
                 mean += torch.cat(velocity, 1) / (end - start)
         error = (mean - self.commands).abs().reshape(len(SPEEDS), EACH, 3).mean(1).amax(0)
         return float(up.float().mean()), float(error[0]), float(error[2])

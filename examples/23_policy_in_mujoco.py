@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from torchdq import Robot, effects
-from torchdq.envs.walk import FULL, SEEN, STEEPEST, Walk
+from torchdq.envs.walk import Walk
 from torchdq.robot.shipped import go2
 
 STEP, PERIOD = 0.002, 0.02  # of MuJoCo, and between actions [s]
@@ -46,7 +46,8 @@ class Player:
 
     def __init__(self, urdf: str, task: Walk, friction: float = 0.8, elliptic: bool = False) -> None:
         robot = Robot.from_urdf(urdf, base="floating")
-        parts = {type(effect): effect for effect in task.defaults(robot)["effects"]}
+        chosen = task.defaults(robot)
+        parts, self.full = {type(effect): effect for effect in chosen["effects"]}, chosen["scale"]
         compiler = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="true"/></mujoco></robot>'
         spec = mujoco.MjSpec.from_string(urdf.replace("</robot>", compiler))
         spec.worldbody.first_body().add_freejoint()
@@ -84,15 +85,15 @@ class Player:
                 "speed": data.qvel[self.moving],
                 "action": action,
             }
-            observation = np.concatenate([SEEN[name] * np.asarray(x) for name, x in seen.items()])
+            observation = np.concatenate([Walk.SEEN[name] * np.asarray(x) for name, x in seen.items()])
             with torch.no_grad():
                 action = (UNIT * policy(torch.from_numpy(observation).float())).clamp(-1, 1).numpy()
-            target = self.stand + FULL * action
+            target = self.stand + self.full * action
             for _ in range(round(PERIOD / STEP)):
                 torque = self.kp * (target - data.qpos[self.at])
                 data.qfrc_applied[self.moving] = np.clip(torque, -self.limit, self.limit)
                 mujoco.mj_step(model, data)
-            up = up and bool(down[2] < -STEEPEST) and data.qpos[2] > self.lowest * self.height
+            up = up and bool(down[2] < -0.6) and data.qpos[2] > self.lowest * self.height
             mean += (k >= start) / (end - start) * np.array([v[0], v[1], w[2]])
         return Run(up, mean)
 

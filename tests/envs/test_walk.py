@@ -17,7 +17,7 @@ from places import EXAMPLES
 import torchdq
 from torchdq import Robot, dq
 from torchdq.envs import ArmVectorEnv, Pushes, effects
-from torchdq.envs.walk import SEEN, WEIGHTS, Walk
+from torchdq.envs.walk import WEIGHTS, Walk
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot.shipped import go2
 
@@ -85,7 +85,7 @@ def test_what_is_seen_and_rewarded_is_that_of_its_formulas():
         stand = torch.tensor(task.joints(robot))
         rows = {"velocity": [v, now["goal"][:, :2]], "rate": [w, now["goal"][:, 2:]], "down": [-R[:, 2]]}
         rows |= {"offset": [now["q"] - stand], "speed": [now["qd"]], "action": [action]}
-        expected = torch.cat([SEEN[name] * x for name, row in rows.items() for x in row], 1)
+        expected = torch.cat([Walk.SEEN[name] * x for name, row in rows.items() for x in row], 1)
         going = ~(info["_final_obs"] if "_final_obs" in info else torch.zeros(16, dtype=torch.bool))
         assert torch.allclose(seen[going], expected[going], atol=1e-4)
         on = info["touching"]
@@ -186,7 +186,7 @@ def test_a_policy_walks_at_the_commanded_speeds():
         for k in range(250):
             seen, _, terminated, _, _ = envs.step(policy()(seen) / 6)
             assert not terminated.any()
-            mean += (k >= 100) * seen[:, 0] / SEEN["velocity"] / 150
+            mean += (k >= 100) * seen[:, 0] / Walk.SEEN["velocity"] / 150
     assert float((mean - commands[:, 0]).abs().max()) < 0.1
 
 

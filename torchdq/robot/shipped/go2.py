@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 from torchdq.robot.robot import Robot
 
+__all__ = ["build", "urdf"]
+
 
 class Part(NamedTuple):
     """A link and its joint."""
