@@ -413,10 +413,11 @@ class ArmVectorEnv(VectorEnv):
     def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The task's rows after a step, and the buffers."""
         buffers = dict(self._buffers)
-        time, buffers["steps"] = buffers["steps"].to(self.dtype) * self.scene.dt, buffers["steps"] + self._one
+        buffers["steps"] = buffers["steps"] + self._one
         given = task_inputs(self.task, buffers, self.scene, actions)
         given |= self._actions.inputs(actions, buffers["reference"])
         for name, pushes in self._pushes.items():
+            time = self._buffers["steps"].to(self.dtype) * self.scene.dt
             given[name], buffers[name], after = pushes.at(time, buffers[name], self._streams(buffers), self._some)
             buffers |= after._asdict()
         noise = None
