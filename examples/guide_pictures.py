@@ -31,7 +31,7 @@ SOURCES = {
     "log": Source("17_log_with_torques", "log_with_torques.png"),
     "policy": Source("11_through_the_simulation", "through_the_simulation.png"),
     "million": Source("05_environment", "reach.png"),
-    "legs": Source("25_on_feet", "on_feet.png"),
+    "legs": Source("24_on_feet", "on_feet.png"),
     "controller": Source("15_real_time", "real_time.png"),
     "paper": Source("10_paper_figures", "paper_torques.png"),
 }

@@ -64,7 +64,7 @@ def test_a_satellite_moves_the_other_way(tmp_path, capsys):
 
 
 def test_a_quadruped_stands_on_its_feet(tmp_path, capsys, monkeypatch):
-    main = import_module("25_on_feet")
+    main = import_module("24_on_feet")
     monkeypatch.setattr(main, "STEPS", {5e-3: main.STEPS[5e-3]})
     found = main.main(main.Args(robot=str(oracles.urdf_paths()["a1"]), out=tmp_path))
     landing, jump, creep = found[5e-3]

@@ -1,7 +1,7 @@
 """A quadruped of yours stands on its feet: forces, a slope, waves, and a landing and a jump at three steps.
 
-    python examples/25_on_feet.py
-    python examples/25_on_feet.py --robot a1.urdf --feet "*_foot" --hip 0 --thigh 0.8 --knee -1.6
+    python examples/24_on_feet.py
+    python examples/24_on_feet.py --robot a1.urdf --feet "*_foot" --hip 0 --thigh 0.8 --knee -1.6
 
 Joints of the file are hips, thighs and knees, leg after leg. The figure `out/on_feet.png` shows the robot on flat
 ground, on a slope and on waves, and the forces of a landing with steps of 1, 5 and 10 ms.
