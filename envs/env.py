@@ -1,4 +1,4 @@
-"""One arm as a gymnasium environment: a view, in numpy, of a vector environment of one."""
+"""One robot as a gymnasium environment: a view, in numpy, of a vector environment of one."""
 
 from __future__ import annotations
 

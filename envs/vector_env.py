@@ -1,4 +1,4 @@
-"""Many arms at once as one gymnasium vector environment.
+"""Many robots at once as one gymnasium vector environment.
 
     envs = ArmVectorEnv(4096, "reach", "ur10e")  # tensors in, tensors out
     envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=4096, robot="ur10e")  # numpy, as gymnasium's wrappers ask
@@ -330,8 +330,8 @@ class ArmVectorEnv(VectorEnv):
         if self._painter is None:
             kind = Painter if self.render_mode == "rgb_array" else Viewer
             self._painter = kind(self.robot, effects=self.scene.effects)
-        none = [None] * self.num_envs
-        q, goal, X_WB = (self._buffers[name].cpu() if name in self._buffers else none for name in ("q", "goal", "X_WB"))
+        none, X = [None] * self.num_envs, self._buffers.get("X_WB")
+        q, goal, X_WB = self._buffers["q"].cpu(), self._buffers["goal"].cpu(), none if X is None else X.cpu()
         target = goal if goal.shape[1] == 3 and self.task.POINT else none
         if self.render_mode == "human":
             self._painter.show(q[0], target[0], X_WB=X_WB[0])
@@ -413,10 +413,11 @@ class ArmVectorEnv(VectorEnv):
     def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The task's rows after a step, and the buffers."""
         buffers = dict(self._buffers)
-        time, buffers["steps"] = buffers["steps"].to(self.dtype) * self.scene.dt, buffers["steps"] + self._one
+        buffers["steps"] = buffers["steps"] + self._one
         given = task_inputs(self.task, buffers, self.scene, actions)
         given |= self._actions.inputs(actions, buffers["reference"])
         for name, pushes in self._pushes.items():
+            time = self._buffers["steps"].to(self.dtype) * self.scene.dt
             given[name], buffers[name], after = pushes.at(time, buffers[name], self._streams(buffers), self._some)
             buffers |= after._asdict()
         noise = None

@@ -13,7 +13,7 @@ from torch import Tensor
 
 import torchdq
 from torchdq.envs.tasks import EpisodeTask, Reach, Track, velocities
-from torchdq.envs.walk import SEEN, WEIGHTS, Walk
+from torchdq.envs.walk import WEIGHTS, Walk
 from torchdq.envs.wipe import Wipe
 from torchdq.robot import Robot
 from torchdq.scene.contacts import Contacts
@@ -100,7 +100,7 @@ def path(now: Situation, order: int) -> Tensor:
 
 def walked(name: str, value: Callable[[Situation], Tensor]) -> Callable[[Situation], Tensor]:
     """Observed entries of `Walk`, of the quantity itself."""
-    return lambda now: SEEN[name] * value(now)
+    return lambda now: Walk.SEEN[name] * value(now)
 
 
 def offsets(now: Situation) -> Tensor:
