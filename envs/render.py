@@ -22,13 +22,14 @@ from torchdq.base.checks import tensor_of
 from torchdq.base.optional import imported
 from torchdq.dq import rotate, rotation, translation
 from torchdq.dynamics.tree import BASE
-from torchdq.effects import Contact, Effect, HeightMap
+from torchdq.effects import Contact, HeightMap
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments
+from torchdq.scene.model import SceneModel
 
 __all__ = ["Painter", "Skeleton", "save_gif"]
 
@@ -63,7 +64,7 @@ class Skeleton:
 
     The points are the base, every link's origin, the points on joint axes that are nearest to the origins, and ends: a
     link that carries no other ends at the end effector, at the last of its frames or, where these are at its origin, at
-    its centre of mass; points that `effects.Contact` gives are balls. Of a batch of robots it is the first.
+    its centre of mass. The contact points of a scene are balls. Of a batch of robots it is the first.
 
     >>> import torchdq
     >>> skeleton = Skeleton(torchdq.robots.load("two_link"))
@@ -71,8 +72,9 @@ class Skeleton:
     array([0. , 0.5, 0. , 1.5, 1. , 2. ])
     """
 
-    def __init__(self, robot: Robot, effects: Sequence[Effect] = ()):
-        if not require_robot(robot).n:
+    def __init__(self, what: Robot | SceneModel):
+        robot = _robot(what)
+        if not robot.n:
             raise ArgumentError(f"robot {robot.name!r} must have a joint to be drawn, found none")
         batched = {name: getattr(robot, name).detach() for name in arguments(robot)}
         first = {name: x.reshape(-1, *x.shape[x.ndim - len(SHAPES[name]) :])[0] for name, x in batched.items()}
@@ -103,9 +105,8 @@ class Skeleton:
                 far, frame = max(fixed)
                 end = self._point(frame, torch.zeros(3)) if far > 1e-6 else self._point(name, self.robot.com[i])
                 self.lines.append((origins[i], end))
-        for effect in effects:
-            for p in effect.described(self.robot).points if isinstance(effect, Contact) else ():
-                self.balls.append((self._point(p.frame, torch.tensor(p.center)), p.radius))
+        for p in [p for contact in _contacts(what) for p in contact.points]:
+            self.balls.append((self._point(p.frame, torch.tensor(p.center)), p.radius))
 
     def _point(self, frame: str, offset: Tensor) -> int:
         self._frames.append(self.robot.frame_names.index(frame))
@@ -149,19 +150,18 @@ class Painter:
     """Draws images of a robot, or of up to 16 of them side by side.
 
     Args:
-        robot: the robot.
+        what: a robot; or a scene, of which the ground and the contact points are drawn, too.
         size: width and height of the images [pixels].
-        effects: those of the scene, of which the points and the ground of `Contact` are drawn.
 
     Raises:
         MissingLibraryError: matplotlib is not installed.
     """
 
-    def __init__(self, robot: Robot, size: tuple[int, int] = (400, 400), effects: Sequence[Effect] = ()):
+    def __init__(self, what: Robot | SceneModel, size: tuple[int, int] = (400, 400)):
         if len(size) != 2 or not all(isinstance(x, int) and x >= 16 for x in size):
             raise ArgumentError(f"size must be (width, height), whole numbers from 16, found {size!r}")
-        self.size, self.skeleton, self._ground = size, Skeleton(robot, effects), _ground(effects)
-        self._ruled = robot.floating or any(isinstance(effect, Contact) for effect in effects)
+        self.size, self.skeleton, self._ground = size, Skeleton(what), _ground(what)
+        self._ruled = self.skeleton.robot.floating or bool(_contacts(what))
         self.middle, self.radius = self.skeleton.view()
         right = np.array([-math.sin(AZIMUTH), math.cos(AZIMUTH), 0.0])
         toward = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), math.tan(ELEVATION)]) * math.cos(ELEVATION)
@@ -269,16 +269,15 @@ class Viewer:
     """A live view of a robot in the browser, at the address `url`, which viser prints.
 
     Args:
-        robot: the robot.
+        what: a robot or a scene, as in `Painter`.
         port: port of the address; the next free one is taken.
-        effects: as in `Painter`.
 
     Raises:
         MissingLibraryError: viser is not installed.
     """
 
-    def __init__(self, robot: Robot, port: int = 8080, effects: Sequence[Effect] = ()):
-        self.skeleton, self._ground = Skeleton(robot, effects), _ground(effects)
+    def __init__(self, what: Robot | SceneModel, port: int = 8080):
+        self.skeleton, self._ground = Skeleton(what), _ground(what)
         middle, radius = self.skeleton.view()
         self._reach = 2 * radius
         self._server = _library("viser").ViserServer(host="127.0.0.1", port=port)
@@ -301,7 +300,7 @@ class Viewer:
             r = max(r, 0.025 * radius)
             self._balls[point] = scene.add_icosphere(f"/contacts/{point}", radius=r, color=_rgb(TIP))
         self.target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
-        self.show(torch.zeros(robot.n))
+        self.show(torch.zeros(self.skeleton.robot.n))
 
     def show(self, q: Any, target: Any = None, X_WB: Any = None) -> None:
         """Show the robot at the positions q [n] [rad or m], and a target [3] in the world, that of a fixed base [m].
@@ -329,9 +328,19 @@ class Viewer:
         self._server.stop()
 
 
-def _ground(effects: Sequence[Effect]) -> Callable[[Tensor, Tensor], Any]:
-    """Height of the ground at x and y [m]: that of the first `Contact`, of the first robot; otherwise zero."""
-    found = next((effect for effect in effects if isinstance(effect, Contact)), None)
+def _robot(what: Robot | SceneModel) -> Robot:
+    """Robot, of a scene or itself."""
+    return what.robot if isinstance(what, SceneModel) else require_robot(what)
+
+
+def _contacts(what: Robot | SceneModel) -> list[Any]:
+    """Contacts of a scene with the ground."""
+    return [what.effects[i] for i, _ in what.spec.of(Contact)] if isinstance(what, SceneModel) else []
+
+
+def _ground(what: Robot | SceneModel) -> Callable[[Tensor, Tensor], Any]:
+    """Height of the ground at x and y [m]: that of the first contact of a scene, of its first robot; otherwise zero."""
+    found = next(iter(_contacts(what)), None)
     if found is None:
         return lambda x, y: 0.0
     height, normal = (tensor_of(x).detach().double().cpu() for x in (found.height, found.normal))

@@ -329,10 +329,10 @@ class ArmVectorEnv(VectorEnv):
 
         if self._painter is None:
             kind = Painter if self.render_mode == "rgb_array" else Viewer
-            self._painter = kind(self.robot, effects=self.scene.effects)
-        none, X = [None] * self.num_envs, self._buffers.get("X_WB")
-        q, goal, X_WB = self._buffers["q"].cpu(), self._buffers["goal"].cpu(), none if X is None else X.cpu()
+            self._painter = kind(self.scene)
+        none, q, goal = [None] * self.num_envs, self._buffers["q"].cpu(), self._buffers["goal"].cpu()
         target = goal if goal.shape[1] == 3 and self.task.POINT else none
+        X_WB = self._buffers["X_WB"].cpu() if self.robot.floating else none
         if self.render_mode == "human":
             self._painter.show(q[0], target[0], X_WB=X_WB[0])
             return None

@@ -21,8 +21,8 @@ from torch import Tensor
 
 import torchdq
 from torchdq import Scene, dq, effects, floating
+from torchdq.envs import State
 from torchdq.envs.render import Painter
-from torchdq.scene.state import State
 
 STEPS = {1e-3: GREY, 5e-3: BLUE, 1e-2: ORANGE}  # of different durations [s], and their colours
 SLOPE = math.radians(10.0)
@@ -133,7 +133,7 @@ def pictures(dog: Quadruped, path: Path, falls: Sequence[tuple[Tensor, Tensor]])
         scene = dog.scene(5e-3, **ground)
         tilt = SLOPE if "normal" in ground else 0.0
         end = held(scene, dog.placed(scene, dog.q, above=0.03, tilt=tilt), dog.q, 1.0).last
-        axes.imshow(Painter(dog.robot, (420, 420), scene.effects).frame(end.q, X_WB=end.X_WB)[90:])
+        axes.imshow(Painter(scene, (420, 420)).frame(end.q, X_WB=end.X_WB)[90:])
         axes.set_axis_off()
         axes.set_title(name)
     axes = below.subplots()

@@ -261,7 +261,7 @@ def test_a_floating_robot_is_drawn_where_its_base_is():
     pytest.importorskip("matplotlib")
     envs = free(render_mode="rgb_array")
     now, (frame, *_) = envs.get_state(), envs.render()
-    painter = Painter(FREE, effects=envs.scene.effects)
+    painter = Painter(envs.scene)
     assert (frame == painter.frame(now["q"][0], now["goal"][0], X_WB=now["X_WB"][0])).all()
     assert (frame != painter.frame(now["q"][0], now["goal"][0])).any()
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -218,7 +218,8 @@ class _Trial:
             found = contacts(scene, along)
         aloft = ~found.touching.any(-1).any(0)
         slip = torch.where(found.touching[-1], found.slip[-1], 0.0)
-        stiffness = max(float(tensor_of(e.stiffness).max()) for e in scene.effects if isinstance(e, Contact))
+        effects: Sequence[Any] = scene.effects
+        stiffness = max(float(tensor_of(effects[i].stiffness).max()) for i, _ in scene.spec.of(Contact))
         return GroundCheck(
             max(0.0, float(found.depth.max())),
             float(slip.max()),
