@@ -186,7 +186,7 @@ def price(files: dict[str, Path], quick: bool) -> list[dict[str, Any]]:
             parts += (effects.Contact(points, stiffness=K),) if points else ()
             scene = Scene(robot, parts, dt=5e-3)
             rows.append({"robot": name, "points": len(points), "in contact": count})
-            rows[-1] |= _beside(scene, model, data, start, tensor(pose, F32), height, 20 if quick else 400)
+            rows[-1] |= _beside(scene, model, data, start, tensor(pose, F32), height, 20 if quick else 1000)
             bare = bare or rows[-1]["operations"]
             rows[-1]["over none"] = rows[-1]["operations"] / bare
             print(rows[-1], flush=True)

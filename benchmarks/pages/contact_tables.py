@@ -39,7 +39,7 @@ def gradient(rows: Rows) -> str:
 
 
 def accuracy(rows: Rows) -> str:
-    """What is measured at 1, 5 and 10 ms."""
+    """Results of every measurement at 1, 5 and 10 ms."""
     found = [(row["what"], row["expected"], *map(_number, row["found"])) for row in rows]
     return table(("measured", "expected", "1 ms", "5 ms", "10 ms"), found)
 
@@ -97,32 +97,44 @@ TABLES: dict[str, Callable[[Rows], str]] = {
 }
 
 
-SECTIONS = {
-    "What one gains or loses by the step": (
-        "Impacts are of the first order in the step, and plastic in long ones: take 1 to 2 ms for jumps and bounces, "
-        "5 ms for walking, 10 ms for standing and wiping. The expected values are those of analysis; the height of the "
-        "jump is MuJoCo's, with steps of 0.2 ms.",
-        ("accuracy", "standing"),
-    ),
-    "Stability": (
-        "Go2 with 20 points is dropped in 64 random states, passive and with servos at random targets. The last row of "
-        "every step has the largest stiffness that it allows. Energy is kinetic, potential, and of the servos. The "
-        "gains are of explicit inertial forces: at 20 ms an impact at 6 m/s turns a joint by half a radian in a step.",
-        ("stability",),
-    ),
-    "Price beside MuJoCo": (
-        "A step of 4096 samples in float32, per sample, and a step of MuJoCo on the same file with spheres as feet: "
-        "least CPU times of one thread, in turns. MuJoCo pays for the points that touch, a program for all it has.",
-        ("price", "gradient"),
-    ),
+SECTIONS = {  # of the page of an effect: title, text and tables
+    "Contact": {
+        "What one gains or loses by the step": (
+            "Impacts are of the first order in the step, and plastic in long ones: take 1 to 2 ms for jumps and bounces, "
+            "5 ms for walking, 10 ms for standing and wiping. The expected values are those of analysis; the height of "
+            "the jump is MuJoCo's, with steps of 0.2 ms.",
+            ("accuracy", "standing"),
+        ),
+        "Stability": (
+            "Go2 with 20 points is dropped in 64 random states, passive and with servos at random targets. The last row "
+            "of every step has the largest stiffness that it allows. Energy is kinetic, potential, and of the servos. "
+            "The gains are of explicit inertial forces: at 20 ms an impact at 6 m/s turns a joint by half a radian in a "
+            "step.",
+            ("stability",),
+        ),
+        "Price beside MuJoCo": (
+            "A step of 4096 samples in float32, per sample, and a step of MuJoCo on the same file with spheres as feet: "
+            "least CPU times of one thread, in turns. MuJoCo pays for the points that touch, a program for all it has.",
+            ("price", "gradient"),
+        ),
+    },
+    "Servo": {
+        "How well the limit holds": (
+            "Go2 falls, lands and struggles under targets that jump by 0.5 rad at 50 Hz, with kp 30 and kd 0.7, in "
+            "implicit steps: torques at the end of a step over the limits of its file.",
+            ("servos",),
+        )
+    },
 }
 
 
-def sections() -> list[str]:
-    """Sections of the page, of what was measured and stored."""
+def sections(name: str) -> list[str]:
+    """Further sections of the page of an effect, of what was measured and stored."""
+    if name not in SECTIONS:
+        return []
     found = json.loads(STORED.read_text(encoding="utf-8"))
     parts = []
-    for title, (text, names) in SECTIONS.items():
-        parts += [f"## {title}", text, *[TABLES[name](found[name]) for name in names]]
+    for title, (text, names) in SECTIONS[name].items():
+        parts += [f"## {title}", text, *[TABLES[part](found[part]) for part in names]]
     machine = ", ".join(f"{key} {value}" for key, value in found["machine"].items())
     return [*parts, f"Measured by `python benchmarks/contact.py`: {machine}."]

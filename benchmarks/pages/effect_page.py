@@ -29,7 +29,6 @@ SLOTS = {
     "sensor": "Sensors change the measurement one after the other, in the order of the list, before the controller.",
 }
 LAST = "It acts after all other model effects, wherever it is in the list."
-MEASURED = {"Contact": contact_tables.sections}  # further sections of a page
 SYMBOLS = frozenset({"load", "target"})  # symbols of formulas that are not parameters
 
 
@@ -64,7 +63,7 @@ def page(name: str) -> str:
         "## Cost",
         _price(name),
         _remembers(name),
-        *(MEASURED[name]() if name in MEASURED else ()),
+        *contact_tables.sections(name),
         "## Absence",
         _absent(name),
         "## Combination with other effects",
@@ -186,7 +185,7 @@ def _remembers(name: str) -> str:
 
 
 def _owner(slot: str) -> str:
-    """What states belong to."""
+    """Owner of states, in words."""
     return "point" if slot == "body" else "joint"
 
 

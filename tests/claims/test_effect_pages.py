@@ -10,7 +10,7 @@ import re
 import effects as benchmark
 import pytest
 import torch
-from pages import formulas
+from pages import contact_tables, formulas
 from pages.cases import CASES, START, built
 from pages.characteristics import CHARACTERISTICS
 from pages.docstrings import documented, taken_apart
@@ -59,8 +59,9 @@ def test_the_folder_holds_a_page_and_a_picture_of_every_effect_and_nothing_else(
 def test_a_page_has_all_of_its_parts(name):
     page = text(name)
     heads = re.findall(r"^## (.*)$", page, re.MULTILINE)
-    assert heads[:4] == ["Parameters", "Cost", "Absence", "Combination with other effects"]
-    assert heads[4:] == ["Example", "Source"]
+    further = contact_tables.SECTIONS.get(name, ())
+    assert heads[: 2 + len(further)] == ["Parameters", "Cost", *further]
+    assert heads[2 + len(further) :] == ["Absence", "Combination with other effects", "Example", "Source"]
     assert page.count("$$") >= 2 and page.count("$$") % 2 == 0
     assert f"]({address(name).replace('.md', '.svg')})" in page
     assert all(f"| `{entry.name}` |" in page for entry in dataclasses.fields(getattr(effects, name)))
@@ -138,7 +139,8 @@ def test_operations_are_those_that_describe_counts(name):
 @EVERY
 def test_states_are_those_that_a_scene_remembers(name):
     state = Scene(arm(), (built(CASES[name].made),), backend="eager").start(torch.zeros(3, 7))
-    assert facts(name).states == (0 if state.memory is None else state.memory.shape[1] / 7)
+    owners = 1 if facts(name).slot == "body" else 7  # a point, or the joints
+    assert facts(name).states == (0 if state.memory is None else state.memory.shape[1] / owners)
 
 
 @EVERY

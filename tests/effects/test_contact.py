@@ -40,7 +40,7 @@ def ground(robot_and_points, dt, stiction=True, **parameters):
 
 def touched(z, n, depth, u, h, law, pressed, last):
     """Force on a point, its impedance C and its memory at the end, a function of the velocity there; in numpy."""
-    k, c, mu, T = law
+    k, c, mu, T = *law[:3], max(law[3], h / 2)
     Z_n, Z_t = k * (h + c * max(depth, 0.0)), k * (h + T)
     tangent = np.eye(3) - np.outer(n, n)
     f_n, y = k * depth - Z_n * n @ u, k * z + Z_t * tangent @ u
@@ -345,10 +345,10 @@ def test_a_ball_rolls_to_and_fro_in_a_valley_without_gaining_energy():
 
 
 def test_an_arm_that_wipes_rubs_with_mu_times_what_it_presses():
-    """Servos draw the tip of an arm along a wall at 0.1 m/s."""
+    """Stiff servos draw the tip of an arm along a wall at 0.1 m/s; the friction of a step does not alternate."""
     robot, mu = shipped("two_link").robot, 0.4
     wall = effects.Contact("tip", height=-1.2, normal=(0.0, 1.0, 0.0), friction=mu, stiffness=1e4)
-    scene = Scene(robot, (effects.Servo(2000.0, 100.0), wall), dt=5e-3)
+    scene = Scene(robot, (effects.Servo(2e4, 1e3), wall), dt=5e-3)
     time = torch.arange(400, dtype=F64)[:, None] * 5e-3
     x, y = 0.6 + 0.1 * time, torch.full_like(time, -1.23)  # 3 cm into the wall
     elbow = torch.acos((x * x + y * y) / 2 - 1)
@@ -388,14 +388,14 @@ def test_an_elastic_arm_leans_on_the_ground_with_the_torques_of_its_springs():
 # --- gradients -------------------------------------------------------------------------------------------------------
 
 
-def thrown(steps, dtype=F64):
+def thrown(steps, height=0.012):
     """End of a box thrown along the ground, as a function of speed, spin, friction and stiffness [..., 4]."""
 
     def end(point):
         v, w, mu, k = point.unbind(-1)
         scene = ground(box(), 5e-3, friction=mu, stiffness=k)
         V = torch.stack([w, 0 * w, w, v, 0.3 * v, 0 * v], -1)
-        state = begin(scene, at(0.012, *v.shape, dtype=dtype), V)
+        state = begin(scene, at(height, *v.shape), V)
         for _ in range(steps):
             state = scene.step(state)
         return torch.cat([state.X_WB, state.V_WB_B], -1)
@@ -417,9 +417,10 @@ def test_gradients_through_many_steps_are_differences(steps):
 
 
 def test_second_derivatives_of_a_step_that_touches_are_right():
-    end, size = thrown(2), double(1.0, 1.0, 1.0, 1e4)
+    end, size = thrown(1, height=0.009), double(1.0, 1.0, 1.0, 1e4)
     point = double(1.5, 0.5, 0.3, 1.0).requires_grad_()
-    assert torch.autograd.gradgradcheck(lambda x: end(x * size)[8:], [point], atol=1e-5, rtol=1e-4, fast_mode=True)
+    with torchdq.backend("eager"):
+        assert torch.autograd.gradgradcheck(lambda x: end(x * size)[8:], [point], atol=1e-5, rtol=1e-4, fast_mode=True)
 
 
 # --- a quadruped -----------------------------------------------------------------------------------------------------

@@ -109,7 +109,7 @@ class Contact(BodyEffect):
         dissipation: c [s/m], a number or [...].
         friction: mu, a number or [...].
         stiction: False: no memory, and friction that is viscous below 10 mm/s, which has a smooth gradient and creeps.
-        settling: T, time in which bent bristles of a massless point relax [s], a number or [...].
+        settling: T, time in which bent bristles of a massless point relax, at least half a step [s], a number or [...].
 
     >>> import torchdq
     >>> from torchdq import effects
@@ -233,13 +233,14 @@ class Contact(BodyEffect):
         after: list[Number] = []
         if not self.stiction:
             return after
-        lag = self.settling / h
+        T = self._settled(h)
+        lag = T / h
         for law, end in zip(self._laws(self._places(bodies, inputs), bodies, memory, h), ends, strict=True):
             place = law.place
             along = quat.dot(place.normal, end)
             slip = quat.sub(end, quat.scale(along, place.normal))
             # s y / k = s (z + (h + T) u_t')
-            acted = quat.scale(law.share, quat.add(law.bristles, quat.scale(h + self.settling, slip)))
+            acted = quat.scale(law.share, quat.add(law.bristles, quat.scale(h + T, slip)))
             bent = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, law.bristles)))
             force = maximum(self.stiffness * place.depth - law.impedance * along, 0.0)
             after += [*bodies.posed.to_world(place.link, bent), select(law.active, force, 0.0), law.size]
@@ -261,6 +262,10 @@ class Contact(BodyEffect):
                 force = to_world(place.link, acting)
             found.append(Reading(force, f_n, below(0.0, f_n), place.depth, speed))
         return found
+
+    def _settled(self, h: Number) -> Number:
+        """T over a step h: in less than half of it the extrapolated friction of slow sliding would alternate."""
+        return maximum(self.settling, 0.5 * h)
 
     def _places(self, bodies: Bodies, inputs: Inputs) -> Iterator[_Place]:
         """Places of the points."""
@@ -293,7 +298,7 @@ class Contact(BodyEffect):
         """Laws of the points over a step h."""
         k = self.stiffness
         for i, place in enumerate(places):
-            Z_n, Z_t = k * (h + self.dissipation * maximum(place.depth, 0.0)), k * (h + self.settling)
+            Z_n, Z_t = k * (h + self.dissipation * maximum(place.depth, 0.0)), k * (h + self._settled(h))
             force = k * place.depth - Z_n * place.approach  # at the velocity now
             if not self.stiction:
                 active = below(0.0, force)
