@@ -41,6 +41,7 @@ WIDEST = 20.0  # bound of observed numbers
 # weights of the terms of the reward, per second
 WEIGHTS = {
     "velocity": 1.5,  # exp(-(squared error of the velocity) / 0.1)
+    "approach": 0.5,  # the same over 1, which has a slope far from the command
     "turning": 0.5,  # the same of the yaw rate
     "air_time": 1.0,  # time of every step in the air beyond 0.3 s, once as it lands
     "vertical": -2.0,  # squared vertical velocity [m/s]
@@ -203,6 +204,7 @@ class Walk(EpisodeTask):
         landed = [(t + dt - STRIDE) * on * below(0.0, t) for t, on in zip(air, touching, strict=True)]
         terms = {
             "velocity": exp(squares([v[0] - goal[0], v[1] - goal[1]]) * (-1.0 / SHARP)),
+            "approach": exp(-squares([v[0] - goal[0], v[1] - goal[1]])),
             "turning": exp(squares([w[2] - goal[2]]) * (-1.0 / SHARP)),
             "air_time": sum(landed, 0.0),
             "vertical": v[2] * v[2],
