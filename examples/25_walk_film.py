@@ -37,7 +37,7 @@ class Args:
     """File of `21_walk_ppo.py`."""
     robots: int = 90
     """Number of robots."""
-    frames: int = 60
+    frames: int = 48
     """Images of the film, 15 in a second."""
     quality: int = 40
     """Quality of the images, 1 to 100."""
@@ -68,7 +68,7 @@ def simulated(policy: torch.nn.Module, at: np.ndarray, frames: int, chosen: int)
     state, generator = envs.get_state(), torch.Generator().manual_seed(0)
     moved = dq.from_pose(torch.tensor([1.0, 0.0, 0.0, 0.0]), torch.from_numpy(at).float())
     goal = torch.zeros(len(at), 3)
-    goal[:, 0], goal[:, 2] = SPEED, 0.15 * torch.randn(len(at), generator=generator)
+    goal[:, 0], goal[:, 2] = SPEED, 0.05 * torch.randn(len(at), generator=generator)
     envs.set_state({**state, "X_WB": dq.mul(moved, state["X_WB"]), "goal": goal})
     found, fell = [], 0
     every = 1 / 15 / envs.scene.dt
