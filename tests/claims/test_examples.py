@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from places import DATA, ROOT
 
 import torchdq
+from torchdq.envs import ArmVectorEnv
 from torchdq.learning import read_log
 
 EXAMPLES = ROOT / "examples"
@@ -145,6 +147,48 @@ def test_a_thousand_arms(tmp_path):
     assert not picture[0, 0, 3] and picture[220, 480, 3] == 255  # round corners, on pages of any colour
     assert picture[..., :3].std() > 10
     assert error < 0.3
+
+
+def test_walk_ppo(tmp_path, capsys):
+    """A second is enough to learn something; that a policy walks is held by envs/test_walk.py."""
+    module = import_module("21_walk_ppo")
+    assert module.main(module.Args(seconds=1.0, robots=32, turning=1.0, out=tmp_path)) is None
+    policy = import_module("23_policy_in_mujoco").policy_of(tmp_path / "walk.pt")
+    assert policy(torch.zeros(5, 48)).shape == (5, 12)
+    assert "at the end: " in capsys.readouterr().out
+
+
+def test_ppo_learns_in_any_vector_environment():
+    module = import_module("21_walk_ppo")
+    learner = module.PPO(ArmVectorEnv(128, "reach", "two_link", scale=0.5), seed=0)
+    reward = []
+    for _ in range(25):
+        samples, means = learner.rollout()
+        learner.update(samples)
+        reward.append(means["reward"])
+    assert sum(reward[-5:]) > sum(reward[:5]) + 1.0
+
+
+def test_a_film_of_walking_robots(tmp_path):
+    module = import_module("25_walk_film")
+    path, fell = module.main(module.Args(policy=EXAMPLES / "go2_walk.pt", robots=12, frames=2, out=tmp_path))
+    with Image.open(path) as film:
+        assert film.n_frames == 2 and film.size == (960, 400)
+        assert np.asarray(film.convert("RGB")).std() > 8
+    assert fell == 0
+
+
+def test_walk_shac(tmp_path):
+    module = import_module("22_walk_shac")
+    walkers = module.Walkers(8, 5e3)
+    policy = module.ppo.Policy(48, 12)
+    before = [x.clone() for x in policy.actor.parameters()]
+    optimizer = torch.optim.Adam(policy.actor.parameters(), lr=1e-3)
+    observation, reward, value, done = module.improve(walkers, policy, policy, optimizer)
+    assert observation.shape == (module.HORIZON, 8, 48) and reward.shape == value.shape == done.shape
+    assert reward.isfinite().all() and all(
+        (a != b).any() for a, b in zip(before, policy.actor.parameters(), strict=True)
+    )
 
 
 # --- recordings of real arms -----------------------------------------------------------------------------------------
