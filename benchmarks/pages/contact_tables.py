@@ -100,21 +100,21 @@ TABLES: dict[str, Callable[[Rows], str]] = {
 SECTIONS = {  # of the page of an effect: title, text and tables
     "Contact": {
         "What one gains or loses by the step": (
-            "Impacts are of the first order in the step, and plastic in long ones: take 1 to 2 ms for jumps and bounces, "
-            "5 ms for walking, 10 ms for standing and wiping. The expected values are those of analysis; the height of "
-            "the jump is MuJoCo's, with steps of 0.2 ms.",
+            "Impacts are of the first order in the step, and plastic in long ones: take 1 to 2 ms for jumps and "
+            "bounces, 5 ms for walking, 10 ms for standing and wiping. The expected values are those of analysis; the "
+            "height of the jump is MuJoCo's, with steps of 0.2 ms.",
             ("accuracy", "standing"),
         ),
         "Stability": (
-            "Go2 with 20 points is dropped in 64 random states, passive and with servos at random targets. The last row "
-            "of every step has the largest stiffness that it allows. Energy is kinetic, potential, and of the servos. "
-            "The gains are of explicit inertial forces: at 20 ms an impact at 6 m/s turns a joint by half a radian in a "
-            "step.",
+            "Go2 with 20 points is dropped in 64 random states, passive and with servos at random targets. The last "
+            "row of every step has the largest stiffness that it allows. Energy is kinetic, potential, and of servos. "
+            "The gains are of explicit inertial forces: at 20 ms an impact at 6 m/s turns a joint by half a radian in "
+            "a step.",
             ("stability",),
         ),
         "Price beside MuJoCo": (
-            "A step of 4096 samples in float32, per sample, and a step of MuJoCo on the same file with spheres as feet: "
-            "least CPU times of one thread, in turns. MuJoCo pays for the points that touch, a program for all it has.",
+            "A step of 4096 samples in float32, per sample, and a step of MuJoCo on the same file with spheres as "
+            "feet: least CPU times of one thread, in turns. MuJoCo pays for the points that touch, a program for all.",
             ("price", "gradient"),
         ),
     },

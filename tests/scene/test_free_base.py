@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 import torchdq
 from torchdq import dq, floating
 from torchdq.envs import Scene, effects
+from torchdq.robot import ContactPoint
 from torchdq.scene.controllers import PD, ComputedTorqueController
 from torchdq.scene.free_base import EXACT, ORDER_4, rate
 from torchdq.scene.integrators import (
@@ -266,8 +267,7 @@ def test_a_step_is_that_of_forward_dynamics(integrator):
 
 def test_a_body_comes_to_rest_on_the_ground():
     robot = rigid_body().replace(gravity=torch.tensor([0.0, 0.0, -9.81], dtype=F64))
-    base = robot.frame_names[0]
-    contact = effects.Contact(base, stiffness=1e4, dissipation=2.0, friction=0.5)
+    contact = effects.Contact(ContactPoint(robot.frame_names[0]), stiffness=1e4, dissipation=2.0, friction=0.5)
     scene = Scene(robot, (effects.Gravity(), contact), dt=1e-3)
     X = dq.from_pose(UPRIGHT[:4], torch.tensor([0.0, 0.0, 0.2], dtype=F64))
     V = torch.tensor([0.0, 0, 0, 1.0, 0, 0], dtype=F64)

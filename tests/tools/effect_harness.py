@@ -229,7 +229,7 @@ EVERY = {
     "Drag": lambda: (effects.Drag(p(0.3, 0.1), p(0.2, 0.4), p(0.01, 0.02), p(0.1)), {}),
     "PointSpring": lambda: (effects.PointSpring(None, p(0.3, 0.2, 0.1), p(40.0), p(2.0)), {}),
     "Contact": lambda: (
-        effects.Contact(None, p(1.5), p(0.28, 0.96, 0.0), None, p(40.0), p(0.5), p(0.6), settling=p(0.01)),
+        effects.Contact(None, p(1.5), p(0.28, 0.96, 0.0), None, p(40.0), p(0.5), p(0.6), settling=p(0.03)),
         {},
     ),
     "Saturation": lambda: (effects.Saturation(p(1.0, 5.0)), {}),
