@@ -127,7 +127,6 @@ FIRST = {"v0": "first version"}
 
 TERMS = {  # of the reward of `Walk`
     "velocity": "exp(-x / 0.1), x the squared error of the velocity [m^2/s^2]",
-    "approach": "exp(-x), of the same x, which has a slope far from the command",
     "turning": "exp(-x / 0.1), x the squared error of the yaw rate [rad^2/s^2]",
     "air_time": "the time that each foot was in the air beyond 0.3 s, once as it lands [s]",
     "vertical": "the squared vertical velocity [m/s]",
