@@ -35,7 +35,7 @@ from torchdq.envs import ArmVectorEnv, Pushes
 from torchdq.envs.walk import Walk
 
 HORIZON, EPOCHS, BATCHES = 24, 2, 8  # steps of a rollout, passes through them, and parts of each pass
-GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
+GAMMA, LAMBDA, CLIP, ENTROPY = 0.99, 0.95, 0.2, 0.003
 KL, FASTEST, SLOWEST = 0.01, 1e-2, 1e-5  # desired change of the policy in an update; bounds of the learning rate
 STD, UNIT = 0.8, 1 / 6  # first standard deviation of the policy's outputs, and such an output as an action
 SHOWN = ("reward", "ended", "speed_error")  # means that are printed
@@ -152,7 +152,7 @@ class PPO:
                 ratio = change.exp()
                 gain = torch.minimum(ratio * advantage, ratio.clamp(1 - CLIP, 1 + CLIP) * advantage).mean()
                 error = (policy.value(observation) - returns).square().mean()
-                loss = error - gain
+                loss = error - gain - ENTROPY * policy.log_std.sum()
                 self.optimizer.zero_grad()
                 loss.backward()
                 kl = (ratio - 1 - change).mean().detach()

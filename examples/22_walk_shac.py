@@ -69,7 +69,7 @@ class Walkers:
         self.reset(torch.ones(robots, dtype=torch.bool))
 
     def reset(self, where: Tensor) -> None:
-        """Start anew in some rows."""
+        """Begin new episodes in some rows."""
         row, n = where[:, None], len(where)
         start = self.fresh._replace(
             q=self.stand + 0.1 * (2 * torch.rand(n, self.robot.n) - 1), V_WB_B=0.2 * (2 * torch.rand(n, 6) - 1)

@@ -199,7 +199,7 @@ ENVIRONMENTS: dict[str, Environment] = {
             **COMMON,
             "speed_error": "size of the error of the velocity [m/s]",
             "touching": "1 for each foot that touches the ground, otherwise 0",
-            **{name: f"{WEIGHTS[name]:g} times {what}" for name, what in TERMS.items()},
+            **{name: f"{WEIGHTS[name]:g} times {words}" for name, words in TERMS.items()},
         },
         FIRST,
         "target",
