@@ -349,8 +349,9 @@ def _ground(what: Robot | SceneModel) -> Callable[[Tensor, Tensor], Any]:
         surface = found.surface
         if isinstance(surface, HeightMap):
             heights = surface.heights.detach().cpu()
-            surface = replace(surface, heights=heights.reshape(-1, *heights.shape[-2:])[0])
-        return lambda x, y: height + surface(x, y)[0]
+            ground = replace(surface, heights=heights.reshape(-1, *heights.shape[-2:])[0])
+            return lambda x, y: height + ground(x, y)[0]
+        return lambda x, y: height + surface(x, y)
     return lambda x, y: (height - a * x - b * y) / c
 
 

@@ -125,7 +125,7 @@ def pictures(dog: Quadruped, path: Path, falls: Sequence[tuple[Tensor, Tensor]])
     grounds = {
         "flat ground": {},
         "a slope of 10 degrees": {"normal": dog.normal(SLOPE)},
-        "waves": {"surface": lambda x, y: (0.02 * (8.0 * x).sin(), 0.16 * (8.0 * x).cos(), 0.0)},
+        "waves": {"surface": lambda x, y: 0.02 * (8.0 * x).sin()},
     }
     figure = plt.figure(figsize=(9, 6.2), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1.2, 1))

@@ -310,7 +310,7 @@ def test_a_surface_with_a_constant_slope_is_a_plane():
     robot, points = box()
     ends = []
     for contact in (
-        effects.Contact(points, surface=lambda x, y: (a * x + b * y, a, b), friction=MU, stiffness=1e4),
+        effects.Contact(points, surface=lambda x, y: a * x + b * y, friction=MU, stiffness=1e4),
         effects.Contact(points, normal=tuple(normal.tolist()), friction=MU, stiffness=1e4),
     ):
         scene = Scene(robot, (effects.Gravity(), contact), dt=5e-3)
@@ -326,7 +326,7 @@ def test_a_ball_rolls_to_and_fro_in_a_valley_without_gaining_energy():
     A, k = 0.02, 6.0
 
     def waves(x, y):
-        return -A * (k * x).cos(), A * k * (k * x).sin(), 0.0
+        return -A * (k * x).cos()
 
     robot, points = ball()
     scene = Scene(robot, (effects.Gravity(), effects.Contact(points, surface=waves, stiffness=2e4)), dt=5e-3)
@@ -533,9 +533,8 @@ MISUSE = {
     "no points": lambda r: Scene(r, (effects.Contact(()),)),
     "a number as point": lambda r: Scene(r, (effects.Contact(3),)),
     "a radius below zero": lambda r: Scene(r, (effects.Contact(ContactPoint("tip", radius=-1.0)),)),
-    "a surface and a normal": lambda r: Scene(
-        r, (effects.Contact(normal=(0.0, 1.0, 0.0), surface=lambda x, y: (0.0, 0.0, 0.0)),)
-    ),
+    "a surface and a normal": lambda r: Scene(r, (effects.Contact(normal=(0.0, 1.0, 0.0), surface=lambda x, y: 0.0),)),
+    "a surface with slopes": lambda r: Scene(r, (effects.Contact(surface=lambda x, y: (x, 1.0, 0.0)),)).count(),
     "a surface that is a number": lambda r: Scene(r, (effects.Contact(surface=0.3),)),
     "contacts of a scene without": lambda r: Scene(r).contacts(Scene(r).start(torch.zeros(2))),
 }

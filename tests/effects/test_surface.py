@@ -118,7 +118,7 @@ def saddle(scale=SADDLE, **more):
 
 def recorded_saddle(x, y):
     """The same ground as a recorded function."""
-    return SADDLE * x * y, SADDLE * y, SADDLE * x
+    return SADDLE * x * y
 
 
 def thrown(scene, steps=60, rows=4, **more):

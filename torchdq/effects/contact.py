@@ -30,7 +30,7 @@ from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
 from torchdq.effects.effect import TENSOR, Inputs, Parameter, Shapes
-from torchdq.effects.surface import HeightMap
+from torchdq.effects.surface import HeightMap, tangent
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import below, clip, maximum, select, sqrt
 from torchdq.program.transforms import without_values
@@ -38,6 +38,7 @@ from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.contact_points import points_of, require_contact_point
 
 SINK = 1e-3  # depth of the points of a robot at rest, where the stiffness follows from it [m]
+CARRYING = 4  # points that it then rests on at most; others are there for falls
 FIRMEST = 4.0  # largest stiffness, in masses of the robot over the square of a step
 WEIGHT = 9.81  # acceleration that the weight of a robot at rest is taken with [m/s^2]
 NEAR = 1e-6  # depth from which a point was in contact over the last step, above the rounding of its memory [m]
@@ -101,11 +102,12 @@ class Contact(BodyEffect):
         height: of a plane along its normal, from the origin of the base, or of the world for a floating base [m].
         normal: its unit normal n, in the base frame or in the world frame, shape [..., 3].
         surface: ground other than a plane: a function of recorded numbers (x, y) [m] that returns the height above
-            z = height [m] and its slopes along x and y; or an `effects.HeightMap`, a plane of which torch looks up
+            z = height [m], whose slopes are its derivatives; or an `effects.HeightMap`, a plane of which torch looks up
             below every point before each step. On either a sphere of radius r touches with its lowest point, and so
             sinks by r (1 - cos) where the ground slopes. None: the plane.
         stiffness: k of every point, of the normal force and of the friction that sticks [N/m], a number or [...]; None:
-            so that the robot at rest sinks 1 mm. At most 4 m / h^2, for a robot of mass m and a step h.
+            so that a robot at rest sinks 1 mm on four points, or on all where there are fewer. At most 4 m / h^2, for a
+            robot of mass m and a step h.
         dissipation: c [s/m], a number or [...].
         friction: mu, a number or [...].
         stiction: False: no memory, and friction that is viscous below 10 mm/s, which has a smooth gradient and creeps.
@@ -150,7 +152,7 @@ class Contact(BodyEffect):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
         stiffness = self.stiffness
         if stiffness is None:
-            stiffness = max(1.0, _mass(robot) * WEIGHT / (SINK * len(points)))
+            stiffness = max(1.0, _mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING)))
         return replace(self, points=points, stiffness=stiffness)
 
     def resolved(self, robot: Robot) -> Self:
@@ -289,7 +291,7 @@ class Contact(BodyEffect):
             c, a, b = plane
             height = c + a * x + b * y
         else:
-            height, a, b = self.surface(x, y)
+            height, a, b = tangent(self.surface, x, y)
         w = 1.0 / sqrt(1.0 + a * a + b * b)
         # of its lowest point: the distance of its centre would jump where slopes do, and give energy
         return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w

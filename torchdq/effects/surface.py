@@ -1,8 +1,8 @@
-"""Maps of heights as ground: torch looks up planes tangent to them, which programs, without tables, then use."""
+"""Planes that are tangent to uneven ground: to a recorded function, and to a map of heights, which torch looks up."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -10,6 +10,10 @@ from torch import Tensor
 
 from torchdq.base.checks import floating, require_finite, require_number
 from torchdq.errors import ArgumentError
+from torchdq.numbers.ops import Value
+from torchdq.numbers.record import Recorded
+from torchdq.program.autodiff import cotangents
+from torchdq.program.program import Argument, record, replay, results
 from torchdq.program.transforms import without_values
 
 
@@ -82,3 +86,20 @@ class HeightMap:
         lower = u.detach().floor()
         left = lower.nan_to_num()
         return left.clamp(0, count - 1).long(), (left + 1).clamp(0, count - 1).long(), u - lower
+
+
+def tangent(surface: Callable[[Value, Value], Value], x: Value, y: Value) -> tuple[Value, Value, Value]:
+    """Height of a surface at a place, and its slopes along x and y, by reverse mode on the recorded function."""
+
+    def height(x: Sequence[Value], y: Sequence[Value]) -> dict[str, list[Value]]:
+        z = surface(x[0], y[0])
+        if not isinstance(z, Recorded | float | int):
+            raise ArgumentError(f"surface of Contact must return one number, the height, found {z!r:.80}")
+        return {"z": [z]}
+
+    program = record("surface", [Argument("x", 1), Argument("y", 1)], height)
+    values = replay(program, [[x], [y]])
+    (z,) = results(program, values)["z"]
+    (output,) = program.results[0].values
+    found = {} if isinstance(output, float) else cotangents(program, values, {output[0]: -1.0 if output[1] else 1.0})
+    return z, found.get((0, 0), 0.0), found.get((1, 0), 0.0)
