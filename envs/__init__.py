@@ -37,5 +37,5 @@ register(
     entry_point="torchdq.envs.env:ArmEnv",
     vector_entry_point="torchdq.envs.vector_env:made_by_gymnasium",
     max_episode_steps=1000,
-    kwargs={"task": "walk", "robot": "go2"},
+    kwargs={"task": "walk"},
 )

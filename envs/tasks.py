@@ -36,6 +36,7 @@ from torchdq.robot import Robot
 from torchdq.scene.free_base import POSE, START, TWIST
 from torchdq.scene.spec import Rows, Task, View
 
+ROBOT = "panda"
 SPEED = 2.0  # velocity limit of a joint whose description has none [rad/s or m/s]
 FASTEST = 10.0  # bound of observed velocities, in multiples of the limit
 TUMBLING = 20.0  # bound of the observed twist of a floating base [rad/s, m/s]
@@ -66,6 +67,7 @@ class EpisodeTask(Task, Protocol):
     """
 
     POINT: ClassVar[bool] = True
+    ROBOT: ClassVar[str] = ROBOT  # of environments that are given none
 
     def defaults(self, robot: Robot) -> Mapping[str, Any]:
         """Arguments of environments whose effects are not given: `effects`, `scale`, `substeps`, `randomise`, `pushes`.

@@ -47,7 +47,7 @@ from torchdq.envs.reset import KEPT, Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded, seeds_of
 from torchdq.envs.row_selection import Indexed, Masked, SomeRows, column
 from torchdq.envs.task_names import task_of
-from torchdq.envs.tasks import STATE, Checked, EpisodeTask
+from torchdq.envs.tasks import ROBOT, STATE, Checked, EpisodeTask
 from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.posed import GEOMETRY
@@ -80,7 +80,7 @@ class ArmVectorEnv(VectorEnv):
         num_envs: number of environments.
         task: "reach", "track", "wipe", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed or a floating base; it needs an
-            end effector to reach.
+            end effector to reach. None: a Panda, or a Go2 to walk.
         effects: effects of the scene; None: those of the task, or `torchdq.scene.defaults.default_effects(robot)`.
         action: meaning of the actions. "reference": offsets of the positions that a controller follows, full ones as
             far as a joint moves in 0.2 s at its velocity limit. "target": offsets of the targets of `effects.Servo`,
@@ -130,7 +130,7 @@ class ArmVectorEnv(VectorEnv):
         self,
         num_envs: int = 1,
         task: str | EpisodeTask | TorchTask = "reach",
-        robot: str | Path | Robot = "panda",
+        robot: str | Path | Robot | None = None,
         effects: Sequence[Effect] | None = None,
         action: Kind | None = None,
         controller: Controller | None = None,
@@ -155,8 +155,9 @@ class ArmVectorEnv(VectorEnv):
         require_choice("output", output, ("torch", "numpy"))
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
-        self.robot = _robot_of(robot)
         functions = task if isinstance(task, TorchTask) else None
+        own = ROBOT if functions else getattr(task_of(task), "ROBOT", ROBOT)
+        self.robot = _robot_of(own if robot is None else robot)
         self.task = task_of(task.recorded_for(self.robot) if isinstance(task, TorchTask) else task)
         given = {"effects": effects, "scale": scale, "substeps": substeps, "randomise": randomise, "pushes": pushes}
         chosen = dict(self.task.defaults(self.robot)) if effects is None else {}

@@ -83,6 +83,7 @@ class Walk(EpisodeTask):
     """
 
     POINT: ClassVar[bool] = False
+    ROBOT: ClassVar[str] = "go2"
     SEEN: ClassVar[Mapping[str, float]] = {
         **{"velocity": 2.0, "rate": 0.25, "down": 1.0},
         **{"offset": 1.0, "speed": 0.05, "action": 6.0},

@@ -80,7 +80,7 @@ class Wipe(EpisodeTask):
         if len(self.home) != robot.n:
             raise ArgumentError(
                 f"home of Wipe must be the {robot.n} positions of the joints of robot {robot.name!r}, with the end "
-                f"effector on the table, found {len(self.home)}"
+                f"effector on the table, found {len(self.home)}; give task=Wipe(home=...) of torchdq.envs.wipe"
             )
         return float(tip(robot, posed(robot, self.home, {}, ()))[2])
 
