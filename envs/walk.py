@@ -33,14 +33,14 @@ SOFT, LAG = 0.6, 40.0  # gains of the servos: kp in m g times the height of the 
 ROTOR = 0.01  # rotor inertia where the description has none [kg m^2]
 STEEPEST = 0.6  # cosine of the largest tilt, 53 degrees
 CROUCH = 0.88  # desired height of the base, in heights of the start
-SHARP = 0.1  # squared error of a velocity at which its reward falls to 1/e [m^2/s^2, rad^2/s^2]
+SHARP = 0.25  # squared error of a velocity at which its reward falls to 1/e [m^2/s^2, rad^2/s^2]
 STRIDE = 0.3  # time in the air from which a step is rewarded [s]
 AROUND, SLOW = 0.1, 0.2  # largest deviations of a start from the stand: of joints [rad], and of the twist [rad/s, m/s]
 WIDEST = 20.0  # bound of observed numbers
 
 # weights of the terms of the reward, per second
 WEIGHTS = {
-    "velocity": 1.5,  # exp(-(squared error of the velocity) / 0.1)
+    "velocity": 1.5,  # exp(-(squared error of the velocity) / 0.25)
     "turning": 0.5,  # the same of the yaw rate
     "air_time": 1.0,  # time of every step in the air beyond 0.3 s, once as it lands
     "vertical": -2.0,  # squared vertical velocity [m/s]

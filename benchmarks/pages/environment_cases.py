@@ -126,8 +126,8 @@ COMMON = {
 FIRST = {"v0": "first version"}
 
 TERMS = {  # of the reward of `Walk`
-    "velocity": "exp(-x / 0.1), x the squared error of the velocity [m^2/s^2]",
-    "turning": "exp(-x / 0.1), x the squared error of the yaw rate [rad^2/s^2]",
+    "velocity": "exp(-x / 0.25), x the squared error of the velocity [m^2/s^2]",
+    "turning": "exp(-x / 0.25), x the squared error of the yaw rate [rad^2/s^2]",
     "air_time": "the time that each foot was in the air beyond 0.3 s, once as it lands [s]",
     "vertical": "the squared vertical velocity [m/s]",
     "rocking": "the squared rates of roll and pitch [rad/s]",

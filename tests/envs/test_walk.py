@@ -96,8 +96,8 @@ def test_what_is_seen_and_rewarded_is_that_of_its_formulas():
         z = dq.translation(now["X_WB"])[:, 2]
         height = float(task.height(robot, task.joints(robot)))
         terms = {
-            "velocity": torch.exp(-(v[:, :2] - now["goal"][:, :2]).square().sum(1) / 0.1),
-            "turning": torch.exp(-(w[:, 2] - now["goal"][:, 2]).square() / 0.1),
+            "velocity": torch.exp(-(v[:, :2] - now["goal"][:, :2]).square().sum(1) / 0.25),
+            "turning": torch.exp(-(w[:, 2] - now["goal"][:, 2]).square() / 0.25),
             "air_time": ((air + 0.02 - 0.3) * landed).sum(1),
             "vertical": v[:, 2].square(),
             "rocking": w[:, :2].square().sum(1),
