@@ -48,7 +48,7 @@ WEIGHTS = {
     "tilt": -2.0,  # squared sine of the tilt
     "height": -20.0,  # squared deviation of the height [m]
     "hips": -0.1,  # squared deviation from the stand of the joints that the base carries [rad]
-    "torque": -2e-4,  # squared torques [N m]
+    "torque": -0.5,  # squared torques, over m g times the height of the base
     "acceleration": -2.5e-7,  # squared accelerations of the joints [rad/s^2]
     "action_rate": -0.36,  # squared change of the actions
 }
@@ -107,7 +107,7 @@ class Walk(EpisodeTask):
         """Arguments of environments: servos that carry the robot's weight, contact of the feet, and what is random."""
         if not robot.floating:
             raise ArgumentError(f"robot {robot.name!r} must have a floating base to walk; load it with base='floating'")
-        weight, effort = 9.81 * float(robot.mass.sum() + (robot.base_mass or 0.0)), robot.limits.effort
+        weight, effort = self._weight(robot), robot.limits.effort
         kp = SOFT * weight * self.height(robot, self.joints(robot))
         push = effects.Push(next(frame.name for frame in robot.frames if frame.link == BASE))
         return {
@@ -199,6 +199,7 @@ class Walk(EpisodeTask):
         w, v, down, stand = view.V_WB_B[:3], view.V_WB_B[3:], self._down(view), self.joints(robot)
         carry = view.inputs.get("carry", [0.0] * (2 * n + 4))
         last, before, air = carry[:n], carry[n : 2 * n], carry[2 * n :]
+        size = self._weight(robot) * self.height(robot, stand)
         landed = [(t + dt - STRIDE) * on * below(0.0, t) for t, on in zip(air, touching, strict=True)]
         terms = {
             "velocity": exp(squares([v[0] - goal[0], v[1] - goal[1]]) * (-1.0 / SHARP)),
@@ -209,12 +210,16 @@ class Walk(EpisodeTask):
             "tilt": squares(down[:2]),
             "height": squares([self._height(view) - CROUCH * self.height(robot, stand)]),
             "hips": squares([view.q[i] - stand[i] for i, parent in enumerate(robot.parents) if parent < 0]),
-            "torque": squares(self._torques(view)),
+            "torque": squares([x * (1.0 / size) for x in self._torques(view)]),
             "acceleration": squares([(a - b) * (1.0 / dt) for a, b in zip(view.qd, before, strict=True)]),
             "action_rate": squares([a - b for a, b in zip(action, last, strict=True)]),
         }
         passed = dt if "carry" in view.inputs else 0.0
         return terms, [(t + passed) * (1.0 - on) for t, on in zip(air, touching, strict=True)]
+
+    def _weight(self, robot: Robot) -> float:
+        """Weight of the robot as described [N]."""
+        return 9.81 * float(robot.mass.sum() + (robot.base_mass or 0.0))
 
     def _feet(self, robot: Robot) -> tuple[ContactPoint, ...]:
         """Contact points of the feet; raises unless there are four feet."""

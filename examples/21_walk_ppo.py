@@ -52,6 +52,10 @@ class Args(OnDevice):
     """Robots of each process."""
     robot: str = "go2"
     """Name of a shipped robot, or the file of a quadruped."""
+    stand: tuple[str, ...] = ()
+    """Positions of joints at the stand [rad], by names or patterns: `--stand "*_HAA=0" "?F_HFE=0.7"`."""
+    feet: str = "*_foot"
+    """Names of the feet."""
     forward: tuple[float, float] = (0.4, 1.1)
     """Commanded velocities [m/s]."""
     turning: float = 0.0
@@ -214,7 +218,8 @@ def main(args: Args) -> float | None:
     processes, first = (dist.get_world_size(), dist.get_rank() == 0) if dist.is_initialized() else (1, True)
     shipped = args.robot in torchdq.robots.names()
     robot = torchdq.robots.load(args.robot) if shipped else Robot.from_urdf(args.robot, base="floating")
-    task = Walk(args.forward, turning=(-args.turning, args.turning))
+    stand = {"stand": {name: float(x) for name, x in (pair.split("=") for pair in args.stand)}} if args.stand else {}
+    task = Walk(args.forward, turning=(-args.turning, args.turning), feet=args.feet, **stand)
     learner = PPO(ArmVectorEnv(args.robots, task, robot, max_episode_steps=1000, device=args.place), args.seed)
     test = Test(task, robot, args.turning, args.place)
     test(learner.policy, 0.04)  # compiles

@@ -114,6 +114,10 @@ class Args:
     """File of `21_walk_ppo.py`."""
     urdf: Path | None = None
     """File of the robot; without one, Go2."""
+    stand: tuple[str, ...] = ()
+    """Positions of joints at the stand [rad], as `21_walk_ppo.py` had them."""
+    feet: str = "*_foot"
+    """Names of the feet."""
     speeds: tuple[float, ...] = (0.5, 0.75, 1.0)
     """Commanded velocities [m/s]."""
     turning: float = 0.0
@@ -124,11 +128,13 @@ def main(args: Args) -> bool:
     """Whether every run stayed up."""
     torch.set_num_threads(1)
     policy, urdf = policy_of(args.policy), go2.urdf() if args.urdf is None else args.urdf.read_text()
+    stand = {"stand": {name: float(x) for name, x in (pair.split("=") for pair in args.stand)}} if args.stand else {}
+    task = Walk(feet=args.feet, **stand)
     print("friction, cones, command [m/s]: runs that stay up, largest errors of speed [m/s] and yaw rate [rad/s]")
     all_up = True
     for friction in (0.8, 0.4):
         for elliptic in (False, True):
-            player = Player(urdf, Walk(), friction, elliptic)
+            player = Player(urdf, task, friction, elliptic)
             for speed in args.speeds:
                 command = (speed, 0.0, args.turning)
                 runs = [player.run(policy, command, seed) for seed in range(4)]

@@ -238,7 +238,7 @@ ENVIRONMENTS: dict[str, Environment] = {
         f"those of a typical arm and a table, with the parameters of its description. {ABSENT}",
         (
             "## A policy of a few lines",
-            "[`examples/25_wipe.py`](../../examples/25_wipe.py) shifts the reference by the error of the path and by "
+            "[`examples/26_wipe.py`](../../examples/26_wipe.py) shifts the reference by the error of the path and by "
             "the integral of the error of the force. From two seconds on, the force on circles is within 10 % of the "
             "commanded one, and friction within 1 % of its coefficient times the normal force. On lines the friction "
             "turns with the motion, and the force leaves 10 % for a twentieth of the time.",

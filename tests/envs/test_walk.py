@@ -108,7 +108,8 @@ def test_what_is_seen_and_rewarded_is_that_of_its_formulas():
             "action_rate": (action - last).square().sum(1),
         }
         held = (torque.abs() < torch.tensor(servo.limit)).all(1)
-        terms["torque"] = torch.where(held, torque.square().sum(1), info["torque"] / WEIGHTS["torque"])
+        size = 9.81 * float(robot.mass.sum() + robot.base_mass) * height
+        terms["torque"] = torch.where(held, (torque / size).square().sum(1), info["torque"] / WEIGHTS["torque"])
         assert terms.keys() == WEIGHTS.keys()
         for name, x in terms.items():
             assert torch.allclose(info[name][going], WEIGHTS[name] * x[going], rtol=2e-3, atol=2e-4), name

@@ -1,6 +1,6 @@
 """Arms wipe tables: they press with commanded forces and follow paths, by a policy of a few lines.
 
-    python examples/25_wipe.py
+    python examples/26_wipe.py
 
 Friction, stiffness and height of each table differ, unknown to the arm. Actions are offsets of the joint positions that
 a computed-torque controller tracks along the path, pressed into the table. The policy shifts them by the error of the
