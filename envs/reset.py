@@ -128,12 +128,12 @@ def _of_rows(scene: Scene, rows: SomeRows) -> Scene:
     def chosen(x: Tensor, axes: int) -> Tensor:
         return rows.of(x) if x.ndim > axes and len(x) > 1 else x
 
-    if not scene.parameters:
+    if not scene.parameters and not scene.computed:
         return scene
     found, stage = copy(scene), Stage(scene.spec, "begin")
     parameters = {name: chosen(x, len(stage.axes(name))) for name, x in scene.parameters.items()}
     effects = [
-        replace(effect, **{name: parameters[f"{i}.{name}"] for name in effect.tensors()})
+        replace(effect.of_rows(chosen), **{name: parameters[f"{i}.{name}"] for name in effect.tensors()})
         for i, effect in enumerate(scene.effects)
     ]
     for name, value in {"parameters": parameters, "effects": tuple(effects)}.items():

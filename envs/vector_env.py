@@ -55,7 +55,7 @@ from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.shipped import load
 from torchdq.scene.controllers import ComputedTorqueController, Controller
-from torchdq.scene.defaults import default_effects, nominal_robot
+from torchdq.scene.defaults import default_effects, mean_robot, nominal_robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
@@ -156,11 +156,11 @@ class ArmVectorEnv(VectorEnv):
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
         functions = task if isinstance(task, TorchTask) else None
-        own = ROBOT if functions else getattr(task_of(task), "ROBOT", ROBOT)
+        own = ROBOT if isinstance(task, TorchTask) else getattr(task_of(task), "ROBOT", ROBOT)
         self.robot = _robot_of(own if robot is None else robot)
         self.task = task_of(task.recorded_for(self.robot) if isinstance(task, TorchTask) else task)
         given = {"effects": effects, "scale": scale, "substeps": substeps, "randomise": randomise, "pushes": pushes}
-        chosen = dict(self.task.defaults(self.robot)) if effects is None else {}
+        chosen = dict(self.task.defaults(mean_robot(self.robot))) if effects is None else {}
         chosen |= {name: x for name, x in given.items() if x is not None}
         joints = actuated_joints(self.robot, actuated)
         self.dtype, self.device = dtype_of("dtype", dtype), device_of("device", device)

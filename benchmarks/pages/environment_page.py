@@ -24,6 +24,7 @@ from torchdq.effects import Contact
 from torchdq.envs import ArmVectorEnv, vector_env
 from torchdq.envs.actions import Kind, full
 from torchdq.envs.render import Painter
+from torchdq.envs.task_names import task_of
 from torchdq.robot import Robot
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,7 +59,7 @@ def newest(task: str) -> gymnasium.envs.registration.EnvSpec:
 
 def robot_of(task: str) -> Robot:
     """The default robot of an environment."""
-    return torchdq.robots.load(newest(task).kwargs.get("robot", ROBOT))
+    return torchdq.robots.load(newest(task).kwargs.get("robot", task_of(task).ROBOT))
 
 
 def rates() -> dict[str, Any]:

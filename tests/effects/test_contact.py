@@ -544,3 +544,14 @@ MISUSE = {
 def test_contacts_that_make_no_sense_are_refused(what):
     with refused(torchdq.TorchdqError):
         MISUSE[what](shipped("two_link").robot)
+
+
+def test_a_stiffness_that_was_not_given_follows_steps_and_robot():
+    robot, (first, *others) = box()
+    slow = Scene(robot, (effects.Contact((first, *others)),), dt=0.5)
+    fast, firm = slow.replace(dt=5e-3), Scene(robot, (effects.Contact([first, *others]),), dt=5e-3)
+    assert slow.effects[0].stiffness == pytest.approx(4 * float(robot.base_mass) / 0.5**2)
+    assert fast.effects[0] == firm.effects[0]
+    assert fast.replace(robot=robot.replace(base_mass=2 * robot.base_mass)).effects[0].stiffness == pytest.approx(
+        2 * firm.effects[0].stiffness
+    )

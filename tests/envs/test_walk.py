@@ -198,3 +198,15 @@ def test_the_policy_walks_in_mujoco(friction):
             command = np.array([speed, 0.0, 0.7 * elliptic])
             run = player(friction, elliptic).run(policy(), tuple(command), seed, seconds=5.0)
             assert run.up and np.abs(run.velocity - command)[[0, 2]].max() < 0.1
+
+
+def test_robots_on_maps_of_their_own_begin_anew_one_by_one():
+    heights = torch.tensor([0.0, 0.01, 0.02]).reshape(3, 1, 1).expand(3, 2, 2)
+    ground = effects.Contact("*_foot", surface=effects.HeightMap(heights, 10.0, (-5.0, -5.0)))
+    envs = ArmVectorEnv(3, "walk", effects=(effects.Gravity(), effects.Servo(40.0, 1.0), ground))
+    envs.reset(seed=0)
+    envs.reset(options={"reset_mask": torch.tensor([False, True, False])})
+    for _ in range(50):
+        envs.step(torch.zeros(3, 12))
+    depth = envs.scene.contacts(envs.state).depth
+    assert (depth.amax(1) > 0).all() and depth.max() < 0.01  # every robot stands on its own ground

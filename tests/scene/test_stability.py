@@ -1,6 +1,7 @@
 """Scenes say which steps are stable, and which rows diverge on the way."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -214,6 +215,17 @@ def test_soft_ground_is_named():
 def test_the_bound_of_the_stiffness_is_that_of_the_steps_of_the_integrator():
     scene, state = on_ground(dt=0.02, substeps=4, stiffness=2e5)
     assert scene.check(state).ground.firmest == pytest.approx(3.2e5)
+
+
+def test_rows_that_are_not_finite_leave_the_others_their_own_ground():
+    scene, state = on_ground(heights=(0.05, 0.05))
+    gravity, ground = scene.effects
+    scene = scene.replace(effects=(gravity, replace(ground, height=double(-9.0, 0.0))))
+    X_WB = state.X_WB.clone()
+    X_WB[0] = torch.nan
+    with warned(UserWarning):
+        found = scene.check(state._replace(X_WB=X_WB), seconds=0.5)
+    assert (found.ground.aloft, found.ground.rows) == (0, 1)
 
 
 def test_a_scene_without_contact_has_no_ground():

@@ -16,7 +16,7 @@ the last two steps, which makes the friction of sliding exact to second order in
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -45,6 +45,10 @@ NEAR = 1e-6  # depth from which a point was in contact over the last step, above
 TINY = 1e-6  # friction beside which the size of none counts as zero [N]
 WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
 KEPT = 5  # numbers that a point remembers
+
+
+class _Chosen(float):
+    """Stiffness that was not given: another scene, with other steps or another robot, has its own."""
 
 
 class Reading(NamedTuple):
@@ -158,6 +162,8 @@ class Contact(BodyEffect):
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
         whole = super().resolved(robot)
+        if isinstance(self.stiffness, _Chosen):
+            whole = replace(whole, stiffness=self.stiffness)
         normal = tensor_of(whole.normal).double()
         if without_values((normal,)):
             return whole
@@ -170,9 +176,9 @@ class Contact(BodyEffect):
     def stepped(self, robot: Robot, h: float) -> Self:
         """Copy for steps h: the stiffness is at most 4 m / h^2; raises if one that is given is above."""
         most = firmest(robot, h)
-        if self.stiffness is None:
-            own = self.described(robot)
-            return replace(self, stiffness=min(own.stiffness, most))
+        if self.stiffness is None or isinstance(self.stiffness, _Chosen):
+            own = replace(self, stiffness=None).described(robot)
+            return replace(own, stiffness=_Chosen(min(own.stiffness, most)))
         stiffness = tensor_of(self.stiffness)
         if not without_values((stiffness,)) and stiffness.numel() and (found := float(stiffness.detach().max())) > most:
             raise ArgumentError(
@@ -180,7 +186,7 @@ class Contact(BodyEffect):
                 f"of {h:g} s, found {found:.4g}: a point would leave the ground faster than it came; take softer "
                 "ground or shorter steps"
             )
-        return self
+        return replace(self, points=_points(self.points, robot))
 
     def template(self) -> Self:
         """Copy without the heights of a map, because programs do not depend on them."""
@@ -191,6 +197,12 @@ class Contact(BodyEffect):
         """Planes below the points [3 points], if there is a map."""
         mapped = self.surface is TENSOR or isinstance(self.surface, HeightMap)
         return {f"ground_{self.points[0].frame}": 3 * len(self.points)} if mapped else {}
+
+    def of_rows(self, chosen: Callable[[Tensor, int], Tensor]) -> Self:
+        """Copy with some of the maps."""
+        if not isinstance(self.surface, HeightMap):
+            return self
+        return replace(self, surface=replace(self.surface, heights=chosen(self.surface.heights, 2)))
 
     def outside(self) -> str:
         """Description of the map; "" without one."""
@@ -328,7 +340,7 @@ def _points(points: Any, robot: Robot) -> tuple[ContactPoint, ...]:
     """Contact points, by names and patterns of frames or as they are."""
     if points is None:
         return (ContactPoint(robot.end_effector().name),)
-    given = points if isinstance(points, tuple) and not isinstance(points, ContactPoint) else (points,)
+    given = points if isinstance(points, tuple | list) and not isinstance(points, ContactPoint) else (points,)
     found: list[ContactPoint] = []
     for one in given:
         if isinstance(one, str):

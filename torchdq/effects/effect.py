@@ -11,7 +11,7 @@ numbers.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, ClassVar, Self
@@ -179,6 +179,10 @@ class Effect(Parametric):
     def memory(self, n: int) -> int:
         """Number of its states."""
         return 0
+
+    def of_rows(self, chosen: Callable[[Tensor, int], Tensor]) -> Self:
+        """Copy with some rows of its tensors that are not parameters; `chosen` takes one and its trailing axes."""
+        return self
 
     def free_range(self) -> tuple[Parameter, Parameter] | None:
         """Positions [n] below and above which it acts as a limit; None: it is not a limit."""

@@ -37,7 +37,7 @@ def contacts(scene: SceneModel, state: State) -> Contacts:
     require_state(state)
     if not scene.spec.of(Contact):
         raise ArgumentError(f"contacts need an effects.Contact in the scene of robot {scene.robot.name!r}, found none")
-    given = {name: x for name, x in state.rows().items() if name != "reading"}
+    given = state.rows()
     rows = scene.evaluate("contacts", {**given, **scene.grounds(state)})
     force = rows["force"].unflatten(-1, (-1, 3))
     return Contacts(force, rows["normal_force"], rows["touching"] != 0, rows["depth"], rows["slip"])

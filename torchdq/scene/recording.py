@@ -248,7 +248,7 @@ class Stage(_StageFields, Computation):
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise, naming the input that is missing, or the parameter that would broadcast against the batch."""
         spec, known = self.spec, self.widths()
-        if self.stage in ("step", "drive"):
+        if self.stage in ("step", "drive", "contacts"):
             for name in spec.state:
                 if name not in tensors:
                     raise ArgumentError(f"{name} must be part of the state; `start` makes one that has it")

@@ -23,7 +23,7 @@ from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
 from torchdq.effects.contact import Contact, firmest
 from torchdq.errors import ArgumentError
-from torchdq.scene.contacts import contacts
+from torchdq.scene.contacts import Contacts, contacts
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
 from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
@@ -213,13 +213,12 @@ class _Trial:
         kept = path.finite().all(0)
         if not bool(kept.any()):
             return None
-        along = State._make(None if x is None else x[:, kept] for x in path)
-        with torch.no_grad():
-            found = contacts(scene, along)
+        with torch.no_grad():  # of all rows, each with its own parameters
+            found = Contacts._make(x[:, kept] for x in contacts(scene, path))
         aloft = ~found.touching.any(-1).any(0)
         slip = torch.where(found.touching[-1], found.slip[-1], 0.0)
         effects: Sequence[Any] = scene.effects
-        stiffness = max(float(tensor_of(effects[i].stiffness).max()) for i, _ in scene.spec.of(Contact))
+        stiffness = max(float(tensor_of(effects[i].stiffness).detach().max()) for i, _ in scene.spec.of(Contact))
         return GroundCheck(
             max(0.0, float(found.depth.max())),
             float(slip.max()),

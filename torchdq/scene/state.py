@@ -106,7 +106,9 @@ def nonfinite_rows(state: State, robot: Robot) -> str:
     if not bool(bad.any()):
         return ""
     row = tuple(bad.nonzero()[0].tolist())
-    found = "the memory of the effects is not finite"
+    rows = {name: x for name, x in state.rows().items() if not bool(x[row].isfinite().all())}
+    name = next(iter(rows))
+    found = f"{'the memory of the effects' if name == 'memory' else name} is not finite"
     for name, x in (("qd", state.qd), ("q", state.q)):
         wrong = ~x[row].isfinite()
         if bool(wrong.any()):
