@@ -134,7 +134,7 @@ TERMS = {  # of the reward of `Walk`
     "tilt": "the squared sine of the tilt",
     "height": "the squared deviation of the height [m]",
     "hips": "the squared deviations from the stand of the joints that the base carries [rad]",
-    "torque": "the squared torques [N m]",
+    "torque": "the squared torques, over the weight times the height of the base",
     "acceleration": "the squared accelerations of the joints [rad/s^2]",
     "action_rate": "the squared changes of the actions",
 }
