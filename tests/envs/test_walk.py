@@ -200,7 +200,7 @@ def test_the_policy_walks_in_mujoco(friction):
             assert run.up and np.abs(run.velocity - command)[[0, 2]].max() < 0.1
 
 
-def test_robots_on_maps_of_their_own_begin_anew_one_by_one():
+def test_robots_on_maps_of_their_own_are_reset_one_by_one():
     heights = torch.tensor([0.0, 0.01, 0.02]).reshape(3, 1, 1).expand(3, 2, 2)
     ground = effects.Contact("*_foot", surface=effects.HeightMap(heights, 10.0, (-5.0, -5.0)))
     envs = ArmVectorEnv(3, "walk", effects=(effects.Gravity(), effects.Servo(40.0, 1.0), ground))
