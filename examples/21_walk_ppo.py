@@ -238,15 +238,15 @@ def main(args: Args) -> float | None:
             up, speed, rate = test(learner.policy)
             print(f"{spent:5.1f} s  test: {up:.0%} up, errors {speed:.3f} m/s and {rate:.3f} rad/s", flush=True)
             walks = spent if up == 1 and speed < 0.1 and rate < 0.15 else None
-    if first:
-        args.out.mkdir(parents=True, exist_ok=True)
-        torch.save(learner.policy.actor.state_dict(), args.out / "walk.pt")
-        up, speed, rate = test(learner.policy)
-        print(f"at the end: {up:.0%} up, errors {speed:.3f} m/s and {rate:.3f} rad/s")
+    if not first:
+        return spent  # the first process tells
+    args.out.mkdir(parents=True, exist_ok=True)
+    torch.save(learner.policy.actor.state_dict(), args.out / "walk.pt")
+    up, speed, rate = test(learner.policy)
+    print(f"at the end: {up:.0%} up, errors {speed:.3f} m/s and {rate:.3f} rad/s")
+    print("does not walk yet" if walks is None else f"walks after {walks:.0f} s")
     return walks
 
 
 if __name__ == "__main__":
-    walks = main(tyro.cli(Args))
-    print("does not walk yet" if walks is None else f"walks after {walks:.0f} s")
-    sys.exit(walks is None)
+    sys.exit(main(tyro.cli(Args)) is None)
