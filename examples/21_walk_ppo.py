@@ -125,7 +125,7 @@ class PPO:
             mean = policy(self.observation)
             action = mean + std * torch.randn_like(mean)
             seen, reward, terminated, truncated, info = self.envs.step(UNIT * action)
-            late, reward = truncated & ~terminated, reward.clamp(min=-1.0)  # of a simulation that failed
+            late, reward = truncated & ~terminated, torch.where(info["nonfinite"], -1.0, reward)
             if late.any():
                 reward = reward + GAMMA * torch.where(late, policy.value(info["final_obs"]), 0.0)
             going = (~(terminated | truncated)).float()

@@ -162,11 +162,11 @@ def test_ppo_learns_in_any_vector_environment():
     module = import_module("21_walk_ppo")
     learner = module.PPO(ArmVectorEnv(128, "reach", "two_link", scale=0.5), seed=0)
     reward = []
-    for _ in range(25):
+    for _ in range(60):
         samples, means = learner.rollout()
         learner.update(samples)
         reward.append(means["reward"])
-    assert sum(reward[-5:]) > sum(reward[:5]) + 1.0
+    assert sum(reward[-10:]) > sum(reward[10:20]) + 4.0  # a policy that does not learn stays within 2
 
 
 def test_a_film_of_walking_robots(tmp_path):
