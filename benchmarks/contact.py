@@ -66,7 +66,7 @@ def file_of(given: Path | None, name: str) -> Path:
 
 
 def in_mujoco(path: Path, points: tuple[ContactPoint, ...], damping: float, rotor: float, dt: float = 5e-3) -> Any:
-    """MuJoCo's model of a file on a plane, with spheres in the place of all its shapes."""
+    """MuJoCo's model of a file on a plane, whose shapes are replaced by spheres."""
     text = path.read_text(encoding="utf-8")
     for word in ("visual", "collision", "mujoco"):
         text = re.sub(rf"<{word}>.*?</{word}>", "", text, flags=re.S)
@@ -256,7 +256,7 @@ def _differentiated(scene: Scene, pose: Tensor, height: float, rounds: int) -> t
 
 
 def accuracy(files: dict[str, Path], quick: bool) -> list[dict[str, Any]]:
-    """What one gains or loses at 1, 5 and 10 ms, against analysis and MuJoCo."""
+    """Accuracy at 1, 5 and 10 ms, against analysis and MuJoCo."""
     return [
         {"what": what, "expected": expected, "found": [measure(dt) for dt in STEPS]}
         for what, expected, measure in (

@@ -239,7 +239,7 @@ def main(args: Args) -> float | None:
             print(f"{spent:5.1f} s  test: {up:.0%} up, errors {speed:.3f} m/s and {rate:.3f} rad/s", flush=True)
             walks = spent if up == 1 and speed < 0.1 and rate < 0.15 else None
     if not first:
-        return spent  # the first process tells
+        return spent  # the first process reports
     args.out.mkdir(parents=True, exist_ok=True)
     torch.save(learner.policy.actor.state_dict(), args.out / "walk.pt")
     up, speed, rate = test(learner.policy)

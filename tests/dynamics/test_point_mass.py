@@ -40,7 +40,7 @@ def points(name: str) -> list[tuple[int, np.ndarray, float, np.ndarray, float, f
 
 
 def masses(name: str, robot: Posed) -> list[PointMass]:
-    """Those masses in the frames of a form; normals are given in the axes of the link."""
+    """Masses of `points` in the frames of a form; normals are given in the axes of the link."""
     found = []
     for i, p, m, n, e, spin in points(name):
         place = robot.point(i, ((1.0, 0.0, 0.0, 0.0), (0.0, *(0.5 * p))))

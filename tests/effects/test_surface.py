@@ -117,7 +117,7 @@ def saddle(scale=SADDLE, **more):
 
 
 def recorded_saddle(x, y):
-    """The same ground as a recorded function."""
+    """Ground of `saddle` as a recorded function."""
     return SADDLE * x * y
 
 

@@ -1,4 +1,4 @@
-"""What `scene.contacts` reads in a state: forces that carry the robot, touch, depth and slip of every point."""
+"""Readings of `scene.contacts` in a state: forces that carry the robot, touch, depth and slip of every point."""
 
 import math
 
