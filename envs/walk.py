@@ -12,7 +12,7 @@ from torchdq import effects
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import matching
+from torchdq.base.checks import is_number, matching
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.envs.pushes import Pushes
@@ -102,6 +102,10 @@ class Walk(EpisodeTask):
             object.__setattr__(self, name, tuple(dict(getattr(self, name)).items()))
         if unknown := dict(self.weights).keys() - WEIGHTS.keys():
             raise ArgumentError(f"weights of Walk must be among {', '.join(WEIGHTS)}, found {', '.join(unknown)}")
+        for name in ("forward", "sideways", "turning"):
+            x = getattr(self, name)
+            if not (isinstance(x, tuple) and len(x) == 2 and all(map(is_number, x)) and x[0] <= x[1]):
+                raise ArgumentError(f"{name} of Walk must be (least, largest), which may be equal, found {x!r}")
 
     def defaults(self, robot: Robot) -> Mapping[str, Any]:
         """Arguments of environments: servos that carry the robot's weight, contact of the feet, and what is random."""
@@ -232,6 +236,9 @@ class Walk(EpisodeTask):
         """Whether each foot touches the ground, 1 or 0, and whether each other point of the contacts does."""
         feet, others = {point.frame: 0.0 for point in self._feet(view.scene.spec.robot)}, []
         points = [point for _, effect in view.scene.spec.of(effects.Contact) for point in effect.points]
+        if missing := sorted(feet.keys() - {point.frame for point in points}):
+            found = f"found none of {', '.join(missing)}; add effects.Contact({self.feet!r})"
+            raise ArgumentError(f"effects of Walk must hold a Contact of every foot, {found}")
         for point, contact in zip(points, view.contacts, strict=True):
             if point.frame in feet:
                 feet[point.frame] = maximum(feet[point.frame], contact.touching)

@@ -99,6 +99,11 @@ def test_a_map_that_is_none_is_refused(wrong):
         effects.HeightMap(**{"heights": torch.zeros(2, 2), "spacing": 0.1, **wrong})
 
 
+def test_maps_of_another_number_than_the_robots_are_refused():
+    with refused(ArgumentError):
+        ground(hills(3)).start(torch.zeros(2, 0))
+
+
 # --- contact ---------------------------------------------------------------------------------------------------------
 
 BALL = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'

@@ -170,6 +170,8 @@ def test_what_walks_is_a_quadruped_on_a_floating_base():
         lambda: ArmVectorEnv(1, "walk", go2.urdf()),
         lambda: ArmVectorEnv(1, Walk(feet="F?_foot"), "go2"),
         lambda: Walk(weights={"speed": 1.0}),
+        lambda: Walk(turning=1.0),
+        lambda: ArmVectorEnv(1, "walk", effects=(effects.Servo(40.0, 1.0), effects.Contact("F?_foot"))).reset(),
     ):
         with refused(ArgumentError):
             cause()

@@ -65,7 +65,11 @@ class HeightMap:
         heights = self.heights.to(x.device).flatten()
         first = torch.arange(0, heights.numel(), rows * columns, device=x.device).reshape(*batch, 1) if batch else 0
         (left, right, a), (front, back, b) = self._cell(x, 0, columns), self._cell(y, 1, rows)
-        front, back = first + columns * front, first + columns * back
+        try:
+            front, back = first + columns * front, first + columns * back
+        except RuntimeError as error:
+            found = f"heights of HeightMap {tuple(batch)}, places {tuple(x.shape[:-1])}"
+            raise ArgumentError(f"the batch axes of the arguments must broadcast, found {found}") from error
 
         def of(row: Tensor, column: Tensor) -> Tensor:
             at = row + column
