@@ -59,12 +59,12 @@ def main(args: Args) -> Wiped:
         error = torch.cat([way, (force - commanded) * (k > 30)], 1)  # of the force once it has landed
         lead += 0.02 * torch.tensor([args.path_gain, args.path_gain, args.force_gain]) * error
         shift = lead + torch.tensor([2.0, 2.0, 0.001]) * error
-        rubbing = 0.5 * commanded * torch.nn.functional.normalize(velocity)
+        friction = 0.5 * commanded * torch.nn.functional.normalize(velocity)  # of an average table
         J = torchdq.jacobian(robot, envs.state.q, robot.tip, expressed="world")[:, 3:]
         M = torchdq.mass_matrix(controller.model, envs.state.q)
         bend = torch.linalg.solve(M, J.mT) / torch.tensor(controller.kp)[:, None]  # by a force on the tip
         push = torch.linalg.solve(J @ bend, shift[:, :, None])
-        push[:, :2] += rubbing[:, :, None]
+        push[:, :2] += friction[:, :, None]
         offsets = (bend @ push)[:, :, 0]
         observation, _, terminated, _, info = envs.step((offsets / scale).clamp(-1, 1))
         assert not terminated.any()
