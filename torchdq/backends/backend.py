@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -9,7 +10,10 @@ import torch
 from torch import Tensor
 
 from torchdq.errors import TorchdqError
+from torchdq.program.loop import Loop
 from torchdq.program.program import Program
+
+Form = tuple[tuple[int, ...], tuple[int, ...], torch.dtype]  # size, strides and dtype of a tensor
 
 
 class Kernel(Protocol):
@@ -29,6 +33,13 @@ class DirectKernel(Kernel, Protocol):
         """
 
 
+class LoopKernel(Protocol):
+    """Function that computes all outputs of a loop, of which the last is the largest error growth of every sample."""
+
+    def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
+        """Outputs of the shapes of `program.loop.shapes`, from arguments [samples, width], of steps or uniform."""
+
+
 class Backend:
     """Interface of a backend."""
 
@@ -44,8 +55,17 @@ class Backend:
         """Function that computes all outputs of a program in one precision."""
         raise NotImplementedError
 
+    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
+        """Function that computes all outputs of a loop in one precision."""
+        raise NotImplementedError
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}()"
+
+
+def contiguous(shape: tuple[int, ...], dtype: torch.dtype) -> Form:
+    """Form of a contiguous tensor."""
+    return shape, tuple([math.prod(shape[k + 1 :]) for k in range(len(shape))]), dtype
 
 
 def dense(tensors: Sequence[Tensor]) -> list[Tensor]:

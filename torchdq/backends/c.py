@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchdq.backends import c_library, threads
-from torchdq.backends.backend import Backend, DirectKernel, dense
+from torchdq.backends.backend import Backend, DirectKernel, LoopKernel, contiguous, dense
+from torchdq.backends.c_loop import loop_source
 from torchdq.backends.c_source import source
 from torchdq.backends.compiler import BuildError, compiler, no_compiler
-from torchdq.backends.torch import InterpretedKernel
+from torchdq.backends.torch import InterpretedKernel, InterpretedLoop
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.progress import Progress, warn_once
 from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.program.loop import Loop, shapes
 from torchdq.program.program import Program, outputs
 from torchdq.program.transforms import empty_on_cpu
 
@@ -33,10 +36,11 @@ class C(Backend):
 
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
         """Compiled program in one precision, built unless the cache on disk has it."""
-        found = _compiled(program, dtype)
-        if isinstance(found, BuildError):
-            raise BuildError(f"{found}\n(torchdq.clear_caches() makes this process try again)")
-        return found
+        return _built(_compiled(program, dtype))
+
+    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
+        """Compiled loop in one precision, likewise."""
+        return _built(_compiled(loop, dtype))
 
 
 class COrTorch(C):
@@ -45,20 +49,36 @@ class COrTorch(C):
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
         """Compiled program in one precision, or its torch operations."""
         found = _compiled(program, dtype)
-        if isinstance(found, BuildError):
-            warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {found}")
-            return InterpretedKernel(program)
-        return found
+        return InterpretedKernel(program) if _failed(found) else found
+
+    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
+        """Compiled loop in one precision, or its torch operations."""
+        found = _compiled(loop, dtype)
+        return InterpretedLoop(loop) if _failed(found) else found
 
 
 COMPILED, COMPILED_OR_EAGER = C(), COrTorch()
 
 
+def _built(found: Any) -> Any:
+    """What was compiled; raises if it is the error of the build."""
+    if isinstance(found, BuildError):
+        raise BuildError(f"{found}\n(torchdq.clear_caches() makes this process try again)")
+    return found
+
+
+def _failed(found: Any) -> bool:
+    """Whether a build failed, of which this process is warned once."""
+    if isinstance(found, BuildError):
+        warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {found}")
+    return isinstance(found, BuildError)
+
+
 @remembered(PROGRAMS)
-def _compiled(program: Program, dtype: torch.dtype) -> CompiledKernel | BuildError:
-    """Kernel of a program, or the error of its build, made once per process."""
+def _compiled(what: Program | Loop, dtype: torch.dtype) -> Any:
+    """Kernel of a program or loop, or the error of its build, made once per process."""
     try:
-        return CompiledKernel(program, dtype)
+        return CompiledLoop(what, dtype) if isinstance(what, Loop) else CompiledKernel(what, dtype)
     except BuildError as error:
         return error
 
@@ -101,16 +121,52 @@ class CompiledKernel:
 
     def _run(self, tensors: Sequence[Tensor], samples: int, number: int, size: int) -> None:
         """Run the program on all tensors, with a number of threads and a number of samples in each part."""
-        pointers = [x.data_ptr() for x in tensors]
-        if samples <= size:
-            self.function(samples, *pointers)
-            return
+        _in_parts(self.function, samples, (), [x.data_ptr() for x in tensors], self.strides, number, size)
 
-        def part(k: int) -> None:
-            at = [
-                p + (k if summed else k * size) * stride
-                for p, (stride, summed) in zip(pointers, self.strides, strict=True)
-            ]
-            self.function(min(size, samples - k * size), *at)
 
-        threads.run(part, -(-samples // size), number)
+class CompiledLoop:
+    """Compiled loop in one precision."""
+
+    def __init__(self, loop: Loop, dtype: torch.dtype):
+        self.loop, self.dtype, body = loop, dtype, loop.body
+        results = outputs(body)
+        with Progress(f"writing {loop.name} in C"):
+            code = loop_source(loop, dtype == torch.float32)
+        self.function = c_library.load(code, loop.name, len(loop.arguments) + len(results), 3)
+        self.operations = body.count().total
+        self.summed = [r.summed for r in results]
+        self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in loop.arguments]
+        self.strides += [(len(r.values) * dtype.itemsize, r.summed) for r in results]
+
+    def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
+        """Outputs of the loop; arguments that are not contiguous are copied."""
+        number, size = threads.shares(samples, self.operations * max(steps, 1), any(self.summed))
+        parts = max(1, -(-samples // size))
+        found = []
+        for shape, summed in zip(shapes(self.loop, samples, steps), self.summed, strict=True):
+            form = contiguous((parts, *shape) if summed else shape, self.dtype)
+            found.append(empty_on_cpu(*form))
+        pointers = [x.data_ptr() for x in (*dense(inputs), *found)]
+        _in_parts(self.function, samples, (samples, steps), pointers, self.strides, number, size)
+        return [y.sum(0) if summed else y for y, summed in zip(found, self.summed, strict=True)]
+
+
+def _in_parts(
+    function: Callable[..., None],
+    samples: int,
+    numbers: Sequence[int],
+    pointers: Sequence[int],
+    strides: Sequence[tuple[int, bool]],
+    number: int,
+    size: int,
+) -> None:
+    """Call a function on parts of some samples, shared among a number of threads."""
+    if samples <= size:
+        function(samples, *numbers, *pointers)
+        return
+
+    def part(k: int) -> None:
+        at = [p + (k if summed else k * size) * stride for p, (stride, summed) in zip(pointers, strides, strict=True)]
+        function(min(size, samples - k * size), *numbers, *at)
+
+    threads.run(part, -(-samples // size), number)

@@ -52,7 +52,7 @@ def entry_key(source: str) -> str:
     return cache.key_of(source, version, *flags(), _processor())
 
 
-def _opened(path: Path, pointers: int = 0) -> Callable[..., None]:
+def _opened(path: Path, numbers: int = 1, pointers: int = 0) -> Callable[..., None]:
     """Function `run` of a library, which is unloaded with the last reference to the function.
 
     Functions of `ctypes.CDLL` refer to themselves and its libraries stay, so the function is made from its address.
@@ -62,7 +62,7 @@ def _opened(path: Path, pointers: int = 0) -> Callable[..., None]:
         address = _ctypes.dlsym(library, "run")
     except OSError as error:
         raise BuildError(f"{path} is not a library with a function 'run': {error}") from error
-    function = ctypes.CFUNCTYPE(None, ctypes.c_long, *(ctypes.c_void_p,) * pointers)(address)
+    function = ctypes.CFUNCTYPE(None, *(ctypes.c_long,) * numbers, *(ctypes.c_void_p,) * pointers)(address)
     weakref.finalize(function, _ctypes.dlclose, library).atexit = False
     return function
 
@@ -93,10 +93,10 @@ def _run_compiler(command: list[str], library: Path, pieces: int) -> None:
     run([[*command, "-o", str(library), *objects, "-lm"]], LIMIT, folder)
 
 
-def load(source: str, name: str, pointers: int) -> Callable[..., None]:
-    """Function `run` of a C source, of the number of samples and so many pointers, compiled unless the cache has it.
+def load(source: str, name: str, pointers: int, numbers: int = 1) -> Callable[..., None]:
+    """Function `run` of a C source, of so many whole numbers and pointers, compiled unless the cache has it.
 
     Raises `BuildError` if the program cannot be compiled, or there is no room for it.
     """
     path = cache.kept(entry_key(source), ".so", name, lambda library: _compile(library, source, name))
-    return _opened(path, pointers)
+    return _opened(path, numbers, pointers)

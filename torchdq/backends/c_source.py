@@ -18,7 +18,7 @@ def source(program: Program, single: bool) -> str:
     It defines `run`, which takes the number of samples and a pointer per argument and per output: dense arrays
     [samples, width], or [width] where they are uniform or summed.
     """
-    return _Printer(program, single).text()
+    return Printer(program, single).text()
 
 
 def pieces_of(source: str) -> int:
@@ -40,7 +40,41 @@ def _applied(row: Operation, function: str, operands: Iterable[str]) -> str:
     return row.infix.join(operands) if row.infix else function.format(*operands)
 
 
-class _Printer:
+# --- statements on the samples b, b + 1, ..., of which `here` are in the lanes of a vector -----------------------------
+
+
+def load(to: str, at: str, width: int) -> str:
+    """Statement that reads rows; idle lanes repeat the last sample, so that every sample takes the same code."""
+    return (
+        f"if(samples-b>=LANES+(TILE+{width - 1})/{width})load({to},{at},{width});else{{"
+        f"for(int l=0;l<LANES;l++)for(int j=0;j<{width};j++){to}[j][l]=({at})[(l<here?l:here-1)*{width}+j];}}"
+    )
+
+
+def store(at: str, of: str, width: int) -> str:
+    """Statement that writes rows."""
+    return (
+        f"if(here==LANES)store({at},{of},{width});"
+        f"else{{for(int l=0;l<here;l++)for(int j=0;j<{width};j++)({at})[l*{width}+j]={of}[j][l];}}"
+    )
+
+
+def add(to: str, of: str, width: int) -> str:
+    """Statement that adds rows, without those of idle lanes, to sums in the lanes."""
+    return (
+        f"if(here==LANES){{for(int j=0;j<{width};j++){to}[j]+={of}[j];}}"
+        f"else{{for(int j=0;j<{width};j++)for(int l=0;l<here;l++){to}[j][l]+={of}[j][l];}}"
+    )
+
+
+def store_sum(at: str, of: str, width: int) -> str:
+    """Statement that writes sums over the lanes."""
+    return f"for(int j=0;j<{width};j++){{S t=0;for(int l=0;l<LANES;l++)t+={of}[j][l];({at})[j]=t;}}"
+
+
+class Printer:
+    """Text of the values of a program, and of the program."""
+
     def __init__(self, program: Program, single: bool):
         self.program, self.single = program, single
         self.schedule = schedule(program, LONGEST)
@@ -124,31 +158,14 @@ class _Printer:
         lines += [f"void run(long samples,{','.join(pointers)}){{", *self.prelude()]
         lines += [f"T A{k}[{w}];for(int j=0;j<{w};j++)A{k}[j]=(T){{}};" for k, w in summed]
         lines += ["for(long b=0;b<samples;b+=LANES){", "const long here=samples-b<LANES?samples-b:LANES;"]
-        # idle lanes of the last vector repeat its last sample, so that every sample takes the same code
-        lines += [
-            f"T I{k}[{w}];if(samples-b>=LANES+(TILE+{w - 1})/{w})load(I{k},in{k}+b*{w},{w});else{{"
-            f"for(int l=0;l<LANES;l++)for(int j=0;j<{w};j++)I{k}[j][l]=in{k}[(b+(l<here?l:here-1))*{w}+j];}}"
-            for k, w in rows
-        ]
+        lines += [f"T I{k}[{w}];{load(f'I{k}', f'in{k}+b*{w}', w)}" for k, w in rows]
         lines += [f"T O{k}[{w}];" for k, w in enumerate(widths)]
         lines += body
         for k, r in enumerate(results):
             w = len(r.values)
-            if r.summed:
-                lines.append(
-                    f"if(here==LANES){{for(int j=0;j<{w};j++)A{k}[j]+=O{k}[j];}}"
-                    f"else{{for(int j=0;j<{w};j++)for(int l=0;l<here;l++)A{k}[j][l]+=O{k}[j][l];}}"
-                )
-            else:
-                lines.append(
-                    f"if(here==LANES)store(out{k}+b*{w},O{k},{w});"
-                    f"else{{for(int l=0;l<here;l++)for(int j=0;j<{w};j++)out{k}[(b+l)*{w}+j]=O{k}[j][l];}}"
-                )
+            lines.append(add(f"A{k}", f"O{k}", w) if r.summed else store(f"out{k}+b*{w}", f"O{k}", w))
         lines.append("}")
-        lines += [
-            f"for(int j=0;j<{len(results[k].values)};j++){{S t=0;for(int l=0;l<LANES;l++)t+=A{k}[j][l];out{k}[j]=t;}}"
-            for k, _ in summed
-        ]
+        lines += [store_sum(f"out{k}", f"A{k}", len(results[k].values)) for k, _ in summed]
         return "\n".join([*lines, "}", *(["#endif"] if functions else [])]) + "\n"
 
     def body(self, rows: Sequence[tuple[int, int]]) -> tuple[list[str], list[str]]:

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.backends.backend import Backend, dense, share_memory
+from torchdq.backends.backend import Backend, Form, contiguous, dense, share_memory
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
-from torchdq.backends.precision import Form, Guarded, contiguous, run, unguarded
+from torchdq.backends.precision import Guarded, run, unguarded
 from torchdq.backends.torch import EAGER
 from torchdq.base.caches import LAYOUTS, Bounded
 from torchdq.base.checks import DTYPES, is_dense, require_tensor

@@ -18,7 +18,8 @@ from torch import Tensor
 from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.backends.choice import present
 from torchdq.backends.compiler import BuildError
-from torchdq.backends.precision import Form, contiguous, largest_growth
+from torchdq.backends.backend import Form, contiguous
+from torchdq.backends.precision import largest_growth
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.program.program import Program
 from torchdq.program.transforms import alike, dispatching, empty_on_cpu, transforming

@@ -7,21 +7,18 @@ reads the factors; on a GPU, where that would be a synchronisation, the kernels 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 
-from torchdq.backends.backend import Backend, DirectKernel
+from torchdq.backends.backend import Backend, DirectKernel, Form
 from torchdq.backends.torch import EAGER
 from torchdq.errors import ArgumentError
 from torchdq.program.autograd import differentiable, in_a_graph
 from torchdq.program.program import LARGEST_GROWTH, Program, samples_of
 from torchdq.program.transforms import empty_on_cpu, jit_tracing, proxy_tracing, without_values
-
-Form = tuple[tuple[int, ...], tuple[int, ...], torch.dtype]  # size, strides and dtype of a tensor
 
 
 class Guarded(NamedTuple):
@@ -94,11 +91,6 @@ def unguarded(
     if program.growth is None or backend.guards:
         return found
     return found if _within_limit(found.pop(), samples) else None
-
-
-def contiguous(shape: tuple[int, ...], dtype: torch.dtype) -> Form:
-    """Form of a contiguous tensor."""
-    return shape, tuple([math.prod(shape[k + 1 :]) for k in range(len(shape))]), dtype
 
 
 def _within_limit(growth: Tensor, samples: int) -> bool:

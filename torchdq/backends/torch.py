@@ -11,6 +11,7 @@ from torch import Tensor
 from torchdq.backends.backend import Backend, Kernel
 from torchdq.errors import TorchdqError
 from torchdq.numbers.ops import OPS
+from torchdq.program.loop import Loop, shapes
 from torchdq.program.program import Output, Program, outputs
 from torchdq.program.transforms import number
 
@@ -51,6 +52,39 @@ class InterpretedKernel:
         ]
         for y, found in zip(results, self(rows, samples), strict=True):
             y.copy_(found.reshape(y.shape))
+
+
+class InterpretedLoop:
+    """Loop run by torch, step by step and operation by operation, instead of compiled; differentiable by torch."""
+
+    def __init__(self, loop: Loop):
+        self.loop = loop
+
+    def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
+        """Outputs of the loop."""
+        loop, rows = self.loop, list(inputs[: len(self.loop.body.arguments)])
+        found: list[list[Tensor]] = [[] for _ in outputs(loop.body)]
+        for k, r in loop.carried:
+            found[r] = [inputs[k]]
+        for s in reversed(range(steps)) if loop.backwards else range(steps):
+            for k in loop.stepped:
+                rows[k] = inputs[k][s]
+            for more, k in enumerate(loop.added, len(loop.body.arguments)):
+                rows[k] = rows[k] + inputs[more][s]
+            for y, row in zip(interpreted(loop.body, rows, samples), found, strict=True):
+                row.append(y)
+            for k, r in loop.carried:
+                rows[k] = found[r][-1]
+        empty = [inputs[0].new_zeros(shape) for shape in shapes(loop, samples, steps)]
+        return [self._output(r, row) if row else empty[r] for r, row in enumerate(found)]
+
+    def _output(self, r: int, rows: list[Tensor]) -> Tensor:
+        """Output of the rows of all steps."""
+        if r in self.loop.kept:
+            return torch.stack(rows[::-1] if self.loop.backwards else rows)
+        if r == len(self.loop.body.results):
+            return torch.stack(rows).amax(0)
+        return rows[-1] if r in dict(map(reversed, self.loop.carried)) else sum(rows[1:], rows[0])
 
 
 def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
