@@ -126,7 +126,7 @@ def evaluate(
                 return dict(zip(layout.names, direct, strict=True))
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, tensors)  # raises
-        rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
+        rows = [row_of(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
         found = run(layout.program, rows, layout.backend)
     except (AttributeError, RuntimeError):  # no check before, which would cost every call
         batch_of(what, tensors)  # raises, naming an argument that is not a dense tensor
@@ -233,10 +233,10 @@ def _require_room(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Ten
 
 
 def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> CallLayout:
-    arguments, rows, batch = _arranged(what, tensors)
+    arguments, rows, batch = arranged(what, tensors)
     like = next(x for x in tensors.values() if x is not None)
     dtype, device = torch.float64 if double else like.dtype, like.device
-    program, chosen = _recorded(what, arguments), choose(backend, device)
+    program, chosen = recorded(what, arguments), choose(backend, device)
     shapes = _shapes(what, program)
     alike = all(x is None or (x.dtype == dtype and x.device == device) for x in tensors.values())
     direct = None
@@ -262,7 +262,8 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
     )
 
 
-def _recorded(what: Computation, arguments: tuple[Argument, ...]) -> Program:
+def recorded(what: Computation, arguments: tuple[Argument, ...]) -> Program:
+    """Program of a computation; within transforms of torch its constants have values, too."""
     with with_values():
         return what.program(arguments)
 
@@ -273,7 +274,7 @@ def _shapes(what: Computation, program: Program) -> tuple[tuple[str, bool, Shape
     return tuple([(r.name, r.summed, shape) for r, shape in zip(program.results, axes, strict=True)])
 
 
-def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
+def arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
     """Arguments of the program, arrangement of the tensors in rows, and batch axes."""
     batch = batch_of(what, tensors)
     samples = math.prod(batch)
@@ -289,7 +290,8 @@ def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...]
     return tuple(arguments), tuple(rows), batch
 
 
-def _row(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement) -> Tensor:
+def row_of(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement) -> Tensor:
+    """Tensor as rows of a program."""
     if x.dtype != dtype or x.device != device:
         x = x.to(dtype=dtype, device=device)
     if row.expanded is not None:
@@ -369,12 +371,12 @@ def _known(
                 name: torch.empty(((1,) * ndim + what.axes(name))[len(what.axes(name)) :], dtype=dtype, device=device)
                 for name, ndim, dtype, device in looks
             }
-            arguments, _, _ = _arranged(what, one)
+            arguments, _, _ = arranged(what, one)
     except TorchdqError:
         return None
     _, _, dtype, device = looks[0]
     forms = tuple([(what.axes(a.name), a.width, a.uniform) for a in arguments])
-    program, chosen = _recorded(what, arguments), choose_for_graph(backend, device)
+    program, chosen = recorded(what, arguments), choose_for_graph(backend, device)
     results, dtype = _shapes(what, program), torch.float64 if double else dtype
     if chosen.differentiable:
         return forms, dtype, "", program, results

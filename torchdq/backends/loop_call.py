@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from torchdq.backends.backend import Backend, dense
-from torchdq.backends.call import Computation, Shape, Tensors, arranged, batch_of, row_of
+from torchdq.backends.call import Arrangement, Computation, Shape, Tensors, arranged, batch_of, recorded, row_of
 from torchdq.backends.choice import BackendName, choose, present
-from torchdq.backends.precision import largest_growth
-from torchdq.base.caches import LAYOUTS, Bounded
+from torchdq.backends.precision import largest_growth, run
+from torchdq.backends.torch import by_steps
+from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.program.autograd import in_a_graph
 from torchdq.program.loop import Loop
 from torchdq.program.loop_autograd import differentiable
-
-
-class Steps(NamedTuple):
-    """Rows of a computation over a number of steps."""
-
-    rows: dict[str, Tensor]  # [steps + 1, ...] of what is carried, with the start, or [...] at the end; of others ...
-    over: Tensor | None  # [samples] rows whose errors grow too much, which are wrong; None: there are none
+from torchdq.program.program import Program
 
 
 class LoopLayout(NamedTuple):
@@ -31,9 +25,9 @@ class LoopLayout(NamedTuple):
 
     loop: Loop
     backend: Backend
-    arrangement: tuple[tuple[Shape | None, Shape | None], ...]  # shapes on the way to the arguments of the loop
-    names: tuple[str, ...]
-    shapes: tuple[Shape, ...]  # of the results
+    rows: tuple[Arrangement, ...]
+    names: tuple[str, ...]  # names of the results
+    shapes: tuple[Shape, ...]  # shapes of the results
     samples: int
 
 
@@ -49,8 +43,10 @@ def repeat(
     total: Sequence[str] = (),
     ends: bool = False,
     backend: BackendName | None = None,
-) -> Steps:
-    """Rows of a computation that is evaluated a number of times, each result of a carried name being the next argument.
+) -> dict[str, Tensor]:
+    """Results of a computation that is evaluated a number of times, with what is carried from one to the next, by name.
+
+    Of what is carried there are steps + 1, with the start; of other results one for every step, or their total.
 
     Args:
         what: the computation.
@@ -59,23 +55,102 @@ def repeat(
         stepped: arguments of every step, [steps, ...]; one that is expanded along that axis costs as much as a fixed one.
         fixed: arguments that are the same at all steps.
         total: results of which the sum over the steps is returned.
-        ends: whether only the end of what is carried is returned.
+        ends: whether only the last of what is carried is returned.
         backend: as in `torchdq.functional`; one that compiles programs.
     """
     tensors = {**carried, **stepped, **fixed}
     try:
         looks = [(x.shape, x.dtype, x.device) for x in tensors.values()]
-        constant = [steps > 0 and x.stride(0) == 0 for x in stepped.values()]
-        key = (what, steps, len(carried), *constant, tuple(total), ends, backend, present(), *tensors, *looks)
+        constant = tuple([steps > 0 and x.stride(0) == 0 for x in stepped.values()])
+        key = (what, steps, len(carried), constant, tuple(total), ends, backend, present(), *tensors, *looks)
         layout = _layouts.get(key)
         if layout is None:
-            layout = _layouts[key] = _layout(what, steps, carried, stepped, fixed, constant, total, ends, backend)
-        given = [*carried.values(), *(x[0] if c else x for x, c in zip(stepped.values(), constant)), *fixed.values()]
+            names = tuple(name for name, once in zip(stepped, constant, strict=True) if not once)
+            layout = _layouts[key] = _layout(what, steps, _once(steps, tensors, stepped), carried, names, total, ends, backend)
+        given = [*carried.values(), *[x[0] if c else x for x, c in zip(stepped.values(), constant)], *fixed.values()]
         like = given[0]
-        rows = [row_of(x, like.dtype, like.device, a) for x, a in zip(given, layout.arrangement, strict=True)]
+        rows = [row_of(x, like.dtype, like.device, a) for x, a in zip(given, layout.rows, strict=True)]
     except (AttributeError, RuntimeError):
-        _check(what, carried, stepped, fixed)  # raises, naming an argument that is not a dense tensor
+        batch_of(what, _once(steps, tensors, stepped))  # raises, naming an argument that is not a dense tensor
         raise
-    execute = layout.backend.loop
-    found = differentiable(layout.backend, layout.loop, rows, layout.samples, steps)
-    ...
+    found = _guarded(layout, rows, steps)
+    shaped = [y if y.shape == shape else y.view(shape) for y, shape in zip(found, layout.shapes, strict=True)]
+    return dict(zip(layout.names, shaped, strict=True))
+
+
+def _guarded(layout: LoopLayout, rows: Sequence[Tensor], steps: int) -> Sequence[Tensor]:
+    """Results of a loop; samples whose errors grow too much at one of the steps take all of them one by one."""
+    loop, backend, samples, count = layout.loop, layout.backend, layout.samples, len(layout.names)
+    found = differentiable(Looping(backend), loop, rows, samples, steps)
+    growth = found[count].detach() if len(found) > count and samples else None
+    if growth is None or growth.amax().item() <= largest_growth(growth.dtype):
+        return found[:count]
+    over = ~(growth[:, 0] <= largest_growth(growth.dtype))
+    at, others = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
+
+    def among(indices: Tensor) -> list[Tensor]:
+        given = enumerate(zip(rows, loop.arguments, strict=True))
+        return [x if a.uniform else x.index_select(int(k in loop.given), indices) for k, (x, a) in given]
+
+    axes = [int(r in loop.kept) for r in range(count)]
+    few = by_steps(loop, among(at), len(at), steps, lambda program, x, _: run(program, x, backend))
+    if in_a_graph(rows):  # gradients of the rows over the limit may be 0 * inf
+        rest = differentiable(Looping(backend), loop, among(others), len(others), steps)
+    else:
+        rest = [y.index_select(axis, others) for y, axis in zip(found, axes, strict=False)]
+    wholes = [y.new_empty(y.shape) for y in found[:count]]
+    return [
+        y.index_copy(axis, at, a).index_copy(axis, others, b)
+        for y, axis, a, b in zip(wholes, axes, few, rest, strict=False)
+    ]
+
+
+class Looping(NamedTuple):
+    """Backend as a function that runs loops."""
+
+    backend: Backend
+
+    def __call__(self, loop: Loop, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
+        """Outputs of a loop."""
+        like = inputs[0]
+        return self.backend.loop(loop, like.dtype, like.device)(inputs, samples, steps)
+
+
+def _once(steps: int, tensors: Mapping[str, Tensor], stepped: Tensors) -> dict[str, Tensor]:
+    """Arguments of one step."""
+    return {name: (x[0] if steps else x.new_empty(x.shape[1:])) if name in stepped else x for name, x in tensors.items()}
+
+
+def _layout(
+    what: Computation,
+    steps: int,
+    once: Mapping[str, Tensor],
+    carried: Tensors,
+    stepped: Sequence[str],
+    total: Sequence[str],
+    ends: bool,
+    backend: BackendName | None,
+) -> LoopLayout:
+    arguments, rows, batch = arranged(what, once)
+    program, like, names = recorded(what, arguments), next(iter(once.values())), [a.name for a in arguments]
+    results = [r.name for r in program.results]
+    states = tuple([(names.index(name), results.index(name)) for name in carried])
+    kept = [r for r, name in enumerate(results) if not (name in total or (ends and name in carried))]
+    loop = _loop(program, states, tuple(map(names.index, stepped)), tuple(kept))
+    arrangement = []
+    for name, row, a in zip(names, rows, arguments, strict=True):
+        if name in stepped:
+            shape, flat = (steps, *batch, *what.axes(name)), (steps, math.prod(batch), a.width)
+            row = Arrangement(None if row.expanded is None else shape, None if shape == flat else flat)
+        arrangement.append(row)
+    shapes = []
+    for r, axes in enumerate(what.results(program)):
+        lead = (steps + (results[r] in carried),) if r in kept else ()
+        shapes.append((*lead, *batch, *axes))
+    return LoopLayout(loop, choose(backend, like.device), tuple(arrangement), tuple(results), tuple(shapes), math.prod(batch))
+
+
+@remembered(PROGRAMS)
+def _loop(body: Program, carried: tuple[tuple[int, int], ...], stepped: tuple[int, ...], kept: tuple[int, ...]) -> Loop:
+    """Loop over a program, one for all batches, so that it is compiled once."""
+    return Loop(body, carried, stepped, kept)

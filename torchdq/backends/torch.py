@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import torch
@@ -55,36 +55,46 @@ class InterpretedKernel:
 
 
 class InterpretedLoop:
-    """Loop run by torch, step by step and operation by operation, instead of compiled; differentiable by torch."""
+    """Loop that is run step by step, by torch instead of compiled."""
 
     def __init__(self, loop: Loop):
         self.loop = loop
 
     def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
-        """Outputs of the loop."""
-        loop, rows = self.loop, list(inputs[: len(self.loop.body.arguments)])
-        found: list[list[Tensor]] = [[] for _ in outputs(loop.body)]
-        for k, r in loop.carried:
-            found[r] = [inputs[k]]
-        for s in reversed(range(steps)) if loop.backwards else range(steps):
-            for k in loop.stepped:
-                rows[k] = inputs[k][s]
-            for more, k in enumerate(loop.added, len(loop.body.arguments)):
-                rows[k] = rows[k] + inputs[more][s]
-            for y, row in zip(interpreted(loop.body, rows, samples), found, strict=True):
-                row.append(y)
-            for k, r in loop.carried:
-                rows[k] = found[r][-1]
-        empty = [inputs[0].new_zeros(shape) for shape in shapes(loop, samples, steps)]
-        return [self._output(r, row) if row else empty[r] for r, row in enumerate(found)]
+        """Outputs of the loop, differentiable by torch itself."""
+        return by_steps(self.loop, inputs, samples, steps, interpreted)
 
-    def _output(self, r: int, rows: list[Tensor]) -> Tensor:
-        """Output of the rows of all steps."""
-        if r in self.loop.kept:
-            return torch.stack(rows[::-1] if self.loop.backwards else rows)
-        if r == len(self.loop.body.results):
-            return torch.stack(rows).amax(0)
-        return rows[-1] if r in dict(map(reversed, self.loop.carried)) else sum(rows[1:], rows[0])
+
+def by_steps(
+    loop: Loop,
+    inputs: Sequence[Tensor],
+    samples: int,
+    steps: int,
+    step: Callable[[Program, Sequence[Tensor], int], Sequence[Tensor]],
+) -> list[Tensor]:
+    """Outputs of a loop; `step(program, inputs, samples)` has those of a program, with or without the error growth."""
+    rows, own = list(inputs[: len(loop.body.arguments)]), {r: k for k, r in loop.carried}
+    found: list[list[Tensor]] = [[inputs[own[r]]] if r in own else [] for r, _ in enumerate(outputs(loop.body))]
+    for s in reversed(range(steps)) if loop.backwards else range(steps):
+        for k in loop.stepped:
+            rows[k] = inputs[k][s]
+        for more, k in enumerate(loop.added, len(loop.body.arguments)):
+            rows[k] = rows[k] + inputs[more][s]
+        for row, y in zip(found, step(loop.body, rows, samples), strict=False):
+            row.append(y)
+        for r, k in own.items():
+            rows[k] = found[r][-1]
+
+    def output(r: int, shape: tuple[int, ...]) -> Tensor:
+        if not found[r]:
+            return inputs[0].new_zeros(shape)
+        if r in loop.kept:
+            return torch.stack(found[r][::-1] if loop.backwards else found[r])
+        if r == len(loop.body.results):
+            return torch.stack(found[r]).amax(0)
+        return found[r][-1] if r in own else sum(found[r][1:], found[r][0])
+
+    return [output(r, shape) for r, shape in enumerate(shapes(loop, samples, steps))]
 
 
 def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:

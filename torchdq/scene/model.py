@@ -281,11 +281,12 @@ class SceneModel:
         """Inputs with the random numbers that the sensors need."""
         if not self.noises:
             return given
-        if noise is None:
-            like = next(iter(given.values()))
-            # 1 - [0, 1) lies in (0, 1], and the logarithm of 0 is infinite
-            noise = 1 - torch.rand(*like.shape[:-1], self.noises, dtype=like.dtype, device=like.device)
-        return {**given, "noise": noise}
+        return {**given, "noise": self.random(next(iter(given.values()))) if noise is None else noise}
+
+    def random(self, like: Tensor, *steps: int) -> Tensor:
+        """Random numbers that the sensors need for states like the rows of a tensor, [*steps, ..., noises]."""
+        # 1 - [0, 1) lies in (0, 1], and the logarithm of 0 is infinite
+        return 1 - torch.rand(*steps, *like.shape[:-1], self.noises, dtype=like.dtype, device=like.device)
 
 
 AnyScene = TypeVar("AnyScene", bound=SceneModel)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -13,14 +14,20 @@ import torch
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint as checkpointed
 
+from torchdq.backends.choice import choose
+from torchdq.backends.loop_call import repeat
 from torchdq.base.checks import require_choice, require_count, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
-from torchdq.program.transforms import without_values
+from torchdq.program.transforms import dispatching, transforming, without_values
+from torchdq.robot.robot import constants
+from torchdq.scene.integrators import Unrecorded
 from torchdq.scene.model import SceneModel
+from torchdq.scene.recording import Stage
 from torchdq.scene.state import State, initial_motion, nonfinite_rows, require_state
 
 LONG = 50  # steps from which a rollout reports its progress
+LONG_LOOP = 1_000_000  # steps of joints from which a loop does, since a thread takes as long as a short rollout
 Policy = Callable[[State, int], Tensor]
 Done = Callable[[State], Tensor]
 Nonfinite = Literal["warn", "ignore"]
@@ -67,43 +74,92 @@ def rollout(
     _require_function("done", done, "state")
     total = _length(series, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
+    if policy is None and done is None and loops(scene, state):
+        states = _looped(scene, state, series, total)
+    else:
+        states = _stepped(scene, state, series, total, {"policy": policy, "done": done}, checkpoint)
+    if nonfinite == "warn" and total and not without_values((state.q,)):
+        _warn(scene, state, states)
+    return states
+
+
+def loops(scene: SceneModel, state: State) -> bool:
+    """Whether steps of a scene are compiled as one loop: recorded ones, of plain tensors, by a backend that compiles."""
+    q = state.q
+    return not (
+        isinstance(scene.integrator, Unrecorded)
+        or scene.computed
+        or (scene.precision == "double" and q.dtype == torch.float32)
+        or without_values((q,))
+        or transforming()
+        or dispatching()
+        or choose(scene.backend, q.device).differentiable
+    )
+
+
+def _looped(scene: SceneModel, state: State, series: Mapping[str, Tensor], steps: int) -> State:
+    """States after each step, by one call."""
+    constants(scene.robot)  # raises if they were changed in place
+    if scene.noises and "noise" not in series:
+        series = {**series, "noise": scene.random(state.q, steps)}
+    what, carried = Stage(scene.spec, "step"), state.rows()
+    with Progress(f"rollout of {steps} steps") if steps * state.q.numel() > LONG_LOOP else nullcontext():
+        found = repeat(what, steps, carried, series, scene.parameters, backend=scene.backend)
+    return State(**{name: x[1:] for name, x in found.items()})
+
+
+def _stepped(
+    scene: SceneModel,
+    state: State,
+    series: Mapping[str, Tensor],
+    steps: int,
+    functions: Mapping[str, Callable[..., Tensor] | None],
+    checkpoint: int,
+) -> State:
+    """States after each step, by so many calls; for the gradient, one in `checkpoint` is kept."""
     unseen = without_values((state.q,))
-    warned = nonfinite == "warn" and not unseen
-    if warned and (message := nonfinite_rows(state, scene.robot)):
-        warnings.warn(message, stacklevel=2)
     again = bool(checkpoint) and torch.is_grad_enabled() and not (unseen or state.q.is_inference())
-    functions = {"policy": policy, "done": done}
     asked = {name: _Asked(name, x, again, {}) for name, x in functions.items() if x is not None}
-    idle = state if done is None else _finite(scene, state)
-    follow, notice = _Steps(scene, series, asked, idle), Progress(f"rollout of {total} steps")
+    idle = _finite(scene, state) if "done" in asked else state
+    follow, notice = _Steps(scene, series, asked, idle), Progress(f"rollout of {steps} steps")
     read = _tensors_read(scene, series, asked) if again else []
 
     def part(first: int, last: int, *tensors: Tensor | None) -> list[State]:
         found, state = [], State._make(tensors[: len(State._fields)])
         for k in range(first, last):
-            notice.at(f"step {k + 1} of {total}")
+            notice.at(f"step {k + 1} of {steps}")
             state = follow.after(k, state)
             found.append(state)
         return found
 
     # torch refuses the gradient if an argument of what it runs again was changed in place since
     run = partial(checkpointed, part, use_reentrant=False) if again else part
-    stride, end = checkpoint or max(total, 1), state
+    stride, end = checkpoint or max(steps, 1), state
     found: list[State] = []
-    with notice if total >= LONG and not unseen else nullcontext():
-        for first in range(0, total, stride):
-            found += run(first, min(first + stride, total), *end, *read)
+    with notice if steps >= LONG and not unseen else nullcontext():
+        for first in range(0, steps, stride):
+            found += run(first, min(first + stride, steps), *end, *read)
             end = found[-1]
     if not found:
         return State._make(None if x is None else x[None][:0] for x in end)
-    if warned and bool((rows := state.finite() & ~end.finite()).any()):
-        step = next(k for k, x in enumerate(found, 1) if bool((state.finite() & ~x.finite()).any()))
-        warnings.warn(
-            f"{int(rows.sum())} of {rows.numel()} rows left the finite range, the first at step {step} of {total}; "
-            f"scene.check(state, seconds) finds a step or an integrator that is stable",
-            stacklevel=2,
-        )
     return State._make(None if rows[0] is None else torch.stack(rows) for rows in zip(*found, strict=True))
+
+
+@torch.no_grad()
+def _warn(scene: SceneModel, start: State, states: State) -> None:
+    """Warn of rows that are not finite at the start, and of those that are no longer so at the end."""
+    if math.isfinite(sum([x[-1].sum().item() for x in states.rows().values()])):
+        return  # what is not finite remains so
+    if message := nonfinite_rows(start, scene.robot):
+        warnings.warn(message, stacklevel=4)
+    lost = start.finite() & ~states.finite()
+    if rows := int(lost[-1].sum()):
+        total, step = len(lost), 1 + int(lost.flatten(1).any(1).int().argmax())
+        warnings.warn(
+            f"{rows} of {lost[-1].numel()} rows left the finite range, the first at step {step} of {total}; "
+            f"scene.check(state, seconds) finds a step or an integrator that is stable",
+            stacklevel=4,
+        )
 
 
 def _length(series: Mapping[str, Tensor], steps: int | None, policy: Policy | None) -> int:
