@@ -61,7 +61,7 @@ COMPILED, COMPILED_OR_EAGER = C(), COrTorch()
 
 
 def _built(found: Any) -> Any:
-    """What was compiled; raises if it is the error of the build."""
+    """Kernel that was compiled; raises if it is the error of its build."""
     if isinstance(found, BuildError):
         raise BuildError(f"{found}\n(torchdq.clear_caches() makes this process try again)")
     return found

@@ -40,7 +40,7 @@ def _applied(row: Operation, function: str, operands: Iterable[str]) -> str:
     return row.infix.join(operands) if row.infix else function.format(*operands)
 
 
-# --- statements on the samples b, b + 1, ..., of which `here` are in the lanes of a vector -----------------------------
+# --- statements on the samples b, b + 1, ..., of which `here` are in the lanes of a vector ---------------------------
 
 
 def load(to: str, at: str, width: int) -> str:
@@ -146,6 +146,7 @@ class Printer:
     # --- the whole ---
 
     def text(self) -> str:
+        """Source of the program."""
         p, results = self.program, outputs(self.program)
         rows = [(k, a.width) for k, a in enumerate(p.arguments) if not a.uniform and a.width]
         # a result without values still needs an array to name

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchdq.backends.backend import Backend, dense
-from torchdq.backends.call import Arrangement, Computation, Shape, Tensors, arranged, batch_of, recorded, row_of
+from torchdq.backends.backend import Backend
+from torchdq.backends.call import Arrangement, Computation, Shape, arranged, batch_of, recorded, row_of
 from torchdq.backends.choice import BackendName, choose, present
 from torchdq.backends.precision import largest_growth, run
 from torchdq.backends.torch import by_steps
@@ -37,9 +37,9 @@ _layouts: Bounded[tuple, LoopLayout] = Bounded(LAYOUTS)
 def repeat(
     what: Computation,
     steps: int,
-    carried: Tensors,
-    stepped: Tensors,
-    fixed: Tensors,
+    carried: Mapping[str, Tensor],
+    stepped: Mapping[str, Tensor],
+    fixed: Mapping[str, Tensor],
     total: Sequence[str] = (),
     ends: bool = False,
     backend: BackendName | None = None,
@@ -52,7 +52,7 @@ def repeat(
         what: the computation.
         steps: number of steps.
         carried: arguments that are results, too, by name, at the start.
-        stepped: arguments of every step, [steps, ...]; one that is expanded along that axis costs as much as a fixed one.
+        stepped: arguments of every step, [steps, ...]; one expanded along that axis costs as much as a fixed one.
         fixed: arguments that are the same at all steps.
         total: results of which the sum over the steps is returned.
         ends: whether only the last of what is carried is returned.
@@ -66,8 +66,11 @@ def repeat(
         layout = _layouts.get(key)
         if layout is None:
             names = tuple(name for name, once in zip(stepped, constant, strict=True) if not once)
-            layout = _layouts[key] = _layout(what, steps, _once(steps, tensors, stepped), carried, names, total, ends, backend)
-        given = [*carried.values(), *[x[0] if c else x for x, c in zip(stepped.values(), constant)], *fixed.values()]
+            layout = _layouts[key] = _layout(
+                what, steps, _once(steps, tensors, stepped), carried, names, total, ends, backend
+            )
+        given = [*carried.values(), *[x[0] if c else x for x, c in zip(stepped.values(), constant, strict=True)]]
+        given += fixed.values()
         like = given[0]
         rows = [row_of(x, like.dtype, like.device, a) for x, a in zip(given, layout.rows, strict=True)]
     except (AttributeError, RuntimeError):
@@ -116,16 +119,18 @@ class Looping(NamedTuple):
         return self.backend.loop(loop, like.dtype, like.device)(inputs, samples, steps)
 
 
-def _once(steps: int, tensors: Mapping[str, Tensor], stepped: Tensors) -> dict[str, Tensor]:
+def _once(steps: int, tensors: Mapping[str, Tensor], stepped: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Arguments of one step."""
-    return {name: (x[0] if steps else x.new_empty(x.shape[1:])) if name in stepped else x for name, x in tensors.items()}
+    return {
+        name: (x[0] if steps else x.new_empty(x.shape[1:])) if name in stepped else x for name, x in tensors.items()
+    }
 
 
 def _layout(
     what: Computation,
     steps: int,
     once: Mapping[str, Tensor],
-    carried: Tensors,
+    carried: Mapping[str, Tensor],
     stepped: Sequence[str],
     total: Sequence[str],
     ends: bool,
@@ -147,7 +152,9 @@ def _layout(
     for r, axes in enumerate(what.results(program)):
         lead = (steps + (results[r] in carried),) if r in kept else ()
         shapes.append((*lead, *batch, *axes))
-    return LoopLayout(loop, choose(backend, like.device), tuple(arrangement), tuple(results), tuple(shapes), math.prod(batch))
+    return LoopLayout(
+        loop, choose(backend, like.device), tuple(arrangement), tuple(results), tuple(shapes), math.prod(batch)
+    )
 
 
 @remembered(PROGRAMS)

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
+from torchdq.backends.backend import Form, contiguous
 from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.backends.choice import present
 from torchdq.backends.compiler import BuildError
-from torchdq.backends.backend import Form, contiguous
 from torchdq.backends.precision import largest_growth
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.program.program import Program

@@ -84,7 +84,7 @@ def rollout(
 
 
 def loops(scene: SceneModel, state: State) -> bool:
-    """Whether steps of a scene are compiled as one loop: recorded ones, of plain tensors, by a backend that compiles."""
+    """Whether steps of a scene are one loop: recorded ones, of plain tensors, by a backend that compiles."""
     q = state.q
     return not (
         isinstance(scene.integrator, Unrecorded)
