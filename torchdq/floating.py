@@ -114,10 +114,9 @@ def inverse_dynamics(
             frame.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> inverse_dynamics(robot, torch.eye(8)[0], torch.zeros(2)).F_B[1]  # the weight of 4 kg
-    tensor(39.2400)
+    >>> robot = torchdq.robots.load("go2")
+    >>> inverse_dynamics(robot, torch.eye(8)[0], torch.zeros(12)).F_B[2] / 9.81  # its mass [kg]
+    tensor(16.0870)
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
     wrenches = {"f_tip": f_tip, "f_ext": f_ext, "f_base": f_base}
@@ -146,9 +145,8 @@ def forward_dynamics(
         precision: as in `torchdq.forward_dynamics`.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> forward_dynamics(robot, torch.eye(8)[0], torch.zeros(2), None, None, torch.zeros(2)).A_WB_B[4]  # it falls
+    >>> robot = torchdq.robots.load("go2")
+    >>> forward_dynamics(robot, torch.eye(8)[0], torch.zeros(12), None, None, torch.zeros(12)).A_WB_B[5]  # it falls
     tensor(-9.8100)
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "tau": tau}
@@ -165,10 +163,9 @@ def mass_matrix(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | No
         robot, X_WB, q: as in `inverse_dynamics`; the matrix depends on X_WB only through its batch axes.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> mass_matrix(robot, torch.eye(8)[0], torch.zeros(2)).base[3:, 3:].diagonal()  # 2 kg and two links of 1 kg
-    tensor([4., 4., 4.])
+    >>> robot = torchdq.robots.load("go2")
+    >>> mass_matrix(robot, torch.eye(8)[0], torch.zeros(12)).base[3:, 3:].diagonal()  # its mass [kg]
+    tensor([16.0870, 16.0870, 16.0870])
     """
     (M,) = function_of("floating.mass_matrix", robot, {"X_WB": X_WB, "q": q}, backend)
     return MassMatrix(M, M[..., :6, :6], M[..., :6, 6:], M[..., 6:, 6:])
@@ -183,11 +180,10 @@ def closed_form(
         robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> closed_form(robot, X_WB, q, torch.zeros(6), torch.zeros(2)).g[4]  # the weight of 4 kg
-    tensor(39.2400)
+    >>> robot = torchdq.robots.load("go2")
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(12)
+    >>> closed_form(robot, X_WB, q, torch.zeros(6), torch.zeros(12)).g[5] / 9.81  # its mass [kg]
+    tensor(16.0870)
     """
     return FreeClosedForm(
         *function_of("floating.closed_form", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)
@@ -201,9 +197,8 @@ def error_growth(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | N
         robot, X_WB, q: as in `inverse_dynamics`.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> error_growth(robot, torch.eye(8)[0], torch.zeros(2)) > 1
+    >>> robot = torchdq.robots.load("go2")
+    >>> error_growth(robot, torch.eye(8)[0], torch.zeros(12)) > 1
     tensor(True)
     """
     return function_of("floating.error_growth", robot, {"X_WB": X_WB, "q": q}, backend)[0]
@@ -225,10 +220,9 @@ def regressor(
         robot, X_WB, q, V_WB_B, qd, A_WB_B, qdd: as in `inverse_dynamics`.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> regressor(robot, torch.eye(8)[0], torch.zeros(2)).shape  # eight rows of forces, three bodies of ten parameters
-    torch.Size([8, 30])
+    >>> robot = torchdq.robots.load("go2")
+    >>> regressor(robot, torch.eye(8)[0], torch.zeros(12)).shape  # 18 rows of forces, 13 bodies of ten parameters
+    torch.Size([18, 130])
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
     return function_of("floating.regressor", robot, given, backend)[0]
@@ -246,11 +240,10 @@ def kinetic_energy(
         robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> kinetic_energy(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(2))  # 4 kg at 1 m/s
-    tensor(2.)
+    >>> robot = torchdq.robots.load("go2")
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(12)
+    >>> kinetic_energy(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(12))  # 16 kg at 1 m/s
+    tensor(8.0435)
     """
     return function_of("floating.kinetic_energy", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)[0]
 
@@ -262,11 +255,10 @@ def potential_energy(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName
         robot, X_WB, q: as in `inverse_dynamics`.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> low, high = torchdq.dq.from_pose(torch.eye(4)[0], torch.tensor([[0.0, 0, 0], [0, 1, 0]]))
-    >>> potential_energy(robot, high, torch.zeros(2)) - potential_energy(robot, low, torch.zeros(2))  # along y
-    tensor(39.2400)
+    >>> robot = torchdq.robots.load("go2")
+    >>> low, high = torchdq.dq.from_pose(torch.eye(4)[0], torch.tensor([[0.0, 0, 0], [0, 0, 1]]))
+    >>> (potential_energy(robot, high, torch.zeros(12)) - potential_energy(robot, low, torch.zeros(12))) / 9.81
+    tensor(16.0870)
     """
     return function_of("floating.potential_energy", robot, {"X_WB": X_WB, "q": q}, backend)[0]
 
@@ -278,10 +270,9 @@ def centre_of_mass(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName |
         robot, X_WB, q: as in `inverse_dynamics`.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> centre_of_mass(robot, torch.eye(8)[0], torch.zeros(2))
-    tensor([0.5000, 0.0000, 0.0000])
+    >>> robot = torchdq.robots.load("go2")
+    >>> centre_of_mass(robot, torch.eye(8)[0], torch.zeros(12))
+    tensor([ 0.0083,  0.0000, -0.0285])
     """
     return function_of("floating.centre_of_mass", robot, {"X_WB": X_WB, "q": q}, backend)[0]
 
@@ -295,11 +286,10 @@ def momentum(
         robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
-    >>> momentum(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(2)).linear  # 4 kg at 1 m/s
-    tensor([4., 0., 0.])
+    >>> robot = torchdq.robots.load("go2")
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(12)
+    >>> momentum(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(12)).linear  # 16 kg at 1 m/s
+    tensor([16.0870,  0.0000,  0.0000])
     """
     return Momentum(
         *function_of("floating.momentum", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)
@@ -322,11 +312,10 @@ def momentum_rate(
         robot, X_WB, q, V_WB_B, qd, A_WB_B, qdd: as in `inverse_dynamics`.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> robot = torchdq.robots.load("go2")
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(12)
     >>> momentum_rate(robot, X_WB, q, A_WB_B=torch.tensor([0.0, 0, 0, 1, 0, 0])).linear
-    tensor([4., 0., 0.])
+    tensor([16.0870,  0.0000,  0.0000])
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
     return Momentum(*function_of("floating.momentum_rate", robot, given, backend))
@@ -352,10 +341,9 @@ def forward_kinematics(
         ArgumentError, DtypeError: naming the argument that does not fit.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> torchdq.dq.translation(forward_kinematics(robot, torch.eye(8)[0], torch.zeros(2), robot.tip))
-    tensor([2., 0., 0.])
+    >>> robot = torchdq.robots.load("go2")
+    >>> torchdq.dq.translation(forward_kinematics(robot, torch.eye(8)[0], torch.zeros(12), "FL_foot"))
+    tensor([ 0.1934,  0.1420, -0.4260])
     """
     return poses("floating.forward_kinematics", robot, {"X_WB": X_WB, "q": q}, frame, backend)
 
@@ -378,9 +366,8 @@ def jacobian(
         ArgumentError, DtypeError: naming the argument that does not fit.
 
     >>> import torch, torchdq
-    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
-    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> jacobian(robot, torch.eye(8)[0], torch.zeros(2), robot.tip).shape
-    torch.Size([6, 8])
+    >>> robot = torchdq.robots.load("go2")
+    >>> jacobian(robot, torch.eye(8)[0], torch.zeros(12), "FL_foot").shape
+    torch.Size([6, 18])
     """
     return of_one_frame("floating.jacobian", robot, {"X_WB": X_WB, "q": q}, (frame, expressed), backend)

@@ -11,8 +11,13 @@ RobotModule       base of those of a robot alone
 """
 
 from torchdq.layers.computed_torque import ComputedTorque
-from torchdq.layers.dynamics import DQRNEA, ForwardDynamics, InverseDynamics
-from torchdq.layers.floating import FloatingForwardDynamics, FloatingInverseDynamics
+from torchdq.layers.dynamics import (
+    DQRNEA,
+    FloatingForwardDynamics,
+    FloatingInverseDynamics,
+    ForwardDynamics,
+    InverseDynamics,
+)
 from torchdq.layers.residual import PredictedTorques, ResidualDynamics
 from torchdq.layers.robot_module import RobotModule
 
