@@ -7,7 +7,7 @@ coefficients are, the force cannot overshoot.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple, Self
 
@@ -41,6 +41,7 @@ class PointImpedance(NamedTuple):
     along: Number = 0.0  # E [N s/m]
     moment: Pure | None = None  # about the point, now; None: zero [N m]
     spin: Number = 0.0  # rotational damping of that moment, the same about all axes, not negative [N m s/rad]
+    kept: Callable[[Pure], Sequence[Number]] | None = None  # memory at the end of the step, of u'; None: there is none
 
     @property
     def wrench(self) -> Screw:
@@ -99,12 +100,6 @@ class BodyEffect(Effect):
     def looked_up(self, places: Tensor) -> Tensor:
         """Computed row at those places."""
         return places
-
-    def memory_at_end(
-        self, bodies: Bodies, inputs: Inputs, memory: Row, ends: Sequence[Pure], h: Number
-    ) -> Sequence[Number]:
-        """Memory at the end of that step, whose points have the velocities `ends` then."""
-        return ()
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ the last two steps, which makes the friction of sliding exact to second order in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, NamedTuple, Self
 
 import torch
@@ -35,7 +36,7 @@ from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import below, clip, maximum, select, sqrt
 from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
-from torchdq.robot.contact_points import points_of, require_contact_point
+from torchdq.robot.contact_points import points_of
 
 SINK = 1e-3  # depth of the points of a robot at rest, where the stiffness follows from it [m]
 CARRYING = 4  # points that it then rests on at most; others are there for falls
@@ -77,12 +78,18 @@ class _Law(NamedTuple):
 
     place: _Place
     active: Number  # 1 where a normal force acts, otherwise 0
+    normal_force: Number  # at the velocity now [N]
     impedance: Number  # of the normal force [N s/m]
     tangential: Number  # impedance of the friction that sticks [N s/m]
     bristles: Pure  # z, in link axes [m]
     trial: Pure  # y, the friction that would stick, at the velocity now [N]
     size: Number  # |y| [N]
     share: Number  # s
+
+    @property
+    def force(self) -> Pure:
+        """Force on the link at the velocity now."""
+        return quat.sub(quat.scale(self.normal_force, self.place.normal), quat.scale(self.share, self.trial))
 
 
 @dataclass(frozen=True)
@@ -146,7 +153,7 @@ class Contact(BodyEffect):
 
     def described(self, robot: Robot) -> Self:
         """Copy with its contact points, on links that move, and a stiffness."""
-        points = _points(self.points, robot)
+        points = points_of(robot, ContactPoint(robot.end_effector().name) if self.points is None else self.points)
         for point in points:
             if robot.frame(point.frame).link == BASE and not robot.floating:
                 raise ArgumentError(f"points of Contact hold {point.frame!r}, which is fixed to the base")
@@ -156,7 +163,7 @@ class Contact(BodyEffect):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
         stiffness = self.stiffness
         if stiffness is None:
-            stiffness = max(1.0, _mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING)))
+            stiffness = max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING)))
         return replace(self, points=points, stiffness=stiffness)
 
     def resolved(self, robot: Robot) -> Self:
@@ -186,7 +193,7 @@ class Contact(BodyEffect):
                 f"of {h:g} s, found {found:.4g}: a point would leave the ground faster than it came; take softer "
                 "ground or shorter steps"
             )
-        return replace(self, points=_points(self.points, robot))
+        return self
 
     def template(self) -> Self:
         """Copy without the heights of a map, because programs do not depend on them."""
@@ -229,51 +236,40 @@ class Contact(BodyEffect):
     # --- law ---
 
     def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
-        """Forces of the points."""
+        """Forces of the points, and what these remember."""
         found = []
-        for law in self._laws(self._places(bodies, inputs), bodies, memory, h):
-            place = law.place
-            force = self.stiffness * place.depth - law.impedance * place.approach
-            normal, D = select(law.active, force, 0.0), law.share * law.tangential
-            acting = quat.sub(quat.scale(normal, place.normal), quat.scale(law.share, law.trial))
+        for i, place in enumerate(self._places(bodies, inputs)):
+            law = self._law(place, bodies, memory[KEPT * i : KEPT * (i + 1)], h)
+            D, force = law.share * law.tangential, law.force
             along = select(law.active, law.impedance, 0.0) - D
-            found.append(PointImpedance(place.link, place.point, acting, D, place.normal, along))
+            kept = partial(self._kept, bodies, law, h) if self.stiction else None
+            found.append(PointImpedance(place.link, place.point, force, D, place.normal, along, kept=kept))
         return found
 
-    def memory_at_end(
-        self, bodies: Bodies, inputs: Inputs, memory: Row, ends: Sequence[Pure], h: Number
-    ) -> Sequence[Number]:
-        """Bristles that are bent by the friction that acted, the normal force, and the size."""
-        after: list[Number] = []
-        if not self.stiction:
-            return after
-        T = self._settled(h)
+    def _kept(self, bodies: Bodies, law: _Law, h: Number, end: Pure) -> list[Number]:
+        """Bristles that are bent by the friction that acted, the normal force, and the size, of the velocity then."""
+        place, T = law.place, self._settled(h)
         lag = T / h
-        for law, end in zip(self._laws(self._places(bodies, inputs), bodies, memory, h), ends, strict=True):
-            place = law.place
-            along = quat.dot(place.normal, end)
-            slip = quat.sub(end, quat.scale(along, place.normal))
-            # s y / k = s (z + (h + T) u_t')
-            acted = quat.scale(law.share, quat.add(law.bristles, quat.scale(h + T, slip)))
-            bent = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, law.bristles)))
-            force = maximum(self.stiffness * place.depth - law.impedance * along, 0.0)
-            after += [*bodies.posed.to_world(place.link, bent), select(law.active, force, 0.0), law.size]
-        return after
+        along = quat.dot(place.normal, end)
+        slip = quat.sub(end, quat.scale(along, place.normal))
+        # s y / k = s (z + (h + T) u_t')
+        acted = quat.scale(law.share, quat.add(law.bristles, quat.scale(h + T, slip)))
+        bent = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, law.bristles)))
+        force = maximum(self.stiffness * place.depth - law.impedance * along, 0.0)
+        return [*bodies.posed.to_world(place.link, bent), select(law.active, force, 0.0), law.size]
 
     def readings(self, bodies: Bodies, inputs: Inputs, memory: Row) -> list[Reading]:
         """Contact of every point in a state."""
         found = []
-        for k, place in enumerate(self._places(bodies, inputs)):
-            to_world, speed = bodies.posed.to_world, sqrt(quat.dot(place.slip, place.slip))
+        for i, place in enumerate(self._places(bodies, inputs)):
+            to_world, speed = partial(bodies.posed.to_world, place.link), sqrt(quat.dot(place.slip, place.slip))
             if self.stiction:
-                z, f_n = tuple(memory[KEPT * k : KEPT * k + 3]), memory[KEPT * k + 3]
+                *z, f_n, _ = memory[KEPT * i : KEPT * (i + 1)]
                 bent = select(below(0.0, f_n), self.stiffness, 0.0)  # those of a point that left relax without a force
-                force = quat.sub(quat.scale(f_n, to_world(place.link, place.normal)), quat.scale(bent, z))
+                force = quat.sub(quat.scale(f_n, to_world(place.normal)), quat.scale(bent, tuple(z)))
             else:
-                (law,) = self._laws([place], bodies, (), 0.0)
-                f_n = select(law.active, self.stiffness * place.depth - law.impedance * place.approach, 0.0)
-                acting = quat.sub(quat.scale(f_n, place.normal), quat.scale(law.share, law.trial))
-                force = to_world(place.link, acting)
+                law = self._law(place, bodies, (), 0.0)
+                f_n, force = law.normal_force, to_world(law.force)
             found.append(Reading(force, f_n, below(0.0, f_n), place.depth, speed))
         return found
 
@@ -308,57 +304,37 @@ class Contact(BodyEffect):
         # of its lowest point: the distance of its centre would jump where slopes do, and give energy
         return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w
 
-    def _laws(self, places: Iterable[_Place], bodies: Bodies, memory: Row, h: Number) -> Iterator[_Law]:
-        """Laws of the points over a step h."""
+    def _law(self, place: _Place, bodies: Bodies, memory: Row, h: Number) -> _Law:
+        """Law of a point over a step h."""
         k = self.stiffness
-        for i, place in enumerate(places):
-            Z_n, Z_t = k * (h + self.dissipation * maximum(place.depth, 0.0)), k * (h + self._settled(h))
-            force = k * place.depth - Z_n * place.approach  # at the velocity now
-            if not self.stiction:
-                active = below(0.0, force)
-                load = self.friction * select(active, force, 0.0)
-                share = load / sqrt(quat.dot(place.slip, place.slip) + WIDTH * WIDTH)
-                yield _Law(place, active, Z_n, 1.0, quat.ZERO, place.slip, 0.0, share)
-                continue
-            *kept, pressed, last = memory[KEPT * i : KEPT * (i + 1)]
-            z = bodies.posed.to_link(place.link, tuple(kept))
-            if self.surface is not None:  # whose normal turns
-                z = quat.sub(z, quat.scale(quat.dot(place.normal, z), place.normal))
-            was = below(k * NEAR, pressed)
-            # the prediction alone would let a point chatter that lands, and the depth alone hold one that leaves
-            active = maximum(below(0.0, force), was * below(0.0, place.depth))
-            load = select(active, select(was, pressed, maximum(force, 0.0)), 0.0)
-            trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
-            size = sqrt(quat.dot(trial, trial) + TINY * TINY)
-            ahead = select(was, clip(size + (size - last), 0.5 * size, 2.0 * size), size)
-            limit = self.friction * load
-            share = select(below(limit, ahead), limit / ahead, 1.0)
-            yield _Law(place, active, Z_n, Z_t, z, trial, size, share)
-
-
-def _points(points: Any, robot: Robot) -> tuple[ContactPoint, ...]:
-    """Contact points, by names and patterns of frames or as they are."""
-    if points is None:
-        return (ContactPoint(robot.end_effector().name),)
-    given = points if isinstance(points, tuple | list) and not isinstance(points, ContactPoint) else (points,)
-    found: list[ContactPoint] = []
-    for one in given:
-        if isinstance(one, str):
-            found += points_of(robot, one)
-        else:
-            require_contact_point(robot, one)
-            found.append(one)
-    if not found:
-        raise ArgumentError("points of Contact must be at least one, found none")
-    return tuple(found)
+        Z_n, Z_t = k * (h + self.dissipation * maximum(place.depth, 0.0)), k * (h + self._settled(h))
+        force = k * place.depth - Z_n * place.approach  # at the velocity now
+        if not self.stiction:
+            active = below(0.0, force)
+            load = select(active, force, 0.0)
+            share = self.friction * load / sqrt(quat.dot(place.slip, place.slip) + WIDTH * WIDTH)
+            return _Law(place, active, load, Z_n, 1.0, quat.ZERO, place.slip, 0.0, share)
+        *kept, pressed, last = memory
+        z = bodies.posed.to_link(place.link, tuple(kept))
+        if self.surface is not None:  # whose normal turns
+            z = quat.sub(z, quat.scale(quat.dot(place.normal, z), place.normal))
+        was = below(k * NEAR, pressed)
+        # the prediction alone would let a point chatter that lands, and the depth alone hold one that leaves
+        active = maximum(below(0.0, force), was * below(0.0, place.depth))
+        limit = self.friction * select(active, select(was, pressed, maximum(force, 0.0)), 0.0)
+        trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
+        size = sqrt(quat.dot(trial, trial) + TINY * TINY)
+        ahead = select(was, clip(size + (size - last), 0.5 * size, 2.0 * size), size)
+        share = select(below(limit, ahead), limit / ahead, 1.0)
+        return _Law(place, active, select(active, force, 0.0), Z_n, Z_t, z, trial, size, share)
 
 
 def firmest(robot: Robot, h: float) -> float:
     """Largest stiffness of contacts for steps h [N/m]."""
-    return FIRMEST * max(_mass(robot), 1e-9) / h**2
+    return FIRMEST * max(moving_mass(robot), 1e-9) / h**2
 
 
-def _mass(robot: Robot) -> float:
+def moving_mass(robot: Robot) -> float:
     """Mass of everything that moves, of the lightest of several robots [kg]."""
     whole = robot.mass.detach().sum(-1)
     if robot.floating and robot.base_mass is not None:

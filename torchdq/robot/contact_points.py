@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
@@ -69,11 +68,21 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
     return tuple(found)
 
 
-def points_of(robot: RobotModel, pattern: str) -> tuple[ContactPoint, ...]:
-    """Contact points of frames, or the origins of the frames where the description has none."""
-    with suppress(UnknownNameError):
-        return contact_points(robot, pattern)
-    return tuple(map(ContactPoint, matching("points", pattern, robot.frame_names, "frame")))
+def points_of(robot: RobotModel, points: Any) -> tuple[ContactPoint, ...]:
+    """Contact points as they are, or of names and patterns: of frames without collision elements, their origins."""
+    found: list[ContactPoint] = []
+    for one in points if isinstance(points, tuple | list) and not isinstance(points, ContactPoint) else (points,):
+        if not isinstance(one, str):
+            require_contact_point(robot, one)
+            found.append(one)
+            continue
+        try:
+            found += contact_points(robot, one)
+        except UnknownNameError:
+            found += map(ContactPoint, matching("points", one, robot.frame_names, "frame"))
+    if not found:
+        raise ArgumentError("points of Contact must be at least one, found none")
+    return tuple(found)
 
 
 def _points(shape: Shape) -> list[Pure] | None:

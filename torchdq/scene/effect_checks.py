@@ -184,10 +184,12 @@ def points(effect: Effect, found: Any, links: int) -> Sequence[PointImpedance]:
     return found
 
 
-def memory(effect: Effect, method: str, found: Any, kept: int) -> Row:
-    """Memory of an effect; raises unless it has `kept` numbers."""
-    if not _is_row(found, kept):
-        raise ArgumentError(f"{method} of {type(effect).__name__} must return {kept} numbers, found {_kind(found)}")
+def kept(effects: Sequence[Effect], found: Row, n: int) -> Row:
+    """Memory of effects on bodies at the end of a step; raises unless it has as many numbers as they state."""
+    expected = sum(effect.memory(n) for effect in effects)
+    if len(found) != expected:
+        names = ", ".join(type(effect).__name__ for effect in effects)
+        raise ArgumentError(f"kept in impedances of {names} must return {expected} numbers, found {len(found)}")
     return found
 
 

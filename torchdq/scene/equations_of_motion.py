@@ -44,8 +44,10 @@ class _Acting(NamedTuple):
     """Wrenches and impedances that act on the bodies of a robot."""
 
     bodies: Bodies
-    exerted: list[Screw | None]  # wrenches of the links on the environment, the base's first
-    points: list[Sequence[PointImpedance]]  # of each body effect
+    exerted: (
+        list[Screw | None] | None
+    )  # wrenches of the links on the environment, the base's first; None: there are none
+    points: list[PointImpedance]
 
 
 @dataclass(frozen=True)
@@ -85,28 +87,23 @@ class SceneSystem(System):
         """Motion seen by one who flies along with the centre of mass of a floating base: the forces are the same."""
         return self._motion(x, [*v[:-3], 0.0, 0.0, 0.0]) if self._free else self._motion(x, v)
 
-    def _acting(self, at: Posed, x: Row, v: Row, h: Number = 0.0) -> _Acting | None:
-        """Wrenches and impedances on bodies over a step h; None: there are no body effects."""
+    def _acting(self, at: Posed, x: Row, v: Row, h: Number = 0.0) -> _Acting:
+        """Wrenches and impedances on bodies over a step h."""
         effects, robot = self.scene.spec.of(BodyEffect), self.scene.spec.robot
         if not effects:
-            return None
+            return _Acting(Bodies(robot, at, ()), None, [])
         bodies = Bodies(robot, at, at.twists(self._motion(x, v)))
         links, inputs = len(robot.link_names), self.scene.inputs
-        exerted: list[Screw | None] = [None] * (links + 1)  # the base's first
-        points = []
+        exerted: list[Screw | None] = [None] * (links + 1)
+        points: list[PointImpedance] = []
         for (_, effect), memory in zip(effects, self._remembered(v, BodyEffect), strict=True):
             for i, wrench in effect_checks.wrenches(effect, effect.wrenches(bodies, inputs), links).items():
                 exerted[i] = add(exerted[i], neg(wrench))
             found = effect_checks.points(effect, effect.impedances(bodies, inputs, memory, h), links)
             for point in found:
                 exerted[point.link] = add(exerted[point.link], neg(point.wrench))
-            points.append(found)
+            points += found
         return _Acting(bodies, exerted, points)
-
-    def _exerted(self, at: Posed, x: Row, v: Row) -> list[Screw | None] | None:
-        """Wrenches of the links on the environment; None: there are no body effects."""
-        acting = self._acting(at, x, v)
-        return None if acting is None else acting.exerted
 
     def _solved(self, at: Posed, b: Row) -> Sequence[Number]:
         """Solution of M a = b."""
@@ -206,7 +203,9 @@ class SceneSystem(System):
         """Accelerations in a state."""
         at = self._at(x)
         forces = self._explicit(x, v)
-        qdd, base = self._parts(x, self._solved(at, self._net(at, forces.torques, x, v, self._exerted(at, x, v))))
+        qdd, base = self._parts(
+            x, self._solved(at, self._net(at, forces.torques, x, v, self._acting(at, x, v).exerted))
+        )
         rotors = self._transmission.accelerations(self.u, forces.passed)
         kept = sum(effect.memory(self._n) for _, effect in self.scene.spec.of(BodyEffect))  # by implicit steps alone
         return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *[0.0] * kept, *base]
@@ -219,37 +218,32 @@ class SceneSystem(System):
         forces = self._forces(joints.torques, self._impedances(q, v, h), qd, h)
         inertia = [a + h * d for a, d in zip(joints.inertia, forces.damping, strict=True)]
         heavy, acting = at.with_armature([*self._free, *inertia]), self._acting(at, x, v, h)
-        if acting is not None:
-            heavy = heavy.with_masses([point.mass(h) for found in acting.points for point in found])
-        net = self._net(at, forces.torques, x, v, None if acting is None else acting.exerted)
+        if acting.points:
+            heavy = heavy.with_masses([point.mass(h) for point in acting.points])
+        net = self._net(at, forces.torques, x, v, acting.exerted)
         solution = self._solved(heavy, net)
         qdd, base = self._parts(x, solution)
         ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
         rates = [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h)]
         moved = [w + h * a for w, a in zip(v[: len(rates)], rates, strict=True)]
-        kept = [] if acting is None else self._kept(acting, v, at.twists(solution), h)
+        kept = self._kept(acting, solution, h)
         return [*moved, *kept, *[w + h * a for w, a in zip(v[len(v) - len(base) :], base, strict=True)]]
 
-    def _kept(self, acting: _Acting, v: Row, A: Sequence[Screw], h: Number) -> list[Number]:
-        """Memory of effects on bodies at the end of a step, with the rates A of the links' twists over it."""
-        bodies, after = acting.bodies, Bodies(self.scene.spec.robot, acting.bodies.posed, A)
-        result: list[Number] = []
-        effects = self.scene.spec.of(BodyEffect)
-        for (_, effect), points, memory in zip(effects, acting.points, self._remembered(v, BodyEffect), strict=True):
-            ends = [
-                quat.add(bodies.velocity(p.link, p.point), quat.scale(h, after.velocity(p.link, p.point)))
-                for p in points
-            ]
-            found = effect.memory_at_end(bodies, self.scene.inputs, memory, ends, h)
-            result += effect_checks.memory(effect, "memory_at_end", found, len(memory))
-        return result
+    def _kept(self, acting: _Acting, a: Row, h: Number) -> Row:
+        """Memory of effects on bodies at the end of a step, with the accelerations a over it."""
+        points = [(p.kept, p.link, p.point) for p in acting.points if p.kept is not None]
+        now = acting.bodies
+        rates = now._replace(V=now.posed.twists(a)) if points else now
+        ends = [quat.add(now.velocity(i, r), quat.scale(h, rates.velocity(i, r))) for _, i, r in points]
+        found = [x for (kept, *_), end in zip(points, ends, strict=True) for x in kept(end)]
+        return effect_checks.kept([effect for _, effect in self.scene.spec.of(BodyEffect)], found, self._n)
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations M(q)^-1 (dL/dq + forces), and those of the rotors."""
         q, qd = x[: self._n], v[: self._n]
         explicit = self._explicit(x, v)
         at, forces = self.scene.posed(q), explicit.torques
-        exerted = self._exerted(at, x, v)
+        exerted = self._acting(at, x, v).exerted
         if exerted is not None:
             # inverse dynamics at rest without gravity: the wrenches alone
             forces = difference(forces, at.without_gravity().torques(None, None, exerted))
