@@ -23,19 +23,11 @@ __all__ = [
     "integrators",
 ]
 
-for _task in ("Reach", "Track", "Wipe"):
+for _task, _steps in {"Reach": 250, "Track": 250, "Walk": 1000, "Wipe": 250}.items():
     register(
         f"torchdq/{_task}-v0",
         entry_point="torchdq.envs.env:ArmEnv",
         vector_entry_point="torchdq.envs.vector_env:made_by_gymnasium",
-        max_episode_steps=250,
+        max_episode_steps=_steps,
         kwargs={"task": _task.lower()},
     )
-
-register(
-    "torchdq/Walk-v0",
-    entry_point="torchdq.envs.env:ArmEnv",
-    vector_entry_point="torchdq.envs.vector_env:made_by_gymnasium",
-    max_episode_steps=1000,
-    kwargs={"task": "walk"},
-)

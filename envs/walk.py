@@ -15,6 +15,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import is_number, matching
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
+from torchdq.effects.contact import WEIGHT, moving_mass
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.tasks import EpisodeTask, within
 from torchdq.errors import ArgumentError
@@ -111,7 +112,7 @@ class Walk(EpisodeTask):
         """Arguments of environments: servos that carry the robot's weight, contact of the feet, and what is random."""
         if not robot.floating:
             raise ArgumentError(f"robot {robot.name!r} must have a floating base to walk; load it with base='floating'")
-        weight, effort = self._weight(robot), robot.limits.effort
+        weight, effort = WEIGHT * moving_mass(robot), robot.limits.effort
         kp = SOFT * weight * self.height(robot, self.joints(robot))
         push = effects.Push(next(frame.name for frame in robot.frames if frame.link == BASE))
         return {
@@ -170,10 +171,30 @@ class Walk(EpisodeTask):
 
     def rows(self, view: View) -> Rows:
         """Rows as the class states them."""
-        robot, n, goal, w, v = view.scene.spec.robot, len(view.q), view.inputs["goal"], view.V_WB_B[:3], view.V_WB_B[3:]
-        action, down = view.inputs.get("action", [0.0] * n), self._down(view)
-        stand, touching, fatal = self.joints(robot), *self._touching(view)
-        terms, air = self._terms(view, action, touching)
+        robot, n, dt, goal = view.scene.spec.robot, len(view.q), view.scene.spec.dt, view.inputs["goal"]
+        X_WB, w, v = (tuple(view.X_WB[:4]), tuple(view.X_WB[4:])), view.V_WB_B[:3], view.V_WB_B[3:]
+        action, carry = view.inputs.get("action", [0.0] * n), view.inputs.get("carry", [0.0] * (2 * n + 4))
+        last, before, air = carry[:n], carry[n : 2 * n], carry[2 * n :]
+        passed = dt if "carry" in view.inputs else 0.0
+        stand = self.joints(robot)
+        standing = self.height(robot, stand)
+        down, height = quat.rotate(quat.conj(X_WB[0]), (0.0, 0.0, -1.0)), dq.translation(X_WB)[2]
+        touching, fatal = self._touching(view)
+        landed = [(t + dt - STRIDE) * on * below(0.0, t) for t, on in zip(air, touching, strict=True)]
+        error, size = squares([v[0] - goal[0], v[1] - goal[1]]), WEIGHT * moving_mass(robot) * standing
+        terms = {
+            "velocity": exp(error * (-1.0 / SHARP)),
+            "turning": exp(squares([w[2] - goal[2]]) * (-1.0 / SHARP)),
+            "air_time": sum(landed, 0.0),
+            "vertical": v[2] * v[2],
+            "rocking": squares(w[:2]),
+            "tilt": squares(down[:2]),
+            "height": squares([height - CROUCH * standing]),
+            "hips": squares([view.q[i] - stand[i] for i, parent in enumerate(robot.parents) if parent < 0]),
+            "torque": squares([x * (1.0 / size) for x in self._torques(view)]),
+            "acceleration": squares([(a - b) * (1.0 / dt) for a, b in zip(view.qd, before, strict=True)]),
+            "action_rate": squares([a - b for a, b in zip(action, last, strict=True)]),
+        }
         weights = {**WEIGHTS, **dict(self.weights)}
         weighted = {name: [weights[name] * x] for name, x in terms.items()}
         seen = {
@@ -184,46 +205,18 @@ class Walk(EpisodeTask):
             "speed": view.reading[n:],
             "action": action,
         }
-        seen = {name: [self.SEEN[name] * x for x in row] for name, row in seen.items()}
-        low = at_least(self.lowest * self.height(robot, stand), self._height(view))
+        observation = [self.SEEN[name] * x for name, row in seen.items() for x in row]
+        low, tilted = at_least(self.lowest * standing, height), at_least(down[2], -STEEPEST)
         return {
-            "observation": within([x for row in seen.values() for x in row], self.bounds(robot)),
-            "reward": [view.scene.spec.dt * maximum(sum((x for (x,) in weighted.values()), 0.0), 0.0)],
+            "observation": within(observation, self.bounds(robot)),
+            "reward": [dt * maximum(sum((x for (x,) in weighted.values()), 0.0), 0.0)],
             "reference": [*stand, *[0.0] * (2 * n)],
-            "carry": [*action, *view.qd, *air],
-            "terminated": [reduce(maximum, [low, at_least(down[2], -STEEPEST), *fatal])],
-            "speed_error": [sqrt(squares([v[0] - goal[0], v[1] - goal[1]]) + 1e-12)],
+            "carry": [*action, *view.qd, *((t + passed) * (1.0 - on) for t, on in zip(air, touching, strict=True))],
+            "terminated": [reduce(maximum, [low, tilted, *fatal])],
+            "speed_error": [sqrt(error + 1e-12)],
             "touching": touching,
             **weighted,
         }
-
-    def _terms(self, view: View, action: Row, touching: Row) -> tuple[dict[str, Number], list[Number]]:
-        """Terms of the reward without their weights, and the times of the feet in the air."""
-        robot, n, dt, goal = view.scene.spec.robot, len(view.q), view.scene.spec.dt, view.inputs["goal"]
-        w, v, down, stand = view.V_WB_B[:3], view.V_WB_B[3:], self._down(view), self.joints(robot)
-        carry = view.inputs.get("carry", [0.0] * (2 * n + 4))
-        last, before, air = carry[:n], carry[n : 2 * n], carry[2 * n :]
-        size = self._weight(robot) * self.height(robot, stand)
-        landed = [(t + dt - STRIDE) * on * below(0.0, t) for t, on in zip(air, touching, strict=True)]
-        terms = {
-            "velocity": exp(squares([v[0] - goal[0], v[1] - goal[1]]) * (-1.0 / SHARP)),
-            "turning": exp(squares([w[2] - goal[2]]) * (-1.0 / SHARP)),
-            "air_time": sum(landed, 0.0),
-            "vertical": v[2] * v[2],
-            "rocking": squares(w[:2]),
-            "tilt": squares(down[:2]),
-            "height": squares([self._height(view) - CROUCH * self.height(robot, stand)]),
-            "hips": squares([view.q[i] - stand[i] for i, parent in enumerate(robot.parents) if parent < 0]),
-            "torque": squares([x * (1.0 / size) for x in self._torques(view)]),
-            "acceleration": squares([(a - b) * (1.0 / dt) for a, b in zip(view.qd, before, strict=True)]),
-            "action_rate": squares([a - b for a, b in zip(action, last, strict=True)]),
-        }
-        passed = dt if "carry" in view.inputs else 0.0
-        return terms, [(t + passed) * (1.0 - on) for t, on in zip(air, touching, strict=True)]
-
-    def _weight(self, robot: Robot) -> float:
-        """Weight of the robot as described [N]."""
-        return 9.81 * float(robot.mass.sum() + (robot.base_mass or 0.0))
 
     def _feet(self, robot: Robot) -> tuple[ContactPoint, ...]:
         """Contact points of the feet; raises unless there are four feet."""
@@ -245,14 +238,6 @@ class Walk(EpisodeTask):
             else:
                 others.append(contact.touching)
         return list(feet.values()), others
-
-    def _down(self, view: View) -> Row:
-        """Direction of gravity in axes of the base."""
-        return quat.rotate(quat.conj(tuple(view.X_WB[:4])), (0.0, 0.0, -1.0))
-
-    def _height(self, view: View) -> Number:
-        """Height of the base [m]."""
-        return dq.translation((tuple(view.X_WB[:4]), tuple(view.X_WB[4:])))[2]
 
     def _torques(self, view: View) -> list[Number]:
         """Torques of actuators and servos."""
