@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 import torchdq
+from torchdq.effects.contact import Contacts
 from torchdq.envs.tasks import EpisodeTask, Reach, Track, velocities
 from torchdq.envs.walk import WEIGHTS, Walk
 from torchdq.envs.wipe import Wipe
 from torchdq.robot import Robot
-from torchdq.scene.contacts import Contacts
 from torchdq.scene.defaults import DAMPING, ROTOR
 
 

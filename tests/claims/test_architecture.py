@@ -79,7 +79,6 @@ STOREYS = {
     "torchdq.scene.rollout": 2,
     "torchdq.scene.describe": 2,
     "torchdq.scene.linearize": 2,
-    "torchdq.scene.contacts": 2,
     "torchdq.scene.stability": 3,
     "torchdq.scene.scene": 4,
     "torchdq.scene.defaults": 5,

@@ -52,14 +52,14 @@ class _Chosen(float):
     """Stiffness that was not given: another scene, with other steps or another robot, has its own."""
 
 
-class Reading(NamedTuple):
-    """Contact of one point in a state."""
+class Contacts(NamedTuple):
+    """Contact of the points of a scene's `Contact` effects, in their order; while it is recorded, of one point."""
 
-    force: Pure  # on the robot, in world axes [N]
-    normal_force: Number  # [N]
-    touching: Number  # 1, or 0 where no force acts
-    depth: Number  # negative above the ground [m]
-    slip: Number  # speed along the surface [m/s]
+    force: Any  # [..., points, 3] on the robot, in world axes, or base axes if the base is fixed [N]
+    normal_force: Any  # [..., points] [N]
+    touching: Any  # [..., points] bool; while it is recorded 1, or 0 where no force acts
+    depth: Any  # [..., points] of the point in the ground, negative above it [m]
+    slip: Any  # [..., points] speed along the surface [m/s]
 
 
 class _Place(NamedTuple):
@@ -258,7 +258,7 @@ class Contact(BodyEffect):
         force = maximum(self.stiffness * place.depth - law.impedance * along, 0.0)
         return [*bodies.posed.to_world(place.link, bent), select(law.active, force, 0.0), law.size]
 
-    def readings(self, bodies: Bodies, inputs: Inputs, memory: Row) -> list[Reading]:
+    def readings(self, bodies: Bodies, inputs: Inputs, memory: Row) -> list[Contacts]:
         """Contact of every point in a state."""
         found = []
         for i, place in enumerate(self._places(bodies, inputs)):
@@ -270,7 +270,7 @@ class Contact(BodyEffect):
             else:
                 law = self._law(place, bodies, (), 0.0)
                 f_n, force = law.normal_force, to_world(law.force)
-            found.append(Reading(force, f_n, below(0.0, f_n), place.depth, speed))
+            found.append(Contacts(force, f_n, below(0.0, f_n), place.depth, speed))
         return found
 
     def _settled(self, h: Number) -> Number:

@@ -20,6 +20,7 @@ from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_choice, require_count, require_number, require_object
 from torchdq.effects.body import BodyEffect
+from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.effect import Effect
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import Precision, check_precision
@@ -227,13 +228,13 @@ class SceneModel:
 
     def grounds(self, state: State) -> dict[str, Tensor]:
         """Rows that effects on bodies look up below their points in a state, by name."""
-        names: dict[str, Any] = {}
-        for i, effect in self.spec.of(BodyEffect) if self.computed else ():
-            names |= dict.fromkeys(effect.computed(self.n), self.effects[i])
-        if not names:
+        if not self.computed:
             return {}
+        bodies = [effect for effect in self.effects if isinstance(effect, BodyEffect)]
+        by_name = {name: effect for effect in bodies for name in effect.computed(self.n)}
         moving = {name: x for name, x in state.rows().items() if name in self.spec.moving}
-        return {name: names[name].looked_up(x) for name, x in self.evaluate("places", moving).items()}
+        places = self.evaluate("places", moving) if by_name else {}
+        return {name: by_name[name].looked_up(x) for name, x in places.items()}
 
     def finite(self, state: State) -> Tensor:
         """True for every row of a state whose numbers are all finite, shape [...]."""
@@ -244,6 +245,27 @@ class SceneModel:
         """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
         require_state(state)
         return self.evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
+
+    def contacts(self, state: State) -> Contacts:
+        """Contact of every point; with stiction the forces are those of the last step, as the state remembers.
+
+        Args:
+            state: from `start`, `step` or `rollout`, shape [...].
+
+        >>> import torch, torchdq
+        >>> from torchdq import Scene, effects
+        >>> scene = Scene(torchdq.robots.load("panda"), (effects.Contact(height=0.5),), dt=0.005)
+        >>> scene.contacts(scene.start(torch.zeros(4, 7))).force.shape
+        torch.Size([4, 1, 3])
+        """
+        require_state(state)
+        if not self.spec.of(Contact):
+            raise ArgumentError(
+                f"contacts need an effects.Contact in the scene of robot {self.robot.name!r}, found none"
+            )
+        rows = self.evaluate("contacts", {**state.rows(), **self.grounds(state)})
+        force = rows.pop("force").unflatten(-1, (-1, 3))
+        return Contacts(force, touching=rows.pop("touching") != 0, **rows)
 
     # --- programs ---
 

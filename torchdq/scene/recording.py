@@ -18,6 +18,7 @@ from torchdq.base.checks import Named
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import Bodies, BodyEffect
+from torchdq.effects.contact import Contacts
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.steady import lines
 from torchdq.errors import ArgumentError
@@ -30,7 +31,7 @@ from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
 from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.integrators import Integrator
-from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, pose_of, recorded
+from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 
 MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
 
@@ -133,18 +134,22 @@ def _energy(scene: RecordedScene, task: Task | None) -> Rows:
     return {"E": (at.kinetic_energy((*scene.inputs.get("V_WB_B", ()), *qd)), at.potential_energy())}
 
 
-def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
+def _seen(scene: RecordedScene) -> View:
+    """A state that is given."""
     given, memory = scene.inputs, scene.spec.split(scene.inputs.get("memory", ()))
-    at = scene.posed(given["q"], pose_of(given.get("X_WB", ())))
-    found = scene.contacts(at, [*given.get("V_WB_B", ()), *given["qd"]], memory)
-    rows = {name: [getattr(point, name) for point in found] for name in ("normal_force", "touching", "depth", "slip")}
-    return {"force": [x for point in found for x in point.force], **rows}
+    base = given.get("X_WB", ()), given.get("V_WB_B", ())
+    return View(scene, given["q"], given["qd"], (), (), given, *base, memory)
+
+
+def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
+    rows = dict(zip(Contacts._fields, zip(*_seen(scene).contacts, strict=True), strict=True))
+    return {**rows, "force": [x for force in rows["force"] for x in force]}
 
 
 def _places(scene: RecordedScene, task: Task | None) -> Rows:
     """Places of points, by the name of the row that is looked up there."""
-    given, robot = scene.inputs, scene.spec.robot
-    bodies = Bodies(robot, scene.posed(given["q"], pose_of(given.get("X_WB", ()))), [])
+    robot, view = scene.spec.robot, _seen(scene)
+    bodies = Bodies(robot, view.posed(view.q), [])
     return {name: x.places(bodies) for _, x in scene.spec.of(BodyEffect) for name in x.computed(robot.n)}
 
 

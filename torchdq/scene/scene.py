@@ -5,7 +5,6 @@ slot, and costs what it adds to the one program that a step is recorded into.
 """
 
 from torchdq.base.checks import frozen
-from torchdq.scene import contacts as touching
 from torchdq.scene import describe as descriptions
 from torchdq.scene import linearize as derivatives
 from torchdq.scene import rollout as rollouts
@@ -45,4 +44,4 @@ class Scene(SceneModel):
     """
 
     rollout, linearize = rollouts.rollout, derivatives.linearize
-    check, describe, contacts = stability.check, descriptions.describe, touching.contacts
+    check, describe = stability.check, descriptions.describe

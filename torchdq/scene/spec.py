@@ -10,7 +10,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Pure
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
-from torchdq.effects.contact import Contact, Reading
+from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.effect import Effect, Shapes
 from torchdq.effects.joint import JointEffect
 from torchdq.effects.model import ModelEffect
@@ -159,15 +159,6 @@ class RecordedScene:
         """Robot at joint positions and, if its base is free, at the pose of it, with the scene's changes."""
         return posed(self.spec.robot, q, self.overrides, self.per_sample, X_WB)
 
-    def contacts(self, at: Posed, qd: Row, memory: Memory) -> list[Reading]:
-        """Contact of every point in a state; the twist of a floating base is before the velocities of the joints."""
-        bodies = Bodies(self.spec.robot, at, at.twists(qd))
-        return [
-            reading
-            for i, effect in self.spec.of(Contact)
-            for reading in effect.readings(bodies, self.inputs, memory[i])
-        ]
-
     def packed(self, q: Row, qd: Row, memory: Memory) -> tuple[Row, Row]:
         """Positions and velocities of the joints and then of the rotors behind them."""
         at, transmission = self.spec.transmission
@@ -210,11 +201,6 @@ class RecordedScene:
         return rows, memory
 
 
-def pose_of(row: Row) -> DualQuaternion | None:
-    """Pose of eight numbers; None of none."""
-    return (tuple(row[:4]), tuple(row[4:])) if row else None
-
-
 class View(NamedTuple):
     """A state as a task sees it."""
 
@@ -230,12 +216,15 @@ class View(NamedTuple):
 
     def posed(self, q: Row) -> Posed:
         """Robot at joint positions, in the world if its base is floating."""
-        return self.scene.posed(q, pose_of(self.X_WB))
+        return self.scene.posed(q, (tuple(self.X_WB[:4]), tuple(self.X_WB[4:])) if self.X_WB else None)
 
     @property
-    def contacts(self) -> list[Reading]:
+    def contacts(self) -> list[Contacts]:
         """Contact of every point of the scene."""
-        return self.scene.contacts(self.posed(self.q), [*self.V_WB_B, *self.qd], self.memory)
+        spec, at = self.scene.spec, self.posed(self.q)
+        bodies = Bodies(spec.robot, at, at.twists([*self.V_WB_B, *self.qd]))
+        found = [effect.readings(bodies, self.scene.inputs, self.memory[i]) for i, effect in spec.of(Contact)]
+        return [point for points in found for point in points]
 
 
 def recorded(

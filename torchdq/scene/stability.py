@@ -21,9 +21,8 @@ from torch import Tensor
 from torchdq.base.checks import require_number, tensor_of
 from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
-from torchdq.effects.contact import Contact, firmest
+from torchdq.effects.contact import Contact, Contacts, firmest
 from torchdq.errors import ArgumentError
-from torchdq.scene.contacts import Contacts, contacts
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
 from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
@@ -214,7 +213,7 @@ class _Trial:
         if not bool(kept.any()):
             return None
         with torch.no_grad():  # of all rows, each with its own parameters
-            found = Contacts._make(x[:, kept] for x in contacts(scene, path))
+            found = Contacts._make(x[:, kept] for x in scene.contacts(path))
         aloft = ~found.touching.any(-1).any(0)
         slip = torch.where(found.touching[-1], found.slip[-1], 0.0)
         effects: Sequence[Any] = scene.effects
