@@ -73,7 +73,8 @@ class Skeleton:
     """
 
     def __init__(self, what: Robot | SceneModel):
-        robot = _robot(what)
+        robot = what.robot if isinstance(what, SceneModel) else require_robot(what)
+        contacts = [what.effects[i] for i, _ in what.spec.of(Contact)] if isinstance(what, SceneModel) else []
         if not robot.n:
             raise ArgumentError(f"robot {robot.name!r} must have a joint to be drawn, found none")
         batched = {name: getattr(robot, name).detach() for name in arguments(robot)}
@@ -83,6 +84,7 @@ class Skeleton:
         self.tip: int | None = None  # point of the end effector
         self.lines: list[tuple[int, int]] = []  # points at their ends
         self.balls: list[tuple[int, float]] = []  # contact points, and their radii [m]
+        self.ground = _ground(contacts)  # its height at x and y [m]
         self._frames: list[int] = []  # frame that each point but the base is fixed to
         self._offsets: list[Tensor] = []  # position of the point in that frame [m]
 
@@ -105,7 +107,7 @@ class Skeleton:
                 far, frame = max(fixed)
                 end = self._point(frame, torch.zeros(3)) if far > 1e-6 else self._point(name, self.robot.com[i])
                 self.lines.append((origins[i], end))
-        for p in [p for contact in _contacts(what) for p in contact.points]:
+        for p in [p for contact in contacts for p in contact.points]:
             self.balls.append((self._point(p.frame, torch.tensor(p.center)), p.radius))
 
     def _point(self, frame: str, offset: Tensor) -> int:
@@ -160,8 +162,7 @@ class Painter:
     def __init__(self, what: Robot | SceneModel, size: tuple[int, int] = (400, 400)):
         if len(size) != 2 or not all(isinstance(x, int) and x >= 16 for x in size):
             raise ArgumentError(f"size must be (width, height), whole numbers from 16, found {size!r}")
-        self.size, self.skeleton, self._ground = size, Skeleton(what), _ground(what)
-        self._ruled = self.skeleton.robot.floating or bool(_contacts(what))
+        self.size, self.skeleton = size, Skeleton(what)
         self.middle, self.radius = self.skeleton.view()
         right = np.array([-math.sin(AZIMUTH), math.cos(AZIMUTH), 0.0])
         toward = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), math.tan(ELEVATION)]) * math.cos(ELEVATION)
@@ -209,12 +210,13 @@ class Painter:
         )
         turn = np.linspace(0.0, 2 * np.pi, 97)
         disc = self.radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
-        rules = _rules(self.radius, place) if self._ruled else np.zeros((arms, 0, 2, 3))
+        ruled = self.skeleton.robot.floating or self.skeleton.balls
+        rules = _rules(self.radius, place) if ruled else np.zeros((arms, 0, 2, 3))
         self._figure.clear(keep_observers=False)
         self._figure.set_facecolor(PAPER)
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, self.size[0]), ylim=(0, self.size[1]))
         axes.set_axis_off()
-        disc, rules, *shadows = (_on_ground(self._ground, x, place) for x in (disc[None], rules, lines, mark))
+        disc, rules, *shadows = (_on_ground(self.skeleton.ground, x, place) for x in (disc[None], rules, lines, mark))
         axes.add_collection(self._artists.PolyCollection(self.project(disc)[0], facecolor=GROUND), autolim=False)
         self._draw(axes, [(rules, 0.008, RULE, 0.0)])
         self._draw(axes, [(x, width, SHADOW, 0.0) for x, width in zip(shadows, (0.06, 0.07), strict=True)])
@@ -277,7 +279,7 @@ class Viewer:
     """
 
     def __init__(self, what: Robot | SceneModel, port: int = 8080):
-        self.skeleton, self._ground = Skeleton(what), _ground(what)
+        self.skeleton = Skeleton(what)
         middle, radius = self.skeleton.view()
         self._reach = 2 * radius
         self._server = _library("viser").ViserServer(host="127.0.0.1", port=port)
@@ -312,7 +314,7 @@ class Viewer:
         points = points - place
         goal = None if target is None else tuple(_rows("target", target, 3, 1)[0].numpy() - place)
         with self._server.atomic():
-            rules = _on_ground(self._ground, _rules(self._reach, place[None, None]), place[None, None])
+            rules = _on_ground(self.skeleton.ground, _rules(self._reach, place[None, None]), place[None, None])
             self.ground.points = rules[0].astype(np.float32)
             if X_WB is not None:
                 self.base.wxyz = tuple(_rows("X_WB", X_WB, 8, 1)[0, :4].tolist())
@@ -328,31 +330,18 @@ class Viewer:
         self._server.stop()
 
 
-def _robot(what: Robot | SceneModel) -> Robot:
-    """Robot, of a scene or itself."""
-    return what.robot if isinstance(what, SceneModel) else require_robot(what)
-
-
-def _contacts(what: Robot | SceneModel) -> list[Any]:
-    """Contacts of a scene with the ground."""
-    return [what.effects[i] for i, _ in what.spec.of(Contact)] if isinstance(what, SceneModel) else []
-
-
-def _ground(what: Robot | SceneModel) -> Callable[[Tensor, Tensor], Any]:
-    """Height of the ground at x and y [m]: that of the first contact of a scene, of its first robot; otherwise zero."""
-    found = next(iter(_contacts(what)), None)
-    if found is None:
-        return lambda x, y: 0.0
+def _ground(contacts: Iterable[Any]) -> Callable[[Tensor, Tensor], Any]:
+    """Height of the ground at x and y [m]: that of the first of contacts, of its first robot; without any, zero."""
+    found = next(iter(contacts), Contact())
     height, normal = (tensor_of(x).detach().double().cpu() for x in (found.height, found.normal))
-    height, (a, b, c) = height.reshape(-1)[0], normal.reshape(-1, 3)[0]
-    if found.surface is not None:
-        surface = found.surface
-        if isinstance(surface, HeightMap):
-            heights = surface.heights.detach().cpu()
-            ground = replace(surface, heights=heights.reshape(-1, *heights.shape[-2:])[0])
-            return lambda x, y: height + ground(x, y)[0]
-        return lambda x, y: height + surface(x, y)
-    return lambda x, y: (height - a * x - b * y) / c
+    height, (a, b, c), surface = height.reshape(-1)[0], normal.reshape(-1, 3)[0], found.surface
+    if surface is None:
+        return lambda x, y: (height - a * x - b * y) / c
+    if isinstance(surface, HeightMap):
+        heights = surface.heights.detach().cpu()
+        first = replace(surface, heights=heights.reshape(-1, *heights.shape[-2:])[0])
+        return lambda x, y: height + first(x, y)[0]
+    return lambda x, y: height + surface(x, y)
 
 
 def _rules(radius: float, place: np.ndarray) -> np.ndarray:

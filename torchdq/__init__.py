@@ -54,7 +54,6 @@ Simulation, imported on first use:
 Errors derive from TorchdqError and from the built-in error that a caller would expect.
 """
 
-from importlib import import_module as _import
 from typing import TYPE_CHECKING
 
 from torchdq import convert, dq, floating
@@ -167,15 +166,24 @@ _ELSEWHERE = {
 }
 
 
-_LATER = {"Scene": "torchdq.scene.scene", "recommend_settings": "torchdq.recommend.recommend"}
-
-
 def __getattr__(name: str) -> object:
     """Subpackages and names that are imported on first use; an unknown name raises with the closest known ones."""
-    if name in ("envs", "learning"):
-        return _import(f"torchdq.{name}")
-    if name in _LATER:
-        return getattr(_import(_LATER[name]), name)
+    if name == "envs":
+        import torchdq.envs as envs
+
+        return envs
+    if name == "learning":
+        import torchdq.learning as learning
+
+        return learning
+    if name == "Scene":
+        from torchdq.scene.scene import Scene
+
+        return Scene
+    if name == "recommend_settings":
+        from torchdq.recommend.recommend import recommend_settings
+
+        return recommend_settings
     raise _no_attribute("module 'torchdq'", name, __all__, _ELSEWHERE, "help(torchdq)")
 
 

@@ -230,11 +230,11 @@ class SceneModel:
         """Rows that effects on bodies look up below their points in a state, by name."""
         if not self.computed:
             return {}
-        bodies = [effect for effect in self.effects if isinstance(effect, BodyEffect)]
-        by_name = {name: effect for effect in bodies for name in effect.computed(self.n)}
+        of = self.spec.of(BodyEffect)
+        looking: dict[str, Any] = {name: self.effects[i] for i, effect in of for name in effect.computed(self.n)}
         moving = {name: x for name, x in state.rows().items() if name in self.spec.moving}
-        places = self.evaluate("places", moving) if by_name else {}
-        return {name: by_name[name].looked_up(x) for name, x in places.items()}
+        places = self.evaluate("places", moving) if looking else {}
+        return {name: looking[name].looked_up(x) for name, x in places.items()}
 
     def finite(self, state: State) -> Tensor:
         """True for every row of a state whose numbers are all finite, shape [...]."""
