@@ -70,14 +70,9 @@ class Actions:
             )
         return self._of_all_joints(inside), (inside != found).sum(1)
 
-    @property
-    def _plain(self) -> bool:
-        """Whether the columns are all joints in the order of the robot."""
-        return self.joints == tuple(range(self.robot.n))
-
     def _of_all_joints(self, actions: Tensor) -> Tensor:
         """Actions [N, n] of those of the actuated joints."""
-        if self._plain:
+        if self.joints == tuple(range(self.robot.n)):  # in the order of the robot
             return actions
         columns = [torch.zeros_like(actions[:, 0])] * self.robot.n
         for joint, column in zip(self.joints, actions.unbind(1), strict=True):

@@ -191,7 +191,8 @@ def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) 
     drawn: list[Randomised] = []
     taken: dict[Owned, str] = {}
     for name, span in spans.items():
-        how = _how(name, randomise[name])
+        absolute = isinstance(randomise[name], Absolute) or name in ADDED
+        how: Literal["factor", "shift", "absolute"] = "shift" if name == "com" else "absolute" if absolute else "factor"
         found = []
         for parameters in _targets(scene, own, name):
             for parameter in parameters:
@@ -262,13 +263,6 @@ def _targets(scene: Scene, own: Sequence[int], name: str) -> list[list[Owned]]:
 
 
 # --- values ----------------------------------------------------------------------------------------------------------
-
-
-def _how(name: str, x: Any) -> Literal["factor", "shift", "absolute"]:
-    """Use of what is drawn."""
-    if name == "com":
-        return "shift"
-    return "absolute" if isinstance(x, Absolute) or name in ADDED else "factor"
 
 
 def _span(name: str, x: Any, like: Tensor) -> Span:

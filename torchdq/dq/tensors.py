@@ -292,11 +292,7 @@ def ad(x: Tensor, m: Tensor) -> Tensor:
     >>> ad(X_AB, torch.tensor([1.0, 1, 1, 0, 0, 0]))
     tensor([ 1.,  1.,  1., -2.,  1.,  1.])
     """
-    return computed(_ad, x=checked("x", x, 8), m=checked("m", m, 6))
-
-
-def _ad(x: dual_quaternion.DualQuaternion, m: screw.Screw) -> screw.Screw:
-    return screw.ad(screw.columns(x), m)
+    return computed(lambda x, m: screw.ad(screw.columns(x), m), x=checked("x", x, 8), m=checked("m", m, 6))
 
 
 def ad_matrix(x: Tensor) -> Tensor:

@@ -19,16 +19,11 @@ from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.program.program import GROWTH
 
 
-def _wrench(row: Sequence[Number | None]) -> list[Number | None]:
-    """Wrench (force, moment) on the base, of generalised forces."""
-    return [*row[3:BASE], *row[:3]]
-
-
 def inverse_dynamics(x: RecipeInputs) -> Results:
     """Wrench on the base, and torques."""
     at = x.posed()
     forces = at.torques(x.velocities(), x.accelerations(), x.exerted(at))
-    return {"F_B": _wrench(forces), "tau": forces[BASE:]}
+    return {"F_B": [*forces[3:BASE], *forces[:3]], "tau": forces[BASE:]}
 
 
 def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:

@@ -157,27 +157,22 @@ def _bodies(scene: RecordedScene, task: Task | None) -> Rows:
     return {name: row for name, row in scene.overrides.items() if row is not None}
 
 
-def _evaluation(method: Callable[..., Row], *names: str) -> Callable[[RecordedScene, Task | None], Rows]:
+def _evaluation(method: Callable[..., Rows], *names: str) -> Callable[[RecordedScene, Task | None], Rows]:
     """Stage of an evaluation of the equations of motion, with the inputs of those names as its arguments."""
 
     def stage(scene: RecordedScene, task: Task | None) -> Rows:
         given = [scene.inputs[name] for name in names]
-        return with_growths(scene, scene.inputs["u"], lambda system: {"a": method(system, *given)})
+        return with_growths(scene, scene.inputs["u"], lambda system: method(system, *given))
 
     return stage
 
 
-def _frozen(scene: RecordedScene, task: Task | None) -> Rows:
-    x, v = scene.inputs["x"], scene.inputs["v"]
-    return with_growths(scene, scene.inputs["u"], lambda system: system.frozen(x, v))
-
-
 EVALUATIONS = {
-    "frozen": _frozen,
-    "accelerations": _evaluation(SceneSystem.accelerations, "x", "v"),
-    "implicit_velocities": _evaluation(lambda s, x, v, h: s.implicit_velocities(x, v, h[0]), "x", "v", "h"),
-    "momentum_accelerations": _evaluation(SceneSystem.momentum_accelerations, "x", "v"),
-    "velocities_at": _evaluation(SceneSystem.velocities_at, "x", "v", "to"),
+    "frozen": _evaluation(SceneSystem.frozen, "x", "v"),
+    "accelerations": _evaluation(lambda s, x, v: {"a": s.accelerations(x, v)}, "x", "v"),
+    "implicit_velocities": _evaluation(lambda s, x, v, h: {"a": s.implicit_velocities(x, v, h[0])}, "x", "v", "h"),
+    "momentum_accelerations": _evaluation(lambda s, x, v: {"a": s.momentum_accelerations(x, v)}, "x", "v"),
+    "velocities_at": _evaluation(lambda s, x, v, to: {"a": s.velocities_at(x, v, to)}, "x", "v", "to"),
 }
 STAGES = {
     "step": _step,
