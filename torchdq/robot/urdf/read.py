@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import reprlib
+import xml.etree.ElementTree as ET
 from typing import Any
 
 import torch
@@ -13,13 +15,12 @@ from torchdq.findings import Finding
 from torchdq.robot.arrays import SIX, double, matrices
 from torchdq.robot.assembly import described, linked
 from torchdq.robot.check import consistency
-from torchdq.robot.description import Base, RobotDescription, note
-from torchdq.robot.urdf.collision import shapes_of
+from torchdq.robot.description import Base, RobotDescription, Shape, note
 from torchdq.robot.urdf.diagnostics import diagnostics
 from torchdq.robot.urdf.document import root_of
-from torchdq.robot.urdf.elements import Elements, elements
+from torchdq.robot.urdf.elements import Elements, Part, elements
 from torchdq.robot.urdf.mimic import locked, motions
-from torchdq.robot.urdf.segments import rooted, segments_of
+from torchdq.robot.urdf.segments import pose, rooted, segments_of
 
 
 def read(
@@ -42,7 +43,7 @@ def read(
         raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *faults)
     moves, lock_notes = locked(found, still_free, coupled, kept, lock)
     judged, findings = _physical(found, repair)
-    shapes = shapes_of(root)
+    shapes = {x.get("name", ""): tuple(map(_shape, x.findall("collision"))) for x in root.findall("link")}
     segments = [x._replace(shapes=shapes.get(x.name, ())) for x in segments_of(judged, tree.root, moves)]
     carried = None if tree.free is None else [segment.name for segment in segments].index(tree.free.child)
     links = linked(segments, moves, carried)
@@ -80,3 +81,27 @@ def _physical(file: Elements, repair: bool) -> tuple[Elements, dict[str, list[Fi
         for (name, body), row in zip(links.items(), I[:, *SIX].tolist(), strict=True)
     }
     return file._replace(links={name: bodies.get(name) for name in file.links}), findings
+
+
+def _shape(element: ET.Element) -> Shape:
+    """Shape of a <collision> element; one that cannot be read is kept with the reason."""
+    faults: list[Finding] = []
+    part = Part("", "", element, faults)
+    form = element.find("geometry/*")
+    name, origin = part.name("name"), part.origin()
+    kind, size = _form(Part("", "", form, faults), "nothing" if form is None else form.tag)
+    if faults:
+        kind, size = f"a {kind} with a fault, {faults[0]}", ()
+    return Shape(kind, size, pose(origin), name)
+
+
+def _form(part: Part, tag: str) -> tuple[str, tuple[float, ...]]:
+    """Kind and size of the element of a form."""
+    if tag == "box":
+        return tag, tuple(0.5 * x for x in part.numbers("size", None, 3, signed=False))
+    if tag == "sphere":
+        return tag, (part.number("radius", None, signed=False),)
+    if tag in ("capsule", "cylinder"):
+        return tag, (part.number("radius", None, signed=False), 0.5 * part.number("length", None, signed=False))
+    file = part.name("filename")
+    return f"{reprlib.repr(tag)[1:-1]} {file!r}" if file else reprlib.repr(tag)[1:-1], ()
