@@ -208,9 +208,8 @@ def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) 
                 )
         drawn += found
     _require_allowed(scene, drawn, taken, num_envs)
-    for r in drawn:
-        scene = _with_rows(scene, r)
-    return scene, tuple(drawn)
+    rows = {f"{owner}.{name}": x.clone() for r in drawn for (owner, name), x in r.bases.items()}
+    return (scene.with_parameters(rows) if rows else scene), tuple(drawn)
 
 
 # --- names -----------------------------------------------------------------------------------------------------------
@@ -401,18 +400,3 @@ def _base(scene: Scene, parameter: Owned, num_envs: int, like: Tensor) -> Tensor
     part = {ROBOT: scene.robot, **_parts(scene)}[owner]
     value = torch.as_tensor(getattr(part, name)).detach().to(like)
     return value.expand(num_envs, *trailing(scene.spec.shapes(owner)[name], scene.robot.sizes))
-
-
-def _with_rows(scene: Scene, r: Randomised) -> Scene:
-    """Scene with tensors of its own for the parameters that are drawn."""
-    for (owner, name), x in r.bases.items():
-        row: dict[str, Any] = {name: x.clone()}
-        if owner == ROBOT:
-            scene = scene.replace(robot=scene.robot.replace(**row))
-        elif owner == CONTROLLER:
-            scene = scene.replace(controller=replace(scene.controller, **row))  # type: ignore[type-var]
-        else:
-            effects = list(scene.effects)
-            effects[owner] = replace(effects[owner], **row)
-            scene = scene.replace(effects=effects)
-    return scene

@@ -119,11 +119,21 @@ class SceneModel:
         """Scene whose parameters that are tensors are on a device; a step would copy them there every time."""
         if all(x.device == torch.device(device) for x in self.parameters.values()):
             return self
-        robot = self.robot.replace(**{name: getattr(self.robot, name).to(device) for name in arguments(self.robot)})
-        controller, *effects = [
-            None if part is None else replace(part, **{name: x.to(device) for name, x in part.tensors().items()})
-            for part in (self.controller, *self.effects)
-        ]
+        robot = {f"{ROBOT}.{name}": getattr(self.robot, name) for name in arguments(self.robot)}
+        return self.with_parameters({name: x.to(device) for name, x in (robot | self.parameters).items()})
+
+    def with_parameters(self, values: Mapping[str, Tensor]) -> Self:
+        """Scene with tensors instead of parameters of its own, by "owner.name" as in `parameters`."""
+        parts: dict[int, dict[str, Any]] = {}
+        for key, x in values.items():
+            owner, _, name = key.partition(".")
+            parts.setdefault(int(owner), {})[name] = x
+        robot, controller = self.robot, self.controller
+        if ROBOT in parts:
+            robot = robot.replace(**parts[ROBOT])
+        if controller is not None:
+            controller = replace(controller, **parts.get(CONTROLLER, {}))
+        effects = [replace(effect, **parts.get(i, {})) for i, effect in enumerate(self.effects)]
         return self.replace(robot=robot, controller=controller, effects=effects)
 
     # --- time ---

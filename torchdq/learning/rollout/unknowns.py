@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -264,23 +263,11 @@ def _unknown(name: str, key: str, value: Tensor, kind: str, at: np.ndarray, owne
 
 
 def changed(scene: Scene, found: Mapping[str, Tensor]) -> Scene:
-    """Scene with parameters instead of its own, by "owner.name"; two that have an order are kept in it."""
-    parts: dict[int, dict[str, Any]] = {}
-    for key, value in found.items():
-        owner, _, name = key.partition(".")
-        parts.setdefault(int(owner), {})[name] = value
-    robot = scene.robot.replace(**parts.pop(-2)) if -2 in parts else scene.robot
-    controller = scene.controller
-    if controller is not None and -1 in parts:
-        controller = replace(controller, **parts.pop(-1))
-    effects = [replace(effect, **_ordered(effect, parts.get(k, {}))) for k, effect in enumerate(scene.effects)]
-    return scene.replace(robot=robot, controller=controller, effects=effects)
-
-
-def _ordered(effect: Parametric, values: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Values of parameters of an effect, the higher one of two that have an order raised to the lower one."""
-    low, high = getattr(effect, "ORDERED", ()) or ("", "")
-    if not {low, high} & {*values}:
-        return values
-    lower, upper = (tensor_of(values.get(name, getattr(effect, name))) for name in (low, high))
-    return {**values, high: torch.maximum(lower, upper)}
+    """Scene with parameters instead of its own, by "owner.name"; the higher of two that have an order is not lower."""
+    values = dict(found)
+    for k, effect in enumerate(scene.effects):
+        ordered = {f"{k}.{name}": getattr(effect, name) for name in getattr(effect, "ORDERED", ())}
+        if ordered.keys() & values.keys():
+            lower, upper = (tensor_of(values.get(key, own)) for key, own in ordered.items())
+            values[[*ordered][1]] = torch.maximum(lower, upper)
+    return scene.with_parameters(values)
