@@ -10,18 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from operator import add, mul
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torchdq.algebra import matrix, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.matrix import Matrix
-from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import lift, total
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.point_mass import PointMass
-from torchdq.dynamics.posed import Exerted, Factors, Point, Posed, Row, factors_by_entries
+from torchdq.dynamics.posed import Exerted, Factors, Posed, Row, factors_by_entries
+
+UNMAPPED = ("com", "point", "wrench", "position", "to_world", "to_link", "poses", "composites", "potential_energy")
 
 
 class Coupling(NamedTuple):
@@ -50,43 +52,11 @@ class Coupled(NamedTuple):
     coupling: Coupling
     armature: Row | None = None  # additional inertia at the coordinates
 
-    # --- independent of the map ---
-
-    def com(self, i: int) -> Pure:
-        """Centre of mass of a link."""
-        return self.robot.com(i)
-
-    def point(self, i: int, X_BF: DualQuaternion) -> Point:
-        """Frame on a link."""
-        return self.robot.point(i, X_BF)
-
-    def wrench(self, i: int, F_B: Screw) -> Screw:
-        """Wrench on a link."""
-        return self.robot.wrench(i, F_B)
-
-    def position(self, i: int, r: Pure) -> Pure:
-        """Position in the world of a point of a link."""
-        return self.robot.position(i, r)
-
-    def to_world(self, i: int, v: Pure) -> Pure:
-        """Components in world axes of a vector of a link."""
-        return self.robot.to_world(i, v)
-
-    def to_link(self, i: int, v: Pure) -> Pure:
-        """Components in link axes of a vector of the world."""
-        return self.robot.to_link(i, v)
-
-    def poses(self) -> Sequence[DualQuaternion]:
-        """Pose of every link in the world."""
-        return self.robot.poses()
-
-    def composites(self) -> Sequence:
-        """Composite inertias of the links."""
-        return self.robot.composites()
-
-    def potential_energy(self) -> Number:
-        """Potential energy of gravity."""
-        return self.robot.potential_energy()
+    def __getattr__(self, name: str) -> Any:
+        """Methods of the robot that do not depend on the map."""
+        if name not in UNMAPPED:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        return getattr(self.robot, name)
 
     def without_gravity(self) -> Coupled:
         """Posed robot without gravity."""
@@ -95,8 +65,6 @@ class Coupled(NamedTuple):
     def with_masses(self, masses: Sequence[PointMass]) -> Coupled:
         """Posed robot with masses at points of links."""
         return self._replace(robot=self.robot.with_masses(masses))
-
-    # --- mapped ---
 
     def twists(self, qd: Row) -> Sequence[Screw]:
         """Twist of every link."""

@@ -123,7 +123,8 @@ def posed(
     if robot.joint_map is None:
         return at
     before, rotors = 0 if X_WB is None else BASE, field(robot, "armature", overrides)
-    return Coupled(at, coupling(robot.joint_map).after(before), rotors and (0.0,) * before + tuple(rotors))
+    mapped: Any = Coupled(at, coupling(robot.joint_map).after(before), rotors and (0.0,) * before + tuple(rotors))
+    return mapped
 
 
 def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
