@@ -73,25 +73,6 @@ class _Place(NamedTuple):
     slip: Pure  # velocity along the surface [m/s]
 
 
-class _Law(NamedTuple):
-    """Law of one point over a step, with its coefficients at the start."""
-
-    place: _Place
-    active: Number  # 1 where a normal force acts, otherwise 0
-    normal_force: Number  # at the velocity now [N]
-    impedance: Number  # of the normal force [N s/m]
-    tangential: Number  # impedance of the friction that sticks [N s/m]
-    bristles: Pure  # z, in link axes [m]
-    trial: Pure  # y, the friction that would stick, at the velocity now [N]
-    size: Number  # |y| [N]
-    share: Number  # s
-
-    @property
-    def force(self) -> Pure:
-        """Force on the link at the velocity now."""
-        return quat.sub(quat.scale(self.normal_force, self.place.normal), quat.scale(self.share, self.trial))
-
-
 @dataclass(frozen=True)
 class Contact(BodyEffect):
     """Compliant contact of points of the robot with the ground, by normal forces and dry friction that sticks.
@@ -237,26 +218,45 @@ class Contact(BodyEffect):
 
     def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
         """Forces of the points, and what these remember."""
-        found = []
-        for i, place in enumerate(self._places(bodies, inputs)):
-            law = self._law(place, bodies, memory[KEPT * i : KEPT * (i + 1)], h)
-            D, force = law.share * law.tangential, law.force
-            along = select(law.active, law.impedance, 0.0) - D
-            kept = partial(self._kept, bodies, law, h) if self.stiction else None
-            found.append(PointImpedance(place.link, place.point, force, D, place.normal, along, kept=kept))
-        return found
+        places = enumerate(self._places(bodies, inputs))
+        return [self._impedance(bodies, place, memory[KEPT * i : KEPT * (i + 1)], h) for i, place in places]
 
-    def _kept(self, bodies: Bodies, law: _Law, h: Number, end: Pure) -> list[Number]:
-        """Bristles that are bent by the friction that acted, the normal force, and the size, of the velocity then."""
-        place, T = law.place, self._settled(h)
-        lag = T / h
-        along = quat.dot(place.normal, end)
-        slip = quat.sub(end, quat.scale(along, place.normal))
-        # s y / k = s (z + (h + T) u_t')
-        acted = quat.scale(law.share, quat.add(law.bristles, quat.scale(h + T, slip)))
-        bent = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, law.bristles)))
-        force = maximum(self.stiffness * place.depth - law.impedance * along, 0.0)
-        return [*bodies.posed.to_world(place.link, bent), select(law.active, force, 0.0), law.size]
+    def _impedance(self, bodies: Bodies, place: _Place, memory: Row, h: Number) -> PointImpedance:
+        """Force of a point over a step h; with stiction, `kept` has its bristles, normal force and size of friction."""
+        k, n, kept = self.stiffness, place.normal, None
+        force, Z_n = self._pressing(place, h)
+        if not self.stiction:
+            active, trial, Z_t = below(0.0, force), place.slip, 1.0
+            share = self.friction * select(active, force, 0.0) / sqrt(quat.dot(trial, trial) + WIDTH * WIDTH)
+        else:
+            # in less than half of the step the extrapolated friction of slow sliding would alternate
+            T = maximum(self.settling, 0.5 * h)
+            Z_t = k * (h + T)
+            *bent, pressed, last = memory
+            z = bodies.posed.to_link(place.link, tuple(bent))
+            if self.surface is not None:  # whose normal turns
+                z = quat.sub(z, quat.scale(quat.dot(n, z), n))
+            was = below(k * NEAR, pressed)
+            # the prediction alone would let a point chatter that lands, and the depth alone hold one that leaves
+            active = maximum(below(0.0, force), was * below(0.0, place.depth))
+            limit = self.friction * select(active, select(was, pressed, maximum(force, 0.0)), 0.0)
+            trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
+            size = sqrt(quat.dot(trial, trial) + TINY * TINY)
+            ahead = select(was, clip(size + (size - last), 0.5 * size, 2.0 * size), size)
+            share = select(below(limit, ahead), limit / ahead, 1.0)
+
+            def kept(end: Pure) -> Row:
+                lag, along = T / h, quat.dot(n, end)
+                slip = quat.sub(end, quat.scale(along, n))
+                # s y / k = s (z + (h + T) u_t')
+                acted = quat.scale(share, quat.add(z, quat.scale(h + T, slip)))
+                after = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, z)))
+                pressing = maximum(k * place.depth - Z_n * along, 0.0)
+                return [*bodies.posed.to_world(place.link, after), select(active, pressing, 0.0), size]
+
+        normal, D = select(active, force, 0.0), share * Z_t
+        acting = quat.sub(quat.scale(normal, n), quat.scale(share, trial))
+        return PointImpedance(place.link, place.point, acting, D, n, select(active, Z_n, 0.0) - D, kept=kept)
 
     def readings(self, bodies: Bodies, inputs: Inputs, memory: Row) -> list[Contacts]:
         """Contact of every point in a state."""
@@ -268,14 +268,15 @@ class Contact(BodyEffect):
                 bent = select(below(0.0, f_n), self.stiffness, 0.0)  # those of a point that left relax without a force
                 force = quat.sub(quat.scale(f_n, to_world(place.normal)), quat.scale(bent, tuple(z)))
             else:
-                law = self._law(place, bodies, (), 0.0)
-                f_n, force = law.normal_force, to_world(law.force)
+                f_n, _ = self._pressing(place, 0.0)
+                f_n, force = maximum(f_n, 0.0), to_world(self._impedance(bodies, place, (), 0.0).force)
             found.append(Contacts(force, f_n, below(0.0, f_n), place.depth, speed))
         return found
 
-    def _settled(self, h: Number) -> Number:
-        """T over a step h: in less than half of it the extrapolated friction of slow sliding would alternate."""
-        return maximum(self.settling, 0.5 * h)
+    def _pressing(self, place: _Place, h: Number) -> tuple[Number, Number]:
+        """Normal force at the velocity now, negative where the point would be held, and its impedance over a step h."""
+        Z = self.stiffness * (h + self.dissipation * maximum(place.depth, 0.0))
+        return self.stiffness * place.depth - Z * place.approach, Z
 
     def _places(self, bodies: Bodies, inputs: Inputs) -> Iterator[_Place]:
         """Places of the points."""
@@ -303,30 +304,6 @@ class Contact(BodyEffect):
         w = 1.0 / sqrt(1.0 + a * a + b * b)
         # of its lowest point: the distance of its centre would jump where slopes do, and give energy
         return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w
-
-    def _law(self, place: _Place, bodies: Bodies, memory: Row, h: Number) -> _Law:
-        """Law of a point over a step h."""
-        k = self.stiffness
-        Z_n, Z_t = k * (h + self.dissipation * maximum(place.depth, 0.0)), k * (h + self._settled(h))
-        force = k * place.depth - Z_n * place.approach  # at the velocity now
-        if not self.stiction:
-            active = below(0.0, force)
-            load = select(active, force, 0.0)
-            share = self.friction * load / sqrt(quat.dot(place.slip, place.slip) + WIDTH * WIDTH)
-            return _Law(place, active, load, Z_n, 1.0, quat.ZERO, place.slip, 0.0, share)
-        *kept, pressed, last = memory
-        z = bodies.posed.to_link(place.link, tuple(kept))
-        if self.surface is not None:  # whose normal turns
-            z = quat.sub(z, quat.scale(quat.dot(place.normal, z), place.normal))
-        was = below(k * NEAR, pressed)
-        # the prediction alone would let a point chatter that lands, and the depth alone hold one that leaves
-        active = maximum(below(0.0, force), was * below(0.0, place.depth))
-        limit = self.friction * select(active, select(was, pressed, maximum(force, 0.0)), 0.0)
-        trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
-        size = sqrt(quat.dot(trial, trial) + TINY * TINY)
-        ahead = select(was, clip(size + (size - last), 0.5 * size, 2.0 * size), size)
-        share = select(below(limit, ahead), limit / ahead, 1.0)
-        return _Law(place, active, select(active, force, 0.0), Z_n, Z_t, z, trial, size, share)
 
 
 def firmest(robot: Robot, h: float) -> float:
