@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -28,30 +28,20 @@ from torchdq.scene.spec import Task
 KEPT = ("observation", "reference", "carry")  # rows of a task that an environment keeps from step to step
 
 
+@dataclass(eq=False)
 class Reset:
-    """Random start of the episodes of a scene and a task.
+    """Random start of the episodes of a scene and a task."""
 
-    Args:
-        scene: the scene of the episodes.
-        checked: the task of the episodes, with the check of its numbers.
-        randomised: parameters of the scene that are drawn as well.
-        pushes: inputs that are drawn as well.
-        functions: functions of tensors that replace parts of the task; None: there are none.
-    """
+    scene: Scene
+    checked: Checked  # the task, with the check of its numbers
+    randomised: tuple[Randomised, ...]  # parameters of the scene that are drawn as well
+    pushes: Mapping[str, Pushes]  # inputs that are drawn as well
+    functions: Functions | None  # functions of tensors that replace parts of the task; None: there are none
 
-    def __init__(
-        self,
-        scene: Scene,
-        checked: Checked,
-        randomised: tuple[Randomised, ...],
-        pushes: Mapping[str, Pushes],
-        functions: Functions | None,
-    ) -> None:
-        self.scene, self.checked, self.randomised, self.functions = scene, checked, randomised, functions
-        self.pushes = pushes
+    def __post_init__(self) -> None:
+        scene = self.scene
         acting = [x for x in scene.effects if x.SLOT in ("sensor", "body") or x.memory(scene.n)]  # seen at a start
-        self.opening = scene.replace(effects=acting, controller=None)
-        self.robot = mean_robot(scene.robot)
+        self.opening, self.robot = scene.replace(effects=acting, controller=None), mean_robot(scene.robot)
 
     def __call__(
         self, rows: SomeRows, streams: Streams, dtype: torch.dtype

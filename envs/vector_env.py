@@ -198,7 +198,12 @@ class ArmVectorEnv(VectorEnv):
         self._checked = Checked(self.task)
         self._functions = None if functions is None else Functions.of(functions, self.robot, self.scene, self.device)
         self._reset = Reset(self.scene, self._checked, self._randomised, self._pushes, self._functions)
-        self._define_spaces(functions.bounds if functions else None)
+        bounds = functions.bounds if functions and functions.bounds is not None else self.task.bounds(self.robot)
+        low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
+        self.single_observation_space = Box(low, high, dtype=low.dtype.type)
+        self.single_action_space = Box(-1.0, 1.0, (len(joints),), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
         # single numbers as tensors, since torch takes 2 us to make one
         self._valid = like.new_ones(())
         self._one = torch.tensor(1, dtype=torch.int32, device=self.device)
@@ -206,15 +211,6 @@ class ArmVectorEnv(VectorEnv):
         self._unreset = False  # True if a row has finished, or may have, and was not reset
         self._looks = self.device.type == "cpu"  # whether the host looks at flags; at those of a GPU it would wait
         self._painter: Any = None
-
-    def _define_spaces(self, bounds: Sequence[tuple[float, float]] | None) -> None:
-        """Define the spaces of actions and of observations within bounds; None: those of the task."""
-        bounds = self.task.bounds(self.robot) if bounds is None else bounds
-        low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
-        self.single_observation_space = Box(low, high, dtype=low.dtype.type)
-        self.single_action_space = Box(-1.0, 1.0, (len(self._actions.joints),), np.float32)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     # --- gymnasium ---
 
