@@ -73,8 +73,9 @@ class Skeleton:
     """
 
     def __init__(self, what: Robot | SceneModel):
-        robot = what.robot if isinstance(what, SceneModel) else require_robot(what)
-        contacts = [what.effects[i] for i, _ in what.spec.of(Contact)] if isinstance(what, SceneModel) else []
+        scene = what if isinstance(what, SceneModel) else None
+        robot = require_robot(what) if scene is None else scene.robot
+        contacts: list[Any] = [] if scene is None else [scene.effects[i] for i, _ in scene.spec.of(Contact)]
         if not robot.n:
             raise ArgumentError(f"robot {robot.name!r} must have a joint to be drawn, found none")
         batched = {name: getattr(robot, name).detach() for name in arguments(robot)}

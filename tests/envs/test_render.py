@@ -21,7 +21,6 @@ from torchdq.envs.render import (
     Painter,
     Skeleton,
     Viewer,
-    _ground,
     _on_ground,
     save_gif,
 )
@@ -220,7 +219,9 @@ def test_the_ground_of_a_scene_is_drawn_below_its_contact_points(walker, contact
     robot, X = walker
     scene = Scene(robot, (effects.Contact(ContactPoint("left", (0.0, 0.0, -0.4), 0.03), **contact),), dt=0.001)
     x, y = torch.linspace(-1, 1, 5).double(), torch.linspace(0, 1, 5).double()
-    assert torch.allclose(torch.as_tensor(_ground(scene)(x, y)).double(), torch.as_tensor(height(x, y)).double())
+    assert torch.allclose(
+        torch.as_tensor(Skeleton(scene).ground(x, y)).double(), torch.as_tensor(height(x, y)).double()
+    )
     painter, q = Painter(scene), [0.3, -0.4]
     image = painter.frame(q, X_WB=X[0])
     assert coloured(image, TIP).any() and not coloured(Painter(robot).frame(q, X_WB=X[0]), TIP).any()
