@@ -16,7 +16,7 @@ from torchdq import dq
 from torchdq.envs import Scene, State, effects
 from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import Repeated, RungeKutta4
-from torchdq.scene.linearize import ORDER
+from torchdq.scene.recording import ORDER
 
 
 def moved(state, ds):

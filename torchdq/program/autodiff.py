@@ -71,9 +71,8 @@ def vjp_jacobian(program: Program, wrt: Sequence[int]) -> Program:
         second: list[list[Value]] = []  # below the diagonal, column by column
         first: dict[tuple[int, int], dict[str, list[Value]]] = {}
         for column, place in enumerate(places):
-            rates = _tangent_results(product, tangents(product, values, {place: 1.0}))
-            second.append([x for row in rates.values() for x in row][column:])
-            first[place] = _tangent_results(program, tangents(program, plain, {place: 1.0}))
+            second.append([x for row in rates(product, values, {place: 1.0}).values() for x in row][column:])
+            first[place] = rates(program, plain, {place: 1.0})
         at = {place: k for k, place in enumerate(places)}
         outputs: dict[str, list[Value]] = {}
         for k in wrt:
@@ -108,8 +107,9 @@ def tangents(program: Program, values: Sequence[Value], seeds: dict[tuple[int, i
     return t
 
 
-def _tangent_results(program: Program, t: Sequence[Value]) -> dict[str, list[Value]]:
-    """Tangents of the results; zero for a constant result."""
+def rates(program: Program, values: Sequence[Value], seeds: dict[tuple[int, int], Value]) -> dict[str, list[Value]]:
+    """Tangents of the results, from those of some argument components; zero for a constant result."""
+    t = tangents(program, values, seeds)
     constant = {r.name: [isinstance(v, float) for v in r.values] for r in program.results}
     return {
         name: [0.0 if fixed else x for x, fixed in zip(row, constant[name], strict=True)]
@@ -127,30 +127,25 @@ def jvp(program: Program, wrt: Sequence[int]) -> Program:
         rows = inputs(tape, arguments)
         values = replay(program, rows)
         seeds = zip(wrt, rows[len(program.arguments) :], strict=True)
-        t = tangents(program, values, {(k, j): x for k, row in seeds for j, x in enumerate(row)})
+        outputs = rates(program, values, {(k, j): x for k, row in seeds for j, x in enumerate(row)})
         summed = [r.name for r in program.results if r.summed]
-        outputs = _tangent_results(program, t)
         return finish(name, arguments, tape, outputs, summed, growths(program, values))
 
 
-def jacobian(program: Program, wrt: Sequence[int], values: bool = False) -> Program:
+def jacobian(program: Program, wrt: Sequence[int]) -> Program:
     """Full Jacobians of every result in every argument of `wrt`, [result, argument] row-major.
 
-    With `values`, the results themselves come first. Recorded by forward mode with a unit tangent per argument
-    component, and by reverse mode with a unit cotangent per result component; the shorter program is returned.
+    Recorded by forward mode with a unit tangent per argument component, and by reverse mode with a unit cotangent per
+    result component; the shorter program is returned.
     """
-    return min(
-        (_jacobian(program, wrt, by, values) for by in (_by_columns, _by_rows)),
-        key=lambda derived: derived.count().total,
-    )
+    return min((_jacobian(program, wrt, by) for by in (_by_columns, _by_rows)), key=lambda found: found.count().total)
 
 
-def _jacobian(program: Program, wrt: Sequence[int], by: Callable[..., dict[str, list[Value]]], also: bool) -> Program:
+def _jacobian(program: Program, wrt: Sequence[int], by: Callable[..., dict[str, list[Value]]]) -> Program:
     name = f"{program.name}_jacobian"
     with recording(name) as tape:
         values = replay(program, inputs(tape, program.arguments))
-        outputs = (results(program, values) if also else {}) | by(program, values, wrt)
-        return finish(name, program.arguments, tape, outputs, growths=growths(program, values))
+        return finish(name, program.arguments, tape, by(program, values, wrt), growths=growths(program, values))
 
 
 def _name(result: str, argument: Argument) -> str:
@@ -161,7 +156,7 @@ def _by_columns(program: Program, values: Sequence[Value], wrt: Sequence[int]) -
     outputs: dict[str, list[Value]] = {}
     for k in wrt:
         argument = program.arguments[k]
-        columns = [_tangent_results(program, tangents(program, values, {(k, j): 1.0})) for j in range(argument.width)]
+        columns = [rates(program, values, {(k, j): 1.0}) for j in range(argument.width)]
         for r in program.results:
             outputs[_name(r.name, argument)] = [c[r.name][i] for i in range(len(r.values)) for c in columns]
     return outputs

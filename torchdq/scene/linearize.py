@@ -1,30 +1,30 @@
-"""Derivatives of a step: its linearization on tensors, and one compiled program of the state and its Jacobian matrix.
+"""Linearization of a step: one compiled program of its derivatives, or reverse mode through the program of a step.
 
-`linearize` serves every scene, by reverse mode through the program of a step. `StepMap` differentiates the program
-itself, by forward mode: every column of the Jacobian matrix is recorded with the others, so that they share their
-common terms, and the many that vanish cost nothing.
+A program has every column of the matrices, by forward mode, so that they share their common terms, and the many numbers
+that vanish cost nothing. Reverse mode serves the scenes that have none: it also differentiates what torch computes
+before and within a step.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Generic, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.backends.call import batch_of, evaluate
-from torchdq.errors import ArgumentError
+from torchdq.backends.call import batch_of
+from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.scene.free_base import POSE
 from torchdq.scene.integrators import Unrecorded
-from torchdq.scene.model import AnyScene, SceneModel
-from torchdq.scene.recording import Stage
+from torchdq.scene.model import SceneModel
+from torchdq.scene.recording import ORDER, Stage
+from torchdq.scene.spec import SceneSpec
 from torchdq.scene.state import State, require_state
 
-ORDER = ("X_WB", "q", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state in a linearization
+LARGEST = 200_000  # operations of a step times columns, up to which a program of derivatives compiles within 20 s
+_programmed: Bounded[SceneSpec, bool] = Bounded(PROGRAMS)  # scenes whose derivatives are one program
 PURE = [1, 2, 3, 5, 6, 7]  # numbers of a pure dual quaternion
 
 
@@ -59,18 +59,40 @@ def linearize(
     """
     require_state(state)
     scene.spec.require_inputs(inputs)
-    torque = state.q.new_zeros(scene.n) if torque is None else torque
-    given = {name: x for name, x in {**inputs, "noise": noise}.items() if x is not None}
-    batch_of(Stage(scene.spec, "step"), {**state.rows(), "torque": torque, **given})  # raises, naming what does not fit
+    torque = torch.zeros_like(state.q) if torque is None else torque
+    given = {"torque": torque, **{name: x for name, x in inputs.items() if x is not None}}
+    programmed = _programmed.get(scene.spec)
+    if programmed is None:
+        programmed = _programmed[scene.spec] = _has_program(scene)
+    if not programmed:
+        return _by_reverse_mode(scene, state, given, noise)
+    found = scene.evaluate("step", scene.with_noise({**state.rows(), **given}, noise), wrt=("torque",))
+    return Linearization(found["A"], found["torque"])
+
+
+def _has_program(scene: SceneModel) -> bool:
+    """True for a scene whose derivatives of a step are one program."""
+    if isinstance(scene.integrator, Unrecorded) or scene.computed:
+        return False
+    columns = sum(scene.spec.state.values()) + scene.n
+    return scene.count().total * columns <= LARGEST
+
+
+def _by_reverse_mode(
+    scene: SceneModel, state: State, given: Mapping[str, Tensor], noise: Tensor | None
+) -> Linearization:
+    """Linearization by the gradients of every row of the state after a step."""
     rows = state.rows()
+    given = given if noise is None else {**given, "noise": noise}
+    batch_of(Stage(scene.spec, "step"), {**rows, **given})  # raises, naming what does not fit
     names = [name for name in ORDER if name in rows]
-    parts = [*(rows[name] for name in names), torque]
+    parts = [*(rows[name] for name in names), given["torque"]]
     widths = [x.shape[-1] for x in parts]
     batch = torch.broadcast_shapes(*(x.shape[:-1] for x in (*parts, *given.values())), *scene.batches.values())
 
     def after(z: Tensor) -> Tensor:
         *before, u = z.split(widths, -1)
-        found = scene.step(State(**dict(zip(names, before, strict=True))), u, **given).rows()
+        found = scene.step(State(**dict(zip(names, before, strict=True))), **{**given, "torque": u}).rows()
         return torch.cat([found[name] for name in names], -1)
 
     ends, pull, *_ = torch.func.vjp(after, torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1))
@@ -86,52 +108,3 @@ def linearize(
         found = torch.cat([found[..., :POSE] @ directions, found[..., POSE:]], -1)
     A, B = found.split([units.shape[-2], scene.n], -1)
     return Linearization(A, B)
-
-
-@dataclass(frozen=True)
-class StepMap(Generic[AnyScene]):
-    """Step of a scene as a function of rows [N, s], each the q, qd and memory of a state, and its derivatives.
-
-    Args:
-        scene: of a robot with a fixed base, without sensors, with an integrator that is recorded.
-        inputs: names of the inputs that are given at every step.
-    """
-
-    scene: AnyScene
-    inputs: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        scene, spec = self.scene, self.scene.spec
-        if scene.robot.floating:
-            raise ArgumentError(f"robot {scene.robot.name!r} must have a fixed base for derivatives of a step")
-        if isinstance(scene.integrator, Unrecorded):
-            kind = type(scene.integrator).__name__
-            raise ArgumentError(f"integrator must be one that is recorded, for derivatives of a step, found {kind}")
-        if found := [type(e).__name__ for e in scene.effects if e.SLOT == "sensor" or e.computed(scene.n)]:
-            raise ArgumentError(f"effects of the scene must be without {found[0]}, for derivatives of a step")
-        if found := [name for name, batch in scene.batches.items() if batch]:
-            raise ArgumentError(f"{found[0]} of the scene must be without batch axes, for derivatives of a step")
-        Stage(spec, "step").check(dict.fromkeys((*spec.state, *self.inputs), torch.zeros(1)))
-
-    @cached_property
-    def widths(self) -> dict[str, int]:
-        """Names and widths of the parts of a row."""
-        return self.scene.spec.state
-
-    def _given(self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        parts = s.split(list(self.widths.values()), -1)
-        given = dict(zip(self.widths, parts, strict=True)) | {name: inputs[name] for name in self.inputs}
-        return given | self.scene.parameters | dict(parameters)
-
-    def after(self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor]) -> Tensor:
-        """Rows after a step [N, s]; `parameters`, by "owner.name", replace those of the scene."""
-        found = evaluate(Stage(self.scene.spec, "step"), self._given(s, inputs, parameters), self.scene.backend)
-        return torch.cat([found[name] for name in self.widths], -1)
-
-    def linearised(
-        self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor], wrt: tuple[str, ...]
-    ) -> tuple[Tensor, Tensor]:
-        """Rows after a step [N, s], and derivatives [N, s, s + w] in those before, and in inputs and parameters."""
-        what = Stage(self.scene.spec, "step", wrt=(*self.widths, *wrt))
-        found = evaluate(what, self._given(s, inputs, parameters), self.scene.backend)
-        return found["after"], found["J"]

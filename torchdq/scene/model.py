@@ -176,7 +176,7 @@ class SceneModel:
         if task is None and not self.spec.senses and not self.spec.remembers:
             return State(**moved), {}
         given = {**moved, **inputs, **self.grounds(State(**moved))}
-        state, rows = _split(self.evaluate("begin", self._with_noise(given, noise), task))
+        state, rows = _split(self.evaluate("begin", self.with_noise(given, noise), task))
         return state._replace(**moved), rows
 
     def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
@@ -208,7 +208,7 @@ class SceneModel:
             if not self.computed.keys() <= present.keys():
                 system, *_ = self.drive(state, present, task)
                 present |= {name: system.inputs[name] for name in self.computed}
-            return _split(self.evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
+            return _split(self.evaluate("step", self.with_noise({**state.rows(), **present}, noise), task))
         dtype = state.q.dtype
         if self.precision == "double" and dtype == torch.float32:
             # the integrator's own arithmetic is double as well
@@ -217,7 +217,7 @@ class SceneModel:
         system, x, v, rows = self.drive(state, present, task)
         x, v = self.integrator.flow(system, x, v, self.dt)
         given = {"x": x, "v": v, **rows, **present, **{name: system.inputs[name] for name in self.computed}}
-        sensed = self.evaluate("sense", self._with_noise(given, noise), task)
+        sensed = self.evaluate("sense", self.with_noise(given, noise), task)
         return _split({name: x.to(dtype) for name, x in sensed.items()})
 
     def drive(
@@ -303,13 +303,19 @@ class SceneModel:
         """Operations of a step."""
         return self.program().count()
 
-    def evaluate(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
+    def evaluate(
+        self,
+        stage: str,
+        given: Mapping[str, Tensor],
+        task: Task | None = None,
+        wrt: tuple[str, ...] | None = None,
+    ) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
         constants(self.robot)  # raises if they were changed in place
         tensors = {**given, **self.parameters}
-        return evaluate(Stage(self.spec, stage, task), tensors, self.backend, self.precision == "double")
+        return evaluate(Stage(self.spec, stage, task, wrt), tensors, self.backend, self.precision == "double")
 
-    def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
+    def with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
         """Inputs with the random numbers that the sensors need."""
         if not self.noises:
             return given

@@ -24,15 +24,16 @@ from torchdq.effects.steady import lines
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
 from torchdq.functions.recipe import alternatives_to_record
-from torchdq.program.autodiff import jacobian
-from torchdq.program.program import Argument, Program, Result, record
+from torchdq.program.autodiff import rates
+from torchdq.program.program import Argument, Program, finish, growths, inputs, record, recording, replay, results
 from torchdq.robot.fields import trailing
 from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
-from torchdq.scene.free_base import POSE, TWIST
+from torchdq.scene.free_base import POSE, TWIST, directions, displacement
 from torchdq.scene.integrators import Integrator
 from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 
+ORDER = ("X_WB", "q", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state in a linearization
 MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
 
 
@@ -196,7 +197,9 @@ class _StageFields(NamedTuple):
     spec: SceneSpec
     stage: str  # one of STAGES
     task: Task | None = None
-    wrt: tuple[str, ...] = ()  # arguments for derivatives: the results are "after" [s] and its Jacobian matrix "J"
+    # names of inputs and parameters: the results are then "after" [s], the rows of the state joined in the order of
+    # `ORDER`, its derivatives "A" [t, t] in the state, as in `Linearization`, and those in each of these, by its name
+    wrt: tuple[str, ...] | None = None
 
 
 class Stage(_StageFields, Computation):
@@ -224,9 +227,10 @@ class Stage(_StageFields, Computation):
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results; one number of a task, such as its reward, has none."""
-        if self.wrt:
-            after, J = (len(result.values) for result in program.results)
-            return (after,), (after, J // after)
+        if self.wrt is not None:
+            after, *matrices = (len(result.values) for result in program.results)
+            rows = after - (POSE - TWIST if self.spec.robot.floating else 0)
+            return (after,), *((rows, size // rows) for size in matrices)
         if self.stage not in ("step", "sense", "begin"):
             return super().results(program)
         rows = (*self.spec.state, "observation", "reference", "carry")
@@ -272,8 +276,8 @@ class Stage(_StageFields, Computation):
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the stage, recorded once."""
-        if self.wrt:
-            return _with_jacobian(self, arguments)
+        if self.wrt is not None:
+            return _linearized(self, arguments)
         if self.stage not in EVALUATIONS:
             return _program(self, arguments)
         # independent of controller and time step
@@ -306,21 +310,32 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
 
 @remembered(PROGRAMS)
-def _with_jacobian(what: Stage, arguments: tuple[Argument, ...]) -> Program:
-    """Program of the rows of a stage, joined, and their Jacobian matrix, row by row, by forward mode."""
-    step = what._replace(wrt=()).program(arguments)
-    taken = [next(k for k, a in enumerate(arguments) if a.name == name) for name in what.wrt]
-    derived = jacobian(step, taken, values=True)
-    block = {result.name: result.values for result in derived.results}
-    rows = [
-        value
-        for result in step.results
-        for i in range(len(result.values))
-        for a in (arguments[k] for k in taken)
-        for value in block[f"d{result.name}/d{a.name}"][i * a.width : (i + 1) * a.width]
-    ]
-    after = [value for result in step.results for value in block[result.name]]
-    return replace(derived, results=(Result("after", tuple(after)), Result("J", tuple(rows))))
+def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
+    """Program of the state after a step and of its derivatives, by forward mode: columns share what they have in common."""
+    step, at = what._replace(wrt=None).program(arguments), {a.name: k for k, a in enumerate(arguments)}
+    name = f"{step.name}_linearized"
+    with recording(name) as tape:
+        rows = inputs(tape, arguments)
+        values = replay(step, rows)
+        after = results(step, values)
+        state = [name for name in ORDER if name in after]
+
+        def column(of: str, direction: Row) -> Row:
+            """Displacement of the state after the step, of the rate of an argument."""
+            found = rates(step, values, {(at[of], j): x for j, x in enumerate(direction)})
+            if "X_WB" in found:
+                found["X_WB"] = displacement(after["X_WB"], found["X_WB"])
+            return [x for part in state for x in found[part]]
+
+        def columns(of: str) -> list[Row]:
+            width = arguments[at[of]].width
+            units = [[float(j == k) for j in range(width)] for k in range(width)]
+            return [column(of, e) for e in (directions(rows[at[of]]) if of == "X_WB" else units)]
+
+        blocks = {"A": [row for part in state for row in columns(part)], **{of: columns(of) for of in what.wrt or ()}}
+        joined = {"after": [x for part in state for x in after[part]]}
+        matrices = {of: [x for row in zip(*block, strict=True) for x in row] for of, block in blocks.items()}
+        return finish(name, arguments, tape, joined | matrices, growths=growths(step, values))
 
 
 def owner_of(name: str) -> tuple[int, str] | None:

@@ -15,6 +15,7 @@ from messages import refused, warned
 from scipy import optimize, signal, stats
 
 import torchdq
+from torchdq.backends.call import evaluate
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.learning import LogError, LogWarning, Recording, fit_rollout
@@ -22,7 +23,7 @@ from torchdq.learning.rollout import shooting, unknowns
 from torchdq.learning.rollout.problem import Problem
 from torchdq.learning.rollout.recordings import Commands
 from torchdq.scene import controllers, integrators
-from torchdq.scene.linearize import StepMap
+from torchdq.scene.recording import Stage
 
 ROBOT = torchdq.robots.load("two_link")
 DT, ROWS = 0.01, 301
@@ -85,19 +86,24 @@ def test_derivatives_of_a_step_are_finite_differences():
     robot = torchdq.robots.load("puma560")
     parts = (effects.Gravity(), effects.FirstOrderLag(double(*[0.02] * 6)), effects.Servo(double(*[60.0] * 6), 5.0))
     scene = Scene(robot, (*parts, effects.Coulomb(double(*[0.3] * 6), 0.1)), dt=0.01)
-    step, lag = StepMap(scene, ("target", "torque")), double(*[0.02] * 6)
     s, torque, target = random(3, 30).split((18, 6, 6), -1)
 
-    def after(state=s, time=lag, target=target):
-        return step.after(state, {"target": target, "torque": torque}, {"1.time": time})
+    def evaluated(state, lag, target, wrt=None):
+        rows = dict(zip(scene.spec.state, state.split(6, -1), strict=True))
+        given = {**rows, "target": target, "torque": torque, **scene.parameters, "1.time": lag}
+        return evaluate(Stage(scene.spec, "step", wrt=wrt), given)
 
-    reached, found = step.linearised(s, {"target": target, "torque": torque}, {}, ("1.time", "target"))
+    def after(**changed):
+        return torch.cat(list(evaluated(**{**at, **changed}).values()), -1)
+
+    at = {"state": s, "lag": double(*[0.02] * 6), "target": target}
+    reached, *slopes = evaluated(**at, wrt=("1.time", "target")).values()
     torch.testing.assert_close(reached, after(), rtol=0, atol=1e-13)
-    slopes, at = found.split((18, 6, 6), -1), {"state": (s, 1e-6), "time": (lag, 1e-8), "target": (target, 1e-6)}
-    for slope, (name, (x, h)) in zip(slopes, at.items(), strict=True):
+    for slope, (name, x) in zip(slopes, at.items(), strict=True):
+        h = 1e-8 if name == "lag" else 1e-6
         steps = h * torch.eye(x.shape[-1], dtype=torch.float64)
         sides = [(after(**{name: x + e}) - after(**{name: x - e})) / (2 * h) for e in steps]
-        tolerance = 1e-5 if name == "time" else 1e-6
+        tolerance = 1e-5 if name == "lag" else 1e-6
         torch.testing.assert_close(slope, torch.stack(sides, -1), rtol=tolerance, atol=tolerance)
 
 

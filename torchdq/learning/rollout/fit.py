@@ -8,7 +8,7 @@ function", Mathematical Programming 91 (2002)).
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import torch
@@ -26,7 +26,8 @@ from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import Unknowns, changed, unknowns
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
-from torchdq.scene.linearize import StepMap
+from torchdq.scene.integrators import Unrecorded
+from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 
 CLOSED = 1e-9  # defects between nodes that count as none, relative to the motion
@@ -98,8 +99,8 @@ def fit_rollout(
         raise ArgumentError("delay cannot be learned: the recordings have no inputs that could come late")
     _require_driven(scene, variables, data)
     whole = changed(scene, variables.parameters(variables.start))
-    pieces = shooting.segments(data, scene.dt, segment)
-    problem = Problem(StepMap(whole, tuple(data[0].inputs)), variables, data, pieces)
+    _require_derivatives(whole, data[0].inputs)
+    problem = Problem(whole, variables, data, shooting.segments(data, scene.dt, segment))
     named = ", ".join(part.name for part in variables.parts)
     # a trial step may diverge: its numbers are not finite then
     with torch.no_grad(), np.errstate(all="ignore"), Progress(f"fitting {named}") as notice:
@@ -110,6 +111,20 @@ def fit_rollout(
     if warning:
         warnings.warn(f"the parameters may not be the best: {warning}", LogWarning, stacklevel=2)
     return found
+
+
+def _require_derivatives(scene: Scene, inputs: Iterable[str]) -> None:
+    """Raise unless a step with these inputs is one program of joint positions, whose changes are differences."""
+    if scene.robot.floating:
+        raise ArgumentError(f"robot {scene.robot.name!r} must have a fixed base for derivatives of a step")
+    if isinstance(scene.integrator, Unrecorded):
+        kind = type(scene.integrator).__name__
+        raise ArgumentError(f"integrator must be one that is recorded, for derivatives of a step, found {kind}")
+    if found := [type(e).__name__ for e in scene.effects if e.SLOT == "sensor" or e.computed(scene.n)]:
+        raise ArgumentError(f"effects of the scene must be without {found[0]}, for derivatives of a step")
+    if found := [name for name, batch in scene.batches.items() if batch]:
+        raise ArgumentError(f"{found[0]} of the scene must be without batch axes, for derivatives of a step")
+    Stage(scene.spec, "step").check(dict.fromkeys((*scene.spec.state, *inputs), torch.zeros(1)))
 
 
 def _require_driven(scene: Scene, variables: Unknowns, data: Sequence[CheckedRecording]) -> None:

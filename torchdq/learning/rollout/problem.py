@@ -9,11 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from torchdq.backends.call import evaluate
 from torchdq.learning.rollout import shooting
 from torchdq.learning.rollout.recordings import CheckedRecording
 from torchdq.learning.rollout.shooting import Linear, Motions, Segments
 from torchdq.learning.rollout.unknowns import Unknowns
-from torchdq.scene.linearize import StepMap
+from torchdq.scene.recording import Stage
+from torchdq.scene.scene import Scene
 
 PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what is not identifiable
 EXACT = 1e-9  # least deviation of a measurement, relative to its motion
@@ -46,7 +48,7 @@ class Change(NamedTuple):
 class Problem:
     """Greatest likelihood of recordings: independent errors, whose deviation every signal has of its own."""
 
-    step_map: StepMap
+    scene: Scene
     unknowns: Unknowns
     logs: Sequence[CheckedRecording]
     pieces: Segments
@@ -99,7 +101,7 @@ class Problem:
         """Nodes where the measurements are."""
         q, qd = shooting.first_guess(self.pieces, self.logs)
         given = {"q": torch.from_numpy(q), "qd": torch.from_numpy(qd)}
-        memory = self.step_map.scene.begin(given, {})[0].memory
+        memory = self.scene.begin(given, {})[0].memory
         return np.concatenate([q, qd] if memory is None else [q, qd, memory.numpy()], -1)
 
     @cached_property
@@ -124,8 +126,23 @@ class Problem:
 
     def _after(self, values: np.ndarray, nodes: np.ndarray, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
         """States [..., s] after the steps from nodes [..., s]."""
-        given = {name: torch.from_numpy(x) for name, x in inputs.items()}
-        return self.step_map.after(torch.from_numpy(nodes), given, self.unknowns.parameters(values)).numpy()
+        found = self._evaluated(None, nodes, inputs, self.unknowns.parameters(values))
+        return np.concatenate([found[name] for name in self.scene.spec.state], -1)
+
+    def _evaluated(
+        self,
+        wrt: tuple[str, ...] | None,
+        nodes: np.ndarray,
+        inputs: Mapping[str, np.ndarray],
+        parameters: Mapping[str, torch.Tensor],
+    ) -> dict[str, np.ndarray]:
+        """Rows after the steps from nodes [..., s], or with their derivatives in inputs and parameters."""
+        state = self.scene.spec.state
+        rows = dict(zip(state, np.split(nodes, np.cumsum(list(state.values()))[:-1], -1), strict=True))
+        given = {name: torch.from_numpy(x) for name, x in {**rows, **inputs}.items()}
+        tensors = {**given, **self.scene.parameters, **parameters}
+        found = evaluate(Stage(self.scene.spec, "step", wrt=wrt), tensors, self.scene.backend)
+        return {name: x.numpy() for name, x in found.items()}
 
     def uneven(self, at: Iterate) -> str:
         """Warning of the part of a log whose residuals are far larger than most; "": there is none."""
@@ -139,7 +156,7 @@ class Problem:
             return ""
         piece, block = divmod(worst, self.pieces.time.shape[1] // size)
         time, log = self.pieces.time[piece, block * size], self.logs[self.pieces.log[piece]]
-        joint = self.step_map.scene.robot.joint_names[signal % self.pieces.n]
+        joint = self.scene.robot.joint_names[signal % self.pieces.n]
         return (
             f"at {time:.3g} s of {log.name} the scene is {rms[worst, signal] / usual[signal]:.0f} times farther from "
             f"the measurements of joint {joint!r} than usual: it lacks an effect, or sticks where the robot moved; "
@@ -220,20 +237,16 @@ class Problem:
         slopes: Mapping[str, np.ndarray],
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """States after the steps, and their derivatives in the states [..., s, s] and in the unknowns [..., s, p]."""
-        unknowns, s = self.unknowns, nodes.shape[-1]
+        unknowns = self.unknowns
         parameters = unknowns.parameters(values)
-        given = {name: torch.from_numpy(x) for name, x in inputs.items()}
-        wrt = (*parameters, *(given if unknowns.delayed else ()))
-        after, J = (x.numpy() for x in self.step_map.linearised(torch.from_numpy(nodes), given, parameters, wrt))
-        A, B = J[..., :s], J[..., s:]
-        widths = [parameters[name].numel() if name in parameters else inputs[name].shape[-1] for name in wrt]
-        blocks, columns = dict(zip(wrt, np.split(B, np.cumsum(widths)[:-1], -1), strict=True)), []
+        wrt = (*parameters, *(inputs if unknowns.delayed else ()))
+        found, columns = self._evaluated(wrt, nodes, inputs, parameters), []
         for part in unknowns.parts:
             if part.key:
-                columns.append(blocks[part.key][..., part.at])
+                columns.append(found[part.key][..., part.at])
             else:
-                columns.append(sum(blocks[name] @ u[..., None] for name, u in slopes.items()))
-        return after, A, np.concatenate(columns, -1) @ unknowns.slopes(values)
+                columns.append(sum(found[name] @ u[..., None] for name, u in slopes.items()))
+        return found["after"], found["A"], np.concatenate(columns, -1) @ unknowns.slopes(values)
 
     def information(self, at: Iterate, linear: Linear) -> np.ndarray:
         """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""

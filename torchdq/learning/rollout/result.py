@@ -89,7 +89,7 @@ def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, warni
         return {part.name: torch.from_numpy(x) for part, x in parts}
 
     return RolloutFit(
-        changed(problem.step_map.scene, unknowns.parameters(at.values)),
+        changed(problem.scene, unknowns.parameters(at.values)),
         by_name(values),
         by_name(errors),
         unknowns.labels,
