@@ -8,15 +8,18 @@ import pytest
 import torch
 from free_flyers import case, motion
 from helpers import double, random
-from scenes import ARM, TREE
+from scenes import ARM, TREE, rich
 from scipy.linalg import solve_discrete_are
 
 import torchdq
 from torchdq import dq
 from torchdq.envs import Scene, State, effects
 from torchdq.scene.controllers import PD
-from torchdq.scene.integrators import Repeated, RungeKutta4
+from torchdq.scene.integrators import ExplicitEuler, Repeated, RungeKutta4
+from torchdq.scene.linearize import _by_reverse_mode, _has_program
 from torchdq.scene.recording import ORDER
+
+EPS = torch.finfo(torch.float64).eps
 
 
 def moved(state, ds):
@@ -71,6 +74,14 @@ LINEARIZED = {
         Scene(case("tree2").robot, (effects.Elastic(50.0, 0.5, 0.1), effects.Bias(0.1, 0.2)), integrator=RungeKutta4()),
         {},
     ),
+    "of every slot": (
+        rich(TREE, dt=0.02),
+        {"reference": random(4, 9, seed=9), "push": random(4, 6, seed=7), "noise": random(4, 6).sigmoid()},
+    ),
+    "on a map of heights": (
+        Scene(ARM, (effects.Contact(stiffness=20.0, surface=effects.HeightMap(random(9, 9), 0.5, (-2.0, -2.0))),)),
+        {},
+    ),
     "Repeated": (Scene(ARM, (effects.Gravity(),), integrator=Repeated(RungeKutta4(), 3)), {}),
 }
 
@@ -80,7 +91,7 @@ def test_a_linearization_is_made_of_the_derivatives_of_a_step(kind):
     scene, inputs = LINEARIZED[kind]
     n = scene.n
     base = {"X_WB": dq.exp(random(4, 6, seed=5)), "V_WB_B": random(4, 6, seed=6)} if scene.robot.floating else {}
-    state = scene.start(random(4, n), random(4, n, seed=1), **base)
+    state = scene.start(0.4 * random(4, n), random(4, n, seed=1), **base)
     if state.memory is not None:
         state = state._replace(memory=state.memory + 0.1 * random(*state.memory.shape, seed=2))
     torque = random(4, n, seed=3)
@@ -90,6 +101,68 @@ def test_a_linearization_is_made_of_the_derivatives_of_a_step(kind):
     expected = differences(scene, state, torque, **inputs)
     found = torch.cat([A, B], -1)
     assert (found - expected).abs().max() <= 1e-7 * expected.abs().max()
+    by_rows = torch.cat(_by_reverse_mode(scene, state, {"torque": torque, **inputs}, None), -1)
+    assert (found - by_rows).abs().max() <= 1e3 * EPS * found.abs().max()
+
+
+@pytest.mark.parametrize("kind", ["bare", "floating"])
+def test_a_linearization_is_differentiable(kind):
+    """In states, torques and parameters, against differences; and mapped over, it is that of the batch."""
+    robot = LINEARIZED[kind][0].robot
+    generator, n = torch.Generator().manual_seed(0), robot.n
+    base = {"X_WB": dq.exp(random(4, 6, seed=5)), "V_WB_B": random(4, 6, seed=6)} if robot.floating else {}
+    z = [random(4, n), random(4, n, seed=1), random(4, n, seed=2), random(n, seed=3).exp()]
+
+    def linearized(q, qd, torque, friction):
+        scene = Scene(robot, (effects.Gravity(), effects.Viscous(friction)), dt=0.05)
+        return torch.cat(scene.linearize(State(q, qd, **base), torque), -1)
+
+    weights = torch.rand(linearized(*z).shape, dtype=torch.float64, generator=generator)
+    gradients = torch.func.grad(lambda *z: (weights * linearized(*z)).sum(), (0, 1, 2, 3))(*z)
+    for k, gradient in enumerate(gradients):
+        along, h = torch.rand(z[k].shape, dtype=torch.float64, generator=generator), 1e-5
+        ends = [linearized(*z[:k], z[k] + s * along, *z[k + 1 :]) for s in (h, -h)]
+        expected = (weights * (ends[0] - ends[1])).sum() / (2 * h)
+        assert (gradient * along).sum() == pytest.approx(float(expected), rel=1e-7)
+    if not base:
+        mapped = torch.func.vmap(linearized, (0, 0, 0, None))(*z)
+        assert (mapped - linearized(*z)).abs().max() <= 100 * EPS * mapped.abs().max()
+
+
+def test_a_linearization_can_be_exported():
+    scene = Scene(ARM, (effects.Gravity(),))
+
+    class Module(torch.nn.Module):
+        def forward(self, q, qd):
+            return torch.cat(scene.linearize(State(q, qd)), -1)
+
+    q, qd = random(4, 2), random(4, 2, seed=1)
+    found, expected = torch.export.export(Module(), (q, qd)).module()(q, qd), Module()(q, qd)
+    assert (found - expected).abs().max() <= 100 * EPS * expected.abs().max()
+
+
+def test_a_row_that_is_not_finite_is_alone():
+    scene = Scene(case("tree3").robot, (effects.Gravity(),))
+    q, X_WB = random(4, 3), dq.exp(random(4, 6, seed=5))
+    spoilt = torch.where(torch.tensor([0, 1, 0, 0])[:, None] > 0, torch.nan, q)
+    for found, other in zip(*(scene.linearize(scene.start(x, X_WB=X_WB)) for x in (spoilt, q)), strict=True):
+        assert torch.equal(found[[0, 2, 3]], other[[0, 2, 3]]) and found[1].isnan().any()
+
+
+def test_a_program_of_derivatives_has_none_that_vanish():
+    """An explicit step moves positions by its duration times the velocities, whatever else there is."""
+    arm = Scene(TREE, (effects.Gravity(),), dt=0.5, integrator=ExplicitEuler())
+    program, n = arm.program(wrt=("torque",)), 3
+    _, A, B = (np.array([v if isinstance(v, float) else np.nan for v in r.values]) for r in program.results)
+    one, zero = np.eye(n), np.zeros((n, n))
+    np.testing.assert_array_equal(A.reshape(2 * n, -1)[:n], np.hstack([one, 0.5 * one]))
+    np.testing.assert_array_equal(B.reshape(2 * n, -1)[:n], zero)
+
+
+def test_derivatives_too_long_for_a_program_are_found_by_reverse_mode():
+    scene = Scene(case("tree3").robot, (effects.Gravity(),), integrator=RungeKutta4(), substeps=2)
+    assert not _has_program(scene) and _has_program(scene.replace(substeps=1))
+    assert not _has_program(LINEARIZED["Repeated"][0]) and not _has_program(LINEARIZED["on a map of heights"][0])
 
 
 def test_a_linearization_of_one_state_is_a_pair_of_matrices():

@@ -137,6 +137,12 @@ def step(integrator: str, effect: str, floating: bool = False) -> Program:
     return Scene(known, EFFECTS[effect], integrator=INTEGRATORS[integrator][0], dt=0.01).program()
 
 
+def linearization(name: str, floating: bool) -> Program:
+    """Program of the derivatives of a step under gravity and friction."""
+    known = free(robot(name)) if floating else robot(name)
+    return Scene(known, (effects.Gravity(), effects.Viscous(1.0)), dt=0.01).program(wrt=("torque",))
+
+
 def environment(name: str, task: str) -> Program:
     """Program of a step of an environment, its rewards and observations included."""
     envs = ArmVectorEnv(2, task, name, action="torque")
@@ -184,6 +190,11 @@ PROGRAMS: dict[str, Callable[[], Program]] = {
         f"panda/floating scene/{i}/{e}": partial(step, i, e, True)
         for i, several in FLOATING_TOO.items()
         for e in several
+    },
+    **{
+        f"{name}/{kind}linearization": partial(linearization, name, bool(kind))
+        for name in ("panda", "ur10e")
+        for kind in ("", "floating ")
     },
     **{
         f"{task.title()}/{name}": partial(environment, name, task)

@@ -279,12 +279,12 @@ class SceneModel:
 
     # --- programs ---
 
-    def program(self, *present: str, task: Task | None = None) -> Program:
-        """Program of a step at which the inputs of those names are given; by default, all."""
+    def program(self, *present: str, task: Task | None = None, wrt: tuple[str, ...] | None = None) -> Program:
+        """Program of a step at which the inputs of those names are given, by default all; `wrt` as in `Stage`."""
         if isinstance(self.integrator, Unrecorded):
             name = type(self.integrator).__name__
             raise ArgumentError(f"a step of {name} is not one program, and has no count of operations")
-        stage = Stage(self.spec, "step", task)
+        stage = Stage(self.spec, "step", task, wrt)
         wanted = [
             *self.spec.state,
             *(present or self.inputs),
