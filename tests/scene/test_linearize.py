@@ -14,10 +14,10 @@ from scipy.linalg import solve_discrete_are
 import torchdq
 from torchdq import dq
 from torchdq.envs import Scene, State, effects
+from torchdq.scene import linearize
 from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import ExplicitEuler, Repeated, RungeKutta4
-from torchdq.scene.linearize import _by_reverse_mode, _has_program
-from torchdq.scene.recording import ORDER
+from torchdq.scene.spec import ORDER
 
 EPS = torch.finfo(torch.float64).eps
 
@@ -86,14 +86,20 @@ LINEARIZED = {
 }
 
 
-@pytest.mark.parametrize("kind", LINEARIZED)
-def test_a_linearization_is_made_of_the_derivatives_of_a_step(kind):
-    scene, inputs = LINEARIZED[kind]
+def start(scene):
+    """Four states of a scene, and memory that is not that of rest."""
     n = scene.n
     base = {"X_WB": dq.exp(random(4, 6, seed=5)), "V_WB_B": random(4, 6, seed=6)} if scene.robot.floating else {}
     state = scene.start(0.4 * random(4, n), random(4, n, seed=1), **base)
-    if state.memory is not None:
-        state = state._replace(memory=state.memory + 0.1 * random(*state.memory.shape, seed=2))
+    if state.memory is None:
+        return state
+    return state._replace(memory=state.memory + 0.1 * random(*state.memory.shape, seed=2))
+
+
+@pytest.mark.parametrize("kind", LINEARIZED)
+def test_a_linearization_is_made_of_the_derivatives_of_a_step(kind):
+    scene, inputs = LINEARIZED[kind]
+    n, state = scene.n, start(scene)
     torque = random(4, n, seed=3)
     A, B = scene.linearize(state, torque, **inputs)
     s = apart(state, state).shape[-1]
@@ -101,7 +107,7 @@ def test_a_linearization_is_made_of_the_derivatives_of_a_step(kind):
     expected = differences(scene, state, torque, **inputs)
     found = torch.cat([A, B], -1)
     assert (found - expected).abs().max() <= 1e-7 * expected.abs().max()
-    by_rows = torch.cat(_by_reverse_mode(scene, state, {"torque": torque, **inputs}, None), -1)
+    by_rows = torch.cat(linearize._by_reverse_mode(scene, state, {"torque": torque, **inputs}, None), -1)
     assert (found - by_rows).abs().max() <= 1e3 * EPS * found.abs().max()
 
 
@@ -159,10 +165,17 @@ def test_a_program_of_derivatives_has_none_that_vanish():
     np.testing.assert_array_equal(B.reshape(2 * n, -1)[:n], zero)
 
 
-def test_derivatives_too_long_for_a_program_are_found_by_reverse_mode():
-    scene = Scene(case("tree3").robot, (effects.Gravity(),), integrator=RungeKutta4(), substeps=2)
-    assert not _has_program(scene) and _has_program(scene.replace(substeps=1))
-    assert not _has_program(LINEARIZED["Repeated"][0]) and not _has_program(LINEARIZED["on a map of heights"][0])
+@pytest.mark.parametrize("kind", ["of its own in every sample", "floating, in contact", "of every slot"])
+def test_a_program_of_one_column_finds_all(kind, monkeypatch):
+    """Where one of all columns would be too long."""
+    scene, inputs = LINEARIZED[kind]
+    given = start(scene), random(4, scene.n, seed=3)
+    expected = torch.cat(scene.linearize(*given, **inputs), -1)
+    monkeypatch.setattr(linearize, "LARGEST", 0)
+    monkeypatch.setattr(linearize, "_short", {})
+    found = torch.cat(scene.linearize(*given, **inputs), -1)
+    assert list(linearize._short.values()) == [False]
+    assert (found - expected).abs().max() <= 1e3 * EPS * expected.abs().max()
 
 
 def test_a_linearization_of_one_state_is_a_pair_of_matrices():

@@ -87,15 +87,15 @@ def unit(X: DualQuaternion) -> tuple[Number, ...]:
     return (*(scale * a for a in r), *(scale * (b - a * along) for a, b in zip(r, d, strict=True)))
 
 
-def directions(X: Row) -> list[Row]:
-    """Rates X e/2 of a pose X as it is displaced to X exp(xi/2), for the six unit vectors e of xi."""
-    units = (tuple(0.5 * (j == k) for j in range(6)) for k in range(6))
-    found = [dq.mul(_pose(X), ((0.0, *e[:3]), (0.0, *e[3:]))) for e in units]
-    return [(*r, *d) for r, d in found]
+def rate_of(X: Row, xi: Row) -> Row:
+    """Rate X xi/2 of a pose X as it is displaced to X exp(xi/2)."""
+    w, v = as_screw([0.5 * x for x in xi])
+    r, d = dq.mul(_pose(X), ((0.0, *w), (0.0, *v)))
+    return (*r, *d)
 
 
 def displacement(X: Row, rate: Row) -> Row:
-    """Twist xi = 2 im(X* X') of a pose X, of its rate X' = X xi/2."""
+    """Displacement xi = 2 im(X* X') of a pose X, of its rate X' = X xi/2."""
     r, d = dq.mul(dq.conj(_pose(X)), _pose(rate))
     return [2.0 * x for x in (*r[1:], *d[1:])]
 

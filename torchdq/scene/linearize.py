@@ -19,12 +19,12 @@ from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.scene.free_base import POSE
 from torchdq.scene.integrators import Unrecorded
 from torchdq.scene.model import SceneModel
-from torchdq.scene.recording import ORDER, Stage
+from torchdq.scene.recording import Stage
 from torchdq.scene.spec import SceneSpec
 from torchdq.scene.state import State, require_state
 
-LARGEST = 200_000  # operations of a step times columns, up to which a program of derivatives compiles within 20 s
-_programmed: Bounded[SceneSpec, bool] = Bounded(PROGRAMS)  # scenes whose derivatives are one program
+LARGEST = 150_000  # operations of a step times columns, up to which a program of all columns compiles within 20 s
+_short: Bounded[SceneSpec, bool] = Bounded(PROGRAMS)  # whether that holds of a scene
 PURE = [1, 2, 3, 5, 6, 7]  # numbers of a pure dual quaternion
 
 
@@ -61,31 +61,36 @@ def linearize(
     scene.spec.require_inputs(inputs)
     torque = torch.zeros_like(state.q) if torque is None else torque
     given = {"torque": torque, **{name: x for name, x in inputs.items() if x is not None}}
-    programmed = _programmed.get(scene.spec)
-    if programmed is None:
-        programmed = _programmed[scene.spec] = _has_program(scene)
-    if not programmed:
-        return _by_reverse_mode(scene, state, given, noise)
-    found = scene.evaluate("step", scene.with_noise({**state.rows(), **given}, noise), wrt=("torque",))
-    return Linearization(found["A"], found["torque"])
-
-
-def _has_program(scene: SceneModel) -> bool:
-    """True for a scene whose derivatives of a step are one program."""
     if isinstance(scene.integrator, Unrecorded) or scene.computed:
-        return False
-    columns = sum(scene.spec.state.values()) + scene.n
-    return scene.count().total * columns <= LARGEST
+        return _by_reverse_mode(scene, state, given, noise)
+    short = _short.get(scene.spec)
+    if short is None:
+        short = _short[scene.spec] = scene.count().total * (sum(scene.spec.displaced.values()) + scene.n) <= LARGEST
+    given = scene.with_noise({**state.rows(), **given}, noise)
+    if short:
+        found = scene.evaluate("step", given, wrt=("torque",))
+        return Linearization(found["A"], found["torque"])
+    return _by_columns(scene, given)
+
+
+def _by_columns(scene: SceneModel, given: dict[str, Tensor]) -> Linearization:
+    """Linearization by the derivatives along every number of state and torque, each as a sample of its own."""
+    sizes, q = (sum(scene.spec.displaced.values()), scene.n), given["q"]
+    batch = max(*(x.ndim - 1 for x in given.values()), *map(len, scene.batches.values()), 0)
+    units = torch.eye(sum(sizes), dtype=q.dtype, device=q.device)
+    units = units.reshape(-1, *(1,) * batch, len(units))
+    found = scene.evaluate("step", {**given, "direction": units}, wrt=("torque",))["A"]
+    return Linearization(*found.squeeze(-1).movedim(0, -1).split(sizes, -1))
 
 
 def _by_reverse_mode(
     scene: SceneModel, state: State, given: Mapping[str, Tensor], noise: Tensor | None
 ) -> Linearization:
-    """Linearization by the gradients of every row of the state after a step."""
+    """Linearization by the gradients of every number of the state after a step, through what torch computes in it."""
     rows = state.rows()
     given = given if noise is None else {**given, "noise": noise}
     batch_of(Stage(scene.spec, "step"), {**rows, **given})  # raises, naming what does not fit
-    names = [name for name in ORDER if name in rows]
+    names = list(scene.spec.displaced)
     parts = [*(rows[name] for name in names), given["torque"]]
     widths = [x.shape[-1] for x in parts]
     batch = torch.broadcast_shapes(*(x.shape[:-1] for x in (*parts, *given.values())), *scene.batches.values())

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import islice
 from typing import Any, NamedTuple
 
 from torchdq.backends.call import Computation
@@ -29,11 +30,10 @@ from torchdq.program.program import Argument, Program, finish, growths, inputs, 
 from torchdq.robot.fields import trailing
 from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
-from torchdq.scene.free_base import POSE, TWIST, directions, displacement
+from torchdq.scene.free_base import POSE, TWIST, displacement, rate_of
 from torchdq.scene.integrators import Integrator
 from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 
-ORDER = ("X_WB", "q", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state in a linearization
 MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
 
 
@@ -197,8 +197,9 @@ class _StageFields(NamedTuple):
     spec: SceneSpec
     stage: str  # one of STAGES
     task: Task | None = None
-    # names of inputs and parameters: the results are then "after" [s], the rows of the state joined in the order of
-    # `ORDER`, its derivatives "A" [t, t] in the state, as in `Linearization`, and those in each of these, by its name
+    # names of inputs and parameters: the results are then the rows "after" [s] of the state, joined in the order of a
+    # linearization, their derivatives "A" [t, t] in the state, and those in each of these, by its name; or, of an input
+    # "direction" [t + n], a displacement of state and torque, the one "A" [t, 1] along it
     wrt: tuple[str, ...] | None = None
 
 
@@ -223,13 +224,14 @@ class Stage(_StageFields, Computation):
         asked = {} if self.task is None else self.task.inputs(n)
         poses, twists = (POSE, TWIST) if spec.robot.floating else (0, 0)
         evaluated = {"u": n, "x": moving + poses, "v": moving + spec.inner + twists, "to": moving + poses, "h": 1}
-        return {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
+        known = {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
+        return known if self.wrt is None else {**known, "direction": sum(spec.displaced.values()) + n}
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results; one number of a task, such as its reward, has none."""
         if self.wrt is not None:
             after, *matrices = (len(result.values) for result in program.results)
-            rows = after - (POSE - TWIST if self.spec.robot.floating else 0)
+            rows = sum(self.spec.displaced.values())
             return (after,), *((rows, size // rows) for size in matrices)
         if self.stage not in ("step", "sense", "begin"):
             return super().results(program)
@@ -311,30 +313,35 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
 @remembered(PROGRAMS)
 def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
-    """Program of the state after a step and of its derivatives, by forward mode: columns share what they have in common."""
-    step, at = what._replace(wrt=None).program(arguments), {a.name: k for k, a in enumerate(arguments)}
+    """Program of the state after a step and its derivatives, by forward mode: columns share what they have in common."""
+    given, parts = tuple([a for a in arguments if a.name != "direction"]), what.spec.displaced
+    step, at = what._replace(wrt=None).program(given), {a.name: k for k, a in enumerate(given)}
     name = f"{step.name}_linearized"
     with recording(name) as tape:
-        rows = inputs(tape, arguments)
-        values = replay(step, rows)
+        known = {a.name: row for a, row in zip(arguments, inputs(tape, arguments), strict=True)}
+        values = replay(step, [known[a.name] for a in given])
         after = results(step, values)
-        state = [name for name in ORDER if name in after]
 
-        def column(of: str, direction: Row) -> Row:
-            """Displacement of the state after the step, of the rate of an argument."""
-            found = rates(step, values, {(at[of], j): x for j, x in enumerate(direction)})
-            if "X_WB" in found:
+        def moved(by: Rows) -> Row:
+            """Displacement of the state after a step, of those of its arguments."""
+            if "X_WB" in by:
+                by = {**by, "X_WB": rate_of(known["X_WB"], by["X_WB"])}
+            found = rates(step, values, {(at[of], j): x for of, row in by.items() for j, x in enumerate(row)})
+            if "X_WB" in parts:
                 found["X_WB"] = displacement(after["X_WB"], found["X_WB"])
-            return [x for part in state for x in found[part]]
+            return [x for part in parts for x in found[part]]
 
         def columns(of: str) -> list[Row]:
-            width = arguments[at[of]].width
-            units = [[float(j == k) for j in range(width)] for k in range(width)]
-            return [column(of, e) for e in (directions(rows[at[of]]) if of == "X_WB" else units)]
+            width = parts.get(of, given[at[of]].width)
+            return [moved({of: [float(j == k) for j in range(width)]}) for k in range(width)]
 
-        blocks = {"A": [row for part in state for row in columns(part)], **{of: columns(of) for of in what.wrt or ()}}
-        joined = {"after": [x for part in state for x in after[part]]}
+        if "direction" in known:
+            row = iter(known["direction"])
+            blocks = {"A": [moved({of: [*islice(row, width)] for of, width in {**parts, "torque": None}.items()})]}
+        else:
+            blocks = {"A": [x for part in parts for x in columns(part)], **{of: columns(of) for of in what.wrt or ()}}
         matrices = {of: [x for row in zip(*block, strict=True) for x in row] for of, block in blocks.items()}
+        joined = {"after": [x for part in parts for x in after[part]]}
         return finish(name, arguments, tape, joined | matrices, growths=growths(step, values))
 
 

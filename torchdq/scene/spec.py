@@ -31,6 +31,7 @@ Rows = dict[str, Row]
 Memory = dict[int, Row]  # remembered values of each effect, by its position
 E = TypeVar("E", bound=Effect)
 
+ORDER = ("X_WB", "q", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state in a linearization
 ROBOT, CONTROLLER = -2, -1  # owners of tensors; an effect owns its tensors by its position
 
 
@@ -70,6 +71,12 @@ class SceneSpec:
         n = self.robot.n
         memory = {"memory": self.remembers} if self.remembers else {}
         return {**self.moving, **memory, **({"reading": 2 * n} if self.senses else {})}
+
+    @property
+    def displaced(self) -> dict[str, int]:
+        """Names and widths of the parts of a displacement of a state, in the order of a linearization."""
+        state = self.state
+        return {name: TWIST if name == "X_WB" else state[name] for name in ORDER if name in state}
 
     @property
     def moving(self) -> dict[str, int]:
