@@ -94,7 +94,7 @@ def rate_of(X: Row, xi: Row) -> Row:
     return (*r, *d)
 
 
-def displacement(X: Row, rate: Row) -> Row:
+def displacement(X: Row, rate: Row) -> list[Number]:
     """Displacement xi = 2 im(X* X') of a pose X, of its rate X' = X xi/2."""
     r, d = dq.mul(dq.conj(_pose(X)), _pose(rate))
     return [2.0 * x for x in (*r[1:], *d[1:])]

@@ -1,8 +1,7 @@
-"""Linearization of a step: one compiled program of its derivatives, or reverse mode through the program of a step.
+"""Linearization of a step: a compiled program of its derivatives, or reverse mode through what torch computes in it.
 
-A program has every column of the matrices, by forward mode, so that they share their common terms, and the many numbers
-that vanish cost nothing. Reverse mode serves the scenes that have none: it also differentiates what torch computes
-before and within a step.
+The program has all columns of the matrices, which share their common terms, and the many numbers that vanish cost
+nothing; or, where that would be too long to compile, one column, and every column is a sample of its own.
 """
 
 from __future__ import annotations
@@ -45,7 +44,9 @@ def linearize(
 ) -> Linearization:
     """Derivatives of the state after a step, with respect to the state before it and the torques: `A, B`.
 
-    `2 * dq.log_shortest(dq.mul(dq.conj(X), X_WB))` is the displacement xi of a floating base from a pose X.
+    `2 * dq.log_shortest(dq.mul(dq.conj(X), X_WB))` is the displacement xi of a floating base from a pose X. The first
+    call compiles a program of all columns of A and B, or of one where that would take longer than 20 s; where torch
+    computes a part of a step (`HeightMap`, `Residual`, `Repeated`, `DormandPrince`), there are gradients instead.
 
     Args:
         state: states, shape [..., n]; derivatives are those of every row by itself.
@@ -73,12 +74,11 @@ def linearize(
     return _by_columns(scene, given)
 
 
-def _by_columns(scene: SceneModel, given: dict[str, Tensor]) -> Linearization:
+def _by_columns(scene: SceneModel, given: Mapping[str, Tensor]) -> Linearization:
     """Linearization by the derivatives along every number of state and torque, each as a sample of its own."""
     sizes, q = (sum(scene.spec.displaced.values()), scene.n), given["q"]
-    batch = max(*(x.ndim - 1 for x in given.values()), *map(len, scene.batches.values()), 0)
-    units = torch.eye(sum(sizes), dtype=q.dtype, device=q.device)
-    units = units.reshape(-1, *(1,) * batch, len(units))
+    batch = batch_of(Stage(scene.spec, "step"), {**given, **scene.parameters})
+    units = torch.eye(sum(sizes), dtype=q.dtype, device=q.device).unflatten(0, (-1, *(1,) * len(batch)))
     found = scene.evaluate("step", {**given, "direction": units}, wrt=("torque",))["A"]
     return Linearization(*found.squeeze(-1).movedim(0, -1).split(sizes, -1))
 
@@ -89,11 +89,10 @@ def _by_reverse_mode(
     """Linearization by the gradients of every number of the state after a step, through what torch computes in it."""
     rows = state.rows()
     given = given if noise is None else {**given, "noise": noise}
-    batch_of(Stage(scene.spec, "step"), {**rows, **given})  # raises, naming what does not fit
+    batch = batch_of(Stage(scene.spec, "step"), {**rows, **given, **scene.parameters})
     names = list(scene.spec.displaced)
     parts = [*(rows[name] for name in names), given["torque"]]
     widths = [x.shape[-1] for x in parts]
-    batch = torch.broadcast_shapes(*(x.shape[:-1] for x in (*parts, *given.values())), *scene.batches.values())
 
     def after(z: Tensor) -> Tensor:
         *before, u = z.split(widths, -1)

@@ -230,9 +230,9 @@ class Stage(_StageFields, Computation):
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results; one number of a task, such as its reward, has none."""
         if self.wrt is not None:
-            after, *matrices = (len(result.values) for result in program.results)
-            rows = sum(self.spec.displaced.values())
-            return (after,), *((rows, size // rows) for size in matrices)
+            after, *sizes = (len(result.values) for result in program.results)
+            t = sum(self.spec.displaced.values())
+            return (after,), *((t, size // t) for size in sizes)
         if self.stage not in ("step", "sense", "begin"):
             return super().results(program)
         rows = (*self.spec.state, "observation", "reference", "carry")
@@ -313,7 +313,7 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
 @remembered(PROGRAMS)
 def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
-    """Program of the state after a step and its derivatives, by forward mode: columns share what they have in common."""
+    """Program of the state after a step and its derivatives by forward mode, whose columns share their common terms."""
     given, parts = tuple([a for a in arguments if a.name != "direction"]), what.spec.displaced
     step, at = what._replace(wrt=None).program(given), {a.name: k for k, a in enumerate(given)}
     name = f"{step.name}_linearized"
