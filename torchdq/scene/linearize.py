@@ -15,6 +15,7 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.backends.call import batch_of
 from torchdq.base.caches import PROGRAMS, Bounded
+from torchdq.program.transforms import constant_in_graphs
 from torchdq.scene.free_base import POSE
 from torchdq.scene.integrators import Unrecorded
 from torchdq.scene.model import SceneModel
@@ -23,7 +24,7 @@ from torchdq.scene.spec import SceneSpec
 from torchdq.scene.state import State, require_state
 
 LARGEST = 150_000  # operations of a step times columns, up to which a program of all columns compiles within 20 s
-_short: Bounded[SceneSpec, bool] = Bounded(PROGRAMS)  # whether that holds of a scene
+_lengths: Bounded[SceneSpec, int] = Bounded(PROGRAMS)  # that number for a scene
 PURE = [1, 2, 3, 5, 6, 7]  # numbers of a pure dual quaternion
 
 
@@ -64,14 +65,21 @@ def linearize(
     given = {"torque": torque, **{name: x for name, x in inputs.items() if x is not None}}
     if isinstance(scene.integrator, Unrecorded) or scene.computed:
         return _by_reverse_mode(scene, state, given, noise)
-    short = _short.get(scene.spec)
-    if short is None:
-        short = _short[scene.spec] = scene.count().total * (sum(scene.spec.displaced.values()) + scene.n) <= LARGEST
     given = scene.with_noise({**state.rows(), **given}, noise)
-    if short:
+    if _short(scene):
         found = scene.evaluate("step", given, wrt=("torque",))
         return Linearization(found["A"], found["torque"])
     return _by_columns(scene, given)
+
+
+@constant_in_graphs
+def _short(scene: SceneModel) -> bool:
+    """Whether one program can have all columns."""
+    length = _lengths.get(scene.spec)
+    if length is None:
+        columns = sum(scene.spec.displaced.values()) + scene.n
+        length = _lengths[scene.spec] = scene.count().total * columns
+    return length <= LARGEST
 
 
 def _by_columns(scene: SceneModel, given: Mapping[str, Tensor]) -> Linearization:
