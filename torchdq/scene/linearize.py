@@ -75,11 +75,9 @@ def linearize(
 @constant_in_graphs
 def _short(scene: SceneModel) -> bool:
     """Whether one program can have all columns."""
-    length = _lengths.get(scene.spec)
-    if length is None:
-        columns = sum(scene.spec.displaced.values()) + scene.n
-        length = _lengths[scene.spec] = scene.count().total * columns
-    return length <= LARGEST
+    if scene.spec not in _lengths:
+        _lengths[scene.spec] = scene.count().total * (sum(scene.spec.displaced.values()) + scene.n)
+    return _lengths[scene.spec] <= LARGEST
 
 
 def _by_columns(scene: SceneModel, given: Mapping[str, Tensor]) -> Linearization:

@@ -304,11 +304,7 @@ class SceneModel:
         return self.program().count()
 
     def evaluate(
-        self,
-        stage: str,
-        given: Mapping[str, Tensor],
-        task: Task | None = None,
-        wrt: tuple[str, ...] | None = None,
+        self, stage: str, given: Mapping[str, Tensor], task: Task | None = None, wrt: tuple[str, ...] | None = None
     ) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
         constants(self.robot)  # raises if they were changed in place

@@ -197,9 +197,9 @@ class _StageFields(NamedTuple):
     spec: SceneSpec
     stage: str  # one of STAGES
     task: Task | None = None
-    # names of inputs and parameters: the results are then the rows "after" [s] of the state, joined in the order of a
-    # linearization, their derivatives "A" [t, t] in the state, and those in each of these, by its name; or, of an input
-    # "direction" [t + n], a displacement of state and torque, the one "A" [t, 1] along it
+    # names of inputs and parameters: the results are then the state "after" [s], in the order of a linearization, its
+    # derivatives "A" [t, t] in the state, and those in each of these, by its name; or the one "A" [t, 1] along an input
+    # "direction" [t + n], a displacement of state and torque
     wrt: tuple[str, ...] | None = None
 
 
@@ -323,7 +323,7 @@ def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
         after = results(step, values)
 
         def moved(by: Rows) -> Row:
-            """Displacement of the state after a step, of those of its arguments."""
+            """Displacement of the state after the step, of those of its arguments."""
             if "X_WB" in by:
                 by = {**by, "X_WB": rate_of(known["X_WB"], by["X_WB"])}
             found = rates(step, values, {(at[of], j): x for of, row in by.items() for j, x in enumerate(row)})
@@ -341,8 +341,8 @@ def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
         else:
             blocks = {"A": [x for part in parts for x in columns(part)], **{of: columns(of) for of in what.wrt or ()}}
         matrices = {of: [x for row in zip(*block, strict=True) for x in row] for of, block in blocks.items()}
-        joined = {"after": [x for part in parts for x in after[part]]}
-        return finish(name, arguments, tape, joined | matrices, growths=growths(step, values))
+        found = {"after": [x for part in parts for x in after[part]], **matrices}
+        return finish(name, arguments, tape, found, growths=growths(step, values))
 
 
 def owner_of(name: str) -> tuple[int, str] | None:

@@ -115,15 +115,12 @@ def fit_rollout(
 
 def _require_derivatives(scene: Scene, inputs: Iterable[str]) -> None:
     """Raise unless a step with these inputs is one program of joint positions, whose changes are differences."""
-    if scene.robot.floating:
-        raise ArgumentError(f"robot {scene.robot.name!r} must have a fixed base for derivatives of a step")
-    if isinstance(scene.integrator, Unrecorded):
-        kind = type(scene.integrator).__name__
-        raise ArgumentError(f"integrator must be one that is recorded, for derivatives of a step, found {kind}")
-    if found := [type(e).__name__ for e in scene.effects if e.SLOT == "sensor" or e.computed(scene.n)]:
-        raise ArgumentError(f"effects of the scene must be without {found[0]}, for derivatives of a step")
-    if found := [name for name, batch in scene.batches.items() if batch]:
-        raise ArgumentError(f"{found[0]} of the scene must be without batch axes, for derivatives of a step")
+    found = ["a floating base"] if scene.robot.floating else []
+    found += [type(scene.integrator).__name__] if isinstance(scene.integrator, Unrecorded) else []
+    found += [type(e).__name__ for e in scene.effects if e.SLOT == "sensor" or e.computed(scene.n)]
+    found += [f"batch axes of {name}" for name, batch in scene.batches.items() if batch]
+    if found:
+        raise ArgumentError(f"scene must be without {found[0]}, for derivatives of a step")
     Stage(scene.spec, "step").check(dict.fromkeys((*scene.spec.state, *inputs), torch.zeros(1)))
 
 

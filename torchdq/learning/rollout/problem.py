@@ -17,6 +17,7 @@ from torchdq.learning.rollout.unknowns import Unknowns
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 
+Arrays = Mapping[str, np.ndarray]  # by name
 PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what is not identifiable
 EXACT = 1e-9  # least deviation of a measurement, relative to its motion
 UNEVEN = 1e-3  # motion of a joint that hardly moves, relative to that of the one that moves most
@@ -110,37 +111,31 @@ class Problem:
         size = np.sqrt(np.square(self._measured).mean((0, 1)))
         return np.where(size > 0, size, 1.0)
 
-    def _inputs(self, values: np.ndarray) -> dict[str, np.ndarray]:
+    def _inputs(self, values: np.ndarray) -> Arrays:
         delay = self.unknowns.delay(values)
         return shooting.commands(self.pieces, self.logs, delay) if delay else self._undelayed
 
-    def _slopes(self, values: np.ndarray) -> dict[str, np.ndarray]:
+    def _slopes(self, values: np.ndarray) -> Arrays:
         """Derivatives of the commands of all steps by their delay, if it is unknown."""
         unknowns = self.unknowns
         return shooting.commands(self.pieces, self.logs, unknowns.delay(values), slope=True) if unknowns.delayed else {}
 
     @cached_property
-    def _undelayed(self) -> dict[str, np.ndarray]:
+    def _undelayed(self) -> Arrays:
         """Commands of all steps without a delay."""
         return shooting.commands(self.pieces, self.logs, 0.0)
 
-    def _after(self, values: np.ndarray, nodes: np.ndarray, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
+    def _after(self, values: np.ndarray, nodes: np.ndarray, inputs: Arrays) -> np.ndarray:
         """States [..., s] after the steps from nodes [..., s]."""
-        found = self._evaluated(None, nodes, inputs, self.unknowns.parameters(values))
+        found = self._evaluated(values, nodes, inputs, None)
         return np.concatenate([found[name] for name in self.scene.spec.state], -1)
 
-    def _evaluated(
-        self,
-        wrt: tuple[str, ...] | None,
-        nodes: np.ndarray,
-        inputs: Mapping[str, np.ndarray],
-        parameters: Mapping[str, torch.Tensor],
-    ) -> dict[str, np.ndarray]:
+    def _evaluated(self, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, wrt: tuple[str, ...] | None) -> Arrays:
         """Rows after the steps from nodes [..., s], or with their derivatives in inputs and parameters."""
         state = self.scene.spec.state
-        rows = dict(zip(state, np.split(nodes, np.cumsum(list(state.values()))[:-1], -1), strict=True))
-        given = {name: torch.from_numpy(x) for name, x in {**rows, **inputs}.items()}
-        tensors = {**given, **self.scene.parameters, **parameters}
+        rows = dict(zip(state, torch.from_numpy(nodes).split([*state.values()], -1), strict=True))
+        given = {**rows, **{name: torch.from_numpy(x) for name, x in inputs.items()}}
+        tensors = {**given, **self.scene.parameters, **self.unknowns.parameters(values)}
         found = evaluate(Stage(self.scene.spec, "step", wrt=wrt), tensors, self.scene.backend)
         return {name: x.numpy() for name, x in found.items()}
 
@@ -230,22 +225,17 @@ class Problem:
         return shooting.linearised(self.pieces, at.motions, A, B, 1 / self.noise(at))
 
     def _linear_steps(
-        self,
-        values: np.ndarray,
-        nodes: np.ndarray,
-        inputs: Mapping[str, np.ndarray],
-        slopes: Mapping[str, np.ndarray],
+        self, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, slopes: Arrays
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """States after the steps, and their derivatives in the states [..., s, s] and in the unknowns [..., s, p]."""
         unknowns = self.unknowns
-        parameters = unknowns.parameters(values)
-        wrt = (*parameters, *(inputs if unknowns.delayed else ()))
-        found, columns = self._evaluated(wrt, nodes, inputs, parameters), []
+        wrt = (*unknowns.parameters(values), *(inputs if unknowns.delayed else ()))
+        found, columns = self._evaluated(values, nodes, inputs, wrt), []
         for part in unknowns.parts:
             if part.key:
                 columns.append(found[part.key][..., part.at])
             else:
-                columns.append(sum(found[name] @ u[..., None] for name, u in slopes.items()))
+                columns.append(sum((found[name] @ u[..., None] for name, u in slopes.items()), np.zeros(1)))
         return found["after"], found["A"], np.concatenate(columns, -1) @ unknowns.slopes(values)
 
     def information(self, at: Iterate, linear: Linear) -> np.ndarray:
