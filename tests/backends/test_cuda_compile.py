@@ -58,7 +58,7 @@ def figures(key: str, architecture: int = 90) -> dict[str, list[int]]:
 )
 def test_programs_compile_and_those_of_arms_stay_in_registers(key, architecture):
     found = figures(key, architecture)
-    if not key.startswith("study") and "/floating." not in key:
+    if not key.startswith("study") and "/floating." not in key and "linearization" not in key:
         assert found["float32"][1] <= SPILLED
     table = json.loads(TABLE.read_text())
     if architecture == 90 and key in FEW and table["version"] == list(compiler.version):

@@ -137,10 +137,9 @@ def step(integrator: str, effect: str, floating: bool = False) -> Program:
     return Scene(known, EFFECTS[effect], integrator=INTEGRATORS[integrator][0], dt=0.01).program()
 
 
-def linearization(name: str, floating: bool) -> Program:
+def linearization(name: str) -> Program:
     """Program of the derivatives of a step under gravity and friction."""
-    known = free(robot(name)) if floating else robot(name)
-    return Scene(known, (effects.Gravity(), effects.Viscous(1.0)), dt=0.01).program(wrt=("torque",))
+    return Scene(robot(name), (effects.Gravity(), effects.Viscous(1.0)), dt=0.01).program(wrt=("torque",))
 
 
 def environment(name: str, task: str) -> Program:
@@ -191,11 +190,7 @@ PROGRAMS: dict[str, Callable[[], Program]] = {
         for i, several in FLOATING_TOO.items()
         for e in several
     },
-    **{
-        f"{name}/{kind}linearization": partial(linearization, name, bool(kind))
-        for name in ("panda", "ur10e")
-        for kind in ("", "floating ")
-    },
+    **{f"{name}/linearization": partial(linearization, name) for name in ("panda", "ur10e")},
     **{
         f"{task.title()}/{name}": partial(environment, name, task)
         for task in ("reach", "track")
