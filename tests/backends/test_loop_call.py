@@ -1,0 +1,219 @@
+"""Loops over a computation equal so many calls of it, bit for bit: values, gradients, rows, precision, builds, forks."""
+
+import os
+
+import pytest
+import torch
+from helpers import random, rods, threads  # noqa: F401
+from loops import equal, gradients, loop, one_by_one, parts, step, tensors
+from programs import agree, same
+
+import torchdq
+from torchdq.backends import c, c_loop, c_source
+from torchdq.backends import threads as pool
+from torchdq.backends.compiler import BuildError, compiler
+from torchdq.backends.loop_call import repeat
+from torchdq.envs import Scene, effects
+from torchdq.functions.compile import RecordedComputation
+from torchdq.numbers.functions import sqrt
+from torchdq.program.program import LARGEST_GROWTH, Argument, record
+
+BACKEND = "c"
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+F32, F64 = torch.float32, torch.float64
+SMALL, GROWING = step(), step(growth=True)
+each_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+
+
+def looped(program, steps, given, total=("z",), **options):
+    return repeat(RecordedComputation(program), steps, *parts(given), total=total, **options)
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+@each_dtype
+@pytest.mark.parametrize("steps", [0, 1, 5])
+@pytest.mark.parametrize("samples", [0, 1, 3, 8, 37])
+def test_a_loop_is_its_steps(samples, steps, dtype):
+    """In any number of samples, of which vectors hold some, and of steps."""
+    given = tensors(samples, steps, dtype=dtype)
+    expected = one_by_one(SMALL, steps, given, "c")
+    assert equal(looped(SMALL, steps, given), expected)
+    ends = looped(SMALL, steps, given, ends=True)
+    same([ends["x"]], [expected["x"][-1]])
+
+
+@pytest.mark.parametrize("width", [0, *range(1, 18)])
+def test_rows_of_any_width_are_carried(width):
+    arguments = [Argument("x", width), Argument("u", width), Argument("p", 1)]
+    program = record(
+        "wide", arguments, lambda x, u, p: {"x": [a * b + p[0] for a, b in zip(x, u)], "y": x[1:], "z": (p[0], *x[:1])}
+    )
+    given = tensors(13, 3, width)
+    x, y, z = given["x"], [], []
+    for u in given["u"]:
+        y.append(x[:, 1:])
+        z.append(torch.cat([given["p"], x[:, :1]], -1))
+        x = x * u + given["p"]
+    carried, stepped, fixed = parts(given)
+    found = repeat(RecordedComputation(program), 3, carried, stepped, {"p": fixed["p"]}, total=("z",), ends=True)
+    agree(found.values(), [x, torch.stack(y), sum(z)])
+
+
+@each_dtype
+def test_long_bodies_are_functions_of_bounded_length(dtype, monkeypatch):
+    monkeypatch.setattr(c_source, "LONGEST", 20)
+    program = step(links=4)
+    code = c_loop.loop_source(loop(program), dtype == F32)
+    assert c_source.pieces_of(code) > 2
+    given = tensors(21, 4, dtype=dtype)
+    assert equal(looped(program, 4, given), one_by_one(program, 4, given, "c"))
+
+
+@pytest.mark.parametrize("how", ["strided", "negated", "expanded samples", "expanded steps", "zero"])
+def test_tensors_of_any_memory_are_read(how):
+    given = tensors(11, 4)
+    if how == "strided":
+        views = {name: torch.stack([x, -x], -1)[..., 0] for name, x in given.items()}
+    elif how == "negated":
+        views = {name: torch._neg_view(-x) for name, x in given.items()}
+    elif how == "expanded samples":
+        views = {**given, "u": given["u"][:, :1].expand(-1, 11, -1), "p": given["p"][:1].expand(11, 1)}
+    elif how == "expanded steps":
+        views = {**given, "u": given["u"][:1].expand(4, -1, -1)}
+    else:
+        views = {**given, "u": torch._efficientzerotensor(given["u"].shape, dtype=F64)}
+    plain = {name: x.new_zeros(x.shape) + x for name, x in views.items()}
+    assert equal(looped(SMALL, 4, views), one_by_one(SMALL, 4, plain, "c"))
+
+
+@pytest.mark.parametrize("kind", ["values", "gradients"])
+def test_threads_change_no_bit(kind, threads):  # noqa: F811
+    given = tensors(3 * pool.PART // 2 + 5, 3, grad=kind == "gradients")
+    found = []
+    for number in (1, 2):
+        threads(number)
+        y = looped(SMALL, 3, given)
+        found.append(gradients(y, given) if kind == "gradients" else list(y.values()))
+    same(*found)
+    few = {name: x if name == "m" else x[..., :70, :] for name, x in given.items()}
+    if kind == "values":
+        assert equal(looped(SMALL, 3, few), one_by_one(SMALL, 3, few, "c"))
+
+
+# --- gradients -------------------------------------------------------------------------------------------------------
+
+
+@each_dtype
+@pytest.mark.parametrize("ends", [False, True])
+def test_gradients_are_those_of_the_steps(ends, dtype):
+    """Bit for bit, but for sums over steps and samples, whose order differs."""
+    given = tensors(11, 6, dtype=dtype, grad=True)
+    found, expected = looped(SMALL, 6, given, ends=ends), one_by_one(SMALL, 6, given, "c")
+    if ends:
+        expected["x"] = expected["x"][-1]
+    assert equal(found, expected)
+    (x, u, *totals), (x_, u_, *totals_) = gradients(found, given), gradients(expected, given)
+    same([x, u], [x_, u_])
+    agree(totals, totals_)
+
+
+def test_derivatives_of_second_and_third_order_are_those_of_the_steps():
+    def nested(run):
+        given = tensors(5, 3, grad=True)
+        found = list(run(given).values())
+        for _ in range(3):
+            wanted = list(given.values())
+            found = torch.autograd.grad(sum(y.square().sum() for y in found), wanted, create_graph=True)
+        return [y.detach() for y in found]
+
+    agree(nested(lambda g: looped(SMALL, 3, g)), nested(lambda g: one_by_one(SMALL, 3, g, "eager")), 1e3)
+
+
+# --- rows ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("grad", [False, True])
+def test_rows_over_the_limit_at_some_step_are_as_stepped_and_no_other_is_touched(grad):
+    given = tensors(40, 5, dtype=F32)
+    given["x"][::7, 0] = 1.1  # over the limit at the first steps
+    given = {name: x.requires_grad_(grad) for name, x in given.items()}
+    expected = one_by_one(GROWING, 5, given, "c")
+    largest = (1000 * expected["x"][1:, :, 0] ** 2).amax(0)
+    over = ~(largest <= LARGEST_GROWTH.single)
+    assert 4 < over.sum() < 36
+    found = looped(GROWING, 5, given)
+    assert equal(found, expected)
+    if grad:
+        (x, u, *totals), (x_, u_, *totals_) = gradients(found, given), gradients(expected, given)
+        same([x, u], [x_, u_])
+        agree(totals, totals_, 1e3)
+
+
+def test_a_step_over_the_limit_of_double_precision_is_nan_from_there_on():
+    given = tensors(9, 4)
+    given["x"][3, 0] = 1e9
+    found, expected = looped(GROWING, 4, given), one_by_one(GROWING, 4, given, "c")
+    assert equal(found, expected) and found["x"][1:, 3].isnan().all()
+    assert found["x"][:, [0, 1, 2, 4, 5, 6, 7, 8]].isfinite().all()
+
+
+@each_dtype
+@pytest.mark.parametrize("program", [SMALL, GROWING], ids=["plain", "growing"])
+def test_a_row_without_values_touches_no_other(program, dtype):
+    def run(given):
+        found = looped(program, 4, given)
+        *rows, _ = gradients(found, given)
+        return [*found.values(), *rows]
+
+    before, bad = run(tensors(21, 4, dtype=dtype, grad=True)), tensors(21, 4, dtype=dtype)
+    bad["x"][3], bad["u"][2, 8], bad["p"][17] = float("nan"), float("inf"), float("nan")
+    after = run({name: x.requires_grad_() for name, x in bad.items()})
+    others = [k for k in range(21) if k not in (3, 8, 17)]
+    for a, b in zip(after, before, strict=True):
+        same([a[..., others, :]], [b[..., others, :]])
+        assert not torch.equal(a, b)
+
+
+@pytest.mark.parametrize("grad", [False, True])
+def test_a_rollout_of_float32_near_singular_mass_matrices_is_its_steps(grad):
+    scene = Scene(rods(5, tip=1000.0), (effects.Gravity(),), dt=1e-3)
+    q, tau = (random(60, 5, dtype=F32) * 2).requires_grad_(grad), random(3, 60, 5, seed=1, dtype=F32)
+    over = torchdq.error_growth(scene.robot, q) > LARGEST_GROWTH.single
+    assert 4 < over.sum() < 56
+    found, state = scene.rollout(scene.start(q), tau), scene.start(q)
+    for k in range(3):
+        state = scene.step(state, tau[k])
+        same([found.q[k], found.qd[k]], [state.q, state.qd])
+    if grad:
+        same(*[torch.autograd.grad((y.q.sum() + y.qd.sum()), q) for y in (found.last, state)])
+
+
+# --- builds ----------------------------------------------------------------------------------------------------------
+
+
+def test_loops_that_cannot_be_compiled_are_run_by_torch_or_refused(monkeypatch):
+    def failing(*_):
+        raise BuildError("no")
+
+    program, given = step(4), tensors(3, 2, 4)
+    monkeypatch.setattr(c.c_library, "load", failing)
+    with pytest.warns(UserWarning):
+        found = looped(program, 2, given, backend="auto")
+    agree(found.values(), one_by_one(program, 2, given, "eager").values())
+    with pytest.raises(BuildError):
+        looped(program, 2, given)
+    torchdq.clear_caches()
+
+
+def test_a_forked_process_runs_loops_that_were_compiled_before(threads):  # noqa: F811
+    threads(2)
+    given = tensors(200, 3)
+    expected = looped(SMALL, 3, given)
+    child = os.fork()
+    if not child:
+        same_bits = all(torch.equal(a, b) for a, b in zip(looped(SMALL, 3, given).values(), expected.values()))
+        os._exit(0 if same_bits else 1)
+    assert os.waitpid(child, 0)[1] == 0
