@@ -1,4 +1,4 @@
-"""Loops over a computation equal so many calls of it, bit for bit: values, gradients, rows, precision, builds, forks."""
+"""Loops over a computation equal so many calls of it, bit for bit: values, gradients, rows, builds and forks."""
 
 import os
 
@@ -6,17 +6,18 @@ import pytest
 import torch
 from helpers import random, rods, threads  # noqa: F401
 from loops import equal, gradients, loop, one_by_one, parts, step, tensors
+from messages import refused, warned
 from programs import agree, same
 
 import torchdq
 from torchdq.backends import c, c_loop, c_source
 from torchdq.backends import threads as pool
+from torchdq.backends.call import evaluate
 from torchdq.backends.compiler import BuildError, compiler
 from torchdq.backends.loop_call import repeat
 from torchdq.envs import Scene, effects
 from torchdq.functions.compile import RecordedComputation
-from torchdq.numbers.functions import sqrt
-from torchdq.program.program import LARGEST_GROWTH, Argument, record
+from torchdq.program.program import GROWTH, LARGEST_GROWTH, Argument, record
 
 BACKEND = "c"
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -48,9 +49,11 @@ def test_a_loop_is_its_steps(samples, steps, dtype):
 @pytest.mark.parametrize("width", [0, *range(1, 18)])
 def test_rows_of_any_width_are_carried(width):
     arguments = [Argument("x", width), Argument("u", width), Argument("p", 1)]
-    program = record(
-        "wide", arguments, lambda x, u, p: {"x": [a * b + p[0] for a, b in zip(x, u)], "y": x[1:], "z": (p[0], *x[:1])}
-    )
+
+    def algorithm(x, u, p):
+        return {"x": [a * b + p[0] for a, b in zip(x, u, strict=True)], "y": x[1:], "z": (p[0], *x[:1])}
+
+    program = record("wide", arguments, algorithm)
     given = tensors(13, 3, width)
     x, y, z = given["x"], [], []
     for u in given["u"]:
@@ -152,6 +155,31 @@ def test_rows_over_the_limit_at_some_step_are_as_stepped_and_no_other_is_touched
         agree(totals, totals_, 1e3)
 
 
+def test_gradients_of_rows_over_the_limit_are_finite_where_those_of_a_float32_step_are_not():
+    """What float32 divides by zero: all of it is taken step by step, with its gradient."""
+
+    def algorithm(x, u):
+        rest = (1.0 + x[0]) - 1.0
+        return {"x": [0.5 * x[0] / rest + u[0]], GROWTH: [(rest + rest) / rest]}
+
+    program = record("rest", [Argument("x", 1), Argument("u", 1)], algorithm)
+    x, u = torch.tensor([[0.5], [1e-9], [0.25]]), random(3, 3, 1, dtype=F32).abs()
+
+    def gradient(run):
+        given = {"x": x.clone().requires_grad_(), "u": u.clone().requires_grad_()}
+        return torch.autograd.grad(run(given).sum(), list(given.values()))
+
+    def stepped(given):
+        after = given["x"]
+        for k in range(3):
+            after = evaluate(RecordedComputation(program), {"x": after, "u": given["u"][k]})["x"]
+        return after
+
+    found = gradient(lambda g: repeat(RecordedComputation(program), 3, {"x": g["x"]}, {"u": g["u"]}, {})["x"][-1])
+    same(found, gradient(stepped))
+    assert all(y.isfinite().all() for y in found)
+
+
 def test_a_step_over_the_limit_of_double_precision_is_nan_from_there_on():
     given = tensors(9, 4)
     given["x"][3, 0] = 1e9
@@ -200,10 +228,11 @@ def test_loops_that_cannot_be_compiled_are_run_by_torch_or_refused(monkeypatch):
 
     program, given = step(4), tensors(3, 2, 4)
     monkeypatch.setattr(c.c_library, "load", failing)
-    with pytest.warns(UserWarning):
+    torchdq.clear_caches()  # what was warned of once
+    with warned(UserWarning):
         found = looped(program, 2, given, backend="auto")
     agree(found.values(), one_by_one(program, 2, given, "eager").values())
-    with pytest.raises(BuildError):
+    with refused(BuildError):
         looped(program, 2, given)
     torchdq.clear_caches()
 
@@ -214,6 +243,6 @@ def test_a_forked_process_runs_loops_that_were_compiled_before(threads):  # noqa
     expected = looped(SMALL, 3, given)
     child = os.fork()
     if not child:
-        same_bits = all(torch.equal(a, b) for a, b in zip(looped(SMALL, 3, given).values(), expected.values()))
-        os._exit(0 if same_bits else 1)
+        found = looped(SMALL, 3, given)
+        os._exit(0 if all(torch.equal(y, expected[name]) for name, y in found.items()) else 1)
     assert os.waitpid(child, 0)[1] == 0

@@ -129,6 +129,19 @@ def test_a_training_iteration_is_captured_in_a_graph():
     same(found, [p.grad for p in layer.parameters()])
 
 
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+def test_rollouts_and_their_gradients_equal_those_of_the_c_backend(dtype):
+    scene = Scene(PANDA, (effects.Gravity(), effects.Viscous(1.0)), dt=1e-3)
+
+    def found(device):
+        q, torque = random(300, 7, dtype=dtype).to(device), random(20, 300, 7, seed=1, dtype=dtype).to(device)
+        q, torque = q.requires_grad_(), torque.requires_grad_()
+        states = scene.rollout(scene.start(q), torque)
+        return to("cpu", (*states[:2], *torch.autograd.grad((states.q * states.qd).sum(), (q, torque))))
+
+    agree(found(GPU), found("cpu"), 2.0**14)
+
+
 def test_a_rollout_is_captured_in_a_graph():
     scene = Scene(PANDA, (effects.Gravity(), effects.Viscous(1.0)), integrator=integrators.SemiImplicitEuler(), dt=1e-3)
     q, torque = random(64, 7, dtype=F32).to(GPU), random(10, 64, 7, seed=1, dtype=F32).to(GPU)

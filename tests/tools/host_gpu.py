@@ -17,7 +17,7 @@ import pytest
 from torchdq.backends import choice
 from torchdq.backends.compiler import compiler
 from torchdq.backends.cuda import Cuda
-from torchdq.backends.cuda_kernel import CudaKernel
+from torchdq.backends.cuda_kernel import CudaKernel, CudaLoop
 
 # without optimisation it takes a tenth of the time to compile
 FLAGS = ("-x", "c", "-DHOST", "-D__restrict__=restrict", "-O0", "-w", "-shared", "-fPIC")
@@ -43,22 +43,25 @@ class Host(Cuda):
 
     def __init__(self, name: str, *flags: str):
         self.name, self.flags = name, flags
-        self.kernel = cache(self.kernel)
+        self.kernel, self.loop = cache(self.kernel), cache(self.loop)
 
     def refusal(self, device):
         return None if device.type == "cpu" else AssertionError(device)
 
     def kernel(self, program, dtype, device):
-        def build(text, name, arrays):
-            run = function(text, *self.flags)
+        return CudaKernel(program, dtype, self.build)
 
-            def launch(blocks, threads, samples, pointers, device):
-                assert len(pointers) == arrays and (blocks - 1) * threads < samples <= blocks * threads
-                run(ctypes.c_longlong(samples), *map(ctypes.c_void_p, pointers))
+    def loop(self, loop, dtype, device):
+        return CudaLoop(loop, dtype, self.build)
 
-            return launch
+    def build(self, text, name, arrays):
+        run = function(text, *self.flags)
 
-        return CudaKernel(program, dtype, build)
+        def launch(blocks, threads, samples, pointers, device):
+            assert len(pointers) == arrays and (blocks - 1) * threads < samples <= blocks * threads
+            run(ctypes.c_longlong(samples), *map(ctypes.c_longlong, pointers))
+
+        return launch
 
 
 HOST, BACKWARDS = Host("host"), Host("backwards", "-DREVERSED")

@@ -23,7 +23,8 @@ def step(width: int = 3, links: int = 1, growth: bool = False) -> Program:
     def algorithm(x, u, p, m):
         for _ in range(links):
             x = [a + 0.2 * (m[0] * sin(x[j - 1]) - p[0] * b * a) for j, (a, b) in enumerate(zip(x, u, strict=True))]
-        rows = {"x": x, "y": [p[0] * a + m[1] for a in x[:2]], "z": [sum((a * b for a, b in zip(x, u)), m[1] * p[0])]}
+        z = sum((a * b for a, b in zip(x, u, strict=True)), m[1] * p[0])
+        rows = {"x": x, "y": [p[0] * a + m[1] for a in x[:2]], "z": [z]}
         return rows if not growth else {**rows, GROWTH: [1000.0 * x[0] * x[0]]}
 
     arguments = [Argument("x", width), Argument("u", width), Argument("p", 1), Argument("m", 2, uniform=True)]

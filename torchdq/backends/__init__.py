@@ -7,8 +7,8 @@ choice     list of backends, and choice of one by name and device
 backend    interface of a backend
 c          compiled C on the CPU: c_prelude, c_source and c_loop print it, compiler runs the compiler, c_library
            makes functions of it, threads share a batch
-cuda       CUDA C++ on NVIDIA GPUs: cuda_prelude and cuda_source print it, nvrtc compiles it, cuda_driver launches it,
-           cuda_kernel makes functions of it
+cuda       CUDA C++ on NVIDIA GPUs: cuda_prelude, cuda_source and cuda_loop print it, nvrtc compiles it, cuda_driver
+           launches it, cuda_kernel makes functions of it
 cache      compiled programs on disk
 torch      torch's own operations, on any device
 

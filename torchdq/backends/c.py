@@ -12,10 +12,10 @@ from torchdq.backends import c_library, threads
 from torchdq.backends.backend import Backend, DirectKernel, LoopKernel, contiguous, dense
 from torchdq.backends.c_loop import loop_source
 from torchdq.backends.c_source import source
-from torchdq.backends.compiler import BuildError, compiler, no_compiler
+from torchdq.backends.compiler import BuildError, built, compiler, failed, no_compiler
 from torchdq.backends.torch import InterpretedKernel, InterpretedLoop
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.progress import Progress, warn_once
+from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.program.loop import Loop, shapes
 from torchdq.program.program import Program, outputs
@@ -36,11 +36,11 @@ class C(Backend):
 
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
         """Compiled program in one precision, built unless the cache on disk has it."""
-        return _built(_compiled(program, dtype))
+        return built(_compiled(program, dtype))
 
     def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
         """Compiled loop in one precision, likewise."""
-        return _built(_compiled(loop, dtype))
+        return built(_compiled(loop, dtype))
 
 
 class COrTorch(C):
@@ -49,29 +49,15 @@ class COrTorch(C):
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
         """Compiled program in one precision, or its torch operations."""
         found = _compiled(program, dtype)
-        return InterpretedKernel(program) if _failed(found) else found
+        return InterpretedKernel(program) if failed(found) else found
 
     def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
         """Compiled loop in one precision, or its torch operations."""
         found = _compiled(loop, dtype)
-        return InterpretedLoop(loop) if _failed(found) else found
+        return InterpretedLoop(loop) if failed(found) else found
 
 
 COMPILED, COMPILED_OR_EAGER = C(), COrTorch()
-
-
-def _built(found: Any) -> Any:
-    """Kernel that was compiled; raises if it is the error of its build."""
-    if isinstance(found, BuildError):
-        raise BuildError(f"{found}\n(torchdq.clear_caches() makes this process try again)")
-    return found
-
-
-def _failed(found: Any) -> bool:
-    """Whether a build failed, of which this process is warned once."""
-    if isinstance(found, BuildError):
-        warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {found}")
-    return isinstance(found, BuildError)
 
 
 @remembered(PROGRAMS)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torchdq.base.caches import remembered
 from torchdq.base.progress import warn_once
@@ -27,6 +27,20 @@ class BuildError(TorchdqError, RuntimeError):
 def no_compiler() -> BuildError:
     """Error for a machine without a C compiler."""
     return BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
+
+
+def built(found: Any) -> Any:
+    """Kernel that was built; raises if it is the error of its build."""
+    if isinstance(found, BuildError):
+        raise BuildError(f"{found}\n(torchdq.clear_caches() makes this process try again)")
+    return found
+
+
+def failed(found: Any) -> bool:
+    """Whether a build failed, of which this process is warned once."""
+    if isinstance(found, BuildError):
+        warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {found}")
+    return isinstance(found, BuildError)
 
 
 class Compiler(NamedTuple):

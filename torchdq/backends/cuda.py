@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache as once
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchdq.backends import cuda_driver, nvrtc
-from torchdq.backends.backend import Backend, DirectKernel
-from torchdq.backends.compiler import BuildError
-from torchdq.backends.cuda_kernel import CudaKernel, Launcher
+from torchdq.backends.backend import Backend, DirectKernel, LoopKernel
+from torchdq.backends.compiler import BuildError, built, failed
+from torchdq.backends.cuda_kernel import CudaKernel, CudaLoop, Launcher
 from torchdq.backends.precision import guarded
-from torchdq.backends.torch import EAGER, InterpretedKernel
+from torchdq.backends.torch import EAGER, InterpretedKernel, InterpretedLoop
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.progress import warn_once
 from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.program.loop import Loop
 from torchdq.program.program import Program
 
 
@@ -38,10 +39,11 @@ class Cuda(Backend):
 
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
         """Compiled program in one precision, built unless the cache on disk has it."""
-        found = _compiled(program, dtype, _architecture(device.index or 0))
-        if isinstance(found, BuildError):
-            raise BuildError(f"{found}\n(torchdq.clear_caches() makes this process try again)")
-        return found
+        return built(_compiled(program, dtype, _architecture(device.index or 0)))
+
+    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
+        """Compiled loop in one precision, likewise."""
+        return built(_compiled(loop, dtype, _architecture(device.index or 0)))
 
 
 class _GuardedByTorch(InterpretedKernel):
@@ -58,10 +60,12 @@ class CudaOrTorch(Cuda):
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
         """Compiled program in one precision, or its torch operations."""
         found = _compiled(program, dtype, _architecture(device.index or 0))
-        if isinstance(found, BuildError):
-            warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {found}")
-            return _GuardedByTorch(program)
-        return found
+        return _GuardedByTorch(program) if failed(found) else found
+
+    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
+        """Compiled loop in one precision, or its torch operations."""
+        found = _compiled(loop, dtype, _architecture(device.index or 0))
+        return InterpretedLoop(loop) if failed(found) else found
 
 
 CUDA, CUDA_OR_EAGER = Cuda(), CudaOrTorch()
@@ -90,8 +94,8 @@ def _refusal(index: int) -> BuildError | None:
 
 
 @remembered(PROGRAMS)
-def _compiled(program: Program, dtype: torch.dtype, architecture: int) -> CudaKernel | BuildError:
-    """Kernel of a program, or the error of its build, made once per process."""
+def _compiled(what: Program | Loop, dtype: torch.dtype, architecture: int) -> Any:
+    """Kernel of a program or loop, or the error of its build, made once per process."""
 
     compiler = nvrtc.found()
     if isinstance(compiler, str):
@@ -101,6 +105,6 @@ def _compiled(program: Program, dtype: torch.dtype, architecture: int) -> CudaKe
         return cuda_driver.Module(compiler.load(text, name, architecture)).kernel("run", arrays)
 
     try:
-        return CudaKernel(program, dtype, build)
+        return CudaLoop(what, dtype, build) if isinstance(what, Loop) else CudaKernel(what, dtype, build)
     except BuildError as error:
         return error

@@ -11,10 +11,13 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.backend import dense
+from torchdq.backends.cuda_loop import BLOCK, loop_source, recomputing_loop_source
 from torchdq.backends.cuda_source import marks, recomputing_source, source, staged
+from torchdq.program.loop import Loop, shapes
 from torchdq.program.program import Program
 
-# called with the numbers of blocks, of threads in each and of samples, the addresses of all arrays, and the device
+# called with the numbers of blocks, of threads in each and of samples, the addresses of all arrays, before which a loop
+# has the number of steps, and the device
 Launcher = Callable[[int, int, int, Sequence[int], torch.device], None]
 Build = Callable[[str, str, int], Launcher]  # from a text, the name of its program, and the number of arrays
 
@@ -68,3 +71,26 @@ class CudaKernel:
         self.launch(blocks, block, samples, [x.data_ptr() for x in (*inputs, *results, *lost)], device)
         if self.recompute is not None:
             self.recompute(blocks, block, samples, [x.data_ptr() for x in (*inputs, *again, *lost)], device)
+
+
+class CudaLoop:
+    """Loop in one precision, one thread per sample; nothing in it waits for the GPU."""
+
+    def __init__(self, loop: Loop, dtype: torch.dtype, build: Build):
+        single = dtype == torch.float32
+        self.loop, self.dtype, self.marks = loop, dtype, marks(loop.body, single)
+        texts = [loop_source(loop, single), *([recomputing_loop_source(loop)] if self.marks else [])]
+        arrays = 1 + len(loop.arguments) + len(loop.body.results) + self.marks
+        self.launches = [build(text, loop.name, arrays) for text in texts]
+
+    def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
+        """Results of the loop; arguments that are not contiguous are copied."""
+        device, found = inputs[0].device, []
+        for shape, r in zip(shapes(self.loop, samples, steps), self.loop.body.results, strict=False):
+            rows = (samples, *shape) if r.summed else shape
+            found.append(torch.empty(rows, dtype=self.dtype, device=device))
+        lost = [torch.empty(samples, dtype=torch.uint8, device=device)] if self.marks else []
+        tensors = [*dense(inputs), *found, *lost]
+        for launch in self.launches if samples else ():
+            launch(-(-samples // BLOCK), BLOCK, samples, [steps, *(x.data_ptr() for x in tensors)], device)
+        return [y.sum(0) if r.summed else y for y, r in zip(found, self.loop.body.results, strict=True)]

@@ -40,7 +40,7 @@ def source(program: Program, single: bool) -> str:
     result that is summed is [blocks, width], the sums of the blocks, where it is `staged`, and otherwise [samples,
     width], whose sum is left to the caller.
     """
-    return _KernelPrinter(program, single, recomputing=False).text()
+    return KernelPrinter(program, single, recomputing=False).text()
 
 
 def recomputing_source(program: Program) -> str:
@@ -48,7 +48,7 @@ def recomputing_source(program: Program) -> str:
 
     Sums of blocks are those of the marked rows alone.
     """
-    return _KernelPrinter(program, single=False, recomputing=True).text()
+    return KernelPrinter(program, single=False, recomputing=True).text()
 
 
 def marks(program: Program, single: bool) -> bool:
@@ -129,7 +129,9 @@ class _Values(NamedTuple):
         return lines
 
 
-class _KernelPrinter:
+class KernelPrinter:
+    """Text of the values of a program, and of its kernel."""
+
     def __init__(self, program: Program, single: bool, recomputing: bool):
         self.arguments, self.stage = program.arguments, staged(program, single or recomputing)
         parts = None if recomputing else split(program)  # few rows compute all of their values
@@ -161,23 +163,27 @@ class _KernelPrinter:
         stored = [f"common[{j}]={values.output(v)};" for j, v in enumerate(row.values)]
         return [f"STAGE S common[{len(stored)}];", "EACH{if(t==0){", *values.statements(), *stored, "}}"]
 
+    def over(self) -> list[str]:
+        """Statement that tells whether the errors of a sample grow too much."""
+        if self.program.growth is None:
+            return []
+        factor = self.values.output(self.program.growth.values[0])
+        limit = LARGEST_GROWTH.single if self.single else LARGEST_GROWTH.double
+        return [f"const int over=!({factor}<={literal(limit)});"]
+
+    def value(self, v: Output) -> str:
+        """Expression for a number of a result."""
+        nan = self.program.growth is not None and not self.single
+        return f"over?real(NAN_BITS):{self.values.output(v)}" if nan else self.values.output(v)
+
     def results(self) -> list[str]:
         """Statements that write all results of a sample."""
-        growth = self.program.growth
-        lines = []
-        if growth is not None:
-            factor = self.values.output(growth.values[0])
-            if self.single:
-                lines.append(f"const int over=!({factor}<={literal(LARGEST_GROWTH.single)});lost[b]=over;")
-            else:
-                lines.append(f"const int over=!({factor}<={literal(LARGEST_GROWTH.double)});")
+        lines, marked = self.over(), marks(self.program, self.single)
+        lines += ["lost[b]=over;"] if marked else []
         for k, result in enumerate(self.program.results):
             for j, v in enumerate(result.values):
-                value = self.values.output(v)
-                if growth is not None and not self.single:
-                    value = f"over?real(NAN_BITS):{value}"
-                elif growth is not None and result.summed:
-                    value = f"over?(S)0:{value}"  # the kernel that recomputes the row adds it
+                # the kernel that recomputes the row adds what it is to a sum
+                value = f"over?(S)0:{self.value(v)}" if marked and result.summed else self.value(v)
                 lines.append(f"{self.place(k, j)}={value};")
         return lines
 

@@ -1,0 +1,162 @@
+"""Loops of the GPU backend, run on the host: they are their steps, and compile for GPUs."""
+
+import pytest
+import torch
+from helpers import random
+from host_gpu import BACKWARDS, HOST, host_backends  # noqa: F401
+from loops import equal, gradients, loop, one_by_one, parts, step, tensors
+from messages import refused, warned
+from programs import PANDA, agree, same
+
+import torchdq
+from torchdq.backends import cuda, nvrtc
+from torchdq.backends.compiler import BuildError, compiler
+from torchdq.backends.cuda_loop import loop_source, recomputing_loop_source
+from torchdq.backends.loop_call import repeat
+from torchdq.backends.torch import InterpretedLoop
+from torchdq.envs import Scene, effects
+from torchdq.functions.compile import RecordedComputation
+from torchdq.program.loop import Loop, adjoint, with_states
+from torchdq.program.program import LARGEST_GROWTH, Argument, record
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+F32, F64 = torch.float32, torch.float64
+SMALL, GROWING = step(), step(growth=True)
+each_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+
+
+def looped(program, steps, given, backend="host", **options):
+    return repeat(RecordedComputation(program), steps, *parts(given), total=("z",), backend=backend, **options)
+
+
+@each_dtype
+@pytest.mark.parametrize("steps", [0, 1, 5])
+@pytest.mark.parametrize("samples", [0, 1, 150])
+def test_a_loop_is_its_steps(samples, steps, dtype):
+    given = tensors(samples, steps, dtype=dtype)
+    expected = one_by_one(SMALL, steps, given, "host")
+    assert equal(looped(SMALL, steps, given), expected)
+    assert equal(looped(SMALL, steps, given, "backwards"), expected)
+    same([looped(SMALL, steps, given, ends=True)["x"]], [expected["x"][-1]])
+
+
+@each_dtype
+@pytest.mark.parametrize("program", [SMALL, GROWING], ids=["plain", "growing"])
+def test_gradients_are_those_of_the_steps(program, dtype):
+    """Those of states and of inputs bit for bit; the rest are sums in another order."""
+    given = tensors(70, 5, dtype=dtype, grad=True)
+    with torch.no_grad():
+        given["x"] /= 10.0  # below the limit
+    (x, u, *totals), (x_, u_, *totals_) = (
+        gradients(y, given) for y in (looped(program, 5, given), one_by_one(program, 5, given, "host"))
+    )
+    same([x, u], [x_, u_])
+    agree(totals, totals_, 256)
+
+
+def test_derivatives_of_third_order_are_those_of_torch():
+    def nested(run):
+        given = tensors(5, 3, grad=True)
+        found = list(run(given).values())
+        for _ in range(3):
+            found = torch.autograd.grad(sum(y.square().sum() for y in found), list(given.values()), create_graph=True)
+        return [y.detach() for y in found]
+
+    agree(nested(lambda g: looped(SMALL, 3, g)), nested(lambda g: one_by_one(SMALL, 3, g, "eager")), 1e3)
+
+
+def test_samples_over_the_limit_at_some_step_are_those_of_a_loop_in_float64():
+    given = tensors(150, 5, dtype=F32)
+    expected, wide = one_by_one(SMALL, 5, given, "host"), {name: x.double() for name, x in given.items()}
+    exact = one_by_one(SMALL, 5, wide, "host")
+    over = ~((1000 * expected["x"][1:, :, 0] ** 2).amax(0) <= LARGEST_GROWTH.single)
+    assert 10 < over.sum() < 140
+    found = looped(GROWING, 5, given)
+    for name, y in found.items():
+        same([y[..., ~over, :]], [expected[name][..., ~over, :]])
+        same([y[..., over, :]], [exact[name][..., over, :].float()])
+
+
+def test_gradients_of_samples_over_the_limit_are_those_of_float64():
+    def found(program, dtype):
+        given = {name: x.to(dtype).detach().requires_grad_() for name, x in tensors(150, 4, dtype=F32).items()}
+        return [y.double() for y in gradients(looped(program, 4, given), given)]
+
+    exact, errors = found(SMALL, F64), []
+    for program in (GROWING, SMALL):
+        errors.append([(y - e).norm() / e.norm() for y, e in zip(found(program, F32), exact, strict=True)])
+    assert all(guarded <= 2 * plain for guarded, plain in zip(*errors, strict=True))
+
+
+def test_a_step_over_the_limit_of_double_precision_is_nan_from_there_on():
+    given = tensors(70, 4)
+    given["u"][1, 3], given["u"][2, 66] = 1e9, float("nan")
+    found = looped(GROWING, 4, given)
+    assert equal(found, one_by_one(GROWING, 4, given, "host"))
+    assert found["x"][:2, 3].isfinite().all() and found["x"][2:, 3].isnan().all()
+    assert found["x"][:, [k for k in range(70) if k not in (3, 66)]].isfinite().all()
+
+
+@each_dtype
+def test_values_that_all_samples_share_are_computed_once_for_all_steps(dtype):
+    def algorithm(x, m):
+        weight = m[0] * m[1] + m[2] * m[3] - m[0] / (m[1] * m[1] + 2.0) + m[3] / (m[2] * m[2] + 3.0)
+        return {"x": [0.5 * x[0] + weight * x[1], x[1] - 0.1 * weight]}
+
+    program = record("common", [Argument("x", 2), Argument("m", 4, uniform=True)], algorithm)
+    assert "common[" in loop_source(Loop(program, ((0, 0),)), dtype == F32)
+    x, m, after = random(150, 2, dtype=dtype), random(4, seed=1, dtype=dtype), []
+    for backend in ("host", "backwards"):
+        after.append(repeat(RecordedComputation(program), 4, {"x": x}, {}, {"m": m}, backend=backend)["x"])
+    y = x.double()
+    for _ in range(4):
+        w = algorithm([0.0, 1.0], m.double())["x"][0]
+        y = torch.stack([0.5 * y[:, 0] + w * y[:, 1], y[:, 1] - 0.1 * w], -1)
+    same(after[:1], after[1:])
+    agree([after[0][-1]], [y.to(dtype)], 256)
+
+
+@each_dtype
+def test_a_rollout_of_a_scene_is_its_steps_and_asks_the_device_nothing(dtype, monkeypatch):
+    parts = (effects.Gravity(), effects.Viscous(0.5), effects.Coulomb(0.3), effects.FirstOrderLag(0.02))
+    scene = Scene(PANDA, (*parts, effects.Noise(1e-3, 1e-3)), dt=0.005)
+    torque, noise = random(3, 20, 7, dtype=dtype), 0.5 + 0.1 * random(3, 20, 14, dtype=dtype).tanh()
+    asked = []
+    with torchdq.backend("host"):
+        state = scene.start(random(20, 7, seed=1, dtype=dtype), noise=noise[0])
+        scene.rollout(state, torque, noise=noise)  # records and compiles
+        with monkeypatch.context() as patch:
+            for name in ("item", "__bool__", "__int__", "__float__", "tolist", "nonzero", "cpu", "numpy"):
+                patch.setattr(torch.Tensor, name, lambda x, *a, name=name: asked.append(name))
+            found = scene.rollout(state, torque, noise=noise, nonfinite="ignore")
+        for k in range(3):
+            state = scene.step(state, torque[k], noise=noise[k])
+            same([x[k] for x in found.rows().values()], state.rows().values())
+    assert not asked
+
+
+def test_loops_that_cannot_be_compiled_are_run_by_torch_or_refused(monkeypatch):
+    monkeypatch.setattr(cuda, "_compiled", lambda *_: BuildError("no"))
+    monkeypatch.setattr(cuda, "_architecture", lambda _: 90)
+    torchdq.clear_caches()  # what was warned of once
+    with warned(UserWarning):
+        assert isinstance(cuda.CUDA_OR_EAGER.loop(loop(SMALL), F64, torch.device("cuda")), InterpretedLoop)
+    with refused(BuildError):
+        cuda.CUDA.loop(loop(SMALL), F64, torch.device("cuda"))
+
+
+# --- for GPUs --------------------------------------------------------------------------------------------------------
+
+found = nvrtc.found()
+
+
+@pytest.mark.skipif(isinstance(found, str), reason="no NVRTC: pip install nvidia-cuda-nvrtc")
+@pytest.mark.parametrize("kind", ["rollout", "adjoint"])
+def test_loops_compile_for_gpus(kind):
+    body = Scene(PANDA, (effects.Gravity(), effects.Viscous(0.5)), dt=0.005).program("torque")
+    whole = with_states(Loop(body, ((0, 0), (1, 1)), (2,)))
+    whole = whole if kind == "rollout" else adjoint(whole, (2,))
+    texts = [loop_source(whole, True), loop_source(whole, False), recomputing_loop_source(whole)]
+    assert body.growth is not None
+    assert all(found.compile(text, whole.name, 90).registers > 30 for text in texts)
