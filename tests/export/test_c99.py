@@ -372,13 +372,14 @@ def test_a_mass_matrix_that_is_not_positive_is_told_by_the_status(tmp_path):
     assert status == 1
 
 
-NAMES = ("two words", "double", "1st", "größe", "class", "tgamma", "printf", "fmaxf", "SIN", "ROUND", "math")
+NAMES = ("two words", "double", "1st", "größe", "class", "tgamma", "printf", "step", "fmaxf", "SIN", "ROUND", "math")
 GROWING = record("growing", [Argument("x", 1)], lambda x: {"y": (exp(x[0]),)})
 MISUSE = {
     **{
         f"name {name}": lambda folder, name=name: torchdq.compile(TWO, "inverse_dynamics").export(folder, name)
         for name in (*NAMES, "in_q", "worst", "found_tau")
     },
+    "a step with the name of a state": lambda folder: scene_step().export(folder, "q"),
     "what its own library lacks": lambda folder: CompiledProgram(GROWING, F64, ((1,),)).export(folder, "f", "own"),
     "a function of a program": lambda folder: torchdq.compile(scene_step().program, "inverse_dynamics"),
 }

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from torchdq.base.files import write_atomically
 from torchdq.errors import ArgumentError
-from torchdq.export import batch, c99, golden
+from torchdq.export import batch, c99, golden, rollout
 from torchdq.export.c99 import Library
 from torchdq.export.meaning import described
+from torchdq.program.loop import Loop
 from torchdq.program.program import Program, outputs
 
 # one for all functions that are exported into a folder
@@ -68,6 +69,11 @@ class Export(NamedTuple):
     about: tuple[str, ...]  # lines about the robot
     batch: bool = False  # whether there is a function for batches, too
 
+    @property
+    def steps(self) -> Loop | None:
+        """Loop over the program, if it is a step."""
+        return rollout.loop(self.program)
+
     def source(self) -> str:
         """Source file in C99."""
         about = [
@@ -79,6 +85,8 @@ class Export(NamedTuple):
         ]
         before = c99.preamble(self.program, self.single, self.functions, self.batch)
         functions = [c99.function(self.program, self.name, self.single, self.functions)]
+        if self.steps:
+            functions.append(rollout.function(self.steps, self.name, self.single))
         if self.batch:
             text = batch.function(self.program, self.name, self.single, self.functions)
             functions.append(batch.copies([self.program], self.single) + text)
@@ -99,13 +107,16 @@ class Export(NamedTuple):
             f"{', '.join(f'{number} {kind}' for kind, number in count.items() if number) or 'no operations'}.",
             "An output may be the same array as an input.",
             self._returned(self.functions),
+            *(rollout.about(self.steps, self.name) if self.steps else ()),
             *(self._about_batches() if self.batch else ()),
         ]
         guard = f"{self.name.upper()}_H"
         declared = f"{c99.declaration(self.program, self.name, self.single)};"
+        if self.steps:
+            declared += f"\n{rollout.declaration(self.program, self.name, self.single)};"
         if self.batch:
             declared += f"\n{batch.declaration(self.program, self.name, self.single)};"
-        included = "#include <stddef.h>\n\n" if self.batch else ""
+        included = "#include <stddef.h>\n\n" if self.batch or self.steps else ""
         return (
             f"{c99.comment(about)}#ifndef {guard}\n#define {guard}\n\n{included}"
             f'#ifdef __cplusplus\nextern "C" {{\n#endif\n\n{declared}\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n'

@@ -8,12 +8,14 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import choose
-from torchdq.export import batch, c99
+from torchdq.export import batch, c99, rollout
 from torchdq.export.batch import BatchRow
 from torchdq.program.autograd import per_sample
+from torchdq.program.loop import Loop
 from torchdq.program.program import Program
 
 CASES = 8  # golden vectors
+STEPS = 3  # of a rollout: few, since they magnify how two compilers round
 SAMPLES = 37  # in a batch; not a whole number of blocks
 CPU = torch.device("cpu")
 # names of arguments that cannot be negative
@@ -34,10 +36,11 @@ static void compare(const {0} *found, const {0} *expected, int size, {0} *worst)
 
 
 def variables(program: Program) -> frozenset[str]:
-    """Names that the test has for itself, so that no function can have them."""
+    """Names of the files' own, so that no function can have them."""
     taken, given = c99.arrays(program)
-    derived = (f"{part}_{a.name}" for a in (*taken, *given) for part in ("in", "out", "found", "sum_of"))
-    return frozenset(["batch", "compare", "worst", "j", "k", *derived])
+    own = [a.name for a in (*taken, *given)] if rollout.loop(program) else []
+    derived = (f"{part}_{a.name}" for a in (*taken, *given) for part in ("in", "out", "found", "sum_of", "after"))
+    return frozenset(["batch", "rollout", "compare", "worst", "j", "k", *own, *derived])
 
 
 def test(program: Program, name: str, single: bool, batches: bool, examples: Mapping[str, Tensor]) -> str:
@@ -48,16 +51,19 @@ def test(program: Program, name: str, single: bool, batches: bool, examples: Map
     taken, given = batch.rows(program)
     scalar, f = ("float", "f") if single else ("double", "")
     bound = "1e-5f" if single else "1e-12"
-    inputs, found = _vectors(program, single, examples)
-    tables = [_table(f"in_{a.name}", scalar, x) for a, x in zip(taken, inputs, strict=True)]
-    tables += [_table(f"out_{a.name}", scalar, y) for a, y in zip(given, found, strict=True)]
+    dtype = torch.float32 if single else torch.float64
+    inputs = [_example(a.name, a.width, a.uniform, examples, k).to(dtype) for k, a in enumerate(program.arguments)]
+    over = rollout.loop(program)
+    tables = _tables("in", taken, inputs, scalar) + _tables("out", given, _results(program, inputs), scalar)
+    tables += _tables("after", given, _rolled(over, inputs), scalar) if over else []
     locals_ = " ".join(f"{scalar} found_{a.name}[{a.size}];" for a in given)
     passed = ", ".join([*(f"in_{a.name}[k]" for a in taken), *(f"found_{a.name}" for a in given)])
-    called = "    batch(&worst);\n" if batches else ""
+    called = ("    rollout(&worst);\n" if over else "") + ("    batch(&worst);\n" if batches else "")
     checks = "\n".join(f"        compare(found_{a.name}, out_{a.name}[k], {a.size}, &worst);" for a in given)
     return (
         f"/* {name} against golden vectors; returns 0 if they agree to {bound} */\n"
         f'#include <math.h>\n#include <stdio.h>\n#include "{name}.h"\n\n{"".join(tables)}{_COMPARE.format(scalar, f)}'
+        f"{_rollout(name, scalar, taken, given) if over else ''}"
         f"{_batch(name, scalar, taken, given) if batches else ''}\n"
         f"int main(void)\n{{\n    {scalar} worst = 0;\n    int k;\n    for (k = 0; k < {CASES}; k++) {{\n"
         f"        {locals_}\n        (void){name}({passed});\n{checks}\n    }}\n"
@@ -91,19 +97,46 @@ def _batch(name: str, scalar: str, taken: Sequence[BatchRow], given: Sequence[Ba
     )
 
 
+def _rollout(name: str, scalar: str, taken: Sequence[BatchRow], given: Sequence[BatchRow]) -> str:
+    """Function that compares a rollout, whose inputs are the golden vectors, with what follows from them."""
+    arrays = [f"{scalar} found_{a.name}[{STEPS}][{a.size}];" for a in given]
+    passed = ", ".join([str(STEPS), *(f"in_{a.name}[0]" for a in taken), *(f"found_{a.name}[0]" for a in given)])
+    compared = [f"compare(found_{a.name}[k], after_{a.name}[k], {a.size}, worst);" for a in given]
+    return (
+        f"\nstatic void rollout({scalar} *worst)\n{{\n{c99.indented([*arrays, 'int k;'], 4)}"
+        f"    (void){name}_rollout({passed});\n"
+        f"    for (k = 0; k < {STEPS}; k++) {{\n{c99.indented(compared, 8)}    }}\n}}\n"
+    )
+
+
+def _rolled(over: Loop, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """Rows [steps, width] of all outputs of a rollout from the first of the rows, which has one for every step."""
+    given, steps = [x[:1] for x in inputs], []
+    for s in range(STEPS):
+        for k in over.stepped:
+            given[k] = inputs[k][s : s + 1]
+        steps.append(_results(over.body, given))
+        for k, r in over.carried:
+            given[k] = steps[-1][r]
+    return [torch.cat(rows) for rows in zip(*steps, strict=True)]
+
+
+def _tables(kind: str, arrays: Sequence[BatchRow], rows: Sequence[Tensor], scalar: str) -> list[str]:
+    """Tables of the rows that have numbers."""
+    return [_table(f"{kind}_{a.name}", scalar, x) for a, x in zip(arrays, [x for x in rows if x.shape[1]], strict=True)]
+
+
 def _table(name: str, scalar: str, rows: Tensor) -> str:
     lines = [", ".join(c99.literal(x, scalar == "float") for x in row) for row in rows.tolist()]
     listed = ",\n".join(f"    {{{line}}}" for line in lines)
-    return f"static const {scalar} {name}[{CASES}][{rows.shape[1]}] = {{\n{listed}\n}};\n"
+    return f"static const {scalar} {name}[{len(rows)}][{rows.shape[1]}] = {{\n{listed}\n}};\n"
 
 
-def _vectors(program: Program, single: bool, examples: Mapping[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
-    """Rows [cases, width] of all arguments and outputs that have numbers; each sample has its own sums."""
-    dtype = torch.float32 if single else torch.float64
-    inputs = [_example(a.name, a.width, a.uniform, examples, k).to(dtype) for k, a in enumerate(program.arguments)]
+def _results(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """Rows [cases, width] of all outputs; each sample has its own sums."""
     apart = any(a.uniform for a in program.arguments) or any(r.summed for r in program.results)
-    found = choose(None, CPU).kernel(per_sample(program) if apart else program, dtype, CPU)(inputs, CASES)
-    return [x for x in inputs if x.shape[1]], [y for y in found if y.shape[1]]
+    kernel = choose(None, CPU).kernel(per_sample(program) if apart else program, inputs[0].dtype, CPU)
+    return kernel(inputs, len(inputs[0]))
 
 
 def _example(name: str, width: int, uniform: bool, examples: Mapping[str, Tensor], seed: int) -> Tensor:

@@ -14,7 +14,7 @@ _WORDS = (
     "template this throw true try typename using virtual main "
 )
 _USED = (
-    "S LANES samples first here lane status sqrt sqrtf exp expf log logf floor floorf sin sinf cos cosf "
+    "S LANES samples steps first here lane status sqrt sqrtf exp expf log logf floor floorf sin sinf cos cosf "
     "sine_and_cosine rows_to_lanes lanes_to_rows added angles slots wrong place zeros root "
     "HALF_PI_1 HALF_PI_2 HALF_PI_3 TWO_OVER_PI ROUND LARGEST SIN COS NAN INFINITY HUGE_VAL EOF NULL "
 )
@@ -38,6 +38,8 @@ _LIBRARY = (
     "strncmp strncpy strpbrk strrchr strspn strstr strtok strxfrm isalnum isalpha isblank iscntrl isdigit isgraph "
     "islower isprint ispunct isspace isupper isxdigit tolower toupper asctime clock ctime difftime gmtime localtime "
     "mktime strftime time signal raise setjmp longjmp localeconv setlocale "
+    # of glibc, which a call from a shared library would find first
+    "step advance "
     # macros, and types
     "FILE BUFSIZ offsetof size_t ptrdiff_t stdin stdout stderr errno assert isfinite "
     "isinf isnan isnormal signbit fpclassify isgreater isless isunordered "
@@ -56,7 +58,9 @@ def identifier(name: str, what: str, variables: Collection[str] = ()) -> str:
     if name in _LIBRARY_NAMES:
         raise ArgumentError(f"{what} must not be a name of C's standard library, found {name!r}; take another")
     if name in variables:
-        raise ArgumentError(f"{what} must differ from the variables of the exported test, found {name!r}; take another")
+        raise ArgumentError(
+            f"{what} must differ from variables of the exported files, found {name!r}; take another"
+        )
     return name
 
 

@@ -138,7 +138,8 @@ class CompiledProgram:
         """Files that need neither Python nor torch: a function in strict C99, and what its language wants beside it.
 
         The function takes one sample. It has no memory of its own, no loops and no heap, and may be called by several
-        threads. Its arguments and outputs are those of the program, in its order, described in the header.
+        threads. Its arguments and outputs are those of the program, in its order, described in the header. A step, of
+        which results are arguments of the same name, has a function NAME_rollout of many steps beside it in "c".
 
         "c" writes source, headers, a test and CMake files, which build all functions that are exported into a folder.
         "casadi" writes one source with the function, its Jacobians and

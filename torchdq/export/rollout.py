@@ -1,0 +1,57 @@
+"""C99 text of the rollout of a step: the function of one step, called again and again on its own results.
+
+A program is a step if some of its results are arguments, by name and width: these are carried from step to step. Other
+arguments are given for every step, those that are uniform once; results are written for every step.
+"""
+
+from __future__ import annotations
+
+from torchdq.export import c99
+from torchdq.program.loop import Loop
+from torchdq.program.program import Program, outputs
+
+
+def loop(program: Program) -> Loop | None:
+    """Loop over a program that keeps all results; None: it is no step."""
+    arguments = [(k, a) for k, a in enumerate(program.arguments) if not a.uniform]
+    results = {(x.name, len(x.values)): r for r, x in enumerate(program.results) if x.values and not x.summed}
+    carried = tuple((k, results[a.name, a.width]) for k, a in arguments if (a.name, a.width) in results)
+    stepped = [k for k, _ in arguments if k not in dict(carried)]
+    return Loop(program, carried, tuple(stepped), tuple(range(len(program.results)))) if carried else None
+
+
+def declaration(program: Program, name: str, single: bool) -> str:
+    """Declaration of the rollout, without the semicolon."""
+    scalar = "float" if single else "double"
+    taken, given = c99.arrays(program)
+    parameters = [f"const {scalar} *{a.name}" for a in taken] + [f"{scalar} *{a.name}" for a in given]
+    return f"int {name}_rollout({', '.join(['size_t steps', *parameters])})"
+
+
+def function(over: Loop, name: str, single: bool) -> str:
+    """Text of the rollout, which follows the function of the step."""
+    taken, given = c99.arrays(over.body)
+    wide = [k for k, a in enumerate(over.body.arguments) if a.width]
+    after = dict(zip([r for r, x in enumerate(outputs(over.body)) if x.values], given, strict=True))
+    passed, states = [], {k: after[r] for k, r in over.carried}
+    for k, a in zip(wide, taken, strict=True):
+        if k in states:
+            passed.append(f"place ? {states[k].name} + {a.size} * (place - 1) : {a.name}")
+        else:
+            passed.append(f"{a.name} + {a.size} * place" if k in over.stepped else a.name)
+    passed += [f"{a.name} + {a.size} * place" for a in given]
+    lines = ["size_t place;", "int status = 0;", "for (place = 0; place < steps; place++)"]
+    lines += [f"    status |= {name}({', '.join(passed)});", "return status;"]
+    return f"{declaration(over.body, name, single)}\n{{\n{c99.indented(lines)}}}\n"
+
+
+def about(over: Loop, name: str) -> list[str]:
+    """Lines about the rollout."""
+    arguments = over.body.arguments
+    several = [*(arguments[k].name for k in over.stepped if arguments[k].width), "all outputs, no arrays of inputs"]
+    return [
+        "",
+        f"{name}_rollout takes many steps, each from the results of the last; it returns 1 where one does.",
+        f"One row, of the start: {', '.join(arguments[k].name for k, _ in over.carried)}.",
+        f"A row for every step, one after the other: {', '.join(several)}.",
+    ]
