@@ -138,13 +138,14 @@ def test_a_rollout_of_a_scene_is_its_steps_and_asks_the_device_nothing(dtype, mo
 
 
 def test_loops_that_cannot_be_compiled_are_run_by_torch_or_refused(monkeypatch):
-    monkeypatch.setattr(cuda, "_compiled", lambda *_: BuildError("no"))
-    monkeypatch.setattr(cuda, "_architecture", lambda _: 90)
+    monkeypatch.setattr(nvrtc, "found", lambda: "no NVRTC")
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda index: (9, 0))
+    device = torch.device("cuda", 99)
     torchdq.clear_caches()  # what was warned of once
     with warned(UserWarning):
-        assert isinstance(cuda.CUDA_OR_EAGER.loop(loop(SMALL), F64, torch.device("cuda")), InterpretedLoop)
+        assert isinstance(cuda.CUDA_OR_EAGER.loop(loop(SMALL), F64, device), InterpretedLoop)
     with refused(BuildError):
-        cuda.CUDA.loop(loop(SMALL), F64, torch.device("cuda"))
+        cuda.CUDA.loop(loop(SMALL), F64, device)
 
 
 # --- for GPUs --------------------------------------------------------------------------------------------------------

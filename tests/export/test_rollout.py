@@ -46,9 +46,11 @@ def test_an_exported_rollout_is_that_of_the_scene(robot, dtype, tmp_path):
 
 
 def test_only_steps_have_a_rollout(tmp_path):
-    made = torchdq.compile(TWO, "forward_dynamics").export(tmp_path, "accelerations")
-    assert "rollout" not in made.header.read_text() + made.source.read_text() + made.test.read_text()
-    made = torchdq.compile(Scene(TWO, (effects.Gravity(),)).program("torque")).export(tmp_path, "arm")
+    step = torchdq.compile(Scene(TWO, (effects.Gravity(),)).program("torque"))
+    for other in (torchdq.compile(TWO, "forward_dynamics"), step.vjp(), step.jacobian()):
+        made = other.export(tmp_path, "other")
+        assert "rollout" not in made.header.read_text() + made.source.read_text() + made.test.read_text()
+    made = step.export(tmp_path, "arm")
     assert "int arm_rollout(size_t steps, const double *q, const double *qd, const double *torque," in (
         made.header.read_text()
     )

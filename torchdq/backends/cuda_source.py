@@ -195,6 +195,7 @@ class KernelPrinter:
     # --- the whole ---
 
     def text(self) -> str:
+        """Text of the kernel."""
         p, stage, number = self.program, self.stage, self.number
         names, loads, stores, size = [], [], [], 0
         for k in sorted(stage.arguments):

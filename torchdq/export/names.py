@@ -58,9 +58,7 @@ def identifier(name: str, what: str, variables: Collection[str] = ()) -> str:
     if name in _LIBRARY_NAMES:
         raise ArgumentError(f"{what} must not be a name of C's standard library, found {name!r}; take another")
     if name in variables:
-        raise ArgumentError(
-            f"{what} must differ from variables of the exported files, found {name!r}; take another"
-        )
+        raise ArgumentError(f"{what} must differ from variables of the exported files, found {name!r}; take another")
     return name
 
 

@@ -15,7 +15,8 @@ def loop(program: Program) -> Loop | None:
     """Loop over a program that keeps all results; None: it is no step."""
     arguments = [(k, a) for k, a in enumerate(program.arguments) if not a.uniform]
     results = {(x.name, len(x.values)): r for r, x in enumerate(program.results) if x.values and not x.summed}
-    carried = tuple((k, results[a.name, a.width]) for k, a in arguments if (a.name, a.width) in results)
+    states = [(k, a) for k, a in arguments if not a.name.endswith("'")]  # cotangents would be carried the other way
+    carried = tuple((k, results[a.name, a.width]) for k, a in states if (a.name, a.width) in results)
     stepped = [k for k, _ in arguments if k not in dict(carried)]
     return Loop(program, carried, tuple(stepped), tuple(range(len(program.results)))) if carried else None
 
@@ -48,10 +49,11 @@ def function(over: Loop, name: str, single: bool) -> str:
 def about(over: Loop, name: str) -> list[str]:
     """Lines about the rollout."""
     arguments = over.body.arguments
-    several = [*(arguments[k].name for k in over.stepped if arguments[k].width), "all outputs, no arrays of inputs"]
+    several = [arguments[k].name for k in over.stepped if arguments[k].width]
     return [
         "",
         f"{name}_rollout takes many steps, each from the results of the last; it returns 1 where one does.",
         f"One row, of the start: {', '.join(arguments[k].name for k, _ in over.carried)}.",
-        f"A row for every step, one after the other: {', '.join(several)}.",
+        f"A row for every step, one after the other: {', '.join([*several, 'all outputs'])}.",
+        "No output may be the array of an input.",
     ]
