@@ -92,6 +92,16 @@ def test_tensors_of_any_memory_are_read(how):
     assert equal(looped(SMALL, 4, views), one_by_one(SMALL, 4, plain, "c"))
 
 
+@pytest.mark.parametrize("steps", [3, 4])
+@pytest.mark.parametrize("shape", [(), (1,), (4,), (5, 1), (5, 4)], ids=str)
+def test_tensors_of_every_step_broadcast_over_the_batch_as_those_of_one_do(shape, steps):
+    """Also where there are as many steps as samples."""
+    given = tensors(20, steps)
+    given = {name: x.view(5, 4, x.shape[-1]) if name in ("x", "p") else x for name, x in given.items()}
+    given["u"] = random(steps, *shape, 3, seed=7)
+    assert equal(looped(SMALL, steps, given), one_by_one(SMALL, steps, given, "c"))
+
+
 @pytest.mark.parametrize("kind", ["values", "gradients"])
 def test_threads_change_no_bit(kind, threads):  # noqa: F811
     given = tensors(3 * pool.PART // 2 + 5, 3, grad=kind == "gradients")

@@ -26,6 +26,7 @@ class LoopLayout(NamedTuple):
     loop: Loop
     backend: Backend
     rows: tuple[Arrangement, ...]
+    whole: tuple[Shape | None, ...]  # with the batch axes that a tensor of every step lacks; None: it has all
     names: tuple[str, ...]  # names of the results
     shapes: tuple[Shape, ...]  # shapes of the results
     samples: int
@@ -72,6 +73,7 @@ def repeat(
         given = [*carried.values(), *[x[0] if c else x for x, c in zip(stepped.values(), constant, strict=True)]]
         given += fixed.values()
         like = given[0]
+        given = [x if shape is None else x.reshape(shape) for x, shape in zip(given, layout.whole, strict=True)]
         rows = [row_of(x, like.dtype, like.device, a) for x, a in zip(given, layout.rows, strict=True)]
     except (AttributeError, RuntimeError):
         batch_of(what, _once(steps, tensors, stepped))  # raises, naming an argument that is not a dense tensor
@@ -142,8 +144,10 @@ def _layout(
     states = tuple([(names.index(name), results.index(name)) for name in carried])
     kept = [r for r, name in enumerate(results) if not (name in total or (ends and name in carried))]
     loop = _loop(program, states, tuple(map(names.index, stepped)), tuple(kept))
-    arrangement = []
+    arrangement, whole = [], []
     for name, row, a in zip(names, rows, arguments, strict=True):
+        lacking = len(batch) + len(what.axes(name)) - once[name].ndim if name in stepped else 0
+        whole.append((steps, *(1,) * lacking, *once[name].shape) if lacking else None)
         if name in stepped:
             shape, flat = (steps, *batch, *what.axes(name)), (steps, math.prod(batch), a.width)
             row = Arrangement(None if row.expanded is None else shape, None if shape == flat else flat)
@@ -153,7 +157,13 @@ def _layout(
         lead = (steps + (results[r] in carried),) if r in kept else ()
         shapes.append((*lead, *batch, *axes))
     return LoopLayout(
-        loop, choose(backend, like.device), tuple(arrangement), tuple(results), tuple(shapes), math.prod(batch)
+        loop,
+        choose(backend, like.device),
+        tuple(arrangement),
+        tuple(whole),
+        tuple(results),
+        tuple(shapes),
+        math.prod(batch),
     )
 
 
