@@ -6,18 +6,22 @@ is aligned; the batches end inside of vectors, inside of blocks and with them.
 
 import shutil
 import subprocess
+from dataclasses import replace
 
 import pytest
 import torch
 
 import torchdq
+from torchdq.backends.c_loop import loop_source
 from torchdq.backends.c_source import source
 from torchdq.numbers.functions import cos, exp, floor, log, maximum, sin, sqrt
+from torchdq.program.loop import Loop, adjoint, with_states
 from torchdq.program.program import Argument, outputs, record
 
 SANITIZED = ("-O1", "-g", "-march=native", "-w", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 BATCHES = (0, 1, 2, 3, 5, 7, 8, 9, 15, 16, 17, 31, 33, 63, 64, 65, 100)
 OFFSETS = (0, 1, 3)
+STEPS = (3, 0, 1)  # of a loop, with each offset
 
 
 def rows():
@@ -49,37 +53,75 @@ def scene():
     ).program()
 
 
+def loop():
+    """Loop of rows of one number and more, which are carried, given or kept; with totals and a sum over samples."""
+    widths = (1, 3, 9)  # all others are those of `rows`
+
+    def algorithm(u, *rows):
+        carried, given = rows[:3], rows[3:]
+        pairs = list(zip(carried, given, strict=True))
+        found = {f"x{len(x)}": [a * u[0] + b for a, b in zip(x, y, strict=True)] for x, y in pairs}
+        found |= {f"kept {len(y)}": y[::-1] for y in given}
+        found |= {f"total {len(x)}": [a * b for a, b in zip(x, y, strict=True)] for x, y in pairs}
+        return {**found, "sum": [sin(x[0]) for x in carried]}
+
+    rows = [Argument(f"{kind}{width}", width) for kind in "xy" for width in widths]
+    body = record("loop", [Argument("u", 1, uniform=True), *rows], algorithm, ("sum",))
+    return Loop(body, ((1, 0), (2, 1), (3, 2)), (4, 5, 6), (1, 3, 4, 5))  # of one width all states are kept
+
+
+def adjoint_loop():
+    """Adjoint of the loop; the cotangent of the uniform row is a sum, instead of its own."""
+    whole = with_states(loop())
+    sums = [r._replace(summed=False) for r in whole.body.results]
+    return adjoint(replace(whole, body=replace(whole.body, results=tuple(sums))), (0, *whole.stepped))
+
+
 PROGRAMS = {
+    "a loop": loop,
+    "its adjoint": adjoint_loop,
     "rows of any width": rows,
     "inverse dynamics": lambda: torchdq.compile(torchdq.robots.load("panda"), "inverse_dynamics").program,
     "forward dynamics": lambda: torchdq.compile(torchdq.robots.load("panda"), "forward_dynamics").program,
     "sums over samples": gradient,
     "a step of a scene": scene,
 }
-QUICK = ("rows of any width", "inverse dynamics", "sums over samples")
+QUICK = ("a loop", "rows of any width", "inverse dynamics", "sums over samples")
 
 
-def harness(program, scalar):
+def arrays(what):
+    """Numbers of the arrays of a program's or a loop's arguments, and of those of its outputs, as text in C."""
+    over = what if isinstance(what, Loop) else Loop(what, ())
+    states = {r for _, r in over.carried}
+    taken = [f"{a.width}" if a.uniform else f"{a.width} * n" for a in over.arguments]
+    taken = [f"{size} * steps" if k in over.given else size for k, size in enumerate(taken)]
+    given = [f"{len(r.values)}" if r.summed else f"{len(r.values)} * n" for r in outputs(over.body)]
+    given = [f"{size} * (steps + {int(r in states)})" if r in over.kept else size for r, size in enumerate(given)]
+    return taken, given
+
+
+def harness(what, scalar):
     """C program that runs a kernel on arrays of exact sizes."""
-    taken = [("in", a.width, a.uniform) for a in program.arguments]
-    given = [("out", len(r.values), r.summed) for r in outputs(program)]
-    arrays = [*taken, *given]
-    sizes = [f"{width}" if once else f"{width} * n" for _, width, once in arrays]
+    taken, given = arrays(what)
+    sizes, numbers = [*taken, *given], "n, n, steps" if isinstance(what, Loop) else "n"
+    longs = ", ".join(["long"] * len(numbers.split()))
     made = "\n".join(
         f"    {scalar} *block{k} = malloc(sizeof({scalar}) * (offset + {size})), *x{k} = block{k} + offset;\n"
         f"    for (j = 0; j < {size}; j++) x{k}[j] = ({scalar})(0.5 + 0.4 * ((j * 7 + {k}) % 11) / 11);"
         for k, size in enumerate(sizes)
     )
-    passed = ", ".join(f"x{k}" for k in range(len(arrays)))
-    freed = " ".join(f"free(block{k});" for k in range(len(arrays)))
+    passed = ", ".join(f"x{k}" for k in range(len(sizes)))
+    freed = " ".join(f"free(block{k});" for k in range(len(sizes)))
     parameters = ", ".join([f"const {scalar} *"] * len(taken) + [f"{scalar} *"] * len(given))
-    batches, offsets = (", ".join(map(str, x)) for x in (BATCHES, OFFSETS))
+    batches, offsets, steps = (", ".join(map(str, x)) for x in (BATCHES, OFFSETS, STEPS))
     return (
-        f"#include <stdlib.h>\nvoid run(long samples, {parameters});\n"
-        f"static void once(long n, long offset)\n{{\n    long j;\n{made}\n    run(n, {passed});\n    {freed}\n}}\n"
+        f"#include <stdlib.h>\nvoid run({longs}, {parameters});\n"
+        f"static void once(long n, long offset, long steps)\n{{\n    long j;\n{made}\n"
+        f"    run({numbers}, {passed});\n    {freed}\n}}\n"
         f"int main(void)\n{{\n    const long batches[] = {{{batches}}}, offsets[] = {{{offsets}}};\n"
+        f"    const long steps[] = {{{steps}}};\n"
         f"    for (int i = 0; i < {len(BATCHES)}; i++)\n"
-        f"        for (int k = 0; k < {len(OFFSETS)}; k++) once(batches[i], offsets[k]);\n    return 0;\n}}\n"
+        f"        for (int k = 0; k < {len(OFFSETS)}; k++) once(batches[i], offsets[k], steps[k]);\n    return 0;\n}}\n"
     )
 
 
@@ -90,7 +132,8 @@ def harness(program, scalar):
 )
 def test_a_kernel_stays_within_its_arrays(name, dtype, tmp_path):
     program, single = PROGRAMS[name](), dtype == torch.float32
-    (tmp_path / "kernel.c").write_text(source(program, single))
+    printed = loop_source if isinstance(program, Loop) else source
+    (tmp_path / "kernel.c").write_text(printed(program, single))
     (tmp_path / "main.c").write_text(harness(program, "float" if single else "double"))
     for command in (
         ["gcc", *SANITIZED, "kernel.c", "main.c", "-o", "main", "-lm"],
