@@ -146,7 +146,8 @@ class CompiledLoop:
         for shape, summed in zip(shapes(self.loop, samples, steps), self.summed, strict=True):
             form = contiguous((parts, *shape) if summed else shape, self.dtype)
             found.append(empty_on_cpu(*form))
-        pointers = [x.data_ptr() for x in (*dense(inputs), *found)]
+        tensors = [*dense(inputs), *found]  # copies among them must live until the end of the call
+        pointers = [x.data_ptr() for x in tensors]
         _in_parts(self.function, samples, (samples, steps), pointers, self.strides, number, size)
         return [y.sum(0) if summed else y for y, summed in zip(found, self.summed, strict=True)]
 

@@ -287,7 +287,8 @@ class _Frozen(System):
         """Matrix [samples, 2 m, 2 m] that takes (x, v) over a step h."""
         units = torch.eye(2 * self.M.shape[-1], dtype=self.M.dtype, device=self.M.device)
         x, v = units.expand(len(self.M), *units.shape).chunk(2, -1)
-        return torch.cat(Repeated(integrator, 1).flow(self, x, v, h), -1).mT
+        (to,), (w,) = integrator.step(self, [x], [v], h)
+        return torch.cat([to, w], -1).mT
 
     def _solved(self, M: Tensor, D: Tensor, x: Tensor, v: Tensor) -> list[Tensor]:
         return [-torch.linalg.solve(M, self.K @ x.mT + D @ v.mT).mT]
