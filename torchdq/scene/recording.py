@@ -244,8 +244,8 @@ class Stage(_StageFields, Computation):
         return tuple([(width,) if width > 1 or name in rows else () for name, width in widths])
 
     def shared(self, name: str) -> bool:
-        """True for a parameter."""
-        return "." in name
+        """True for a parameter, and for the step that all samples take."""
+        return "." in name or name == "h"
 
     def label(self, name: str) -> str:
         """Name without its owner."""
