@@ -28,7 +28,7 @@ from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
 from torchdq.scene import effect_checks, free_base
 from torchdq.scene.free_base import POSE, TWIST
-from torchdq.scene.integrators import System
+from torchdq.scene.integrators import RecordedSystem, System
 from torchdq.scene.spec import RecordedScene, Rows, SceneSpec
 
 
@@ -51,7 +51,7 @@ class _Acting(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SceneSystem(System):
+class SceneSystem(RecordedSystem):
     """Joints, and rotors behind them, under actuator torques u that are constant over a step."""
 
     scene: RecordedScene

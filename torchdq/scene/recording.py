@@ -3,7 +3,7 @@
 A step has three stages. `drive` turns commands into torques at the transmission: controller, then actuators. `flow`
 carries positions x and velocities v over the step under those torques. `sense` makes a state of them and reads it. They
 are recorded as one program, unless the integrator is not recorded: then `drive` and `sense` are programs, and so is
-each evaluation of the integrator.
+an evaluation of the equations of motion, or a substep, which is repeated.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
 from torchdq.effects.contact import Contact, Contacts, firmest
 from torchdq.errors import ArgumentError
-from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
+from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RecordedSystem, Repeated
 from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
 from torchdq.scene.state import State, nonfinite_rows, require_state
@@ -257,7 +257,7 @@ class _Trial:
 
 
 @dataclass(frozen=True)
-class _Frozen(System):
+class _Frozen(RecordedSystem):
     """Linear system M a + D v + K x = 0 of the springs and dampers in some states; its rows are one tensor [..., m]."""
 
     M: Tensor  # [samples, m, m]
