@@ -27,6 +27,7 @@ import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.learning import Identified, Model, Samples, identify
 from torchdq.scene import integrators
+from torchdq.scene.controllers import ComputedTorqueController
 
 
 @dataclass
@@ -86,14 +87,11 @@ def recorded(scene: Scene, believed: torchdq.Robot, args: Args, motions: int) ->
     """Logged, smoothed and thinned motions of the arm under a controller that believes the description."""
     time = torch.arange(round(args.duration / STEP)).double() * STEP
     wanted = excitation(believed, time, motions)
-    state = scene.start(wanted[0][:, 0], wanted[1][:, 0])
-    positions, torques = [], []
-    for now in zip(*(x.unbind(1) for x in wanted), strict=True):
-        torque = torchdq.computed_torque(believed, *state[:2], *now, 400.0 * torch.ones(7).double(), 40.0)
-        positions.append(state.q)
-        torques.append(torque)
-        state = scene.step(state, torque)
-    q, tau = torch.stack(positions, 1), torch.stack(torques, 1)
+    scene = scene.replace(controller=ComputedTorqueController(400.0, 40.0, model=believed))
+    start = scene.start(wanted[0][:, 0], wanted[1][:, 0])
+    states = scene.rollout(start, reference=torch.cat(wanted, -1).movedim(1, 0))
+    q, qd = (torch.cat([a[:, None], b[:-1].movedim(0, 1)], 1) for a, b in zip(start[:2], states[:2], strict=True))
+    tau = torchdq.computed_torque(believed, q, qd, *wanted, 400.0, 40.0)
     tau[:, 1:] = (tau[:, 1:] + tau[:, :-1]) / 2  # a position is read between the torque before and the one after
     q = q + args.position_noise * torch.randn(q.shape).double()
     tau = tau + args.torque_noise * torch.randn(q.shape).double()

@@ -87,12 +87,8 @@ def random_errors(found: Excitation, limits: MotionLimits, args: Args) -> float:
 def fanned(drawn: PosteriorSamples, tau: Tensor, q: Tensor) -> Tensor:
     """Positions [time, arms, n] of the drawn arms that start alike and feel the same torques."""
     scene = Scene(drawn.robot, drawn.effects(), integrator=integrators.LinearlyImplicit(), dt=STEP)
-    many = (len(drawn.parameters), len(q))
-    state, positions = scene.start(q.expand(many), torch.zeros(many, dtype=q.dtype)), []
-    for row in tau:
-        positions.append(state.q)
-        state = scene.step(state, row.expand(many))
-    return torch.stack(positions)
+    start = scene.start(q.expand(len(drawn.parameters), -1))
+    return torch.cat([start.q[None], scene.rollout(start, tau[:-1, None]).q])
 
 
 def main(args: Args) -> Result:

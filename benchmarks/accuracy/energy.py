@@ -29,12 +29,8 @@ def measured(quick: bool) -> dict[str, Any]:
         for dtype in (torch.float64, torch.float32):
             scene = Scene(robot, (effects.Gravity(),), integrator=INTEGRATORS[integrator], dt=DT)
             start = State(*(torch.tensor(x, dtype=dtype) for x in ((-math.pi / 2 + 0.6, 0.4), (0.0, 0.0))))
-            state, trace = start, []
-            for _ in range(steps):
-                state = scene.step(state)
-                trace.append((state.q, state.qd))
-            q, qd = (torch.stack(x).double() for x in zip(*trace, strict=True))
-            energies = scene.energy(State(q, qd)).sum(-1)
+            states = scene.rollout(start, steps=steps, nonfinite="ignore").to(torch.float64)
+            energies = scene.energy(states).sum(-1)
             first = scene.energy(State(start.q.double(), start.qd.double())).sum()
             rest = State(torch.tensor([-math.pi / 2, 0.0], dtype=torch.float64), torch.zeros(2, dtype=torch.float64))
             error = (energies - first) / (first - scene.energy(rest).sum())

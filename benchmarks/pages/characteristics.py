@@ -133,13 +133,9 @@ def read(words: str, sensor: Effect, steps: int = 100, dt: float = 0.01) -> Pict
     scene = Scene(body("wheel"), (effects.Spring(40.0), sensor), dt=dt)
     noise = torch.from_numpy(np.random.default_rng(0).uniform(size=(steps + 1, scene.noises)))
     state = scene.start(torch.ones(1, dtype=torch.float64), noise=noise[0] if scene.noises else None)
-    q, seen = [], []
-    for k in range(steps):
-        state = scene.step(state, noise=noise[k + 1] if scene.noises else None)
-        q.append(state.q)
-        seen.append(state.measured[0])
+    states = scene.rollout(state, steps=steps, noise=noise[1:] if scene.noises else None)
     t = times(steps, dt)
-    curves = {words: Curve(t, column(torch.cat(seen))), "true": Curve(t, column(torch.cat(q)))}
+    curves = {words: Curve(t, column(states.measured[0])), "true": Curve(t, column(states.q))}
     return Picture(TIME, POSITION, curves)
 
 

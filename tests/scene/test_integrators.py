@@ -137,13 +137,21 @@ def test_dormand_prince_meets_its_tolerance_with_steps_of_its_order():
 
 @pytest.mark.parametrize("integrator", FIXED, ids=called)
 def test_repeated_steps_are_the_recorded_ones(integrator):
-    q, qd = random(2, 4, 2, seed=2)
-    parts = (effects.Gravity(), effects.Viscous(0.5), effects.Spring(20.0))
+    """One loop of compiled steps or the steps of torch one by one, with their gradients."""
+    coefficient = double(0.5, 0.3).requires_grad_()
+    parts = (effects.Gravity(), effects.Viscous(coefficient), effects.Spring(20.0))
     recorded = Scene(ARM, parts, integrator=integrator, dt=0.03, substeps=3)
     called = recorded.replace(integrator=Repeated(integrator, 3), substeps=1)
-    u = random(4, 2, seed=3)
-    for a, b in zip(recorded.step(State(q, qd), u)[:2], called.step(State(q, qd), u)[:2], strict=True):
-        torch.testing.assert_close(a, b, rtol=1e-13, atol=1e-13)
+    given = [x.requires_grad_() for x in (*random(2, 4, 2, seed=2), random(4, 2, seed=3))]
+
+    def found(scene):
+        q, qd = scene.step(State(*given[:2]), given[2])[:2]
+        return [q, qd, *torch.autograd.grad((q + qd * q).sum(), [*given, coefficient])]
+
+    expected = found(recorded)
+    for backend in ("auto", "eager"):
+        for a, b in zip(expected, found(called.replace(backend=backend)), strict=True):
+            torch.testing.assert_close(a, b, rtol=1e-13, atol=1e-13)
 
 
 @pytest.mark.case("T5", "T6")

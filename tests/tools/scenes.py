@@ -63,10 +63,9 @@ def rolled(scene, state, steps, torque=None, **inputs):
 
 def trace(scene, state, steps, torque=None, **inputs):
     """Positions and velocities at the start and after every step, [steps + 1, ...]."""
-    found = [state]
-    for _ in range(steps):
-        found.append(scene.step(found[-1], torque, **inputs))
-    return State(*(torch.stack(x) for x in list(zip(*found, strict=True))[:2]))
+    series = {name: x.expand(steps, *x.shape) for name, x in {"torque": torque, **inputs}.items() if x is not None}
+    states = scene.rollout(state, steps=steps, nonfinite="ignore", **series)
+    return State(*(torch.cat([a[None], b]) for a, b in list(zip(state, states, strict=True))[:2]))
 
 
 def swinging(dtype=torch.float64):

@@ -18,6 +18,13 @@ from torchdq.program.autograd import in_a_graph
 from torchdq.program.loop import Loop
 from torchdq.program.loop_autograd import differentiable
 from torchdq.program.program import Program
+from torchdq.program.transforms import dispatching, transforming, without_values
+
+
+def repeatable(like: Tensor, backend: BackendName | None) -> bool:
+    """Whether a computation on such tensors can be repeated as one loop: plain ones, by a backend that compiles."""
+    seen = without_values((like,)) or transforming() or dispatching()
+    return not (seen or choose(backend, like.device).differentiable)
 
 
 class LoopLayout(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -127,21 +127,17 @@ class Trial:
     def path(self, integrator: Integrator, times: int, arithmetic: Arithmetic) -> Tensor:
         """Positions at the ends of all intervals, [intervals, samples, n], with `times` steps in each."""
         # a scene rounds its state at the end of its step, which is an interval if something acts once per dt
-        dt, inner, outer = self.scene.dt, times, 1
-        if not self.sampled:
-            dt, inner, outer = dt / times, 1, times
-        scene = self.scene.replace(
-            dt=dt, integrator=Repeated(integrator, inner), substeps=1, precision=arithmetic.precision
-        )
-        state = self.state.to(arithmetic.dtype)
-        inputs = {name: x.to(arithmetic.dtype) for name, x in self.inputs.items()}
+        rounds = arithmetic.precision == "double" and arithmetic.dtype != torch.float64 and not self.sampled
+        inner, outer = (1, times) if rounds else (times, 1)
+        how = {"dt": self.scene.dt / outer, "integrator": Repeated(integrator, inner), "substeps": 1}
+        scene = self.scene.replace(**how, precision=arithmetic.precision)
+        steps = self.intervals * outer
         self.report(f"{type(integrator).__name__}, {times * self.intervals} steps, {arithmetic}")
-        found = []
-        for k in range(self.intervals * outer):
-            state = scene.step(state, **inputs)
-            if (k + 1) % outer == 0:
-                found.append(state.q.double())
-        return torch.stack(found)
+        inputs: dict[str, Any] = {
+            name: x.to(arithmetic.dtype).expand(steps, *x.shape) for name, x in self.inputs.items()
+        }
+        states = scene.rollout(self.state.to(arithmetic.dtype), steps=steps, nonfinite="ignore", **inputs)
+        return states.q[outer - 1 :: outer].double()
 
     def error(self, integrator: Integrator, times: int, arithmetic: Arithmetic, reference: Tensor) -> float:
         """Largest error of the positions; infinite if one is not finite."""

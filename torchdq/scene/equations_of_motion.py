@@ -28,7 +28,7 @@ from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
 from torchdq.scene import effect_checks, free_base
 from torchdq.scene.free_base import POSE, TWIST
-from torchdq.scene.integrators import System
+from torchdq.scene.integrators import RecordedSystem, System
 from torchdq.scene.spec import RecordedScene, Rows, SceneSpec
 
 
@@ -51,7 +51,7 @@ class _Acting(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SceneSystem(System):
+class SceneSystem(RecordedSystem):
     """Joints, and rotors behind them, under actuator torques u that are constant over a step."""
 
     scene: RecordedScene
@@ -300,11 +300,9 @@ class TensorSystem(System):
     """
 
     spec: SceneSpec
-    evaluate: Callable[[str, Mapping[str, Tensor]], Mapping[str, Tensor]]  # rows of a stage of the scene
+    evaluate: Callable[..., Mapping[str, Tensor]]  # rows of a stage of the scene
+    repeat: Callable[..., Mapping[str, Tensor]]  # rows of a stage after a number of times
     inputs: Mapping[str, Tensor]
-
-    def _evaluated(self, stage: str, **given: Tensor) -> list[Tensor]:
-        return [self.evaluate(stage, {**given, **self.inputs})["a"]]
 
     def under(self, x: Tensor, v: Tensor, name: str, torques: Tensor | None) -> Tensor:
         """Accelerations of the joints [..., n] under torques that the scene computes, or under none."""
@@ -341,16 +339,9 @@ class TensorSystem(System):
 
     def accelerations(self, x: Row, v: Row) -> list[Tensor]:
         """Accelerations in a state."""
-        return self._evaluated("accelerations", x=x[0], v=v[0])
+        return [self.evaluate("accelerations", {"x": x[0], "v": v[0], **self.inputs})["a"]]
 
-    def implicit_velocities(self, x: Row, v: Row, h: float) -> list[Tensor]:
-        """Velocities at the end of a step whose impedances act on the state at its end."""
-        return self._evaluated("implicit_velocities", x=x[0], v=v[0], h=x[0].new_full((1,), h))
-
-    def momentum_accelerations(self, x: Row, v: Row) -> list[Tensor]:
-        """Rate of the momentum, as an acceleration."""
-        return self._evaluated("momentum_accelerations", x=x[0], v=v[0])
-
-    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Tensor]:
-        """Velocities at the positions `to` that have the momentum of (x, v)."""
-        return self._evaluated("velocities_at", x=x[0], v=v[0], to=to[0])
+    def repeated(self, x: Tensor, v: Tensor, h: float, times: int) -> tuple[Tensor, Tensor]:
+        """State after a number of steps h."""
+        found = self.repeat("substep", times, {"x": x, "v": v}, {"h": x.new_full((1,), h), **self.inputs})
+        return found["x"], found["v"]

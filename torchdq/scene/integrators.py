@@ -67,6 +67,10 @@ class System(Protocol):
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
 
+
+class RecordedSystem(System, Protocol):
+    """Equations of motion, as integrators that are recorded evaluate them."""
+
     def implicit_velocities(self, x: Row, v: Row, h: Number) -> list[Number]:
         """Velocities at the end of a step h whose impedances act on the state at its end."""
 
@@ -77,6 +81,13 @@ class System(Protocol):
         """Velocities at the positions `to` that have the momentum of (x, v)."""
 
 
+class RepeatedSystem(System, Protocol):
+    """Equations of motion on tensors, with the step of the integrator in `Repeated`."""
+
+    def repeated(self, x: Tensor, v: Tensor, h: float, times: int) -> tuple[Tensor, Tensor]:
+        """State [..., n] after a number of steps h."""
+
+
 @dataclass(frozen=True)
 class Integrator:
     """Base of the integrators."""
@@ -84,7 +95,7 @@ class Integrator:
     order: ClassVar[int]
     FIXED: ClassVar[str] = ""  # reason why it is for robots with a fixed base only; "": it is for all
 
-    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """State after a step h [s]."""
         raise NotImplementedError
 
@@ -100,7 +111,7 @@ class ExplicitEuler(Integrator):
 
     order = 1
 
-    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Positions and velocities, both with the rates at the start of the step."""
         return system.moved(x, h, v), _plus(v, h, system.accelerations(x, v))
 
@@ -111,7 +122,7 @@ class SemiImplicitEuler(Integrator):
 
     order = 1
 
-    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Velocities first, positions with the new ones."""
         v = _plus(v, h, system.accelerations(x, v))
         return system.moved(x, h, v), v
@@ -132,7 +143,7 @@ class LinearlyImplicit(Integrator):
 
     order = 1
 
-    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Velocities first, the impedances acting on the end of the step; positions with the new ones."""
         v = system.implicit_velocities(x, v, h)
         return system.moved(x, h, v), v
@@ -149,7 +160,7 @@ class RungeKutta4(Integrator):
 
     order = 4
 
-    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """State plus increments."""
         dx, dv = self.increments(system, x, v, h)
         return system.moved(x, 1.0, dx), _plus(v, 1.0, dv)
@@ -198,7 +209,7 @@ class StoermerVerlet(Integrator):
     def __post_init__(self) -> None:
         require_count(f"iterations of {type(self).__name__}", self.iterations)
 
-    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Half a kick, a drift with the velocities of both ends, half a kick."""
         v1: Row = v
         for _ in range(self.iterations):
@@ -211,16 +222,16 @@ class StoermerVerlet(Integrator):
 
 
 class Unrecorded(Integrator):
-    """An integrator that is not recorded into the scene's program, but calls those of the scene's accelerations."""
+    """An integrator that is not recorded into the program of a scene's step."""
 
-    def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+    def flow(self, system: RepeatedSystem, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
         """State [..., n] after the time T [s]; the rows of the system are lists of one tensor [..., n]."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class Repeated(Unrecorded):
-    """A recorded integrator in a number of equal steps, called one by one: slower, but any number needs no new program.
+    """A recorded integrator in a number of equal steps: one program of a step in a loop, whatever their number.
 
     For more steps than a program can hold, and to find the number that is needed (`recommend_settings`).
     """
@@ -238,12 +249,9 @@ class Repeated(Unrecorded):
         """Order of the repeated integrator."""
         return self.integrator.order
 
-    def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+    def flow(self, system: RepeatedSystem, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
         """State after all steps."""
-        rows: tuple[Row, Row] = [x], [v]
-        for _ in range(self.times):
-            rows = self.integrator.step(system, *rows, T / self.times)
-        return rows[0][0], rows[1][0]
+        return system.repeated(x, v, T / self.times, self.times)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
+from torchdq.backends.loop_call import repeat, repeatable
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_choice, require_count, require_number, require_object
 from torchdq.effects.body import BodyEffect
@@ -228,7 +229,7 @@ class SceneModel:
         x, v = rows.pop("x"), rows.pop("v")
         acting = {name: inputs[name] for effect in self.effects for name in effect.inputs(self.n) if name in inputs}
         held = self.grounds(state) | {k: rows[k] for k in ("u", "X_WB") if k in rows}
-        system = TensorSystem(self.spec, self.evaluate, {**acting, **held})
+        system = TensorSystem(self.spec, self.evaluate, self._repeat, {**acting, **held})
         for effect in self.effects:
             for name in effect.computed(self.n).keys() - held.keys():
                 accelerations = partial(system.under, x, v, name)
@@ -310,6 +311,17 @@ class SceneModel:
         constants(self.robot)  # raises if they were changed in place
         tensors = {**given, **self.parameters}
         return evaluate(Stage(self.spec, stage, task, wrt), tensors, self.backend, self.precision == "double")
+
+    def _repeat(
+        self, stage: str, times: int, carried: Mapping[str, Tensor], fixed: Mapping[str, Tensor]
+    ) -> Mapping[str, Tensor]:
+        """Carried rows after a stage's program was applied a number of times: one call, where programs are compiled."""
+        if repeatable(next(iter(carried.values())), self.backend):
+            what = Stage(self.spec, stage)
+            return repeat(what, times, carried, {}, {**fixed, **self.parameters}, ends=True, backend=self.backend)
+        for _ in range(times):
+            carried = self.evaluate(stage, {**carried, **fixed})
+        return carried
 
     def with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
         """Inputs with the random numbers that the sensors need."""

@@ -3,7 +3,7 @@
 A step has three stages. `drive` turns commands into torques at the transmission: controller, then actuators. `flow`
 carries positions x and velocities v over the step under those torques. `sense` makes a state of them and reads it. They
 are recorded as one program, unless the integrator is not recorded: then `drive` and `sense` are programs, and so is
-each evaluation of the integrator.
+an evaluation of the equations of motion, or a substep, which is repeated.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from torchdq.robot.fields import trailing
 from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
 from torchdq.scene.free_base import POSE, TWIST, displacement, rate_of
-from torchdq.scene.integrators import Integrator
+from torchdq.scene.integrators import Integrator, Repeated
 from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 
 MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
@@ -68,7 +68,7 @@ def flow(system: SceneSystem, x: Row, v: Row) -> tuple[Row, Row]:
             raise ArgumentError(
                 f"substeps must be few enough for a program of {MOST_OPERATIONS} operations, found {spec.substeps}, "
                 f"which would record {expected}; give substeps=1 and "
-                f"integrator=integrators.Repeated({spec.integrator}, {spec.substeps}), which calls one step that often"
+                f"integrator=integrators.Repeated({spec.integrator}, {spec.substeps}), a loop over one step"
             )
     return x, v
 
@@ -158,22 +158,26 @@ def _bodies(scene: RecordedScene, task: Task | None) -> Rows:
     return {name: row for name, row in scene.overrides.items() if row is not None}
 
 
-def _evaluation(method: Callable[..., Rows], *names: str) -> Callable[[RecordedScene, Task | None], Rows]:
-    """Stage of an evaluation of the equations of motion, with the inputs of those names as its arguments."""
+def _evaluation(rows: Callable[[SceneSystem, Row, Row], Rows]) -> Callable[[RecordedScene, Task | None], Rows]:
+    """Stage of an evaluation of the equations of motion at positions and velocities."""
 
     def stage(scene: RecordedScene, task: Task | None) -> Rows:
-        given = [scene.inputs[name] for name in names]
-        return with_growths(scene, scene.inputs["u"], lambda system: method(system, *given))
+        x, v = scene.inputs["x"], scene.inputs["v"]
+        return with_growths(scene, scene.inputs["u"], lambda system: rows(system, x, v))
 
     return stage
 
 
+def _substep(system: SceneSystem, x: Row, v: Row) -> Rows:
+    """State after a step of the integrator, the length of which is an input."""
+    x, v = system.scene.spec.integrator.step(system, x, v, system.scene.inputs["h"][0])
+    return {"x": x, "v": v}
+
+
 EVALUATIONS = {
-    "frozen": _evaluation(SceneSystem.frozen, "x", "v"),
-    "accelerations": _evaluation(lambda s, x, v: {"a": s.accelerations(x, v)}, "x", "v"),
-    "implicit_velocities": _evaluation(lambda s, x, v, h: {"a": s.implicit_velocities(x, v, h[0])}, "x", "v", "h"),
-    "momentum_accelerations": _evaluation(lambda s, x, v: {"a": s.momentum_accelerations(x, v)}, "x", "v"),
-    "velocities_at": _evaluation(lambda s, x, v, to: {"a": s.velocities_at(x, v, to)}, "x", "v", "to"),
+    "frozen": _evaluation(SceneSystem.frozen),
+    "accelerations": _evaluation(lambda system, x, v: {"a": system.accelerations(x, v)}),
+    "substep": _evaluation(_substep),
 }
 STAGES = {
     "step": _step,
@@ -223,7 +227,7 @@ class Stage(_StageFields, Computation):
         moving = n + spec.transmission[1].memory(n) // 2
         asked = {} if self.task is None else self.task.inputs(n)
         poses, twists = (POSE, TWIST) if spec.robot.floating else (0, 0)
-        evaluated = {"u": n, "x": moving + poses, "v": moving + spec.inner + twists, "to": moving + poses, "h": 1}
+        evaluated = {"u": n, "x": moving + poses, "v": moving + spec.inner + twists, "h": 1}
         known = {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
         return known if self.wrt is None else {**known, "direction": sum(spec.displaced.values()) + n}
 
@@ -240,8 +244,8 @@ class Stage(_StageFields, Computation):
         return tuple([(width,) if width > 1 or name in rows else () for name, width in widths])
 
     def shared(self, name: str) -> bool:
-        """True for a parameter."""
-        return "." in name
+        """True for a parameter, and for the step that all samples take."""
+        return "." in name or name == "h"
 
     def label(self, name: str) -> str:
         """Name without its owner."""
@@ -282,8 +286,9 @@ class Stage(_StageFields, Computation):
             return _linearized(self, arguments)
         if self.stage not in EVALUATIONS:
             return _program(self, arguments)
-        # independent of controller and time step
-        spec = replace(self.spec, integrator=Integrator(), dt=1.0, substeps=1, controller=None)
+        # independent of controller and time step, and of the number of steps
+        once = self.spec.integrator.integrator if isinstance(self.spec.integrator, Repeated) else Integrator()
+        spec = replace(self.spec, integrator=once, dt=1.0, substeps=1, controller=None)
         return _program(self._replace(spec=spec), arguments)
 
 

@@ -14,12 +14,11 @@ import torch
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint as checkpointed
 
-from torchdq.backends.choice import choose
-from torchdq.backends.loop_call import repeat
+from torchdq.backends.loop_call import repeat, repeatable
 from torchdq.base.checks import require_choice, require_count, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
-from torchdq.program.transforms import dispatching, transforming, without_values
+from torchdq.program.transforms import without_values
 from torchdq.robot.robot import constants
 from torchdq.scene.integrators import Unrecorded
 from torchdq.scene.model import SceneModel
@@ -90,10 +89,7 @@ def loops(scene: SceneModel, state: State) -> bool:
         isinstance(scene.integrator, Unrecorded)
         or scene.computed
         or (scene.precision == "double" and q.dtype == torch.float32)
-        or without_values((q,))
-        or transforming()
-        or dispatching()
-        or choose(scene.backend, q.device).differentiable
+        or not repeatable(q, scene.backend)
     )
 
 

@@ -23,7 +23,7 @@ from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
 from torchdq.effects.contact import Contact, Contacts, firmest
 from torchdq.errors import ArgumentError
-from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
+from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RecordedSystem, Repeated
 from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
 from torchdq.scene.state import State, nonfinite_rows, require_state
@@ -148,7 +148,7 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
     if isinstance(scene.integrator, Repeated):
         integrator, times = scene.integrator.integrator, scene.integrator.times
     with Progress(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
-        found = trial.run(integrator, times)
+        found = trial.run(scene, integrator, times)
         if found.stable:
             return found
         candidates: list[tuple[Integrator, int]] = []
@@ -179,15 +179,14 @@ class _Trial:
                 break
             # a look at the start alone saves most trial runs
             well = self._growth(integrator, times, self.state)[0] <= GROWTH
-            if well and replace(self, intervals=intervals).run(integrator, times):
+            scene = self.scene.replace(substeps=1, integrator=Repeated(integrator, times))
+            if well and replace(self, intervals=intervals).run(scene, integrator, times):
                 return [Steps(integrator, times, self.scene.dt / times)]
             times *= 2
         return []
 
-    def run(self, integrator: Integrator, times: int) -> Check:
-        """Check of an integrator and a number of its steps, without alternatives."""
-        adaptive = isinstance(integrator, DormandPrince)
-        scene = self.scene.replace(substeps=1, integrator=integrator if adaptive else Repeated(integrator, times))
+    def run(self, scene: SceneModel, integrator: Integrator, times: int) -> Check:
+        """Check of a scene that takes a number of steps of an integrator, without alternatives."""
         step, seconds = self.scene.dt / times, self.intervals * self.scene.dt
         series: dict[str, Any] = {name: x.expand(self.intervals, *x.shape) for name, x in self._inputs().items()}
         with torch.no_grad():
@@ -196,7 +195,7 @@ class _Trial:
         moving = [x for name, x in path.rows().items() if name in scene.spec.moving]
         ends = path.finite() & (torch.cat(moving, -1).abs() < FAR).all(-1)
         diverged = begins & ~ends[-1]
-        if adaptive:
+        if isinstance(integrator, DormandPrince):
             return Check(integrator, step, seconds, 1.0, "", diverged)
         at = torch.linspace(0, self.intervals - 1, min(STATES, self.intervals)).long()
         kept = ends[at][..., None]
@@ -258,7 +257,7 @@ class _Trial:
 
 
 @dataclass(frozen=True)
-class _Frozen(System):
+class _Frozen(RecordedSystem):
     """Linear system M a + D v + K x = 0 of the springs and dampers in some states; its rows are one tensor [..., m]."""
 
     M: Tensor  # [samples, m, m]
@@ -287,7 +286,8 @@ class _Frozen(System):
         """Matrix [samples, 2 m, 2 m] that takes (x, v) over a step h."""
         units = torch.eye(2 * self.M.shape[-1], dtype=self.M.dtype, device=self.M.device)
         x, v = units.expand(len(self.M), *units.shape).chunk(2, -1)
-        return torch.cat(Repeated(integrator, 1).flow(self, x, v, h), -1).mT
+        (to,), (w,) = integrator.step(self, [x], [v], h)
+        return torch.cat([to, w], -1).mT
 
     def _solved(self, M: Tensor, D: Tensor, x: Tensor, v: Tensor) -> list[Tensor]:
         return [-torch.linalg.solve(M, self.K @ x.mT + D @ v.mT).mT]
