@@ -8,7 +8,7 @@ from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Absolute
 from torchdq.envs.torch_task import TorchTask
 from torchdq.envs.vector_env import ArmVectorEnv
-from torchdq.scene import Scene, State, controllers, integrators
+from torchdq.scene import Scene, State, controllers, integrators, policies
 
 __all__ = [
     "Absolute",
@@ -21,6 +21,7 @@ __all__ = [
     "controllers",
     "effects",
     "integrators",
+    "policies",
 ]
 
 for _task, _steps in {"Reach": 250, "Track": 250, "Walk": 1000, "Wipe": 250}.items():

@@ -76,6 +76,7 @@ STOREYS = {
     "torchdq.robot.shipped": 11,
     # parts of a step, the frozen model, many steps, Scene
     "torchdq.scene.model": 1,
+    "torchdq.scene.policies": 1,
     "torchdq.scene.rollout": 2,
     "torchdq.scene.describe": 2,
     "torchdq.scene.linearize": 2,

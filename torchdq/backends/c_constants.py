@@ -1,7 +1,8 @@
 """C constants of the elementary functions, for kernels of vectors and of single numbers alike."""
 
 # fdlibm's minimax polynomials (Sun Microsystems 1993): sine and cosine on [-pi/4, pi/4], with pi/2 in three parts;
-# r (exp r + 1)/(exp r - 1) on [-ln2/2, ln2/2] and (log(1 + s) - log(1 - s))/s on [0, 0.1716], with ln2 in two parts
+# r (exp r + 1)/(exp r - 1) on [-ln2/2, ln2/2] and (log(1 + s) - log(1 - s))/s on [0, 0.1716], with ln2 in two parts;
+# (tanh x - x)/x^3 on [0, 5/8] as P/Q (Cephes, Moshier 1992)
 SINES_DOUBLE = """
 #define HALF_PI_1 0x1.921fb54400000p+0
 #define HALF_PI_2 0x1.0b4611a600000p-34
@@ -31,6 +32,8 @@ typedef long long N;
 #define ONE_OVER_LN2 0x1.71547652b82fep+0
 #define EXP(z) (1.66666666666666019037e-01+z*(-2.77777777770155933842e-03+z*(6.61375632143793436117e-05 \\
   +z*(-1.65339022054652515390e-06+z*4.13813679705723846039e-08))))
+#define TANH_P(z) (-1.61468768441708447952e+03+z*(-9.92877231001918586564e+01+z*-9.64399179425052238628e-01))
+#define TANH_Q(z) (4.84406305325125486048e+03+z*(2.23548839060100448583e+03+z*(1.12811678491632931402e+02+z)))
 #define LOG(z,w) (w*(3.999999999940941908e-01+w*(2.222219843214978396e-01+w*1.531383769920937332e-01)) \\
   +z*(6.666666666666735130e-01+w*(2.857142874366239149e-01+w*(1.818357216161805012e-01+w*1.479819860511658591e-01))))
 """
@@ -62,5 +65,8 @@ typedef int N;
 #define LN2_2 0x1.7f7d1cp-20f
 #define ONE_OVER_LN2 0x1.715476p+0f
 #define EXP(z) (1.6666625440e-1f+z*-2.7667332906e-3f)
+#define TANH_P(z) (-3.33332819422e-1f+z*(1.33314422036e-1f+z*(-5.37397155531e-2f+z*(2.06390887954e-2f \\
+  +z*-5.70498872745e-3f))))
+#define TANH_Q(z) 1
 #define LOG(z,w) (w*(0.40000972152f+w*0.24279078841f)+z*(0.66666662693f+w*0.28498786688f))
 """

@@ -7,7 +7,7 @@ lanes whose angle is very large or not finite.
 
 from torchdq.backends.c_constants import DOUBLE, FLOAT
 
-_LIBRARY = ("sin", "cos", "sqrt", "exp", "log", "floor")
+_LIBRARY = ("sin", "cos", "sqrt", "exp", "log", "tanh", "floor")
 
 _PRELUDE = """
 #if defined(__AVX512F__)
@@ -72,6 +72,15 @@ static inline T exp_(T x){
   T h=x-k*LN2_1,l=k*LN2_2,r=h-l,z=r*r,c=r-z*EXP(z);
   T y=1-((l-(r*c)/(2-c))-h);
   return y*(T)(((M)half+BIAS)<<MANTISSA)*(T)(((M)rest+BIAS)<<MANTISSA);
+}
+
+/* one division: x + x^3 P/Q near zero, and 1 - 2e/(1 + e), e = exp(-2x), beyond */
+static inline T tanh_(T x){
+  const M sign=(M)-(T){};
+  T size=(T)((M)x&~sign),z=x*x,e=exp_(size*(S)-2);
+  M near=size<(T){}+(S)0.625;
+  T y=choose(near,size,(T){}+1)+choose(near,size*z*TANH_P(z),e*(S)-2)/choose(near,(T){}+TANH_Q(z),1+e);
+  return (T)((M)y|((M)x&sign));
 }
 
 /* x = 2^k (1 + f), 1 + f between the roots of 1/2 and 2 */

@@ -9,7 +9,7 @@ Sine and cosine are those of the C backend. Angles that are very large or not fi
 
 from torchdq.backends.c_constants import DOUBLE, FLOAT
 
-_LIBRARY = ("sincos", "sqrt", "exp", "log", "floor")
+_LIBRARY = ("sincos", "sqrt", "exp", "log", "tanh", "floor")
 _BITS_DOUBLE = """#define NAN_BITS 0x7ff8000000000000LL
 #define INFINITE_BITS 0x7ff0000000000000LL
 """

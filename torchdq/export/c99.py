@@ -25,13 +25,14 @@ _CALLS = {
     "sqrt": "{root}({0})",
     "exp": "exp{f}({0})",
     "log": "log{f}({0})",
+    "tanh": "tanh{f}({0})",
     "floor": "floor{f}({0})",
     "max": "({0} >= {1} || {0} != {0}) ? {0} : {1}",
     "min": "({0} <= {1} || {0} != {0}) ? {0} : {1}",
     "ge": "({0} >= {1}) ? {one} : {zero}",
     "select": "({0} != {zero}) ? {1} : {2}",
 }
-_OF_MATH = ("sqrt", "exp", "log", "floor")
+_OF_MATH = ("sqrt", "exp", "log", "tanh", "floor")
 
 # with which compilers leave out the check of results
 _WITH_NAN = """#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__

@@ -34,6 +34,11 @@ def log(x: Value) -> Value:
     return apply("log", x)
 
 
+def tanh(x: Value) -> Value:
+    """Hyperbolic tangent."""
+    return apply("tanh", x)
+
+
 def floor(x: Value) -> Value:
     """Largest integer that is not greater."""
     return apply("floor", x)

@@ -161,6 +161,14 @@ OPS: Mapping[str, Operation] = {
         c="log_({0})",
         c_single="LIBRARY_LOG({0})",
     ),
+    "tanh": Operation(
+        cost="exponentials",
+        value=_own("tanh", math.tanh),
+        partials=(lambda g, y, x: g * (1.0 - y * y),),
+        c="tanh_({0})",
+        c_single="LIBRARY_TANH({0})",
+        mirror=Mirror("tanh", negative=True),
+    ),
     "floor": Operation(
         cost="comparisons",
         value=_own("floor", lambda x: float(math.floor(x)) if math.isfinite(x) else x),

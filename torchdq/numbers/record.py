@@ -155,7 +155,7 @@ _ARITHMETIC: dict[str, Callable[[Any, Any], Any]] = {
     "divide": operator.truediv,
 }
 FUNCTIONS = "use the functions of torchdq.numbers.functions: " + ", ".join(
-    ("sqrt", "sin", "cos", "exp", "log", "floor", "absolute", "maximum", "minimum", "clip")
+    ("sqrt", "sin", "cos", "exp", "log", "tanh", "floor", "absolute", "maximum", "minimum", "clip")
 )
 _REFUSED = {
     "be tested for truth": (

@@ -1,0 +1,236 @@
+"""Policies that are recorded with the steps of a rollout: torques as formulas of rows, whose tensors are arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchdq.algebra.quaternion import Number
+from torchdq.base.checks import require_tensor
+from torchdq.dynamics.posed import Row
+from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import below, exp, maximum, minimum, select, sqrt, tanh
+from torchdq.scene.state import State
+
+__all__ = ["Linear", "Network"]
+
+ORDER = ("q", "qd", "memory", "reading")  # of the rows of a state, as in a `Linearization` of a fixed base
+STEPPED = ("gain of the policy", "torque of the policy", "state of the policy")
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Policy of gains that differ from step to step: tau_k = torque_k + gain_k (s_k - state_k).
+
+    The numbers of s are (q, qd), then memory and reading where a scene has them, as in a `Linearization`; the base is
+    fixed. Called as `policy(state, k)` it returns the torques of step k.
+
+    Args:
+        gain: gains K, shape [steps, ..., n, s].
+        torque: torques where the state is the expected one [N m or N], shape [steps, ..., n].
+        state: expected states, shape [steps, ..., s].
+
+    >>> import torch, torchdq
+    >>> from torchdq.envs import policies
+    >>> scene = torchdq.Scene(torchdq.robots.load("two_link"))
+    >>> hold = policies.Linear(-torch.ones(50, 2, 4), torch.zeros(50, 2), torch.zeros(50, 4))
+    >>> scene.rollout(scene.start(torch.ones(3, 2)), policy=hold).q.shape
+    torch.Size([50, 3, 2])
+    """
+
+    gain: Tensor
+    torque: Tensor
+    state: Tensor
+
+    def __post_init__(self) -> None:
+        for name, axes in {"gain": 3, "torque": 2, "state": 2}.items():
+            require_tensor(name, x := getattr(self, name))
+            if x.ndim < axes:
+                shape = "[steps, ..., n, s]" if axes == 3 else "[steps, ...]"
+                raise ArgumentError(f"{name} of Linear must have the shape {shape}, found {tuple(x.shape)}")
+
+    def __call__(self, state: State, k: int) -> Tensor:
+        """Torques of step k, shape [..., n]."""
+        return self.at(state.rows(), k)
+
+    def at(self, rows: Mapping[str, Tensor], k: int) -> Tensor:
+        """Torques of step k, of rows of the state and inputs by name."""
+        s = torch.cat([rows[name] for name in ORDER if name in rows], -1)
+        return self.torque[k] + (self.gain[k] @ (s - self.state[k])[..., None])[..., 0]
+
+    @property
+    def form(self) -> LinearForm:
+        """Formula, without the tensors."""
+        return LinearForm()
+
+    def stepped(self) -> dict[str, Tensor]:
+        """Tensors of every step, by the names of their arguments."""
+        return dict(zip(STEPPED, (self.gain, self.torque, self.state), strict=True))
+
+    def weights(self) -> dict[str, Tensor]:
+        """Tensors that are the same at all steps: none."""
+        return {}
+
+
+@dataclass(frozen=True)
+class LinearForm:
+    """Formula of `Linear`."""
+
+    def axes(self, n: int, widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+        """Trailing axes of the tensors, by name, of states with these widths."""
+        s = sum([widths[name] for name in ORDER if name in widths])
+        return dict(zip(STEPPED, ((n, s), (n,), (s,)), strict=True))
+
+    def torques(self, rows: Mapping[str, Row], weights: Mapping[str, Row]) -> Row:
+        """Torques of rows of the state."""
+        gain, torque, state = (rows[name] for name in STEPPED)
+        s = [x for name in ORDER for x in rows.get(name, ())]
+        error = [a - b for a, b in zip(s, state, strict=True)]
+        return [t + _dot(gain[i * len(s) : (i + 1) * len(s)], error) for i, t in enumerate(torque)]
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Policy that is a network of rows of the state and the inputs; its weights get gradients.
+
+    Called as `policy(state, k)` it returns the torques of a state, without the inputs of a step.
+
+    Args:
+        network: `torch.nn.Sequential` of Linear, Tanh, ReLU, ELU and LayerNorm; it takes the rows, joined, and returns
+            torques [..., n].
+        inputs: names of rows of the state, as in `State`, and of inputs of a step.
+
+    >>> import torch, torchdq
+    >>> from torchdq.envs import policies
+    >>> scene = torchdq.Scene(torchdq.robots.load("two_link"))
+    >>> layers = torch.nn.Linear(4, 16), torch.nn.Tanh(), torch.nn.Linear(16, 2)
+    >>> policy = policies.Network(torch.nn.Sequential(*layers))
+    >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=policy).q.square().mean().backward()
+    >>> layers[0].weight.grad.shape
+    torch.Size([16, 4])
+    """
+
+    network: nn.Sequential
+    inputs: Sequence[str] = ("q", "qd")
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.network, nn.Sequential):
+            raise ArgumentError(f"network must be a torch.nn.Sequential, found {type(self.network).__name__}")
+        if isinstance(self.inputs, str) or not all(isinstance(name, str) for name in self.inputs):
+            raise ArgumentError(f"inputs must be names of rows, such as ('q', 'qd'), found {self.inputs!r}")
+        _ = self.form  # raises
+
+    def __call__(self, state: State, k: int) -> Tensor:
+        """Torques of a state, shape [..., n]."""
+        return self.at(state.rows(), k)
+
+    def at(self, rows: Mapping[str, Tensor], k: int) -> Tensor:
+        """Torques of rows of the state and inputs by name."""
+        for name in self.inputs:
+            if name not in rows:
+                raise ArgumentError(f"inputs of Network must be among {', '.join(rows)}, found {name!r}")
+        x = torch.cat([rows[name] for name in self.inputs], -1)
+        return torch.func.functional_call(self.network, {k: w.to(x.dtype) for k, w in self.weights().items()}, (x,))
+
+    @property
+    def form(self) -> NetworkForm:
+        """Formula, without the tensors."""
+        layers = []
+        for name, layer in self.network.named_modules(remove_duplicate=False):
+            if type(layer) in FORMULAS:
+                axes = {key: tuple(x.shape) for key, x in layer.named_parameters()}
+                number = getattr(layer, NUMBERS.get(type(layer), ""), 0.0)
+                layers.append(Layer(type(layer), name, tuple(axes.items()), number))
+            elif not isinstance(layer, nn.Sequential):
+                known = ", ".join(kind.__name__ for kind in FORMULAS)
+                raise ArgumentError(
+                    f"layers of Network must be {known}, found {type(layer).__name__}; a function of the state and the "
+                    f"number of the step may be anything, policy=lambda state, k: ..., and is called at every step"
+                )
+        return NetworkForm(tuple(self.inputs), tuple(layers))
+
+    def recorded(self, row: Row, weights: Mapping[str, Row]) -> Row:
+        """Outputs for a row of numbers of any kind, with the rows of the weights by name."""
+        return self.form.recorded(row, weights)
+
+    def stepped(self) -> dict[str, Tensor]:
+        """Tensors of every step: none."""
+        return {}
+
+    def weights(self) -> dict[str, Tensor]:
+        """Weights by name, as `named_parameters` has them."""
+        return dict(self.network.named_parameters(remove_duplicate=False))
+
+
+@dataclass(frozen=True)
+class NetworkForm:
+    """Formula of `Network`."""
+
+    inputs: tuple[str, ...]
+    layers: tuple[Layer, ...]
+
+    def axes(self, n: int, widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+        """Trailing axes of the weights, by name."""
+        return {f"{layer.name}.{name}": axes for layer in self.layers for name, axes in layer.axes}
+
+    def torques(self, rows: Mapping[str, Row], weights: Mapping[str, Row]) -> Row:
+        """Torques of rows of the state and inputs."""
+        return self.recorded([x for name in self.inputs for x in rows[name]], weights)
+
+    def recorded(self, row: Row, weights: Mapping[str, Row]) -> Row:
+        """Outputs for a row of numbers."""
+        for layer in self.layers:
+            own = {name: weights[f"{layer.name}.{name}"] for name, _ in layer.axes}
+            if layer.takes not in (None, len(row)):
+                raise ArgumentError(
+                    f"layer {layer.name!r} of Network takes {layer.takes} numbers, found {len(row)}, of {self.inputs}"
+                )
+            row = FORMULAS[layer.kind](row, layer.number, **own)
+        return row
+
+
+class Layer(NamedTuple):
+    """Layer of a network."""
+
+    kind: type[nn.Module]
+    name: str
+    axes: tuple[tuple[str, tuple[int, ...]], ...]  # of its weights
+    number: float  # alpha of ELU, eps of LayerNorm
+
+    @property
+    def takes(self) -> int | None:
+        """Number of its inputs; None: any."""
+        return self.axes[0][1][-1] if self.axes else None
+
+
+def _affine(x: Row, _: float, weight: Row, bias: Row = ()) -> Row:
+    rows = [weight[k : k + len(x)] for k in range(0, len(weight), len(x))]
+    found = [_dot(row, x) for row in rows]
+    return [y + b for y, b in zip(found, bias, strict=True)] if bias else found
+
+
+def _normalised(x: Row, eps: float, weight: Row = (), bias: Row = ()) -> Row:
+    mean = sum(x, 0.0) / len(x)
+    centred = [v - mean for v in x]
+    scale = 1.0 / sqrt(_dot(centred, centred) / len(x) + eps)
+    found = [v * scale for v in centred]
+    found = [y * w for y, w in zip(found, weight, strict=True)] if weight else found
+    return [y + b for y, b in zip(found, bias, strict=True)] if bias else found
+
+
+FORMULAS: dict[type[nn.Module], Callable[..., Row]] = {
+    nn.Linear: _affine,
+    nn.Tanh: lambda x, _: [tanh(v) for v in x],
+    nn.ReLU: lambda x, _: [maximum(0.0, v) for v in x],
+    nn.ELU: lambda x, alpha: [select(below(v, 0.0), alpha * (exp(minimum(v, 0.0)) - 1.0), v) for v in x],
+    nn.LayerNorm: _normalised,
+}
+NUMBERS: dict[type[nn.Module], str] = {nn.ELU: "alpha", nn.LayerNorm: "eps"}
+
+
+def _dot(a: Row, b: Row) -> Number:
+    return sum([x * y for x, y in zip(a, b, strict=True)], 0.0)
