@@ -32,7 +32,7 @@ from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
 from torchdq.scene.free_base import POSE, TWIST, displacement, rate_of
 from torchdq.scene.integrators import Integrator, Repeated
-from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
+from torchdq.scene.spec import POLICY, Formula, Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 
 MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
 
@@ -201,6 +201,7 @@ class _StageFields(NamedTuple):
     spec: SceneSpec
     stage: str  # one of STAGES
     task: Task | None = None
+    policy: Formula | None = None  # of a step, which adds its torques to those given
     # names of inputs and parameters: the results are then the state "after" [s], in the order of a linearization, its
     # derivatives "A" [t, t] in the state, and those in each of these, by its name; or the one "A" [t, 1] along an input
     # "direction" [t + n], a displacement of state and torque
@@ -213,6 +214,9 @@ class Stage(_StageFields, Computation):
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an input or a parameter."""
         owned = owner_of(name)
+        if self.policy is not None and (own := self.policy.axes(self.spec.robot.n, self.spec.state)):
+            if name in own or (owned is not None and owned[0] == POLICY):
+                return own[name if owned is None else owned[1]]
         if owned is not None:
             owner, parameter = owned
             return trailing(self.spec.shapes(owner)[parameter], self.spec.robot.sizes)
@@ -303,6 +307,8 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
             given = {a.name: row for a, owner, row in zip(arguments, owners, rows, strict=True) if not owner}
             inputs = Named("input of the scene", given)
             tensors = {owner: row for owner, row in zip(owners, rows, strict=True) if owner}
+            if what.policy is not None:
+                inputs["torque"] = _commanded(what, inputs, tensors)
             return STAGES[what.stage](recorded(spec, linear, inputs, tensors, per_sample), what.task)
 
         return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
@@ -314,6 +320,15 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     about = [*[f"effect {k}: {part(effect)}" for k, effect in acting], *lines(spec.effects, n)]
     about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]
     return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *about))
+
+
+def _commanded(what: Stage, given: Rows, tensors: Mapping[tuple[int, str], Row]) -> Row:
+    """Torques of a policy, with those given."""
+    n, weights = what.spec.robot.n, {name: row for (owner, name), row in tensors.items() if owner == POLICY}
+    found = what.policy.torques(given, weights) if what.policy is not None else ()
+    if len(found) != n:
+        raise ArgumentError(f"policy must return {n} torques, found {len(found)}")
+    return [a + b for a, b in zip(given["torque"], found, strict=True)] if "torque" in given else found
 
 
 @remembered(PROGRAMS)

@@ -32,7 +32,7 @@ Memory = dict[int, Row]  # remembered values of each effect, by its position
 E = TypeVar("E", bound=Effect)
 
 ORDER = ("X_WB", "q", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state in a linearization
-ROBOT, CONTROLLER = -2, -1  # owners of tensors; an effect owns its tensors by its position
+POLICY, ROBOT, CONTROLLER = -3, -2, -1  # owners of tensors; an effect owns its tensors by its position
 
 
 class Task(Protocol):
@@ -43,6 +43,16 @@ class Task(Protocol):
 
     def rows(self, view: View) -> Rows:
         """Rows of numbers, by name."""
+
+
+class Formula(Protocol):
+    """Torques of a policy, computed from the state before a step; hashable, since programs depend on it."""
+
+    def axes(self, n: int, widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+        """Trailing axes of its tensors by name, of states with these widths."""
+
+    def torques(self, rows: Mapping[str, Row], weights: Mapping[str, Row]) -> Row:
+        """Torques, of rows of the state and inputs, and of its tensors."""
 
 
 @dataclass(frozen=True)
