@@ -73,26 +73,26 @@ def repeat(
         key = (what, steps, len(carried), constant, tuple(total), ends, backend, present(), *tensors, *looks)
         layout = _layouts.get(key)
         if layout is None:
-            names = tuple(name for name, once in zip(stepped, constant, strict=True) if not once)
+            names = tuple(name for name, same in zip(stepped, constant, strict=True) if not same)
             layout = _layouts[key] = _layout(
-                what, steps, _once(steps, tensors, stepped), carried, names, total, ends, backend
+                what, steps, once(steps, tensors, stepped), carried, names, total, ends, backend
             )
         given = [*carried.values()]
-        for x, once in zip(stepped.values(), constant, strict=True):
-            given.append(x[0] if once else _aligned(x, layout.rows[len(given)].expanded))
+        for x, same in zip(stepped.values(), constant, strict=True):
+            given.append(x[0] if same else aligned(x, layout.rows[len(given)].expanded))
         given += fixed.values()
         like = given[0]
         given = [x if shape is None else x.reshape(shape) for x, shape in zip(given, layout.whole, strict=True)]
         rows = [row_of(x, like.dtype, like.device, a) for x, a in zip(given, layout.rows, strict=True)]
     except (AttributeError, RuntimeError):
-        batch_of(what, _once(steps, tensors, stepped))  # raises, naming an argument that is not a dense tensor
+        batch_of(what, once(steps, tensors, stepped))  # raises, naming an argument that is not a dense tensor
         raise
     found = _guarded(layout, rows, steps)
     shaped = [y if y.shape == shape else y.view(shape) for y, shape in zip(found, layout.shapes, strict=True)]
     return dict(zip(layout.names, shaped, strict=True))
 
 
-def _aligned(x: Tensor, whole: Shape | None) -> Tensor:
+def aligned(x: Tensor, whole: Shape | None) -> Tensor:
     """Rows of every step with all batch axes behind the steps, as rows of one step would broadcast."""
     missing = 0 if whole is None else len(whole) - x.ndim
     return x.view(len(x), *[1] * missing, *x.shape[1:]) if missing > 0 else x
@@ -136,7 +136,7 @@ class Looping(NamedTuple):
         return self.backend.loop(loop, like.dtype, like.device)(inputs, samples, steps)
 
 
-def _once(steps: int, tensors: Mapping[str, Tensor], stepped: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def once(steps: int, tensors: Mapping[str, Tensor], stepped: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Arguments of one step."""
     return {
         name: (x[0] if steps else x.new_empty(x.shape[1:])) if name in stepped else x for name, x in tensors.items()

@@ -49,7 +49,8 @@ class _Differentiable(torch.autograd.Function):
     @staticmethod
     def backward(ctx, *cotangents: Tensor):
         loop, count = ctx.loop, len(ctx.loop.body.arguments)
-        inputs, kept = ctx.saved_tensors[: len(loop.arguments)], ctx.saved_tensors[len(loop.arguments) :]
+        saved = ctx.saved_tensors  # read once, as torch's checkpoints ask for
+        inputs, kept = saved[: len(loop.arguments)], saved[len(loop.arguments) :]
         needed, carried = ctx.needs_input_grad[4:], dict(loop.carried)
         added = dict(zip(loop.added, range(count, len(inputs)), strict=True))
         derivative = adjoint(loop, tuple([k for k in range(count) if needed[k] and k not in carried]))

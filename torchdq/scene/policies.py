@@ -128,13 +128,14 @@ class Network:
         """Torques of a state, shape [..., n]."""
         return self.at(state.rows(), k)
 
-    def at(self, rows: Mapping[str, Tensor], k: int) -> Tensor:
-        """Torques of rows of the state and inputs by name."""
+    def at(self, rows: Mapping[str, Tensor], k: int, weights: Mapping[str, Tensor] | None = None) -> Tensor:
+        """Torques of rows of the state and inputs by name, with other weights if they are given."""
         for name in self.inputs:
             if name not in rows:
                 raise ArgumentError(f"inputs of Network must be among {', '.join(rows)}, found {name!r}")
         x = torch.cat([rows[name] for name in self.inputs], -1)
-        return torch.func.functional_call(self.network, {k: w.to(x.dtype) for k, w in self.weights().items()}, (x,))
+        own = {name: w.to(x.dtype) for name, w in (weights or self.weights()).items()}
+        return torch.func.functional_call(self.network, own, (x,), tie_weights=False)
 
     @property
     def form(self) -> NetworkForm:

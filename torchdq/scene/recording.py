@@ -214,9 +214,9 @@ class Stage(_StageFields, Computation):
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an input or a parameter."""
         owned = owner_of(name)
-        if self.policy is not None and (own := self.policy.axes(self.spec.robot.n, self.spec.state)):
-            if name in own or (owned is not None and owned[0] == POLICY):
-                return own[name if owned is None else owned[1]]
+        own = {} if self.policy is None else self.policy.axes(self.spec.robot.n, self.spec.state)
+        if name in own or (owned is not None and owned[0] == POLICY):
+            return own[name if owned is None else owned[1]]
         if owned is not None:
             owner, parameter = owned
             return trailing(self.spec.shapes(owner)[parameter], self.spec.robot.sizes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
 from typing import Any, Literal, NamedTuple, get_args
@@ -14,17 +14,17 @@ import torch
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint as checkpointed
 
-from torchdq.backends.loop_call import repeat, repeatable
 from torchdq.base.checks import require_choice, require_count, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
-from torchdq.robot.robot import constants
-from torchdq.scene.integrators import Unrecorded
+from torchdq.scene.loops import Plan, looped, loops
 from torchdq.scene.model import SceneModel
-from torchdq.scene.recording import Stage
+from torchdq.scene.policies import Linear, Network
+from torchdq.scene.spec import Task
 from torchdq.scene.state import State, initial_motion, nonfinite_rows, require_state
 
+CARRY = "carry"  # row of a task that is its input at the next step
 LONG = 50  # steps from which a rollout reports its progress
 LONG_LOOP = 1_000_000  # steps of joints from which a loop does, since a thread takes as long as a short rollout
 Policy = Callable[[State, int], Tensor]
@@ -41,9 +41,14 @@ def rollout(
     done: Done | None = None,
     checkpoint: int = 0,
     nonfinite: Nonfinite = "warn",
+    task: Task | None = None,
+    total: Sequence[str] = (),
+    ends: bool = False,
     **inputs: Tensor | None,
-) -> State:
+) -> Any:
     """States after each of a number of steps, shape [steps, ...]; `last` of it is where another rollout goes on.
+
+    With a task, a pair: states, and the task's rows [steps, ...] by name, such as its reward.
 
     Args:
         state: initial state; it is not part of the result.
@@ -51,99 +56,120 @@ def rollout(
         steps: number of steps; None: as many as there are torques.
         policy: function `policy(state, k)` of the state and the number of the step, from 0, that returns the torques
             of this step, shape [..., n], instead of `torque`; a module, for instance. Where there are sensors it should
-            look at `state.measured`.
+            look at `state.measured`. One of `torchdq.envs.policies` is recorded with the steps, which is faster, and
+            adds to `torque`.
         done: function `done(state)` that is True, shape [...], for rows that have ended: they keep this state to the
             end of the rollout, and their gradient is that of the steps they took. None: no row ends.
         checkpoint: for the gradient, one state in so many is kept, and the others are computed again; 0 keeps the
             inputs of every step. `policy` and `done` are then called again, and must remember nothing: no filter,
             counter or batch norm. Without effect under torch.compile and inside of transforms of `torch.func`.
         nonfinite: "warn": warn if rows are not finite at the start, or no longer at the end; "ignore": do not.
-        inputs: as in `step`, shape [steps, ...].
+        task: rows of numbers that are recorded with a step, as those of environments; see `torchdq.envs.tasks`.
+        total: names of rows of the task of which the sum over the steps is returned, shape [...].
+        ends: whether only the last state is returned, shape [...]; with `checkpoint`, the gradient keeps no other.
+        inputs: as in `step`, shape [steps, ...], and those of the task; its "carry" is given as it is before the first
+            step, shape [..., k].
 
     >>> import torch, torchdq
     >>> scene = torchdq.Scene(torchdq.robots.load("two_link"))
     >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s, k: -4 * s.q - s.qd).q.shape
     torch.Size([50, 3, 2])
     """
-    scene.spec.require_inputs(name for name in inputs if name != "noise")
+    scene.spec.require_inputs((name for name in inputs if name != "noise"), task)
     series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
     require_state(state)
     require_choice("nonfinite", nonfinite, get_args(Nonfinite))
     _require_function("policy", policy, "state, k")
     _require_function("done", done, "state")
-    total = _length(series, steps, policy)
+    own = policy.stepped() if isinstance(policy, Linear | Network) else {}
+    count = _length({**{name: x for name, x in series.items() if name != CARRY}, **own}, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
-    if policy is None and done is None and loops(scene, state):
-        states = _looped(scene, state, series, total)
+    plan = Plan(policy if isinstance(policy, Linear | Network) else None, task, tuple(total), ends)
+    if (policy is None or plan.policy is not None) and done is None and loops(scene, state):
+        states, rows = _by_loop(scene, state, series, count, plan, checkpoint)
     else:
-        states = _stepped(scene, state, series, total, {"policy": policy, "done": done}, checkpoint)
-    if nonfinite == "warn" and total and not without_values((state.q,)):
-        _warn(scene, state, states)
-    return states
+        states, rows = _by_steps(scene, state, series, count, plan, {"policy": policy, "done": done}, checkpoint)
+    for name in total:
+        if name not in rows:
+            raise ArgumentError(f"total must name rows of the task, {', '.join(rows) or 'none'}, found {name!r}")
+    if nonfinite == "warn" and count and not without_values((state.q,)):
+        _warn(scene, state, states, ends)
+    return states if task is None else (states, rows)
 
 
-def loops(scene: SceneModel, state: State) -> bool:
-    """Whether steps of a scene are one loop: recorded ones, of plain tensors, by a backend that compiles."""
-    q = state.q
-    return not (
-        isinstance(scene.integrator, Unrecorded)
-        or scene.computed
-        or (scene.precision == "double" and q.dtype == torch.float32)
-        or not repeatable(q, scene.backend)
-    )
-
-
-def _looped(scene: SceneModel, state: State, series: Mapping[str, Tensor], steps: int) -> State:
-    """States after each step, by one call."""
-    constants(scene.robot)  # raises if they were changed in place
-    if scene.noises and "noise" not in series:
-        series = {**series, "noise": scene.random(state.q, steps)}
-    what, carried = Stage(scene.spec, "step"), state.rows()
+def _by_loop(
+    scene: SceneModel, state: State, series: Mapping[str, Tensor], steps: int, plan: Plan, checkpoint: int
+) -> tuple[State, dict[str, Tensor]]:
+    """States after each step, and the task's rows, by one call."""
+    start, series = state.rows(), {**series}
+    if CARRY in series:
+        start[CARRY] = series.pop(CARRY)
     with Progress(f"rollout of {steps} steps") if steps * state.q.numel() > LONG_LOOP else nullcontext():
-        found = repeat(what, steps, carried, series, scene.parameters, backend=scene.backend)
-    return State(**{name: x[1:] for name, x in found.items()})
+        found = looped(scene, start, series, steps, plan, checkpoint)
+    rows = {name: x[1:] if name in start and not plan.ends else x for name, x in found.items()}
+    return State(**{name: rows.pop(name) for name in state.rows()}), rows
 
 
-def _stepped(
+def _by_steps(
     scene: SceneModel,
     state: State,
     series: Mapping[str, Tensor],
     steps: int,
+    plan: Plan,
     functions: Mapping[str, Callable[..., Tensor] | None],
     checkpoint: int,
-) -> State:
-    """States after each step, by so many calls; for the gradient, one in `checkpoint` is kept."""
+) -> tuple[State, dict[str, Tensor]]:
+    """States after each step, and the task's rows, by so many calls; of `checkpoint` states, the gradient keeps one."""
     unseen = without_values((state.q,))
     again = bool(checkpoint) and torch.is_grad_enabled() and not (unseen or state.q.is_inference())
     asked = {name: _Asked(name, x, again, {}) for name, x in functions.items() if x is not None}
     idle = _finite(scene, state) if "done" in asked else state
-    follow, notice = _Steps(scene, series, asked, idle), Progress(f"rollout of {steps} steps")
+    carry, series = series.get(CARRY), {name: x for name, x in series.items() if name != CARRY}
+    follow, notice = _Steps(scene, series, plan, asked, idle), Progress(f"rollout of {steps} steps")
     read = _tensors_read(scene, series, asked) if again else []
 
-    def part(first: int, last: int, *tensors: Tensor | None) -> list[State]:
+    def part(first: int, last: int, carry: Tensor | None, *tensors: Tensor | None) -> list[_After]:
         found, state = [], State._make(tensors[: len(State._fields)])
         for k in range(first, last):
             notice.at(f"step {k + 1} of {steps}")
-            state = follow.after(k, state)
-            found.append(state)
+            state, rows = follow.after(k, state, carry)
+            carry = None if carry is None else rows[CARRY]
+            found.append((state, rows))
         return found
 
     # torch refuses the gradient if an argument of what it runs again was changed in place since
     run = partial(checkpointed, part, use_reentrant=False) if again else part
     stride, end = checkpoint or max(steps, 1), state
-    found: list[State] = []
+    found: list[_After] = []
     with notice if steps >= LONG and not unseen else nullcontext():
         for first in range(0, steps, stride):
-            found += run(first, min(first + stride, steps), *end, *read)
-            end = found[-1]
+            found += run(first, min(first + stride, steps), carry, *end, *read)
+            end, rows = found[-1]
+            carry = None if carry is None else rows[CARRY]
+    return _joined(found, state, plan)
+
+
+_After = tuple[State, dict[str, Tensor]]  # state after a step, and rows of the task
+
+
+def _joined(found: Sequence[_After], start: State, plan: Plan) -> _After:
+    """States and rows of all steps."""
     if not found:
-        return State._make(None if x is None else x[None][:0] for x in end)
-    return State._make(None if rows[0] is None else torch.stack(rows) for rows in zip(*found, strict=True))
+        return State._make(None if x is None else x[None][:0] for x in start), {}
+    parts = zip(*[state for state, _ in found], strict=True)
+    states = State._make(None if x[0] is None else torch.stack(x) for x in parts)
+    rows = {name: [rows[name] for _, rows in found] for name in found[-1][1]}
+    joined = {
+        name: sum(x[1:], x[0]) if name in plan.total else x[-1] if plan.ends and name == CARRY else torch.stack(x)
+        for name, x in rows.items()
+    }
+    return states.last if plan.ends else states, joined
 
 
 @torch.no_grad()
-def _warn(scene: SceneModel, start: State, states: State) -> None:
+def _warn(scene: SceneModel, start: State, states: State, ends: bool) -> None:
     """Warn of rows that are not finite at the start, and of those that are no longer so at the end."""
+    states = State._make(None if x is None else x[None] for x in states) if ends else states
     if math.isfinite(sum([x[-1].sum().item() for x in states.rows().values()])):
         return  # what is not finite remains so
     if message := nonfinite_rows(start, scene.robot):
@@ -151,8 +177,9 @@ def _warn(scene: SceneModel, start: State, states: State) -> None:
     lost = start.finite() & ~states.finite()
     if rows := int(lost[-1].sum()):
         total, step = len(lost), 1 + int(lost.flatten(1).any(1).int().argmax())
+        first = "" if ends else f", the first at step {step} of {total}"
         warnings.warn(
-            f"{rows} of {lost[-1].numel()} rows left the finite range, the first at step {step} of {total}; "
+            f"{rows} of {lost[-1].numel()} rows left the finite range{first}; "
             f"scene.check(state, seconds) finds a step or an integrator that is stable",
             stacklevel=4,
         )
@@ -166,7 +193,7 @@ def _length(series: Mapping[str, Tensor], steps: int | None, policy: Policy | No
         require_tensor(name, x)
         if x.ndim < 2:
             raise ArgumentError(f"{name} must have the shape [steps, ...], found {tuple(x.shape)}")
-    if policy is not None and "torque" in series:
+    if policy is not None and not isinstance(policy, Linear | Network) and "torque" in series:
         raise ArgumentError("torque and policy exclude each other; add the torques in the policy")
     lengths = {name: len(x) for name, x in series.items()}
     total = steps if steps is not None else next(iter(lengths.values()), None)
@@ -198,6 +225,8 @@ def _require_function(name: str, x: Any, arguments: str) -> None:
 def _tensors_read(scene: SceneModel, series: Mapping[str, Tensor], asked: Mapping[str, _Asked]) -> list[Tensor]:
     """Tensors that the steps read, beside the state: of the scene, of the inputs, and of modules and functions."""
     parts = [*(x.function for x in asked.values()), *(x for effect in scene.effects for x in vars(effect).values())]
+    recorded = [part for part in parts if isinstance(part, Linear | Network)]
+    parts += [x for part in recorded for x in (*part.stepped().values(), *part.weights().values())]
     for closed in [inspect.getclosurevars(part) for part in parts if inspect.isfunction(part)]:
         parts += [*closed.nonlocals.values(), *closed.globals.values()]
     found = [*scene.parameters.values(), *series.values(), *(part for part in parts if isinstance(part, Tensor))]
@@ -248,13 +277,14 @@ class _Steps(NamedTuple):
 
     scene: SceneModel
     series: Mapping[str, Tensor]
+    plan: Plan
     asked: Mapping[str, _Asked]
     idle: State  # state from which rows that have ended are stepped
 
-    def after(self, k: int, state: State) -> State:
-        """State after step k of the rows that have not ended."""
+    def after(self, k: int, state: State, carry: Tensor | None) -> _After:
+        """State after step k of the rows that have not ended, and the task's rows, which are zero where they have."""
         if "done" not in self.asked:
-            return self._stepped(k, state)
+            return self._stepped(k, state, carry)
         with torch.no_grad():
             ended = self.asked["done"].at(k, state)
         shape = state.q.shape[:-1]
@@ -262,18 +292,27 @@ class _Steps(NamedTuple):
             raise ArgumentError(f"done must return a tensor of bool of shape {tuple(shape)}, found {_kind(ended)}")
         # a row that has ended is stepped from its start, or a finite state instead, and that step is left out: where it
         # ended the gradient may not be finite, and zero times that would be NaN in the parameters that all rows share
-        return _where(ended, state, self._stepped(k, _where(ended, self.idle, state)))
+        found, rows = self._stepped(k, _where(ended, self.idle, state), carry)
+        idle = {name: carry if name == CARRY and carry is not None else torch.zeros_like(x) for name, x in rows.items()}
+        masks = {name: ended.view(*shape, *[1] * (x.ndim - ended.ndim)) for name, x in rows.items()}
+        rows = {name: torch.where(masks[name], idle[name], x) for name, x in rows.items()}
+        return _where(ended, state, found), rows
 
-    def _stepped(self, k: int, state: State) -> State:
-        given = {name: x[k] for name, x in self.series.items()}
-        if "policy" in self.asked:
+    def _stepped(self, k: int, state: State, carry: Tensor | None) -> _After:
+        given = {} if carry is None else {CARRY: carry}
+        given |= {name: x[k] for name, x in self.series.items()}
+        noise = given.pop("noise", None)
+        if self.plan.policy is not None:
+            torque = self.plan.policy.at({**state.rows(), **given}, k)
+            given["torque"] = given["torque"] + torque if "torque" in given else torque
+        elif "policy" in self.asked:
             given["torque"] = torque = self.asked["policy"].at(k, state, k)
             n, dtype = self.scene.n, state.q.dtype
             if not isinstance(torque, Tensor) or torque.shape[-1:] != (n,) or torque.dtype != dtype:
                 raise ArgumentError(
                     f"policy must return torques, a tensor [..., {n}] of {dtype}, found {_kind(torque)}"
                 )
-        return self.scene.step(state, **given)
+        return self.scene.advance(state, given, noise, self.plan.task)
 
 
 def _where(rows: Tensor, a: State, b: State) -> State:
