@@ -20,7 +20,7 @@ from torch.autograd import gradcheck, gradgradcheck
 import torchdq
 from torchdq.backends import c_library as build
 from torchdq.backends import c_source
-from torchdq.numbers.functions import absolute, at_least, clip, exp, floor, log, maximum, minimum, select, sqrt
+from torchdq.numbers.functions import absolute, at_least, clip, exp, floor, log, maximum, minimum, select, sqrt, tanh
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, record, replay, results
 
@@ -36,7 +36,7 @@ def program(function, width: int, uniform: bool = False) -> Program:
     return record("f", [Argument("x", width, uniform)], lambda x: {"y": function(*x)})
 
 
-ONE = {f.__name__: program(lambda x, f=f: [f(x)], 1) for f in (sqrt, exp, log, floor)}
+ONE = {f.__name__: program(lambda x, f=f: [f(x)], 1) for f in (sqrt, exp, log, tanh, floor)}
 
 
 def column(p: Program, values, dtype=F64, backend=compiled) -> list[float]:
@@ -121,6 +121,7 @@ UNARY = {
     "sqrt": lambda a: sqrt(absolute(a)),
     "exp": lambda a: exp(minimum(a, 3.0)),
     "log": lambda a: log(1.0 + a * a),
+    "tanh": tanh,
     "floor": floor,
     "absolute": absolute,
     "clip": lambda a: clip(a, -1.0, 0.5),
@@ -177,18 +178,21 @@ def spread(name: str, dtype) -> torch.Tensor:
         gradual = (-745.1, -708.0) if double else (-103.9, -87.0)
         near = rng.normal(size=300) * 2.0 ** rng.uniform(-60, 0, 300)
         x = np.concatenate([rng.uniform(*ends, 2000), rng.uniform(*gradual, 300), rng.uniform(-1, 1, 1500), near])
+    elif name == "tanh":
+        near = rng.normal(size=500) * 2.0 ** rng.uniform(-60, 0, 500)
+        x = np.concatenate([rng.uniform(-1, 1, 2000), rng.uniform(-20, 20, 1000), near, everywhere[:200]])
     elif name == "log":
         near = 1 + rng.normal(size=500) * 2.0 ** rng.uniform(-50, -2, 500)
         x = np.concatenate([everywhere, rng.uniform(0.5, 2, 2000), near, 2.0 ** rng.uniform(low - 20, low, 300)])
     else:
         x = np.concatenate([everywhere, rng.uniform(0, 4, 500)])
     x = torch.from_numpy(x).to(dtype)
-    return x[x.isfinite() & ((x > 0) | (name == "exp"))]
+    return x[x.isfinite() & ((x > 0) | (name in ("exp", "tanh")))]
 
 
 @compiles
 @DTYPES
-@pytest.mark.parametrize(("name", "bound"), [("exp", 1.0), ("log", 1.0), ("sqrt", 0.5001)])
+@pytest.mark.parametrize(("name", "bound"), [("exp", 1.0), ("log", 1.0), ("tanh", 2.0), ("sqrt", 0.5001)])
 def test_functions_are_within_a_unit_in_the_last_place(name, bound, dtype):
     x = spread(name, dtype)
     found = np.array(column(ONE[name], x.tolist(), dtype), dtype=np.float64 if dtype is F64 else np.float32)
@@ -210,6 +214,7 @@ def test_special_values(dtype, backend):
         ("exp", [NAN, INF, -INF, 0.0, 1e4, -1e4, large, -large], [NAN, INF, 0.0, 1.0, INF, 0.0, INF, 0.0]),
         ("log", [NAN, INF, -INF, 0.0, -0.0, 1.0, -1.0, -tiny], [NAN, INF, NAN, -INF, -INF, 0.0, NAN, NAN]),
         ("sqrt", [NAN, INF, -INF, 0.0, 1.0, -1.0, 4.0], [NAN, INF, NAN, 0.0, 1.0, NAN, 2.0]),
+        ("tanh", [NAN, INF, -INF, 0.0, -0.0, large, -large, tiny], [NAN, 1.0, -1.0, 0.0, -0.0, 1.0, -1.0, tiny]),
         ("floor", [NAN, INF, -INF, 0.0, large, -large, -0.5, -tiny], [NAN, INF, -INF, 0.0, large, -large, -1.0, -1.0]),
     ]:
         assert same(column(ONE[name], x, dtype, backend), expected), name

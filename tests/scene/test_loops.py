@@ -1,0 +1,148 @@
+"""Rollouts as loops: to the bit what steps one after the other are, in states, rows of a task and gradients."""
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+from free_flyers import case, motion
+from helpers import random
+from scenes import ARM, equal, inputs_of, rich, uniform
+
+from torchdq.envs import Scene, effects
+from torchdq.scene.controllers import PD
+from torchdq.scene.integrators import RungeKutta4
+from torchdq.scene.loops import loops
+
+BACKEND = "auto"
+ROWS, STEPS = 5, 7
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Task: a reward of the state and the torque, an observation, and the last velocities, which it remembers."""
+
+    def inputs(self, n):
+        return {"goal": n, "carry": n}
+
+    def rows(self, view):
+        changes = [a - b for a, b in zip(view.qd, view.inputs["carry"], strict=True)]
+        error = [a - b for a, b in zip(view.q, view.inputs["goal"], strict=True)]
+        reward = sum([t * c + e * e for t, c, e in zip(view.torque, changes, error, strict=True)], 0.0)
+        return {"reward": [reward], "observation": [*view.reading, *error], "carry": view.qd}
+
+
+def flying():
+    """Scene of a floating base that touches the ground, and its state in motion."""
+    base = case("tree3")
+    m = motion(base, batch=ROWS)
+    acting = (effects.Gravity(), effects.Contact(height=0.3, stiffness=100.0, friction=0.5), effects.Noise(0.1, 0.2))
+    scene = Scene(base.robot, acting)
+    return scene, scene.start(m["q"], m["qd"], uniform(scene, ROWS), X_WB=m["X_WB"], V_WB_B=m["V_WB_B"])
+
+
+def standing(scene):
+    """Scene, and a state of it in motion."""
+    q = 0.3 * random(ROWS, scene.n)
+    return scene, scene.start(q, random(ROWS, scene.n, seed=1), uniform(scene, ROWS))
+
+
+masses = ARM.mass * torch.linspace(0.8, 1.2, ROWS, dtype=torch.float64)[:, None]
+SCENES = {
+    "effects of every slot": lambda: standing(rich(ARM)),
+    "a floating base with contact": flying,
+    "elastic joints": lambda: standing(Scene(ARM, (effects.Gravity(), effects.Elastic(50.0, 0.5, 0.1)))),
+    "friction with memory": lambda: standing(Scene(ARM, (effects.LuGre(0.2, 0.3),), PD(9.0, 3.0))),
+    "rows that differ": lambda: standing(
+        Scene(ARM.replace(mass=masses), (effects.Viscous(random(ROWS, 2).abs()),), integrator=RungeKutta4())
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_loops_are_steps_to_the_bit(name):
+    scene, start = SCENES[name]()
+    n = scene.n
+    assert loops(scene, start)
+    inputs = {"carry": random(ROWS, n), **inputs_of(scene, STEPS, ROWS), "goal": random(STEPS, ROWS, n, seed=8)}
+    inputs = {key: x.requires_grad_() for key, x in inputs.items()}
+    rows = {key: x.detach().requires_grad_() for key, x in start.rows().items()}
+    start, noise, task = type(start)(**rows), uniform(scene, STEPS, ROWS), Effort()
+
+    found, told = scene.rollout(start, noise=noise, task=task, nonfinite="ignore", **inputs)
+    state, carry, states, heard = start, inputs["carry"], [], []
+    for k in range(STEPS):
+        given = {"carry": carry, **{key: x[k] for key, x in inputs.items() if key != "carry"}}
+        state, more = scene.advance(state, given, noise[k], task)
+        carry = more["carry"]
+        states.append(state)
+        heard.append(more)
+    stacked = {key: torch.stack([getattr(x, key) for x in states]) for key in rows}
+    rewards = {key: torch.stack([x[key] for x in heard]) for key in heard[0]}
+    assert equal(found.rows().values(), stacked.values()) and equal(told.values(), rewards.values())
+
+    wrt = [*rows.values(), *inputs.values()]
+    weights = [random(*x.shape, seed=k) for k, x in enumerate((*stacked.values(), *rewards.values()))]
+
+    def gradients(values):
+        loss = sum((w * x).sum() for w, x in zip(weights, values, strict=True))
+        return [0 * x if g is None else g for x, g in zip(wrt, torch.autograd.grad(loss, wrt, allow_unused=True))]
+
+    pairs = zip(
+        gradients([*found.rows().values(), *told.values()]),
+        gradients([*stacked.values(), *rewards.values()]),
+        strict=True,
+    )
+    for a, b in pairs:
+        assert torch.equal(a, b)
+
+
+def test_torques_of_every_step_without_batch_axes_are_those_of_all_rows():
+    """Where there are as many steps as rows, too."""
+    scene, start = SCENES["elastic joints"]()
+    for steps in (ROWS, ROWS + 1):
+        torque = random(steps, 2)
+        found, state = scene.rollout(start, torque), start
+        for k in range(steps):
+            state = scene.step(state, torque[k])
+        assert torch.equal(found.last.q, state.q)
+
+
+def test_totals_and_ends_are_sums_and_the_last_state():
+    scene, start = SCENES["rows that differ"]()
+    given = {"task": Effort(), "carry": random(ROWS, 2), "goal": random(STEPS, 2), "torque": random(STEPS, ROWS, 2)}
+    states, rows = scene.rollout(start, **given)
+    ends, told = scene.rollout(start, **given, total=("reward",), ends=True)
+    assert equal(ends, states.last) and torch.equal(told["carry"], rows["carry"][-1])
+    assert torch.equal(told["observation"], rows["observation"])
+    assert (told["reward"] - rows["reward"].sum(0)).abs().max() <= 1e-14 * rows["reward"].abs().sum(0).max()
+    stepped, heard = scene.rollout(start, **given, total=("reward",), ends=True, done=lambda s: s.q[:, 0] > 99.0)
+    assert equal(stepped, ends) and equal(heard.values(), told.values())
+
+
+def test_rows_that_have_ended_have_no_reward():
+    scene, start = SCENES["rows that differ"]()
+    given = {"task": Effort(), "carry": random(ROWS, 2), "goal": random(STEPS, 2)}
+
+    def done(state):
+        return state.q[:, 0] > start.q[:, 0].median()
+
+    states, rows = scene.rollout(start, steps=STEPS, **given, done=done)
+    before = torch.cat([start.q[None], states.q])[:-1]
+    ended = before[..., 0] > start.q[:, 0].median()
+    assert ended[0].any() and not ended[-1].all()
+    assert not rows["reward"][ended].any() and rows["reward"][~ended].all()
+
+
+@pytest.mark.parametrize("checkpoint", [1, 3, 10])
+def test_states_computed_again_change_neither_totals_nor_gradients(checkpoint):
+    scene, start = standing(Scene(ARM, (effects.Gravity(), effects.FirstOrderLag(0.05), effects.Viscous(0.2))))
+    torque = random(STEPS, ROWS, 2).requires_grad_()
+    given = {"task": Effort(), "carry": random(ROWS, 2), "goal": random(STEPS, 2), "torque": torque, "ends": True}
+
+    def numbers(checkpoint):
+        state, rows = scene.rollout(start, **given, total=("reward",), checkpoint=checkpoint)
+        loss = rows["reward"].sum() + state.q.square().sum() + rows["observation"].sum()
+        return loss, *state.rows().values(), *rows.values(), *torch.autograd.grad(loss, torque)
+
+    for a, b in zip(numbers(checkpoint), numbers(0), strict=True):
+        assert (a - b).abs().max() <= 1e-13 * b.abs().max()
