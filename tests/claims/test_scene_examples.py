@@ -53,6 +53,12 @@ def test_arms_wipe_with_the_force_that_is_commanded_and_the_friction_of_the_tabl
     assert imread(tmp_path / "wipe.png")[..., :3].std() > 0.03
 
 
+def test_rollouts_of_which_the_cheap_ones_count_bring_a_tip_to_its_goal(capsys):
+    found = import_module("27_mppi").main(import_module("27_mppi").Args(samples=1024, ticks=60))
+    assert found.distance < 0.03 and found.tick > 0
+    assert "1024 rollouts of 30 steps" in capsys.readouterr().out
+
+
 def test_a_satellite_moves_the_other_way(tmp_path, capsys):
     main = import_module("12_satellite")
     turn, linear, angular = main.main(main.Args(duration=2.0, step=1e-2, out=tmp_path))

@@ -83,13 +83,14 @@ def test_loops_are_steps_to_the_bit(name):
     wrt = [*rows.values(), *inputs.values()]
     weights = [random(*x.shape, seed=k) for k, x in enumerate((*stacked.values(), *rewards.values()))]
 
-    def gradients(values):
+    def gradients_of(values):
         loss = sum((w * x).sum() for w, x in zip(weights, values, strict=True))
-        return [0 * x if g is None else g for x, g in zip(wrt, torch.autograd.grad(loss, wrt, allow_unused=True))]
+        gradients = torch.autograd.grad(loss, wrt, allow_unused=True)
+        return [0 * x if g is None else g for x, g in zip(wrt, gradients, strict=True)]
 
     pairs = zip(
-        gradients([*found.rows().values(), *told.values()]),
-        gradients([*stacked.values(), *rewards.values()]),
+        gradients_of([*found.rows().values(), *told.values()]),
+        gradients_of([*stacked.values(), *rewards.values()]),
         strict=True,
     )
     for a, b in pairs:
