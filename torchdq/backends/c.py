@@ -57,6 +57,7 @@ class COrTorch(C):
         return InterpretedLoop(loop) if failed(found) else found
 
 
+LARGEST_KEPT = 2**25 - 2**16  # bytes of a block below the 32 MiB from which glibc keeps none
 COMPILED, COMPILED_OR_EAGER = C(), COrTorch()
 
 
@@ -120,6 +121,8 @@ class CompiledLoop:
             code = loop_source(loop, dtype == torch.float32)
         self.function = c_library.load(code, loop.name, len(loop.arguments) + len(results), 3)
         self.operations = body.count().total
+        # glibc keeps freed memory up to twice the largest block that was freed; new pages cost more than the steps
+        empty_on_cpu((LARGEST_KEPT,), (1,), torch.uint8)
         self.summed = [r.summed for r in results]
         self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in loop.arguments]
         self.strides += [(len(r.values) * dtype.itemsize, r.summed) for r in results]
