@@ -18,7 +18,7 @@ import torchdq.envs
 import torchdq.learning
 import torchdq.nn
 from torchdq import effects
-from torchdq.scene import controllers, integrators
+from torchdq.scene import controllers, integrators, policies
 
 filelock = pytest.importorskip("filelock")
 pytest.importorskip("mkdocs")
@@ -133,6 +133,7 @@ def public():
         "torchdq.robots": torchdq.robots,
         "torchdq.scene.controllers": controllers,
         "torchdq.scene.integrators": integrators,
+        "torchdq.scene.policies": policies,
     }
     for module, of in whole.items():
         own = [name for name, x in vars(of).items() if getattr(x, "__module__", None) == of.__name__]
