@@ -64,7 +64,7 @@ def looped(
     if policy is not None:
         fixed = {**fixed, **{f"{POLICY}.{name}": x for name, x in policy.weights().items()}}
         series = {**series, **policy.stepped()}
-    what = Stage(scene.spec, "step", plan.task, None if policy is None else policy.form)
+    what = Stage(scene.spec, "step", plan.task, policy=None if policy is None else policy.form)
     rollout = _Rollout(what, tuple(start), tuple(series), tuple(fixed), plan, scene.backend)
     if torch.is_grad_enabled() and any([x.requires_grad for x in rollout.weights([*fixed.values()])]):
         batch = batch_of(what, once(steps, {**start, **series, **fixed}, series))

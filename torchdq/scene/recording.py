@@ -201,11 +201,11 @@ class _StageFields(NamedTuple):
     spec: SceneSpec
     stage: str  # one of STAGES
     task: Task | None = None
-    policy: Formula | None = None  # of a step, which adds its torques to those given
     # names of inputs and parameters: the results are then the state "after" [s], in the order of a linearization, its
     # derivatives "A" [t, t] in the state, and those in each of these, by its name; or the one "A" [t, 1] along an input
     # "direction" [t + n], a displacement of state and torque
     wrt: tuple[str, ...] | None = None
+    policy: Formula | None = None  # of a step, which adds its torques to those given
 
 
 class Stage(_StageFields, Computation):
