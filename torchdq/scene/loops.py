@@ -198,9 +198,10 @@ def _of_weights(
     torque: Tensor | None,
 ) -> Sequence[Tensor | None]:
     """Gradients of the weights of a network, of the gradient of the torques of all steps."""
-    if torque is None:
+    policy = rollout.plan.policy
+    if torque is None or policy is None:
         return [None] * len(weights)
-    policy, names = rollout.plan.policy, [name.partition(".")[2] for name in rollout.fixed[-len(weights) :]]
+    names = [name.partition(".")[2] for name in rollout.fixed[-len(weights) :]]
     rows = {name: x.detach()[:-1] for name, x in found.items() if name in rollout.carried}
     for name, x in zip(rollout.names, tensors, strict=True):
         if name in rollout.series:

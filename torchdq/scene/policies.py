@@ -57,8 +57,8 @@ class Linear:
         """Torques of step k, shape [..., n]."""
         return self.at(state.rows(), k)
 
-    def at(self, rows: Mapping[str, Tensor], k: int) -> Tensor:
-        """Torques of step k, of rows of the state and inputs by name."""
+    def at(self, rows: Mapping[str, Tensor], k: int, weights: Mapping[str, Tensor] | None = None) -> Tensor:
+        """Torques of step k, of rows of the state and inputs by name; there are no weights."""
         s = torch.cat([rows[name] for name in ORDER if name in rows], -1)
         return self.torque[k] + (self.gain[k] @ (s - self.state[k])[..., None])[..., 0]
 
