@@ -126,6 +126,7 @@ def public():
         "torchdq.functional": torchdq.functional,
         "torchdq.floating": torchdq.floating,
         "torchdq.envs": torchdq.envs,
+        "torchdq.scene.policies": policies,
     }
     names = [f"{module}.{name}" for module, of in modules.items() for name in of.__all__]
     names += [f"torchdq.{name}" for name in dir(torchdq)]
@@ -133,7 +134,6 @@ def public():
         "torchdq.robots": torchdq.robots,
         "torchdq.scene.controllers": controllers,
         "torchdq.scene.integrators": integrators,
-        "torchdq.scene.policies": policies,
     }
     for module, of in whole.items():
         own = [name for name, x in vars(of).items() if getattr(x, "__module__", None) == of.__name__]
