@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import is_number
+from torchdq.dynamics.posed import Row
 from torchdq.envs.rng import Streams
 from torchdq.envs.row_selection import SomeRows
 from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import at_least, select
 
-WIDTH = 7  # numbers of a push: its wrench, and the time at which it begins
+WIDTH = 7  # numbers of a push: its wrench, and the time at which it begins, or after which it does
 
 
 @dataclass(frozen=True)
@@ -43,11 +46,11 @@ class Pushes:
         if not (self.every[0] <= self.every[1] and self.duration > 0):
             raise ArgumentError(f"every of Pushes must be (shortest, longest), and duration above 0, found {self}")
 
-    def drawn(self, u: Tensor, time: Tensor) -> Tensor:
-        """Next push [k, 7] after a time [k], of random numbers [k, 7]."""
+    def drawn(self, u: Tensor) -> Tensor:
+        """Wrench and waiting time of a push [k, 7], of random numbers [k, 7]."""
         first, last = self.every
         wrench = [size * (2.0 * x - 1.0) for size, x in zip(self.wrench, u[:, :6].unbind(1), strict=True)]
-        return torch.stack([*wrench, time + first + (last - first) * u[:, 6]], 1)
+        return torch.stack([*wrench, first + (last - first) * u[:, 6]], 1)
 
     def at(
         self, time: Tensor, push: Tensor, streams: Streams, some: Callable[[Tensor], SomeRows]
@@ -55,6 +58,16 @@ class Pushes:
         """Wrench [N, 6] at a time [N], the next push [N, 7], drawn again where one is over, and the streams."""
         rows = some(time >= push[:, 6] + self.duration)
         u, after = streams.rows(rows).uniform(WIDTH, push.dtype)
-        push = rows.replaced(push, self.drawn(u, rows.of(time)))
+        drawn = self.drawn(u)
+        drawn[:, 6] += rows.of(time)
+        push = rows.replaced(push, drawn)
         acts = time >= push[:, 6]
         return torch.where(acts[:, None], push[:, :6], 0.0), push, streams.with_rows(rows, after)
+
+    def recorded(self, time: Number, push: Row, following: Row) -> tuple[Row, Row, Number]:
+        """Wrench, next push, and whether that is `following`, of recorded numbers."""
+        over = at_least(time, push[6] + self.duration)
+        taken = [*following[:6], following[6] + time]
+        push = [select(over, a, b) for a, b in zip(taken, push, strict=True)]
+        acts = at_least(time, push[6])
+        return [select(acts, x, 0.0) for x in push[:6]], push, over

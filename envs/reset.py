@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -26,6 +26,7 @@ from torchdq.scene.scene import Scene
 from torchdq.scene.spec import Task
 
 KEPT = ("observation", "reference", "carry")  # rows of a task that an environment keeps from step to step
+STARTS, NOISE, PUSHED = 0, 1, 2  # columns of the streams: of starts, noise of sensors, and pushes, one for each input
 
 
 @dataclass(eq=False)
@@ -58,7 +59,7 @@ class Reset:
         task, own, looks = self.checked.task, self.functions, not isinstance(rows, Masked)
         draws = [task.draws(self.robot), 0 if own is None else own.task.draws]
         widths = [*draws, *[r.width for r in self.randomised], *[WIDTH] * len(self.pushes), self.scene.noises]
-        u, streams = streams.uniform(sum(widths), dtype)
+        u, after = streams.column(STARTS).uniform(sum(widths), dtype)
         u, u_own, *drawn, noise = u.split(widths, 1)
         begun, drawn = drawn[len(self.randomised) :], drawn[: len(self.randomised)]
         for parameters, x in zip(self.randomised, drawn, strict=True):
@@ -69,9 +70,9 @@ class Reset:
         if own is not None:
             fresh.update(own.started(u_own, looks))
         steps = torch.zeros(len(u), dtype=torch.int32, device=u.device)
-        fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
+        fresh.update(streams.with_column(STARTS, after)._asdict(), steps=steps, finished=steps.to(torch.bool))
         for (name, pushes), x in zip(self.pushes.items(), begun, strict=True):
-            fresh[name] = pushes.drawn(x, x.new_zeros(len(x)))
+            fresh[name] = pushes.drawn(x)
         opening = _of_rows(self.opening, rows)
         given = task_inputs(task, fresh, opening)
         moved = {name: fresh[name] for name in self.scene.spec.moving}
@@ -94,7 +95,11 @@ class Reset:
         found = {name: torch.zeros(num_envs, wide, dtype=dtype, device=device) for name, wide in widths.items()}
         found["steps"] = torch.zeros(num_envs, dtype=torch.int32, device=device)
         found["finished"] = torch.zeros(num_envs, dtype=torch.bool, device=device)
-        return {**found, **seeded(seed, num_envs, device)._asdict()}
+        return {**found, **self.streams(seed, num_envs, device)._asdict()}
+
+    def streams(self, seed: int | Sequence[int], num_envs: int, device: torch.device) -> Streams:
+        """Streams of a seed, or of one for every row."""
+        return seeded(seed, num_envs, device).split(PUSHED + len(self.pushes))
 
 
 def task_inputs(

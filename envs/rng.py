@@ -2,7 +2,8 @@
 
 A stream is a key and a counter; word k of it is a hash of the key and k (the finaliser of SplitMix64: G. L. Steele,
 D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014). Only the counter changes
-between draws, so streams are saved, restored and drawn from in any subset of rows.
+between draws, so streams are saved, restored and drawn from in any subset of rows. An environment has a stream for each
+purpose, so that the numbers of a start do not depend on the steps before it, and can be drawn ahead.
 """
 
 from __future__ import annotations
@@ -31,6 +32,21 @@ class Streams(NamedTuple):
     key: Tensor  # [N] int64
     counter: Tensor  # [N] int64
 
+    def split(self, number: int) -> Streams:
+        """A number of other streams for each of these, in columns [N, number], from their beginnings."""
+        key = _mixed(self.key[:, None] + _signed(_SECOND) * torch.arange(1, number + 1, device=self.key.device))
+        return Streams(key, torch.zeros_like(key))
+
+    def column(self, k: int) -> Streams:
+        """One of several streams of every row."""
+        return Streams(self.key[:, k], self.counter[:, k])
+
+    def with_column(self, k: int, streams: Streams) -> Streams:
+        """The streams, one of every row replaced."""
+        columns = list(self.counter.unbind(1))
+        columns[k] = streams.counter
+        return self._replace(counter=torch.stack(columns, 1))
+
     def uniform(self, width: int, dtype: torch.dtype = torch.float32) -> tuple[Tensor, Streams]:
         """Numbers in (0, 1), ends excluded, shape [N, width], and the streams after them."""
         double = dtype == torch.float64
@@ -44,6 +60,13 @@ class Streams(NamedTuple):
         fraction = (bits >> (size - kept)).bitwise_and_((1 << kept) - 1)
         numbers = fraction.bitwise_or_(_ONE[dtype]).view(dtype).sub_(1 - 2.0 ** -(kept + 1))
         return numbers, self._replace(counter=self.counter + words)
+
+    def series(self, steps: int, width: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+        """Numbers [steps, N, width] of a number of draws, and the counters after them."""
+        words = self.uniform(width, dtype)[1].counter - self.counter
+        counter = self.counter + words * torch.arange(steps + 1, device=words.device)[:, None]
+        long = Streams(self.key.repeat(steps), counter[:-1].flatten())
+        return long.uniform(width, dtype)[0].view(steps, -1, width), counter[-1]
 
     def rows(self, rows: SomeRows) -> Streams:
         """Streams of some rows."""

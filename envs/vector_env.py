@@ -16,7 +16,8 @@ Other libraries take an `ArmVectorEnv`:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal
@@ -43,8 +44,9 @@ from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Randomise, randomised
-from torchdq.envs.reset import KEPT, Reset, task_inputs
-from torchdq.envs.rng import Streams, seeded, seeds_of
+from torchdq.envs.reset import KEPT, NOISE, PUSHED, Reset, task_inputs
+from torchdq.envs.rng import Streams, seeds_of
+from torchdq.envs.rollout import Blocks, Rollout, rollout_of, stepped
 from torchdq.envs.row_selection import Indexed, Masked, SomeRows, column
 from torchdq.envs.task_names import task_of
 from torchdq.envs.tasks import ROBOT, STATE, Checked, EpisodeTask
@@ -57,6 +59,8 @@ from torchdq.robot.shipped import load
 from torchdq.scene.controllers import ComputedTorqueController, Controller
 from torchdq.scene.defaults import default_effects, mean_robot, nominal_robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
+from torchdq.scene.policies import Network
+from torchdq.scene.rollout import loops
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
@@ -211,6 +215,7 @@ class ArmVectorEnv(VectorEnv):
         self._unreset = False  # True if a row has finished, or may have, and was not reset
         self._looks = self.device.type == "cpu"  # whether the host looks at flags; at those of a GPU it would wait
         self._painter: Any = None
+        self._blocks: Blocks | None = None
 
     # --- gymnasium ---
 
@@ -245,7 +250,7 @@ class ArmVectorEnv(VectorEnv):
             if isinstance(seed, Integral):
                 super().reset(seed=int(seed))
             given = mask & torch.tensor([s is not None for s in seeds], device=self.device)
-            fresh = seeded([s or 0 for s in seeds], self.num_envs, self.device)
+            fresh = self._reset.streams([s or 0 for s in seeds], self.num_envs, self.device)
             buffers |= self._streams(buffers).with_rows(Masked(given), fresh)._asdict()
         buffers, _ = self._begun(buffers, self._some(mask))
         self._keep(buffers)
@@ -261,6 +266,11 @@ class ArmVectorEnv(VectorEnv):
         Args:
             actions: [N, k] in [-1, 1], numpy or torch.
         """
+        found = self._stepped(actions)
+        return found if self.output == "torch" else tuple(self._out(x) for x in found)
+
+    def _stepped(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """Results of a step, as tensors."""
         self._started("step")
         finished, counter = self._buffers["finished"], self._buffers["counter"]
         unreset = self._unreset and self.autoreset_mode == AutoresetMode.DISABLED
@@ -289,7 +299,7 @@ class ArmVectorEnv(VectorEnv):
         last = buffers["observation"]
         if self._unreset and self.autoreset_mode == AutoresetMode.NEXT_STEP:
             # this step is the reset of the rows that had finished
-            buffers["counter"] = torch.where(finished, counter, buffers["counter"])
+            buffers["counter"] = torch.where(finished[:, None], counter, buffers["counter"])
             buffers, seen = self._begun(buffers, begun := self._some(finished))
             going = ~finished
             reward, terminated, truncated = reward.masked_fill(finished, 0.0), terminated & going, truncated & going
@@ -304,8 +314,60 @@ class ArmVectorEnv(VectorEnv):
         self._unreset = any_done
         if self.render_mode == "human":
             self._frames()
-        found = (buffers["observation"], reward, terminated, truncated, info)
-        return found if self.output == "torch" else tuple(self._out(x) for x in found)
+        return buffers["observation"], reward, terminated, truncated, info
+
+    @torch.no_grad()
+    def rollout(
+        self, policy: Callable[[Tensor], Tensor], steps: int, noise: Tensor | None = None, unit: float = 1.0
+    ) -> Rollout:
+        """Results of a number of steps with the actions unit (policy(observation) + noise).
+
+        They are those of `step` with these actions, to the bit. Where the policy is a `torch.nn.Sequential` of the
+        layers of `torchdq.scene.policies.Network`, all steps are one call of one compiled program, with the resets
+        within it; it has other rounding errors than torch. Steps are taken one by one with any other policy, with
+        functions of tensors (a `TorchTask`), another `autoreset_mode` than SAME_STEP, an integrator that is not
+        recorded, the backend "eager" and on a GPU.
+
+        Args:
+            policy: function or module that returns actions [N, k] of observations [N, ...].
+            steps: number of steps.
+            noise: [steps, N, k], added to what the policy returns; None: none.
+            unit: an output of the policy, as an action.
+
+        >>> import torch
+        >>> envs = ArmVectorEnv(64, "reach", "panda")
+        >>> _ = envs.reset(seed=0)
+        >>> policy = torch.nn.Sequential(torch.nn.Linear(27, 32), torch.nn.ELU(), torch.nn.Linear(32, 7))
+        >>> found = envs.rollout(policy, 25, noise=0.1 * torch.randn(25, 64, 7))
+        >>> found.observations.shape, found.rewards.shape
+        (torch.Size([26, 64, 27]), torch.Size([25, 64]))
+        """
+        self._started("rollout")
+        require_count("steps", steps)
+        shape = (steps, self.num_envs, len(self._actions.joints))
+        if noise is not None:
+            require_tensor("noise", noise)
+            if noise.shape != shape:
+                raise ArgumentError(f"noise must have the shape {shape}, found {tuple(noise.shape)}")
+        network = self._recorded(policy)
+        if network is None:
+            found = stepped(self._stepped, self._buffers["observation"], policy, steps, noise, unit)
+        else:
+            if self._blocks is None:
+                self._blocks = Blocks(self._reset, self._actions, self.max_episode_steps or math.inf)
+            rows, buffers = self._blocks(self._buffers, network, steps, noise, unit)
+            self._keep(buffers)
+            found = rollout_of(rows, WORST)
+        return found if self.output == "torch" else Rollout(*map(self._out, found))
+
+    def _recorded(self, policy: Any) -> Network | None:
+        """Policy that can be part of a program together with the steps; None: it cannot."""
+        same = self.autoreset_mode == AutoresetMode.SAME_STEP and self.render_mode != "human"
+        simple = same and self._looks and self._functions is None and loops(self.scene, self.state)
+        try:
+            return Network(policy, ("observation",)) if simple and isinstance(policy, torch.nn.Sequential) else None
+        except ArgumentError:  # other layers
+            return None
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Frames [H, W, 3] uint8 of all environments, or None in the mode "human"."""
@@ -413,13 +475,15 @@ class ArmVectorEnv(VectorEnv):
         buffers["steps"] = buffers["steps"] + self._one
         given = task_inputs(self.task, buffers, self.scene, actions)
         given |= self._actions.inputs(actions, buffers["reference"])
-        for name, pushes in self._pushes.items():
+        streams, noise = self._streams(buffers), None
+        for k, (name, pushes) in enumerate(self._pushes.items(), PUSHED):
             time = self._buffers["steps"].to(self.dtype) * self.scene.dt
-            given[name], buffers[name], after = pushes.at(time, buffers[name], self._streams(buffers), self._some)
-            buffers |= after._asdict()
-        noise = None
+            given[name], buffers[name], after = pushes.at(time, buffers[name], streams.column(k), self._some)
+            streams = streams.with_column(k, after)
         if self.scene.noises:
-            noise, (buffers["key"], buffers["counter"]) = self._streams(buffers).uniform(self.scene.noises, self.dtype)
+            noise, after = streams.column(NOISE).uniform(self.scene.noises, self.dtype)
+            streams = streams.with_column(NOISE, after)
+        buffers |= streams._asdict()
         state, rows = self.scene.advance(self.state, given, noise, self._checked)
         if self._functions is not None:
             rows = self._functions.after(self._functions.now(state, buffers["goal"], buffers["steps"], rows, actions))

@@ -4,10 +4,10 @@
     torchrun --nproc-per-node 4 examples/21_walk_ppo.py
 
 PPO (J. Schulman et al., "Proximal Policy Optimization Algorithms", 2017) in this one file and in torch alone, for any
-vector environment of torchdq: many robots in one program, short rollouts, generalised advantages, a learning rate that
-follows the change of the policy (N. Rudin et al., "Learning to Walk in Minutes Using Massively Parallel Deep
-Reinforcement Learning", 2021). An episode that reaches its time limit counts as one that goes on. Under `torchrun`
-every process has robots of its own, and gradients are averaged.
+vector environment of torchdq: many robots in one program, short rollouts, each one call, generalised advantages, a
+learning rate that follows the change of the policy (N. Rudin et al., "Learning to Walk in Minutes Using Massively
+Parallel Deep Reinforcement Learning", 2021). An episode that reaches its time limit counts as one that goes on. Under
+`torchrun` processes share the robots and average gradients, and the policy is that of one process, to rounding.
 
 The robots of `torchdq/Walk-v0` differ in ground and masses, and are pushed. A policy walks when 48 robots on the
 nominal ground walk for 10 s, none falls, and the error of their mean speed is below 0.1 m/s at 0.5, 0.75 and 1.0 m/s
@@ -18,6 +18,7 @@ to the end of `--seconds`. Times are those of the processor, tests included. `ou
 import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,6 +39,7 @@ HORIZON, EPOCHS, BATCHES = 24, 2, 8  # steps of a rollout, passes through them, 
 GAMMA, LAMBDA, CLIP, ENTROPY = 0.99, 0.95, 0.2, 0.003
 KL, FASTEST, SLOWEST = 0.01, 1e-2, 1e-5  # desired change of the policy in an update; bounds of the learning rate
 STD, UNIT = 0.8, 1 / 6  # first standard deviation of the policy's outputs, and such an output as an action
+GROUP = 32  # robots with random numbers of their own, so that those do not depend on the number of processes
 SHOWN = ("reward", "ended", "speed_error")  # means that are printed
 SPEEDS, EACH = (0.5, 0.75, 1.0), 16  # commands of the test [m/s], and robots with each
 
@@ -49,7 +51,7 @@ class Args(OnDevice):
     seed: int = 0
     """Seed of policy and robots."""
     robots: int = 1024
-    """Robots of each process."""
+    """Robots of all processes, a multiple of 32 in each."""
     robot: str = "go2"
     """Name of a shipped robot, or the file of a quadruped."""
     stand: tuple[str, ...] = ()
@@ -85,7 +87,8 @@ class Policy(nn.Module):
 
 
 def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
-    layers = nn.Sequential(nn.Linear(inputs, 64), nn.ELU(), nn.Linear(64, 64), nn.ELU(), nn.Linear(64, outputs))
+    elu = nn.ELU(inplace=True)
+    layers = nn.Sequential(nn.Linear(inputs, 64), elu, nn.Linear(64, 64), elu, nn.Linear(64, outputs))
     with torch.no_grad():
         layers[-1].weight.mul_(gain)
         layers[-1].bias.zero_()
@@ -105,53 +108,63 @@ class PPO:
     """Learner on a vector environment with tensors."""
 
     def __init__(self, envs: ArmVectorEnv, seed: int) -> None:
-        rank = dist.get_rank() if dist.is_initialized() else 0
+        rank, processes = (dist.get_rank(), dist.get_world_size()) if dist.is_initialized() else (0, 1)
         torch.manual_seed(seed)  # the same policy in all processes, and different robots
         self.envs, device = envs, envs.device
-        self.observation, _ = envs.reset(seed=(10_000 * seed + rank) * envs.num_envs)
-        self.policy = Policy(self.observation.shape[1], envs.single_action_space.shape[0]).to(device)
+        observation, _ = envs.reset(seed=(10_000 * seed * processes + rank) * envs.num_envs)
+        self.policy = Policy(observation.shape[1], envs.single_action_space.shape[0]).to(device)
         self.optimizer = torch.optim.Adam(self.policy.parameters(), lr=1e-3, fused=True)
-        torch.manual_seed(10_000 * seed + rank)
+        groups = envs.num_envs // GROUP
+        if groups * GROUP != envs.num_envs:
+            raise ValueError(f"the robots of a process must be a multiple of {GROUP}, found {envs.num_envs}")
+        first = 2**20 * seed + rank * groups
+        self.generators = [torch.Generator(device).manual_seed(first + k) for k in range(groups)]
         if envs.max_episode_steps:  # episodes that end at different times
-            steps = torch.randint(envs.max_episode_steps, (envs.num_envs,), dtype=torch.int32)
-            envs.set_state({**envs.get_state(), "steps": steps.to(device)})
+            steps = self.drawn(lambda g: torch.randint(envs.max_episode_steps, (GROUP,), generator=g, device=device))
+            envs.set_state({**envs.get_state(), "steps": steps.flatten().to(torch.int32)})
+
+    def drawn(self, draw: Callable[[torch.Generator], Tensor]) -> Tensor:
+        """Random numbers of every group of robots, shape [groups, ...]."""
+        return torch.stack([draw(generator) for generator in self.generators])
 
     @torch.no_grad()
     def rollout(self) -> tuple[list[Tensor], dict[str, float]]:
         """Observations, actions, their log probabilities, returns, advantages [samples, ...], and means of `info`."""
-        policy, rows, means = self.policy, [], {}
-        std = policy.log_std.exp()
-        for _ in range(HORIZON):
-            mean = policy(self.observation)
-            action = mean + std * torch.randn_like(mean)
-            seen, reward, terminated, truncated, info = self.envs.step(UNIT * action)
-            late, reward = truncated & ~terminated, torch.where(info["nonfinite"], -1.0, reward)
-            if late.any():
-                reward = reward + GAMMA * torch.where(late, policy.value(info["final_obs"]), 0.0)
-            going = (~(terminated | truncated)).float()
-            rows.append((self.observation, action, policy.log_prob(mean, action), reward, going))
-            self.observation = seen
-            for name, x in (("reward", reward), ("ended", terminated), *info.items()):
-                if isinstance(x, Tensor) and x.ndim == 1:
-                    means[name] = means.get(name, 0.0) + float(x.float().mean()) / HORIZON
-        observation, action, log_prob, reward, going = map(torch.stack, zip(*rows, strict=True))
-        value = torch.stack([policy.value(x) for x in (*observation, self.observation)])
+        policy, shape = self.policy, (HORIZON, GROUP, len(self.policy.log_std))
+        noise = self.drawn(lambda g: torch.randn(shape, generator=g, device=g.device)).transpose(0, 1).flatten(1, 2)
+        noise *= policy.log_std.exp()
+        found = self.envs.rollout(policy.actor, HORIZON, noise, UNIT)
+        late, reward = found.truncated & ~found.terminated, torch.where(found.info["nonfinite"], -1.0, found.rewards)
+        going = (~(found.terminated | found.truncated)).to(reward.dtype)
+        reward[late] += GAMMA * policy.value(found.final_observations[late])
+        value = torch.stack([policy.value(x) for x in found.observations])
         advantages, advantage = [], torch.zeros_like(reward[0])
         for t in reversed(range(HORIZON)):
             advantage = reward[t] + GAMMA * going[t] * (value[t + 1] + LAMBDA * advantage) - value[t]
             advantages.append(advantage)
         advantage = torch.stack(advantages[::-1])
         returns = advantage + value[:-1]
-        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        return [x.flatten(0, 1) for x in (observation, action, log_prob, returns, advantage)], means
+        mean_of_all(mean := advantage.mean())
+        mean_of_all(variance := (advantage - mean).square().mean())
+        advantage = (advantage - mean) / (variance.sqrt() + 1e-8)
+        rows = {"reward": reward, "ended": found.terminated, **found.info}
+        rows = {name: x.to(advantage.dtype).mean() for name, x in rows.items() if x.ndim == 2}
+        mean_of_all(*rows.values())
+        log_prob = policy.log_prob(torch.zeros_like(noise), noise)
+        samples = (found.observations[:-1], found.actions / UNIT, log_prob, returns, advantage)
+        return [x.flatten(0, 1) for x in samples], {name: float(x) for name, x in rows.items()}
 
     def update(self, samples: list[Tensor]) -> None:
         """Change the policy so that better actions become more likely, and the values come closer to the returns."""
         policy, parameters = self.policy, list(self.policy.parameters())
-        group = self.optimizer.param_groups[0]
+        group, (number, device) = self.optimizer.param_groups[0], (HORIZON * GROUP, samples[0].device)
+        first = GROUP * torch.arange(len(self.generators), device=device)[:, None]
         for _ in range(EPOCHS):
-            for indices in torch.randperm(len(samples[0]), device=samples[0].device).chunk(BATCHES):
-                observation, action, before, returns, advantage = (x.index_select(0, indices) for x in samples)
+            # every part has as many samples of each group
+            order = self.drawn(lambda g: torch.randperm(number, generator=g, device=device))
+            order = order // GROUP * self.envs.num_envs + first + order % GROUP
+            for part in order.chunk(BATCHES, 1):
+                observation, action, before, returns, advantage = (x.index_select(0, part.flatten()) for x in samples)
                 change = policy.log_prob(policy(observation), action) - before
                 ratio = change.exp()
                 gain = torch.minimum(ratio * advantage, ratio.clamp(1 - CLIP, 1 + CLIP) * advantage).mean()
@@ -196,17 +209,14 @@ class Test:
         They are the largest over the commanded speeds of the mean over robots.
         """
         envs, (start, end) = self.envs, (round(x / self.envs.scene.dt) for x in (2.0, seconds))
-        observation, _ = envs.reset(seed=1_000_000_000)
+        envs.reset(seed=1_000_000_000)
         envs.set_state({**envs.get_state(), "goal": self.commands})
-        up, mean = torch.ones(envs.num_envs, dtype=torch.bool, device=envs.device), torch.zeros_like(self.commands)
-        for k in range(end):
-            observation, _, terminated, _, _ = envs.step(UNIT * policy(observation))
-            up &= ~terminated
-            if k >= start:
-                velocity = observation[:, :2] / Walk.SEEN["velocity"], observation[:, 7:8] / Walk.SEEN["rate"]
-                mean += torch.cat(velocity, 1) / (end - start)
-        error = (mean - self.commands).abs().reshape(len(SPEEDS), EACH, 3).mean(1).amax(0)
-        return float(up.float().mean()), float(error[0]), float(error[2])
+        quiet = torch.zeros(end, *envs.action_space.shape, device=envs.device)  # the program of training has noise
+        found = envs.rollout(policy, end, quiet, UNIT)
+        seen = found.observations[start + 1 :]
+        velocity = torch.cat([seen[..., :2] / Walk.SEEN["velocity"], seen[..., 7:8] / Walk.SEEN["rate"]], 2)
+        error = (velocity.mean(0) - self.commands).abs().reshape(len(SPEEDS), EACH, 3).mean(1).amax(0)
+        return float(1.0 - found.terminated.any(0).float().mean()), float(error[0]), float(error[2])
 
 
 def main(args: Args) -> float | None:
@@ -220,9 +230,10 @@ def main(args: Args) -> float | None:
     robot = torchdq.robots.load(args.robot) if shipped else Robot.from_urdf(args.robot, base="floating")
     stand = {"stand": {name: float(x) for name, x in (pair.split("=") for pair in args.stand)}} if args.stand else {}
     task = Walk(args.forward, turning=(-args.turning, args.turning), feet=args.feet, **stand)
-    learner = PPO(ArmVectorEnv(args.robots, task, robot, max_episode_steps=1000, device=args.place), args.seed)
+    robots = args.robots // processes
+    learner = PPO(ArmVectorEnv(robots, task, robot, max_episode_steps=1000, device=args.place), args.seed)
     test = Test(task, robot, args.turning, args.place)
-    test(learner.policy, 0.04)  # compiles
+    test(learner.policy.actor, 0.04)  # compiles
     begin, walks, k, spent = time.process_time(), None, 0, 0.0
     while spent < args.seconds:
         samples, means = learner.rollout()
@@ -235,14 +246,14 @@ def main(args: Args) -> float | None:
             shown = "  ".join(f"{name} {means[name]:.3f}" for name in SHOWN)
             print(f"{spent:5.1f} s  {k * len(samples[0]) * processes / 1e6:.2f} million samples  {shown}", flush=True)
         if first and k % 5 == 0 and walks is None and means["ended"] < 2e-3 and means["speed_error"] < 0.25:
-            up, speed, rate = test(learner.policy)
+            up, speed, rate = test(learner.policy.actor)
             print(f"{spent:5.1f} s  test: {up:.0%} up, errors {speed:.3f} m/s and {rate:.3f} rad/s", flush=True)
             walks = spent if up == 1 and speed < 0.1 and rate < 0.15 else None
     if not first:
         return spent  # the first process reports
     args.out.mkdir(parents=True, exist_ok=True)
     torch.save(learner.policy.actor.state_dict(), args.out / "walk.pt")
-    up, speed, rate = test(learner.policy)
+    up, speed, rate = test(learner.policy.actor)
     print(f"at the end: {up:.0%} up, errors {speed:.3f} m/s and {rate:.3f} rad/s")
     print("does not walk yet" if walks is None else f"walks after {walks:.0f} s")
     return walks

@@ -1,4 +1,4 @@
-"""The example of a policy that is learned through the simulation: it learns, and processes share its gradients."""
+"""The example of a policy that is learned through the simulation: it learns. Processes share its gradients."""
 
 import os
 import socket
@@ -14,15 +14,17 @@ for needed in ("matplotlib", "tyro"):
     pytest.importorskip(needed, reason="the examples need the extra 'examples'")
 from matplotlib.image import imread  # noqa: E402
 
+from torchdq.envs import ArmVectorEnv  # noqa: E402
+
 BACKEND = "auto"
 SHARED = """
 import sys
 sys.path[:] = {paths}
-from claims.test_through_the_simulation import found
+from claims.test_through_the_simulation import found, learned
 from processes import team
 import torch
 with team(torch.device("cpu")) as share:
-    torch.save(found(share), f"{folder}/{{share.rank}}.pt")
+    torch.save([*found(share), *learned(share)], f"{folder}/{{share.rank}}.pt")
 """
 
 
@@ -41,6 +43,22 @@ def found(share):
     return [total, *gradients]
 
 
+def learned(share):
+    """Rewards and policy of PPO on 64 arms of all processes, some of whose episodes end, in float64."""
+    ppo = import_module("21_walk_ppo")
+    torch.set_default_dtype(torch.float64)
+    try:
+        arms = ArmVectorEnv(64 // share.size, "reach", "two_link", scale=0.5, max_episode_steps=40, dtype="float64")
+        learner, rewards = ppo.PPO(arms, seed=1), []
+        for _ in range(3):
+            samples, means = learner.rollout()
+            learner.update(samples)
+            rewards.append(means["reward"])
+        return [torch.tensor(rewards), *(x.detach() for x in learner.policy.parameters())]
+    finally:
+        torch.set_default_dtype(torch.float32)
+
+
 def test_it_learns(example, tmp_path, capsys):
     """Arms that it did not learn from end at a fifth of their distance."""
     medians = example.main(example.Args(arms=32, iterations=40, out=tmp_path))
@@ -49,8 +67,8 @@ def test_it_learns(example, tmp_path, capsys):
     assert imread(tmp_path / "through_the_simulation.png")[..., :3].std() > 0.03
 
 
-def test_two_processes_have_the_gradients_of_one(tmp_path):
-    """Of 31 arms, one process has 16. The environment is what `torchrun` gives to the two."""
+def test_two_processes_learn_what_one_does(tmp_path):
+    """Of 31 arms, one process has 16; of those of PPO each has half. The environment is that of `torchrun`."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -67,6 +85,6 @@ def test_two_processes_have_the_gradients_of_one(tmp_path):
         assert process.returncode == 0, errors
     ranks = [torch.load(tmp_path / f"{rank}.pt") for rank in (0, 1)]
     share = import_module("processes").Team()
-    for one, two, alone in zip(*ranks, found(share), strict=True):
+    for one, two, alone in zip(*ranks, [*found(share), *learned(share)], strict=True):
         assert torch.equal(one, two)
         torch.testing.assert_close(one, alone, rtol=1e-10, atol=1e-12)

@@ -51,3 +51,31 @@ def same(a, b):
     if isinstance(a, list | tuple):
         return len(a) == len(b) and all(map(same, a, b))
     return torch.equal(torch.as_tensor(a), torch.as_tensor(b))
+
+
+def policy_of(envs, activation=torch.nn.ELU):
+    """Small random policy."""
+    torch.manual_seed(0)
+    width, k = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+    return torch.nn.Sequential(torch.nn.Linear(width, 8), activation(), torch.nn.Linear(8, k)).to(envs.dtype)
+
+
+def assert_as_stepped(envs, twin, policy, steps, blocks=2):
+    """Assert that blocks have what steps of an equal environment return, and leave the same state."""
+    for _ in range(blocks):
+        noise = torch.randn(steps, *envs.action_space.shape, dtype=envs.dtype)
+        found, observation = envs.rollout(policy, steps, noise, 0.5), twin.get_state()["observation"]
+        for k in range(steps):
+            assert torch.equal(found.observations[k], observation)
+            expected = 0.5 * (policy(observation) + noise[k])
+            torch.testing.assert_close(found.actions[k], expected, rtol=1e-4, atol=1e-5)
+            observation, *others, info = twin.step(found.actions[k])
+            last = info.pop("final_obs", observation)
+            rows = (*found[2:5], found.final_observations)
+            assert same([x[k] for x in rows], [*others, last])
+            assert found.info.keys() == {name for name in info if "final" not in name}
+            for name, x in found.info.items():
+                torch.testing.assert_close(x[k], info[name], rtol=0, atol=0, equal_nan=True)
+        assert torch.equal(found.observations[-1], observation)
+        assert same(envs.get_state(), twin.get_state())
+    return found

@@ -2,8 +2,8 @@
 
 from torchdq.backends import c_prelude
 from torchdq.backends.c_source import Printer, add, load, store, store_sum
-from torchdq.program.loop import Loop
-from torchdq.program.program import outputs
+from torchdq.program.loop import Chain, Loop
+from torchdq.program.program import GROWTH, Program, outputs
 
 
 def loop_source(loop: Loop, single: bool) -> str:
@@ -14,7 +14,6 @@ def loop_source(loop: Loop, single: bool) -> str:
     output is the largest error growth of every sample, if the body has one.
     """
     body, results = loop.body, outputs(loop.body)
-    printer = Printer(body, single)
     inputs = {k: a.width for k, a in enumerate(body.arguments) if not a.uniform and a.width}
     widths = [max(len(r.values), 1) for r in results]  # a result without values still needs an array to name
     carried = {r: k for k, r in loop.carried if k in inputs}
@@ -33,7 +32,7 @@ def loop_source(loop: Loop, single: bool) -> str:
         *(store(f"out{r}+({before})*{inputs[k]}", f"I{k}", inputs[k]) for r, k in carried.items() if r in kept),
         "}",
     ]
-    functions, statements = printer.body(list(inputs.items()))
+    functions, links, prelude, statements = printed(body, single)
     once = [
         *(load(f"I{k}", f"in{k}+at*{w}", w) for k, w in inputs.items() if k in loop.stepped),
         *(_add_rows(f"I{k}", f"{x}+at*{inputs[k]}", inputs[k]) for k, x in more.items()),
@@ -51,8 +50,9 @@ def loop_source(loop: Loop, single: bool) -> str:
     ]
     pointers = [f"const S*in{k}" for k in range(len(loop.arguments))] + [f"S*out{r}" for r in range(len(results))]
     lines = [
+        *links,
         f"void run(long samples,long stride,long steps,{','.join(pointers)}){{",
-        *printer.prelude(),
+        *prelude,
         *(_zeros(f"A{r}", widths[r]) for r in summed),
         "for(long b=0;b<samples;b+=LANES){const long here=samples-b<LANES?samples-b:LANES;",
         *begin,
@@ -76,3 +76,41 @@ def _zeros(name: str, width: int) -> str:
 def _add_rows(to: str, at: str, width: int) -> str:
     """Statement that adds rows in memory to an array."""
     return f"{{T J[{width}];{load('J', at, width)}for(int j=0;j<{width};j++){to}[j]+=J[j];}}"
+
+
+def printed(body: Program | Chain, single: bool) -> tuple[list[str], list[str], list[str], list[str]]:
+    """Functions of the parts, those of the links of a chain, and the statements before the loop and within it."""
+    if isinstance(body, Program):
+        printer = Printer(body, single)
+        parts, statements = printer.body(_rows(body))
+        return parts, [], printer.prelude(), statements
+    arrays = {a.name: f"{'in' if a.uniform else 'I'}{k}" for k, a in enumerate(body.arguments)}
+    wanted = {name: f"O{k}" for k, name in enumerate((*body.wanted, GROWTH))}
+    functions, links, prelude, calls, first = list[str](), list[str](), list[str](), list[str](), 0
+    for m, (program, takes, gives) in enumerate(body.links):
+        printer, uniform = Printer(program, single, first), [k for k, a in enumerate(program.arguments) if a.uniform]
+        parts, statements = printer.body(_rows(program))
+        functions, first = functions + parts, first + (len(printer.schedule.parts) if parts else 0)
+        if lines := printer.prelude():
+            links.append(f"static void shared{m}(S*u{''.join(f',const S*in{k}' for k in uniform)}){{")
+            links += [*lines[1:], "}"]
+            prelude.append(lines[0].replace("S u[", f"S u{m}["))
+            prelude.append(f"shared{m}({','.join([f'u{m}', *(arrays[takes[k]] for k in uniform)])});")
+        given, found = [k for k, _ in _rows(program)], outputs(program)
+        names = [f"const T*I{k}" for k in given] + [f"T*O{k}" for k in range(len(found))]
+        # a function of its own, so that no operation is contracted with those of other links
+        links.append(f"static __attribute__((noinline)) void link{m}({','.join(['const S*u', *names])}){{")
+        links += [*statements, "}"]
+        taken = [arrays[takes[k]] for k in given]
+        for k, (result, name) in enumerate(zip(found, (*gives, GROWTH), strict=False)):
+            arrays[name] = wanted.get(name, f"M{m}_{k}")
+            if name not in wanted:
+                calls.append(f"T {arrays[name]}[{max(len(result.values), 1)}];")
+        made = [arrays[name] for name in (*gives, GROWTH)[: len(found)]]
+        calls.append(f"link{m}({','.join([f'u{m}' if lines else '0', *taken, *made])});")
+    return functions, links, prelude, calls
+
+
+def _rows(program: Program) -> list[tuple[int, int]]:
+    """Arguments that differ from sample to sample, and their widths."""
+    return [(k, a.width) for k, a in enumerate(program.arguments) if not a.uniform and a.width]

@@ -75,8 +75,8 @@ def store_sum(at: str, of: str, width: int) -> str:
 class Printer:
     """Text of the values of a program, and of the program."""
 
-    def __init__(self, program: Program, single: bool):
-        self.program, self.single = program, single
+    def __init__(self, program: Program, single: bool, first: int = 0):
+        self.program, self.single, self.first = program, single, first  # the number of the first part
         self.schedule = schedule(program, LONGEST)
         self.home = {i: part for part in self.schedule.parts for i in part.values}
 
@@ -105,14 +105,20 @@ class Printer:
 
     def prelude(self) -> list[str]:
         """Statements for the values that are the same for all samples."""
-        lines = []
+        lines, copied = list[str](), 0  # numbers that the last statement copies
         for i in self.schedule.prelude:
             op = self.program.ops[i]
-            if op.code == "in":
-                right = "in{}[{}]".format(*op.payload)
-            else:
+            if op.code != "in":
                 right = _applied(OPS[op.code], OPS[op.code].c_single, map(self.name, op.operands))
-            lines.append(f"u[{i}]={right};")
+                lines.append(f"u[{i}]={right};")
+                copied = 0
+                continue
+            k, j = op.payload
+            follows = copied and self.program.ops[i - 1] == op._replace(payload=(k, j - 1))
+            copied = copied + 1 if follows else 1
+            i, j = i - copied + 1, j - copied + 1
+            lines = lines[: len(lines) - bool(follows)]
+            lines.append(f"for(int j=0;j<{copied};j++)u[{i}+j]=in{k}[{j}+j];" if follows else f"u[{i}]=in{k}[{j}];")
         return [f"S u[{len(self.program.ops)}];", *lines] if lines else []
 
     def statements(self, part: Part) -> list[str]:
@@ -182,10 +188,11 @@ class Printer:
         arguments = ",".join(["v", "u" if self.schedule.prelude else "0", *arrays])
         functions = ["#ifndef PIECES", "#define PIECES 1", "#define PIECE 0", "#endif"]
         functions += [
-            f'__attribute__((noinline,visibility("hidden"))) void part{k}({parameters});' for k in range(len(parts))
+            f'__attribute__((noinline,visibility("hidden"))) void part{self.first + k}({parameters});'
+            for k in range(len(parts))
         ]
         calls = [f"T v[{max(self.schedule.slots, 1)}];"]
-        for k, part in enumerate(parts):
+        for k, part in enumerate(parts, self.first):
             functions += [f"#if {k}{PIECE}", f"void part{k}({parameters}){{"]
             functions += [f"const T x{i}=v[{slot}];" for i, slot in part.loaded]
             functions += [*self.statements(part), *self.results(part)]

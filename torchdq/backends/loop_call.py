@@ -15,7 +15,7 @@ from torchdq.backends.precision import largest_growth, run
 from torchdq.backends.torch import by_steps
 from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.program.autograd import in_a_graph
-from torchdq.program.loop import Loop
+from torchdq.program.loop import Chain, Loop
 from torchdq.program.loop_autograd import differentiable
 from torchdq.program.program import Program
 from torchdq.program.transforms import dispatching, transforming, without_values
@@ -62,7 +62,7 @@ def repeat(
         carried: arguments that are results, too, by name, at the start.
         stepped: arguments of every step, [steps, ...]; one expanded along that axis costs as much as a fixed one.
         fixed: arguments that are the same at all steps.
-        total: results of which the sum over the steps is returned.
+        total: results of which the sum over the steps is returned; of what is carried the last.
         ends: whether only the last of what is carried is returned.
         backend: as in `torchdq.functional`; one that compiles programs.
     """
@@ -183,6 +183,8 @@ def _layout(
 
 
 @remembered(PROGRAMS)
-def _loop(body: Program, carried: tuple[tuple[int, int], ...], stepped: tuple[int, ...], kept: tuple[int, ...]) -> Loop:
+def _loop(
+    body: Program | Chain, carried: tuple[tuple[int, int], ...], stepped: tuple[int, ...], kept: tuple[int, ...]
+) -> Loop:
     """Loop over a program, one for all batches, so that it is compiled once."""
     return Loop(body, carried, stepped, kept)

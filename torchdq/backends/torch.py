@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdq.backends.backend import Backend, Kernel
 from torchdq.errors import TorchdqError
 from torchdq.numbers.ops import OPS
-from torchdq.program.loop import Loop, shapes
+from torchdq.program.loop import Loop, evaluated, shapes
 from torchdq.program.program import Output, Program, outputs
 from torchdq.program.transforms import number
 
@@ -80,7 +80,7 @@ def by_steps(
             rows[k] = inputs[k][s]
         for more, k in enumerate(loop.added, len(loop.body.arguments)):
             rows[k] = rows[k] + inputs[more][s]
-        for row, y in zip(found, step(loop.body, rows, samples), strict=False):
+        for row, y in zip(found, evaluated(loop.body, rows, lambda p, x: step(p, x, samples)), strict=False):
             row.append(y)
         for r, k in own.items():
             rows[k] = found[r][-1]

@@ -2,11 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, cast
 
 from torchdq.program.autodiff import vjp
-from torchdq.program.program import Argument, Program, outputs
+from torchdq.program.program import Argument, Count, Program, Result, outputs
+
+
+class Link(NamedTuple):
+    """Program of a chain."""
+
+    program: Program
+    takes: tuple[str, ...]  # its arguments: names of those of the chain, and of results of earlier links
+    gives: tuple[str, ...]  # names of its results
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Programs one after the other as the body of a loop, without gradients; at most one has an error growth.
+
+    Each is compiled as it is alone, so that its results are the same to the bit.
+    """
+
+    name: str
+    arguments: tuple[Argument, ...]
+    links: tuple[Link, ...]
+    wanted: tuple[str, ...]  # names of the results
+
+    @property
+    def results(self) -> tuple[Result, ...]:
+        """Results of the links that are wanted."""
+        found = {n: r for link in self.links for n, r in zip(link.gives, link.program.results, strict=True)}
+        return tuple([found[name]._replace(name=name) for name in self.wanted])
+
+    @property
+    def growth(self) -> Result | None:
+        """Error growth of the link that has one."""
+        return next((link.program.growth for link in self.links if link.program.growth is not None), None)
+
+    def count(self) -> Count:
+        """Operations per sample."""
+        return Count(*map(sum, zip(*(link.program.count() for link in self.links), strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +55,7 @@ class Loop:
     sums it. Of a carried result there is the last, or, if it is kept, all including the start: a row more than steps.
     """
 
-    body: Program
+    body: Program | Chain
     carried: tuple[tuple[int, int], ...]  # argument of a step, and the result of the step before that it takes
     stepped: tuple[int, ...] = ()  # arguments that are given for every step
     kept: tuple[int, ...] = ()  # results that are returned of every step
@@ -44,6 +81,20 @@ class Loop:
 
 
 # functions, since all that depends on a loop alone is computed where its kernel is made
+
+
+def evaluated(
+    body: Program | Chain, inputs: Sequence[Any], evaluate: Callable[[Program, Sequence[Any]], Sequence[Any]]
+) -> Sequence[Any]:
+    """Outputs of a body, by a function that has those of a program, with or without the error growth."""
+    if isinstance(body, Program):
+        return evaluate(body, inputs)
+    known, growth = dict(zip([a.name for a in body.arguments], inputs, strict=True)), list[Any]()
+    for link in body.links:
+        found = evaluate(link.program, [known[name] for name in link.takes])
+        known.update(zip(link.gives, found, strict=False))
+        growth += found[len(link.gives) :]
+    return [*(known[name] for name in body.wanted), *growth]
 
 
 def shapes(loop: Loop, samples: int, steps: int) -> list[tuple[int, ...]]:
@@ -72,7 +123,7 @@ def adjoint(loop: Loop, wrt: Sequence[int]) -> Loop:
     states, count = dict(loop.carried), len(loop.body.arguments)
     taken = sorted({*wrt, *states})
     return Loop(
-        vjp(loop.body, taken),
+        vjp(cast(Program, loop.body), taken),
         tuple((count + r, taken.index(k)) for k, r in loop.carried),
         (*sorted({*loop.stepped, *states}), *(count + r for r in loop.kept if r not in states.values())),
         tuple(taken.index(k) for k in loop.stepped if k in taken),

@@ -111,8 +111,8 @@ class Program:
 # functions, not methods: torch.compile can read the fields of a constant program, but cannot call its methods
 
 
-def outputs(program: Program) -> tuple[Result, ...]:
-    """All outputs of a program: the results, and the error growth if there is one."""
+def outputs(program: Any) -> tuple[Result, ...]:
+    """All outputs of a program, or a chain of programs: the results, and the error growth if there is one."""
     return program.results if program.growth is None else (*program.results, program.growth)
 
 
