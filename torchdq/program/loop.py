@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from torchdq.program.autodiff import vjp
 from torchdq.program.program import Argument, Count, Program, Result, outputs
@@ -55,7 +55,7 @@ class Loop:
     sums it. Of a carried result there is the last, or, if it is kept, all including the start: a row more than steps.
     """
 
-    body: Program | Chain
+    body: Any  # a program; or a `Chain`, on the CPU and without gradients
     carried: tuple[tuple[int, int], ...]  # argument of a step, and the result of the step before that it takes
     stepped: tuple[int, ...] = ()  # arguments that are given for every step
     kept: tuple[int, ...] = ()  # results that are returned of every step
@@ -123,7 +123,7 @@ def adjoint(loop: Loop, wrt: Sequence[int]) -> Loop:
     states, count = dict(loop.carried), len(loop.body.arguments)
     taken = sorted({*wrt, *states})
     return Loop(
-        vjp(cast(Program, loop.body), taken),
+        vjp(loop.body, taken),
         tuple((count + r, taken.index(k)) for k, r in loop.carried),
         (*sorted({*loop.stepped, *states}), *(count + r for r in loop.kept if r not in states.values())),
         tuple(taken.index(k) for k in loop.stepped if k in taken),
