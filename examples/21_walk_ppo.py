@@ -35,10 +35,9 @@ from torchdq import Robot
 from torchdq.envs import ArmVectorEnv, Pushes
 from torchdq.envs.walk import Walk
 
-HORIZON, EPOCHS, BATCHES = 24, 2, 8  # steps of a rollout, passes through them, and parts of each pass
-GAMMA, LAMBDA, CLIP, ENTROPY = 0.99, 0.95, 0.2, 0.003
-KL, FASTEST, SLOWEST = 0.01, 1e-2, 1e-5  # desired change of the policy in an update; bounds of the learning rate
-STD, UNIT = 0.8, 1 / 6  # first standard deviation of the policy's outputs, and such an output as an action
+HORIZON, LAMBDA, CLIP = 24, 0.95, 0.2  # steps of a rollout
+FASTEST, SLOWEST = 1e-2, 1e-5  # bounds of the learning rate
+UNIT = 1 / 6  # output of the policy as an action
 GROUP = 32  # robots with random numbers of their own, so that those do not depend on the number of processes
 SHOWN = ("reward", "ended", "speed_error")  # means that are printed
 SPEEDS, EACH = (0.5, 0.75, 1.0), 16  # commands of the test [m/s], and robots with each
@@ -66,13 +65,26 @@ class Args(OnDevice):
     """Folder of the policy."""
 
 
+@dataclass(frozen=True)
+class Settings:
+    """Numbers of PPO that are of a task."""
+
+    epochs: int = 2  # passes through a rollout
+    parts: int = 8  # of a pass
+    gamma: float = 0.99
+    entropy: float = 0.003  # weight of the entropy
+    change: float = 0.01  # desired change of the policy in an update
+    std: float = 0.8  # first standard deviation of the policy's outputs
+    unit: float = UNIT
+
+
 class Policy(nn.Module):
     """Normal distribution of actions, and value of a state, of observations [N, k]."""
 
-    def __init__(self, observations: int, actions: int) -> None:
+    def __init__(self, observations: int, actions: int, std: float = Settings.std) -> None:
         super().__init__()
         self.actor, self.critic = network(observations, actions, 0.1), network(observations, 1, 1.0)
-        self.log_std = nn.Parameter(torch.full((actions,), STD).log())
+        self.log_std = nn.Parameter(torch.full((actions,), std).log())
 
     def forward(self, observation: Tensor) -> Tensor:
         """Mean actions, in the policy's units."""
@@ -107,12 +119,13 @@ def mean_of_all(*tensors: Tensor) -> None:
 class PPO:
     """Learner on a vector environment with tensors."""
 
-    def __init__(self, envs: ArmVectorEnv, seed: int) -> None:
+    def __init__(self, envs: ArmVectorEnv, seed: int, settings: Settings = Settings()) -> None:
         rank, processes = (dist.get_rank(), dist.get_world_size()) if dist.is_initialized() else (0, 1)
         torch.manual_seed(seed)  # the same policy in all processes, and different robots
-        self.envs, device = envs, envs.device
+        self.envs, self.settings, device = envs, settings, envs.device
         observation, _ = envs.reset(seed=(10_000 * seed * processes + rank) * envs.num_envs)
-        self.policy = Policy(observation.shape[1], envs.single_action_space.shape[0]).to(device)
+        actions = envs.single_action_space.shape[0]
+        self.policy = Policy(observation.shape[1], actions, settings.std).to(device)
         self.optimizer = torch.optim.Adam(self.policy.parameters(), lr=1e-3, fused=True)
         groups = envs.num_envs // GROUP
         if groups * GROUP != envs.num_envs:
@@ -130,17 +143,17 @@ class PPO:
     @torch.no_grad()
     def rollout(self) -> tuple[list[Tensor], dict[str, float]]:
         """Observations, actions, their log probabilities, returns, advantages [samples, ...], and means of `info`."""
-        policy, shape = self.policy, (HORIZON, GROUP, len(self.policy.log_std))
+        policy, settings, shape = self.policy, self.settings, (HORIZON, GROUP, len(self.policy.log_std))
         noise = self.drawn(lambda g: torch.randn(shape, generator=g, device=g.device)).transpose(0, 1).flatten(1, 2)
         noise *= policy.log_std.exp()
-        found = self.envs.rollout(policy.actor, HORIZON, noise, UNIT)
+        found = self.envs.rollout(policy.actor, HORIZON, noise, settings.unit)
         late, reward = found.truncated & ~found.terminated, torch.where(found.info["nonfinite"], -1.0, found.rewards)
         going = (~(found.terminated | found.truncated)).to(reward.dtype)
-        reward[late] += GAMMA * policy.value(found.final_observations[late])
+        reward[late] += settings.gamma * policy.value(found.final_observations[late])
         value = torch.stack([policy.value(x) for x in found.observations])
         advantages, advantage = [], torch.zeros_like(reward[0])
         for t in reversed(range(HORIZON)):
-            advantage = reward[t] + GAMMA * going[t] * (value[t + 1] + LAMBDA * advantage) - value[t]
+            advantage = reward[t] + settings.gamma * going[t] * (value[t + 1] + LAMBDA * advantage) - value[t]
             advantages.append(advantage)
         advantage = torch.stack(advantages[::-1])
         returns = advantage + value[:-1]
@@ -151,32 +164,32 @@ class PPO:
         rows = {name: x.to(advantage.dtype).mean() for name, x in rows.items() if x.ndim == 2}
         mean_of_all(*rows.values())
         log_prob = policy.log_prob(torch.zeros_like(noise), noise)
-        samples = (found.observations[:-1], found.actions / UNIT, log_prob, returns, advantage)
+        samples = (found.observations[:-1], found.actions / settings.unit, log_prob, returns, advantage)
         return [x.flatten(0, 1) for x in samples], {name: float(x) for name, x in rows.items()}
 
     def update(self, samples: list[Tensor]) -> None:
         """Change the policy so that better actions become more likely, and the values come closer to the returns."""
-        policy, parameters = self.policy, list(self.policy.parameters())
+        policy, settings, parameters = self.policy, self.settings, list(self.policy.parameters())
         group, (number, device) = self.optimizer.param_groups[0], (HORIZON * GROUP, samples[0].device)
         first = GROUP * torch.arange(len(self.generators), device=device)[:, None]
-        for _ in range(EPOCHS):
+        for _ in range(settings.epochs):
             # every part has as many samples of each group
             order = self.drawn(lambda g: torch.randperm(number, generator=g, device=device))
             order = order // GROUP * self.envs.num_envs + first + order % GROUP
-            for part in order.chunk(BATCHES, 1):
+            for part in order.chunk(settings.parts, 1):
                 observation, action, before, returns, advantage = (x.index_select(0, part.flatten()) for x in samples)
                 change = policy.log_prob(policy(observation), action) - before
                 ratio = change.exp()
                 gain = torch.minimum(ratio * advantage, ratio.clamp(1 - CLIP, 1 + CLIP) * advantage).mean()
                 error = (policy.value(observation) - returns).square().mean()
-                loss = error - gain - ENTROPY * policy.log_std.sum()
+                loss = error - gain - settings.entropy * policy.log_std.sum()
                 self.optimizer.zero_grad()
                 loss.backward()
                 kl = (ratio - 1 - change).mean().detach()
                 mean_of_all(kl, *[x.grad for x in parameters])
                 nn.utils.clip_grad_norm_(parameters, 1.0)
                 self.optimizer.step()
-                factor = 1 / 1.5 if kl > 2 * KL else 1.5 if kl < KL / 2 else 1.0
+                factor = 1 / 1.5 if kl > 2 * settings.change else 1.5 if kl < settings.change / 2 else 1.0
                 group["lr"] = min(max(group["lr"] * factor, SLOWEST), FASTEST)
 
 

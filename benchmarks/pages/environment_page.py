@@ -206,12 +206,15 @@ def _learning(task: str) -> list[str]:
     seconds, steps = seeds[0][-1][0], sum(curve[-1][1] for curve in seeds) / len(seeds)
 
     def row(what: str, results: Sequence[Sequence[float]]) -> tuple[str, str, str]:
-        distances = ", ".join(f"{1e3 * distance:.0f}" for _, _, distance, _ in results)
-        return what, f"{distances} mm", ", ".join(f"{success:.0%}" for *_, success in results)
+        distances = ", ".join(f"{1e3 * distance:.0f}" for _, _, distance, *_ in results)
+        return what, f"{distances} mm", ", ".join(f"{success:.0%}" for _, _, _, success, *_ in results)
 
     rows = [row(name, [result]) for name, result in found["policies"].items()]
     for at in (0.0, seconds / 3, seconds):
         rows.append(row(f"PPO after {at:.0f} s", [min(curve, key=lambda x: abs(x[0] - at)) for curve in seeds]))
+    blocks = found["blocks"]
+    for at in (5.0, 10.0, blocks[0][-1][0]):
+        rows.append(row(f"PPO on blocks after {at:.0f} s", [min(c, key=lambda x: abs(x[0] - at)) for c in blocks]))
     machine = ", ".join(f"{k} {v}" for k, v in json.loads(LEARNED.read_text(encoding="utf-8"))["machine"].items())
     return [
         "## Learning",
@@ -222,6 +225,7 @@ def _learning(task: str) -> list[str]:
         f"success, of {len(seeds)} seeds. Seconds are processor time of training, "
         f"{steps / 1e6:.1f} million steps in {seconds:.0f} s.",
         table(("policy", "median distance at the end", "success"), rows),
+        f"PPO on blocks is that of `examples/21_walk_ppo.py`, with {len(blocks)} seeds; its rollouts are single calls. "
         "The policy without action stands still. The one with known kinematics moves along the damped inverse of the "
         "Jacobian; PPO is given no model of the arm. `python benchmarks/learn.py --page` measures curve and table: "
         f"{machine}.",
