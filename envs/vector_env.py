@@ -59,8 +59,8 @@ from torchdq.robot.shipped import load
 from torchdq.scene.controllers import ComputedTorqueController, Controller
 from torchdq.scene.defaults import default_effects, mean_robot, nominal_robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
+from torchdq.scene.loops import loops
 from torchdq.scene.policies import Network
-from torchdq.scene.rollout import loops
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
