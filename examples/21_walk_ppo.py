@@ -235,7 +235,6 @@ class Test:
 def main(args: Args) -> float | None:
     """Processor time until the policy walks [s]; None: it does not."""
     torch.set_num_threads(1)
-    torch.set_flush_denormal(True)
     if "RANK" in os.environ:
         dist.init_process_group("nccl" if args.place.type == "cuda" else "gloo")
     processes, first = (dist.get_world_size(), dist.get_rank() == 0) if dist.is_initialized() else (1, True)
@@ -273,4 +272,5 @@ def main(args: Args) -> float | None:
 
 
 if __name__ == "__main__":
+    torch.set_flush_denormal(True)
     sys.exit(main(tyro.cli(Args)) is None)

@@ -160,7 +160,6 @@ def fit(critic: nn.Module, optimizer: torch.optim.Optimizer, seen: list[Tensor])
 def main(args: Args) -> float | None:
     """Processor time until the policy walks [s]; None: it does not."""
     torch.set_num_threads(1)
-    torch.set_flush_denormal(True)
     torch.manual_seed(args.seed)
     walkers = Walkers(args.robots, args.stiffness)
     policy = ppo.Policy(walkers.observation().shape[1], walkers.robot.n)
@@ -195,6 +194,7 @@ def main(args: Args) -> float | None:
 
 
 if __name__ == "__main__":
+    torch.set_flush_denormal(True)
     walks = main(tyro.cli(Args))
     print("does not walk yet" if walks is None else f"walks after {walks:.0f} s")
     sys.exit(walks is None)
