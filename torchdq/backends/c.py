@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from torchdq.backends import c_library, threads
-from torchdq.backends.backend import Backend, DirectKernel, LoopKernel, contiguous, dense
+from torchdq.backends.backend import Backend, DirectKernel, Form, LoopKernel, contiguous, dense
 from torchdq.backends.c_loop import loop_source
 from torchdq.backends.c_source import source
 from torchdq.backends.compiler import BuildError, built, compiler, failed, no_compiler
 from torchdq.backends.torch import InterpretedKernel, InterpretedLoop
-from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.base.caches import LAYOUTS, PROGRAMS, remembered
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.program.loop import Loop, shapes
@@ -124,21 +124,26 @@ class CompiledLoop:
         # glibc keeps freed memory up to twice the largest block that was freed; new pages cost more than the steps
         empty_on_cpu((LARGEST_KEPT,), (1,), torch.uint8)
         self.summed = [r.summed for r in results]
+        self.any_summed = any(self.summed)
         self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in loop.arguments]
         self.strides += [(len(r.values) * dtype.itemsize, r.summed) for r in results]
 
     def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
         """Outputs of the loop; arguments that are not contiguous are copied."""
-        number, size = threads.shares(samples, self.operations * max(steps, 1), any(self.summed))
+        number, size = threads.shares(samples, self.operations * max(steps, 1), self.any_summed)
         parts = max(1, -(-samples // size))
-        found = []
-        for shape, summed in zip(shapes(self.loop, samples, steps), self.summed, strict=True):
-            form = contiguous((parts, *shape) if summed else shape, self.dtype)
-            found.append(empty_on_cpu(*form))
+        found = [empty_on_cpu(*form) for form in _forms(self.loop, samples, steps, parts, self.dtype)]
         tensors = [*dense(inputs), *found]  # copies among them live until the function has returned
         pointers = [x.data_ptr() for x in tensors]
         _in_parts(self.function, samples, (samples, steps), pointers, self.strides, number, size)
         return [y.sum(0) if summed else y for y, summed in zip(found, self.summed, strict=True)]
+
+
+@remembered(LAYOUTS)
+def _forms(loop: Loop, samples: int, steps: int, parts: int, dtype: torch.dtype) -> list[Form]:
+    """Forms of the outputs of a loop; summed ones have a row for each part of the samples."""
+    pairs = zip(shapes(loop, samples, steps), outputs(loop.body), strict=True)
+    return [contiguous((parts, *shape) if result.summed else shape, dtype) for shape, result in pairs]
 
 
 def _in_parts(

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdq.backends.backend import Backend
 from torchdq.backends.call import Arrangement, Computation, Shape, arranged, batch_of, recorded, row_of
 from torchdq.backends.choice import BackendName, choose, present
-from torchdq.backends.precision import largest_growth, run
+from torchdq.backends.precision import largest_growth, run, within_limit
 from torchdq.backends.torch import by_steps
 from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.program.autograd import in_a_graph
@@ -103,7 +103,7 @@ def _guarded(layout: LoopLayout, rows: Sequence[Tensor], steps: int) -> Sequence
     loop, backend, samples, count = layout.loop, layout.backend, layout.samples, len(layout.names)
     found = differentiable(Looping(backend), loop, rows, samples, steps)
     growth = found[count].detach() if len(found) > count and samples else None
-    if growth is None or growth.amax().item() <= largest_growth(growth.dtype):
+    if growth is None or within_limit(growth, samples):
         return found[:count]
     over = ~(growth[:, 0] <= largest_growth(growth.dtype))
     at, others = over.nonzero()[:, 0], (~over).nonzero()[:, 0]

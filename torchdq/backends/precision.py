@@ -63,7 +63,7 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
         # values cannot be read here, so all rows are computed in float64
         return [y.to(dtype) for y in guarded(backend, program, [x.double() for x in inputs])]
     *results, growth = _outputs(backend, program, inputs, samples)
-    if readable and _within_limit(growth, samples):
+    if readable and within_limit(growth, samples):
         return results
     over = ~(growth[:, 0].detach() <= largest_growth(dtype))
     if dtype == torch.float64:
@@ -90,10 +90,10 @@ def unguarded(
     direct.into(inputs, found, samples)
     if program.growth is None or backend.guards:
         return found
-    return found if _within_limit(found.pop(), samples) else None
+    return found if within_limit(found.pop(), samples) else None
 
 
-def _within_limit(growth: Tensor, samples: int) -> bool:
+def within_limit(growth: Tensor, samples: int) -> bool:
     """Whether the errors of all rows grow less than the limit; False if one of them is NaN."""
     return (growth if samples == 1 else growth.amax()).item() <= largest_growth(growth.dtype)
 

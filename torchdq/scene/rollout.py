@@ -85,14 +85,15 @@ def rollout(
     count = _length({**{name: x for name, x in series.items() if name != CARRY}, **own}, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
     plan = Plan(policy if isinstance(policy, Linear | Network) else None, task, tuple(total), ends)
-    if (policy is None or plan.policy is not None) and done is None and loops(scene, state):
+    by_loop = (policy is None or plan.policy is not None) and done is None and loops(scene, state)
+    if by_loop:
         states, rows = _by_loop(scene, state, series, count, plan, checkpoint)
     else:
         states, rows = _by_steps(scene, state, series, count, plan, {"policy": policy, "done": done}, checkpoint)
     for name in total:
         if name not in rows:
             raise ArgumentError(f"total must name rows of the task, {', '.join(rows) or 'none'}, found {name!r}")
-    if nonfinite == "warn" and count and not without_values((state.q,)):
+    if nonfinite == "warn" and count and (by_loop or not without_values((state.q,))):
         _warn(scene, state, states, ends)
     return states if task is None else (states, rows)
 
