@@ -32,7 +32,8 @@ def differentiable(
         return execute(loop, inputs, samples, steps)
     found = _Differentiable.apply(execute, with_states(loop), samples, steps, *inputs)
     ends = [r for _, r in loop.carried if r not in loop.kept]
-    return [_end(loop, y) if r in ends else y for r, y in enumerate(found)]
+    # copies, since views would hold the memory of all states
+    return [_end(loop, y).clone() if r in ends else y for r, y in enumerate(found)]
 
 
 class _Differentiable(torch.autograd.Function):

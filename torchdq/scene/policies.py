@@ -57,8 +57,8 @@ class Linear:
         """Torques of step k, shape [..., n]."""
         return self.at(state.rows(), k)
 
-    def at(self, rows: Mapping[str, Tensor], k: int, weights: Mapping[str, Tensor] | None = None) -> Tensor:
-        """Torques of step k, of rows of the state and inputs by name; there are no weights."""
+    def at(self, rows: Mapping[str, Tensor], k: int) -> Tensor:
+        """Torques of step k, of rows of the state and inputs by name."""
         s = torch.cat([rows[name] for name in ORDER if name in rows], -1)
         return self.torque[k] + (self.gain[k] @ (s - self.state[k])[..., None])[..., 0]
 
@@ -128,13 +128,13 @@ class Network:
         """Torques of a state, shape [..., n]."""
         return self.at(state.rows(), k)
 
-    def at(self, rows: Mapping[str, Tensor], k: int, weights: Mapping[str, Tensor] | None = None) -> Tensor:
-        """Torques of rows of the state and inputs by name, with other weights if they are given."""
+    def at(self, rows: Mapping[str, Tensor], k: int) -> Tensor:
+        """Torques of rows of the state and inputs by name."""
         for name in self.inputs:
             if name not in rows:
                 raise ArgumentError(f"inputs of Network must be among {', '.join(rows)}, found {name!r}")
         x = torch.cat([rows[name] for name in self.inputs], -1)
-        own = {name: w.to(x.dtype) for name, w in (weights or self.weights()).items()}
+        own = {name: w.to(x.dtype) for name, w in self.weights().items()}
         return torch.func.functional_call(self.network, own, (x,), tie_weights=False)
 
     @property

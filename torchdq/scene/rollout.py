@@ -85,7 +85,7 @@ def rollout(
     count = _length({**{name: x for name, x in series.items() if name != CARRY}, **own}, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
     plan = Plan(policy if isinstance(policy, Linear | Network) else None, task, tuple(total), ends)
-    by_loop = (policy is None or plan.policy is not None) and done is None and loops(scene, state)
+    by_loop = (policy is None or plan.policy is not None) and done is None and loops(scene, state, plan.policy)
     if by_loop:
         states, rows = _by_loop(scene, state, series, count, plan, checkpoint)
     else:
