@@ -62,13 +62,18 @@ class Actions:
         inside = found.clamp(-1.0, 1.0)
         if looks and torch.equal(inside, found):  # false if one is NaN
             return self._of_all_joints(inside), torch.zeros(num_envs, dtype=torch.int64, device=found.device)
-        if looks and not math.isfinite(found.sum().item()) and len(bad := (~found.isfinite()).nonzero()):
-            row, joint = bad[0].tolist()
+        if looks:
+            self.require_finite(found)
+        return self._of_all_joints(inside), (inside != found).sum(1)
+
+    def require_finite(self, actions: Tensor) -> None:
+        """Raise unless actions [..., N, k] are finite."""
+        if not math.isfinite(actions.sum().item()) and len(bad := (~actions.isfinite()).nonzero()):
+            row, joint = bad[0, -2:].tolist()
             raise ArgumentError(
-                f"actions must be finite, found {found[row, joint].item()} in row {row} for joint "
+                f"actions must be finite, found {actions[tuple(bad[0])].item()} in row {row} for joint "
                 f"{self.robot.joint_names[self.joints[joint]]!r}{and_more(bad)}; nothing was stepped"
             )
-        return self._of_all_joints(inside), (inside != found).sum(1)
 
     def _of_all_joints(self, actions: Tensor) -> Tensor:
         """Actions [N, n] of those of the actuated joints."""

@@ -100,6 +100,7 @@ class Blocks:
                 number = int(short.int().argmax())
                 rows, after = self._called(buffers, policy, number, None if part is None else part[:number], unit)
                 del rows["short"]
+            self.actions.require_finite(rows["action"])
             for r in self.reset.randomised:
                 for (owner, name), x in r.tensors(self.reset.scene).items():
                     x.copy_(after.pop(f"{owner}.{name}"))

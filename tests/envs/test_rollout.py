@@ -49,6 +49,7 @@ def test_blocks_follow_resets_and_states_that_are_restored():
 
 MISUSE = {
     "noise of another length": lambda envs: envs.rollout(policy_of(envs), 6, noise=torch.zeros(5, 5, 2)),
+    "noise that is not finite": lambda envs: envs.rollout(policy_of(envs), 6, noise=torch.full((6, 5, 2), torch.nan)),
     "no steps": lambda envs: envs.rollout(policy_of(envs), 0),
     "another number of actions": lambda envs: envs.rollout(nn.Sequential(nn.Linear(12, 3)), 2),
     "another number of observations": lambda envs: envs.rollout(nn.Sequential(nn.Linear(7, 2)), 2),

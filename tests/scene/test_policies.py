@@ -140,6 +140,15 @@ def wide(name):
 
 
 Q = torch.zeros(3, 2, dtype=torch.float64)
+GO2 = Scene(torchdq.robots.load("go2"))
+
+
+def hooked(network):
+    """Network whose first layer does more than its type says."""
+    network[0].register_forward_hook(lambda layer, x, y: 3 * y)
+    return network
+
+
 ZEROS = torch.zeros(5, 2), torch.zeros(5, 4)
 
 
@@ -148,7 +157,10 @@ ZEROS = torch.zeros(5, 2), torch.zeros(5, 4)
     [
         lambda: policies.Network(nn.Linear(4, 2)),
         lambda: policies.Network(nn.Sequential(nn.Linear(4, 2), nn.Sigmoid())),
+        lambda: policies.Network(type("Scaled", (nn.Sequential,), {})(nn.Linear(4, 2))),
+        lambda: policies.Network(hooked(nn.Sequential(nn.Linear(4, 2)))),
         lambda: policies.Network(nn.Sequential(nn.Linear(4, 2)), "q"),
+        lambda: GO2.rollout(GO2.start(torch.zeros(12)), policy=policies.Linear(torch.zeros(5, 2, 4), *ZEROS)),
         lambda: SCENE.rollout(SCENE.start(Q), policy=wide("velocity"), steps=2),
         lambda: SCENE.replace(backend="eager").rollout(SCENE.start(Q), policy=wide("velocity"), steps=2),
         lambda: SCENE.rollout(SCENE.start(Q), policy=wide("q"), steps=2),

@@ -142,14 +142,16 @@ class Network:
         """Formula, without the tensors."""
         layers = []
         for name, layer in self.network.named_modules(remove_duplicate=False):
-            if type(layer) in FORMULAS:
+            hooked = layer._forward_hooks or layer._forward_pre_hooks or "forward" in vars(layer)
+            if type(layer) in FORMULAS and not hooked:
                 axes = {key: tuple(x.shape) for key, x in layer.named_parameters()}
                 number = getattr(layer, NUMBERS.get(type(layer), ""), 0.0)
                 layers.append(Layer(type(layer), name, tuple(axes.items()), number))
-            elif not isinstance(layer, nn.Sequential):
+            elif type(layer) is not nn.Sequential or hooked:
                 known = ", ".join(kind.__name__ for kind in FORMULAS)
                 raise ArgumentError(
-                    f"layers of Network must be {known}, found {type(layer).__name__}; a function of the state and the "
+                    f"layers of Network must be {known}, found {type(layer).__name__}"
+                    f"{' with hooks' if hooked else ''}; a function of the state and the "
                     f"number of the step may be anything, policy=lambda state, k: ..., and is called at every step"
                 )
         return NetworkForm(tuple(self.inputs), tuple(layers))

@@ -42,7 +42,7 @@ def rollout(
     checkpoint: int = 0,
     nonfinite: Nonfinite = "warn",
     task: Task | None = None,
-    total: Sequence[str] = (),
+    total: str | Sequence[str] = (),
     ends: bool = False,
     **inputs: Tensor | None,
 ) -> Any:
@@ -65,7 +65,7 @@ def rollout(
             counter or batch norm. Without effect under torch.compile and inside of transforms of `torch.func`.
         nonfinite: "warn": warn if rows are not finite at the start, or no longer at the end; "ignore": do not.
         task: rows of numbers that are recorded with a step, as those of environments; see `torchdq.envs.tasks`.
-        total: names of rows of the task of which the sum over the steps is returned, shape [...].
+        total: name or names of rows of the task of which the sum over the steps is returned, shape [...].
         ends: whether only the last state is returned, shape [...]; with `checkpoint`, the gradient keeps no other.
         inputs: as in `step`, shape [steps, ...], and those of the task; its "carry" is given as it is before the first
             step, shape [..., k].
@@ -84,7 +84,10 @@ def rollout(
     own = policy.stepped() if isinstance(policy, Linear | Network) else {}
     count = _length({**{name: x for name, x in series.items() if name != CARRY}, **own}, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
-    plan = Plan(policy if isinstance(policy, Linear | Network) else None, task, tuple(total), ends)
+    total = (total,) if isinstance(total, str) else tuple(total)
+    plan = Plan(policy if isinstance(policy, Linear | Network) else None, task, total, ends)
+    if isinstance(policy, Linear) and scene.robot.floating:
+        raise ArgumentError(f"policy must be a function for robot {scene.robot.name!r}: a floating base has no gains")
     by_loop = (policy is None or plan.policy is not None) and done is None and loops(scene, state, plan.policy)
     if by_loop:
         states, rows = _by_loop(scene, state, series, count, plan, checkpoint)
