@@ -73,8 +73,8 @@ def looped(
 
     def part(count: int, *tensors: Tensor) -> dict[str, Tensor]:
         values = iter(tensors)
-        rows = [dict(zip(some, values, strict=False)) for some in names]
-        return repeat(what, count, *rows, plan.total, plan.ends, scene.backend)
+        carried, stepped, same = (dict(zip(some, values, strict=False)) for some in names)
+        return repeat(what, count, carried, stepped, same, plan.total, plan.ends, scene.backend)
 
     if not (checkpoint and plan.ends and torch.is_grad_enabled()):
         return part(steps, *start.values(), *series.values(), *fixed.values())

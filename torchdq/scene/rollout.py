@@ -84,8 +84,8 @@ def rollout(
     own = policy.stepped() if isinstance(policy, Linear | Network) else {}
     count = _length({**{name: x for name, x in series.items() if name != CARRY}, **own}, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
-    total = (total,) if isinstance(total, str) else tuple(total)
-    plan = Plan(policy if isinstance(policy, Linear | Network) else None, task, total, ends)
+    totals = (total,) if isinstance(total, str) else tuple(total)
+    plan = Plan(policy if isinstance(policy, Linear | Network) else None, task, totals, ends)
     if isinstance(policy, Linear) and scene.robot.floating:
         raise ArgumentError(f"policy must be a function for robot {scene.robot.name!r}: a floating base has no gains")
     by_loop = (policy is None or plan.policy is not None) and done is None and loops(scene, state, plan.policy)
@@ -93,7 +93,7 @@ def rollout(
         states, rows = _by_loop(scene, state, series, count, plan, checkpoint)
     else:
         states, rows = _by_steps(scene, state, series, count, plan, {"policy": policy, "done": done}, checkpoint)
-    for name in total:
+    for name in totals:
         if name not in rows:
             raise ArgumentError(f"total must name rows of the task, {', '.join(rows) or 'none'}, found {name!r}")
     if nonfinite == "warn" and count and (by_loop or not without_values((state.q,))):
