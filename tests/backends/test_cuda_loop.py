@@ -45,7 +45,7 @@ def test_a_loop_is_its_steps(samples, steps, dtype):
 @each_dtype
 @pytest.mark.parametrize("program", [SMALL, GROWING], ids=["plain", "growing"])
 def test_gradients_are_those_of_the_steps(program, dtype):
-    """Those of states and of inputs bit for bit; the rest are sums in another order."""
+    """Gradients in states and inputs are equal to the bit; those of the rest are sums in another order."""
     given = tensors(70, 5, dtype=dtype, grad=True)
     with torch.no_grad():
         given["x"] /= 10.0  # below the limit

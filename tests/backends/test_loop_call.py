@@ -166,7 +166,7 @@ def test_rows_over_the_limit_at_some_step_are_as_stepped_and_no_other_is_touched
 
 
 def test_gradients_of_rows_over_the_limit_are_finite_where_those_of_a_float32_step_are_not():
-    """What float32 divides by zero: all of it is taken step by step, with its gradient."""
+    """Rows that divide by zero in float32 are taken step by step, with their gradient."""
 
     def algorithm(x, u):
         rest = (1.0 + x[0]) - 1.0

@@ -38,7 +38,7 @@ def test_a_loop_returns_what_it_carries_what_it_keeps_and_totals(steps, kept, ba
 
 
 def test_what_is_added_comes_before_every_step():
-    """The same recurrence in what is carried and added to."""
+    """Program that is linear in its carried argument, which more is added to."""
     over = Loop(recurrence(), ((0, 0),), (1,), added=(0,))
     assert [a.name for a in over.arguments] == ["x", "u", "x+"] and over.given == (1, 2)
     x, u, more = random(4, 2), random(3, 4, 2, seed=1), random(3, 4, 2, seed=2)
