@@ -77,10 +77,8 @@ def repeat(
             layout = _layouts[key] = _layout(
                 what, steps, once(steps, tensors, stepped), carried, names, total, ends, backend
             )
-        given = [*carried.values()]
-        for x, same in zip(stepped.values(), constant, strict=True):
-            given.append(x[0] if same else aligned(x, layout.rows[len(given)].expanded))
-        given += fixed.values()
+        series = [x[0] if same else x for x, same in zip(stepped.values(), constant, strict=True)]
+        given = [*carried.values(), *series, *fixed.values()]
         like = given[0]
         given = [x if shape is None else x.reshape(shape) for x, shape in zip(given, layout.whole, strict=True)]
         rows = [row_of(x, like.dtype, like.device, a) for x, a in zip(given, layout.rows, strict=True)]
@@ -90,12 +88,6 @@ def repeat(
     found = _guarded(layout, rows, steps)
     shaped = [y if y.shape == shape else y.view(shape) for y, shape in zip(found, layout.shapes, strict=True)]
     return dict(zip(layout.names, shaped, strict=True))
-
-
-def aligned(x: Tensor, whole: Shape | None) -> Tensor:
-    """Rows of every step with all batch axes behind the steps, as rows of one step would broadcast."""
-    missing = 0 if whole is None else len(whole) - x.ndim
-    return x.view(len(x), *[1] * missing, *x.shape[1:]) if missing > 0 else x
 
 
 def _guarded(layout: LoopLayout, rows: Sequence[Tensor], steps: int) -> Sequence[Tensor]:
