@@ -3,8 +3,8 @@
     python benchmarks/envs.py [--quick] [--json FILE] [--page]
 
 A seven-joint arm with gravity, damping and dry friction, the same URDF for both. MuJoCo steps its batch in C
-(`mujoco.rollout`), so that no Python stands between its steps; torchdq is called from Python, one call per step.
-The systems of a row run in turns.
+(`mujoco.rollout`), as torchdq does (`Scene.rollout`): no Python stands between the steps. Environments are called step
+by step. The systems of a row run in turns.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ def torchdq_steps(scene: Scene, dtype: torch.dtype):
     """STEPS steps of a batch."""
     generator = torch.Generator().manual_seed(0)
     q, qd, u = (2 * torch.rand(BATCH, scene.n, generator=generator, dtype=dtype) - 1 for _ in range(3))
-    state = scene.start(q, qd)
-    return lambda: [scene.step(state, u) for _ in range(STEPS)]
+    state, series = scene.start(q, qd), u.expand(STEPS, BATCH, scene.n)
+    return lambda: scene.rollout(state, series, ends=True)
 
 
 def gradient_steps(scene: Scene, dtype: torch.dtype, steps: int):

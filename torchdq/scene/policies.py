@@ -19,6 +19,7 @@ from torchdq.scene.state import State
 __all__ = ["Linear", "Network"]
 
 ORDER = ("q", "qd", "memory", "reading")  # of the rows of a state, as in a `Linearization` of a fixed base
+TOGETHER = 8  # outputs of a layer whose sums stay in registers while the inputs are read once
 STEPPED = ("gain of the policy", "torque of the policy", "state of the policy")
 
 
@@ -211,8 +212,12 @@ class Layer(NamedTuple):
 
 
 def _affine(x: Row, _: float, weight: Row, bias: Row = ()) -> Row:
-    rows = [weight[k : k + len(x)] for k in range(0, len(weight), len(x))]
-    found = [_dot(row, x) for row in rows]
+    rows, found = [weight[k : k + len(x)] for k in range(0, len(weight), len(x))], list[Number]()
+    for k in range(0, len(rows), TOGETHER):
+        sums: Row = [0.0] * len(rows[k : k + TOGETHER])
+        for v, *weights in zip(x, *rows[k : k + TOGETHER], strict=True):
+            sums = [s + v * w for s, w in zip(sums, weights, strict=True)]
+        found += sums
     return [y + b for y, b in zip(found, bias, strict=True)] if bias else found
 
 
