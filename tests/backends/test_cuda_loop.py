@@ -143,9 +143,9 @@ def test_loops_that_cannot_be_compiled_are_run_by_torch_or_refused(monkeypatch):
     device = torch.device("cuda", 99)
     torchdq.clear_caches()  # what was warned of once
     with warned(UserWarning):
-        assert isinstance(cuda.CUDA_OR_EAGER.loop(loop(SMALL), F64, device), InterpretedLoop)
+        assert isinstance(cuda.CUDA_OR_EAGER.loop(loop(SMALL), F64, device, 1), InterpretedLoop)
     with refused(BuildError):
-        cuda.CUDA.loop(loop(SMALL), F64, device)
+        cuda.CUDA.loop(loop(SMALL), F64, device, 1)
 
 
 # --- for GPUs --------------------------------------------------------------------------------------------------------

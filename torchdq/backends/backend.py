@@ -55,8 +55,8 @@ class Backend:
         """Function that computes all outputs of a program in one precision."""
         raise NotImplementedError
 
-    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
-        """Function that computes all outputs of a loop in one precision."""
+    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device, samples: int) -> LoopKernel:
+        """Function that computes all outputs of a loop in one precision, for about so many samples."""
         raise NotImplementedError
 
     def __repr__(self) -> str:

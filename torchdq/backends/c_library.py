@@ -40,6 +40,12 @@ def _processor() -> str:
     return "\n".join([platform.machine(), platform.processor(), sys.platform, *kinds])
 
 
+@remembered(1)
+def wide() -> bool:
+    """Whether the processor has vectors of 64 bytes."""
+    return "avx512f" in _processor()
+
+
 def flags() -> list[str]:
     """Arguments of the compiler."""
     return [*FLAGS, *shlex.split(os.environ.get("TORCHDQ_CFLAGS", "")), *ARITHMETIC, *LIBRARY]

@@ -6,8 +6,8 @@ from torchdq.program.loop import Chain, Loop
 from torchdq.program.program import GROWTH, Program, outputs
 
 
-def loop_source(loop: Loop, single: bool) -> str:
-    """C source of a loop in double or single precision.
+def loop_source(loop: Loop, single: bool, few: bool = False) -> str:
+    """C source of a loop in double or single precision, for few samples or any number.
 
     It defines `run`, which takes the number of samples, that of the samples in the arrays, the number of steps, and a
     pointer per argument and per output: dense arrays [samples, width], [steps, samples, width] or [width]; the last
@@ -65,7 +65,7 @@ def loop_source(loop: Loop, single: bool) -> str:
         "}",
     ]
     whole = ["#if PIECE==0", *lines, "#endif"] if functions else lines
-    return "\n".join([c_prelude.text(single), *functions, *whole]) + "\n"
+    return "\n".join([c_prelude.text(single, few), *functions, *whole]) + "\n"
 
 
 def _zeros(name: str, width: int) -> str:

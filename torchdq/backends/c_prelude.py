@@ -10,7 +10,7 @@ from torchdq.backends.c_constants import DOUBLE, FLOAT
 _LIBRARY = ("sin", "cos", "sqrt", "exp", "log", "tanh", "floor")
 
 _PRELUDE = """
-#if defined(__AVX512F__)
+#if defined(__AVX512F__)&&!defined(FEW)
 #define BYTES 64
 #elif defined(__AVX__)
 #define BYTES 32
@@ -98,11 +98,11 @@ static inline T log_(T x){
 """
 
 
-def text(single: bool) -> str:
-    """C code at the top of a program in single or double precision."""
+def text(single: bool, few: bool = False) -> str:
+    """C code at the top of a program in single or double precision, with shorter vectors for a few samples."""
     constants, suffix = (FLOAT, "f") if single else (DOUBLE, "")
     library = "".join(f"#define LIBRARY_{name.upper()} __builtin_{name}{suffix}\n" for name in _LIBRARY)
-    return f"{constants}{library}\n{_PRELUDE.replace('@TURNS@', _turns())}"
+    return f"{'#define FEW' * few}\n{constants}{library}\n{_PRELUDE.replace('@TURNS@', _turns())}"
 
 
 def _turns() -> str:

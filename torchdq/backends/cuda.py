@@ -41,8 +41,8 @@ class Cuda(Backend):
         """Compiled program in one precision, built unless the cache on disk has it."""
         return built(_compiled(program, dtype, _architecture(device.index or 0)))
 
-    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
-        """Compiled loop in one precision, likewise."""
+    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device, samples: int) -> LoopKernel:
+        """Compiled loop in one precision, likewise, one for any number of samples."""
         return built(_compiled(loop, dtype, _architecture(device.index or 0)))
 
 
@@ -62,7 +62,7 @@ class CudaOrTorch(Cuda):
         found = _compiled(program, dtype, _architecture(device.index or 0))
         return _GuardedByTorch(program) if failed(found) else found
 
-    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device) -> LoopKernel:
+    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device, samples: int) -> LoopKernel:
         """Compiled loop in one precision, or its torch operations."""
         found = _compiled(loop, dtype, _architecture(device.index or 0))
         return InterpretedLoop(loop) if failed(found) else found

@@ -125,7 +125,7 @@ class Looping(NamedTuple):
     def __call__(self, loop: Loop, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
         """Outputs of a loop."""
         like = inputs[0]
-        return self.backend.loop(loop, like.dtype, like.device)(inputs, samples, steps)
+        return self.backend.loop(loop, like.dtype, like.device, samples)(inputs, samples, steps)
 
 
 def once(steps: int, tensors: Mapping[str, Tensor], stepped: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -109,8 +109,8 @@ def shapes(loop: Loop, samples: int, steps: int) -> list[tuple[int, ...]]:
 
 def with_states(loop: Loop) -> Loop:
     """Loop that keeps everything that it carries."""
-    carried = [r for _, r in loop.carried]
-    return replace(loop, kept=tuple(sorted({*loop.kept, *carried})))
+    kept = {*loop.kept, *(r for _, r in loop.carried)}
+    return loop if len(kept) == len(loop.kept) else replace(loop, kept=tuple(sorted(kept)))
 
 
 def adjoint(loop: Loop, wrt: Sequence[int]) -> Loop:

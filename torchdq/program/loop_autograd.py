@@ -61,7 +61,7 @@ class _Differentiable(torch.autograd.Function):
         for (k, r), states in zip(loop.carried, kept, strict=True):
             before = _before(loop, states)
             rows[k] = before + inputs[added[k]] if k in added else before
-            rows[count + r] = torch.zeros_like(states[0])
+            rows[count + r] = states.new_zeros(states.shape[1:])
             given.append(_after(loop, cotangents[r]))
         found = differentiable(ctx.execute, derivative, [*rows, *given], ctx.samples, ctx.steps)
         taken = sorted({*(k for k in range(count) if needed[k]), *carried})
@@ -69,8 +69,9 @@ class _Differentiable(torch.autograd.Function):
         for k, r in loop.carried:
             if k in added and needed[added[k]]:
                 gradients[added[k]] = _after(derivative, gradients[k])
-            end = _end(derivative, gradients[k]) if any(needed[count:]) else gradients[k]
-            gradients[k] = end + _start(loop, cotangents[r])
+            if needed[k]:
+                end = _end(derivative, gradients[k]) if any(needed[count:]) else gradients[k]
+                gradients[k] = end + _start(loop, cotangents[r])
         return None, None, None, None, *[gradients[k] if wanted else None for k, wanted in enumerate(needed)]
 
 
