@@ -172,6 +172,9 @@ ZEROS = torch.zeros(5, 2), torch.zeros(5, 4)
         lambda: SCENE.rollout(SCENE.start(Q), Q[None], policy=policies.Linear(torch.zeros(5, 2, 4), *ZEROS)),
         lambda: SCENE.rollout(SCENE.start(Q), steps=2, total=("cost",)),
         lambda: SCENE.rollout(SCENE.start(Q), steps=2, task=Distance()),
+        lambda: SCENE.rollout(SCENE.start(Q), steps=2, task="distance"),
+        lambda: SCENE.rollout(SCENE.start(Q), steps=2, task=Distance),
+        lambda: SCENE.rollout(SCENE.start(Q), steps=2, total=3),
     ],
 )
 def test_a_wrong_policy_or_task_is_refused(call):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint as checkpointed
 
 from torchdq.backends.loop_call import repeat, repeatable
 from torchdq.robot.robot import constants
@@ -18,16 +17,27 @@ from torchdq.scene.recording import Stage
 from torchdq.scene.spec import POLICY, Task
 from torchdq.scene.state import State
 
+CARRY = "carry"  # row of a task that is its input at the next step
 MANY = 128  # rows up to which the loop differentiates weights
+Policy = Callable[[State, int], Tensor]
+Done = Callable[[State], Tensor]
+# steps of a rollout from the first to the one before the last, and the rows that are carried: rows of these steps
+Part = Callable[[int, int, dict[str, Tensor]], dict[str, Tensor]]
 
 
 class Plan(NamedTuple):
     """Computation of a rollout, beside its states."""
 
-    policy: Linear | Network | None = None
+    policy: Policy | None = None
+    done: Done | None = None
     task: Task | None = None
     total: tuple[str, ...] = ()  # rows of the task of which the sum over the steps is wanted
     ends: bool = False  # whether the last state is wanted alone
+
+    @property
+    def recorded(self) -> Linear | Network | None:
+        """Policy that is recorded with the steps."""
+        return self.policy if isinstance(self.policy, Linear | Network) else None
 
 
 def loops(scene: SceneModel, state: State, policy: Linear | Network | None = None) -> bool:
@@ -46,49 +56,21 @@ def loops(scene: SceneModel, state: State, policy: Linear | Network | None = Non
     )
 
 
-def looped(
-    scene: SceneModel,
-    start: Mapping[str, Tensor],
-    series: Mapping[str, Tensor],
-    steps: int,
-    plan: Plan,
-    checkpoint: int = 0,
-) -> dict[str, Tensor]:
-    """Rows of a rollout by name: of what is carried those of all steps and the start, or the last; and the task's.
-
-    Args:
-        start: rows that are carried: those of the state, and what the task remembers.
-        series: inputs [steps, ...], without torques where there are none.
-        checkpoint: for the gradient of the last state and of totals, one state in so many is kept; 0: all.
-    """
+def looped(scene: SceneModel, series: Mapping[str, Tensor], steps: int, plan: Plan, like: Tensor) -> Part:
+    """Part of a rollout by one call, of inputs [steps, ...], without torques where there are none."""
     constants(scene.robot)  # raises if they were changed in place
+    fixed, policy = scene.parameters, plan.recorded
     if scene.noises and "noise" not in series:
-        series = {**series, "noise": scene.random(start["q"], steps)}
-    fixed, policy = scene.parameters, plan.policy
+        series = {**series, "noise": scene.random(like, steps)}
     if policy is not None:
         fixed = {**fixed, **{f"{POLICY}.{name}": x for name, x in policy.weights().items()}}
         series = {**series, **policy.stepped()}
     what = Stage(scene.spec, "step", plan.task, policy=None if policy is None else policy.form)
-    names = tuple(start), tuple(series), tuple(fixed)
 
-    def part(count: int, *tensors: Tensor) -> dict[str, Tensor]:
-        values = iter(tensors)
-        carried, stepped, same = (dict(zip(some, values, strict=False)) for some in names)
-        return repeat(what, count, carried, stepped, same, plan.total, plan.ends, scene.backend)
+    def part(first: int, last: int, start: dict[str, Tensor]) -> dict[str, Tensor]:
+        count = last - first
+        rows = series if count == steps else {name: x[first:last] for name, x in series.items()}
+        found = repeat(what, count, start, rows, fixed, plan.total, plan.ends, scene.backend)
+        return found if plan.ends else {name: x[1:] if name in start else x for name, x in found.items()}
 
-    if not (checkpoint and plan.ends and torch.is_grad_enabled()):
-        return part(steps, *start.values(), *series.values(), *fixed.values())
-    parts: list[dict[str, Tensor]] = []
-    for first in range(0, max(steps, 1), checkpoint):
-        rows = [x[first : first + checkpoint] for x in series.values()]
-        count = min(checkpoint, steps - first)
-        parts.append(checkpointed(part, count, *start.values(), *rows, *fixed.values(), use_reentrant=False))
-        start = {name: parts[-1][name] for name in start}
-    return {name: _joined([x[name] for x in parts], name, start, plan.total) for name in parts[0]}
-
-
-def _joined(parts: Sequence[Tensor], name: str, carried: Mapping[str, Tensor], total: Sequence[str]) -> Tensor:
-    """Row of a rollout of those of its parts."""
-    if name in total:
-        return torch.stack([*parts]).sum(0)
-    return parts[-1] if name in carried else torch.cat([*parts])
+    return part

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
@@ -296,6 +296,17 @@ class Stage(_StageFields, Computation):
         return _program(self._replace(spec=spec), arguments)
 
 
+class _Given(Named):
+    """Inputs of a scene or task that are given, by name."""
+
+    widths: dict[str, int]  # of all that there may be
+
+    def __missing__(self, name: str) -> NoReturn:
+        if name in self.widths:
+            raise ArgumentError(f"{name} must be given, shape [..., {self.widths[name]}]; the task asks for it")
+        super().__missing__(name)
+
+
 @remembered(PROGRAMS)
 def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     spec = what.spec
@@ -305,7 +316,8 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     def by(linear: bool) -> Program:
         def algorithm(*rows: Row) -> Rows:
             given = {a.name: row for a, owner, row in zip(arguments, owners, rows, strict=True) if not owner}
-            inputs = Named("input of the scene", given)
+            inputs = _Given("input of the scene", given)
+            inputs.widths = what.widths()
             tensors = {owner: row for owner, row in zip(owners, rows, strict=True) if owner}
             if what.policy is not None:
                 inputs["torque"] = _commanded(what, inputs, tensors)

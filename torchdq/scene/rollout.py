@@ -5,30 +5,27 @@ from __future__ import annotations
 import inspect
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from functools import partial
 from typing import Any, Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint as checkpointed
+from torch.utils.checkpoint import set_checkpoint_early_stop
 
 from torchdq.base.checks import require_choice, require_count, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
-from torchdq.scene.loops import Plan, looped, loops
+from torchdq.scene.loops import CARRY, Done, Part, Plan, Policy, looped, loops
 from torchdq.scene.model import SceneModel
 from torchdq.scene.policies import Linear, Network
 from torchdq.scene.spec import Task
 from torchdq.scene.state import State, initial_motion, nonfinite_rows, require_state
 
-CARRY = "carry"  # row of a task that is its input at the next step
 LONG = 50  # steps from which a rollout reports its progress
 LONG_LOOP = 1_000_000  # steps of joints from which a loop does, since a thread takes as long as a short rollout
-Policy = Callable[[State, int], Tensor]
-Done = Callable[[State], Tensor]
 Nonfinite = Literal["warn", "ignore"]
 
 
@@ -75,99 +72,97 @@ def rollout(
     >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s, k: -4 * s.q - s.qd).q.shape
     torch.Size([50, 3, 2])
     """
+    if task is not None and (isinstance(task, type) or not hasattr(task, "rows")):
+        raise ArgumentError(f"task must have the methods inputs(n) and rows(view), as tasks.Reach(), found {task!r}")
     scene.spec.require_inputs((name for name in inputs if name != "noise"), task)
     series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
     require_state(state)
     require_choice("nonfinite", nonfinite, get_args(Nonfinite))
     _require_function("policy", policy, "state, k")
     _require_function("done", done, "state")
-    own = policy.stepped() if isinstance(policy, Linear | Network) else {}
-    count = _length({**{name: x for name, x in series.items() if name != CARRY}, **own}, steps, policy)
-    require_count("checkpoint", checkpoint, least=0)
-    totals = (total,) if isinstance(total, str) else tuple(total)
-    plan = Plan(policy if isinstance(policy, Linear | Network) else None, task, totals, ends)
     if isinstance(policy, Linear) and scene.robot.floating:
         raise ArgumentError(f"policy must be a function for robot {scene.robot.name!r}: a floating base has no gains")
-    by_loop = (policy is None or plan.policy is not None) and done is None and loops(scene, state, plan.policy)
-    if by_loop:
-        states, rows = _by_loop(scene, state, series, count, plan, checkpoint)
-    else:
-        states, rows = _by_steps(scene, state, series, count, plan, {"policy": policy, "done": done}, checkpoint)
-    for name in totals:
+    totals: Sequence[Any] = total if isinstance(total, list | tuple) else (total,)
+    plan = Plan(policy, done, task, tuple(totals), ends)
+    start = state.rows() | ({CARRY: series.pop(CARRY)} if CARRY in series else {})
+    count = _length(series if plan.recorded is None else {**series, **plan.recorded.stepped()}, steps, policy)
+    require_count("checkpoint", checkpoint, least=0)
+    by_loop = (not count or (policy is plan.recorded and done is None)) and loops(scene, state, plan.recorded)
+    unseen = not by_loop and without_values((state.q,))
+    # a loop keeps its states alone, and returns them unless the last is wanted alone
+    helps = ends if by_loop else not (unseen or state.q.is_inference())
+    again = checkpoint and count and helps and torch.is_grad_enabled()
+    notice = Progress(f"rollout of {count} steps")
+    long = count * state.q.numel() > LONG_LOOP if by_loop else count >= LONG and not unseen
+    with notice if long else nullcontext():
+        if by_loop:
+            part = looped(scene, series, count, plan, state.q)
+        else:
+            part = _stepped(scene, series, count, plan, state, notice)
+        rows = _again(part, start, count, plan, checkpoint) if again else part(0, count, start)
+    states = State(**{name: rows.pop(name) for name in state.rows()})
+    for name in plan.total:
         if name not in rows:
             raise ArgumentError(f"total must name rows of the task, {', '.join(rows) or 'none'}, found {name!r}")
-    if nonfinite == "warn" and count and (by_loop or not without_values((state.q,))):
+    if nonfinite == "warn" and count and not unseen:
         _warn(scene, state, states, ends)
     return states if task is None else (states, rows)
 
 
-def _by_loop(
-    scene: SceneModel, state: State, series: Mapping[str, Tensor], steps: int, plan: Plan, checkpoint: int
-) -> tuple[State, dict[str, Tensor]]:
-    """States after each step, and the task's rows, by one call."""
-    start, series = state.rows(), {**series}
-    if CARRY in series:
-        start[CARRY] = series.pop(CARRY)
-    with Progress(f"rollout of {steps} steps") if steps * state.q.numel() > LONG_LOOP else nullcontext():
-        found = looped(scene, start, series, steps, plan, checkpoint)
-    rows = {name: x[1:] if name in start and not plan.ends else x for name, x in found.items()}
-    return State(**{name: rows.pop(name) for name in state.rows()}), rows
+def _again(part: Part, start: dict[str, Tensor], steps: int, plan: Plan, stride: int) -> dict[str, Tensor]:
+    """Rows of a rollout, of which the gradient keeps a state in `stride` and computes the others again."""
+    ends, found = dict[int, dict[str, Tensor]](), list[dict[str, Tensor]]()
+
+    def checked(first: int, start: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        rows = part(first, min(first + stride, steps), start)
+        whole = {*plan.total, *(start if plan.ends else ())}
+        end = {name: x if name in whole else x[-1].clone() for name, x in rows.items()}
+        seen = ends.setdefault(first, {name: x.detach().clone() for name, x in end.items()})
+        if not all([torch.allclose(x, end[name], 0.0, 0.0, equal_nan=True) for name, x in seen.items()]):
+            raise ArgumentError(
+                "policy, done and all tensors that a step reads must remain the same where checkpoint is not 0, since "
+                "steps are computed again for the gradient, found other rows the second time; use checkpoint=0, or "
+                "functions that remember nothing, as modules do after eval(), and take the gradient before a tensor "
+                "that they read is changed"
+            )
+        return rows, {name: end[name] for name in start}
+
+    for first in range(0, steps, stride):
+        with set_checkpoint_early_stop(False):  # to the end of a part, which is compared
+            rows, start = checkpointed(checked, first, start, use_reentrant=False)
+        found.append(rows)
+
+    def joined(name: str, parts: list[Tensor]) -> Tensor:
+        if name in plan.total:
+            return sum(parts[1:], parts[0])
+        return parts[-1] if plan.ends and name in start else torch.cat(parts)
+
+    return {name: joined(name, [rows[name] for rows in found]) for name in found[0]}
 
 
-def _by_steps(
-    scene: SceneModel,
-    state: State,
-    series: Mapping[str, Tensor],
-    steps: int,
-    plan: Plan,
-    functions: Mapping[str, Callable[..., Tensor] | None],
-    checkpoint: int,
-) -> tuple[State, dict[str, Tensor]]:
-    """States after each step, and the task's rows, by so many calls; of `checkpoint` states, the gradient keeps one."""
-    unseen = without_values((state.q,))
-    again = bool(checkpoint) and torch.is_grad_enabled() and not (unseen or state.q.is_inference())
-    asked = {name: _Asked(name, x, again, {}) for name, x in functions.items() if x is not None}
-    idle = _finite(scene, state) if "done" in asked else state
-    carry, series = series.get(CARRY), {name: x for name, x in series.items() if name != CARRY}
-    follow, notice = _Steps(scene, series, plan, asked, idle), Progress(f"rollout of {steps} steps")
-    read = _tensors_read(scene, series, asked) if again else []
+def _stepped(
+    scene: SceneModel, series: Mapping[str, Tensor], steps: int, plan: Plan, state: State, notice: Progress
+) -> Part:
+    """Part of a rollout by so many calls, from a state."""
+    follow = _Steps(scene, series, plan, state if plan.done is None else _finite(scene, state))
 
-    def part(first: int, last: int, carry: Tensor | None, *tensors: Tensor | None) -> list[_After]:
-        found, state = [], State._make(tensors[: len(State._fields)])
+    def part(first: int, last: int, start: dict[str, Tensor]) -> dict[str, Tensor]:
+        found: list[dict[str, Tensor]] = []
+        after = start
         for k in range(first, last):
             notice.at(f"step {k + 1} of {steps}")
-            state, rows = follow.after(k, state, carry)
-            carry = None if carry is None else rows[CARRY]
-            found.append((state, rows))
-        return found
+            after = follow.after(k, after)
+            found.append(after)
+        if not found:
+            return {name: x if plan.ends else x[None][:0] for name, x in start.items()}
+        return {name: joined(name, [rows[name] for rows in found]) for name in after}
 
-    # torch refuses the gradient if an argument of what it runs again was changed in place since
-    run = partial(checkpointed, part, use_reentrant=False) if again else part
-    stride, end = checkpoint or max(steps, 1), state
-    found: list[_After] = []
-    with notice if steps >= LONG and not unseen else nullcontext():
-        for first in range(0, steps, stride):
-            found += run(first, min(first + stride, steps), carry, *end, *read)
-            end, rows = found[-1]
-            carry = None if carry is None else rows[CARRY]
-    return _joined(found, state, plan)
+    def joined(name: str, rows: list[Tensor]) -> Tensor:
+        if name in plan.total:
+            return sum(rows[1:], rows[0])
+        return rows[-1] if plan.ends and (name == CARRY or name in State._fields) else torch.stack(rows)
 
-
-_After = tuple[State, dict[str, Tensor]]  # state after a step, and rows of the task
-
-
-def _joined(found: Sequence[_After], start: State, plan: Plan) -> _After:
-    """States and rows of all steps."""
-    if not found:
-        return State._make(None if x is None else x[None][:0] for x in start), {}
-    parts = zip(*[state for state, _ in found], strict=True)
-    states = State._make(None if x[0] is None else torch.stack(x) for x in parts)
-    rows = {name: [rows[name] for _, rows in found] for name in found[-1][1]}
-    joined = {
-        name: sum(x[1:], x[0]) if name in plan.total else x[-1] if plan.ends and name == CARRY else torch.stack(x)
-        for name, x in rows.items()
-    }
-    return states.last if plan.ends else states, joined
+    return part
 
 
 @torch.no_grad()
@@ -226,54 +221,10 @@ def _require_function(name: str, x: Any, arguments: str) -> None:
     raise ArgumentError(f"{name} must be a function {name}({arguments}), found {found}")
 
 
-def _tensors_read(scene: SceneModel, series: Mapping[str, Tensor], asked: Mapping[str, _Asked]) -> list[Tensor]:
-    """Tensors that the steps read, beside the state: of the scene, of the inputs, and of modules and functions."""
-    parts = [*(x.function for x in asked.values()), *(x for effect in scene.effects for x in vars(effect).values())]
-    recorded = [part for part in parts if isinstance(part, Linear | Network)]
-    parts += [x for part in recorded for x in (*part.stepped().values(), *part.weights().values())]
-    for closed in [inspect.getclosurevars(part) for part in parts if inspect.isfunction(part)]:
-        parts += [*closed.nonlocals.values(), *closed.globals.values()]
-    found = [*scene.parameters.values(), *series.values(), *(part for part in parts if isinstance(part, Tensor))]
-    found += [x for part in parts if isinstance(part, nn.Module) for x in (*part.parameters(), *part.buffers())]
-    # tensors made in inference mode do not tell whether they were changed
-    return [x for x in found if not x.is_inference()]
-
-
 def _finite(scene: SceneModel, state: State) -> State:
     """State with zeros and the unit pose in rows that are not finite."""
     zero = State._make(None if x is None else torch.zeros_like(x) for x in state)
     return _where(state.finite(), state, zero._replace(**initial_motion(scene.spec, {"q": zero.q})))
-
-
-class _Asked(NamedTuple):
-    """Function of the user, which must depend on its arguments alone where it is called again for the gradient."""
-
-    name: str
-    function: Callable[..., Tensor]
-    again: bool
-    first: dict[int, Tensor]  # results of the first call by step, if there is another
-
-    def _buffers(self) -> list[tuple[str, Tensor, int]]:
-        """Buffers of a function that is a module, by name, and how often each was changed in place."""
-        found = self.function.named_buffers() if self.again and isinstance(self.function, nn.Module) else ()
-        return [(name, x, x._version) for name, x in found if not x.is_inference()]
-
-    def at(self, k: int, *arguments: Any) -> Tensor:
-        """Result of the function at a step."""
-        before, x = self._buffers(), self.function(*arguments)
-        if not self.again or not isinstance(x, Tensor):
-            return x
-        changed = [a[0] for a, b in zip(before, self._buffers(), strict=False) if a[1] is not b[1] or a[2] != b[2]]
-        first = self.first.setdefault(k, x.detach().clone())
-        other = first.shape != x.shape or bool(((first != x) & ~(first.isnan() & x.isnan())).any())
-        if changed or other:
-            found = f"that it changes its buffer {changed[0]!r}" if changed else "another result the second time"
-            raise ArgumentError(
-                f"{self.name} must depend on its arguments alone where checkpoint is not 0, since it is called again "
-                f"for the gradient, found {found}; use checkpoint=0, or a {self.name} that remembers nothing, as "
-                f"modules do after eval(), and take the gradient before a tensor that it reads is changed"
-            )
-        return x
 
 
 class _Steps(NamedTuple):
@@ -282,41 +233,41 @@ class _Steps(NamedTuple):
     scene: SceneModel
     series: Mapping[str, Tensor]
     plan: Plan
-    asked: Mapping[str, _Asked]
     idle: State  # state from which rows that have ended are stepped
 
-    def after(self, k: int, state: State, carry: Tensor | None) -> _After:
-        """State after step k of the rows that have not ended, and the task's rows, which are zero where they have."""
-        if "done" not in self.asked:
-            return self._stepped(k, state, carry)
+    def after(self, k: int, before: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Rows after step k of those that have not ended, and the task's rows, which are zero where they have."""
+        state = State(**{name: before[name] for name in State._fields if name in before})
+        if self.plan.done is None:
+            return self._stepped(k, state, before)
         with torch.no_grad():
-            ended = self.asked["done"].at(k, state)
+            ended = self.plan.done(state)
         shape = state.q.shape[:-1]
         if not isinstance(ended, Tensor) or ended.dtype != torch.bool or ended.shape != shape:
             raise ArgumentError(f"done must return a tensor of bool of shape {tuple(shape)}, found {_kind(ended)}")
         # a row that has ended is stepped from its start, or a finite state instead, and that step is left out: where it
         # ended the gradient may not be finite, and zero times that would be NaN in the parameters that all rows share
-        found, rows = self._stepped(k, _where(ended, self.idle, state), carry)
-        idle = {name: carry if name == CARRY and carry is not None else torch.zeros_like(x) for name, x in rows.items()}
-        masks = {name: ended.view(*shape, *[1] * (x.ndim - ended.ndim)) for name, x in rows.items()}
-        rows = {name: torch.where(masks[name], idle[name], x) for name, x in rows.items()}
-        return _where(ended, state, found), rows
+        found = self._stepped(k, _where(ended, self.idle, state), before)
+        held = {**{name: torch.zeros_like(x) for name, x in found.items() if name not in before}, **before}
+        masks = {name: ended.view(*shape, *[1] * (x.ndim - ended.ndim)) for name, x in found.items()}
+        return {name: torch.where(masks[name], held[name], x) for name, x in found.items()}
 
-    def _stepped(self, k: int, state: State, carry: Tensor | None) -> _After:
-        given = {} if carry is None else {CARRY: carry}
+    def _stepped(self, k: int, state: State, before: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        given = {CARRY: before[CARRY]} if CARRY in before else {}
         given |= {name: x[k] for name, x in self.series.items()}
-        noise = given.pop("noise", None)
-        if self.plan.policy is not None:
-            torque = self.plan.policy.at({**state.rows(), **given}, k)
+        noise, policy = given.pop("noise", None), self.plan.policy
+        if self.plan.recorded is not None:
+            torque = self.plan.recorded.at({**state.rows(), **given}, k)
             given["torque"] = given["torque"] + torque if "torque" in given else torque
-        elif "policy" in self.asked:
-            given["torque"] = torque = self.asked["policy"].at(k, state, k)
+        elif policy is not None:
+            given["torque"] = torque = policy(state, k)
             n, dtype = self.scene.n, state.q.dtype
             if not isinstance(torque, Tensor) or torque.shape[-1:] != (n,) or torque.dtype != dtype:
                 raise ArgumentError(
                     f"policy must return torques, a tensor [..., {n}] of {dtype}, found {_kind(torque)}"
                 )
-        return self.scene.advance(state, given, noise, self.plan.task)
+        after, rows = self.scene.advance(state, given, noise, self.plan.task)
+        return {**after.rows(), **rows}
 
 
 def _where(rows: Tensor, a: State, b: State) -> State:
