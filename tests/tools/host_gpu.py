@@ -51,7 +51,7 @@ class Host(Cuda):
     def kernel(self, program, dtype, device):
         return CudaKernel(program, dtype, self.build)
 
-    def loop(self, loop, dtype, device):
+    def loop(self, loop, dtype, device, samples):
         return CudaLoop(loop, dtype, self.build)
 
     def build(self, text, name, arrays):

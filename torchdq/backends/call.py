@@ -71,6 +71,7 @@ class Arrangement(NamedTuple):
 
     expanded: Shape | None  # with all batch axes
     flat: Shape | None  # [samples, width], or [width] for a uniform argument
+    whole: Shape | None = None  # with the batch axes that a tensor of every step lacks, before all of this
 
 
 class CallLayout(NamedTuple):
@@ -294,6 +295,8 @@ def row_of(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement
     """Tensor as rows of a program."""
     if x.dtype != dtype or x.device != device:
         x = x.to(dtype=dtype, device=device)
+    if row.whole is not None:
+        x = x.reshape(row.whole)
     if row.expanded is not None:
         x = x.expand(row.expanded)
     return x if row.flat is None else x.reshape(row.flat)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from torch import Tensor
@@ -15,9 +16,8 @@ from torchdq.backends.precision import largest_growth, run, within_limit
 from torchdq.backends.torch import by_steps
 from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.program.autograd import in_a_graph
-from torchdq.program.loop import Chain, Loop
+from torchdq.program.loop import Loop
 from torchdq.program.loop_autograd import differentiable
-from torchdq.program.program import Program
 from torchdq.program.transforms import dispatching, transforming, without_values
 
 
@@ -33,13 +33,13 @@ class LoopLayout(NamedTuple):
     loop: Loop
     backend: Backend
     rows: tuple[Arrangement, ...]
-    whole: tuple[Shape | None, ...]  # with the batch axes that a tensor of every step lacks; None: it has all
     names: tuple[str, ...]  # names of the results
     shapes: tuple[Shape, ...]  # shapes of the results
     samples: int
 
 
 _layouts: Bounded[tuple, LoopLayout] = Bounded(LAYOUTS)
+_loop = remembered(PROGRAMS)(lambda *parts: Loop(*parts))  # one for all batches, so that it is compiled once
 
 
 def repeat(
@@ -80,7 +80,6 @@ def repeat(
         series = [x[0] if same else x for x, same in zip(stepped.values(), constant, strict=True)]
         given = [*carried.values(), *series, *fixed.values()]
         like = given[0]
-        given = [x if shape is None else x.reshape(shape) for x, shape in zip(given, layout.whole, strict=True)]
         rows = [row_of(x, like.dtype, like.device, a) for x, a in zip(given, layout.rows, strict=True)]
     except (AttributeError, RuntimeError):
         batch_of(what, once(steps, tensors, stepped))  # raises, naming an argument that is not a dense tensor
@@ -93,7 +92,8 @@ def repeat(
 def _guarded(layout: LoopLayout, rows: Sequence[Tensor], steps: int) -> Sequence[Tensor]:
     """Results of a loop; samples whose errors grow too much at one of the steps take all of them one by one."""
     loop, backend, samples, count = layout.loop, layout.backend, layout.samples, len(layout.names)
-    found = differentiable(Looping(backend), loop, rows, samples, steps)
+    execute = partial(_executed, backend)
+    found = differentiable(execute, loop, rows, samples, steps)
     growth = found[count].detach() if len(found) > count and samples else None
     if growth is None or within_limit(growth, samples):
         return found[:count]
@@ -107,7 +107,7 @@ def _guarded(layout: LoopLayout, rows: Sequence[Tensor], steps: int) -> Sequence
     axes = [int(r in loop.kept) for r in range(count)]
     few = by_steps(loop, among(at), len(at), steps, lambda program, x, _: run(program, x, backend))
     if in_a_graph(rows):  # gradients of the rows over the limit may be 0 * inf
-        rest = differentiable(Looping(backend), loop, among(others), len(others), steps)
+        rest = differentiable(execute, loop, among(others), len(others), steps)
     else:
         rest = [y.index_select(axis, others) for y, axis in zip(found, axes, strict=False)]
     wholes = [y.new_empty(y.shape) for y in found[:count]]
@@ -117,15 +117,9 @@ def _guarded(layout: LoopLayout, rows: Sequence[Tensor], steps: int) -> Sequence
     ]
 
 
-class Looping(NamedTuple):
-    """Backend as a function that runs loops."""
-
-    backend: Backend
-
-    def __call__(self, loop: Loop, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
-        """Outputs of a loop."""
-        like = inputs[0]
-        return self.backend.loop(loop, like.dtype, like.device, samples)(inputs, samples, steps)
+def _executed(backend: Backend, loop: Loop, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
+    """Outputs of a loop, by a backend."""
+    return backend.loop(loop, inputs[0].dtype, inputs[0].device, samples)(inputs, samples, steps)
 
 
 def once(steps: int, tensors: Mapping[str, Tensor], stepped: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -151,13 +145,13 @@ def _layout(
     states = tuple([(names.index(name), results.index(name)) for name in carried])
     kept = [r for r, name in enumerate(results) if not (name in total or (ends and name in carried))]
     loop = _loop(program, states, tuple(map(names.index, stepped)), tuple(kept))
-    arrangement, whole = [], []
+    arrangement = []
     for name, row, a in zip(names, rows, arguments, strict=True):
-        lacking = len(batch) + len(what.axes(name)) - once[name].ndim if name in stepped else 0
-        whole.append((steps, *(1,) * lacking, *once[name].shape) if lacking else None)
         if name in stepped:
             shape, flat = (steps, *batch, *what.axes(name)), (steps, math.prod(batch), a.width)
-            row = Arrangement(None if row.expanded is None else shape, None if shape == flat else flat)
+            lacking = len(shape) - 1 - once[name].ndim
+            whole = (steps, *(1,) * lacking, *once[name].shape) if lacking else None
+            row = Arrangement(None if row.expanded is None else shape, None if shape == flat else flat, whole)
         arrangement.append(row)
     shapes = []
     for r, axes in enumerate(what.results(program)):
@@ -167,16 +161,7 @@ def _layout(
         loop,
         choose(backend, like.device),
         tuple(arrangement),
-        tuple(whole),
         tuple(results),
         tuple(shapes),
         math.prod(batch),
     )
-
-
-@remembered(PROGRAMS)
-def _loop(
-    body: Program | Chain, carried: tuple[tuple[int, int], ...], stepped: tuple[int, ...], kept: tuple[int, ...]
-) -> Loop:
-    """Loop over a program, one for all batches, so that it is compiled once."""
-    return Loop(body, carried, stepped, kept)

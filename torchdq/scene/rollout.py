@@ -165,20 +165,20 @@ def _stepped(
     return part
 
 
-@torch.no_grad()
 def _warn(scene: SceneModel, start: State, states: State, ends: bool) -> None:
     """Warn of rows that are not finite at the start, and of those that are no longer so at the end."""
-    states = State._make(None if x is None else x[None] for x in states) if ends else states
-    if math.isfinite(sum([x[-1].sum().item() for x in states.rows().values()])):
+    rows = [x.detach() for x in states.rows().values()]
+    if math.isfinite(sum([(x if ends else x[-1]).sum().item() for x in rows])):
         return  # what is not finite remains so
+    states = State._make(None if x is None else x[None] for x in states) if ends else states
     if message := nonfinite_rows(start, scene.robot):
         warnings.warn(message, stacklevel=4)
     lost = start.finite() & ~states.finite()
-    if rows := int(lost[-1].sum()):
+    if number := int(lost[-1].sum()):
         total, step = len(lost), 1 + int(lost.flatten(1).any(1).int().argmax())
         first = "" if ends else f", the first at step {step} of {total}"
         warnings.warn(
-            f"{rows} of {lost[-1].numel()} rows left the finite range{first}; "
+            f"{number} of {lost[-1].numel()} rows left the finite range{first}; "
             f"scene.check(state, seconds) finds a step or an integrator that is stable",
             stacklevel=4,
         )
