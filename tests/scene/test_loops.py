@@ -6,7 +6,7 @@ import pytest
 import torch
 from free_flyers import case, motion
 from helpers import random
-from scenes import ARM, equal, inputs_of, rich, uniform
+from scenes import ARM, PANDA, equal, inputs_of, rich, uniform
 
 from torchdq.envs import Scene, effects
 from torchdq.scene.controllers import PD
@@ -95,6 +95,19 @@ def test_loops_are_steps_to_the_bit(name):
     )
     for a, b in pairs:
         assert torch.equal(a, b)
+
+
+def test_a_few_rows_are_to_the_bit_what_they_are_among_more():
+    """In vectors of another size, with gradients."""
+    scene, torque = Scene(PANDA, (effects.Gravity(), effects.Viscous(0.1)), backend="auto"), random(9, ROWS, 7)
+
+    def moved(rows):
+        q, u = (x[..., rows, :].clone().requires_grad_() for x in (random(ROWS, 7, seed=1), torque))
+        found = scene.rollout(scene.start(q), u)
+        return found.q, found.qd, *torch.autograd.grad((found.q * found.qd.sin()).sum(), [q, u])
+
+    for few, all_of_them in zip(moved(slice(2)), moved(slice(None)), strict=True):
+        assert torch.equal(few, all_of_them[..., :2, :])
 
 
 def test_torques_of_every_step_without_batch_axes_are_those_of_all_rows():
