@@ -98,6 +98,8 @@ class LinearForm:
 class Network:
     """Policy that is a network of rows of the state and the inputs; its weights get gradients.
 
+    They are cast to the dtype of the state, as all parameters are.
+
     Called as `policy(state, k)` it returns the torques of a state, without the inputs of a step.
 
     Args:
