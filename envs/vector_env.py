@@ -42,6 +42,7 @@ from torchdq.base.checks import (
 )
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of
+from torchdq.envs.block import WORST
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import KEPT, NOISE, PUSHED, Reset, task_inputs
@@ -65,7 +66,6 @@ from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
-WORST = -1000.0  # reward of a step that failed, worse than any episode
 _HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
 _RESTORED = (*STATE, *KEPT)  # buffers set back after a failed step
 
@@ -357,7 +357,7 @@ class ArmVectorEnv(VectorEnv):
                 self._blocks = Blocks(self._reset, self._actions, self.max_episode_steps or math.inf)
             rows, buffers = self._blocks(self._buffers, network, steps, noise, unit)
             self._keep(buffers)
-            found = rollout_of(rows, WORST)
+            found = rollout_of(rows)
         return found if self.output == "torch" else Rollout(*map(self._out, found))
 
     def _recorded(self, policy: Any) -> Network | None:
