@@ -74,8 +74,7 @@ class Blocks:
     """
 
     def __init__(self, reset: Reset, actions: Actions, limit: float) -> None:
-        drawn = [owned for r in reset.randomised for owned in r.bases.items()]
-        rows = {f"{owner}.{name}": x.clone() for (owner, name), x in drawn}  # of its own
+        rows = {name: x.clone() for name, x in reset.drawn.items()}  # of its own
         scene = reset.scene.with_parameters(rows) if rows else reset.scene
         self.reset, self.actions, self.limit = reset, actions, limit
         self.ahead = Reset(scene, reset.checked, reset.randomised, reset.pushes, None)
@@ -86,7 +85,7 @@ class Blocks:
         self, buffers: Mapping[str, Tensor], policy: Network, steps: int, noise: Tensor | None, unit: float
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Rows of every step, by name, and the buffers after the last; drawn parameters are written into the scene."""
-        found, now, at = list[dict[str, Tensor]](), dict(buffers), 0
+        found, now, at, drawn = list[dict[str, Tensor]](), dict(buffers), 0, self.reset.drawn
         while at < steps:
             part = None if noise is None else noise[at:]
             rows, after, whole = self._called(now, policy, steps - at, part, unit)
@@ -94,9 +93,8 @@ class Blocks:
                 # up to the first step at which a row would need a second episode or push, which then are drawn
                 rows, after, _ = self._called(now, policy, whole, None if part is None else part[:whole], unit)
             self.actions.require_finite(rows["action"])
-            for r in self.reset.randomised:
-                for (owner, name), x in r.tensors(self.reset.scene).items():
-                    x.copy_(after.pop(f"{owner}.{name}"))
+            for name, x in drawn.items():
+                x.copy_(after.pop(name))
             now = {**now, **after, "observation": rows["observation"][-1]}
             at += len(rows["reward"])
             found.append(rows)
@@ -112,9 +110,8 @@ class Blocks:
         """Rows of every step, what has changed after the last, and the number of steps for which enough was drawn."""
         scene, pushes, like = self.reset.scene, self.reset.pushes, buffers["observation"]
         streams, following = Streams(buffers["key"], buffers["counter"]), self._following(buffers)
-        drawn = [f"{owner}.{name}" for r in self.reset.randomised for owner, name in r.bases]
         names = [name for name in (*STATE, "goal", *KEPT, *pushes) if name in buffers]
-        given = {name: buffers[name] for name in names} | {name: scene.parameters[name] for name in drawn}
+        given = {name: buffers[name] for name in names} | self.reset.drawn
         spare = [streams.column(k).uniform(WIDTH, like.dtype) for k, _ in enumerate(pushes, PUSHED)]
         own = {NEXT + name: following[name] for name in given}
         own |= {SPARE + name: push.drawn(u) for (name, push), (u, _) in zip(pushes.items(), spare, strict=True)}
@@ -127,7 +124,7 @@ class Blocks:
             stepped["noise"], columns[0] = streams.column(NOISE).series(steps, scene.noises, like.dtype)
         carried = {**given, "steps": buffers["steps"].to(like.dtype)[:, None]}
         carried["used"] = like.new_zeros(len(like), 1 + len(pushes))
-        rest = {name: x for name, x in scene.parameters.items() if name not in drawn}
+        rest = {name: x for name, x in scene.parameters.items() if name not in given}
         lead = ((shared, 0), (carried | own, 1), (stepped, 2))
         axes = {name: tuple(x.shape[axes:]) for rows, axes in lead for name, x in rows.items()}
         what = self._block(policy, tuple(given), tuple(axes.items()))
@@ -166,5 +163,4 @@ class Blocks:
             fresh, _ = self.ahead(rows, streams.rows(rows), buffers["observation"].dtype)
             self.next = {name: rows.replaced(self.next[name], x) if self.next else x for name, x in fresh.items()}
             self.drawn_at = now
-        drawn = [owned for r in self.reset.randomised for owned in r.tensors(self.ahead.scene).items()]
-        return self.next | {f"{owner}.{name}": x for (owner, name), x in drawn}
+        return self.next | self.ahead.drawn

@@ -408,7 +408,7 @@ class ArmVectorEnv(VectorEnv):
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
         self._started("get_state")
-        return {self._saved(name): x.clone() for name, x in {**self._buffers, **self._drawn()}.items()}
+        return {self._saved(name): x.clone() for name, x in {**self._buffers, **self._reset.drawn}.items()}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a state of an environment that was constructed alike.
@@ -417,7 +417,7 @@ class ArmVectorEnv(VectorEnv):
             state: from `get_state`, or from `torch.load` of such.
         """
         self._open()
-        own = {self._saved(name): (name, x) for name, x in {**self._blank(), **self._drawn()}.items()}
+        own = {self._saved(name): (name, x) for name, x in {**self._blank(), **self._reset.drawn}.items()}
         if not isinstance(state, Mapping) or set(state) != set(own):
             found = sorted(state) if isinstance(state, Mapping) else type(state).__name__
             raise ArgumentError(
@@ -438,7 +438,7 @@ class ArmVectorEnv(VectorEnv):
                 raise ArgumentError(
                     f"state[{label!r}] must be finite, found {x[tuple(bad[0])].item()} in row {bad[0, 0].item()}"
                 )
-        for name, x in self._drawn().items():
+        for name, x in self._reset.drawn.items():
             x.copy_(rows[name])
         self._keep({name: x.to(self.device, copy=True) for name, x in rows.items() if "." not in name})
         self._unreset = self._any(self._buffers["finished"]) and self.autoreset_mode != AutoresetMode.SAME_STEP
@@ -447,10 +447,6 @@ class ArmVectorEnv(VectorEnv):
         """Name of a buffer in a saved state; that of a memory says whose it is, so that no other effect takes it."""
         owners = ", ".join(type(effect).__name__ for effect in self.scene.effects if effect.memory(self.scene.n))
         return f"{name} of {owners}" if name == "memory" else name
-
-    def _drawn(self) -> dict[str, Tensor]:
-        """The scene's own tensors that are drawn for every episode."""
-        return {f"{i}.{name}": x for r in self._randomised for (i, name), x in r.tensors(self.scene).items()}
 
     # --- internals ---
 
