@@ -1,9 +1,9 @@
 """A block of steps as one call: policy, step and the start of new episodes, recorded one after the other.
 
-    observation, weights -> action -> inputs of the scene -> step with the task -> end of the episode
+    observation, weights -> action and inputs of the scene -> step with the task -> end of the episode
 
 Everything random is drawn before: the noise of actions and sensors, and for every row the next episode and the next
-push. The result "short" says where a row would need a second one within a block.
+push. The result "used" counts those taken, since a block holds only as far as no row needs a second one.
 """
 
 from __future__ import annotations
