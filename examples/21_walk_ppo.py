@@ -70,6 +70,7 @@ class Settings:
     """Numbers of PPO that are of a task."""
 
     epochs: int = 2  # passes through a rollout
+    value_epochs: int = 1  # passes that learn the values as well
     parts: int = 8  # of a pass
     gamma: float = 0.99
     entropy: float = 0.003  # weight of the entropy
@@ -182,7 +183,7 @@ class PPO:
                 ratio = change.exp()
                 gain = torch.minimum(ratio * advantage, ratio.clamp(1 - CLIP, 1 + CLIP) * advantage).mean()
                 loss = -gain - settings.entropy * policy.log_std.sum()
-                if k == 0:  # values gain little in the other passes
+                if k < settings.value_epochs:
                     loss = loss + (policy.value(observation) - returns).square().mean()
                 self.optimizer.zero_grad()
                 loss.backward()
