@@ -37,9 +37,8 @@ def rollout_of(rows: dict[str, Tensor]) -> Rollout:
     clipped = (rows["action"].clamp(-1.0, 1.0) != rows["action"]).sum(-1)
     info = {name.removeprefix(INFO): x for name, x in rows.items() if name.startswith(INFO)}
     info |= {"clipped": clipped, "nonfinite": rows["failed"]}
-    return Rollout(
-        *(rows["observation"], rows["action"], rows["reward"], rows["ended"], rows["truncated"], rows["final"]), info
-    )
+    found = rows["observation"], rows["action"], rows["reward"], rows["ended"], rows["truncated"], rows["final"]
+    return Rollout(*found, info)
 
 
 def stepped(
@@ -51,17 +50,17 @@ def stepped(
     unit: float,
 ) -> Rollout:
     """Rollout by so many calls of a function that takes a step."""
-    rows, infos = list[tuple[Tensor, ...]](), list[dict[str, Any]]()
-    first = observation[None]
+    observations, rows, infos = [observation], list[tuple[Tensor, ...]](), list[dict[str, Any]]()
     for k in range(steps):
-        found = policy(observation)
+        found = policy(observations[-1])
         actions = unit * (found if noise is None else found + noise[k])
-        observation, reward, ended, truncated, info = step(actions)
-        rows.append((observation, actions, reward, ended, truncated, info.get("final_obs", observation)))
+        observation, *others, info = step(actions)
+        observations.append(observation)
+        rows.append((actions, *others, info.get("final_obs", observation)))
         infos.append({name: x for name, x in info.items() if "final" not in name})
-    observations, actions, rewards, terminated, truncated, final = map(torch.stack, zip(*rows, strict=True))
     info = {name: torch.stack([x[name] for x in infos]) for name in infos[0]}
-    return Rollout(torch.cat([first, observations]), actions, rewards, terminated, truncated, final, info)
+    actions, rewards, terminated, truncated, final = map(torch.stack, zip(*rows, strict=True))
+    return Rollout(torch.stack(observations), actions, rewards, terminated, truncated, final, info)
 
 
 class Blocks:
