@@ -38,7 +38,8 @@ from torchdq.envs.sb3 import StableBaselinesVecEnv
 LINE = 'PPO("MlpPolicy", vec, n_steps=25, batch_size=1600, n_epochs=5, learning_rate=2e-3, gamma=0.95)'
 TASK, ARMS, EVERY = "reach", 256, 10.0  # seconds between tests
 TESTS, UNSEEN = 512, 1_000_000  # episodes, and their seed
-BLOCKS = {"epochs": 3, "parts": 4, "gamma": 0.95, "entropy": 0.0, "change": 0.03, "std": 1.0, "unit": 0.5}
+BLOCKS = {"epochs": 3, "value_epochs": 3, "parts": 4, "gamma": 0.95, "entropy": 0.0}
+BLOCKS |= {"change": 0.03, "std": 1.0, "unit": 0.5}
 WIDE, SHORT, OFTEN, SEEDS = 512, 30.0, 2.0, 5  # arms, seconds of training and between tests, and seeds of PPO on blocks
 GOOD = -14.9  # mean return of a policy that has learned to come near
 Policy = Callable[[ArmVectorEnv, torch.Tensor], torch.Tensor]

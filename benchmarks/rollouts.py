@@ -1,4 +1,4 @@
-"""Rollouts as one call, beside steps from Python: values, gradients, weights of a network, linearizations, sampling.
+"""Rollouts as one call, beside steps from Python: values, gradients, linearizations, environments, sampling.
 
     python benchmarks/rollouts.py [--quick] [--json FILE] [--page]
 
@@ -24,7 +24,7 @@ import torch
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.envs import Scene, State, effects, policies
+from torchdq.envs import ArmVectorEnv, Scene, State, effects, policies
 
 SCENE = Scene(torchdq.robots.load("panda"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.002)
 N, F64 = 7, torch.float64
@@ -129,6 +129,22 @@ def linearizations(states: int, seconds: float) -> Row:
     return Row(f"Jacobian matrices of a step at {'1 state' if states == 1 else f'{states} states'}", *found)
 
 
+def environments(robots: int, seconds: float) -> Row:
+    """Rollout of environments under a policy, resets included."""
+    envs = ArmVectorEnv(robots, "reach", "panda")
+    observation, _ = envs.reset(seed=0)
+    policy = nn.Sequential(nn.Linear(observation.shape[1], 64), nn.ELU(), nn.Linear(64, N))
+
+    @torch.no_grad()
+    def stepped() -> None:
+        found = envs.get_state()["observation"]
+        for _ in range(25):
+            found = envs.step(policy(found))[0]
+
+    found = least([lambda: envs.rollout(policy, 25), stepped], seconds)
+    return Row(f"25 steps of {robots} environments of Reach under a network, float32", *found)
+
+
 def sampling(seconds: float) -> float:
     """Time of a tick of control by 4096 rollouts of 30 steps in float32 [s], of the example."""
     path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -148,6 +164,7 @@ def main() -> None:
     seconds = 1.0 if arguments.quick else 6.0
     rows = [row for arms in (1, 64, 1024) for row in rollouts(arms, seconds)]
     rows += [weights(seconds), *(linearizations(count, seconds) for count in (1, 50, 3200))]
+    rows += [environments(robots, seconds) for robots in (64, 1024, 8192)]
     lines = [f"| {r.task} | {time_of(r.ours)} | {time_of(r.theirs)} | {r.theirs / r.ours:.3g} x |" for r in rows]
     tick = sampling(seconds)
     lines.append(f"| tick of sampled control, 4096 times 30 steps, float32 | {time_of(tick)} | | |")

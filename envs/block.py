@@ -1,9 +1,9 @@
 """A block of steps as one call: policy, step and the start of new episodes, recorded one after the other.
 
-    observation, weights -> action -> inputs of the scene -> step with the task -> end of the episode
+    observation, weights -> action and inputs of the scene -> step with the task -> end of the episode
 
 Everything random is drawn before: the noise of actions and sensors, and for every row the next episode and the next
-push. The result "short" says where a row would need a second one within a block.
+push. The result "used" counts those taken, since a block holds only as far as no row needs a second one.
 """
 
 from __future__ import annotations
@@ -16,152 +16,126 @@ from torchdq.backends.call import Computation, Shape
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.dynamics.posed import Row
 from torchdq.envs.actions import Kind
-from torchdq.envs.pushes import WIDTH, Pushes
+from torchdq.envs.pushes import Pushes
 from torchdq.envs.reset import KEPT
 from torchdq.envs.tasks import STATE
 from torchdq.errors import ArgumentError
-from torchdq.numbers.functions import at_least, clip, maximum, minimum, select
+from torchdq.numbers.functions import at_least, clip, maximum, select
 from torchdq.program.loop import Chain, Link
 from torchdq.program.program import Argument, Program, record
 from torchdq.scene.policies import NetworkForm
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import Rows
 
-NEXT, DRAWN, SPARE, WEIGHT, AFTER = "next ", "drawn ", "spare ", "weight ", "after "  # before the names of rows
-FLAGS = ("failed", "ended", "truncated", "short")  # results of every step
+# before the names of rows: of the next episode, of the next push; of the policy; to and from the step; of the task
+NEXT, SPARE, WEIGHT, GIVEN, AFTER, INFO = "next ", "spare ", "weight ", "given ", "after ", "info "
+FLAGS = ("failed", "ended", "truncated")  # results of every step
+WORST = -1000.0  # reward of a step that failed, worse than any episode
 
 
 class _BlockFields(NamedTuple):
     """Fields of `Block`."""
 
     stage: Stage  # the step, with the task
-    width: int  # of an observation
     network: NetworkForm  # policy
     kind: Kind  # meaning of the actions
     joints: tuple[int, ...]  # that they move
     pushes: tuple[tuple[str, Pushes], ...]
     carried: tuple[str, ...]  # rows that a new episode replaces
     asked: tuple[str, ...]  # arguments of the step, in its order
+    own: tuple[tuple[str, Shape], ...]  # trailing axes of all arguments but the scene's parameters
 
 
 class Block(_BlockFields, Computation):
     """A step of environments and of their policy, as a computation of `torchdq.backends.call`.
 
-    Arguments are those of the step; of every `carried` one also the next episode's, "next ...", and of every push that
-    which is drawn, "drawn ...", and the one that follows, "spare ...".
+    Arguments are those of the step; of every `carried` one also the next episode's, "next ...", and of every push the
+    one that follows, "spare ...".
     """
 
     def axes(self, name: str) -> Shape:
-        """Trailing axes of an argument or result."""
-        n, k, plain = self.stage.spec.robot.n, len(self.joints), name.removeprefix(NEXT)
-        if name.startswith(WEIGHT):
-            return self.network.axes(n, {})[name.removeprefix(WEIGHT)]
-        own = {"observation": self.width, "final": self.width, "reference": 3 * n, "scale": n, "action": k}
-        own |= {"noise of actions": k, "steps": 1, "limit": 1, "unit": 1, "used": 1 + len(self.pushes)}
-        own |= {kind + name: WIDTH for name, _ in self.pushes for kind in (DRAWN, SPARE)}
-        return (own[plain],) if plain in own else self.stage.axes(plain)
+        """Trailing axes of an argument."""
+        return dict(self.own)[name] if name in dict(self.own) else self.stage.axes(name)
 
     def shared(self, name: str) -> bool:
         """True for a parameter, a weight, and numbers of the environments."""
         return name in ("scale", "unit", "limit") or name.startswith(WEIGHT) or self.stage.shared(name)
 
     def results(self, program: Program) -> tuple[Shape, ...]:
-        """Trailing axes of the results."""
-        found = []
-        for name, values, _ in program.results:
-            task = name.startswith(AFTER)
-            number = name in FLAGS or (task and len(values) == 1)
-            found.append(() if number else (len(values),) if task else self.axes(name))
-        return tuple(found)
+        """Trailing axes of the results: none of flags and numbers of the task."""
+        rows = {"action": (len(self.joints),), "final": self.axes("observation")} | dict(self.own)
+        sizes = [(name, len(values)) for name, values, _ in program.results]
+        return tuple([rows.get(name, () if size == 1 else (size,)) for name, size in sizes])
 
     def program(self, arguments: tuple[Argument, ...]) -> Any:
-        """Chain of policy, commands, step and end."""
+        """Chain of policy, step and end."""
         return _chain(self, arguments)
 
     # --- links ---
 
     def act(self, rows: Mapping[str, Row]) -> Rows:
-        """Actions of the policy."""
+        """Actions of the policy, the inputs of the step, and what they change: pushes, and whether one is over."""
         weights = {name.removeprefix(WEIGHT): row for name, row in rows.items() if name.startswith(WEIGHT)}
-        found = self.network.recorded(rows["observation"], weights)
-        if len(found) != len(self.joints):
-            raise ArgumentError(f"policy must return {len(self.joints)} numbers, one per action, found {len(found)}")
-        noise, (unit,) = rows.get("noise of actions", [0.0] * len(found)), rows["unit"]
-        return {"action": [unit * (x + y) for x, y in zip(found, noise, strict=True)]}
-
-    def command(self, rows: Mapping[str, Row]) -> Rows:
-        """Inputs of the step, and what they change: pushes, and whether those drawn ahead were taken."""
+        output, (unit,) = self.network.recorded(rows["observation"], weights), rows["unit"]
+        if len(output) != len(self.joints):
+            raise ArgumentError(f"policy must return {len(self.joints)} numbers, one per action, found {len(output)}")
+        noise = rows.get("noise of actions", [0.0] * len(output))
+        found: Rows = {"action": [unit * (x + y) for x, y in zip(output, noise, strict=True)]}
         n, reference, dt = self.stage.spec.robot.n, rows["reference"], self.stage.spec.dt
         action: list = [0.0] * n
-        for joint, x in zip(self.joints, rows["action"], strict=True):
+        for joint, x in zip(self.joints, found["action"], strict=True):
             action[joint] = clip(x, -1.0, 1.0)
         # bounded once more, since a compiler may contract a product with a sum that follows
         scaled = [clip(s * x, -s, s) for s, x in zip(rows["scale"], action, strict=True)]
         before, after = (maximum(k * dt, 0.0) for k in (rows["steps"][0], rows["steps"][0] + 1.0))
-        found: Rows = {"clipped": action, "time": [after], "torque": scaled}
-        if self.kind in ("target", "reference"):
-            moved = [a + b for a, b in zip(reference[:n], scaled, strict=True)]
-            found |= {"target": moved, "commanded": [*moved, *reference[n:]]}
-        else:
-            found["commanded"] = reference
-        taken = []
+        moved = [a + b for a, b in zip(reference[:n], scaled, strict=True)]
+        meant = {"target": {"target": moved}, "reference": {"reference": [*moved, *reference[n:]]}}
+        found |= {GIVEN + name: row for name, row in meant.get(self.kind, {"torque": scaled}).items()}
+        found |= {GIVEN + "action": action, GIVEN + "time": [after], "over": []}
         for name, pushes in self.pushes:
-            now, push, over = pushes.recorded(before, rows[DRAWN + name], rows[SPARE + name])
-            found |= {name: now, AFTER + DRAWN + name: push}
-            taken.append(over)
-        return found | ({"taken": taken} if taken else {})
+            found[GIVEN + name], found[AFTER + name], over = pushes.recorded(before, rows[name], rows[SPARE + name])
+            found["over"] = [*found["over"], over]
+        return found
 
     def end(self, rows: Mapping[str, Row]) -> Rows:
-        """Ends of episodes, and what is carried to the next step, in new episodes if those have ended."""
-        failed = 1.0 - at_least(rows["after valid"][0], 1.0)  # where that is NaN, too
-        (steps,), used = rows["steps"], rows["used"]
-        ended = maximum(failed, select(rows["after terminated"][0], 1.0, 0.0)) if "after terminated" in rows else failed
-        truncated = at_least(steps + 1.0, rows["limit"][0])
+        """Ends of episodes, the task's rows, and what is carried to the next step, in new episodes if those ended."""
+        task = {x.removeprefix(AFTER): row for x, row in rows.items() if x.startswith(AFTER)}
+        now = {name: task.pop(name, rows[name]) for name in self.carried}
+        (steps,), (limit,), (valid,) = rows["steps"], rows["limit"], task.pop("valid")
+        failed = 1.0 - at_least(valid, 1.0)  # where that is NaN, too
+        ended = maximum(failed, select(task.pop("terminated", [0.0])[0], 1.0, 0.0))
+        truncated = at_least(steps + 1.0, limit)
         done = maximum(ended, truncated)
-        needed = [done, *rows.get("taken", ())]
-        short = 0.0
-        for a, b in zip(needed, used, strict=True):
-            short = maximum(short, minimum(a, b))
-        found: Rows = {}
         for name in self.carried:
-            now = rows.get(AFTER + name, rows[name])
             if name in (*STATE, *KEPT):
-                now = [select(failed, a, b) for a, b in zip(rows[name], now, strict=True)]
-            if name == "observation":
-                found["final"] = now
-            found[name] = [select(done, a, b) for a, b in zip(rows[NEXT + name], now, strict=True)]
+                now[name] = [select(failed, a, b) for a, b in zip(rows[name], now[name], strict=True)]
+        found: Rows = {"reward": [select(failed, WORST, *task.pop("reward"))], "final": now["observation"]}
+        found |= {INFO + x: [select(failed, math.nan, y) for y in row] for x, row in task.items()}
+        found |= {x: [select(done, a, b) for a, b in zip(rows[NEXT + x], now[x], strict=True)] for x in self.carried}
         found["steps"] = [select(done, 0.0, steps + 1.0)]
-        found["used"] = [maximum(a, b) for a, b in zip(needed, used, strict=True)]
-        return found | {"failed": [failed], "ended": [ended], "truncated": [truncated], "short": [short]}
+        found["used"] = [a + b for a, b in zip(rows["used"], [done, *rows["over"]], strict=True)]
+        return found | {"failed": [failed], "ended": [ended], "truncated": [truncated]}
 
 
 @remembered(PROGRAMS)
 def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
     """Chain of a block; its step is the very program of a step."""
     known = {a.name: a for a in arguments}
-    pushes = [name for name, _ in what.pushes]
 
-    def link(name: str, algorithm: Callable[[Mapping[str, Row]], Rows], *names: str) -> Link:
-        taken = [known[x] for x in names if x in known]
-        rows = [a.name for a in taken]
-        program = record(name, taken, lambda *x: algorithm(dict(zip(rows, x, strict=True))))
-        gives = tuple([r.name for r in program.results])
-        known.update({r.name: Argument(r.name, len(r.values)) for r in program.results})
-        return Link(program, tuple(rows), gives)
+    def link(name: str, algorithm: Callable[[Mapping[str, Row]], Rows]) -> Link:
+        takes = tuple(known)
+        return linked(
+            record(name, tuple(known.values()), lambda *x: algorithm(dict(zip(takes, x, strict=True)))), takes
+        )
 
-    weights = [x for x in known if x.startswith(WEIGHT)]
-    act = link("policy", what.act, "observation", "noise of actions", "unit", *weights)
-    pushed = [kind + name for name in pushes for kind in (DRAWN, SPARE)]
-    command = link("command", what.command, "action", "reference", "steps", "scale", *pushed)
+    def linked(program: Program, takes: tuple[str, ...], prefix: str = "") -> Link:
+        gives = tuple([prefix + r.name for r in program.results])
+        known.update({x: Argument(x, len(r.values)) for x, r in zip(gives, program.results, strict=True)})
+        return Link(program, takes, gives)
+
+    act = link("act", what.act)
     sized = [Argument(x, math.prod(what.stage.axes(x)), x in known and known[x].uniform) for x in what.asked]
     program = what.stage.program(tuple(sized))
-    given = {"reference": "commanded", "action": "clipped"}
-    gives = tuple([AFTER + r.name for r in program.results])
-    step = Link(program, tuple([given.get(x, x) for x in what.asked]), gives)
-    known.update({x: Argument(x, len(r.values)) for x, r in zip(gives, program.results, strict=True)})
-    own = [AFTER + x for x in (*what.carried, "valid", "terminated")]
-    after = [NEXT + x for x in what.carried]
-    end = link("end", what.end, *what.carried, *after, *own, "steps", "limit", "used", "taken")
-    rows = [x for x in gives if x not in own]
-    wanted = (*what.carried, "steps", "used", "action", "final", *FLAGS, *rows)
-    return Chain(f"block_{program.name}", arguments, (act, command, step, end), wanted)
+    step = linked(program, tuple([GIVEN + x if GIVEN + x in known else x for x in what.asked]), AFTER)
+    end = link("end", what.end)
+    return Chain(f"block_{program.name}", arguments, (act, step, end), ("action", *end.gives))

@@ -44,6 +44,11 @@ class Reset:
         acting = [x for x in scene.effects if x.SLOT in ("sensor", "body") or x.memory(scene.n)]  # seen at a start
         self.opening, self.robot = scene.replace(effects=acting, controller=None), mean_robot(scene.robot)
 
+    @property
+    def drawn(self) -> dict[str, Tensor]:
+        """The scene's own tensors that are drawn for every episode."""
+        return {f"{i}.{name}": x for r in self.randomised for (i, name), x in r.tensors(self.scene).items()}
+
     def __call__(
         self, rows: SomeRows, streams: Streams, dtype: torch.dtype
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchdq.backends.loop_call import repeat
 from torchdq.envs.actions import Actions
-from torchdq.envs.block import AFTER, DRAWN, FLAGS, NEXT, SPARE, WEIGHT, Block
+from torchdq.envs.block import FLAGS, INFO, NEXT, SPARE, WEIGHT, Block
 from torchdq.envs.pushes import WIDTH
 from torchdq.envs.reset import KEPT, NOISE, PUSHED, STARTS, Reset
 from torchdq.envs.rng import Streams
@@ -32,18 +32,13 @@ class Rollout(NamedTuple):
     info: dict[str, Tensor]  # rows of `info` [steps, N, ...]
 
 
-def rollout_of(rows: dict[str, Tensor], worst: float) -> Rollout:
-    """Rollout of the rows of a block; failed steps have the worst reward, and NaN among the rows of the task."""
-    failed, actions = rows.pop("failed"), rows.pop("action")
-    observations, reward, final = rows.pop("observation"), rows.pop("reward"), rows.pop("final")
-    ended, truncated = rows.pop("ended"), rows.pop("truncated")
-    if failed.any():
-        reward = reward.masked_fill(failed, worst)
-        shape = (*failed.shape, 1)
-        rows = {name: x.masked_fill(failed.view(shape[: x.ndim]), torch.nan) for name, x in rows.items()}
-    clipped = (actions.clamp(-1.0, 1.0) != actions).sum(-1)
-    info = {"clipped": clipped, "nonfinite": failed, **rows}
-    return Rollout(observations, actions, reward, ended, truncated, final, info)
+def rollout_of(rows: dict[str, Tensor]) -> Rollout:
+    """Rollout of the rows of a block."""
+    clipped = (rows["action"].clamp(-1.0, 1.0) != rows["action"]).sum(-1)
+    info = {name.removeprefix(INFO): x for name, x in rows.items() if name.startswith(INFO)}
+    info |= {"clipped": clipped, "nonfinite": rows["failed"]}
+    found = rows["observation"], rows["action"], rows["reward"], rows["ended"], rows["truncated"], rows["final"]
+    return Rollout(*found, info)
 
 
 def stepped(
@@ -55,17 +50,17 @@ def stepped(
     unit: float,
 ) -> Rollout:
     """Rollout by so many calls of a function that takes a step."""
-    rows, infos = list[tuple[Tensor, ...]](), list[dict[str, Any]]()
-    first = observation[None]
+    observations, rows, infos = [observation], list[tuple[Tensor, ...]](), list[dict[str, Any]]()
     for k in range(steps):
-        found = policy(observation)
+        found = policy(observations[-1])
         actions = unit * (found if noise is None else found + noise[k])
-        observation, reward, ended, truncated, info = step(actions)
-        rows.append((observation, actions, reward, ended, truncated, info.get("final_obs", observation)))
+        observation, *others, info = step(actions)
+        observations.append(observation)
+        rows.append((actions, *others, info.get("final_obs", observation)))
         infos.append({name: x for name, x in info.items() if "final" not in name})
-    observations, actions, rewards, terminated, truncated, final = map(torch.stack, zip(*rows, strict=True))
     info = {name: torch.stack([x[name] for x in infos]) for name in infos[0]}
-    return Rollout(torch.cat([first, observations]), actions, rewards, terminated, truncated, final, info)
+    actions, rewards, terminated, truncated, final = map(torch.stack, zip(*rows, strict=True))
+    return Rollout(torch.stack(observations), actions, rewards, terminated, truncated, final, info)
 
 
 class Blocks:
@@ -78,8 +73,7 @@ class Blocks:
     """
 
     def __init__(self, reset: Reset, actions: Actions, limit: float) -> None:
-        drawn = [owned for r in reset.randomised for owned in r.bases.items()]
-        rows = {f"{owner}.{name}": x.clone() for (owner, name), x in drawn}  # of its own
+        rows = {name: x.clone() for name, x in reset.drawn.items()}  # of its own
         scene = reset.scene.with_parameters(rows) if rows else reset.scene
         self.reset, self.actions, self.limit = reset, actions, limit
         self.ahead = Reset(scene, reset.checked, reset.randomised, reset.pushes, None)
@@ -90,79 +84,71 @@ class Blocks:
         self, buffers: Mapping[str, Tensor], policy: Network, steps: int, noise: Tensor | None, unit: float
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Rows of every step, by name, and the buffers after the last; drawn parameters are written into the scene."""
-        found, at = list[dict[str, Tensor]](), 0
+        found, now, at, drawn = list[dict[str, Tensor]](), dict(buffers), 0, self.reset.drawn
         while at < steps:
             part = None if noise is None else noise[at:]
-            rows, after = self._called(buffers, policy, steps - at, part, unit)
-            short = rows.pop("short").any(1)
-            if short.any():
+            rows, after, whole = self._called(now, policy, steps - at, part, unit)
+            if whole < steps - at:
                 # up to the first step at which a row would need a second episode or push, which then are drawn
-                number = int(short.int().argmax())
-                rows, after = self._called(buffers, policy, number, None if part is None else part[:number], unit)
-                del rows["short"]
+                rows, after, _ = self._called(now, policy, whole, None if part is None else part[:whole], unit)
             self.actions.require_finite(rows["action"])
-            for r in self.reset.randomised:
-                for (owner, name), x in r.tensors(self.reset.scene).items():
-                    x.copy_(after.pop(f"{owner}.{name}"))
-            buffers = {**buffers, **after}
+            for name, x in drawn.items():
+                x.copy_(after.pop(name))
+            now = {**now, **after, "observation": rows["observation"][-1]}
             at += len(rows["reward"])
             found.append(rows)
+        for rows in found[:-1]:
+            rows["observation"] = rows["observation"][:-1]  # the next part begins with the last
         if len(found) > 1:
-            for rows in found[:-1]:
-                rows["observation"] = rows["observation"][:-1]  # the next part begins with the last
             found = [{name: torch.cat([rows[name] for rows in found]) for name in found[0]}]
-        return found[0], dict(buffers)
+        return found[0], now
 
     def _called(
         self, buffers: Mapping[str, Tensor], policy: Network, steps: int, noise: Tensor | None, unit: float
-    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Rows of every step, and what has changed after the last, as one call."""
-        scene, pushes = self.reset.scene, self.reset.pushes
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor], int]:
+        """Rows of every step, what has changed after the last, and the number of steps for which enough was drawn."""
+        scene, pushes, like = self.reset.scene, self.reset.pushes, buffers["observation"]
         streams, following = Streams(buffers["key"], buffers["counter"]), self._following(buffers)
-        given = {name: buffers[name] for name in (*STATE, "goal", *KEPT) if name in buffers}
-        drawn = [f"{owner}.{name}" for r in self.reset.randomised for owner, name in r.bases]
-        given |= {DRAWN + name: buffers[name] for name in pushes} | {name: scene.parameters[name] for name in drawn}
-        like, n = buffers["observation"], len(buffers["observation"])
-        carried = tuple(given)
-        fixed = {NEXT + name: following[name.removeprefix(DRAWN)] for name in carried}
-        after = {PUSHED + k: streams.column(PUSHED + k).uniform(WIDTH, like.dtype) for k in range(len(pushes))}
-        for k, (name, push) in enumerate(pushes.items(), PUSHED):
-            fixed[SPARE + name] = push.drawn(after[k][0])
-        fixed |= {name: x for name, x in scene.parameters.items() if name not in drawn}
-        fixed |= {"limit": like.new_tensor([self.limit]), "unit": like.new_tensor([unit])}
-        fixed |= {"scale": self.actions.scale, **{WEIGHT + name: x for name, x in policy.weights().items()}}
-        stepped, counter = {}, streams.counter.clone()
+        names = [name for name in (*STATE, "goal", *KEPT, *pushes) if name in buffers]
+        given = {name: buffers[name] for name in names} | self.reset.drawn
+        spare = [streams.column(k).uniform(WIDTH, like.dtype) for k, _ in enumerate(pushes, PUSHED)]
+        own = {NEXT + name: following[name] for name in given}
+        own |= {SPARE + name: push.drawn(u) for (name, push), (u, _) in zip(pushes.items(), spare, strict=True)}
+        shared = {"limit": like.new_tensor([self.limit]), "unit": like.new_tensor([unit]), "scale": self.actions.scale}
+        shared |= {WEIGHT + name: x for name, x in policy.weights().items()}
+        stepped, columns = {}, [streams.counter[:, NOISE]]
         if noise is not None:
             stepped["noise of actions"] = noise
         if scene.noises and steps:
-            stepped["noise"], counter[:, NOISE] = streams.column(NOISE).series(steps, scene.noises, like.dtype)
-        given["steps"] = buffers["steps"].to(like.dtype)[:, None]
-        given["used"] = like.new_zeros(n, 1 + len(pushes))
-        what = self._block(policy, carried)
-        ends = [name for name in given if name != "observation"]
-        found = repeat(what, steps, given, stepped, fixed, ends, backend=scene.backend)
-        used = found.pop("used") != 0
-        counter[:, STARTS] = torch.where(used[:, 0], following["counter"][:, STARTS], counter[:, STARTS])
-        for k in after:
-            counter[:, k] = torch.where(used[:, k - PUSHED + 1], after[k][1].counter, counter[:, k])
-        changed = {name.removeprefix(DRAWN): found.pop(name) for name in ends if name != "used"}
-        changed["steps"], changed["counter"] = changed["steps"][:, 0].to(torch.int32), counter
-        changed["observation"] = found["observation"][-1]
-        rows = {name.removeprefix(AFTER): x != 0 if name in FLAGS else x for name, x in found.items()}
-        return rows, changed
+            stepped["noise"], columns[0] = streams.column(NOISE).series(steps, scene.noises, like.dtype)
+        carried = {**given, "steps": buffers["steps"].to(like.dtype)[:, None]}
+        carried["used"] = like.new_zeros(len(like), 1 + len(pushes))
+        rest = {name: x for name, x in scene.parameters.items() if name not in given}
+        lead = ((shared, 0), (carried | own, 1), (stepped, 2))
+        axes = {name: tuple(x.shape[axes:]) for rows, axes in lead for name, x in rows.items()}
+        what = self._block(policy, tuple(given), tuple(axes.items()))
+        ends = [name for name in carried if name not in ("observation", "used")]
+        found = repeat(what, steps, carried, stepped, {**own, **shared, **rest}, ends, backend=scene.backend)
+        used = found.pop("used")
+        whole = int((used <= 1).flatten(1).all(1).sum()) - 1
+        begun, *over = (used[-1] != 0).unbind(1)
+        columns.insert(STARTS, torch.where(begun, following["counter"][:, STARTS], streams.counter[:, STARTS]))
+        for k, (x, (_, after)) in enumerate(zip(over, spare, strict=True), PUSHED):
+            columns.append(torch.where(x, after.counter, streams.counter[:, k]))
+        changed = {name: found.pop(name) for name in ends} | {"counter": torch.stack(columns, 1)}
+        changed["steps"] = changed["steps"][:, 0].to(torch.int32)
+        return {name: x != 0 if name in FLAGS else x for name, x in found.items()}, changed, whole
 
-    def _block(self, policy: Network, carried: tuple[str, ...]) -> Block:
+    def _block(self, policy: Network, carried: tuple[str, ...], own: tuple[tuple[str, tuple[int, ...]], ...]) -> Block:
         """The computation."""
         scene, checked, kind = self.reset.scene, self.reset.checked, self.actions.kind
-        inputs: list[str] = [
-            name for name in ("goal", "carry", "time", "action") if name in checked.task.inputs(scene.n)
-        ]
+        wanted = checked.task.inputs(scene.n)
+        inputs: list[str] = [name for name in ("goal", "carry", "time", "action") if name in wanted]
         inputs += {"torque": ["torque"], "residual": ["torque", "reference"]}.get(kind, [kind])
         state = [name for name in STATE if name in scene.spec.state]
-        asked = [*state, *inputs, *self.reset.pushes, *(["noise"] if scene.noises else []), *scene.parameters]
+        asked = (*state, *inputs, *self.reset.pushes, *(["noise"] if scene.noises else []), *scene.parameters)
         pushes, stage = tuple(self.reset.pushes.items()), Stage(scene.spec, "step", checked)
-        width = len(checked.task.bounds(self.reset.robot))
-        return Block(stage, width, policy.form, kind, self.actions.joints, pushes, carried, tuple(asked))
+        return Block(stage, policy.form, kind, self.actions.joints, pushes, carried, asked, own)
 
     def _following(self, buffers: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Buffers and parameters of every row's next episode, drawn where those at hand were taken."""
@@ -176,5 +162,4 @@ class Blocks:
             fresh, _ = self.ahead(rows, streams.rows(rows), buffers["observation"].dtype)
             self.next = {name: rows.replaced(self.next[name], x) if self.next else x for name, x in fresh.items()}
             self.drawn_at = now
-        drawn = [owned for r in self.reset.randomised for owned in r.tensors(self.ahead.scene).items()]
-        return self.next | {f"{owner}.{name}": x for (owner, name), x in drawn}
+        return self.next | self.ahead.drawn

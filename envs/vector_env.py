@@ -42,6 +42,7 @@ from torchdq.base.checks import (
 )
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of
+from torchdq.envs.block import WORST
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import KEPT, NOISE, PUSHED, Reset, task_inputs
@@ -65,7 +66,6 @@ from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
-WORST = -1000.0  # reward of a step that failed, worse than any episode
 _HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
 _RESTORED = (*STATE, *KEPT)  # buffers set back after a failed step
 
@@ -357,7 +357,7 @@ class ArmVectorEnv(VectorEnv):
                 self._blocks = Blocks(self._reset, self._actions, self.max_episode_steps or math.inf)
             rows, buffers = self._blocks(self._buffers, network, steps, noise, unit)
             self._keep(buffers)
-            found = rollout_of(rows, WORST)
+            found = rollout_of(rows)
         return found if self.output == "torch" else Rollout(*map(self._out, found))
 
     def _recorded(self, policy: Any) -> Network | None:
@@ -408,7 +408,7 @@ class ArmVectorEnv(VectorEnv):
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
         self._started("get_state")
-        return {self._saved(name): x.clone() for name, x in {**self._buffers, **self._drawn()}.items()}
+        return {self._saved(name): x.clone() for name, x in {**self._buffers, **self._reset.drawn}.items()}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a state of an environment that was constructed alike.
@@ -417,7 +417,7 @@ class ArmVectorEnv(VectorEnv):
             state: from `get_state`, or from `torch.load` of such.
         """
         self._open()
-        own = {self._saved(name): (name, x) for name, x in {**self._blank(), **self._drawn()}.items()}
+        own = {self._saved(name): (name, x) for name, x in {**self._blank(), **self._reset.drawn}.items()}
         if not isinstance(state, Mapping) or set(state) != set(own):
             found = sorted(state) if isinstance(state, Mapping) else type(state).__name__
             raise ArgumentError(
@@ -438,7 +438,7 @@ class ArmVectorEnv(VectorEnv):
                 raise ArgumentError(
                     f"state[{label!r}] must be finite, found {x[tuple(bad[0])].item()} in row {bad[0, 0].item()}"
                 )
-        for name, x in self._drawn().items():
+        for name, x in self._reset.drawn.items():
             x.copy_(rows[name])
         self._keep({name: x.to(self.device, copy=True) for name, x in rows.items() if "." not in name})
         self._unreset = self._any(self._buffers["finished"]) and self.autoreset_mode != AutoresetMode.SAME_STEP
@@ -447,10 +447,6 @@ class ArmVectorEnv(VectorEnv):
         """Name of a buffer in a saved state; that of a memory says whose it is, so that no other effect takes it."""
         owners = ", ".join(type(effect).__name__ for effect in self.scene.effects if effect.memory(self.scene.n))
         return f"{name} of {owners}" if name == "memory" else name
-
-    def _drawn(self) -> dict[str, Tensor]:
-        """The scene's own tensors that are drawn for every episode."""
-        return {f"{i}.{name}": x for r in self._randomised for (i, name), x in r.tensors(self.scene).items()}
 
     # --- internals ---
 

@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any, get_args
 
 import gymnasium
@@ -222,12 +223,12 @@ def _learning(task: str) -> list[str]:
         _learning_code(task, found),
         f"![Median distance and success against time]({task}_learning.svg)",
         f"Of {tests} episodes that training never saw: the median distance from the goal at the end, and the share of "
-        f"success, of {len(seeds)} seeds. Seconds are processor time of training, "
-        f"{steps / 1e6:.1f} million steps in {seconds:.0f} s.",
+        f"success. Lines are medians of {len(seeds)} seeds, {len(blocks)} on blocks, and bands their ranges. Seconds "
+        f"are processor time of training, {steps / 1e6:.1f} million steps of Stable-Baselines3 in {seconds:.0f} s.",
         table(("policy", "median distance at the end", "success"), rows),
-        f"PPO on blocks is that of `examples/21_walk_ppo.py`, with {len(blocks)} seeds; its rollouts are single calls. "
-        "The policy without action stands still. The one with known kinematics moves along the damped inverse of the "
-        "Jacobian; PPO is given no model of the arm. `python benchmarks/learn.py --page` measures curve and table: "
+        "PPO on blocks is that of `examples/21_walk_ppo.py`; its rollouts are single calls. The policy without action "
+        "stands still. The one with known kinematics moves along the damped inverse of the Jacobian; PPO is given no "
+        "model of the arm. `python benchmarks/learn.py --page` measures curve and table: "
         f"{machine}.",
     ]
 
@@ -246,12 +247,17 @@ model = {found["line"]}
 
 
 def learning_picture(task: str) -> str:
-    """SVG of the learning curves of an environment."""
-    curves = [list(zip(*curve, strict=True)) for curve in (learned(task) or {})["seeds"]]
+    """SVG of the learning curves of an environment: medians and ranges of the seeds."""
+    found = learned(task) or {}
 
     def panel(label: str, column: int, factor: float, log: bool) -> Picture:
-        seeds = {f"seed {k}": Curve(x[0], [factor * y for y in x[column]]) for k, x in enumerate(curves)}
-        return Picture("processor time [s]", label, seeds, log)
+        curves = {}
+        for words, name in {"PPO of Stable-Baselines3": "seeds", "PPO on blocks": "blocks"}.items():
+            tests = [list(zip(*at, strict=True)) for at in zip(*found[name], strict=False)]  # of all seeds at a time
+            rows = [sorted(factor * y for y in test[column]) for test in tests]
+            ends = [row[0] for row in rows], [row[-1] for row in rows]
+            curves[words] = Curve([median(test[0]) for test in tests], [median(row) for row in rows], ends)
+        return Picture("processor time [s]", label, curves, log)
 
     return svg(panel("median distance at the end [mm]", 2, 1e3, True), panel("success [%]", 3, 100.0, False))
 

@@ -64,6 +64,7 @@ class Curve(NamedTuple):
 
     x: Sequence[float] | np.ndarray
     y: Sequence[float] | np.ndarray
+    range: tuple[Sequence[float], Sequence[float]] | None = None  # lowest and highest y
 
 
 class Picture(NamedTuple):
@@ -86,6 +87,8 @@ def svg(picture: Picture, *others: Picture) -> str:
             for (words, curve), look in zip(one.curves.items(), LOOKS, strict=False):
                 colour, line = OTHER if words in REFERENCES else look
                 axes.plot(curve.x, curve.y, line, color=LIGHT[colour], label=words if k == 0 else None)
+                if curve.range is not None:
+                    axes.fill_between(curve.x, *curve.range, color=LIGHT[colour], alpha=0.2, linewidth=0)
         if len(picture.curves) > 1:
             figure.legend(loc="outside upper left", ncols=3)
         file = io.StringIO()

@@ -612,7 +612,7 @@ def test_randomised_rows_differ_and_need_no_new_program(monkeypatch):
     steps(envs, 6)
     loaded = []
     monkeypatch.setattr(build, "load", lambda *arguments: loaded.append(arguments))
-    parameters = envs._drawn()
+    parameters = envs._reset.drawn
     before = {name: x.clone() for name, x in parameters.items()}
     steps(envs, 6)
     assert loaded == []
