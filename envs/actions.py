@@ -72,7 +72,7 @@ class Actions:
             row, joint = bad[0, -2:].tolist()
             raise ArgumentError(
                 f"actions must be finite, found {actions[tuple(bad[0])].item()} in row {row} for joint "
-                f"{self.robot.joint_names[self.joints[joint]]!r}{and_more(bad)}; nothing was stepped"
+                f"{self.robot.joint_names[self.joints[joint]]!r}{and_more(bad)}; that step was not taken"
             )
 
     def _of_all_joints(self, actions: Tensor) -> Tensor:

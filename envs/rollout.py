@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.loop_call import repeat
+from torchdq.base.checks import require_tensor
 from torchdq.envs.actions import Actions
 from torchdq.envs.block import FLAGS, INFO, NEXT, SPARE, WEIGHT, Block
 from torchdq.envs.pushes import WIDTH
@@ -52,7 +53,8 @@ def stepped(
     """Rollout by so many calls of a function that takes a step."""
     observations, rows, infos = [observation], list[tuple[Tensor, ...]](), list[dict[str, Any]]()
     for k in range(steps):
-        found = policy(observations[-1])
+        found = policy(observations[-1].clone())  # which it may write into
+        require_tensor("what policy returns", found)
         actions = unit * (found if noise is None else found + noise[k])
         observation, *others, info = step(actions)
         observations.append(observation)
@@ -84,7 +86,7 @@ class Blocks:
         self, buffers: Mapping[str, Tensor], policy: Network, steps: int, noise: Tensor | None, unit: float
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Rows of every step, by name, and the buffers after the last; drawn parameters are written into the scene."""
-        found, now, at, drawn = list[dict[str, Tensor]](), dict(buffers), 0, self.reset.drawn
+        found, now, at = list[dict[str, Tensor]](), {**buffers, **self.reset.drawn}, 0
         while at < steps:
             part = None if noise is None else noise[at:]
             rows, after, whole = self._called(now, policy, steps - at, part, unit)
@@ -92,15 +94,15 @@ class Blocks:
                 # up to the first step at which a row would need a second episode or push, which then are drawn
                 rows, after, _ = self._called(now, policy, whole, None if part is None else part[:whole], unit)
             self.actions.require_finite(rows["action"])
-            for name, x in drawn.items():
-                x.copy_(after.pop(name))
-            now = {**now, **after, "observation": rows["observation"][-1]}
+            now = {**now, **after, "observation": rows["observation"][-1].clone()}
             at += len(rows["reward"])
             found.append(rows)
         for rows in found[:-1]:
             rows["observation"] = rows["observation"][:-1]  # the next part begins with the last
         if len(found) > 1:
             found = [{name: torch.cat([rows[name] for rows in found]) for name in found[0]}]
+        for name, x in self.reset.drawn.items():
+            x.copy_(now.pop(name))
         return found[0], now
 
     def _called(
@@ -109,8 +111,8 @@ class Blocks:
         """Rows of every step, what has changed after the last, and the number of steps for which enough was drawn."""
         scene, pushes, like = self.reset.scene, self.reset.pushes, buffers["observation"]
         streams, following = Streams(buffers["key"], buffers["counter"]), self._following(buffers)
-        names = [name for name in (*STATE, "goal", *KEPT, *pushes) if name in buffers]
-        given = {name: buffers[name] for name in names} | self.reset.drawn
+        names = (*STATE, "goal", *KEPT, *pushes, *self.reset.drawn)
+        given = {name: buffers[name] for name in names if name in buffers}
         spare = [streams.column(k).uniform(WIDTH, like.dtype) for k, _ in enumerate(pushes, PUSHED)]
         own = {NEXT + name: following[name] for name in given}
         own |= {SPARE + name: push.drawn(u) for (name, push), (u, _) in zip(pushes.items(), spare, strict=True)}

@@ -134,7 +134,7 @@ class Reach(EpisodeTask):
         distance = sqrt(squared + 1e-12)
         bonus = 1.0 / (1.0 + squared * (1.0 / CLOSE**2))
         return {
-            "observation": within(observation, self.bounds(robot)),
+            "observation": within(observation, Reach.bounds(self, robot)),
             "reward": [bonus - distance - cost(view)],
             "reference": [*q, *[0.0] * (2 * n)],
             "distance": [distance],
@@ -206,7 +206,7 @@ class Track(EpisodeTask):
         wanted, moving = reference[:n], reference[n:]
         errors = [r - x for r, x in zip(wanted, q, strict=True)]
         rates = [*speeds(robot, moving[:n]), *speeds(robot, moving[n:])]
-        measured = within([*errors, *speeds(robot, qd)], self.bounds(robot)[: 2 * n])
+        measured = within([*errors, *speeds(robot, qd)], Track.bounds(self, robot)[: 2 * n])
         squared = sum(((r - x) * (r - x) for r, x in zip(wanted, view.q, strict=True)), 0.0) * (1.0 / n)
         return {
             "observation": [*measured, *wanted, *rates],  # the reference is within its bounds

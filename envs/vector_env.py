@@ -257,7 +257,7 @@ class ArmVectorEnv(VectorEnv):
         self._unreset = self._any(buffers["finished"])
         if self.render_mode == "human":
             self._frames()
-        return self._out(buffers["observation"]), {}
+        return self._out(buffers["observation"].clone()), {}
 
     @torch.no_grad()
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -266,7 +266,8 @@ class ArmVectorEnv(VectorEnv):
         Args:
             actions: [N, k] in [-1, 1], numpy or torch.
         """
-        found = self._stepped(actions)
+        observations, *others = self._stepped(actions)
+        found = observations.clone(), *others  # a rollout begins from them
         return found if self.output == "torch" else tuple(self._out(x) for x in found)
 
     def _stepped(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
@@ -349,6 +350,9 @@ class ArmVectorEnv(VectorEnv):
             require_tensor("noise", noise)
             if noise.shape != shape:
                 raise ArgumentError(f"noise must have the shape {shape}, found {tuple(noise.shape)}")
+        if not callable(policy) or isinstance(policy, Network):
+            kind = type(policy).__name__
+            raise ArgumentError(f"policy must be a function of observations or a torch.nn.Sequential, found {kind}")
         network = self._recorded(policy)
         if network is None:
             found = stepped(self._stepped, self._buffers["observation"], policy, steps, noise, unit)

@@ -34,6 +34,24 @@ def test_any_function_is_a_policy(monkeypatch):
         assert same(found, expected) and not isinstance(found.rewards, torch.Tensor)
 
 
+def test_what_is_handed_out_may_be_written_into():
+    """By a policy, too."""
+    envs, twin = (started(max_episode_steps=4) for _ in range(2))
+    policies = (
+        policy_of(envs),
+        lambda observation: observation.sin_()[:, :2],
+        lambda observation: observation.sin()[:, :2],
+    )
+    envs.reset(seed=0)[0].zero_()
+    for mine, other in ((policies[0],) * 2, policies[1:], (policies[0],) * 2):
+        found = envs.rollout(mine, 3)
+        assert same(found, twin.rollout(other, 3))
+        found.observations.zero_()
+    (mine, *_), (other, *_) = (x.step(torch.zeros(5, 2)) for x in (envs, twin))
+    mine.zero_()
+    assert not same(mine, other) and same(envs.rollout(policies[0], 3), twin.rollout(policies[0], 3))
+
+
 def test_blocks_follow_resets_and_states_that_are_restored():
     envs, twin = (started(max_episode_steps=4, randomise={"mass": 0.2}) for _ in range(2))
     policy = policy_of(envs)
@@ -47,7 +65,17 @@ def test_blocks_follow_resets_and_states_that_are_restored():
     assert_as_stepped(envs, twin, policy, 6)
 
 
+def late(envs):
+    """Rollout whose noise is not finite when every environment has begun another episode."""
+    noise = torch.zeros(9, 5, 2)
+    noise[8, 2, 0] = torch.nan
+    return envs.rollout(policy_of(envs), 9, noise)
+
+
 MISUSE = {
+    "late noise that is not finite": late,
+    "a policy that returns an array": lambda envs: envs.rollout(lambda observation: observation[:, :2].numpy(), 2),
+    "no policy": lambda envs: envs.rollout(None, 2),
     "noise of another length": lambda envs: envs.rollout(policy_of(envs), 6, noise=torch.zeros(5, 5, 2)),
     "noise that is not finite": lambda envs: envs.rollout(policy_of(envs), 6, noise=torch.full((6, 5, 2), torch.nan)),
     "no steps": lambda envs: envs.rollout(policy_of(envs), 0),
@@ -58,7 +86,7 @@ MISUSE = {
 
 @pytest.mark.parametrize("what", MISUSE)
 def test_wrong_arguments_are_refused(what):
-    envs = started()
+    envs = started(max_episode_steps=3, randomise={"mass": 0.2})
     before = envs.get_state()
     with refused(ArgumentError):
         MISUSE[what](envs)

@@ -28,7 +28,7 @@ class Linear:
     """Policy of gains that differ from step to step: tau_k = torque_k + gain_k (s_k - state_k).
 
     The numbers of s are (q, qd), then memory and reading where a scene has them, as in a `Linearization`; the base is
-    fixed. Called as `policy(state, k)` it returns the torques of step k.
+    fixed. Called as `policy(state, k)` it returns the torques of step k, those in a rollout but for rounding.
 
     Args:
         gain: gains K, shape [steps, ..., n, s].
@@ -100,7 +100,8 @@ class Network:
 
     They are cast to the dtype of the state, as all parameters are.
 
-    Called as `policy(state, k)` it returns the torques of a state, without the inputs of a step.
+    Called as `policy(state, k)` it returns the torques of a state, without the inputs of a step; those in a rollout are
+    the same but for rounding.
 
     Args:
         network: `torch.nn.Sequential` of Linear, Tanh, ReLU, ELU and LayerNorm; it takes the rows, joined, and returns
