@@ -85,6 +85,11 @@ class Coupled(NamedTuple):
             for row in matrix.transpose(self.coupling.S)
         ]
 
+    def acceleration(self, i: int, X_BF: DualQuaternion, qd: Row, qdd: Row | None, world: bool) -> Screw:
+        """Angular acceleration of a frame and acceleration of its origin."""
+        a = None if qdd is None else self.coupling.joints(qdd)
+        return self.robot.acceleration(i, X_BF, self.coupling.joints(qd), a, world)
+
     def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> list[Number]:
         """Generalised forces S^T tau(S zd, S zdd)."""
         v, a = (None if x is None else self.coupling.joints(x) for x in (qd, qdd))

@@ -4,7 +4,7 @@ M = L^T D L, eliminated from the leaves to the base: entries that are zero becau
 are zero in the factors too (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.5).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from torchdq.algebra.matrix import Matrix
@@ -42,12 +42,13 @@ def predecessors(M: Matrix) -> tuple[int, ...]:
     return tuple(before)
 
 
-def factorise(before: Sequence[int], M: Matrix) -> TreeFactors:
-    """Factors of a mass matrix.
+def factorise(before: Sequence[int], M: Matrix, pivot: Callable[[int, Number], Number] | None = None) -> TreeFactors:
+    """Factors of a mass matrix, or of another symmetric one.
 
     Args:
         before: for every degree of freedom, the one before it on the path from the base; -1: none.
         M: mass matrix; entries of degrees of freedom on different branches are not read.
+        pivot: pivot that takes the place of one, by its number; None: itself.
     """
     n = len(before)
     H: dict[tuple[int, int], Number] = {}
@@ -58,7 +59,7 @@ def factorise(before: Sequence[int], M: Matrix) -> TreeFactors:
     lower = {}
     inverses: list[Number] = [0.0] * n
     for k in reversed(range(n)):
-        inverses[k] = inverse(k, H[k, k])
+        inverses[k] = inverse(k, H[k, k] if pivot is None else pivot(k, H[k, k]))
         for i in _path(before, before[k]):
             ratio = H[k, i] * inverses[k]
             for j in _path(before, i):
@@ -67,13 +68,18 @@ def factorise(before: Sequence[int], M: Matrix) -> TreeFactors:
     return TreeFactors(tuple(inverses), lower)
 
 
-def solve(before: Sequence[int], factors: TreeFactors, b: Sequence[Number]) -> tuple[Number, ...]:
-    """Solution x of M x = b."""
+def half(before: Sequence[int], factors: TreeFactors, b: Sequence[Number]) -> list[Number]:
+    """Product L^-T b; b^T M^-1 b is the sum of its squares over the pivots D."""
     x = list(b)
     for i in reversed(range(len(x))):
         for j in _path(before, before[i]):
             x[j] = x[j] - factors.lower[i, j] * x[i]
-    x = [x_i * d for x_i, d in zip(x, factors.inverses, strict=True)]
+    return x
+
+
+def solve(before: Sequence[int], factors: TreeFactors, b: Sequence[Number]) -> tuple[Number, ...]:
+    """Solution x of M x = b."""
+    x = [x_i * d for x_i, d in zip(half(before, factors, b), factors.inverses, strict=True)]
     for i in range(len(x)):
         for j in _path(before, before[i]):
             x[i] = x[i] - factors.lower[i, j] * x[j]

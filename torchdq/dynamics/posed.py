@@ -30,17 +30,34 @@ class Factors(NamedTuple):
     diagonal: Row
     inverses: Row  # inverse pivots
     solve: Callable[[Row], Row]  # x of M x = b
+    half: Callable[[Row], Row] | None = None  # L^-T b of M = L^T D L; None: by articulated bodies
 
     @property
     def growth(self) -> Number:
         """Factor by which a solution magnifies rounding errors."""
         return error_growth.growth(self.diagonal, self.inverses)
 
+    def mobility(self, J: Matrix) -> Matrix:
+        """Symmetric matrix J M^-1 J^T of rows J."""
+        if self.half is None:
+            left, right = [self.solve(row) for row in J], J
+        else:
+            right = tuple(tuple(self.half(row)) for row in J)
+            left = [[x * d for x, d in zip(row, self.inverses, strict=True)] for row in right]
+        found = [[dot(a, b) for b in right[: i + 1]] for i, a in enumerate(left)]
+        return tuple(tuple(found[max(i, k)][min(i, k)] for k in range(len(J))) for i in range(len(J)))
+
+
+def dot(a: Row, b: Row) -> Number:
+    """Sum of the products of the numbers of two rows."""
+    return sum([x * y for x, y in zip(a, b, strict=True)], 0.0)
+
 
 def factors_by_entries(before: Sequence[int], M: Matrix) -> Factors:
     """Factors L^T D L of a mass matrix; `before` as in `ltdl.factorise`."""
     found = ltdl.factorise(before, M)
-    return Factors([M[i][i] for i in range(len(M))], found.inverses, partial(ltdl.solve, before, found))
+    solve, half = partial(ltdl.solve, before, found), partial(ltdl.half, before, found)
+    return Factors([M[i][i] for i in range(len(M))], found.inverses, solve, half)
 
 
 class Point(NamedTuple):
@@ -81,6 +98,9 @@ class Posed(Protocol):
 
     def jacobian(self, i: int, X_BF: DualQuaternion, world: bool) -> Sequence[Screw | None]:
         """Columns of the Jacobian of a frame, in its own or in world axes; None: the velocity does not move it."""
+
+    def acceleration(self, i: int, X_BF: DualQuaternion, qd: Row, qdd: Row | None, world: bool) -> Screw:
+        """Angular acceleration of a frame and acceleration of its origin, in its own or in world axes."""
 
     # --- dynamics ---
 

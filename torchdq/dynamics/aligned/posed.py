@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import islice
 from typing import NamedTuple
 
 from torchdq.algebra import dual_quaternion as dq
@@ -126,6 +127,15 @@ class Aligned(NamedTuple):
         else:
             found = kinematics.joint_screws(self.tree, self.steps, i, point)
         return [found.get(k) for k in range(self.tree.nv)]
+
+    def acceleration(self, i: int, X_BF: DualQuaternion, qd: Row, qdd: Row | None, world: bool) -> Screw:
+        """Angular acceleration of a frame and acceleration of its origin, in its own or in world axes."""
+        *_, motion = islice(rnea.outward(self.without_gravity().tree, self.steps, self.X_WB, qd, qdd), i + 1)
+        point, (wd, d) = self.point(i, X_BF), motion.A
+        d = quat.add(d, rnea.apply(motion.u, point.position))
+        if world:
+            return self.to_world(i, wd), self.to_world(i, d)
+        return tuple(quat.dot(e, wd) for e in point.axes), tuple(quat.dot(e, d) for e in point.axes)
 
     # --- dynamics ---
 

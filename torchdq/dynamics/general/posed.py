@@ -83,6 +83,16 @@ class General(NamedTuple):
         r = quat.mul(self.poses()[i][0], X_BF[0])
         return [None if c is None else (quat.rotate(r, c[0]), quat.rotate(r, c[1])) for c in columns]
 
+    def acceleration(self, i: int, X_BF: DualQuaternion, qd: Row, qdd: Row | None, world: bool) -> Screw:
+        """Angular acceleration of a frame and acceleration of its origin, in its own or in world axes."""
+        V, A = rnea.outward(self.without_gravity().tree, self.Ad, qd, qdd)
+        V_F, A_F = (screw.ad(screw.inverse(screw.columns(X_BF)), S[i] or screw.ZERO) for S in (V, A))
+        found = A_F[0], quat.add(A_F[1], quat.cross(*V_F))
+        if not world:
+            return found
+        r = quat.mul(self.poses()[i][0], X_BF[0])
+        return quat.rotate(r, found[0]), quat.rotate(r, found[1])
+
     # --- dynamics ---
 
     def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> list[Number | None]:
