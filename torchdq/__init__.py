@@ -26,6 +26,10 @@ Functions of a robot, batched and differentiable to any order:
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
     jacobian                twist of a frame from joint velocities
     computed_torque         torques of a tracking controller
+    frame_motion            pose, twist and acceleration of a frame
+    operational_space       dynamics of a frame; manipulability says how near it is to a singular posture
+    operational_space_control, cartesian_impedance      torques that move a frame, or hold it by a spring
+    coriolis_matrix         Coriolis matrix, C qd = c and dM/dt = C + C^T
     floating                the same for robots with a floating base, and their momentum: floating.inverse_dynamics, ...
 
 Layers, with quantities that may be learned and stay physical:
@@ -92,6 +96,14 @@ from torchdq.functions.compile import compile
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics, InverseDynamics, ResidualDynamics
 from torchdq.robot import Robot
 from torchdq.robot import shipped as robots
+from torchdq.task_space import (
+    cartesian_impedance,
+    coriolis_matrix,
+    frame_motion,
+    manipulability,
+    operational_space,
+    operational_space_control,
+)
 
 if TYPE_CHECKING:
     from torchdq import envs, learning
@@ -118,11 +130,13 @@ __all__ = [
     "UnknownNameError",
     "UnphysicalError",
     "backend",
+    "cartesian_impedance",
     "clear_caches",
     "closed_form",
     "compile",
     "computed_torque",
     "convert",
+    "coriolis_matrix",
     "dq",
     "dynamics_jacobian",
     "envs",
@@ -130,11 +144,15 @@ __all__ = [
     "floating",
     "forward_dynamics",
     "forward_kinematics",
+    "frame_motion",
     "inverse_dynamics",
     "jacobian",
     "kinetic_energy",
     "learning",
+    "manipulability",
     "mass_matrix",
+    "operational_space",
+    "operational_space_control",
     "potential_energy",
     "recommend_settings",
     "regressor",
@@ -151,7 +169,9 @@ _ELSEWHERE = {
     "crba": "mass_matrix",
     "nle": "inverse_dynamics without qdd",
     "gravity": "closed_form(...).g",
-    "coriolis": "closed_form(...).c",
+    "coriolis": "closed_form(...).c, or coriolis_matrix",
+    "osc": "operational_space_control",
+    "nullspace": "operational_space(...).N",
     "fk": "forward_kinematics",
     "joint_torque_regressor": "regressor",
     "from_urdf": "Robot.from_urdf",

@@ -38,6 +38,7 @@ FLOORS = {
     "torchdq.robot": 5,
     "torchdq.functions": 6,
     "torchdq.functional": 7,
+    "torchdq.task_space": 7,
     "torchdq.effects": 7,
     "torchdq.floating": 8,
     "torchdq.scene": 8,

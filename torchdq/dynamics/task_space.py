@@ -9,6 +9,8 @@ torques do so with less of the energy sum of tau^T M^-1 tau, and the projector o
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import mul
 from typing import NamedTuple
 
 from torchdq.algebra import quaternion as quat
@@ -20,9 +22,10 @@ from torchdq.algebra.screw import Screw
 from torchdq.dynamics import error_growth, ltdl
 from torchdq.dynamics.ltdl import TreeFactors
 from torchdq.dynamics.posed import Posed, Row, dot
-from torchdq.numbers.functions import maximum
+from torchdq.numbers.functions import below, maximum, select, sqrt
 
 COMPONENTS = ("rx", "ry", "rz", "x", "y", "z")  # of a twist
+AXES = {"pose": COMPONENTS, "orientation": COMPONENTS[:3], "position": COMPONENTS[3:]}
 
 
 class Task(NamedTuple):
@@ -83,27 +86,63 @@ def _dense(m: int) -> tuple[int, ...]:
 
 
 def inertia(at: Posed, task: Task, damping: Number | None, linear: bool = False) -> Inertia:
-    """Inertia of a task.
+    """Inertia of a task, damped where the joints hardly move it.
+
+    Whether they do is measured by pivots d of J J^T over their scale s, the mean of the diagonal for components of the
+    same kind, so that neither units nor masses count. Where d / s is below the damping b, the pivot of Lambda^-1 is
+    increased by (b - d / s)^2 / (4 b) of its own scale: once differentiable, and nothing where it is above.
 
     Args:
         at: the robot.
         task: the components.
-        damping: share of the diagonal of Lambda^-1 below which a pivot is increased, to a fourth of it at least; above
-            it nothing is changed. None: no pivot is.
+        damping: b; None: no pivot is increased.
         linear: whether the mass matrix is factorised by articulated bodies.
     """
-    found, J = at.factors(linear), task.jacobian(at)
-    inverse = found.mobility(J)
+    found, whole = at.factors(linear), task._replace(rows=tuple(range(6))).jacobian(at)
+    J, mobility = tuple(whole[r] for r in task.rows), found.mobility(whole)
+    inverse = tuple(tuple(mobility[i][k] for k in task.rows) for i in task.rows)
+    raised = _raised(whole, mobility, task.rows, damping)
+    factors = ltdl.factorise(_dense(len(J)), inverse, None if raised is None else lambda k, d: d + raised[k])
     diagonal = [inverse[i][i] for i in range(len(J))]
+    return Inertia(J, factors, maximum(found.growth, error_growth.growth(diagonal, factors.inverses)))
+
+
+def _raised(J: Matrix, mobility: Matrix, rows: Row, damping: Number | None) -> list[Number] | None:
+    """What is added to the pivots of Lambda^-1, row by row; None: nothing."""
+    if damping is None:
+        return None
+    squares = [[dot(a, b) for b in J] for a in J]
+    scales, own = _scales(squares, rows), _scales(mobility, rows)
+    shares: list[Number] = [0.0] * len(rows)
 
     def pivot(k: int, d: Number) -> Number:
-        least = damping * diagonal[k]
-        below = maximum(least - d, 0.0)
-        return d + below * below / (4.0 * least)
+        lack = maximum(damping - d / scales[k], 0.0)
+        shares[k] = lack * lack / (4.0 * damping)
+        return d + shares[k] * scales[k]
 
-    factors = ltdl.factorise(_dense(len(J)), inverse, None if damping is None else pivot)
-    growth = maximum(found.growth, error_growth.growth(diagonal, factors.inverses))
-    return Inertia(J, factors, growth)
+    ltdl.factorise(_dense(len(rows)), tuple(tuple(squares[i][k] for k in rows) for i in rows), pivot)
+    return [share * scale for share, scale in zip(shares, own, strict=True)]
+
+
+def _scales(A: Matrix, rows: Row) -> list[Number]:
+    """Mean of the diagonal for components of the same kind, for every row: rotations or displacements."""
+    kinds = [(A[k][k] + A[k + 1][k + 1] + A[k + 2][k + 2]) / 3.0 for k in (0, 3)]
+    return [kinds[r // 3] for r in rows]
+
+
+def manipulability(at: Posed, task: Task) -> Number:
+    """Square root of det J J^T, with the derivative zero where it is zero."""
+    J, pivots = task.jacobian(at), []
+
+    def pivot(_: int, d: Number) -> Number:
+        moved = below(0.0, d)
+        pivots.append(select(moved, d, 0.0))
+        return select(moved, d, 1.0)
+
+    ltdl.factorise(_dense(len(J)), tuple(tuple(dot(a, b) for b in J) for a in J), pivot)
+    product = reduce(mul, pivots)
+    moved = below(0.0, product)
+    return select(moved, sqrt(select(moved, product, 1.0)), 0.0)
 
 
 def torques(J: Matrix, F: Row) -> list[Number]:

@@ -17,6 +17,7 @@ from torchdq.base.checks import require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functions import floating as free
 from torchdq.functions import formulas as fixed
+from torchdq.functions import task_space_formulas as task
 from torchdq.functions.formulas import TRACKING
 from torchdq.functions.recipe import (
     BASE_WRENCH,
@@ -34,6 +35,14 @@ from torchdq.program.program import Argument, Program, record, replay, results
 from torchdq.robot.constants import Constants
 from torchdq.robot.fields import SHAPES, Axes, trailing
 from torchdq.robot.robot import recorded
+
+GOAL: tuple[ArgumentSpec, ...] = (("X_des", (8,), False), ("V_des", (6,), True))
+POSTURE: tuple[ArgumentSpec, ...] = (("q_null", ("n",), True), ("k_null", (), True))
+
+
+def _gains(*names: str) -> tuple[ArgumentSpec, ...]:
+    return tuple((name, ("axes",), False) for name in names)
+
 
 RECIPES: dict[str, Recipe] = {
     "inverse_dynamics": Recipe((*joints("q"), *RATES, *WRENCHES), (fixed.inverse_dynamics,), lambda: (("n",),)),
@@ -64,6 +73,28 @@ RECIPES: dict[str, Recipe] = {
         each=True,
     ),
     "jacobian": Recipe(joints("q"), (fixed.jacobian,), lambda frame, expressed: ((6, "n"),)),
+    "coriolis_matrix": Recipe(joints("q", "qd"), (task.coriolis_matrix,), lambda: (("n", "n"),)),
+    "frame_motion": Recipe(
+        (*joints("q", "qd"), RATES[1]), (task.frame_motion,), lambda frame, expressed: ((8,), (6,), (6,))
+    ),
+    "manipulability": Recipe(joints("q"), (task.manipulability,), lambda *task: ((),)),
+    "operational_space": Recipe(
+        joints("q", "qd"),
+        (task.operational_space,),
+        lambda *task: (("axes", "axes"), ("axes",), ("axes",), ("axes", "n"), ("axes",), ("n", "axes"), ()),
+    ),
+    "operational_space_control": Recipe(
+        (*joints("q", "qd"), *GOAL, ("A_des", (6,), True), *_gains("kp", "kd"), *POSTURE, ("damping", (), True)),
+        (task.operational_space_control,),
+        lambda *task: (("n",),),
+        single=("kp", "kd"),
+    ),
+    "cartesian_impedance": Recipe(
+        (*joints("q", "qd"), *GOAL, *_gains("stiffness", "damping"), *POSTURE),
+        (task.cartesian_impedance,),
+        lambda *task: (("n",),),
+        single=("stiffness", "damping"),
+    ),
 }
 _BEFORE = {"q": ("X_WB", (8,)), "qd": ("V_WB_B", (6,)), "qdd": ("A_WB_B", (6,))}  # what the base has before the joints
 
@@ -97,7 +128,17 @@ _FREE: dict[str, Recipe] = {
 }
 FLOATING = "floating."  # names of functions of robots with a floating base begin so
 RECIPES |= {FLOATING + name: recipe for name, recipe in _FREE.items()}
-DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1)}  # positions of the arguments that a result is differentiated by
+_NO_MOTOR = "no motor moves its base, so torques of the joints alone cannot give a frame every acceleration"
+_FIXED_ONLY = {  # why a function has no form for robots with a floating base
+    "coriolis_matrix": "a twist is not the rate of coordinates, so that C = 1/2 dc/dqd does not give Mdot = C + C^T",
+    "frame_motion": "floating.forward_kinematics and floating.jacobian give the pose and the twist of a frame",
+    "manipulability": "its base moves every frame in all directions; torchdq.floating.jacobian has the columns of joints",
+    "operational_space": _NO_MOTOR,
+    "operational_space_control": _NO_MOTOR,
+    "cartesian_impedance": _NO_MOTOR,
+}
+_OF_AXES = {"operational_space", "operational_space_control", "cartesian_impedance"}  # third option: axes of a frame
+DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1), "coriolis_matrix": (1,)}  # positions of the arguments that a result is differentiated by
 
 
 class _Call(NamedTuple):
@@ -116,7 +157,8 @@ class Function(_Call, Computation):
         """Sizes of axes, by name; see `Robot.sizes`."""
         fields = self.constants.fields
         n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
-        return {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating)}
+        axes = {"axes": len(task.rows_of(self.options[2]))} if self.name in _OF_AXES else {}
+        return {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating), **axes}
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an argument, or of a tensor of the robot."""
@@ -155,6 +197,11 @@ class Function(_Call, Computation):
         """Raise unless the base of the robot is fixed, or floating, as the function has it."""
         fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
         if (fields["base_mass"] is not None) != (plain != self.name):
+            if FLOATING + plain not in RECIPES:
+                raise ArgumentError(
+                    f"robot {fields['name']!r} has a floating base, which {plain} does not take: {_FIXED_ONLY[plain]}; "
+                    "load it with base='fixed' for the joints alone"
+                )
             fixed = plain != self.name
             kind, other, way = ("fixed", "floating", "torchdq") if fixed else ("floating", "fixed", "torchdq.floating")
             raise ArgumentError(

@@ -3,8 +3,16 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
+from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.dynamics.task_space import AXES, COMPONENTS, Task
 from torchdq.errors import ArgumentError
+from torchdq.functions.posed import GEOMETRY, frame, posed
+from torchdq.program.transforms import constant_in_graphs, with_values
 from torchdq.robot import Robot
+from torchdq.robot.constants import Constants
+from torchdq.robot.robot import arguments, constants, recorded
 
 Options = tuple[str, ...]
 
@@ -42,6 +50,70 @@ def _single_gains(robot: Robot, *given: str) -> Options:
     return given
 
 
+def _task(default: str, *marks: str) -> Callable[..., Options]:
+    """Reader of a frame, the axes that its twist is in, and its components, followed by those of some marks."""
+
+    def read(robot: Robot, *given: str) -> Options:
+        named = [name for name in given if name not in marks]
+        if len(named) > 3:
+            raise ArgumentError(
+                f"options must be a frame, 'body' or 'world', and axes{', and ' if marks else ''}{', '.join(marks)}, "
+                f"found {given}"
+            )
+        tip, expressed, axes = (*named, *("", default, "pose")[len(named) :])
+        name, expressed = _frame_and_axes(robot, tip or robot.end_effector().name, expressed)
+        require_served(robot, name, expressed, axes)
+        if "limits" in given and not bool(((found := robot.limits.effort) > 0).logical_and(found.isfinite()).any()):
+            raise ArgumentError(f"limits must be False for robot {robot.name!r}, which has no torque limits")
+        return (name, expressed, axes, *[mark for mark in marks if mark in given])
+
+    return read
+
+
+def axes_of(axes: str | Sequence[str]) -> str:
+    """Axes as one option: their names, one after the other."""
+    if not isinstance(axes, str) and not (isinstance(axes, Sequence) and all(isinstance(x, str) for x in axes)):
+        raise ArgumentError(f"axes must be a name or a sequence of names, found {axes!r}")
+    return axes if isinstance(axes, str) else " ".join(axes)
+
+
+def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
+    """Raise unless axes are components of the twist of a frame that the joints can move independently."""
+    wanted = AXES.get(axes, tuple(axes.split()))
+    if not wanted or len(set(wanted)) < len(wanted) or not set(wanted) <= set(COMPONENTS):
+        raise ArgumentError(
+            f"axes must be 'pose', 'position', 'orientation', or different names among {' '.join(COMPONENTS)}, "
+            f"found {axes!r}"
+        )
+    if set(arguments(robot)) & {*GEOMETRY, "home"}:
+        return
+    served = _served(constants(robot), name, expressed, wanted)
+    if len(served) < len(wanted):
+        raise ArgumentError(
+            f"axes must be at most {len(served)} of {' '.join(wanted)} for frame {name!r} of robot {robot.name!r}, "
+            f"whose joints move no more of them independently; {f'take axes={served}' if served else 'take another'}"
+        )
+
+
+@constant_in_graphs
+@remembered(PROGRAMS)
+def _served(of: Constants, name: str, expressed: str, wanted: tuple[str, ...]) -> tuple[str, ...]:
+    """Components that the joints move independently, the first of those that are wanted: those at some posture."""
+    found: list[tuple[str, ...]] = []
+    with with_values():
+        robot = recorded(of)
+        rows = tuple([COMPONENTS.index(axis) for axis in wanted])
+        for start in (0.37, 1.13, 2.71):
+            q = [2.0 * np.sin(start * (k + 1.0)) for k in range(robot.n)]
+            J = np.array(Task(*frame(robot, name), expressed == "world", rows).jacobian(posed(robot, q, {}, ())))
+            kept: list[int] = []
+            for r in range(len(rows)):
+                # a URDF has angles with five digits, so an arm may be planar up to those only
+                kept += [r] if np.linalg.matrix_rank(J[[*kept, r]], 1e-4) > len(kept) else []
+            found.append(tuple([wanted[r] for r in kept]))
+    return max(found, key=len)
+
+
 _READERS: dict[str, Callable[..., Options]] = {
     "forward_kinematics": _frames,
     "jacobian": _frame_and_axes,
@@ -49,6 +121,11 @@ _READERS: dict[str, Callable[..., Options]] = {
     "floating.jacobian": _frame_and_axes,
     "closed_form": _tip,
     "computed_torque": _single_gains,
+    "frame_motion": lambda robot, *given: _frame_and_axes(robot, *(given or (robot.end_effector().name,))),
+    "operational_space": _task("body"),
+    "operational_space_control": _task("body", "limits", "kp", "kd"),
+    "cartesian_impedance": _task("world", "stiffness", "damping"),
+    "manipulability": _task("body"),
 }
 
 

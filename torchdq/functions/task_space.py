@@ -133,7 +133,7 @@ def operational_space_torques(
     inertia = task_space.inertia(at, task, damping)
     given = task.of(task.twist_rate(at, qd, u))
     F = inertia.force([a - b for a, b in zip(task.of(wanted), given, strict=True)])
-    own, others = task_space.torques(inertia.J, F), _numbers(at.torques(qd, u, None))
+    own, others = task_space.torques(inertia.J, F), numbers(at.torques(qd, u, None))
     share = 1.0 if effort is None else _share(own, others, effort)
     return [b + share * t for b, t in zip(others, own, strict=True)], inertia.growth
 
@@ -150,7 +150,7 @@ def impedance_torques(
         growth = inertia.growth
         held = inertia.force([dot(row, u) for row in J])
         F = [f - h for f, h in zip(F, held, strict=True)]
-    return [b + t for b, t in zip(_numbers(at.torques(qd, u, None)), task_space.torques(J, F), strict=True)], growth
+    return [b + t for b, t in zip(numbers(at.torques(qd, u, None)), task_space.torques(J, F), strict=True)], growth
 
 
 def _share(own: Row, others: Row, effort: Sequence[float]) -> Number:
@@ -172,5 +172,6 @@ def _six(task: Task, row: Row) -> Screw:
     return tuple(found[:3]), tuple(found[3:])
 
 
-def _numbers(row: Sequence[Number | None]) -> list[Number]:
+def numbers(row: Sequence[Number | None]) -> list[Number]:
+    """Numbers, zero where one is absent."""
     return [0.0 if x is None else x for x in row]

@@ -1,0 +1,97 @@
+"""Formulas of the functions of a frame's motion, of its dynamics, and of its control."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from torchdq.algebra import screw
+from torchdq.algebra.quaternion import Number
+from torchdq.dynamics import posed as mechanics
+from torchdq.dynamics import task_space
+from torchdq.dynamics.posed import Row, dot
+from torchdq.dynamics.task_space import AXES, COMPONENTS, Task
+from torchdq.functions.posed import as_screw, factors, frame
+from torchdq.functions.recipe import RecipeInputs, Results
+from torchdq.functions.task_space import Gains, Goal, impedance_torques, numbers, operational_space_torques, pose_of
+from torchdq.program.program import GROWTH
+
+DAMPING = 2.0**-8  # of a posture beside a spring, where the inertia of the frame serves the projection alone
+
+
+def rows_of(axes: str) -> tuple[int, ...]:
+    """Numbers of the components that a choice of axes names."""
+    return tuple(COMPONENTS.index(axis) for axis in AXES.get(axes, axes.split()))
+
+
+def _task(x: RecipeInputs, name: str, expressed: str, axes: str = "pose") -> Task:
+    return Task(*frame(x.robot, name), expressed == "world", rows_of(axes))
+
+
+def frame_motion(x: RecipeInputs, name: str, expressed: str) -> Results:
+    """Pose X of a frame, its twist V, and the rate A of the components of that."""
+    at, task, qd = x.posed(), _task(x, name, expressed), x.arguments["qd"]
+    X, V, A = pose_of(at, task), task.twist(at, qd), task.twist_rate(at, qd, x.arguments.get("qdd"))
+    return {name: [*pair[0], *pair[1]] for name, pair in (("X", X), ("V", V), ("A", A))}
+
+
+def operational_space(x: RecipeInputs, name: str, expressed: str, axes: str) -> Results:
+    """Terms of F = Lambda a + mu + p, and the Jacobians J and Jbar."""
+    x.require_inertia()
+    at, task, qd = x.posed(), _task(x, name, expressed, axes), x.arguments["qd"]
+    found, solve = task_space.inertia(at, task, None), factors(x.robot, at, False).solve
+    _, c, g = mechanics.closed_form(at, qd)
+    Lambda, moved = found.matrix(), [solve(row) for row in found.J]
+    Jbar = [[dot(row, column) for row in Lambda] for column in zip(*moved, strict=True)]
+    drift = task.of(task.twist_rate(at, qd, None))
+    forces = [task_space.torques(Jbar, numbers(torque)) for torque in (c, g)]
+    return {
+        "Lambda": [entry for row in Lambda for entry in row],
+        "mu": [f - dot(row, drift) for f, row in zip(forces[0], Lambda, strict=True)],
+        "p": forces[1],
+        "J": [entry for row in found.J for entry in row],
+        "Jdot_qd": drift,
+        "Jbar": [entry for row in Jbar for entry in row],
+        "growth": [found.growth],
+        GROWTH: [found.growth],
+    }
+
+
+def _law(x: RecipeInputs, task: Task, single: Sequence[str], *names: str) -> tuple[Row, Row, Goal, Gains]:
+    """State, goal and gains of a control law; gains in `single` are one number for all components."""
+    given, m = x.arguments, len(task.rows)
+    p, d = (tuple(given[name]) * m if name in single else given[name] for name in names)
+    k_null = given.get("k_null")
+    gains = Gains(p, d) if k_null is None else Gains(p, d, given["q_null"], k_null[0])
+    X, zero = given["X_des"], (0.0,) * 6
+    goal = Goal((tuple(X[:4]), tuple(X[4:])), *[as_screw(given.get(name, zero)) for name in ("V_des", "A_des")])
+    return given["q"], given["qd"], goal, gains
+
+
+def operational_space_control(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
+    """Torques under which the error of a frame obeys e'' + kd e' + kp e = 0."""
+    x.require_inertia()
+    task, damping = _task(x, name, expressed, axes), x.arguments.get("damping")
+    effort = [e if e > 0 else math.inf for e in x.robot.limits.effort.tolist()] if "limits" in marks else None
+    law = _law(x, task, marks, "kp", "kd")
+    tau, growth = operational_space_torques(x.posed(), task, *law, damping and damping[0], effort)
+    return {"tau": tau, GROWTH: [growth]}
+
+
+def cartesian_impedance(x: RecipeInputs, name: str, expressed: str, axes: str, *single: str) -> Results:
+    """Torques of a spring and a damper at a frame, with those that hold the robot."""
+    x.require_inertia()
+    task = _task(x, name, expressed, axes)
+    tau, growth = impedance_torques(x.posed(), task, *_law(x, task, single, "stiffness", "damping"), DAMPING)
+    return {"tau": tau, GROWTH: [growth]}
+
+
+def coriolis_matrix(x: RecipeInputs) -> Results:
+    """Half of the Coriolis torques c, whose derivatives by the velocities are C."""
+    c: list[Number] = numbers(x.posed().without_gravity().torques(x.arguments["qd"], None, None))
+    return {"c": [0.5 * x for x in c]}
+
+
+def manipulability(x: RecipeInputs, name: str, expressed: str, axes: str) -> Results:
+    """Square root of det J J^T."""
+    return {"w": [task_space.manipulability(x.posed(), _task(x, name, expressed, axes))]}
