@@ -16,7 +16,6 @@ from torch import Tensor
 
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_number, require_tensor
-from torchdq.dq.components import require_poses
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import function_of, gain
 from torchdq.functions.options import axes_of, options_of
@@ -203,12 +202,13 @@ def operational_space_control(
         body axes, all components   e = 2 log(X* X_des), the screw to the goal in axes of the frame
         otherwise                   e = (rotation vector to the goal, difference of the positions) in those axes
 
-    X_des and -X_des are the same goal. Beyond half a turn the other way round is the shorter one, and e jumps.
+    X_des is scaled to a unit dual quaternion, and -X_des is the same goal. Beyond half a turn the other way round is the
+    shorter one, and e jumps.
 
     Args:
         robot: the model of the robot that is controlled.
         q, qd: measured positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
-        X_des: desired pose of the frame, a unit dual quaternion [-, m], shape [..., 8].
+        X_des: desired pose of the frame, a dual quaternion [-, m], shape [..., 8].
         V_des: its twist (angular, linear) [rad/s, m/s], in its own axes or those of the base, as `expressed` says,
             shape [..., 6]; None: zero.
         A_des: rate of the components of V_des [rad/s^2, m/s^2], shape [..., 6]; None: zero.
@@ -224,7 +224,7 @@ def operational_space_control(
         limits: whether the torques of the task are scaled by one factor, so that all torques stay within the limits of
             the robot, if tau_0 does. The direction of a - a_0 is kept.
     Raises:
-        ArgumentError: the joints cannot move these axes independently; X_des is not a pose; the robot has no limits.
+        ArgumentError: the joints cannot move these axes independently; the robot has no torque limits.
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("panda"), torch.tensor([0.1, 0.4, 0.0, -1.5, 0.2, 1.7, 0.3], dtype=torch.float64)
@@ -248,9 +248,7 @@ def operational_space_control(
     marks = [name for name, x in gains.items() if not x.ndim] + ["limits"] * limits
     chosen = (frame or "", expressed, axes_of(axes), *marks)
     names = options_of(require_robot(robot), "operational_space_control", chosen)
-    tau = function_of("operational_space_control", robot, {**given, **gains, **more}, backend, names)[0]
-    require_poses("X_des", X_des)
-    return tau
+    return function_of("operational_space_control", robot, {**given, **gains, **more}, backend, names)[0]
 
 
 def cartesian_impedance(
@@ -296,6 +294,4 @@ def cartesian_impedance(
     names = options_of(
         require_robot(robot), "cartesian_impedance", (frame or "", expressed, axes_of(axes), *marks)
     )
-    tau = function_of("cartesian_impedance", robot, {**given, **gains, **more}, backend, names)[0]
-    require_poses("X_des", X_des)
-    return tau
+    return function_of("cartesian_impedance", robot, {**given, **gains, **more}, backend, names)[0]

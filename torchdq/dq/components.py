@@ -46,19 +46,6 @@ def unit(name: str, r: Tensor) -> Tensor:
     return r
 
 
-def require_poses(name: str, X: Tensor) -> None:
-    """Raise unless dual quaternions [..., 8] are unit ones, those with NaN apart."""
-    if not X.numel() or without_values((X,)):
-        return
-    P, D = X.detach()[..., :4], X.detach()[..., 4:]
-    # the dual part grows with the distance, and so does its error
-    apart = torch.linalg.vecdot(P, D).abs() > _close(X) * (1 + D.abs().amax(-1))
-    wrong = ((torch.linalg.vecdot(P, P) - 1).abs() > 2 * _close(X)) | apart
-    if bool(wrong.any()):
-        found = _first(X, wrong)
-        raise ArgumentError(f"{name} must hold unit dual quaternions, found {found}; torchdq.dq.normalize makes it one")
-
-
 def require_rotation(name: str, matrix: Tensor) -> None:
     """Raise unless matrices [..., 3, 3] are those of rotations, those with NaN apart."""
     if not matrix.numel() or without_values((matrix,)):

@@ -169,8 +169,8 @@ class Function(_Call, Computation):
         return trailing({**known, **SHAPES}[name], self.sizes)
 
     def shared(self, name: str) -> bool:
-        """True for a tensor of the robot."""
-        return name in SHAPES
+        """True for a tensor of the robot, and for a gain that is one number."""
+        return name in SHAPES or not self.axes(name)
 
     def label(self, name: str) -> str:
         """Name of a tensor in error messages."""

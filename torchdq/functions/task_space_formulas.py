@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number
+from torchdq.dq import pose_error
 from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics import task_space
 from torchdq.dynamics.posed import Row, dot
@@ -64,7 +65,7 @@ def _law(x: RecipeInputs, task: Task, single: Sequence[str], *names: str) -> tup
     k_null = given.get("k_null")
     gains = Gains(p, d) if k_null is None else Gains(p, d, given["q_null"], k_null[0])
     X, zero = given["X_des"], (0.0,) * 6
-    goal = Goal((tuple(X[:4]), tuple(X[4:])), *[as_screw(given.get(name, zero)) for name in ("V_des", "A_des")])
+    goal = Goal(pose_error.unit((tuple(X[:4]), tuple(X[4:]))), *[as_screw(given.get(name, zero)) for name in ("V_des", "A_des")])
     return given["q"], given["qd"], goal, gains
 
 
