@@ -22,7 +22,9 @@ from torchdq.learning import Samples, fit, identify
 F64 = torch.float64
 N = 7
 FIELDS = ("mass", "com", "inertia", "gravity", "armature", "home", "X_PB_home", "screw")
-TRAILING = {"f_tip": (6,), "f_ext": (N, 6)}  # of the others: (N,)
+TRAILING = {"f_tip": (6,), "f_ext": (N, 6), "X_des": (8,), "V_des": (6,), "A_des": (6,)}  # of the others: (N,)
+
+FRAME = {"frame": None, "expressed": "body"}
 
 # function -> its tensors, those that may be None, and its other arguments
 FUNCTIONS = {
@@ -37,6 +39,20 @@ FUNCTIONS = {
     "dynamics_jacobian": ("q qd qdd", "", {}),
     "kinetic_energy": ("q qd", "", {}),
     "potential_energy": ("q", "", {}),
+    "coriolis_matrix": ("q qd", "", {}),
+    "frame_motion": ("q qd qdd", "qdd", {"frame": None, "expressed": "world"}),
+    "manipulability": ("q", "", {**FRAME, "axes": "position"}),
+    "operational_space": ("q qd", "", {**FRAME, "axes": "position"}),
+    "operational_space_control": (
+        "q qd X_des V_des A_des q_null",
+        "V_des A_des q_null",
+        {**FRAME, "axes": "pose", "kp": 9.0, "kd": 6.0, "k_null": 1.0, "damping": 0.01, "limits": False},
+    ),
+    "cartesian_impedance": (
+        "q qd X_des V_des q_null",
+        "V_des q_null",
+        {**FRAME, "axes": "pose", "stiffness": 9.0, "damping": 6.0, "k_null": 1.0},
+    ),
     "computed_torque": ("q qd q_des qd_des qdd_des f_tip", "f_tip", {"kp": 9.0, "kd": 6.0}),
 }
 NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend", "clear_caches", "recommend_settings"}
@@ -90,7 +106,7 @@ def test_errors_are_those_that_python_has_for_them():
 WRONG = {
     **{
         f"{k} numbers": (ArgumentError, lambda x, k=k: x[..., :1].expand(*x.shape[:-1], k), "panda")
-        for k in (0, 1, 5, 8)
+        for k in (0, 1, 5, 9)
     },
     "no axes": (ArgumentError, lambda x: x.new_tensor(1.0), "found ()"),
     "list": (ArgumentError, torch.Tensor.tolist, "tensor", "list"),

@@ -9,19 +9,21 @@ import pytest
 from places import ROOT
 
 import torchdq
-from torchdq import floating, functional
+from torchdq import floating, functional, task_space
 from torchdq.export.meaning import WORDS
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.recipe import WRENCHES
 
-OTHERS = {"robot", "backend", "precision", "frame", "expressed"}  # arguments that are no tensors
+OTHERS = {"robot", "backend", "precision", "frame", "expressed", "axes", "limits"}  # arguments that are no tensors
+NUMBERS = {"k_null", "damping"}  # optional arguments whose default is a number
 FUNCTIONS = {
     **{name: getattr(functional, name) for name in RECIPES if hasattr(functional, name)},
+    **{name: getattr(task_space, name) for name in RECIPES if hasattr(task_space, name)},
     **{FLOATING + name: getattr(floating, name) for name in floating.__all__ if name.islower()},
 }
 
 
-@pytest.mark.parametrize("face", [functional, floating, torchdq.nn], ids=lambda x: x.__name__)
+@pytest.mark.parametrize("face", [functional, floating, task_space, torchdq.nn], ids=lambda x: x.__name__)
 def test_a_face_holds_nothing_but_signatures_and_documentation(face):
     own = {name for name, x in vars(face).items() if getattr(x, "__module__", None) == face.__name__}
     assert own <= set(face.__all__)
@@ -45,12 +47,16 @@ def test_a_signature_is_that_of_the_catalogue(key):
     assert [x for x in tensors if x not in RECIPES[key].single] == [
         x for x, _, _ in recipe if x not in RECIPES[key].single
     ]
-    required = [k for k, (_, _, optional) in enumerate(recipe) if not optional]
+    # gains that come by their names only stand behind what may be absent
+    by_name = {name for name, x in tensors.items() if x.kind is inspect.Parameter.KEYWORD_ONLY}
+    required = [k for k, (name, _, optional) in enumerate(recipe) if not (optional or name in by_name)]
     for k, (name, _, optional) in enumerate(recipe):
         allowed = (
             tensors[name].annotation if isinstance(tensors[name].annotation, str) else str(tensors[name].annotation)
         )
-        assert ("None" in allowed) == optional
+        assert ("None" in allowed) == (optional and name != "k_null")
+        if name in NUMBERS:
+            continue
         # an argument that may be None has that default, unless one that must be given follows
         assert (tensors[name].default is None) == (optional and k > max(required))
 

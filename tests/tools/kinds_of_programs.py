@@ -23,6 +23,7 @@ ROBOTS = ("two_link", "panda", "ur10e", "puma560")
 INERTIA = ("mass", "com", "inertia")
 GEOMETRY = ("X_PB_home", "screw")
 WRENCHES = ("f_tip", "f_ext")
+STILL = ("q", "qd", "X_des", "kp", "kd", "damping")  # control with a goal at rest and without a posture
 
 
 @cache
@@ -49,6 +50,8 @@ def recipe(name: str, function: str, present=None, options=(), fields=(), deriva
 def recipes(name: str) -> dict[str, Callable[[], Program]]:
     """Programs of a robot by the function, and by what of it is asked for."""
     tip = robot(name).tip or robot(name).frame_names[-1]
+    limits = ("limits",) if name in ("panda", "ur10e") else ()
+    axes = "x y" if name == "two_link" else "pose"
     found = {
         "inverse_dynamics": {},
         "inverse_dynamics q": {"present": ("q",)},
@@ -74,6 +77,14 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
         "forward_kinematics all": {"options": robot(name).frame_names},
         "jacobian": {"options": (tip, "body")},
         "jacobian world": {"options": (tip, "world")},
+        "coriolis_matrix": {},
+        "frame_motion": {"options": (tip,)},
+        "manipulability": {"options": (tip, "body", axes)},
+        "operational_space": {"options": (tip, "body", axes)},
+        "operational_space_control": {"options": (tip, "body", axes)},
+        "operational_space_control still": {"options": (tip, "body", axes), "present": STILL},
+        "operational_space_control limits": {"options": (tip, "world", axes, *limits), "present": STILL},
+        "cartesian_impedance": {"options": (tip, "world", axes), "present": ("q", "qd", "X_des", "stiffness", "damping")},
         "floating.inverse_dynamics": {},
         "floating.inverse_dynamics vjp": {"derivative": True},
         "floating.forward_dynamics": {},

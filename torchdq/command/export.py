@@ -30,7 +30,8 @@ class ExportCommand(RobotCommand):
 
     Functions: inverse_dynamics, forward_dynamics, mass_matrix, closed_form, regressor, forward_kinematics, jacobian,
     kinetic_energy, potential_energy, dynamics_jacobian, inverse_dynamics_jacobian,
-    computed_torque.
+    computed_torque, frame_motion, operational_space, operational_space_control, cartesian_impedance, manipulability,
+    coriolis_matrix.
 
     Example: torchdq export arm.urdf inverse_dynamics --out controller --name arm_torques
     """
@@ -40,7 +41,7 @@ class ExportCommand(RobotCommand):
     language: Literal["c", "casadi", "torch"] = "c"
     """c: .c and .h; casadi: .c for casadi.external; torch: .pt2 for torch.export.load."""
     options: tuple[str, ...] = ()
-    """Frames of forward_kinematics; frame and body or world of jacobian."""
+    """Frames of forward_kinematics; frame and body or world of jacobian; see torchdq.compile."""
     name: str = ""
     """Name of the function; by default its own and the robot's."""
     dtype: Dtype = "float64"

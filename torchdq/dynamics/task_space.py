@@ -112,22 +112,23 @@ def _raised(J: Matrix, mobility: Matrix, rows: Row, damping: Number | None) -> l
     if damping is None:
         return None
     squares = [[dot(a, b) for b in J] for a in J]
-    scales, own = _scales(squares, rows), _scales(mobility, rows)
+    scales, own = _scales(squares), _scales(mobility)
+    inverses, fourth = [1.0 / s for s in scales], 0.25 / damping
     shares: list[Number] = [0.0] * len(rows)
 
     def pivot(k: int, d: Number) -> Number:
-        lack = maximum(damping - d / scales[k], 0.0)
-        shares[k] = lack * lack / (4.0 * damping)
-        return d + shares[k] * scales[k]
+        kind = rows[k] // 3
+        lack = maximum(damping - d * inverses[kind], 0.0)
+        shares[k] = fourth * (lack * lack)
+        return d + shares[k] * scales[kind]
 
     ltdl.factorise(_dense(len(rows)), tuple(tuple(squares[i][k] for k in rows) for i in rows), pivot)
-    return [share * scale for share, scale in zip(shares, own, strict=True)]
+    return [share * own[r // 3] for share, r in zip(shares, rows, strict=True)]
 
 
-def _scales(A: Matrix, rows: Row) -> list[Number]:
-    """Mean of the diagonal for components of the same kind, for every row: rotations or displacements."""
-    kinds = [(A[k][k] + A[k + 1][k + 1] + A[k + 2][k + 2]) / 3.0 for k in (0, 3)]
-    return [kinds[r // 3] for r in rows]
+def _scales(A: Matrix) -> list[Number]:
+    """Means of the diagonal for rotations and for displacements."""
+    return [(A[k][k] + A[k + 1][k + 1] + A[k + 2][k + 2]) * (1.0 / 3.0) for k in (0, 3)]
 
 
 def manipulability(at: Posed, task: Task) -> Number:

@@ -8,6 +8,7 @@ arguments are present.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from torchdq.algebra.quaternion import Number
@@ -138,7 +139,8 @@ _FIXED_ONLY = {  # why a function has no form for robots with a floating base
     "cartesian_impedance": _NO_MOTOR,
 }
 _OF_AXES = {"operational_space", "operational_space_control", "cartesian_impedance"}  # third option: axes of a frame
-DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1), "coriolis_matrix": (1,)}  # positions of the arguments that a result is differentiated by
+# positions of the arguments that a result is differentiated by
+DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1), "coriolis_matrix": (1,)}
 
 
 class _Call(NamedTuple):
@@ -240,7 +242,11 @@ def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
     known = recipe.formulas if recipe.each else alternatives_to_record(robot.n, recipe.formulas)
     best = min(map(by, known), key=lambda p: p.count().total)
     wrt = DERIVATIVES.get(what.name)
-    return best if wrt is None else derive.jacobian(best, wrt)
+    if wrt is None:
+        return best
+    found = derive.jacobian(best, wrt)
+    named = (found.results[0]._replace(name="C"),) if what.name == "coriolis_matrix" else found.results
+    return replace(found, results=named)
 
 
 def _with_mass_matrix(what: Function, arguments: tuple[Argument, ...]) -> Program:

@@ -308,13 +308,16 @@ def compile(
             recorded already, such as the step of a scene, `scene.program()`, which needs no other argument but dtype.
         function: "inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor", "jacobian",
             "forward_kinematics", "kinetic_energy", "potential_energy", "dynamics_jacobian",
-            "inverse_dynamics_jacobian" (the same without the mass matrix), "computed_torque";
-            of a robot with a floating base, "floating.inverse_dynamics" and so on.
+            "inverse_dynamics_jacobian" (the same without the mass matrix), "computed_torque",
+            "frame_motion", "operational_space", "operational_space_control", "cartesian_impedance", "manipulability",
+            "coriolis_matrix"; of a robot with a floating base, "floating.inverse_dynamics" and so on.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
             "world" for "jacobian"; the tip or "" for "closed_form", by default the robot's; "kp" and "kd" for
-            "computed_torque" if they are one number for all joints.
+            "computed_torque" if they are one number for all joints. Of a frame's control: its name, "body" or "world",
+            and axes such as "pose" or "x y rz", as far as they differ from the defaults; the gains that are one number
+            for all axes; "limits".
     Raises:
         UnknownNameError: there is no such function, argument or frame.
         ArgumentError: an option means nothing to the function.

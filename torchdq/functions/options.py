@@ -91,7 +91,7 @@ def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
     if len(served) < len(wanted):
         raise ArgumentError(
             f"axes must be at most {len(served)} of {' '.join(wanted)} for frame {name!r} of robot {robot.name!r}, "
-            f"whose joints move no more of them independently; {f'take axes={served}' if served else 'take another'}"
+            f"whose joints move no more of them independently; {f'take axes={served}' if served else 'take another frame'}"
         )
 
 
