@@ -84,7 +84,10 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
         "operational_space_control": {"options": (tip, "body", axes)},
         "operational_space_control still": {"options": (tip, "body", axes), "present": STILL},
         "operational_space_control limits": {"options": (tip, "world", axes, *limits), "present": STILL},
-        "cartesian_impedance": {"options": (tip, "world", axes), "present": ("q", "qd", "X_des", "stiffness", "damping")},
+        "cartesian_impedance": {
+            "options": (tip, "world", axes),
+            "present": ("q", "qd", "X_des", "stiffness", "damping"),
+        },
         "floating.inverse_dynamics": {},
         "floating.inverse_dynamics vjp": {"derivative": True},
         "floating.forward_dynamics": {},

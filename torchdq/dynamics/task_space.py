@@ -9,6 +9,7 @@ torques do so with less of the energy sum of tau^T M^-1 tau, and the projector o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import reduce
 from operator import mul
 from typing import NamedTuple
@@ -25,6 +26,7 @@ from torchdq.dynamics.posed import Posed, Row, dot
 from torchdq.numbers.functions import below, maximum, select, sqrt
 
 COMPONENTS = ("rx", "ry", "rz", "x", "y", "z")  # of a twist
+ROUNDED = 2.0**-20  # share of the scale of a pivot that counts beside its own diagonal where digits are lost
 AXES = {"pose": COMPONENTS, "orientation": COMPONENTS[:3], "position": COMPONENTS[3:]}
 
 
@@ -101,19 +103,21 @@ def inertia(at: Posed, task: Task, damping: Number | None, linear: bool = False)
     found, whole = at.factors(linear), task._replace(rows=tuple(range(6))).jacobian(at)
     J, mobility = tuple(whole[r] for r in task.rows), found.mobility(whole)
     inverse = tuple(tuple(mobility[i][k] for k in task.rows) for i in task.rows)
-    raised = _raised(whole, mobility, task.rows, damping)
+    scales = _scales(mobility)
+    raised = _raised(whole, scales, task.rows, damping)
     factors = ltdl.factorise(_dense(len(J)), inverse, None if raised is None else lambda k, d: d + raised[k])
-    diagonal = [inverse[i][i] for i in range(len(J))]
+    # where a whole row of J vanishes, so does its diagonal, but not the rounding errors of the row
+    diagonal = [inverse[i][i] + ROUNDED * scales[r // 3] for i, r in enumerate(task.rows)]
     return Inertia(J, factors, maximum(found.growth, error_growth.growth(diagonal, factors.inverses)))
 
 
-def _raised(J: Matrix, mobility: Matrix, rows: Row, damping: Number | None) -> list[Number] | None:
-    """What is added to the pivots of Lambda^-1, row by row; None: nothing."""
+def _raised(J: Matrix, own: Row, rows: Sequence[int], damping: Number | None) -> list[Number] | None:
+    """What is added to the pivots of Lambda^-1, whose scales are `own`, row by row; None: nothing."""
     if damping is None:
         return None
     squares = [[dot(a, b) for b in J] for a in J]
-    scales, own = _scales(squares), _scales(mobility)
-    inverses, fourth = [1.0 / s for s in scales], 0.25 / damping
+    scales = _scales(squares)
+    inverses, fourth = {kind: 1.0 / scales[kind] for kind in {r // 3 for r in rows}}, 0.25 / damping
     shares: list[Number] = [0.0] * len(rows)
 
     def pivot(k: int, d: Number) -> Number:
@@ -126,7 +130,7 @@ def _raised(J: Matrix, mobility: Matrix, rows: Row, damping: Number | None) -> l
     return [share * own[r // 3] for share, r in zip(shares, rows, strict=True)]
 
 
-def _scales(A: Matrix) -> list[Number]:
+def _scales(A: Sequence[Row]) -> list[Number]:
     """Means of the diagonal for rotations and for displacements."""
     return [(A[k][k] + A[k + 1][k + 1] + A[k + 2][k + 2]) * (1.0 / 3.0) for k in (0, 3)]
 

@@ -133,7 +133,7 @@ _NO_MOTOR = "no motor moves its base, so torques of the joints alone cannot give
 _FIXED_ONLY = {  # why a function has no form for robots with a floating base
     "coriolis_matrix": "a twist is not the rate of coordinates, so that C = 1/2 dc/dqd does not give Mdot = C + C^T",
     "frame_motion": "floating.forward_kinematics and floating.jacobian give the pose and the twist of a frame",
-    "manipulability": "its base moves every frame in all directions; torchdq.floating.jacobian has the columns of joints",
+    "manipulability": "its base moves every frame in all directions; torchdq.floating.jacobian has the joints' columns",
     "operational_space": _NO_MOTOR,
     "operational_space_control": _NO_MOTOR,
     "cartesian_impedance": _NO_MOTOR,

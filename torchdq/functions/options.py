@@ -89,15 +89,21 @@ def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
         return
     served = _served(constants(robot), name, expressed, wanted)
     if len(served) < len(wanted):
+        cure = f"take axes={served}" if served else "take another frame"
         raise ArgumentError(
             f"axes must be at most {len(served)} of {' '.join(wanted)} for frame {name!r} of robot {robot.name!r}, "
-            f"whose joints move no more of them independently; {f'take axes={served}' if served else 'take another frame'}"
+            f"whose joints move no more of them independently; {cure}"
         )
 
 
 @constant_in_graphs
+def _served(*of: Any) -> tuple[str, ...]:
+    """Components of a frame that joints can serve, also in a graph that is being traced."""
+    return _components(*of)
+
+
 @remembered(PROGRAMS)
-def _served(of: Constants, name: str, expressed: str, wanted: tuple[str, ...]) -> tuple[str, ...]:
+def _components(of: Constants, name: str, expressed: str, wanted: tuple[str, ...]) -> tuple[str, ...]:
     """Components that the joints move independently, the first of those that are wanted: those at some posture."""
     found: list[tuple[str, ...]] = []
     with with_values():

@@ -15,7 +15,7 @@ from torchdq.dq import pose_error
 from torchdq.dynamics import task_space
 from torchdq.dynamics.posed import Posed, Row, dot
 from torchdq.dynamics.task_space import Task
-from torchdq.numbers.functions import below, clip, minimum, select, sqrt
+from torchdq.numbers.functions import below, maximum, minimum, select, sqrt
 
 
 class Goal(NamedTuple):
@@ -160,7 +160,7 @@ def _share(own: Row, others: Row, effort: Sequence[float]) -> Number:
         room = select(below(t, 0.0), most + b, most - b)
         size = select(below(t, 0.0), -t, t)
         fits = below(size, room)
-        share = minimum(share, select(fits, 1.0, clip(room, 0.0, most) / select(fits, 1.0, size)))
+        share = minimum(share, select(fits, 1.0, maximum(room, 0.0) / select(fits, 1.0, size)))
     return share
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number
 from torchdq.dq import pose_error
 from torchdq.dynamics import posed as mechanics
@@ -43,7 +42,7 @@ def operational_space(x: RecipeInputs, name: str, expressed: str, axes: str) -> 
     found, solve = task_space.inertia(at, task, None), factors(x.robot, at, False).solve
     _, c, g = mechanics.closed_form(at, qd)
     Lambda, moved = found.matrix(), [solve(row) for row in found.J]
-    Jbar = [[dot(row, column) for row in Lambda] for column in zip(*moved, strict=True)]
+    Jbar = tuple(tuple(dot(row, column) for row in Lambda) for column in zip(*moved, strict=True))
     drift = task.of(task.twist_rate(at, qd, None))
     forces = [task_space.torques(Jbar, numbers(torque)) for torque in (c, g)]
     return {
@@ -65,7 +64,9 @@ def _law(x: RecipeInputs, task: Task, single: Sequence[str], *names: str) -> tup
     k_null = given.get("k_null")
     gains = Gains(p, d) if k_null is None else Gains(p, d, given["q_null"], k_null[0])
     X, zero = given["X_des"], (0.0,) * 6
-    goal = Goal(pose_error.unit((tuple(X[:4]), tuple(X[4:]))), *[as_screw(given.get(name, zero)) for name in ("V_des", "A_des")])
+    goal = Goal(
+        pose_error.unit((tuple(X[:4]), tuple(X[4:]))), *[as_screw(given.get(name, zero)) for name in ("V_des", "A_des")]
+    )
     return given["q"], given["qd"], goal, gains
 
 
