@@ -125,6 +125,7 @@ def public():
         "torchdq.nn": torchdq.nn,
         "torchdq.functional": torchdq.functional,
         "torchdq.floating": torchdq.floating,
+        "torchdq.task_space": torchdq.task_space,
         "torchdq.envs": torchdq.envs,
         "torchdq.scene.policies": policies,
     }
