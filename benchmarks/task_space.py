@@ -62,7 +62,8 @@ def main() -> None:
     arguments = report.parser(__doc__, "fewer rounds").parse_args()
     torch.set_num_threads(1)
     found = {dtype: times(dtype, 50 if arguments.quick else 500) for dtype in (torch.float32, torch.float64)}
-    lines = ["| 4096 seven-joint arms | float32 | of inverse dynamics | float64 | of inverse dynamics |", "|" + "---|" * 5]
+    head = ("4096 seven-joint arms", "float32", "of inverse dynamics", "float64", "of inverse dynamics")
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for name in found[torch.float64]:
         cells = [f"{row[name]:.2f} ms | {row[name] / row['inverse dynamics']:.1f} x" for row in found.values()]
         lines.append(f"| {name} | {' | '.join(cells)} |")

@@ -282,11 +282,12 @@ def control(q, qd, X, **more):
 def test_a_pose_its_opposite_and_a_multiple_are_the_same_goal(expressed):
     q, qd = random(2, 16, 7)
     X = torchdq.forward_kinematics(ARM, random(16, 7, seed=5), "tip")
-    tau = control(q, qd, X, expressed=expressed)
+    more = {"V_des": random(16, 6), "A_des": random(16, 6, seed=1), "expressed": expressed}
+    tau = control(q, qd, X, **more)
     for same in (-X, 4.0 * X):
-        assert torch.equal(control(q, qd, same, expressed=expressed), tau)
+        assert torch.equal(control(q, qd, same, **more), tau)
     stretched = X + torch.cat([torch.zeros(16, 4, dtype=F64), X[:, :4]], -1)  # by a dual number
-    torch.testing.assert_close(control(q, qd, stretched, expressed=expressed), tau, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(control(q, qd, stretched, **more), tau, rtol=1e-10, atol=1e-10)
 
 
 @in_axes

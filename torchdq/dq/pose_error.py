@@ -15,13 +15,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dq.explog import angle
-from torchdq.numbers.functions import below, polynomial, select, sqrt
+from torchdq.numbers.functions import below, polynomial, select
 
 _TERMS = 15  # at t = pi the next one is below 1e-17
 _C1 = [(-1) ** k / math.factorial(2 * k + 2) for k in range(_TERMS + 2)]
@@ -45,14 +45,6 @@ def _times(s: _Dual, a: Screw) -> Screw:
 
 def _series(coefficients: list[float], x: _Dual) -> _Dual:
     return _Dual(polynomial(coefficients, x.p), x.d * polynomial(_derived(coefficients), x.p))
-
-
-def unit(x: DualQuaternion) -> DualQuaternion:
-    """Closest unit dual quaternion."""
-    n, across = dual_quaternion.norm2(x)
-    size = 1.0 / sqrt(n)
-    along = quat.scale(0.5 * across * (size * size), x[0])
-    return quat.scale(size, x[0]), quat.scale(size, quat.sub(x[1], along))
 
 
 def error(x: DualQuaternion) -> Screw:

@@ -112,7 +112,7 @@ def inertia(at: Posed, task: Task, damping: Number | None, linear: bool = False)
 
 
 def _raised(J: Matrix, own: Row, rows: Sequence[int], damping: Number | None) -> list[Number] | None:
-    """What is added to the pivots of Lambda^-1, whose scales are `own`, row by row; None: nothing."""
+    """Increases of the pivots of Lambda^-1, whose scales are `own`, row by row; None: there are none."""
     if damping is None:
         return None
     squares = [[dot(a, b) for b in J] for a in J]
