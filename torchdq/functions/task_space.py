@@ -17,6 +17,8 @@ from torchdq.dynamics.posed import Posed, Row, dot
 from torchdq.dynamics.task_space import Task
 from torchdq.numbers.functions import below, maximum, minimum, select, sqrt
 
+COMPLETE = (set(range(6)), set(range(3)), set(range(3, 6)))  # components that turn into each other
+
 
 class Goal(NamedTuple):
     """Desired motion of a frame: its twist and the rate of that in its own axes, or in those of the world."""
@@ -126,13 +128,17 @@ def operational_space_torques(
         damping: as in `task_space.inertia`.
         effort: largest torques, within which the force of the task is scaled; None: there are none.
     """
-    V = task.twist(at, qd)
-    found = deviation(task, pose_of(at, task), V, goal)
+    X, V = pose_of(at, task), task.twist(at, qd)
+    found = deviation(task, X, V, goal)
     wanted = found.twist_rate(_six(task, [-x for x in gains.feedback(task, found.e, found.rate)]))
     u = gains.posture(q, qd)
-    inertia = task_space.inertia(at, task, damping)
-    given = task.of(task.twist_rate(at, qd, u))
-    F = inertia.force([a - b for a, b in zip(task.of(wanted), given, strict=True)])
+    more, own_axes = screw.sub(wanted, task.twist_rate(at, qd, u)), task
+    if task.world and set(task.rows) in COMPLETE:  # fewer digits are lost in the axes of the frame
+        back = quat.rotation_columns(quat.conj(X[0]))
+        more = (screw.columns_times(back, more[0]), screw.columns_times(back, more[1]))
+        own_axes = task._replace(world=False)
+    inertia = task_space.inertia(at, own_axes, damping)
+    F = inertia.force(own_axes.of(more))
     own, others = task_space.torques(inertia.J, F), numbers(at.torques(qd, u, None))
     share = 1.0 if effort is None else _share(own, others, effort)
     return [b + share * t for b, t in zip(others, own, strict=True)], inertia.growth
