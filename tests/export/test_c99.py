@@ -48,6 +48,10 @@ PROGRAMS = {
     "inverse dynamics": program(PANDA, "inverse_dynamics"),
     "forward dynamics": program(PANDA, "forward_dynamics"),
     "computed torque": program(PANDA, "computed_torque"),
+    "operational space control": lambda dtype: torchdq.compile(
+        PANDA, "operational_space_control", dtype, options=("tip", "world", "position", "limits", "kp", "kd")
+    ),
+    "operational space": lambda dtype: torchdq.compile(TWO, "operational_space", dtype, options=("tip", "body", "x y")),
     "closed form": program(TWO, "closed_form"),
     "gradient": lambda dtype: torchdq.compile(TWO, "inverse_dynamics", dtype).vjp(),
     "jacobian": lambda dtype: torchdq.compile(TWO, "forward_dynamics", dtype).jacobian(),
