@@ -1,7 +1,4 @@
-"""Motion, dynamics and control of frames, against Pinocchio, MuJoCo, forward dynamics, and laws of mechanics.
-
-Robots of the tests that record many programs run as torch operations, which compile nothing.
-"""
+"""Motion, dynamics and control of frames, against Pinocchio, MuJoCo, forward dynamics, and laws of mechanics."""
 
 import math
 
@@ -88,9 +85,8 @@ def test_motion_of_frames_is_that_of_pinocchio(name, expressed):
             return [pin.getFrameVelocity(model, data, at, reference).vector, *found]
 
         expected = over(motion, case, s)[..., [3, 4, 5, 0, 1, 2]]
-        with torchdq.backend("eager"):
-            _, V, A = torchdq.frame_motion(case.robot, s.q, s.qd, s.qdd, frame, expressed)
-            X, _, drift = torchdq.frame_motion(case.robot, s.q, s.qd, frame=frame, expressed=expressed)
+        _, V, A = torchdq.frame_motion(case.robot, s.q, s.qd, s.qdd, frame, expressed)
+        X, _, drift = torchdq.frame_motion(case.robot, s.q, s.qd, frame=frame, expressed=expressed)
         assert worst(torch.stack([V, A, drift], 1), expected, 1 + np.abs(expected).max()) <= 1e-12
         poses = [dq.to_matrix(x) for x in (X, torchdq.forward_kinematics(case.robot, s.q, frame))]
         torch.testing.assert_close(*poses, rtol=0, atol=1e-13)
@@ -108,8 +104,7 @@ def test_accelerations_of_velocities_are_those_of_mujoco(name):
         moving, turning = np.zeros((2, 3, model.nv))
         mujoco.mj_jacDot(model, data, moving, turning, data.body(frame).xpos, model.body(frame).id)
         expected.append([*(turning @ data.qvel), *(moving @ data.qvel)])
-    with torchdq.backend("eager"):
-        found = torchdq.frame_motion(robot, s.q, s.qd, frame=frame, expressed="world").A
+    found = torchdq.frame_motion(robot, s.q, s.qd, frame=frame, expressed="world").A
     assert worst(found, np.array(expected), 1 + np.abs(expected).max()) <= 1e-12
 
 
@@ -117,9 +112,8 @@ def test_accelerations_of_velocities_are_those_of_mujoco(name):
 def test_frames_of_coupled_joints_move_as_those_of_joints_that_are_moved_so(expressed):
     full, robot, ratios = mechanism()
     q, qd, qdd = random(3, 4, 3)
-    with torchdq.backend("eager"):
-        found = torchdq.frame_motion(robot, q, qd, qdd, "b5", expressed)
-        expected = torchdq.frame_motion(full, *[x @ ratios.mT for x in (q, qd, qdd)], "b5", expressed)
+    found = torchdq.frame_motion(robot, q, qd, qdd, "b5", expressed)
+    expected = torchdq.frame_motion(full, *[x @ ratios.mT for x in (q, qd, qdd)], "b5", expressed)
     for a, b in zip(found, expected, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)
 
@@ -171,10 +165,9 @@ def test_manipulability_is_a_determinant_with_a_gradient_at_singular_postures_to
 def test_the_coriolis_matrix_gives_the_torques_and_the_rate_of_the_mass_matrix(name):
     robot = mechanism()[1] if name == "coupled" else oracles.case(name).robot
     q, qd = random(2, 3, robot.n)
-    with torchdq.backend("eager"):
-        C = torchdq.coriolis_matrix(robot, q, qd)
-        c = torchdq.closed_form(robot, q, qd).c
-        _, rate = torch.func.jvp(lambda q: torchdq.mass_matrix(robot, q), (q,), (qd,))
+    C = torchdq.coriolis_matrix(robot, q, qd)
+    c = torchdq.closed_form(robot, q, qd).c
+    _, rate = torch.func.jvp(lambda q: torchdq.mass_matrix(robot, q), (q,), (qd,))
     size = 1 + C.abs().max()
     assert ((C @ qd[..., None])[..., 0] - c).abs().max() <= 1e-12 * size
     assert (C + C.mT - rate).abs().max() <= 1e-12 * size
@@ -238,8 +231,7 @@ def test_the_error_obeys_its_equation_of_motion(robot, axes, expressed, posture)
     def rate(t):
         return torch.func.jvp(e, (t,), (one,))[1]
 
-    with torchdq.backend("eager"):
-        change, second = torch.func.jvp(rate, (t,), (one,))
+    change, second = torch.func.jvp(rate, (t,), (one,))
     growth = torchdq.operational_space(robot, q, qd, expressed=expressed, axes=axes).growth[:, None]
     size = (1 + second.abs() + qdd.abs().amax(1, keepdim=True)) * (1 + qd.square().sum(1, keepdim=True))
     assert ((second + kd * change + kp * e(t)).abs() <= 256 * EPS * growth * size).all()
@@ -247,6 +239,35 @@ def test_the_error_obeys_its_equation_of_motion(robot, axes, expressed, posture)
         N = torchdq.operational_space(robot, q, qd, expressed=expressed, axes=axes).N
         left = (N @ (qdd + 7.0 * q + 2 * math.sqrt(7.0) * qd)[..., None])[..., 0]
         assert (left.abs() <= 256 * EPS * growth * size.amax(1, keepdim=True)).all()
+
+
+def test_the_error_from_170_degrees_is_that_of_an_oscillator():
+    robot = torchdq.robots.load("ur10e").replace(armature=torch.full((6,), 0.1, dtype=F64))
+    q, qd, kp, kd, h = double(0.3, -1.2, 1.4, -0.6, 1.2, 0.4), torch.zeros(6, dtype=F64), 25.0, 4.0, 2e-3
+    X = torchdq.forward_kinematics(robot, q, "tip")
+    goal = moved(X, math.radians(170) * double(1, -2, 14) / math.sqrt(201), double(0.02, 0.03, -0.02))
+
+    def slope(q, qd):
+        tau = torchdq.operational_space_control(robot, q, qd, goal, kp=kp, kd=kd)
+        return torch.cat([qd, torchdq.forward_dynamics(robot, q, qd, tau)])
+
+    def error(q):
+        return 2 * dq.log_shortest(dq.mul(dq.conj(torchdq.forward_kinematics(robot, q, "tip")), goal))
+
+    def stepped(x):
+        k1 = slope(*x.split(6))
+        k2 = slope(*(x + h / 2 * k1).split(6))
+        k3 = slope(*(x + h / 2 * k2).split(6))
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(*(x + h * k3).split(6)))
+
+    first, x, rate = error(q), torch.cat([q, qd]), math.sqrt(kp - kd * kd / 4)
+    for k in range(300):
+        with torchdq.backend("auto"):  # some thousand calls
+            x = stepped(x)
+        t = h * (k + 1)
+        left = math.exp(-kd / 2 * t) * (math.cos(rate * t) + kd / 2 / rate * math.sin(rate * t))
+        if k % 20 == 19:
+            assert (error(x[:6]) - left * first).abs().max() <= 1e-9
 
 
 def test_a_spring_at_the_tip_pulls_with_its_stiffness_and_damps():
@@ -296,10 +317,9 @@ def test_every_error_of_the_rotation_has_a_torque_with_two_derivatives(angle, ex
     axis = double(2, -3, 6) / 7
     q, X = ELBOW.clone().requires_grad_(), torchdq.forward_kinematics(ARM, ELBOW, "tip")
     goal = moved(X, angle * axis, double(0.1, 0.0, 1e4) if angle == 3.0 else torch.zeros(3, dtype=F64))
-    with torchdq.backend("eager"):
-        tau = control(q, 0 * ELBOW, goal, expressed=expressed)
-        (slope,) = torch.autograd.grad(tau.sum(), q, create_graph=True)
-        (second,) = torch.autograd.grad(slope.sum(), q)
+    tau = control(q, 0 * ELBOW, goal, expressed=expressed)
+    (slope,) = torch.autograd.grad(tau.sum(), q, create_graph=True)
+    (second,) = torch.autograd.grad(slope.sum(), q)
     assert all(bool(x.isfinite().all()) for x in (tau, slope, second))
     asked = torchdq.frame_motion(ARM, ELBOW, 0 * ELBOW, torchdq.forward_dynamics(ARM, ELBOW, None, tau.detach())).A
     turned = min(angle, 2 * math.pi - angle)  # the other way round is the shorter one beyond half a turn
@@ -434,7 +454,7 @@ def test_the_law_goes_through_transforms_graphs_and_backends():
     expected = law(q, qd, X)
     assert torch.equal(torch.func.vmap(law)(q, qd, X), expected)
     assert torch.equal(torch.compile(law, fullgraph=True, backend="eager")(q, qd, X), expected)
-    with torchdq.backend("eager"):
+    with torchdq.backend("auto"):
         torch.testing.assert_close(law(q, qd, X), expected, rtol=1e-12, atol=1e-12)
     inputs = [x[:2].clone().requires_grad_() for x in (q, qd, X)]
     assert torch.autograd.gradcheck(law, inputs) and torch.autograd.gradgradcheck(law, inputs)
@@ -448,13 +468,13 @@ def test_the_law_of_a_robot_with_replaced_masses_has_their_gradient():
     mass = (1.1 * ARM.mass).requires_grad_()
     robot = ARM.replace(mass=mass)
     X = torchdq.forward_kinematics(ARM, ELBOW + 0.1, "tip")
-    tau = torchdq.operational_space_control(robot, ELBOW, ELBOW, X, kp=9.0, kd=6.0, damping=None, backend="eager")
+    tau = torchdq.operational_space_control(robot, ELBOW, ELBOW, X, kp=9.0, kd=6.0, damping=None)
     (slope,) = torch.autograd.grad(tau.sum(), mass)
     h = 1e-6
 
     def total(scale):
         changed = ARM.replace(mass=1.1 * ARM.mass * torch.where(torch.arange(7) == 5, double(scale), double(1)))
-        given = {"kp": 9.0, "kd": 6.0, "damping": None, "backend": "eager"}
+        given = {"kp": 9.0, "kd": 6.0, "damping": None}
         return torchdq.operational_space_control(changed, ELBOW, ELBOW, X, **given).sum()
 
     expected = (total(1 + h) - total(1 - h)) / (2 * h * 1.1 * ARM.mass[5])
