@@ -211,9 +211,14 @@ def moving_goal(X, V, A, expressed):
     return at
 
 
+# robot, axes, and whether there is a posture, where joints are free for it
+OBEYED = {name: (*x, False) for name, x in CONTROLLED.items()}
+OBEYED |= {f"{name} with a posture": (*x, True) for name, x in CONTROLLED.items() if x[0] is ARM and x[1] != "pose"}
+OBEYED["panda"] = (*CONTROLLED["panda"], True)
+
+
 @in_axes
-@controlled
-@pytest.mark.parametrize("posture", [False, True], ids=["", "posture"])
+@pytest.mark.parametrize(("robot", "axes", "posture"), OBEYED.values(), ids=OBEYED)
 def test_the_error_obeys_its_equation_of_motion(robot, axes, expressed, posture):
     """It is differentiated along the motion that forward dynamics has under the torques; the goal moves too."""
     q, qd = regular(robot, axes, expressed)
