@@ -266,8 +266,9 @@ class ArmVectorEnv(VectorEnv):
         Args:
             actions: [N, k] in [-1, 1], numpy or torch.
         """
-        observations, *others = self._stepped(actions)
-        found = observations.clone(), *others  # a rollout begins from them
+        observations, reward, terminated, truncated, info = self._stepped(actions)
+        observations = observations.clone()  # a rollout begins from them
+        found = observations, reward, terminated, truncated, info
         return found if self.output == "torch" else tuple(self._out(x) for x in found)
 
     def _stepped(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:

@@ -175,7 +175,7 @@ def _warn(scene: SceneModel, start: State, states: State, ends: bool) -> None:
         warnings.warn(message, stacklevel=4)
     lost = start.finite() & ~states.finite()
     if number := int(lost[-1].sum()):
-        total, step = len(lost), 1 + int(lost.flatten(1).any(1).int().argmax())
+        total, step = len(lost), 1 + int(lost.reshape(len(lost), -1).any(1).int().argmax())
         first = "" if ends else f", the first at step {step} of {total}"
         warnings.warn(
             f"{number} of {lost[-1].numel()} rows left the finite range{first}; "
