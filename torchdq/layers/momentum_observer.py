@@ -106,7 +106,7 @@ class MomentumObserver(nn.Module):
             dt: steps [s], shape [steps]; None: those of the observer.
         """
         h = q.new_tensor(self.dt) if dt is None else dt.reshape(-1, *[1] * (q.ndim - 1)).to(q)
-        before = torch.cat((0 * tau[:1], tau))
+        before = torch.cat((torch.zeros_like(tau[:1]), tau))
         p, rate = self.model._evaluated({"q": q, "qd": qd, "tau": before}, FUNCTION)
         u, keep = rate - before, torch.exp(-self.gain.to(q) * h).expand(p[1:].shape)
         r, back = step(0.0, (p[:-1], p[1:]), (u[:-1], u[1:]), tau, h, keep), 1
