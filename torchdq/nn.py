@@ -5,6 +5,7 @@ ForwardDynamics   joint accelerations under torques
 FloatingInverseDynamics, FloatingForwardDynamics
                   the same for robots with a floating base
 ComputedTorque    tracking controller, of a robot or of a trained layer
+MomentumObserver  torques and forces of contacts, from motions and torques of the motors
 ResidualDynamics  inverse dynamics and a network for the residual torques
 PredictedTorques  torques of a `ResidualDynamics` with their standard errors and intervals
 RobotModule       base of those of a robot alone
@@ -18,6 +19,7 @@ from torchdq.layers.dynamics import (
     ForwardDynamics,
     InverseDynamics,
 )
+from torchdq.layers.momentum_observer import MomentumObserver, ObserverState
 from torchdq.layers.residual import PredictedTorques, ResidualDynamics
 from torchdq.layers.robot_module import RobotModule
 
@@ -28,6 +30,8 @@ __all__ = [
     "FloatingInverseDynamics",
     "ForwardDynamics",
     "InverseDynamics",
+    "MomentumObserver",
+    "ObserverState",
     "PredictedTorques",
     "ResidualDynamics",
     "RobotModule",

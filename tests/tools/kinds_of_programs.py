@@ -88,6 +88,8 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
             "options": (tip, "world", axes),
             "present": ("q", "qd", "X_des", "stiffness", "damping"),
         },
+        "joint_momentum": {},
+        "contact_force": {"options": (tip, "body", axes)},
         "floating.inverse_dynamics": {},
         "floating.inverse_dynamics vjp": {"derivative": True},
         "floating.forward_dynamics": {},

@@ -96,6 +96,10 @@ RECIPES: dict[str, Recipe] = {
         lambda *task: (("n",),),
         single=("stiffness", "damping"),
     ),
+    "joint_momentum": Recipe(joints("q", "qd", "tau"), (), lambda: (("n",), ("n",))),
+    "contact_force": Recipe(
+        (*joints("q", "r"), ("damping", (), False)), (task.contact_force,), lambda *task: (("axes",), ("axes",))
+    ),
 }
 _BEFORE = {"q": ("X_WB", (8,)), "qd": ("V_WB_B", (6,)), "qdd": ("A_WB_B", (6,))}  # what the base has before the joints
 
@@ -133,12 +137,19 @@ _NO_MOTOR = "no motor moves its base, so torques of the joints alone cannot give
 _FIXED_ONLY = {  # why a function has no form for robots with a floating base
     "coriolis_matrix": "a twist is not the rate of coordinates, so that C = 1/2 dc/dqd does not give Mdot = C + C^T",
     "frame_motion": "floating.forward_kinematics and floating.jacobian give the pose and the twist of a frame",
+    "joint_momentum": "what acts on its base is not measured",
+    "contact_force": "what acts on its base is not measured",
     "manipulability": "its base moves every frame in all directions; torchdq.floating.jacobian has the joints' columns",
     "operational_space": _NO_MOTOR,
     "operational_space_control": _NO_MOTOR,
     "cartesian_impedance": _NO_MOTOR,
 }
-_OF_AXES = {"operational_space", "operational_space_control", "cartesian_impedance"}  # third option: axes of a frame
+_OF_AXES = {
+    "operational_space",
+    "operational_space_control",
+    "cartesian_impedance",
+    "contact_force",
+}  # third option: axes of a frame
 # positions of the arguments that a result is differentiated by
 DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1), "coriolis_matrix": (1,)}
 
@@ -228,6 +239,8 @@ def recordings() -> int:
 def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
     if what.name == "dynamics_jacobian":
         return _with_mass_matrix(what, arguments)
+    if what.name == "joint_momentum":
+        return _momentum(what, arguments)
     robot, recipe = recorded(what.constants), RECIPES[what.name]
     per_sample = tuple(a.name for a in arguments if a.name in SHAPES and not a.uniform)
 
@@ -262,3 +275,21 @@ def _with_mass_matrix(what: Function, arguments: tuple[Argument, ...]) -> Progra
         return {name: row for part, values in parts for name, row in results(part, values).items()}
 
     return record(f"dynamics_jacobian_{what.constants.fields['name']}", arguments, algorithm)
+
+
+def _momentum(what: Function, arguments: tuple[Argument, ...]) -> Program:
+    """Momenta p = dT/dqd and their modelled rates tau + dT/dq - g, by one gradient of the kinetic energy T."""
+    still = tuple([a for a in arguments if a.name != "tau"])
+    wrt = [k for k, a in enumerate(still) if a.name in ("q", "qd")]
+    slopes = derive.vjp(Function(what.constants, "kinetic_energy").program(still), wrt)
+    weight = Function(what.constants, "inverse_dynamics").program(tuple([a for a in still if a.name != "qd"]))
+
+    def algorithm(*rows: Sequence[Number]) -> Results:
+        named = {**{a.name: row for a, row in zip(arguments, rows, strict=True)}, "T'": (1.0,)}
+        (dq, p), (g,) = [
+            list(results(part, replay(part, [named[a.name] for a in part.arguments])).values())
+            for part in (slopes, weight)
+        ]
+        return {"momentum": p, "rate": [t + d - w for t, d, w in zip(named["tau"], dq, g, strict=True)]}
+
+    return record(f"joint_momentum_{what.constants.fields['name']}", arguments, algorithm)

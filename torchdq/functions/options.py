@@ -77,14 +77,27 @@ def axes_of(axes: str | Sequence[str]) -> str:
     return axes if isinstance(axes, str) else " ".join(axes)
 
 
-def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
-    """Raise unless axes are components of the twist of a frame that the joints can move independently."""
+def _distinct(axes: str) -> tuple[str, ...]:
+    """Names of the components that axes mean; raises unless they are some, and different."""
     wanted = AXES.get(axes, tuple(axes.split()))
     if not wanted or len(set(wanted)) < len(wanted) or not set(wanted) <= set(COMPONENTS):
         raise ArgumentError(
             f"axes must be 'pose', 'position', 'orientation', or different names among {' '.join(COMPONENTS)}, "
             f"found {axes!r}"
         )
+    return wanted
+
+
+def _contact(robot: Robot, *given: str) -> Options:
+    """A frame, the axes that a force is in, and its components, which the joints need not move."""
+    tip, expressed, axes = (*given, *("", "body", "pose")[len(given) :])
+    _distinct(axes)
+    return (*_frame_and_axes(robot, tip or robot.end_effector().name, expressed), axes)
+
+
+def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
+    """Raise unless axes are components of the twist of a frame that the joints can move independently."""
+    wanted = _distinct(axes)
     if set(arguments(robot)) & {*GEOMETRY, "home"}:
         return
     served = _served(constants(robot), name, expressed, wanted)
@@ -132,6 +145,7 @@ _READERS: dict[str, Callable[..., Options]] = {
     "operational_space_control": _task("body", "limits", "kp", "kd"),
     "cartesian_impedance": _task("world", "stiffness", "damping"),
     "manipulability": _task("body"),
+    "contact_force": _contact,
 }
 
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
+from torchdq.dynamics import observer, task_space
 from torchdq.dynamics import posed as mechanics
-from torchdq.dynamics import task_space
 from torchdq.dynamics.posed import Row, dot
 from torchdq.dynamics.task_space import AXES, COMPONENTS, Task
 from torchdq.functions.posed import as_screw, factors, frame
@@ -98,3 +98,11 @@ def coriolis_matrix(x: RecipeInputs) -> Results:
 def manipulability(x: RecipeInputs, name: str, expressed: str, axes: str) -> Results:
     """Square root of det J J^T."""
     return {"w": [task_space.manipulability(x.posed(), _task(x, name, expressed, axes))]}
+
+
+def contact_force(x: RecipeInputs, name: str, expressed: str, axes: str) -> Results:
+    """Force F at a frame that exerts the torques r, and how much of each of its components these show."""
+    task = _task(x, name, expressed, axes)
+    J = task._replace(rows=tuple(range(6))).jacobian(x.posed())
+    F, part, growth = observer.force(J, task.rows, x.arguments["r"], x.arguments["damping"][0])
+    return {"F": F, "part": part, GROWTH: [growth]}

@@ -89,7 +89,7 @@ class ComputedTorque(RobotModule):
         if friction is True and alone and not self._friction.effects:
             self._friction = described(known, self.sign_width)
         for name, value in (("kp", kp), ("kd", kd)):
-            x = _gain(name, value, known.n).clone()
+            x = gain_of(name, value, known.n).clone()
             if name in names:
                 self.register_parameter(name, nn.Parameter(x))
             else:
@@ -143,7 +143,7 @@ def _require_torques(model: nn.Module, learn: Any, effects: Any) -> None:
         raise ArgumentError("friction must be True or False for a module, which has its own; give it to the module")
 
 
-def _gain(name: str, gain: Any, n: int) -> Tensor:
+def gain_of(name: str, gain: Any, n: int) -> Tensor:
     """Gain as float64 numbers, one or n; raises unless they are real, finite and not negative."""
     with suppress(TypeError, ValueError):  # words, and rows of different lengths
         x = gain if isinstance(gain, Tensor) else torch.from_numpy(np.array(gain))

@@ -150,14 +150,14 @@ class RobotModule(nn.Module):
         of = self._friction.parts(self._coefficients())
         return friction(of, zeros if q is None else q, qd, zeros if load is None else load, self.backend)
 
-    def _evaluated(self, inputs: dict[str, Tensor | None]) -> list[Tensor]:
-        """Results of the layer's program, of the arguments of its function."""
-        robot, friction = self.robot, self._friction
+    def _evaluated(self, inputs: dict[str, Tensor | None], function: str = "") -> list[Tensor]:
+        """Results of the layer's program, or that of another function, of the arguments of the function."""
+        robot, friction, function = self.robot, self._friction, function or self._function
         if self._rigid:
-            return function_of(self._function, robot, inputs, self.backend, (), self.precision)
+            return function_of(function, robot, inputs, self.backend, (), self.precision)
         own, _ = self._own_quantities()
         single = tuple([name for name in GAINS if name in own and not own[name].ndim])
-        what = LayerFunction(constants(robot), self._function, single, friction.fixed.templates)
+        what = LayerFunction(constants(robot), function, single, friction.fixed.templates)
         parameters = {name: own[name] for name in OWN if name in own}
         given = {**with_tensors(robot, inputs), **friction.parts(own).tensors, **parameters}
         return list(evaluate(what, given, self.backend, self.precision == "double").values())
