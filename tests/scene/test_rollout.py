@@ -118,6 +118,9 @@ def test_a_rollout_of_which_rows_diverge_warns():
     with warned(UserWarning) as found:
         DIVERGING.rollout(nonfinite_before, steps=3)
     assert len(found) == 1
+    alone = Scene(ARM, (effects.Viscous(5e3),), integrator=SemiImplicitEuler())
+    with warned(UserWarning):
+        alone.rollout(State(*(x[1] for x in start()[:2])), steps=300)
 
 
 def test_transforms_have_no_values_to_look_at():
