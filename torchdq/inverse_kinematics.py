@@ -41,7 +41,7 @@ class InverseKinematics(NamedTuple):
 
     q: Tensor  # joint positions within the limits, [..., n]; the best that were found where it has not converged
     converged: Tensor  # whether the error is within the tolerance, [...]
-    error: Tensor  # angle [rad] and distance [m] that are left, [..., 2]
+    error: Tensor  # angle [rad] and distance [m] that are left of the components that count, [..., 2]
     starts: Tensor  # number of starts that were taken, [...]
 
 
@@ -132,19 +132,21 @@ def _search(
     lanes = min(count, LANES * torch.get_num_threads() if X.device.type == "cpu" else count)
     at, following, done = torch.arange(lanes, device=X.device), lanes, list[list[Tensor]]()
     carried = [x[:lanes] for x in rows[:3]]
-    while len(at) or not done:
+    while True:
         fixed = [x.index_select(0, at) if several else x for x, several in zip(rows[3:], kept, strict=True)]
         carried = list(run([*carried, *fixed], len(at), STEPS if len(at) > FEW else 4 * STEPS))
         goes = (carried[2][:, 1] == 0) & (carried[2][:, 0] < settings[2])
         on, off = goes.nonzero()[:, 0], goes.logical_not().nonzero()[:, 0]
         done.append([x.index_select(0, off) for x in (at, *carried[1:])])
         more = torch.arange(following, min(following + len(off), count), device=X.device)
+        if not len(on) + len(more):
+            break
         following += len(more)
-        at, *carried = [
-            torch.cat([x.index_select(0, on), new]) for x, new in zip((at, *carried), (more, *[x[more] for x in rows[:3]]), strict=True)
-        ]
-    order, q, state = (torch.cat(parts) for parts in zip(*done, strict=True))
-    q, state = (x[order.argsort()].reshape(*batch, -1) for x in (q, state))
+        new = (more, *[x.index_select(0, more) for x in rows[:3]])
+        at, *carried = [torch.cat([x.index_select(0, on), y]) for x, y in zip((at, *carried), new, strict=True)]
+    order, *found = (torch.cat(parts) for parts in zip(*done, strict=True))
+    back = order.argsort()
+    q, state = (x.index_select(0, back).reshape(*batch, x.shape[-1]) for x in found)
     taken = (state[..., 0].long() + 1).clamp(max=int(settings[2]))
     return InverseKinematics(q, state[..., 1] > 0, state[..., 3:].sqrt(), taken)
 
