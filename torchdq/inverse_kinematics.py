@@ -17,7 +17,6 @@ from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.loop_call import loop_of
 from torchdq.backends.torch import InterpretedLoop
 from torchdq.base.checks import require_count, require_number, require_tensor
-from torchdq.dq.components import require_poses
 from torchdq.errors import ArgumentError
 from torchdq.functions import inverse_kinematics as formulas
 from torchdq.functions.call import function_of, gain, with_tensors
@@ -52,7 +51,7 @@ def inverse_kinematics(
     start: Tensor | None = None,
     axes: str | Sequence[str] = "pose",
     tolerance: float | tuple[float, float] | None = None,
-    starts: int = 64,
+    starts: int = 128,
     backend: BackendName | None = None,
 ) -> InverseKinematics:
     """Joint positions q [..., n] within the limits at which a frame has the pose X, from several starts.
@@ -67,7 +66,7 @@ def inverse_kinematics(
 
     Args:
         robot: the robot, with a fixed base.
-        X: desired pose of the frame in the base frame, a unit dual quaternion [-, m], shape [..., 8].
+        X: desired pose of the frame in the base frame, a dual quaternion [-, m], shape [..., 8].
         frame: name of the frame; None: the tip.
         start: positions to begin with [rad or m], shape [..., n]; None: the middle of the limits.
         axes: the components that count, "pose", "position", "orientation" or names among rx ry rz x y z in axes of the
@@ -75,8 +74,7 @@ def inverse_kinematics(
         tolerance: largest error [rad] and [m], a number for both or one each; None: 1e-8, in float32 1e-5.
         starts: largest number of starts.
     Raises:
-        ArgumentError: the joints cannot move these axes independently; X is not a pose; there are no values, as in
-            torch.compile and in vmap.
+        ArgumentError: the joints cannot move these axes independently; X has no values, as in torch.compile.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("panda")
@@ -93,8 +91,7 @@ def inverse_kinematics(
     for value in largest:
         require_number("tolerance", value, positive=True)
     if without_values((X,)) and not transforming():
-        raise ArgumentError("inverse_kinematics needs values, since rows take different numbers of steps; call it outside")
-    require_poses("X", X)
+        raise ArgumentError("X must have values, since rows take different numbers of steps; call it outside of traces")
     with torch.no_grad():
         found = _search(robot, names, X.detach(), start, (*largest, starts), backend)
     tensors = [x for name, x in with_tensors(robot, {"X": X}).items() if x is not None]
@@ -122,11 +119,11 @@ def _search(
         require_tensor("start", start)
         lower, upper = (X.new_tensor(bound) for bound in zip(*limits, strict=True))
         q = start.detach().clamp(lower, upper)
-    state, same = X.new_tensor([0.0, 0.0, *[formulas.NEVER] * 3]), X.new_tensor(settings)
+    state, same = X.new_tensor([0.0, 0.0, *[math.inf] * 3]), X.new_tensor(settings)
     given = with_tensors(robot, {"q": q, "best": q, "state": state, "X": X, "settings": same})
-    given = {name: x.detach() for name, x in given.items() if x is not None}
-    arguments, forms, batch = arranged(what, given)
-    rows = [row_of(x, X.dtype, X.device, form) for x, form in zip(given.values(), forms, strict=True)]
+    tensors = {name: x.detach() for name, x in given.items() if x is not None}
+    arguments, forms, batch = arranged(what, tensors)
+    rows = [row_of(x, X.dtype, X.device, form) for x, form in zip(tensors.values(), forms, strict=True)]
     run, kept = _kernel(recorded(what, arguments), X, backend), [not a.uniform for a in arguments[3:]]
     count = math.prod(batch)
     lanes = min(count, LANES * torch.get_num_threads() if X.device.type == "cpu" else count)
@@ -192,5 +189,7 @@ def differential_inverse_kinematics(
     chosen = (frame or require_robot(robot).end_effector().name, expressed, axes_of(axes), *["bounded"] * limits)
     names = options_of(robot, "differential_inverse_kinematics", chosen)
     step = None if dt is None else gain("dt", dt, q)
-    qd, scale = function_of("differential_inverse_kinematics", robot, {"q": q, "V_des": V_des, "dt": step}, backend, names)
+    qd, scale = function_of(
+        "differential_inverse_kinematics", robot, {"q": q, "V_des": V_des, "dt": step}, backend, names
+    )
     return qd, scale

@@ -30,7 +30,6 @@ from torchdq.robot.robot import Robot
 
 DAMPING, LEAST = 0.03, 1e-9
 SLOWEST, FIRST = 0.9, 2.0  # below 1, so that every start ends; the mean at a start is FIRST times its e.e
-NEVER = 1e30  # more than any e.e
 SINGULAR = 1e-10  # pivots of J J^T are at least this share of its diagonal where it is not damped
 GIVEN = 1e-3  # share of a twist that may be missing
 
@@ -38,7 +37,7 @@ GIVEN = 1e-3  # share of a twist that may be missing
 def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Screw, Task, Matrix]:
     """Error of a frame, (rotation vector, displacement) to the desired pose in its axes, its task, and rates -de/dq."""
     at, task, X = x.posed(), Task(*frame(x.robot, name), expressed == "world", rows_of(axes)), x.arguments["X"]
-    to_goal = dq.mul(dq.conj(pose_of(at, task)), (tuple(X[:4]), tuple(X[4:])))
+    to_goal = dq.mul(dq.conj(pose_of(at, task)), pose_error.unit((tuple(X[:4]), tuple(X[4:]))))
     turn, p = pose_error.error((to_goal[0], dq.ZERO))[0], dq.translation(to_goal)
     turns, moves = (sum(r // 3 == kind for r in task.rows) for kind in (0, 1))
     columns = []
@@ -73,13 +72,13 @@ def start(k: Number, limits: Sequence[tuple[float, float]]) -> list[Number]:
 
 
 def _factors(J: Matrix, damping: Number | None) -> ltdl.TreeFactors:
-    """Factors of J J^T with a damping on its diagonal; None: with pivots that are not zero."""
+    """Factors of J J^T, with a damping on its diagonal; None: with pivots that are not zero."""
     A = [[dot(a, b) for b in J[: i + 1]] for i, a in enumerate(J)]
-    if damping is None:
-        least = [SINGULAR * row[-1] + LEAST**2 for row in A]
-        return ltdl.factorise(_dense(J), A, lambda k, d: maximum(d, least[k]))
-    damped = [[*row[:-1], row[-1] + damping] for row in A]
-    return ltdl.factorise(_dense(J), damped)
+    least = [SINGULAR * row[-1] + LEAST**2 for row in A]
+    if damping is not None:
+        A = [[*row[:-1], row[-1] + damping] for row in A]
+    pivot = None if damping is not None else lambda k, d: maximum(d, least[k])
+    return ltdl.factorise(_dense(J), tuple(map(tuple, A)), pivot)
 
 
 def _dense(J: Matrix) -> tuple[int, ...]:
@@ -114,20 +113,22 @@ def step(x: RecipeInputs, *options: str) -> Results:
     again, goes = (active * (1.0 - close) * share for share in (1.0 - runs, runs))
 
     push = [dot(column, wanted) for column in zip(*J, strict=True)]
-    rows = zip(q, push, limits, strict=True)
-    held = [at_least(lower, a) * at_least(0.0, p) + at_least(a, upper) * at_least(p, 0.0) for a, p, (lower, upper) in rows]
+    held = [
+        at_least(lower, a) * at_least(0.0, p) + at_least(a, upper) * at_least(p, 0.0)
+        for a, p, (lower, upper) in zip(q, push, limits, strict=True)
+    ]
     free = _free(J, held)
     change = _least_norm(free, _factors(free, DAMPING * total + LEAST), wanted)
     moved = [clip(a + d, *bounds) for a, d, bounds in zip(q, change, limits, strict=True)]
     fresh = start(k + again, limits)
-    mean = select(at_least(mean, NEVER), FIRST * total, 0.5 * (mean + total))
+    mean = select(at_least(mean, math.inf), FIRST * total, 0.5 * (mean + total))
     return {
         "q": [select(again, s, select(goes, b, a)) for s, b, a in zip(fresh, moved, q, strict=True)],
         "best": [select(better, a, b) for a, b in zip(q, best, strict=True)],
         "state": [
             k + again,
             maximum(converged, active * close),
-            select(again, NEVER, mean),
+            select(again, math.inf, mean),
             *[select(better, a, b) for a, b in zip(squares, least, strict=True)],
         ],
     }
@@ -144,27 +145,26 @@ def newton(x: RecipeInputs, *options: str) -> Results:
 def differential(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
     """Joint velocities of a share of a twist, and that share.
 
-    Joints that would leave their limits are held, and the others take over once more.
+    Joints that stand at a limit and would leave it are held, twice, and the others take over.
     """
-    task = Task(*frame(x.robot, name), expressed == "world", rows_of(axes))
     q, V, dt = x.arguments["q"], x.arguments["V_des"], x.arguments.get("dt")
-    J, fastest = task.jacobian(x.posed()), [v if v > 0 else math.inf for v in x.robot.limits.velocity.tolist()]
-    rooms: list[tuple[Number, Number]] = [(v, v) if "bounded" in marks else (math.inf, math.inf) for v in fastest]
-    if dt is not None:
-        for j, (lower, upper) in enumerate(ranges(x.robot)):
-            room = [maximum(a, 0.0) / dt[0] for a in (q[j] - lower, upper - q[j])]
-            rooms[j] = (minimum(rooms[j][0], room[0]), minimum(rooms[j][1], room[1]))
+    J = Task(*frame(x.robot, name), expressed == "world", rows_of(axes)).jacobian(x.posed())
+    rooms: list[tuple[Number, Number]] = []
+    for a, (lower, upper), v in zip(q, ranges(x.robot), x.robot.limits.velocity.tolist(), strict=True):
+        fastest = v if v > 0 and "bounded" in marks else math.inf
+        near = (math.inf, math.inf) if dt is None else [maximum(r, 0.0) / dt[0] for r in (a - lower, upper - a)]
+        rooms.append((minimum(fastest, near[0]), minimum(fastest, near[1])))
     held: list[Number] = [0.0] * len(q)
     for _ in range(3):
         free = _free(J, held)
         qd = _least_norm(free, _factors(free, None), V)
-        ways = [(below(v, 0.0), *room) for v, room in zip(qd, rooms, strict=True)]
-        held = [maximum(h, select(back, at_least(0.0, a), at_least(0.0, b))) for h, (back, a, b) in zip(held, ways, strict=True)]
+        room = [select(below(v, 0.0), *r) for v, r in zip(qd, rooms, strict=True)]
+        stuck = [at_least(0.0, r) * below(0.0, absolute(v)) for r, v in zip(room, qd, strict=True)]
+        held = [maximum(h, at) for h, at in zip(held, stuck, strict=True)]
     share: Number = 1.0
-    for v, (back, a, b) in zip(qd, ways, strict=True):
-        room, size = select(back, a, b), absolute(v)
-        fits = at_least(room, size)
-        share = minimum(share, select(fits, 1.0, room / select(fits, 1.0, size)))
+    for v, r in zip(qd, room, strict=True):
+        fits = at_least(r, absolute(v))
+        share = minimum(share, select(fits, 1.0, r / select(fits, 1.0, absolute(v))))
     missing = [dot(row, qd) - v for row, v in zip(J, V, strict=True)]
     share = select(at_least(GIVEN**2 * dot(V, V), dot(missing, missing)), share, 0.0)
     return {"qd": [share * v for v in qd], "scale": [share]}
