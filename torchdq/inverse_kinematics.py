@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.backends.call import arranged, recorded, row_of
+from torchdq.backends.call import arranged, common_batch, recorded, row_of
 from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.loop_call import loop_of
 from torchdq.backends.torch import InterpretedLoop
@@ -85,7 +85,8 @@ def inverse_kinematics(
     """
     chosen = (frame or require_robot(robot).end_effector().name, "body", axes_of(axes))
     names = options_of(require_robot(robot), "inverse_kinematics_step", chosen)
-    require_tensor("X", X)
+    given = {"X": (X, 8), **({} if start is None else {"start": (start, robot.n)})}
+    common_batch([(name, x, (width,), False) for name, (x, width) in given.items()], f" for robot {robot.name!r}")
     require_count("starts", starts)
     largest = tolerance if isinstance(tolerance, tuple) else (tolerance or TOLERANCES.get(X.dtype, 1e-8),) * 2
     for value in largest:
@@ -116,7 +117,6 @@ def _search(
     if start is None:
         q = X.new_tensor(formulas.start(0.0, limits))
     else:
-        require_tensor("start", start)
         lower, upper = (X.new_tensor(bound) for bound in zip(*limits, strict=True))
         q = start.detach().clamp(lower, upper)
     state, same = X.new_tensor([0.0, 0.0, *[math.inf] * 3]), X.new_tensor(settings)
