@@ -13,10 +13,17 @@ import torchdq
 from torchdq import ArgumentError, dq
 from torchdq.robot.description import Limits
 
-F64 = torch.float64
+F64, BACKEND = torch.float64, "auto"
 ARM, UR, TWO = (torchdq.robots.load(name) for name in ("panda", "ur10e", "two_link"))
 FIVE = ARM.lock({ARM.joint_names[2]: 0.3, ARM.joint_names[6]: 0.1}).bake()
 AXIS = ("rx", "ry", "x", "y", "z")  # the frame may turn about its z axis
+
+
+@pytest.fixture
+def by_torch():
+    """Torch operations, for tests of few rows, which compile nothing."""
+    with torchdq.backend("eager"):
+        yield
 
 
 def bounds(robot):
@@ -79,13 +86,12 @@ SOME = {
 }
 
 
+@pytest.mark.usefixtures("by_torch")
 @pytest.mark.parametrize(("robot", "axes"), SOME.values(), ids=SOME)
 def test_the_axes_that_count_are_served(robot, axes):
-    with torchdq.backend("eager"):
-        q = within(robot, 200, seed=2)
-        X = poses(robot, q)
-        found = torchdq.inverse_kinematics(robot, X, axes=axes)
-        off = left(robot, found.q, X)
+    X = poses(robot, within(robot, 200, seed=2))
+    found = torchdq.inverse_kinematics(robot, X, axes=axes)
+    off = left(robot, found.q, X)
     names = {"position": (3, 4, 5), "orientation": (0, 1, 2)}
     rows = names[axes] if isinstance(axes, str) else [("rx", "ry", "rz", "x", "y", "z").index(a) for a in axes]
     assert found.converged.double().mean() >= 0.99
@@ -174,6 +180,7 @@ def test_gradients_are_those_of_the_solution(robot, axes):
     torch.testing.assert_close(torch.func.jacfwd(lambda s: solved(s).q)(double(0)[0]), slope)
 
 
+@pytest.mark.usefixtures("by_torch")
 def test_gradients_reach_the_robot_and_vanish_where_there_is_no_solution():
     q = double(0.3, -0.7)
     lengths = TWO.X_PB_home.clone().requires_grad_()
@@ -194,6 +201,7 @@ def test_gradients_reach_the_robot_and_vanish_where_there_is_no_solution():
 # --- velocities ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("by_torch")
 def test_joint_velocities_keep_the_direction_of_a_twist_and_all_limits():
     q, V, dt = within(ARM, 500), random(500, 6), 0.02
     qd, scale = torchdq.differential_inverse_kinematics(ARM, q, V, dt=dt)
@@ -212,6 +220,7 @@ def test_joint_velocities_keep_the_direction_of_a_twist_and_all_limits():
     torch.testing.assert_close(free, (torch.linalg.pinv(J) @ V[..., None])[..., 0], rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.usefixtures("by_torch")
 def test_joints_at_a_limit_leave_the_twist_to_the_others():
     q, V = double(0.3, -0.4, 0.2, -1.8, 0.1, 1.6, 0.4), double(0, 0, 0, 0.1, 0, 0)
     first, _ = torchdq.differential_inverse_kinematics(ARM, q, V)
@@ -224,6 +233,7 @@ def test_joints_at_a_limit_leave_the_twist_to_the_others():
     torch.testing.assert_close(torchdq.jacobian(ARM, q, ARM.tip) @ qd, scale * V, rtol=0, atol=1e-12)
 
 
+@pytest.mark.usefixtures("by_torch")
 def test_a_twist_that_the_joints_cannot_give_has_the_scale_zero():
     q = torch.zeros(2, 2, dtype=F64)
     V = torch.stack([double(1, 0), double(0, 1)])  # along the stretched arm, and across it
