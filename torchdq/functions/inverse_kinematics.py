@@ -25,7 +25,7 @@ from torchdq.functions.posed import frame
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.functions.task_space import pose_of
 from torchdq.functions.task_space_formulas import rows_of
-from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select
+from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select, sqrt
 from torchdq.robot.robot import Robot
 
 DAMPING, LEAST = 0.03, 1e-9
@@ -37,7 +37,8 @@ GIVEN = 1e-3  # share of a twist that may be missing
 def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Screw, Task, Matrix]:
     """Error of a frame, (rotation vector, displacement) to the desired pose in its axes, its task, and rates -de/dq."""
     at, task, X = x.posed(), Task(*frame(x.robot, name), expressed == "world", rows_of(axes)), x.arguments["X"]
-    to_goal = dq.mul(dq.conj(pose_of(at, task)), pose_error.unit((tuple(X[:4]), tuple(X[4:]))))
+    X_des = dq.scale(1.0 / sqrt(quat.norm2(X[:4])), (tuple(X[:4]), tuple(X[4:])))
+    to_goal = dq.mul(dq.conj(pose_of(at, task)), X_des)
     turn, p = pose_error.error((to_goal[0], dq.ZERO))[0], dq.translation(to_goal)
     turns, moves = (sum(r // 3 == kind for r in task.rows) for kind in (0, 1))
     columns = []
