@@ -95,8 +95,8 @@ from torchdq.functional import (
     require_finite,
 )
 from torchdq.functions.compile import compile
-from torchdq.inverse_kinematics import differential_inverse_kinematics, inverse_kinematics
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics, InverseDynamics, ResidualDynamics
+from torchdq.pose_solver import differential_inverse_kinematics, inverse_kinematics
 from torchdq.robot import Robot
 from torchdq.robot import shipped as robots
 from torchdq.task_space import (
