@@ -88,13 +88,14 @@ def inverse_kinematics(
     given = {"X": (X, 8), **({} if start is None else {"start": (start, robot.n)})}
     common_batch([(name, x, (width,), False) for name, (x, width) in given.items()], f" for robot {robot.name!r}")
     require_count("starts", starts)
-    largest = tolerance if isinstance(tolerance, tuple) else (tolerance or TOLERANCES.get(X.dtype, 1e-8),) * 2
-    for value in largest:
+    tolerance = TOLERANCES[X.dtype] if tolerance is None else tolerance
+    angle, distance = tolerance if isinstance(tolerance, tuple) and len(tolerance) == 2 else (tolerance, tolerance)
+    for value in (angle, distance):
         require_number("tolerance", value, positive=True)
     if without_values((X,)) and not transforming():
         raise ArgumentError("X must have values, since rows take different numbers of steps; call it outside of traces")
     with torch.no_grad():
-        found = _search(robot, names, X.detach(), start, (*largest, starts), backend)
+        found = _search(robot, names, X.detach(), start, (angle, distance, starts), backend)
     tensors = [x for name, x in with_tensors(robot, {"X": X}).items() if x is not None]
     if not in_a_graph(tensors):
         return found
@@ -133,7 +134,7 @@ def _search(
         fixed = [x.index_select(0, at) if several else x for x, several in zip(rows[3:], kept, strict=True)]
         carried = list(run([*carried, *fixed], len(at), STEPS if len(at) > FEW else 4 * STEPS))
         goes = (carried[2][:, 1] == 0) & (carried[2][:, 0] < settings[2])
-        on, off = goes.nonzero()[:, 0], goes.logical_not().nonzero()[:, 0]
+        on, off = (x.nonzero()[:, 0] for x in (goes, ~goes))
         done.append([x.index_select(0, off) for x in (at, *carried[1:])])
         more = torch.arange(following, min(following + len(off), count), device=X.device)
         if not len(on) + len(more):
@@ -141,9 +142,11 @@ def _search(
         following += len(more)
         new = (more, *[x.index_select(0, more) for x in rows[:3]])
         at, *carried = [torch.cat([x.index_select(0, on), y]) for x, y in zip((at, *carried), new, strict=True)]
-    order, *found = (torch.cat(parts) for parts in zip(*done, strict=True))
-    back = order.argsort()
-    q, state = (x.index_select(0, back).reshape(*batch, x.shape[-1]) for x in found)
+    order, *found = done[0] if len(done) == 1 else (torch.cat(parts) for parts in zip(*done, strict=True))
+    if len(done) > 1:
+        back = order.argsort()
+        found = [x.index_select(0, back) for x in found]
+    q, state = (x.reshape(*batch, x.shape[-1]) for x in found)
     taken = (state[..., 0].long() + 1).clamp(max=int(settings[2]))
     return InverseKinematics(q, state[..., 1] > 0, state[..., 3:].sqrt(), taken)
 

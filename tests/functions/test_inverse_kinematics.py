@@ -63,6 +63,7 @@ def test_random_poses_are_reached_within_the_limits_as_pinocchio_sees_them(name)
     found = torchdq.inverse_kinematics(robot, X, robot.link_names[-1], start=within(robot, count, seed=1))
     assert found.converged.double().mean() >= 0.9995 and found.error[found.converged].max() <= 1e-8
     assert ((found.q >= robot.limits.lower) & (found.q <= robot.limits.upper)).all()
+    assert found.starts.double().mean() < 2.6  # 3.5 unless joints are held that are pushed out of their limits
     data, index = case.model.createData(), case.frame_id(robot.link_names[-1])
     for q, matrix in zip(found.q[found.converged][:200], dq.to_matrix(X[found.converged][:200]), strict=True):
         pin.framesForwardKinematics(case.model, data, case.configuration(q.numpy()))
@@ -121,6 +122,10 @@ def test_goals_beyond_reach_leave_the_nearest_that_was_found():
     assert found.converged.tolist() == [False, False, True] and found.starts.tolist()[:2] == [128, 128]
     torch.testing.assert_close(found.error[:, 1], double(1e-3, 10, 0), rtol=2e-3, atol=1e-8)
     assert found.q.isfinite().all()
+    far = dq.from_pose(double(1, 0, 0, 0), double(10, 0, 0))
+    best = torchdq.inverse_kinematics(ARM, far)
+    off = left(ARM, best.q, far).view(2, 3).norm(dim=-1)
+    torch.testing.assert_close(best.error, off, rtol=1e-12, atol=0)  # of this q, and not of the last
 
 
 def test_single_precision_converges_to_its_own_tolerance():
@@ -160,12 +165,16 @@ def test_torch_and_compiled_steps_agree():
 # --- gradients -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("robot", "axes"), [(ARM, "pose"), (FIVE, AXIS)], ids=["pose", "axis"])
+FLAT = ("rx", "ry", "rz", "x", "y")  # anywhere along its z axis
+
+
+@pytest.mark.usefixtures("by_torch")
+@pytest.mark.parametrize(("robot", "axes"), [(ARM, "pose"), (FIVE, AXIS), (ARM, FLAT)], ids=["pose", "axis", "flat"])
 def test_gradients_are_those_of_the_solution(robot, axes):
     q = torch.stack([0.6 * x + 0.4 * sum(bounds(robot)) / 2 for x in within(robot, 2, seed=5)])
     X, twist = poses(robot, q), random(6, seed=3)
-    if axes == AXIS:  # components that do not vanish at the solution
-        X = dq.mul(X, dq.exp(double(0, 0, 0.4, 0, 0, 0)))
+    if axes != "pose":  # what is left out does not vanish at the solution
+        X = dq.mul(X, dq.exp(double(0, 0, 0.4, 0, 0, 0) if axes == AXIS else double(0, 0, 0, 0, 0, 0.1)))
     start = torchdq.inverse_kinematics(robot, X, start=q, axes=axes, tolerance=1e-12).q
 
     def solved(s, tolerance=1e-12):
@@ -248,6 +257,8 @@ MISUSE = {
     "too many axes": lambda: torchdq.inverse_kinematics(FIVE, X),
     "no axes": lambda: torchdq.inverse_kinematics(ARM, X, axes="everything"),
     "a tolerance of nothing": lambda: torchdq.inverse_kinematics(ARM, X, tolerance=(1e-3, 0.0)),
+    "no tolerance": lambda: torchdq.inverse_kinematics(ARM, X, tolerance=0.0),
+    "three tolerances": lambda: torchdq.inverse_kinematics(ARM, X, tolerance=(1e-3, 1e-3, 1e-3)),
     "no start": lambda: torchdq.inverse_kinematics(ARM, X, starts=0),
     "matrices": lambda: torchdq.inverse_kinematics(ARM, torch.eye(4, dtype=F64)),
     "a start of another robot": lambda: torchdq.inverse_kinematics(ARM, X, start=torch.zeros(6, dtype=F64)),
