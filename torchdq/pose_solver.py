@@ -6,12 +6,13 @@ Frames, axes and everything else are as in `torchdq.task_space`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq.backends.backend import LoopKernel
 from torchdq.backends.call import arranged, common_batch, recorded, row_of
 from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.loop_call import loop_of
@@ -23,6 +24,7 @@ from torchdq.functions.call import function_of, gain, with_tensors
 from torchdq.functions.catalogue import Function
 from torchdq.functions.options import axes_of, options_of
 from torchdq.program.autograd import in_a_graph
+from torchdq.program.program import Program
 from torchdq.program.transforms import transforming, without_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
@@ -125,8 +127,8 @@ def _search(
     tensors = {name: x.detach() for name, x in given.items() if x is not None}
     arguments, forms, batch = arranged(what, tensors)
     rows = [row_of(x, X.dtype, X.device, form) for x, form in zip(tensors.values(), forms, strict=True)]
-    run, kept = _kernel(recorded(what, arguments), X, backend), [not a.uniform for a in arguments[3:]]
-    count = math.prod(batch)
+    count, kept = math.prod(batch), [not a.uniform for a in arguments[3:]]
+    run = _kernel(recorded(what, arguments), X, count, backend)
     lanes = min(count, LANES * torch.get_num_threads() if X.device.type == "cpu" else count)
     at, following, done = torch.arange(lanes, device=X.device), lanes, list[list[Tensor]]()
     carried = [x[:lanes] for x in rows[:3]]
@@ -151,12 +153,12 @@ def _search(
     return InverseKinematics(q, state[..., 1] > 0, state[..., 3:].sqrt(), taken)
 
 
-def _kernel(program, like: Tensor, backend: BackendName | None) -> Callable[..., Sequence[Tensor]]:
+def _kernel(program: Program, like: Tensor, samples: int, backend: BackendName | None) -> LoopKernel:
     """Function that takes steps, compiled unless torch is to run them."""
     loop, chosen = loop_of(program, ((0, 0), (1, 1), (2, 2)), (), ()), choose(backend, like.device)
     if chosen.differentiable or transforming():
         return InterpretedLoop(loop)
-    return chosen.loop(loop, like.dtype, like.device)
+    return chosen.loop(loop, like.dtype, like.device, samples)
 
 
 def differential_inverse_kinematics(
