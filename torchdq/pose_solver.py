@@ -115,13 +115,12 @@ def _search(
     backend: BackendName | None,
 ) -> InverseKinematics:
     """Solutions of rows that go on by some steps together; those that are done make room for others."""
-    what, limits = Function(constants(robot), "inverse_kinematics_step", names), formulas.ranges(robot)
+    what = Function(constants(robot), "inverse_kinematics_step", names)
     what.require_base()
     if start is None:
-        q = X.new_tensor(formulas.start(0.0, limits))
+        q = X.new_tensor(formulas.start(0.0, formulas.ranges(robot)))
     else:
-        lower, upper = (X.new_tensor(bound) for bound in zip(*limits, strict=True))
-        q = start.detach().clamp(lower, upper)
+        q = start.detach().clamp(*[bound.to(X) for bound in robot.limits[:2]])
     state, same = X.new_tensor([0.0, 0.0, *[math.inf] * 3]), X.new_tensor(settings)
     given = with_tensors(robot, {"q": q, "best": q, "state": state, "X": X, "settings": same})
     tensors = {name: x.detach() for name, x in given.items() if x is not None}
