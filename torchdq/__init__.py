@@ -29,6 +29,8 @@ Functions of a robot, batched and differentiable to any order:
     frame_motion            pose, twist and acceleration of a frame
     operational_space       dynamics of a frame; manipulability says how near it is to a singular posture
     operational_space_control, cartesian_impedance      torques that move a frame, or hold it by a spring
+    inverse_kinematics      joint positions of a pose, within limits
+    differential_inverse_kinematics     joint velocities of a twist
     coriolis_matrix         Coriolis matrix, C qd = c and dM/dt = C + C^T
     floating                the same for robots with a floating base, and their momentum: floating.inverse_dynamics, ...
 
@@ -94,6 +96,7 @@ from torchdq.functional import (
 )
 from torchdq.functions.compile import compile
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics, InverseDynamics, ResidualDynamics
+from torchdq.pose_solver import differential_inverse_kinematics, inverse_kinematics
 from torchdq.robot import Robot
 from torchdq.robot import shipped as robots
 from torchdq.task_space import (
@@ -137,6 +140,7 @@ __all__ = [
     "computed_torque",
     "convert",
     "coriolis_matrix",
+    "differential_inverse_kinematics",
     "dq",
     "dynamics_jacobian",
     "envs",
@@ -146,6 +150,7 @@ __all__ = [
     "forward_kinematics",
     "frame_motion",
     "inverse_dynamics",
+    "inverse_kinematics",
     "jacobian",
     "kinetic_energy",
     "learning",
@@ -181,8 +186,8 @@ _ELSEWHERE = {
     "identify": "learning.identify",
     "fit": "learning.fit",
     "com": "Robot.com, the centres of mass of the links",
-    "inverse_kinematics": "none: jacobian and forward_kinematics are differentiable, which suits a solver of yours",
-    "ik": "none: there is no inverse kinematics; jacobian and forward_kinematics are differentiable",
+    "ik": "inverse_kinematics",
+    "ikine": "inverse_kinematics",
 }
 
 

@@ -594,7 +594,7 @@ def test_the_name_of_one_argument_need_not_be_in_a_sequence():
 @pytest.mark.parametrize("function", RECIPES)
 def test_a_compiled_program_needs_its_arguments(function):
     options = ["tip"] if function in ("jacobian", "floating.jacobian") else ()
-    if function.startswith(("operational", "cartesian", "manipulability")):
+    if function.startswith(("operational", "cartesian", "manipulability", "inverse_kin", "differential")):
         options = ["tip", "body", "x y"]
     others = [name for name, _, optional in RECIPES[function].arguments if not optional][:-1]
     robot = free(TWO) if function.startswith(FLOATING) else TWO

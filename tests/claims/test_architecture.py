@@ -39,6 +39,7 @@ FLOORS = {
     "torchdq.functions": 6,
     "torchdq.functional": 7,
     "torchdq.task_space": 7,
+    "torchdq.pose_solver": 7,
     "torchdq.effects": 7,
     "torchdq.floating": 8,
     "torchdq.scene": 8,

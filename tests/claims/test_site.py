@@ -126,6 +126,7 @@ def public():
         "torchdq.functional": torchdq.functional,
         "torchdq.floating": torchdq.floating,
         "torchdq.task_space": torchdq.task_space,
+        "torchdq.pose_solver": torchdq.pose_solver,
         "torchdq.envs": torchdq.envs,
         "torchdq.scene.policies": policies,
     }

@@ -39,7 +39,7 @@ class LoopLayout(NamedTuple):
 
 
 _layouts: Bounded[tuple, LoopLayout] = Bounded(LAYOUTS)
-_loop = remembered(PROGRAMS)(lambda *parts: Loop(*parts))  # one for all batches, so that it is compiled once
+loop_of = remembered(PROGRAMS)(lambda *parts: Loop(*parts))  # one for all batches, so that it is compiled once
 
 
 def repeat(
@@ -144,7 +144,7 @@ def _layout(
     results = [r.name for r in program.results]
     states = tuple([(names.index(name), results.index(name)) for name in carried])
     kept = [r for r, name in enumerate(results) if not (name in total or (ends and name in carried))]
-    loop = _loop(program, states, tuple(map(names.index, stepped)), tuple(kept))
+    loop = loop_of(program, states, tuple(map(names.index, stepped)), tuple(kept))
     arrangement = []
     for name, row, a in zip(names, rows, arguments, strict=True):
         if name in stepped:

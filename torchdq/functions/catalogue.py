@@ -18,6 +18,7 @@ from torchdq.base.checks import require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functions import floating as free
 from torchdq.functions import formulas as fixed
+from torchdq.functions import inverse_kinematics as ik
 from torchdq.functions import task_space_formulas as task
 from torchdq.functions.formulas import TRACKING
 from torchdq.functions.recipe import (
@@ -96,6 +97,18 @@ RECIPES: dict[str, Recipe] = {
         lambda *task: (("n",),),
         single=("stiffness", "damping"),
     ),
+    "inverse_kinematics_step": Recipe(
+        (*joints("q", "best"), ("state", (5,), False), ("X", (8,), False), ("settings", (3,), False)),
+        (ik.step,),
+        lambda *task: (("n",), ("n",), (5,)),
+        shared=("settings",),
+    ),
+    "inverse_kinematics_newton": Recipe(
+        (*joints("q"), ("X", (8,), False)), (ik.newton,), lambda *task: (("axes",), ("n", "axes"))
+    ),
+    "differential_inverse_kinematics": Recipe(
+        (*joints("q"), ("V_des", ("axes",), False), ("dt", (), True)), (ik.differential,), lambda *task: (("n",), ())
+    ),
     "joint_momentum": Recipe(joints("q", "qd", "tau"), (), lambda: (("n",), ("n",))),
     "contact_force": Recipe(
         (*joints("q", "r"), ("damping", (), False)), (task.contact_force,), lambda *task: (("axes",), ("axes",))
@@ -143,13 +156,14 @@ _FIXED_ONLY = {  # why a function has no form for robots with a floating base
     "operational_space": _NO_MOTOR,
     "operational_space_control": _NO_MOTOR,
     "cartesian_impedance": _NO_MOTOR,
+    "inverse_kinematics_step": "its base alone reaches every pose",
+    "inverse_kinematics_newton": "its base alone reaches every pose",
+    "differential_inverse_kinematics": _NO_MOTOR,
 }
-_OF_AXES = {
-    "operational_space",
-    "operational_space_control",
-    "cartesian_impedance",
-    "contact_force",
-}  # third option: axes of a frame
+_OF_AXES = {  # third option: axes of a frame
+    *("operational_space", "operational_space_control", "cartesian_impedance"),
+    *("inverse_kinematics_newton", "differential_inverse_kinematics", "contact_force"),
+}
 # positions of the arguments that a result is differentiated by
 DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1), "coriolis_matrix": (1,)}
 
@@ -182,8 +196,8 @@ class Function(_Call, Computation):
         return trailing({**known, **SHAPES}[name], self.sizes)
 
     def shared(self, name: str) -> bool:
-        """True for a tensor of the robot, and for a gain that is one number."""
-        return name in SHAPES or not self.axes(name)
+        """True for a tensor of the robot, a gain that is one number, and what all samples have in common."""
+        return name in SHAPES or name in RECIPES[self.name].shared or not self.axes(name)
 
     def label(self, name: str) -> str:
         """Name of a tensor in error messages."""

@@ -310,7 +310,9 @@ def compile(
             "forward_kinematics", "kinetic_energy", "potential_energy", "dynamics_jacobian",
             "inverse_dynamics_jacobian" (the same without the mass matrix), "computed_torque",
             "frame_motion", "operational_space", "operational_space_control", "cartesian_impedance", "manipulability",
-            "coriolis_matrix"; of a robot with a floating base, "floating.inverse_dynamics" and so on.
+            "coriolis_matrix", "differential_inverse_kinematics", "inverse_kinematics_step" and
+            "inverse_kinematics_newton" (parts of the solver); of a robot with a floating base,
+            "floating.inverse_dynamics" and so on.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or

@@ -145,6 +145,9 @@ _READERS: dict[str, Callable[..., Options]] = {
     "operational_space_control": _task("body", "limits", "kp", "kd"),
     "cartesian_impedance": _task("world", "stiffness", "damping"),
     "manipulability": _task("body"),
+    "inverse_kinematics_step": _task("body"),
+    "inverse_kinematics_newton": _task("body"),
+    "differential_inverse_kinematics": _task("body", "bounded"),
     "contact_force": _contact,
 }
 

@@ -103,6 +103,7 @@ class Recipe(NamedTuple):
     results: Callable[..., tuple[Axes, ...]]  # trailing axes of the results, from the options
     each: bool = False  # whether all candidates are recorded, whatever the number of joints
     single: tuple[str, ...] = ()  # arguments that are one number for all joints if they are among the options
+    shared: tuple[str, ...] = ()  # arguments that are one row for all samples
 
 
 def joints(*names: str) -> tuple[ArgumentSpec, ...]:

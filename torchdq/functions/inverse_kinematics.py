@@ -1,0 +1,171 @@
+"""Inverse kinematics on numbers: steps of Levenberg-Marquardt within the joint limits, with restarts.
+
+    q <- projection of q + J^T (J J^T + (DAMPING e.e + LEAST) 1)^-1 e
+
+e is the error of a frame and J its rate -de/dq. A joint at a limit that the gradient J^T e pushes outwards is left out
+of the step, so that the others make up for it. A start is given up where e.e is not below SLOWEST of its running mean.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
+from torchdq.algebra.matrix import Matrix
+from torchdq.algebra.quaternion import Number
+from torchdq.algebra.screw import Screw
+from torchdq.dq import pose_error
+from torchdq.dynamics import ltdl
+from torchdq.dynamics.posed import Row, dot
+from torchdq.dynamics.task_space import Task
+from torchdq.functions.posed import frame
+from torchdq.functions.recipe import RecipeInputs, Results
+from torchdq.functions.task_space import pose_of
+from torchdq.functions.task_space_formulas import rows_of
+from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select, sqrt
+from torchdq.robot.robot import Robot
+
+DAMPING, LEAST = 0.03, 1e-9
+SLOWEST, FIRST = 0.9, 2.0  # below 1, so that every start ends; the mean at a start is FIRST times its e.e
+SINGULAR = 1e-10  # pivots of J J^T are at least this share of its diagonal where it is not damped
+GIVEN = 1e-3  # share of a twist that may be missing
+
+
+def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Screw, Task, Matrix]:
+    """Error of a frame, (rotation vector, displacement) to the desired pose in its axes, its task, and rates -de/dq."""
+    at, task, X = x.posed(), Task(*frame(x.robot, name), expressed == "world", rows_of(axes)), x.arguments["X"]
+    X_des = dq.scale(1.0 / sqrt(quat.norm2(X[:4])), (tuple(X[:4]), tuple(X[4:])))
+    to_goal = dq.mul(dq.conj(pose_of(at, task)), X_des)
+    turn, p = pose_error.error((to_goal[0], dq.ZERO))[0], dq.translation(to_goal)
+    turns, moves = (sum(r // 3 == kind for r in task.rows) for kind in (0, 1))
+    columns = []
+    for c in at.jacobian(task.link, task.X_BF, task.world):
+        w, v = c or screw.ZERO
+        # components that are left out do not vanish at a solution, and count in the rates of the others
+        rate = pose_error.error_rate((turn, quat.ZERO), (w, quat.ZERO))[0] if 0 < turns < 3 else w
+        columns.append(task.of((rate, quat.add(v, quat.cross(w, p)) if 0 < moves < 3 else v)))
+    return (turn, p), task, tuple(zip(*columns, strict=True))
+
+
+def ranges(robot: Robot) -> list[tuple[float, float]]:
+    """Limits of the joints."""
+    return list(zip(robot.limits.lower.tolist(), robot.limits.upper.tolist(), strict=True))
+
+
+def start(k: Number, limits: Sequence[tuple[float, float]]) -> list[Number]:
+    """Point k of a sequence that fills the limits evenly, the middle first; without limits a turn.
+
+    It is the additive recurrence of the powers of 1/g, g^(n+1) = g + 1 (Roberts, The unreasonable effectiveness of
+    quasirandom sequences, 2018).
+    """
+    g, found = 2.0, []
+    for _ in range(64):
+        g = (1.0 + g) ** (1.0 / (len(limits) + 1))
+    for j, (lower, upper) in enumerate(limits):
+        least = lower if math.isfinite(lower) else upper - 2 * math.pi if math.isfinite(upper) else -math.pi
+        size = upper - least if math.isfinite(upper) else 2 * math.pi
+        u = 0.5 + k * g ** -(j + 1.0)
+        found.append(least + size * (u - floor(u)))
+    return found
+
+
+def _factors(J: Matrix, damping: Number | None) -> ltdl.TreeFactors:
+    """Factors of J J^T, with a damping on its diagonal; None: with pivots that are not zero."""
+    A = [[dot(a, b) for b in J[: i + 1]] for i, a in enumerate(J)]
+    least = [SINGULAR * row[-1] + LEAST**2 for row in A]
+    if damping is not None:
+        A = [[*row[:-1], row[-1] + damping] for row in A]
+    pivot = None if damping is not None else lambda k, d: maximum(d, least[k])
+    return ltdl.factorise(_dense(J), tuple(map(tuple, A)), pivot)
+
+
+def _dense(J: Matrix) -> tuple[int, ...]:
+    return tuple(range(-1, len(J) - 1))
+
+
+def _free(J: Matrix, held: Row) -> Matrix:
+    """Jacobian without the joints that are held."""
+    return tuple(tuple(select(h, 0.0, c) for h, c in zip(held, row, strict=True)) for row in J)
+
+
+def _least_norm(J: Matrix, factors: ltdl.TreeFactors, b: Row) -> list[Number]:
+    y = ltdl.solve(_dense(J), factors, b)
+    return [dot(column, y) for column in zip(*J, strict=True)]
+
+
+def step(x: RecipeInputs, *options: str) -> Results:
+    """Next q of a row, its best so far, and its state; where it has converged or has no starts left, the same again.
+
+    The state is the number of the start, whether it has converged, the mean of e.e, and of the best the squares of
+    both parts of e; the settings are the largest of both parts, and the number of starts.
+    """
+    q, best, state, settings = (x.arguments[name] for name in ("q", "best", "state", "settings"))
+    k, converged, mean, *least = state
+    limits, (e, task, J) = ranges(x.robot), deviation(x, *options)
+    kinds = [[a for r, a in enumerate((*e[0], *e[1])) if r in task.rows and r // 3 == kind] for kind in (0, 1)]
+    squares, wanted = [dot(kind, kind) for kind in kinds], task.of(e)
+    total = squares[0] + squares[1]
+    close = at_least(settings[0] * settings[0], squares[0]) * at_least(settings[1] * settings[1], squares[1])
+    active = below(k, settings[2]) * (1.0 - converged)
+    better, runs = active * below(total, least[0] + least[1]), below(total, SLOWEST * mean)
+    again, goes = (active * (1.0 - close) * share for share in (1.0 - runs, runs))
+
+    push = [dot(column, wanted) for column in zip(*J, strict=True)]
+    held = [
+        at_least(lower, a) * at_least(0.0, p) + at_least(a, upper) * at_least(p, 0.0)
+        for a, p, (lower, upper) in zip(q, push, limits, strict=True)
+    ]
+    free = _free(J, held)
+    change = _least_norm(free, _factors(free, DAMPING * total + LEAST), wanted)
+    moved = [clip(a + d, *bounds) for a, d, bounds in zip(q, change, limits, strict=True)]
+    fresh = start(k + again, limits)
+    mean = select(at_least(mean, math.inf), FIRST * total, 0.5 * (mean + total))
+    return {
+        "q": [select(again, s, select(goes, b, a)) for s, b, a in zip(fresh, moved, q, strict=True)],
+        "best": [select(better, a, b) for a, b in zip(q, best, strict=True)],
+        "state": [
+            k + again,
+            maximum(converged, active * close),
+            select(again, math.inf, mean),
+            *[select(better, a, b) for a, b in zip(squares, least, strict=True)],
+        ],
+    }
+
+
+def newton(x: RecipeInputs, *options: str) -> Results:
+    """Error e of the components, and the matrix J^+ of the step J^+ e."""
+    e, task, J = deviation(x, *options)
+    factors, m = _factors(J, None), len(J)
+    columns = [_least_norm(J, factors, [float(i == k) for i in range(m)]) for k in range(m)]
+    return {"e": task.of(e), "P": [a for row in zip(*columns, strict=True) for a in row]}
+
+
+def differential(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
+    """Joint velocities of a share of a twist, and that share.
+
+    Joints that stand at a limit and would leave it are held, twice, and the others take over.
+    """
+    q, V, dt = x.arguments["q"], x.arguments["V_des"], x.arguments.get("dt")
+    J = Task(*frame(x.robot, name), expressed == "world", rows_of(axes)).jacobian(x.posed())
+    rooms: list[tuple[Number, Number]] = []
+    for a, (lower, upper), v in zip(q, ranges(x.robot), x.robot.limits.velocity.tolist(), strict=True):
+        fastest = v if v > 0 and "bounded" in marks else math.inf
+        near = (math.inf, math.inf) if dt is None else [maximum(r, 0.0) / dt[0] for r in (a - lower, upper - a)]
+        rooms.append((minimum(fastest, near[0]), minimum(fastest, near[1])))
+    held: list[Number] = [0.0] * len(q)
+    for _ in range(3):
+        free = _free(J, held)
+        qd = _least_norm(free, _factors(free, None), V)
+        room = [select(below(v, 0.0), *r) for v, r in zip(qd, rooms, strict=True)]
+        stuck = [at_least(0.0, r) * below(0.0, absolute(v)) for r, v in zip(room, qd, strict=True)]
+        held = [maximum(h, at) for h, at in zip(held, stuck, strict=True)]
+    share: Number = 1.0
+    for v, r in zip(qd, room, strict=True):
+        fits = at_least(r, absolute(v))
+        share = minimum(share, select(fits, 1.0, r / select(fits, 1.0, absolute(v))))
+    missing = [dot(row, qd) - v for row, v in zip(J, V, strict=True)]
+    share = select(at_least(GIVEN**2 * dot(V, V), dot(missing, missing)), share, 0.0)
+    return {"qd": [share * v for v in qd], "scale": [share]}

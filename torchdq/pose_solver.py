@@ -1,0 +1,199 @@
+"""Joint positions at which a frame has a desired pose, and joint velocities at which it has a desired twist.
+
+Frames, axes and everything else are as in `torchdq.task_space`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.backend import LoopKernel
+from torchdq.backends.call import arranged, common_batch, recorded, row_of
+from torchdq.backends.choice import BackendName, choose
+from torchdq.backends.loop_call import loop_of
+from torchdq.backends.torch import InterpretedLoop
+from torchdq.base.checks import require_count, require_number, require_tensor
+from torchdq.errors import ArgumentError
+from torchdq.functions import inverse_kinematics as formulas
+from torchdq.functions.call import function_of, gain, with_tensors
+from torchdq.functions.catalogue import Function
+from torchdq.functions.options import axes_of, options_of
+from torchdq.program.autograd import in_a_graph
+from torchdq.program.program import Program
+from torchdq.program.transforms import transforming, without_values
+from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
+from torchdq.robot.robot import constants
+
+__all__ = ["InverseKinematics", "differential_inverse_kinematics", "inverse_kinematics"]
+
+TOLERANCES = {torch.float32: 1e-5, torch.float64: 1e-8}
+LANES, STEPS = 2048, 8  # rows of a processor's core that take some steps together, before others take their places
+FEW = 64  # rows from which a call is cheaper than their steps
+
+
+class InverseKinematics(NamedTuple):
+    """Solutions of inverse kinematics."""
+
+    q: Tensor  # joint positions within the limits, [..., n]; the best that were found where it has not converged
+    converged: Tensor  # whether the error is within the tolerance, [...]
+    error: Tensor  # angle [rad] and distance [m] that are left of the components that count, [..., 2]
+    starts: Tensor  # number of starts that were taken, [...]
+
+
+def inverse_kinematics(
+    robot: Robot,
+    X: Tensor,
+    frame: str | None = None,
+    start: Tensor | None = None,
+    axes: str | Sequence[str] = "pose",
+    tolerance: float | tuple[float, float] | None = None,
+    starts: int = 128,
+    backend: BackendName | None = None,
+) -> InverseKinematics:
+    """Joint positions q [..., n] within the limits at which a frame has the pose X, from several starts.
+
+    Levenberg-Marquardt steps on the error (rotation vector to X, displacement to X) in axes of the frame, with joints
+    held at limits. Where they stall, the next start is taken, a point of one sequence that fills the limits evenly and
+    is the same for all rows, so that a row has the same result in every batch. A row that cannot be reached has
+    `converged` False, and the best q of all starts; none raises.
+
+    Gradients in X and in tensors of the robot are those of the solution that was found, by its implicit function: of
+    the smallest change of q where it is not unique. They are zero where it has not converged, and of first order only.
+
+    Args:
+        robot: the robot, with a fixed base.
+        X: desired pose of the frame in the base frame, a dual quaternion [-, m], shape [..., 8].
+        frame: name of the frame; None: the tip.
+        start: positions to begin with [rad or m], shape [..., n]; None: the middle of the limits.
+        axes: the components that count, "pose", "position", "orientation" or names among rx ry rz x y z in axes of the
+            frame; without "rz" it may turn about its z axis. At most as many as the joints move independently.
+        tolerance: largest error [rad] and [m], a number for both or one each; None: 1e-8, in float32 1e-5.
+        starts: largest number of starts.
+    Raises:
+        ArgumentError: the joints cannot move these axes independently; X has no values, as in torch.compile.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("panda")
+    >>> X = torchdq.forward_kinematics(robot, torch.linspace(-1.0, 1.0, 7, dtype=torch.float64) - 0.2, robot.tip)
+    >>> found = inverse_kinematics(robot, X)
+    >>> bool(found.converged), bool((torchdq.forward_kinematics(robot, found.q, robot.tip) - X).abs().max() < 1e-8)
+    (True, True)
+    """
+    chosen = (frame or require_robot(robot).end_effector().name, "body", axes_of(axes))
+    names = options_of(require_robot(robot), "inverse_kinematics_step", chosen)
+    given = {"X": (X, 8), **({} if start is None else {"start": (start, robot.n)})}
+    common_batch([(name, x, (width,), False) for name, (x, width) in given.items()], f" for robot {robot.name!r}")
+    require_count("starts", starts)
+    tolerance = TOLERANCES[X.dtype] if tolerance is None else tolerance
+    angle, distance = tolerance if isinstance(tolerance, tuple) and len(tolerance) == 2 else (tolerance, tolerance)
+    for value in (angle, distance):
+        require_number("tolerance", value, positive=True)
+    if without_values((X,)) and not transforming():
+        raise ArgumentError("X must have values, since rows take different numbers of steps; call it outside of traces")
+    with torch.no_grad():
+        found = _search(robot, names, X.detach(), start, (angle, distance, starts), backend)
+    tensors = [x for name, x in with_tensors(robot, {"X": X}).items() if x is not None]
+    if not in_a_graph(tensors):
+        return found
+    e, P = function_of("inverse_kinematics_newton", robot, {"q": found.q, "X": X}, backend, names)
+    e = torch.where(found.converged[..., None], e - e.detach(), 0.0)
+    return found._replace(q=found.q + (P.detach() @ e[..., None])[..., 0])
+
+
+def _search(
+    robot: Robot,
+    names: tuple[str, ...],
+    X: Tensor,
+    start: Tensor | None,
+    settings: tuple[float, ...],
+    backend: BackendName | None,
+) -> InverseKinematics:
+    """Solutions of rows that go on by some steps together; those that are done make room for others."""
+    what = Function(constants(robot), "inverse_kinematics_step", names)
+    what.require_base()
+    if start is None:
+        q = X.new_tensor(formulas.start(0.0, formulas.ranges(robot)))
+    else:
+        q = start.detach().clamp(*[bound.to(X) for bound in robot.limits[:2]])
+    state, same = X.new_tensor([0.0, 0.0, *[math.inf] * 3]), X.new_tensor(settings)
+    given = with_tensors(robot, {"q": q, "best": q, "state": state, "X": X, "settings": same})
+    tensors = {name: x.detach() for name, x in given.items() if x is not None}
+    arguments, forms, batch = arranged(what, tensors)
+    rows = [row_of(x, X.dtype, X.device, form) for x, form in zip(tensors.values(), forms, strict=True)]
+    count, kept = math.prod(batch), [not a.uniform for a in arguments[3:]]
+    run = _kernel(recorded(what, arguments), X, count, backend)
+    lanes = min(count, LANES * torch.get_num_threads() if X.device.type == "cpu" else count)
+    at, following, done = torch.arange(lanes, device=X.device), lanes, list[list[Tensor]]()
+    carried = [x[:lanes] for x in rows[:3]]
+    while True:
+        fixed = [x.index_select(0, at) if several else x for x, several in zip(rows[3:], kept, strict=True)]
+        carried = list(run([*carried, *fixed], len(at), STEPS if len(at) > FEW else 4 * STEPS))
+        goes = (carried[2][:, 1] == 0) & (carried[2][:, 0] < settings[2])
+        on, off = (x.nonzero()[:, 0] for x in (goes, ~goes))
+        done.append([x.index_select(0, off) for x in (at, *carried[1:])])
+        more = torch.arange(following, min(following + len(off), count), device=X.device)
+        if not len(on) + len(more):
+            break
+        following += len(more)
+        new = (more, *[x.index_select(0, more) for x in rows[:3]])
+        at, *carried = [torch.cat([x.index_select(0, on), y]) for x, y in zip((at, *carried), new, strict=True)]
+    order, *found = done[0] if len(done) == 1 else (torch.cat(parts) for parts in zip(*done, strict=True))
+    if len(done) > 1:
+        back = order.argsort()
+        found = [x.index_select(0, back) for x in found]
+    q, state = (x.reshape(*batch, x.shape[-1]) for x in found)
+    taken = (state[..., 0].long() + 1).clamp(max=int(settings[2]))
+    return InverseKinematics(q, state[..., 1] > 0, state[..., 3:].sqrt(), taken)
+
+
+def _kernel(program: Program, like: Tensor, samples: int, backend: BackendName | None) -> LoopKernel:
+    """Function that takes steps, compiled unless torch is to run them."""
+    loop, chosen = loop_of(program, ((0, 0), (1, 1), (2, 2)), (), ()), choose(backend, like.device)
+    if chosen.differentiable or transforming():
+        return InterpretedLoop(loop)
+    return chosen.loop(loop, like.dtype, like.device, samples)
+
+
+def differential_inverse_kinematics(
+    robot: Robot,
+    q: Tensor,
+    V_des: Tensor,
+    frame: str | None = None,
+    expressed: Literal["body", "world"] = "body",
+    axes: str | Sequence[str] = "pose",
+    dt: Tensor | float | None = None,
+    limits: bool = True,
+    backend: BackendName | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Joint velocities qd [..., n] of the smallest norm with J qd = scale V_des, and the largest scale [...] up to 1.
+
+    The direction of the twist is kept. Joints that stand at a limit are held, and the others take over. The scale is
+    zero where the joints cannot give the twist, as in a singular posture.
+
+    Args:
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
+        V_des: desired components of the twist (angular, linear) [rad/s, m/s], shape [..., m].
+        frame, expressed, axes: as in `torchdq.operational_space`.
+        dt: time [s] within which no joint may leave its limits, a number or shape [...]; None: they do not count.
+        limits: whether joints keep their limits of velocity.
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> qd, scale = differential_inverse_kinematics(robot, q, torch.tensor([0.1, 0.2]).to(q), axes=("x", "y"))
+    >>> (torchdq.jacobian(robot, q, "tip") @ qd)[3:5], scale
+    (tensor([0.1000, 0.2000], dtype=torch.float64), tensor(1., dtype=torch.float64))
+    """
+    require_tensor("q", q)
+    chosen = (frame or require_robot(robot).end_effector().name, expressed, axes_of(axes), *["bounded"] * limits)
+    names = options_of(robot, "differential_inverse_kinematics", chosen)
+    step = None if dt is None else gain("dt", dt, q)
+    qd, scale = function_of(
+        "differential_inverse_kinematics", robot, {"q": q, "V_des": V_des, "dt": step}, backend, names
+    )
+    return qd, scale
