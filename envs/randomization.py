@@ -249,7 +249,8 @@ def _targets(scene: Scene, own: Sequence[int], name: str) -> list[list[Owned]]:
                 shared.setdefault(parts[i].SHAPES[parameter], []).append((i, parameter))
         found, missing = list(shared.values()), "effects with friction, found none; add Viscous()"
     elif name == "gains":
-        found = [[(i, parameter)] for i, part in parts.items() if i == CONTROLLER for parameter in part.SHAPES]
+        control = [part for i, part in parts.items() if i == CONTROLLER]
+        found = [[(CONTROLLER, gain)] for part in control for gain in part.SHAPES if gain not in part.SIGNED]
         missing = "a controller with gains, found none; choose action='residual' or 'reference'"
     else:
         kind, parameter = KINDS[name]

@@ -61,6 +61,9 @@ PROGRAMS = {
     "scene": scene_step,
     "a trained layer": lambda dtype: torchdq.compile(trained().program(parameters="arguments"), dtype=dtype),
     "a controller": lambda dtype: torchdq.compile(controllers.PD(9.0, 3.0).program(trained().robot), dtype=dtype),
+    "control of a frame": lambda dtype: torchdq.compile(
+        controllers.OperationalSpace(100.0, 20.0, axes=("x", "y"), q_null=0.5).program(TWO), dtype=dtype
+    ),
 }
 
 

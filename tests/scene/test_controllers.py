@@ -9,9 +9,10 @@ from messages import refused
 from scenes import ARM, KD, KP, PANDA, TREE
 
 import torchdq
+from torchdq import dq
 from torchdq.envs import Scene, State, effects
 from torchdq.errors import ArgumentError
-from torchdq.scene.controllers import PD, ComputedTorqueController
+from torchdq.scene.controllers import PD, CartesianImpedance, ComputedTorqueController, OperationalSpace
 from torchdq.scene.integrators import ExplicitEuler, RungeKutta4, SemiImplicitEuler
 
 
@@ -132,3 +133,98 @@ def test_a_model_is_copied_when_a_scene_is_made(controller):
     later = dataclasses.replace(given, model=ARM.replace(mass=2 * ARM.mass))
     assert torch.equal(stepped(made(given)), stepped(made(later)))
     assert not torch.equal(stepped(made(given)), found)
+
+
+# --- control of a frame ----------------------------------------------------------------------------------------------
+
+UR = torchdq.robots.load("ur10e")
+SIX = double(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+LAWS = {
+    "pose": (OperationalSpace, ("kp", "kd"), (100.0, 20.0), {}),
+    "gains and posture": (OperationalSpace, ("kp", "kd"), (10 * SIX, 2 * SIX), {"expressed": "world", "q_null": 0.3}),
+    "limits": (OperationalSpace, ("kp", "kd"), (90.0, 9.0), {"axes": ("x", "z"), "limits": True, "damping": 0.1}),
+    "spring": (CartesianImpedance, ("stiffness", "damping"), (300.0, 30.0), {"axes": "position", "q_null": 0.3}),
+    "body": (CartesianImpedance, ("stiffness", "damping"), (90 * SIX, SIX), {"expressed": "body"}),
+}
+
+
+@pytest.mark.parametrize("case", LAWS)
+def test_control_of_a_frame_is_the_function(case):
+    """With gravity in the scene, of the model's mass, and with poses of any norm."""
+    kind, names, gains, more = LAWS[case]
+    q, qd, X = random(4, 7), random(4, 7, seed=1), random(4, 8, seed=2)
+    V, A = random(4, 6, seed=3), random(4, 6, seed=4)
+    law = torchdq.operational_space_control if kind is OperationalSpace else torchdq.cartesian_impedance
+    given = {k: q.new_full((7,), x) if k == "q_null" else x for k, x in more.items()} | dict(
+        zip(names, gains, strict=True)
+    )
+    for model in (None, PANDA.replace(mass=1.1 * PANDA.mass)):
+        tau = law(model or PANDA, q, qd, X, V, *([A] if kind is OperationalSpace else []), **given)
+        controlled = Scene(PANDA, (effects.Gravity(),), kind(*gains, **more, model=model))
+        found = controlled.step(State(q, qd), reference=torch.cat([X, V, A], -1))
+        expected = Scene(PANDA, (effects.Gravity(),)).step(State(q, qd), tau)
+        assert torch.allclose(found.qd, expected.qd, rtol=1e-10, atol=1e-10)
+
+
+def test_small_steps_have_the_poles_of_the_error_equation():
+    """Six of each root of s^2 + kd s + kp, up to the step, around a pose that is held."""
+    q, dt = double(0.1, -1.0, 1.2, 0.3, 0.8, 0.2), 1e-5
+    scene = Scene(UR, (effects.Gravity(),), OperationalSpace(100.0, 29.0), SemiImplicitEuler(), dt)
+    reference = scene.controller.holding(UR, q)
+    assert torch.allclose(scene.step(scene.start(q), reference=reference).q, q, atol=1e-15)
+    poles = torch.linalg.eigvals(scene.linearize(scene.start(q), reference=reference).A).log() / dt
+    assert poles.imag.abs().max() < 1e-3
+    assert torch.allclose(poles.real.sort().values, double(*[-25.0] * 6, *[-4.0] * 6), rtol=1e-3)
+
+
+def test_a_rollout_follows_a_screw_path():
+    """Up to the torque that is held over a step, which is of first order in it."""
+    q, worst = double(0.1, -1.0, 1.2, 0.3, 0.8, 0.2), []
+    X = torchdq.forward_kinematics(UR, q, UR.tip)
+    Y = dq.mul(X, dq.exp(double(0.15, -0.2, 0.1, 0.02, 0.05, 0.02)))
+    for steps in (100, 200):
+        t = torch.arange(steps, dtype=torch.float64) / steps
+        way = dq.screw_path(X, Y, t**2 * (3 - 2 * t), 6 * t * (1 - t), 6 - 12 * t)
+        scene = Scene(UR, (effects.Gravity(),), OperationalSpace(100.0, 20.0), SemiImplicitEuler(), 1 / steps)
+        found = scene.rollout(scene.start(q), reference=torch.cat(way, -1))
+        e = dq.log_shortest(dq.mul(dq.conj(torchdq.forward_kinematics(UR, found.q[-1], UR.tip)), Y)).norm()
+        worst.append(float(e))
+    assert worst[0] < 0.01 and worst[0] / worst[1] == pytest.approx(2.0, rel=0.2)
+
+
+@pytest.mark.parametrize("kind", [OperationalSpace, CartesianImpedance], ids=lambda x: x.__name__)
+def test_gains_of_a_frame_and_a_posture_may_be_learned(kind):
+    """One number for all axes or several, with a gain of the posture for every sample."""
+    q, qd, X = random(2, 3), random(2, 3, seed=1), dq.exp(random(2, 6, seed=2))
+    reference = torch.cat([X, random(2, 12, seed=3)], -1)
+
+    def end(first, second, q_null, k_null):
+        control = kind(first, second, axes="position", q_null=q_null, k_null=k_null)
+        return Scene(TREE, (effects.Gravity(),), control).step(State(q, qd), reference=reference).qd
+
+    gains = [double(30.0)[0], double(4.0, 5.0, 6.0), random(3), double(3.0, 4.0)]
+    assert torch.autograd.gradcheck(end, [x.requires_grad_() for x in gains])
+
+
+def test_a_check_of_steps_holds_the_frame():
+    start = torch.tensor([0.4, 0.9], dtype=torch.float64)
+    control = OperationalSpace(100.0, 20.0, frame=ARM.tip, axes=("x", "y"), expressed="world")
+    scene = Scene(ARM, (effects.Gravity(),), control, dt=0.002)
+    assert scene.check(scene.start(start)).stable
+    assert torch.allclose(scene.step(scene.start(start), reference=control.holding(ARM, start)).q, start, atol=1e-14)
+
+
+WRONG_TASKS = {
+    "a floating base": lambda: Scene(torchdq.robots.load("go2"), controller=OperationalSpace(1.0, 1.0)),
+    "more axes than joints": lambda: Scene(ARM, controller=OperationalSpace(1.0, 1.0)),
+    "a gain too few": lambda: Scene(UR, controller=OperationalSpace((1.0, 1.0), 1.0)),
+    "no damping": lambda: Scene(UR, controller=OperationalSpace(1.0, 1.0, damping=0.0)),
+    "a negative stiffness": lambda: Scene(UR, controller=CartesianImpedance(-1.0, 1.0)),
+    "a learned model": lambda: Scene(ARM, controller=OperationalSpace(1.0, 1.0, axes=("x", "y"), model=LEARNED)),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_TASKS)
+def test_control_of_a_frame_that_cannot_be_is_refused(case):
+    with refused(ArgumentError):
+        WRONG_TASKS[case]()

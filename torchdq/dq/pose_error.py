@@ -65,6 +65,13 @@ def error_rate(e: Screw, xi: Screw) -> Screw:
     return screw.add(screw.sub(xi, screw.scale(0.5, across)), _times(c3, screw.cross(e, across)))
 
 
+def jacobian(x: DualQuaternion) -> tuple[tuple[Number, ...], ...]:
+    """Matrix J(e)^-1 of the error e = 2 log_shortest x of a pose x, row by row."""
+    e, units = error(x), [tuple([float(i == k) for i in range(6)]) for k in range(6)]
+    columns = [error_rate(e, (u[:3], u[3:])) for u in units]
+    return tuple(zip(*[(*p, *d) for p, d in columns], strict=True))
+
+
 def twist_rate(e: Screw, rate: Screw, change: Screw) -> Screw:
     """Rate xi' of the twist under which an error with the rate e' has the second derivative `change`."""
     t2, inner = _Dual(*screw.inner(e, e)), screw.inner(e, rate)

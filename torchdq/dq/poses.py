@@ -12,7 +12,7 @@ from torchdq.algebra import dual_quaternion, quaternion
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Pure, Quaternion
 from torchdq.base.checks import require_number
-from torchdq.dq import explog
+from torchdq.dq import explog, pose_error
 from torchdq.dq.components import (
     checked,
     require_last_row,
@@ -72,6 +72,19 @@ def log_shortest(x: Tensor) -> Tensor:
     return log(torch.where(x[..., :1] < 0, -x, x))
 
 
+def log_jacobian(x: Tensor) -> Tensor:
+    """Jacobian matrix J [..., 6, 6] of e = 2 log_shortest(x) of poses x [..., 8] on twists from the left: e' = J xi.
+
+    xi [..., 6] is the twist (angular, linear) of x' = xi x / 2. For the error of a pose X, x = conj(X) X_des with a goal
+    at rest, that is minus the twist of X in its own axes: e' = -J V. J e = e, and J is regular up to half a turn.
+    Source: the inverse of the left Jacobian of SE(3), Barfoot, State Estimation for Robotics, 2017, section 7.1.5.
+
+    >>> torch.equal(log_jacobian(torch.eye(8)[0]), torch.eye(6))
+    True
+    """
+    return computed(pose_error.jacobian, (6, 6), x=checked("x", x, 8))
+
+
 def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
     """Pose x exp(t log(x* y)) [..., 8] on the shorter screw motion from x (t = 0) to y (t = 1).
 
@@ -90,6 +103,27 @@ def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
         require_number("t", t)
     t = torch.as_tensor(t, dtype=x.dtype, device=x.device)
     return mul(x, exp(t.unsqueeze(-1) * log_shortest(mul(conj(x), y))))
+
+
+def screw_path(
+    x: Tensor, y: Tensor, s: Tensor | float, sd: Tensor | float, sdd: Tensor | float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Pose X [..., 8] on the shorter screw motion from x to y, with its twist V and the rate A [..., 6], in its axes.
+
+        X = x exp(s a),   V = 2 sd a,   A = 2 sdd a,   a = log_shortest(x* y)
+
+    Args:
+        x, y: poses, shape [..., 8].
+        s, sd, sdd: fraction of the way [1] and its derivatives [1/s, 1/s^2], shape [...] or numbers.
+
+    >>> x = torch.eye(8)[0]
+    >>> X, V, A = screw_path(x, exp(torch.tensor([0.0, 0, 0, 1, 2, 3])), 0.5, 0.25, 0.0)
+    >>> translation(X), V  # 2 m along x in four seconds
+    (tensor([1., 2., 3.]), tensor([0.0000, 0.0000, 0.0000, 0.5000, 1.0000, 1.5000]))
+    """
+    X, a = sclerp(x, y, s), 2.0 * log_shortest(mul(conj(x), y))
+    V, A = (torch.as_tensor(k, dtype=x.dtype, device=x.device).unsqueeze(-1) * a for k in (sd, sdd))
+    return X, V, A
 
 
 class ScrewParameters(NamedTuple):
@@ -222,6 +256,33 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
     q = candidates.gather(-2, largest.unsqueeze(-1).expand(*largest.shape, 4)).squeeze(-2)
     q = q / (2.0 * squares.gather(-1, largest).sqrt())
     return torch.where(q[..., :1] < 0, -q, q)
+
+
+def to_rotation_6d(r: Tensor) -> Tensor:
+    """First two columns [..., 6] of the rotation matrix of a unit quaternion [..., 4], one after the other.
+
+    A continuous representation, for the outputs of networks. Source: Zhou et al., On the continuity of rotation
+    representations in neural networks, 2019.
+
+    >>> to_rotation_6d(torch.tensor([0.0, 0, 0, 1]))  # a half turn about z
+    tensor([-1.,  0.,  0.,  0., -1.,  0.])
+    """
+    return to_rotation_matrix(r)[..., :2].mT.flatten(-2)
+
+
+def from_rotation_6d(columns: Tensor) -> Tensor:
+    """Unit quaternion [..., 4] with w >= 0 of two columns [..., 6] of any lengths, the second made orthogonal.
+
+    Rows whose columns are parallel are NaN, since they have no rotation.
+
+    >>> from_rotation_6d(torch.tensor([-2.0, 0, 0, 1, -3, 0]))
+    tensor([0., 0., 0., 1.])
+    """
+    a, b = checked("columns", columns, 6).split(3, -1)
+    x = a / torch.linalg.vector_norm(a, dim=-1, keepdim=True)
+    z = torch.linalg.cross(x, b, dim=-1)
+    z = z / torch.linalg.vector_norm(z, dim=-1, keepdim=True)
+    return from_rotation_matrix(torch.stack([x, torch.linalg.cross(z, x, dim=-1), z], -1))
 
 
 def to_matrix(x: Tensor) -> Tensor:

@@ -107,7 +107,7 @@ class SceneSpec:
     def inputs(self) -> dict[str, int]:
         """Names and widths of everything that may be given at a step."""
         n = self.robot.n
-        found = {"torque": n} if self.controller is None else {"torque": n, "reference": 3 * n}
+        found = {"torque": n} | ({} if self.controller is None else {"reference": self.controller.reference(n)})
         for effect in self.effects:
             found.update(effect.inputs(n))
         return found

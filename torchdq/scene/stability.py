@@ -230,7 +230,7 @@ class _Trial:
         """Inputs of a step; where nothing else is given, sensors read without noise and controllers hold the start."""
         found = dict(self.inputs)
         if self.scene.controller is not None and "reference" not in found:
-            found["reference"] = torch.cat([self.state.q, *[torch.zeros_like(self.state.q)] * 2], -1)
+            found["reference"] = self.scene.controller.holding(self.scene.robot, self.state.q)
         if self.scene.noises:
             found.setdefault("noise", self.state.q.new_full((self.scene.noises,), 0.5))
         return found

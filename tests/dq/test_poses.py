@@ -1,0 +1,104 @@
+"""Jacobian of the logarithm, screw motions in time, and rotations as two columns."""
+
+import math
+
+import mpmath as mp
+import pytest
+import torch
+from helpers import random
+from torch.autograd import gradcheck
+from torch.autograd.functional import jvp
+
+from torchdq import dq
+
+F32, F64 = torch.float32, torch.float64
+ANGLES = [0.0, 1e-12, 1e-4, 0.5, 2.0, 3.0, math.pi - 1e-9]
+
+
+def turned(angle, rows=4):
+    """Twists [rows, 6] that turn by an angle about lines through a neighbourhood of the origin."""
+    axis = torch.nn.functional.normalize(random(rows, 3), dim=-1)
+    return torch.cat([axis * angle, random(rows, 3, seed=1)], -1)
+
+
+def skew(v):
+    return [[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]]
+
+
+def left_jacobian(e):
+    """Sum of ad^k/(k + 1)!, in many digits."""
+    with mp.workdps(40):
+        ad, w, v = mp.zeros(6), skew([mp.mpf(x) for x in e[:3]]), skew([mp.mpf(x) for x in e[3:]])
+        for i in range(3):
+            for k in range(3):
+                ad[i, k] = ad[3 + i, 3 + k] = w[i][k]
+                ad[3 + i, k] = v[i][k]
+        total = term = mp.eye(6)
+        for k in range(1, 60):
+            term = term * ad / (k + 1)
+            total += term
+        return total
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_the_jacobian_of_the_logarithm_inverts_the_series_of_the_left_jacobian(angle):
+    e = turned(angle)
+    for row, J in zip(e, dq.log_jacobian(dq.exp(0.5 * e)), strict=True):
+        with mp.workdps(40):
+            error = mp.matrix(J.tolist()) * left_jacobian(row.tolist()) - mp.eye(6)
+            assert max(map(abs, error)) < 1e-14 * (1 + angle**2)
+    half = dq.log_jacobian(dq.exp(0.5 * e).float())
+    assert (half - dq.log_jacobian(dq.exp(0.5 * e))).abs().max() < 3e-5
+
+
+@pytest.mark.parametrize("angle", ANGLES[:-1])
+def test_the_jacobian_of_the_logarithm_is_the_derivative_of_the_error(angle):
+    """For both signs of the pose; with gradients of its own."""
+    x = dq.exp(0.5 * turned(angle))
+    for sign in (1.0, -1.0):
+        for k, row in enumerate(torch.eye(6, dtype=F64)):
+
+            def error(t, row=row, sign=sign):
+                return 2 * dq.log_shortest(sign * dq.mul(dq.exp(0.5 * t * row), x))
+
+            _, rate = jvp(error, torch.zeros((), dtype=F64), torch.ones((), dtype=F64))
+            assert torch.allclose(dq.log_jacobian(x)[..., k], rate, rtol=1e-13, atol=1e-13)
+    assert gradcheck(lambda e: dq.log_jacobian(dq.exp(0.5 * e)), turned(angle + 0.1, 1).requires_grad_())
+
+
+def test_a_screw_path_has_the_twist_and_its_rate():
+    """X' = X V / 2 and V' = A by automatic derivatives in time, from the start to the goal."""
+    x, y = dq.exp(random(3, 6)), dq.exp(random(3, 6, seed=1))
+
+    def way(t):
+        return t**3 * (10 - 15 * t + 6 * t**2), 30 * t**2 * (1 - t) ** 2, 60 * t * (1 - t) * (1 - 2 * t)
+
+    one = torch.ones((), dtype=F64)
+    for t in (0.2, 0.5, 0.9):
+        at = torch.tensor(t, dtype=F64)
+        (X, V), (Xd, Vd) = jvp(lambda t: dq.screw_path(x, y, *way(t))[:2], at, one)
+        twist = torch.cat([0 * V[..., :1], V[..., :3], 0 * V[..., :1], V[..., 3:]], -1)
+        assert torch.allclose(Xd, 0.5 * dq.mul(X, twist), atol=1e-13)
+        assert torch.allclose(Vd, dq.screw_path(x, y, *way(at))[2], atol=1e-12)
+    ends = [dq.screw_path(x, y, s, 0.0, 0.0)[0] for s in (0.0, 1.0)]
+    for found, expected in zip(ends, (x, y), strict=True):
+        assert torch.allclose(dq.to_matrix(found), dq.to_matrix(expected), atol=1e-13)
+
+
+def test_six_numbers_are_two_columns_of_a_rotation():
+    r = torch.nn.functional.normalize(random(50, 4), dim=-1)
+    r = torch.where(r[:, :1] < 0, -r, r)
+    columns = dq.to_rotation_6d(r)
+    assert torch.equal(columns, dq.to_rotation_matrix(r)[..., :2].mT.reshape(50, 6))
+    assert torch.allclose(dq.from_rotation_6d(columns), r, atol=1e-15)
+    a, b = columns.split(3, -1)
+    assert torch.allclose(dq.from_rotation_6d(torch.cat([3 * a, 0.2 * b - 7 * a], -1)), r, atol=1e-14)
+    assert gradcheck(dq.from_rotation_6d, random(3, 6).requires_grad_())
+
+
+def test_nearly_parallel_columns_give_a_rotation_and_parallel_ones_none():
+    close = torch.tensor([1.0, 0, 0, 1, 1e-6, 0], dtype=F32)
+    assert torch.allclose(dq.from_rotation_6d(close), torch.eye(4)[0])
+    found = dq.from_rotation_6d(torch.tensor([[1.0, 0, 0, 2, 0, 0], [1.0, 0, 0, 0, 1, 0]]))
+    assert found[0].isnan().all()
+    assert torch.equal(found[1], torch.eye(4)[0])
