@@ -12,12 +12,18 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import and_more, is_number, matching, require_choice, require_tensor
+from torchdq.dq.formulas import computed
 from torchdq.effects import Effect
-from torchdq.envs.tasks import velocities
+from torchdq.envs.pose_actions import POSITION, ROTATION, PoseActions
+from torchdq.envs.tasks import ranges, velocities
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
+from torchdq.scene.controllers import ComputedTorqueController, Controller, OperationalSpace, TaskController
+from torchdq.scene.defaults import nominal_robot
+from torchdq.scene.scene import Scene
 
-Kind = Literal["reference", "target", "torque", "residual"]
+Kind = Literal["reference", "target", "torque", "residual", "pose"]
+KP, KD = 100.0, 20.0  # gains of the default controllers [1/s^2, 1/s]
 SHARE = {"torque": 1.0, "residual": 0.2}  # full action as a share of the torque limits
 OFFSET = 0.25  # full action of a servo's target [rad or m]
 HORIZON = 0.2  # time in which a joint at its velocity limit moves by a full reference action [s]
@@ -30,7 +36,13 @@ class Actions:
     kind: Kind
     robot: Robot
     joints: tuple[int, ...]  # the k actuated ones, in the order of the columns
-    scale: Tensor  # [n] size of a full action, zero for passive joints [N m or N; rad or m of a reference or target]
+    scale: Tensor  # [n] size of a full action, zero for passive joints [N m or N; rad or m]; [k] of a pose
+    pose: PoseActions | None = None  # None: actions are of joints
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What every number of an action moves."""
+        return tuple([self.robot.joint_names[i] for i in self.joints]) if self.pose is None else self.pose.names
 
     def clipped(self, actions: Any, num_envs: int, looks: bool = True) -> tuple[Tensor, Tensor]:
         """Actions [N, n] within their bounds, zero for passive joints, and the number clipped in each row [N].
@@ -47,9 +59,10 @@ class Actions:
             raise ArgumentError(
                 f"actions must be a tensor or an array of numbers, found {type(actions).__name__} ({error})"
             ) from error
-        shape = (num_envs, len(self.joints))
+        shape = (num_envs, len(self.names))
         if found.shape != shape:
             what = "joint" if shape[1] == self.robot.n else "actuated joint"
+            what = what if self.pose is None else f"of {' '.join(self.names)}"
             raise ArgumentError(
                 f"actions must have the shape {shape}, one row for each environment and one number for each {what} of "
                 f"robot {self.robot.name!r}, found {tuple(found.shape)}"
@@ -71,13 +84,13 @@ class Actions:
         if not math.isfinite(actions.sum().item()) and len(bad := (~actions.isfinite()).nonzero()):
             row, joint = bad[0, -2:].tolist()
             raise ArgumentError(
-                f"actions must be finite, found {actions[tuple(bad[0])].item()} in row {row} for joint "
-                f"{self.robot.joint_names[self.joints[joint]]!r}{and_more(bad)}; that step was not taken"
+                f"actions must be finite, found {actions[tuple(bad[0])].item()} in row {row} for "
+                f"{'joint' if self.pose is None else 'axis'} {self.names[joint]!r}{and_more(bad)}; that step was not taken"
             )
 
     def _of_all_joints(self, actions: Tensor) -> Tensor:
         """Actions [N, n] of those of the actuated joints."""
-        if self.joints == tuple(range(self.robot.n)):  # in the order of the robot
+        if self.pose is not None or self.joints == tuple(range(self.robot.n)):  # in the order of the robot
             return actions
         columns = [torch.zeros_like(actions[:, 0])] * self.robot.n
         for joint, column in zip(self.joints, actions.unbind(1), strict=True):
@@ -85,7 +98,10 @@ class Actions:
         return torch.stack(columns, 1)
 
     def inputs(self, actions: Tensor, reference: Tensor) -> dict[str, Tensor]:
-        """Inputs of a scene for actions [N, n], at the task's reference [N, 3 n]."""
+        """Inputs of a scene for actions [N, n], at the task's reference [N, 3 n]; or [N, k], at a pose [N, 8]."""
+        if self.pose is not None:
+            X = computed(self.pose.moved, x=reference, action=actions, scale=self.scale)
+            return {"reference": torch.nn.functional.pad(X, (0, 12))}
         scaled = actions * self.scale
         if self.kind == "torque":
             return {"torque": scaled}
@@ -123,7 +139,7 @@ def kind_of(action: Kind | None, robot: Robot, joints: Sequence[int], effects: S
             f"action must be 'target' where effects have a Servo, and only there, found {action!r}"
             + ("" if servo else "; add effects.Servo(kp, kd)")
         )
-    if passive and action in ("reference", "residual"):
+    if passive and action in ("reference", "residual", "pose"):
         raise ArgumentError(
             f"action must be 'torque' or 'target' where joints are passive, found {action!r}: its controller would "
             f"drive {', '.join(passive)}, too"
@@ -131,17 +147,55 @@ def kind_of(action: Kind | None, robot: Robot, joints: Sequence[int], effects: S
     return action
 
 
-def full(robot: Robot, kind: Kind, scale: float | Sequence[float] | None, joints: Sequence[int]) -> list[float]:
-    """Size of a full action of every joint, zero for passive ones; None: derived from the robot's limits."""
-    found = [0.0] * robot.n
+def with_controller(scene: Scene, kind: Kind, controller: Controller | None) -> Scene:
+    """Scene with the controller of the actions; None: one that knows the rigid bodies as described."""
+    if kind not in ("reference", "residual", "pose"):
+        if controller is not None:
+            raise ArgumentError(f"controller must be None for {kind} actions; did you mean action='residual'?")
+        return scene
+    if controller is not None:
+        if isinstance(controller, TaskController) != (kind == "pose"):
+            wanted = "OperationalSpace" if kind == "pose" else "ComputedTorqueController"
+            raise ArgumentError(
+                f"controller must be one of {'a frame' if kind == 'pose' else 'joints'} for {kind} actions, such as "
+                f"{wanted}, found {type(controller).__name__}"
+            )
+        return scene.replace(controller=controller)
+    model = nominal_robot(scene)
+    if kind != "pose":
+        return scene.replace(controller=ComputedTorqueController(KP, KD, model))
+    middle = tuple([r.lower + 0.5 * r.span for r in ranges(scene.robot)])
+    firm = OperationalSpace(4 * KP, 2 * KD, expressed="world", q_null=middle, model=model)
+    return scene.replace(controller=firm)
+
+
+def pose_of_actions(controller: Controller | None, leash: tuple[float, float]) -> PoseActions | None:
+    """What actions displace, with a leash [rad, m]; None: they are of joints."""
+    if not (isinstance(leash, Sequence) and len(leash) == 2 and all(is_number(x) and x >= 0 for x in leash)):
+        raise ArgumentError(f"leash must be two numbers that are not negative [rad, m], found {leash!r}")
+    task = controller.task if isinstance(controller, TaskController) else None
+    return None if task is None else PoseActions(task, (float(leash[0]), float(leash[1])))
+
+
+def full(
+    robot: Robot,
+    kind: Kind,
+    scale: float | Sequence[float] | None,
+    joints: Sequence[int],
+    pose: PoseActions | None = None,
+) -> list[float]:
+    """Size of a full action of every joint, zero for passive ones, or of a pose; None: from the robot's limits."""
+    found, number = [0.0] * robot.n, len(joints if pose is None else pose.names)
     if scale is not None:
         given = scale.tolist() if isinstance(scale, np.ndarray | Tensor) else scale
-        numbers = list(given) if isinstance(given, Sequence) else [given] * len(joints)
-        if len(numbers) != len(joints) or not all(is_number(x) and 0 < x < math.inf for x in numbers):
+        numbers = list(given) if isinstance(given, Sequence) else [given] * number
+        if len(numbers) != number or not all(is_number(x) and 0 < x < math.inf for x in numbers):
             raise ArgumentError(
-                f"scale must be a positive number or {len(joints)} of them, one for each joint in actuated, found "
-                f"{scale!r}"
+                f"scale must be a positive number or {number} of them, one for each "
+                f"{'joint in actuated' if pose is None else 'axis'}, found {scale!r}"
             )
+    elif pose is not None:
+        numbers = [ROTATION if name.startswith("r") else POSITION for name in pose.names]
     elif kind == "target":
         numbers = [OFFSET] * len(joints)
     elif kind == "reference":
@@ -149,6 +203,8 @@ def full(robot: Robot, kind: Kind, scale: float | Sequence[float] | None, joints
         numbers = [HORIZON * limits[i] for i in joints]
     else:
         numbers = [SHARE[kind] * robot.limits.effort[i].item() for i in joints]
+    if pose is not None:
+        return numbers
     for i, x in zip(joints, numbers, strict=True):
         if not 0 < x < math.inf:
             raise ArgumentError(

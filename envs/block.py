@@ -14,8 +14,10 @@ from typing import Any, NamedTuple
 
 from torchdq.backends.call import Computation, Shape
 from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.dq.components import form
 from torchdq.dynamics.posed import Row
 from torchdq.envs.actions import Kind
+from torchdq.envs.pose_actions import PoseActions
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.reset import KEPT
 from torchdq.envs.tasks import STATE
@@ -23,6 +25,7 @@ from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import at_least, clip, maximum, select
 from torchdq.program.loop import Chain, Link
 from torchdq.program.program import Argument, Program, record
+from torchdq.scene.free_base import TWIST
 from torchdq.scene.policies import NetworkForm
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import Rows
@@ -40,6 +43,7 @@ class _BlockFields(NamedTuple):
     network: NetworkForm  # policy
     kind: Kind  # meaning of the actions
     joints: tuple[int, ...]  # that they move
+    pose: PoseActions | None  # that they displace instead
     pushes: tuple[tuple[str, Pushes], ...]
     carried: tuple[str, ...]  # rows that a new episode replaces
     asked: tuple[str, ...]  # arguments of the step, in its order
@@ -63,9 +67,14 @@ class Block(_BlockFields, Computation):
 
     def results(self, program: Program) -> tuple[Shape, ...]:
         """Trailing axes of the results: none of flags and numbers of the task."""
-        rows = {"action": (len(self.joints),), "final": self.axes("observation")} | dict(self.own)
+        rows = {"action": (self.number,), "final": self.axes("observation")} | dict(self.own)
         sizes = [(name, len(values)) for name, values, _ in program.results]
         return tuple([rows.get(name, () if size == 1 else (size,)) for name, size in sizes])
+
+    @property
+    def number(self) -> int:
+        """Number of actions."""
+        return len(self.joints if self.pose is None else self.pose.names)
 
     def program(self, arguments: tuple[Argument, ...]) -> Any:
         """Chain of policy, step and end."""
@@ -77,25 +86,36 @@ class Block(_BlockFields, Computation):
         """Actions of the policy, the inputs of the step, and what they change: pushes, and whether one is over."""
         weights = {name.removeprefix(WEIGHT): row for name, row in rows.items() if name.startswith(WEIGHT)}
         output, (unit,) = self.network.recorded(rows["observation"], weights), rows["unit"]
-        if len(output) != len(self.joints):
-            raise ArgumentError(f"policy must return {len(self.joints)} numbers, one per action, found {len(output)}")
+        if len(output) != self.number:
+            raise ArgumentError(f"policy must return {self.number} numbers, one per action, found {len(output)}")
         noise = rows.get("noise of actions", [0.0] * len(output))
         found: Rows = {"action": [unit * (x + y) for x, y in zip(output, noise, strict=True)]}
-        n, reference, dt = self.stage.spec.robot.n, rows["reference"], self.stage.spec.dt
-        action: list = [0.0] * n
-        for joint, x in zip(self.joints, found["action"], strict=True):
-            action[joint] = clip(x, -1.0, 1.0)
-        # bounded once more, since a compiler may contract a product with a sum that follows
-        scaled = [clip(s * x, -s, s) for s, x in zip(rows["scale"], action, strict=True)]
+        dt = self.stage.spec.dt
+        action = [clip(x, -1.0, 1.0) for x in found["action"]]
+        if self.pose is None:
+            action, meant = self._of_joints(action, rows)
+        else:
+            X = self.pose.moved(form(rows["reference"]), action, rows["scale"])
+            meant = {"reference": [*X[0], *X[1], *[0.0] * (2 * TWIST)]}
         before, after = (maximum(k * dt, 0.0) for k in (rows["steps"][0], rows["steps"][0] + 1.0))
-        moved = [a + b for a, b in zip(reference[:n], scaled, strict=True)]
-        meant = {"target": {"target": moved}, "reference": {"reference": [*moved, *reference[n:]]}}
-        found |= {GIVEN + name: row for name, row in meant.get(self.kind, {"torque": scaled}).items()}
+        found |= {GIVEN + name: row for name, row in meant.items()}
         found |= {GIVEN + "action": action, GIVEN + "time": [after], "over": []}
         for name, pushes in self.pushes:
             found[GIVEN + name], found[AFTER + name], over = pushes.recorded(before, rows[name], rows[SPARE + name])
             found["over"] = [*found["over"], over]
         return found
+
+    def _of_joints(self, actions: Row, rows: Mapping[str, Row]) -> tuple[Row, Rows]:
+        """Actions of all joints, and what they mean as an input of the scene."""
+        n, reference = self.stage.spec.robot.n, rows["reference"]
+        action: list = [0.0] * n
+        for joint, x in zip(self.joints, actions, strict=True):
+            action[joint] = x
+        # bounded once more, since a compiler may contract a product with a sum that follows
+        scaled = [clip(s * x, -s, s) for s, x in zip(rows["scale"], action, strict=True)]
+        moved = [a + b for a, b in zip(reference[:n], scaled, strict=True)]
+        meant = {"target": {"target": moved}, "reference": {"reference": [*moved, *reference[n:]]}}
+        return action, meant.get(self.kind, {"torque": scaled})
 
     def end(self, rows: Mapping[str, Row]) -> Rows:
         """Ends of episodes, the task's rows, and what is carried to the next step, in new episodes if those ended."""

@@ -21,6 +21,7 @@ from torchdq.envs.torch_task import Functions, require_finite_start
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.scene.defaults import mean_robot
+from torchdq.scene.free_base import POSE
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 from torchdq.scene.spec import Task
@@ -96,7 +97,12 @@ class Reset:
         n = self.scene.n
         own = {name: wide for name, wide in self.checked.inputs(n).items() if name in ("goal", "carry")}
         own |= dict.fromkeys(self.pushes, WIDTH)
-        widths = {**self.scene.spec.state, **own, "reference": 3 * n, "observation": width}
+        widths = {
+            **self.scene.spec.state,
+            **own,
+            "reference": 3 * n if self.checked.pose is None else POSE,
+            "observation": width,
+        }
         found = {name: torch.zeros(num_envs, wide, dtype=dtype, device=device) for name, wide in widths.items()}
         found["steps"] = torch.zeros(num_envs, dtype=torch.int32, device=device)
         found["finished"] = torch.zeros(num_envs, dtype=torch.bool, device=device)

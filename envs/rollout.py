@@ -146,11 +146,12 @@ class Blocks:
         scene, checked, kind = self.reset.scene, self.reset.checked, self.actions.kind
         wanted = checked.task.inputs(scene.n)
         inputs: list[str] = [name for name in ("goal", "carry", "time", "action") if name in wanted]
-        inputs += {"torque": ["torque"], "residual": ["torque", "reference"]}.get(kind, [kind])
+        meant = {"torque": ["torque"], "residual": ["torque", "reference"], "pose": ["reference"]}
+        inputs += meant.get(kind, [kind])
         state = [name for name in STATE if name in scene.spec.state]
         asked = (*state, *inputs, *self.reset.pushes, *(["noise"] if scene.noises else []), *scene.parameters)
         pushes, stage = tuple(self.reset.pushes.items()), Stage(scene.spec, "step", checked)
-        return Block(stage, policy.form, kind, self.actions.joints, pushes, carried, asked, own)
+        return Block(stage, policy.form, kind, self.actions.joints, self.actions.pose, pushes, carried, asked, own)
 
     def _following(self, buffers: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Buffers and parameters of every row's next episode, drawn where those at hand were taken."""

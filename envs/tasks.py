@@ -27,6 +27,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.posed import Posed, Row
+from torchdq.envs.pose_actions import PoseActions
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.posed import frame, posed
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
@@ -263,10 +264,12 @@ class Plain(EpisodeTask):
 class Checked:
     """A task whose rows are checked while they are recorded, and whose numbers are checked at every step.
 
-    It adds the row "valid" [1]: 1, or 0 where the simulation has failed.
+    It adds the row "valid" [1]: 1, or 0 where the simulation has failed. Where actions displace a pose, that is the
+    row "reference".
     """
 
     task: EpisodeTask
+    pose: PoseActions | None = None
 
     def inputs(self, n: int) -> dict[str, int]:
         """Inputs of the task."""
@@ -277,7 +280,7 @@ class Checked:
                 f"{type(self.task).__name__}.inputs must give the width of 'goal', may give that of 'carry', and may "
                 f"ask for {known}, found {found}"
             )
-        return found
+        return found | ({"action": len(self.pose.names)} if self.pose and "action" in found else {})
 
     def start(self, robot: Robot, u: Row) -> Rows:
         """Rows of the task at a start."""
@@ -298,7 +301,8 @@ class Checked:
         rows = self._rows("rows", self.task.rows(view), widths)
         # NaN and infinity survive sums; positions follow the velocities
         squares = [x * x for x in (*view.qd, *view.V_WB_B, *rows["reward"], sum(rows["observation"], 0.0))]
-        return {**rows, "valid": [at_least(SENSIBLE**2, sum(squares, 0.0))]}
+        followed = {} if self.pose is None else {"reference": self.pose.reference(view)}
+        return {**rows, **followed, "valid": [at_least(SENSIBLE**2, sum(squares, 0.0))]}
 
     def _rows(self, method: str, rows: Any, widths: Mapping[str, int]) -> Rows:
         """Rows that a method of the task returned; raises unless those of the widths are there, as lists of numbers."""
@@ -420,4 +424,4 @@ def within(row: Row, bounds: Sequence[tuple[float, float]]) -> list[Number]:
 def cost(view: View) -> Number:
     """Cost of the action; zero if there was none."""
     action = view.inputs.get("action", ())
-    return (EFFORT / len(view.q)) * sum((a * a for a in action), 0.0) if action else 0.0
+    return (EFFORT / len(action)) * sum((a * a for a in action), 0.0) if action else 0.0

@@ -41,7 +41,7 @@ from torchdq.base.checks import (
     tensor_of,
 )
 from torchdq.effects import Effect
-from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of
+from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of, pose_of_actions, with_controller
 from torchdq.envs.block import WORST
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Randomise, randomised
@@ -57,15 +57,14 @@ from torchdq.functions.posed import GEOMETRY
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.shipped import load
-from torchdq.scene.controllers import ComputedTorqueController, Controller
-from torchdq.scene.defaults import default_effects, mean_robot, nominal_robot
+from torchdq.scene.controllers import Controller
+from torchdq.scene.defaults import default_effects, mean_robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.loops import loops
 from torchdq.scene.policies import Network
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
-KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
 _HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
 _RESTORED = (*STATE, *KEPT)  # buffers set back after a failed step
 
@@ -93,10 +92,15 @@ class ArmVectorEnv(VectorEnv):
             the motion to track, in "reach" the position at the start of each step. There an offset tells a joint where
             to go from where it is, and without offsets the arm comes to rest. None: "target" if there is a servo, or
             "reference", or "torque" if some joints are passive or the base floats.
-        controller: controller of residual and reference actions; None: computed torque of the rigid bodies as
-            described, which knows nothing of friction or of what is randomised; a floating base needs another one.
-        scale: size of a full action [N m or N; rad or m for "reference" and "target"], one number or k, in the order
-            of `actuated`; None: as above.
+            "pose": displacements of the desired pose of the controller's frame in the axes of its error, a rotation
+            vector and a displacement, full ones 0.5 rad and 0.05 m; the task's reference is not followed.
+        controller: controller of residual, reference and pose actions; None: computed torque, or operational space of
+            the tip in axes of the world, of the rigid bodies as described, which knows nothing of friction or of what
+            is randomised; a floating base needs another one.
+        scale: size of a full action [N m or N; rad or m for "reference", "target" and "pose"], one number or k, in the
+            order of `actuated`, or of the controller's axes; None: as above.
+        leash: for "pose", the farthest that the desired pose is from the measured one after a step [rad, m]; (0, 0):
+            actions displace the measured pose.
         actuated: names or patterns of the joints that actions move, one column each in the order given, those of a
             pattern in the order of the robot; None: all. The others are passive: they get no torque, from actions or a
             controller, and `action` is "torque" or "target", where the servo's gains say how firmly they are held.
@@ -139,6 +143,7 @@ class ArmVectorEnv(VectorEnv):
         action: Kind | None = None,
         controller: Controller | None = None,
         scale: float | Sequence[float] | None = None,
+        leash: tuple[float, float] = (1.0, 0.3),
         actuated: str | Sequence[str] | None = None,
         integrator: Integrator | None = None,
         dt: float = 0.02,
@@ -188,24 +193,22 @@ class ArmVectorEnv(VectorEnv):
             "render_modes": ["rgb_array", "human"],
             "render_fps": max(1, round(1 / dt)),
         }
-        if kind in ("reference", "residual"):
-            scene = scene.replace(controller=controller or ComputedTorqueController(KP, KD, nominal_robot(scene)))
-        elif controller is not None:
-            raise ArgumentError(f"controller must be None for {kind} actions; did you mean action='residual'?")
+        scene = with_controller(scene, kind, controller)
+        pose = pose_of_actions(scene.controller, leash)
         self._pushes: Mapping[str, Pushes] = chosen.get("pushes", {})
         _check_scene(scene, num_envs, self._pushes)
         self.scene, self._randomised = randomised(scene.to(self.device), chosen.get("randomise", {}), num_envs, like)
         if kind == kind_of(None, self.robot, joints, scene.effects):
             scale = chosen.get("scale")  # of the actions that the task is made for
-        size = torch.as_tensor(full(self.robot, kind, scale, joints)).to(like)
-        self._actions = Actions(kind, self.robot, joints, size)
-        self._checked = Checked(self.task)
+        size = torch.as_tensor(full(self.robot, kind, scale, joints, pose)).to(like)
+        self._actions = Actions(kind, self.robot, joints, size, pose)
+        self._checked = Checked(self.task, pose)
         self._functions = None if functions is None else Functions.of(functions, self.robot, self.scene, self.device)
         self._reset = Reset(self.scene, self._checked, self._randomised, self._pushes, self._functions)
         bounds = functions.bounds if functions and functions.bounds is not None else self.task.bounds(self.robot)
         low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
         self.single_observation_space = Box(low, high, dtype=low.dtype.type)
-        self.single_action_space = Box(-1.0, 1.0, (len(joints),), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (len(self._actions.names),), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         # single numbers as tensors, since torch takes 2 us to make one
@@ -346,7 +349,7 @@ class ArmVectorEnv(VectorEnv):
         """
         self._started("rollout")
         require_count("steps", steps)
-        shape = (steps, self.num_envs, len(self._actions.joints))
+        shape = (steps, self.num_envs, len(self._actions.names))
         if noise is not None:
             require_tensor("noise", noise)
             if noise.shape != shape:

@@ -320,7 +320,7 @@ class CartesianImpedance(TaskController):
     >>> import torchdq
     >>> from torchdq.scene import controllers
     >>> control = controllers.CartesianImpedance(stiffness=300.0, damping=30.0, axes="position")
-    >>> control.program(torchdq.robots.load("ur10e")).arguments[0].size
+    >>> control.program(torchdq.robots.load("ur10e")).arguments[0].width
     20
     """
 

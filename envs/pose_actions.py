@@ -1,0 +1,75 @@
+"""Actions that displace the desired pose of a frame, which a controller of `torchdq.scene.controllers` follows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.quaternion import Number, Pure, Quaternion
+from torchdq.dq import pose_error
+from torchdq.dq.explog import entire
+from torchdq.dq.formulas import numbers
+from torchdq.dynamics.task_space import COMPONENTS, Task
+from torchdq.functions.task_space import pose_of
+from torchdq.numbers.functions import at_least, maximum, select, sqrt
+from torchdq.scene.spec import View
+
+POSITION, ROTATION = 0.05, 0.5  # full actions, as in robosuite [m, rad]
+
+
+class PoseActions(NamedTuple):
+    """Displacements of the desired pose of a frame, in the axes in which the controller has its error."""
+
+    task: Task  # the frame and its axes
+    leash: tuple[float, float]  # farthest that the desired pose is from the measured one [rad, m]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the numbers of an action: a rotation vector, and a displacement."""
+        return tuple([COMPONENTS[r] for r in self.task.rows])
+
+    def moved(self, x: DualQuaternion, action: Any, scale: Any) -> DualQuaternion:
+        """Desired pose x after an action in [-1, 1], whose rotation vector is at most as long as one full component."""
+        six, sizes = [0.0] * 6, [0.0] * 6
+        for r, a, s in zip(self.task.rows, numbers(action), numbers(scale), strict=True):
+            six[r], sizes[r] = a, s
+        longest = 1.0 / sqrt(maximum(quat.norm2(tuple(six[:3])), 1.0))
+        turn, d = ([s * a for s, a in zip(sizes[k : k + 3], six[k : k + 3], strict=True)] for k in (0, 3))
+        r, d = _turned(quat.scale(longest, tuple(turn))) if min(self.task.rows) < 3 else quat.ONE, tuple(d)
+        if self.task.world:
+            return dq.from_pose(quat.mul(r, x[0]), quat.add(dq.translation(x), d))
+        return dq.mul(x, dq.from_pose(r, d))
+
+    def reference(self, view: View) -> list[Number]:
+        """Desired pose after a step, within the leash; at a start the measured one."""
+        X = pose_of(view.posed(view.reading[: len(view.q)]), self.task)
+        if "reference" in view.inputs:
+            row = view.inputs["reference"]
+            goal = pose_error.unit((tuple(row[:4]), tuple(row[4:8])))
+            p = dq.translation(X)
+            e = pose_error.error((quat.mul(quat.conj(X[0]), goal[0]), dq.ZERO))[0]
+            d = quat.sub(dq.translation(goal), p)
+            (turns, e), (moves, d) = (_shortened(v, most) for v, most in zip((e, d), self.leash, strict=True))
+            r = _where(turns, goal[0], quat.mul(X[0], _turned(e)))
+            X = dq.from_pose(r, _where(moves, dq.translation(goal), quat.add(p, d)))
+        return [*X[0], *X[1]]
+
+
+def _turned(v: Pure) -> Quaternion:
+    """Rotation by a rotation vector."""
+    half = quat.scale(0.5, v)
+    cos, sinc, _ = entire(half, None)
+    return (cos, *quat.scale(sinc, half))
+
+
+def _shortened(v: Pure, most: float) -> tuple[Number, Pure]:
+    """Whether a vector is at most so long, and the vector cut to that."""
+    square, most = quat.norm2(v), max(most, 1e-12)
+    return at_least(most * most, square), quat.scale(most / sqrt(maximum(square, most * most)), v)
+
+
+def _where(chosen: Number, a: Sequence[Number], b: Sequence[Number]) -> tuple[Number, ...]:
+    return tuple([select(chosen, x, y) for x, y in zip(a, b, strict=True)])

@@ -1,0 +1,163 @@
+"""Actions that displace a desired pose: what they mean, how far it may be ahead, and how an arm follows."""
+
+import math
+
+import pytest
+import torch
+from helpers import random
+from messages import refused
+from small_envs import PARTS, ROBOT, assert_as_stepped, policy_of, started
+
+import torchdq
+from torchdq import dq
+from torchdq.dq.formulas import computed
+from torchdq.dynamics.task_space import Task
+from torchdq.envs import ArmVectorEnv, controllers, effects
+from torchdq.envs.pose_actions import PoseActions
+from torchdq.errors import ArgumentError
+
+PLANAR = controllers.OperationalSpace(100.0, 20.0, axes=("x", "y"), expressed="world")
+POSE = {"action": "pose", "scale": None, "controller": PLANAR, "dtype": torch.float64}
+ONE = ((1.0, 0.0, 0.0, 0.0), (0.0,) * 4)
+
+
+def turned(v):
+    """Rotation matrices of rotation vectors."""
+    x, y, z = v.unbind(-1)
+    skew = torch.stack([0 * x, -z, y, z, 0 * x, -x, -y, x, 0 * x], -1).unflatten(-1, (3, 3))
+    return torch.matrix_exp(skew)
+
+
+@pytest.mark.parametrize("world", [True, False], ids=["world", "body"])
+def test_an_action_turns_about_the_frame_and_displaces_it_in_the_controllers_axes(world):
+    """A rotation vector longer than one full component is cut to that."""
+    X, action = dq.exp(random(20, 6)), 2 * torch.rand(20, 6, dtype=torch.float64, generator=torch.Generator()) - 1
+    scale = torch.tensor([0.5] * 3 + [0.05] * 3, dtype=torch.float64)
+    found = dq.to_matrix(computed(PoseActions(Task(1, ONE, world), (1.0, 1.0)).moved, x=X, action=action, scale=scale))
+    turn = action[:, :3] / action[:, :3].norm(dim=-1, keepdim=True).clamp(min=1.0)
+    step, before = turned(0.5 * turn), dq.to_matrix(X)
+    R, d = before[:, :3, :3], 0.05 * action[:, 3:]
+    assert torch.allclose(found[:, :3, :3], step @ R if world else R @ step, atol=1e-14)
+    moved = d if world else (R @ d.unsqueeze(-1)).squeeze(-1)
+    assert torch.allclose(found[:, :3, 3], before[:, :3, 3] + moved, atol=1e-14)
+    assert (action[:, :3].norm(dim=-1) > 1).any()
+
+
+def test_axes_that_the_controller_leaves_out_are_not_moved():
+    X, task = dq.exp(random(5, 6)), Task(1, ONE, True, (5, 2))
+    found = computed(PoseActions(task, (1.0, 1.0)).moved, x=X, action=random(5, 2), scale=torch.ones(2).double())
+    step = dq.to_matrix(dq.mul(found, dq.conj(X)))[:, :3, :3]
+    assert torch.allclose(step[:, 2, :], torch.eye(3).double()[2], atol=1e-14)
+    assert torch.allclose(found[:, :1] * 0, (dq.translation(found) - dq.translation(X))[:, :1], atol=1e-14)
+
+
+def test_no_action_holds_the_desired_pose_under_a_load_and_follows_the_measured_one_down():
+    loaded = (effects.Gravity(), effects.Viscous(2.0), effects.Payload(0.5))
+    heights = []
+    for leash in ((1.0, 0.3), (0.0, 0.0)):
+        envs = started(4, effects=loaded, leash=leash, max_episode_steps=None, **POSE)
+        before = envs._buffers["reference"].clone()
+        for _ in range(300):
+            envs.step(torch.zeros(4, 2))
+        assert torch.allclose(envs._buffers["reference"], before, atol=1e-12) == (leash[0] > 0)
+        after = torchdq.forward_kinematics(ROBOT, envs.state.q, ROBOT.tip)
+        heights.append((dq.translation(before) - dq.translation(after)).norm(dim=-1))
+    assert (heights[0] < 0.3).all() and (heights[1] > 2 * heights[0]).all()
+
+
+def test_the_desired_pose_stays_within_the_leash_of_the_measured_one():
+    envs = started(4, leash=(1.0, 0.04), max_episode_steps=None, effects=PARTS[:4], **POSE)
+    for k in range(40):
+        envs.step(torch.ones(4, 2) if k < 20 else -torch.ones(4, 2))
+        X = torchdq.forward_kinematics(ROBOT, envs.state.q, ROBOT.tip)
+        ahead = (dq.translation(envs._buffers["reference"]) - dq.translation(X)).norm(dim=-1)
+        assert (ahead < 0.04 + 1e-12).all()
+    assert (ahead > 0.03).any()
+    turn, _ = _leashed(dq.exp(0.5 * random(9, 6)), dq.exp(0.5 * random(9, 6, seed=1)), (0.2, 1e9))
+    assert torch.allclose(turn, torch.full_like(turn, 0.2), atol=1e-12)
+
+
+def _leashed(goal, X, leash):
+    """Turn and distance of the pose that is followed from a measured one."""
+
+    class View:
+        def __init__(self, x, g):
+            self.q, self.reading, self.inputs = (), (), {"reference": [*g[0], *g[1]]}
+            self.x = x
+
+        def posed(self, q):
+            return self
+
+        def poses(self):
+            return [self.x]
+
+    def kept(x, g):
+        found = PoseActions(Task(0, ONE, True), leash).reference(View(x, g))
+        return tuple(found[:4]), tuple(found[4:])
+
+    found = computed(kept, x=X, g=goal)
+    e = 2 * dq.log_shortest(dq.mul(dq.conj(X), found))
+    return e[:, :3].norm(dim=-1), (dq.translation(found) - dq.translation(X)).norm(dim=-1)
+
+
+@pytest.mark.parametrize("leash", [(1.0, 0.3), (0.0, 0.0)], ids=["desired", "measured"])
+def test_blocks_are_steps_and_an_episode_begins_where_the_arm_is(leash):
+    envs, twin = (started(5, effects=PARTS, leash=leash, max_episode_steps=4, **POSE) for _ in range(2))
+    assert_as_stepped(envs, twin, policy_of(envs), 6)
+    envs, before = started(3, leash=leash, max_episode_steps=4, effects=PARTS[:4], **POSE), None
+    for _ in range(4):
+        before = envs._buffers["reference"]
+        envs.step(torch.ones(3, 2))
+    expected = torchdq.forward_kinematics(ROBOT, envs.state.q, ROBOT.tip)
+    assert torch.allclose(dq.to_matrix(envs._buffers["reference"]), dq.to_matrix(expected), atol=1e-13)
+    assert not torch.allclose(before, expected, atol=1e-2)
+
+
+def test_a_proportional_policy_reaches():
+    """The tip of 95 % of Pandas is within 2 cm of its goal after 1.5 s, with friction that the controller ignores."""
+    panda = torchdq.robots.load("panda")
+    middle = panda.limits.lower + 0.5 * (panda.limits.upper - panda.limits.lower)
+    known = panda.replace(armature=torch.full((7,), 0.1, dtype=torch.float64))
+    firm = controllers.OperationalSpace(
+        400.0, 40.0, axes="position", expressed="world", q_null=middle, k_null=5.0, model=known
+    )
+    envs = ArmVectorEnv(512, "reach", "panda", action="pose", controller=firm, scale=0.15, leash=(0.0, 0.0))
+    observation, _ = envs.reset(seed=1)
+    for _ in range(75):
+        observation, *_, info = envs.step(observation[:, 21:24] / 0.15)
+    assert (info["distance"] < 0.02).float().mean() > 0.95
+
+
+def test_the_default_controller_holds_the_pose_and_moves_it_as_told():
+    envs = ArmVectorEnv(8, "reach", "panda", action="pose", dtype="float64")
+    envs.reset(seed=0)
+    before = dq.translation(envs._buffers["reference"])
+    for k in range(50):
+        envs.step(torch.zeros(8, 6) + (k < 10) * torch.eye(6).double()[5] * 0.2)
+    moved = dq.translation(envs._buffers["reference"]) - before
+    assert envs.single_action_space.shape == (6,)
+    assert (moved[:, :2].abs() < 1e-9).all() and (moved[:, 2] <= 0.1 + 1e-9).all()
+    assert (moved[:, 2] > 0.099).float().mean() > 0.5
+
+
+WRONG = {
+    "a controller of joints": {"controller": controllers.PD(1.0, 1.0)},
+    "a controller of a frame for joints": {"action": "reference"},
+    "sizes of other axes": {"scale": (0.1, 0.1, 0.1)},
+    "a leash below zero": {"leash": (-1.0, 1.0)},
+    "passive joints": {"actuated": ROBOT.joint_names[0]},
+    "more axes than joints": {"controller": None},
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_arguments_are_refused(case):
+    with refused(ArgumentError):
+        started(2, **(POSE | WRONG[case]))
+
+
+def test_wrong_actions_are_refused():
+    envs = started(2, **POSE)
+    for actions in (torch.zeros(2, 3), torch.full((2, 2), math.nan)):
+        with refused(ArgumentError):
+            envs.step(actions)
