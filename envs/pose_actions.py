@@ -13,7 +13,7 @@ from torchdq.dq import pose_error
 from torchdq.dq.explog import entire
 from torchdq.dq.formulas import numbers
 from torchdq.dynamics.task_space import COMPONENTS, Task
-from torchdq.functions.task_space import pose_of
+from torchdq.functions.task_space import pose_of, pose_of_any_norm
 from torchdq.numbers.functions import at_least, maximum, select, sqrt
 from torchdq.scene.spec import View
 
@@ -47,9 +47,7 @@ class PoseActions(NamedTuple):
         """Desired pose after a step, within the leash; at a start the measured one."""
         X = pose_of(view.posed(view.reading[: len(view.q)]), self.task)
         if "reference" in view.inputs:
-            row = view.inputs["reference"]
-            goal = pose_error.unit((tuple(row[:4]), tuple(row[4:8])))
-            p = dq.translation(X)
+            goal, p = pose_of_any_norm(view.inputs["reference"][:8]), dq.translation(X)
             e = pose_error.error((quat.mul(quat.conj(X[0]), goal[0]), dq.ZERO))[0]
             d = quat.sub(dq.translation(goal), p)
             (turns, e), (moves, d) = (_shortened(v, most) for v, most in zip((e, d), self.leash, strict=True))

@@ -6,6 +6,8 @@ FloatingInverseDynamics, FloatingForwardDynamics
                   the same for robots with a floating base
 ComputedTorque    tracking controller, of a robot or of a trained layer
 MomentumObserver  torques and forces of contacts, from motions and torques of the motors
+OperationalSpaceControl, CartesianImpedance
+                  control of a frame, likewise
 ResidualDynamics  inverse dynamics and a network for the residual torques
 PredictedTorques  torques of a `ResidualDynamics` with their standard errors and intervals
 RobotModule       base of those of a robot alone
@@ -22,9 +24,11 @@ from torchdq.layers.dynamics import (
 from torchdq.layers.momentum_observer import MomentumObserver, ObserverState
 from torchdq.layers.residual import PredictedTorques, ResidualDynamics
 from torchdq.layers.robot_module import RobotModule
+from torchdq.layers.task_control import CartesianImpedance, OperationalSpaceControl
 
 __all__ = [
     "DQRNEA",
+    "CartesianImpedance",
     "ComputedTorque",
     "FloatingForwardDynamics",
     "FloatingInverseDynamics",
@@ -32,6 +36,7 @@ __all__ = [
     "InverseDynamics",
     "MomentumObserver",
     "ObserverState",
+    "OperationalSpaceControl",
     "PredictedTorques",
     "ResidualDynamics",
     "RobotModule",

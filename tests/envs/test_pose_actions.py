@@ -1,6 +1,7 @@
 """Actions that displace a desired pose: what they mean, how far it may be ahead, and how an arm follows."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -52,10 +53,12 @@ def test_axes_that_the_controller_leaves_out_are_not_moved():
 
 
 def test_no_action_holds_the_desired_pose_under_a_load_and_follows_the_measured_one_down():
+    """The controller knows nothing of the load."""
     loaded = (effects.Gravity(), effects.Viscous(2.0), effects.Payload(0.5))
+    control = replace(PLANAR, model=ROBOT)
     heights = []
     for leash in ((1.0, 0.3), (0.0, 0.0)):
-        envs = started(4, effects=loaded, leash=leash, max_episode_steps=None, **POSE)
+        envs = started(4, effects=loaded, leash=leash, max_episode_steps=None, **(POSE | {"controller": control}))
         before = envs._buffers["reference"].clone()
         for _ in range(300):
             envs.step(torch.zeros(4, 2))
@@ -134,10 +137,13 @@ def test_the_default_controller_holds_the_pose_and_moves_it_as_told():
     before = dq.translation(envs._buffers["reference"])
     for k in range(50):
         envs.step(torch.zeros(8, 6) + (k < 10) * torch.eye(6).double()[5] * 0.2)
-    moved = dq.translation(envs._buffers["reference"]) - before
+    goal = dq.translation(envs._buffers["reference"])
+    tip = dq.translation(torchdq.forward_kinematics(envs.robot, envs.state.q, envs.robot.tip))
+    told = before + 0.1 * torch.eye(3).double()[2]
     assert envs.single_action_space.shape == (6,)
-    assert (moved[:, :2].abs() < 1e-9).all() and (moved[:, 2] <= 0.1 + 1e-9).all()
-    assert (moved[:, 2] > 0.099).float().mean() > 0.5
+    # some of the starts are at the end of the arm's reach
+    assert ((goal - told).norm(dim=-1) < 1e-6).float().mean() > 0.7
+    assert ((tip - told).norm(dim=-1) < 5e-3).float().mean() > 0.7
 
 
 WRONG = {

@@ -28,6 +28,11 @@ class Goal(NamedTuple):
     A: Screw = screw.ZERO
 
 
+def pose_of_any_norm(X: Row) -> DualQuaternion:
+    """Desired pose, scaled to a unit dual quaternion."""
+    return dq.scale(1.0 / sqrt(quat.norm2(X[:4])), (tuple(X[:4]), tuple(X[4:])))
+
+
 class Deviation(NamedTuple):
     """Error of a frame, its rate, and the rate of the twist that gives the error a second derivative."""
 

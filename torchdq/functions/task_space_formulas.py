@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from torchdq.algebra import dual_quaternion
-from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics import observer, task_space
 from torchdq.dynamics import posed as mechanics
@@ -14,8 +12,15 @@ from torchdq.dynamics.posed import Row, dot
 from torchdq.dynamics.task_space import AXES, COMPONENTS, Task
 from torchdq.functions.posed import as_screw, factors, frame
 from torchdq.functions.recipe import RecipeInputs, Results
-from torchdq.functions.task_space import Gains, Goal, impedance_torques, numbers, operational_space_torques, pose_of
-from torchdq.numbers.functions import sqrt
+from torchdq.functions.task_space import (
+    Gains,
+    Goal,
+    impedance_torques,
+    numbers,
+    operational_space_torques,
+    pose_of,
+    pose_of_any_norm,
+)
 from torchdq.program.program import GROWTH
 
 DAMPING = 2.0**-8  # of a posture beside a spring, where the inertia of the frame serves the projection alone
@@ -65,9 +70,8 @@ def _law(x: RecipeInputs, task: Task, single: Sequence[str], *names: str) -> tup
     p, d = (tuple(given[name]) * m if name in single else given[name] for name in names)
     k_null = given.get("k_null")
     gains = Gains(p, d) if k_null is None else Gains(p, d, given["q_null"], k_null[0])
-    X, zero = given["X_des"], (0.0,) * 6
-    scaled = dual_quaternion.scale(1.0 / sqrt(quat.norm2(X[:4])), (tuple(X[:4]), tuple(X[4:])))
-    goal = Goal(scaled, *[as_screw(given.get(name, zero)) for name in ("V_des", "A_des")])
+    X, zero = pose_of_any_norm(given["X_des"]), (0.0,) * 6
+    goal = Goal(X, *[as_screw(given.get(name, zero)) for name in ("V_des", "A_des")])
     return given["q"], given["qd"], goal, gains
 
 

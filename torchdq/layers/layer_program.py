@@ -28,8 +28,8 @@ from torchdq.robot.fields import SHAPES, trailing
 from torchdq.robot.robot import arguments, constants
 
 Parameters = Literal["constants", "arguments"]
-GAINS = ("kp", "kd")  # those of computed torque control
-OWN = (*GAINS, "offset")  # parameters of a layer that are neither of its robot nor of its friction
+CONTROL = ("kp", "kd", "stiffness", "damping", "q_null", "k_null")  # parameters of control laws
+OWN = (*CONTROL, "offset")  # parameters of a layer that are neither of its robot nor of its friction
 WRENCHES = ("f_tip", "f_ext", "f_base")
 
 
@@ -121,35 +121,37 @@ def program(
     own: Mapping[str, Tensor],
     learned: Sequence[str],
     friction: LayerFriction,
+    options: tuple[str, ...] = (),
 ) -> Program:
     """Program of a layer to compile and export, in which quantities have the names of the layer.
 
     Args:
         robot: the robot with the layer's present parameters.
-        function: "inverse_dynamics", "forward_dynamics" or "computed_torque".
+        function: "inverse_dynamics", "forward_dynamics", or a control law.
         wrenches: names of those that are arguments.
         parameters: whether what is learned, and what was replaced in the robot, is constant or an argument.
-        own: values [n] of the offset, of `GAINS` and of what friction learns, those that there are; gains also [].
+        own: values of the offset, of `CONTROL` and of what friction learns, those that there are.
         learned: names of those that the layer learns.
         friction: the layer's.
+        options: those of the function.
     """
     require_choice("parameters", parameters, ("constants", "arguments"))
     known = [name for name, _, optional in RECIPES[function].arguments if optional and name in WRENCHES]
     wanted = names_of("wrenches", wrenches, known, f"wrench of {function}")
     if parameters == "constants":
         robot, learned = robot.bake(), ()
-    what = Function(constants(robot), function, tuple([name for name in GAINS if name in own and not own[name].ndim]))
+    what, known = Function(constants(robot), function, options), [name for name, _, _ in RECIPES[function].arguments]
     inputs = [
         Argument(name, math.prod(what.axes(name)))
-        for name, _, _ in RECIPES[function].arguments
-        if name in wanted or name not in (*GAINS, *WRENCHES)
+        for name in known
+        if name in wanted or name not in (*CONTROL, *WRENCHES)
     ]
     replaced = [
         Argument(name, math.prod(what.axes(name)), getattr(robot, name).ndim == len(SHAPES[name]))
         for name in arguments(robot)
     ]
     present = {name: Argument(name, x.shape[-1] if x.ndim else 1, x.ndim < 2) for name, x in own.items()}
-    rigid = what.program((*inputs, *[present[name] for name in GAINS if name in own], *replaced))
+    rigid = what.program((*inputs, *[present[name] for name in known if name in own], *replaced))
     numbers = {name: _numbers(name, x) for name, x in own.items() if name not in learned}
     taken = [*inputs, *replaced, *[present[name] for name in learned]]
 

@@ -15,7 +15,7 @@ from torchdq.dynamics.observer import step
 from torchdq.functions.call import function_of, gain
 from torchdq.functions.options import axes_of, options_of
 from torchdq.layers import layer_program
-from torchdq.layers.computed_torque import gain_of
+from torchdq.layers.control_module import gain_of
 from torchdq.layers.dynamics import InverseDynamics
 from torchdq.layers.layer_friction import described
 from torchdq.numbers.functions import exp

@@ -18,7 +18,7 @@ from torchdq.errors import ArgumentError, nearest
 from torchdq.functions.call import Precision, function_of, with_tensors
 from torchdq.functions.catalogue import FLOATING
 from torchdq.layers.layer_friction import layer_friction
-from torchdq.layers.layer_program import GAINS, OWN, LayerFunction, Parameters, program
+from torchdq.layers.layer_program import OWN, LayerFunction, Parameters, program
 from torchdq.layers.parametrizations import PhysicalInertia, Positive, restored
 from torchdq.program.program import Program
 from torchdq.robot import Robot
@@ -156,8 +156,7 @@ class RobotModule(nn.Module):
         if self._rigid:
             return function_of(function, robot, inputs, self.backend, (), self.precision)
         own, _ = self._own_quantities()
-        single = tuple([name for name in GAINS if name in own and not own[name].ndim])
-        what = LayerFunction(constants(robot), function, single, friction.fixed.templates)
+        what = LayerFunction(constants(robot), function, self._options(), friction.fixed.templates)
         parameters = {name: own[name] for name in OWN if name in own}
         given = {**with_tensors(robot, inputs), **friction.parts(own).tensors, **parameters}
         return list(evaluate(what, given, self.backend, self.precision == "double").values())
@@ -178,7 +177,12 @@ class RobotModule(nn.Module):
         ['q', 'qd', 'qdd', 'mass', 'viscous', 'coulomb']
         """
         own, learned = self._own_quantities()
-        return program(self.robot, self._function, wrenches, parameters, own, learned, self._friction)
+        options = self._options()
+        return program(self.robot, self._function, wrenches, parameters, own, learned, self._friction, options)
+
+    def _options(self) -> tuple[str, ...]:
+        """Options of its function."""
+        return ()
 
     def _own_quantities(self) -> tuple[dict[str, Tensor], list[str]]:
         """Parameters of its program that are not the robot's, and the names of those that are learned."""
@@ -267,7 +271,7 @@ def _cure(wrong: Any, known: Sequence[str]) -> str:
     if wrong in ("damping", "viscous", "coulomb", "stribeck"):
         return "; 'friction' learns viscous and Coulomb friction, from the damping and the friction of the robot on"
     if wrong in ("kp", "kd"):
-        return "; gains are learned by torchdq.ComputedTorque alone"
+        return "; gains are those of controllers, such as torchdq.ComputedTorque"
     close = nearest(wrong, known)
     return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
 

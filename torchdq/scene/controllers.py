@@ -12,7 +12,6 @@ from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import is_number
-from torchdq.dq import pose_error
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.task_space import Task
 from torchdq.dynamics.tracking import commanded
@@ -22,7 +21,7 @@ from torchdq.export.meaning import heading, part
 from torchdq.functions.call import function_of
 from torchdq.functions.options import axes_of, options_of
 from torchdq.functions.posed import as_screw, frame, posed
-from torchdq.functions.task_space import Gains, Goal, impedance_torques, operational_space_torques
+from torchdq.functions.task_space import Gains, Goal, impedance_torques, operational_space_torques, pose_of_any_norm
 from torchdq.functions.task_space_formulas import DAMPING, rows_of
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
@@ -241,8 +240,7 @@ class TaskController(Controller):
 
     def _case(self, at: Posed, reference: Row, q: Row, qd: Row) -> tuple[Posed, Task, Row, Row, Goal, Gains]:
         """Believed robot, task, state, goal and gains."""
-        X, V, A = reference[:8], as_screw(reference[8:14]), as_screw(reference[14:])
-        goal = Goal(pose_error.unit((tuple(X[:4]), tuple(X[4:]))), V, A)
+        goal = Goal(pose_of_any_norm(reference[:8]), as_screw(reference[8:14]), as_screw(reference[14:]))
         kp, kd = (getattr(self, name) for name in self.GAINS)
         gains: Any = Gains(kp, kd, self.q_null, self.k_null)
         return at if self.model is None else posed(self.model, q, {}, ()), self.task, q, qd, goal, gains  # type: ignore[return-value]

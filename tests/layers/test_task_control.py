@@ -1,0 +1,130 @@
+"""Control of a frame as a layer: the function's torques, with those of the motors, of robots and of trained modules."""
+
+import math
+
+import pytest
+import torch
+from helpers import double, random
+from messages import refused
+from torch.autograd import gradcheck
+
+import torchdq
+from torchdq import dq, nn
+from torchdq.errors import ArgumentError
+
+PANDA = torchdq.robots.load("panda")
+Q, QD, X, V, A = random(4, 7), random(4, 7, seed=1), random(4, 8, seed=2), random(4, 6, seed=3), random(4, 6, seed=4)
+SIX = double(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+CASES = {
+    "number": (100.0, 20.0, {}),
+    "axes": (10 * SIX, 2 * SIX, {"expressed": "world", "q_null": Q[0], "k_null": 3.0}),
+    "position": (100.0, SIX[:3], {"axes": "position", "expressed": "body", "frame": "panda_link5"}),
+    "limited": (400.0, 20.0, {"q_null": Q[0], "limits": True, "damping": 0.1}),
+}
+LAWS = {
+    nn.OperationalSpaceControl: (torchdq.operational_space_control, ("kp", "kd"), (X, V, A)),
+    nn.CartesianImpedance: (torchdq.cartesian_impedance, ("stiffness", "damping"), (X, V)),
+}
+
+
+def law_of(module, gains, more, robot=PANDA, goal=None):
+    """Torques of the function."""
+    law, names, usual = LAWS[module]
+    return law(robot, Q, QD, *(usual if goal is None else goal), **dict(zip(names, gains, strict=True)), **more)
+
+
+@pytest.mark.parametrize(
+    ("module", "case"), [(x, y) for x in LAWS for y in CASES if y != "limited" or x is nn.OperationalSpaceControl]
+)
+def test_the_module_is_the_function_and_friction_of_the_description(module, case):
+    *gains, more = CASES[case]
+    goal = LAWS[module][2]
+    expected = law_of(module, gains, more)
+    bare, whole = (module(PANDA, *gains, **more, friction=x) for x in (False, True))
+    assert torch.equal(bare(Q, QD, *goal), expected)
+    assert torch.allclose(whole(Q, QD, *goal), expected + whole.friction_torque(QD), rtol=1e-14)
+    assert bare(Q.float(), QD.float(), X.float()).dtype == torch.float32
+    assert not list(bare.parameters()) and set(LAWS[module][1]) <= bare.state_dict().keys()
+
+
+@pytest.mark.parametrize("module", LAWS)
+def test_learned_gains_are_those_of_the_function(module):
+    names = LAWS[module][1]
+    layer = module(PANDA, 90.0, 2 * SIX, learn=names, friction=False)
+    assert {n: tuple(p.shape) for n, p in layer.named_parameters()} == {names[0]: (), names[1]: (6,)}
+    gains = [getattr(layer, name) for name in names]
+    found = torch.autograd.grad(layer(Q, QD, X, V).square().sum(), gains)
+    expected = torch.autograd.grad(law_of(module, gains, {}, goal=(X, V)).square().sum(), gains)
+    assert all(torch.allclose(a, b, rtol=1e-12) for a, b in zip(found, expected, strict=True))
+    assert gradcheck(lambda q: layer(q, QD, X, V), Q.clone().requires_grad_(), atol=1e-4)
+
+
+@pytest.mark.parametrize("module", LAWS)
+def test_a_trained_layer_brings_its_masses_friction_and_offset(module):
+    trained = nn.InverseDynamics(PANDA, learn=("mass", "friction", "offset"))
+    trained.mass = 1.1 * PANDA.mass
+    trained.offset = random(7)
+    layer = module(trained, 100.0, 20.0)
+    goal = LAWS[module][2]
+    expected = law_of(module, (100.0, 20.0), {}, robot=trained.robot) + trained.friction_torque(QD) + trained.offset
+    assert torch.allclose(layer(Q, QD, *goal), expected, rtol=1e-12)
+    assert {name for name, _ in layer.named_parameters()} == {f"model.{name}" for name, _ in trained.named_parameters()}
+    program = torchdq.compile(layer.program())
+    assert torch.allclose(program(Q, QD, *goal), layer(Q, QD, *goal), rtol=1e-12)
+
+
+class Learned(torch.nn.Module):
+    """Torques of the rigid bodies and of something else."""
+
+    robot = PANDA
+
+    def forward(self, q, qd, qdd, f_tip=None):
+        return torchdq.inverse_dynamics(PANDA, q, qd, qdd) + 3 * q.sin() - qd
+
+
+@pytest.mark.parametrize("module", LAWS)
+def test_a_module_adds_what_it_found_beyond_the_rigid_bodies(module):
+    layer, goal = module(Learned(), 100.0, 20.0, learn=LAWS[module][1]), LAWS[module][2]
+    expected = law_of(module, (100.0, 20.0), {}) + 3 * Q.sin() - QD
+    assert torch.allclose(layer(Q, QD, *goal), expected, rtol=1e-9, atol=1e-9)
+    assert all(x is not None for x in torch.autograd.grad(layer(Q, QD, *goal).sum(), list(layer.parameters())))
+    with refused(ArgumentError):
+        layer.program()
+
+
+def test_an_error_of_170_degrees_is_a_scalar_oscillator_in_every_component():
+    """By fourth-order Runge-Kutta steps of 1 ms, against e = e_0 (1 + w t) exp(-w t)."""
+    w, h, q = 5.0, 1e-3, double(0.1, -0.5, 0.2, -1.9, 0.3, 1.6, 0.4)
+    e0 = torch.cat([torch.nn.functional.normalize(double(0.7, -1.1, 0.6), dim=0) * math.radians(170), 0.1 * V[0, :3]])
+    goal = dq.mul(torchdq.forward_kinematics(PANDA, q, PANDA.tip), dq.exp(0.5 * e0))
+    layer = nn.OperationalSpaceControl(PANDA, w * w, 2 * w, damping=None, friction=False)
+
+    def rate(q, qd):
+        return torchdq.forward_dynamics(PANDA, q, qd, layer(q, qd, goal))
+
+    qd = 0 * q
+    for k in range(1, 601):
+        a = rate(q, qd)
+        b = rate(q + h / 2 * qd, qd + h / 2 * a)
+        c = rate(q + h / 2 * (qd + h / 2 * a), qd + h / 2 * b)
+        d = rate(q + h * (qd + h / 2 * b), qd + h * c)
+        q, qd = q + h * qd + h * h / 6 * (a + b + c), qd + h / 6 * (a + 2 * b + 2 * c + d)
+        if k % 50 == 0:
+            e = 2 * dq.log_shortest(dq.mul(dq.conj(torchdq.forward_kinematics(PANDA, q, PANDA.tip)), goal))
+            assert (e - e0 * (1 + w * k * h) * math.exp(-w * k * h)).abs().max() < 1e-8
+
+
+WRONG = {
+    "gains of other axes": lambda: nn.OperationalSpaceControl(PANDA, 1.0, SIX, axes="position"),
+    "a quantity of no law": lambda: nn.CartesianImpedance(PANDA, 1.0, 1.0, learn="kp"),
+    "more axes than joints": lambda: nn.OperationalSpaceControl(torchdq.robots.load("two_link"), 1.0, 1.0),
+    "a floating base": lambda: nn.OperationalSpaceControl(torchdq.robots.load("go2"), 1.0, 1.0),
+    "learned beside a module": lambda: nn.CartesianImpedance(Learned(), 1.0, 1.0, learn="mass"),
+    "no robot": lambda: nn.CartesianImpedance("panda", 1.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_cannot_be_is_refused(case):
+    with refused(ArgumentError):
+        WRONG[case]()
