@@ -41,7 +41,7 @@ class Actions:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What every number of an action moves."""
+        """Names of the joints, or of the axes, that the numbers of an action move."""
         return tuple([self.robot.joint_names[i] for i in self.joints]) if self.pose is None else self.pose.names
 
     def clipped(self, actions: Any, num_envs: int, looks: bool = True) -> tuple[Tensor, Tensor]:
@@ -82,10 +82,11 @@ class Actions:
     def require_finite(self, actions: Tensor) -> None:
         """Raise unless actions [..., N, k] are finite."""
         if not math.isfinite(actions.sum().item()) and len(bad := (~actions.isfinite()).nonzero()):
-            row, joint = bad[0, -2:].tolist()
+            row, number = bad[0, -2:].tolist()
+            what = f"{'joint' if self.pose is None else 'axis'} {self.names[number]!r}"
             raise ArgumentError(
-                f"actions must be finite, found {actions[tuple(bad[0])].item()} in row {row} for "
-                f"{'joint' if self.pose is None else 'axis'} {self.names[joint]!r}{and_more(bad)}; that step was not taken"
+                f"actions must be finite, found {actions[tuple(bad[0])].item()} in row {row} for {what}{and_more(bad)}; "
+                "that step was not taken"
             )
 
     def _of_all_joints(self, actions: Tensor) -> Tensor:
@@ -170,7 +171,7 @@ def with_controller(scene: Scene, kind: Kind, controller: Controller | None) -> 
 
 
 def pose_of_actions(controller: Controller | None, leash: tuple[float, float]) -> PoseActions | None:
-    """What actions displace, with a leash [rad, m]; None: they are of joints."""
+    """Actions on the pose of a controller's frame, with a leash [rad, m]; None: they are of joints."""
     if not (isinstance(leash, Sequence) and len(leash) == 2 and all(is_number(x) and x >= 0 for x in leash)):
         raise ArgumentError(f"leash must be two numbers that are not negative [rad, m], found {leash!r}")
     task = controller.task if isinstance(controller, TaskController) else None

@@ -91,7 +91,7 @@ class Block(_BlockFields, Computation):
         noise = rows.get("noise of actions", [0.0] * len(output))
         found: Rows = {"action": [unit * (x + y) for x, y in zip(output, noise, strict=True)]}
         dt = self.stage.spec.dt
-        action = [clip(x, -1.0, 1.0) for x in found["action"]]
+        action: Row = [clip(x, -1.0, 1.0) for x in found["action"]]
         if self.pose is None:
             action, meant = self._of_joints(action, rows)
         else:

@@ -33,15 +33,15 @@ class PoseActions(NamedTuple):
 
     def moved(self, x: DualQuaternion, action: Any, scale: Any) -> DualQuaternion:
         """Desired pose x after an action in [-1, 1], whose rotation vector is at most as long as one full component."""
-        six, sizes = [0.0] * 6, [0.0] * 6
-        for r, a, s in zip(self.task.rows, numbers(action), numbers(scale), strict=True):
-            six[r], sizes[r] = a, s
-        longest = 1.0 / sqrt(maximum(quat.norm2(tuple(six[:3])), 1.0))
-        turn, d = ([s * a for s, a in zip(sizes[k : k + 3], six[k : k + 3], strict=True)] for k in (0, 3))
-        r, d = _turned(quat.scale(longest, tuple(turn))) if min(self.task.rows) < 3 else quat.ONE, tuple(d)
+        whole: list[Number] = [0.0] * 6
+        moves: list[Number] = [0.0] * 6
+        for row, a, s in zip(self.task.rows, numbers(action), numbers(scale), strict=True):
+            whole[row], moves[row] = a, s * a
+        longest = 1.0 / sqrt(maximum(quat.norm2(tuple(whole[:3])), 1.0))
+        turn = _turned(quat.scale(longest, tuple(moves[:3]))) if min(self.task.rows) < 3 else quat.ONE
         if self.task.world:
-            return dq.from_pose(quat.mul(r, x[0]), quat.add(dq.translation(x), d))
-        return dq.mul(x, dq.from_pose(r, d))
+            return dq.from_pose(quat.mul(turn, x[0]), quat.add(dq.translation(x), tuple(moves[3:])))
+        return dq.mul(x, dq.from_pose(turn, tuple(moves[3:])))
 
     def reference(self, view: View) -> list[Number]:
         """Desired pose after a step, within the leash; at a start the measured one."""

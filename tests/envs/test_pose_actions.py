@@ -59,10 +59,10 @@ def test_no_action_holds_the_desired_pose_under_a_load_and_follows_the_measured_
     heights = []
     for leash in ((1.0, 0.3), (0.0, 0.0)):
         envs = started(4, effects=loaded, leash=leash, max_episode_steps=None, **(POSE | {"controller": control}))
-        before = envs._buffers["reference"].clone()
+        before = envs.get_state()["reference"]
         for _ in range(300):
             envs.step(torch.zeros(4, 2))
-        assert torch.allclose(envs._buffers["reference"], before, atol=1e-12) == (leash[0] > 0)
+        assert torch.allclose(envs.get_state()["reference"], before, atol=1e-12) == (leash[0] > 0)
         after = torchdq.forward_kinematics(ROBOT, envs.state.q, ROBOT.tip)
         heights.append((dq.translation(before) - dq.translation(after)).norm(dim=-1))
     assert (heights[0] < 0.3).all() and (heights[1] > 2 * heights[0]).all()
@@ -73,7 +73,7 @@ def test_the_desired_pose_stays_within_the_leash_of_the_measured_one():
     for k in range(40):
         envs.step(torch.ones(4, 2) if k < 20 else -torch.ones(4, 2))
         X = torchdq.forward_kinematics(ROBOT, envs.state.q, ROBOT.tip)
-        ahead = (dq.translation(envs._buffers["reference"]) - dq.translation(X)).norm(dim=-1)
+        ahead = (dq.translation(envs.get_state()["reference"]) - dq.translation(X)).norm(dim=-1)
         assert (ahead < 0.04 + 1e-12).all()
     assert (ahead > 0.03).any()
     turn, _ = _leashed(dq.exp(0.5 * random(9, 6)), dq.exp(0.5 * random(9, 6, seed=1)), (0.2, 1e9))
@@ -109,10 +109,10 @@ def test_blocks_are_steps_and_an_episode_begins_where_the_arm_is(leash):
     assert_as_stepped(envs, twin, policy_of(envs), 6)
     envs, before = started(3, leash=leash, max_episode_steps=4, effects=PARTS[:4], **POSE), None
     for _ in range(4):
-        before = envs._buffers["reference"]
+        before = envs.get_state()["reference"]
         envs.step(torch.ones(3, 2))
     expected = torchdq.forward_kinematics(ROBOT, envs.state.q, ROBOT.tip)
-    assert torch.allclose(dq.to_matrix(envs._buffers["reference"]), dq.to_matrix(expected), atol=1e-13)
+    assert torch.allclose(dq.to_matrix(envs.get_state()["reference"]), dq.to_matrix(expected), atol=1e-13)
     assert not torch.allclose(before, expected, atol=1e-2)
 
 
@@ -134,10 +134,10 @@ def test_a_proportional_policy_reaches():
 def test_the_default_controller_holds_the_pose_and_moves_it_as_told():
     envs = ArmVectorEnv(8, "reach", "panda", action="pose", dtype="float64")
     envs.reset(seed=0)
-    before = dq.translation(envs._buffers["reference"])
+    before = dq.translation(envs.get_state()["reference"])
     for k in range(50):
         envs.step(torch.zeros(8, 6) + (k < 10) * torch.eye(6).double()[5] * 0.2)
-    goal = dq.translation(envs._buffers["reference"])
+    goal = dq.translation(envs.get_state()["reference"])
     tip = dq.translation(torchdq.forward_kinematics(envs.robot, envs.state.q, envs.robot.tip))
     told = before + 0.1 * torch.eye(3).double()[2]
     assert envs.single_action_space.shape == (6,)

@@ -61,7 +61,7 @@ WORDS = {
     "growth": "factor by which rounding errors are magnified; the function returns 1 where it is too large",
     "memory": "memory of the effects from step to step; see the scene's effects, in their order",
     "reading": "measured joint positions, then velocities [rad or m, rad/s or m/s]",
-    "reference": "desired positions, velocities and accelerations of the joints, or pose, twist and its rate of a frame",
+    "reference": "desired joint positions, velocities and accelerations, or pose of a frame, twist and twist rate",
     "noise": "uniform random numbers in (0, 1)",
     "mass": "masses of the links [kg]",
     "com": "centres of mass of the links, xyz, in the link frames [m]",
@@ -123,9 +123,8 @@ def part(x: object) -> str:
 
     What is absent is left out: None, and zeros that nobody gave.
     """
-    given = {
-        f.name: _value(v) for f in fields(x) if f.init and f.repr and not _absent(v := getattr(x, f.name), f.default)
-    }  # type: ignore[arg-type]
+    shown = [f for f in fields(x) if f.init and f.repr]  # type: ignore[arg-type]
+    given = {f.name: _value(v) for f in shown if not _absent(v := getattr(x, f.name), f.default)}
     return f"{type(x).__name__}({', '.join(f'{name}={text}' for name, text in given.items())})"
 
 

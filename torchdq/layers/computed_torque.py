@@ -69,7 +69,7 @@ class ComputedTorque(ControlModule):
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.computed_torque`."""
         given = {"q": q, "qd": qd, "q_des": q_des, "qd_des": qd_des, "qdd_des": qdd_des, "f_tip": f_tip}
-        if self._recorded:
+        if self.model is None or self._recorded:
             return self._evaluated(given)[0]
         check(self.robot, ("f_tip",), **given)
         kp, kd = self.kp.to(q), self.kd.to(q)
