@@ -83,10 +83,10 @@ class Actions:
         """Raise unless actions [..., N, k] are finite."""
         if not math.isfinite(actions.sum().item()) and len(bad := (~actions.isfinite()).nonzero()):
             row, number = bad[0, -2:].tolist()
-            what = f"{'joint' if self.pose is None else 'axis'} {self.names[number]!r}"
+            what = f"{'joint' if self.pose is None else 'axis'} {self.names[number]!r}{and_more(bad)}"
             raise ArgumentError(
-                f"actions must be finite, found {actions[tuple(bad[0])].item()} in row {row} for {what}{and_more(bad)}; "
-                "that step was not taken"
+                f"actions must be finite, found {actions[tuple(bad[0])].item()} in row {row} for {what}; that step was "
+                "not taken"
             )
 
     def _of_all_joints(self, actions: Tensor) -> Tensor:

@@ -102,6 +102,24 @@ def test_computed_torque(tmp_path):
     assert_drawn(tmp_path / "computed_torque.png")
 
 
+def test_a_circle_through_a_singular_wrist(tmp_path):
+    module = import_module("28_circle")
+    found = module.main(module.Args(seconds=2.0, out=tmp_path))
+    for name, singular in (("panda", False), ("ur10e", True)):
+        x, late = found[name], found[name]["time"] > 0.5
+        assert x["position"][late].square().mean().sqrt() < 5e-5
+        assert (x["manipulability"].min() < 1e-4 * x["manipulability"].max()) == singular
+        assert x["torque"].abs().max() < 330.0  # that of the shoulder
+    assert_drawn(tmp_path / "circle.png")
+
+
+def test_two_arms_hold_one_object(tmp_path):
+    module = import_module("30_two_arms")
+    relative, absolute = module.main(module.Args(seconds=4.0, out=tmp_path))
+    assert relative.norm(dim=-1).max() < 0.01 and absolute.norm(dim=-1).max() < 0.02
+    assert_drawn(tmp_path / "two_arms.png")
+
+
 def test_real_time(tmp_path, capsys):
     module = import_module("15_real_time")
     if shutil.which("cc") is None:
