@@ -113,6 +113,15 @@ def test_a_circle_through_a_singular_wrist(tmp_path):
     assert_drawn(tmp_path / "circle.png")
 
 
+def test_an_arm_yields_to_a_hand_and_tells_its_force(tmp_path):
+    module = import_module("29_hand_guided")
+    _, moved, found = module.main(module.Args(stiffness=400.0, out=tmp_path))
+    assert moved[1900].tolist() == pytest.approx([0.0, module.FORCE / 400.0, 0.0], abs=2e-4)
+    assert found[1900].tolist() == pytest.approx([0.0, module.FORCE, 0.0], abs=0.05)
+    assert moved[-1].norm() < 1e-4 and found[-1].norm() < 1e-3
+    assert_drawn(tmp_path / "hand_guided.png")
+
+
 def test_two_arms_hold_one_object(tmp_path):
     module = import_module("30_two_arms")
     relative, absolute = module.main(module.Args(seconds=4.0, out=tmp_path))

@@ -75,8 +75,8 @@ def log_shortest(x: Tensor) -> Tensor:
 def log_jacobian(x: Tensor) -> Tensor:
     """Jacobian J [..., 6, 6] of e = 2 log_shortest(x) of a pose x [..., 8], on twists xi from the left: e' = J xi.
 
-    xi [..., 6] is the twist (angular, linear) of x' = xi x / 2. For x = conj(X) X_des, the error of a pose X, and a goal
-    at rest, it is minus the twist V of X in its own axes: e' = -J V. J is regular up to half a turn.
+    xi [..., 6] is the twist (angular, linear) of x' = xi x / 2. For x = conj(X) X_des, the error of a pose X, and a
+    goal at rest, it is minus the twist V of X in its own axes: e' = -J V. J is regular up to half a turn.
     Source: the inverse of the left Jacobian of SE(3), Barfoot, State Estimation for Robotics, 2017, section 7.1.5.
 
     >>> torch.equal(log_jacobian(torch.eye(8)[0]), torch.eye(6))
