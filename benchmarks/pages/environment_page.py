@@ -40,8 +40,10 @@ ACTIONS = {
     "residual": "torque added to a controller that follows the task's reference",
     "reference": "offset of the position that the controller follows",
     "target": "offset of the target of the servo",
+    "pose": "rotation vector and displacement of the desired pose of the end effector",
 }
-ACTION_UNITS = {"torque": "N m or N", "residual": "N m or N", "reference": "rad or m", "target": "rad or m"}
+ACTION_UNITS = dict.fromkeys(("torque", "residual"), "N m or N") | dict.fromkeys(("reference", "target"), "rad or m")
+ACTION_UNITS["pose"] = "rad or m"
 
 
 def registered() -> dict[str, list[gymnasium.envs.registration.EnvSpec]]:
@@ -179,8 +181,8 @@ def _range(numbers: tuple[float, ...]) -> str:
 def _actions(task: str, robot: Robot) -> str:
     rows, own = [], ArmVectorEnv(1, task, robot)._actions
     for kind in (own.kind,) if own.kind == "target" else (kind for kind in get_args(Kind) if kind != "target"):
-        sizes = own.scale.tolist() if kind == own.kind else full(robot, kind, None, range(robot.n))
-        numbers, default = ", ".join(f"{x:.3g}" for x in sizes), " (default)" if kind == own.kind else ""
+        made = own if kind == own.kind else ArmVectorEnv(1, task, robot, action=kind)._actions
+        numbers, default = ", ".join(f"{x:.3g}" for x in made.scale.tolist()), " (default)" if made is own else ""
         rows.append((f'`"{kind}"`{default}', ACTIONS[kind], numbers, ACTION_UNITS[kind]))
     return table(("`action`", "meaning", "a full action, joint by joint", "unit"), rows)
 
