@@ -39,7 +39,7 @@ class ControlModule(RobotModule):
     ):
         model = robot if isinstance(robot, nn.Module) and isinstance(getattr(robot, "robot", None), Robot) else None
         names = (learn,) if isinstance(learn, str) else learn
-        others = [name for name in names if name not in gains] if isinstance(names, Sequence) else learn
+        others = [name for name in names if name not in tuple(gains)] if isinstance(names, Sequence) else learn
         effects = () if isinstance(friction, bool) else friction
         known = require_robot(robot if model is None else model.robot)
         if model is not None:
