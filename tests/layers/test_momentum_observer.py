@@ -13,7 +13,8 @@ from oracles import EPS, random_tree, shipped
 
 import torchdq
 from torchdq import effects
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, DtypeError
+from torchdq.learning import Layout, read_log
 from torchdq.nn import MomentumObserver, ObserverState
 from torchdq.scene import Scene, integrators
 
@@ -48,6 +49,12 @@ def error(robot, dt, push=0.0, friction=()):
         r = MomentumObserver(model, GAIN, dt).series(*pushed(robot, dt, push, friction))
     t = dt * torch.arange(1, len(r) + 1, dtype=F64)
     return float((r - push * (1.0 - torch.exp(-GAIN * t))[:, None, None]).abs().max())
+
+
+def recorded(layout=Layout(), **signals):
+    """Log of rows every 10 ms, at rest where no signals are given."""
+    signals = dict.fromkeys(("q", "qd", "tau"), np.zeros((10, 2))) | signals
+    return read_log({"time": 1e-2 * np.arange(len(signals["q"])), **signals}, layout)
 
 
 # --- the estimate ----------------------------------------------------------------------------------------------------
@@ -115,10 +122,16 @@ def test_a_trained_layer_brings_its_friction_and_offset():
 def test_a_threshold_is_not_passed_in_its_own_motion():
     q, qd, tau = (x[:, 0] for x in pushed(TWO, 1e-2))
     noisy = qd + 1e-2 * random(*qd.shape, seed=6)
-    found = type("Log", (), {"time": np.arange(len(q)) * 1e-2, "q": q, "qd": noisy, "tau": torch.cat((tau, tau[-1:]))})
-    observer = MomentumObserver(TWO, GAIN, 1e-2)
-    r = observer.series(q, noisy, (found.tau[1:] + found.tau[:-1]) / 2)
-    torch.testing.assert_close(observer.threshold(found, 2.0), 2.0 * r.abs().amax(0))
+    log = recorded(q=q.numpy(), qd=noisy.numpy(), tau=torch.cat((tau, tau[-1:])).numpy())
+    observer, held = MomentumObserver(TWO, GAIN, 1e-2), torch.from_numpy(log.tau)
+    r = observer.series(q, noisy, (held[1:] + held[:-1]) / 2)
+    torch.testing.assert_close(observer.threshold(log, 2.0), 2.0 * r.abs().amax(0))
+
+
+def test_a_threshold_is_found_in_rows_of_a_given_rate():
+    time = np.arange(0.0, 4.0, 1e-3)
+    log = read_log({"time": time, **dict.fromkeys(("q", "qd", "tau"), np.sin(np.stack((time, 2 * time), 1)))}, rate=100)
+    assert (MomentumObserver(TWO, GAIN, 1e-2).threshold(log) > 0).all()
 
 
 # --- in scenes and in C ----------------------------------------------------------------------------------------------
@@ -197,7 +210,23 @@ def test_a_part_is_the_diagonal_of_the_projector_on_what_the_torques_determine()
 
 # --- misuse ----------------------------------------------------------------------------------------------------------
 
-MISUSE = {
+ZERO, FIVE = torch.zeros(2), torch.zeros(5, 2)
+AT_REST = MomentumObserver(TWO, GAIN, 1e-3)
+STATE = AT_REST.start(ZERO, ZERO)
+REFUSED = {
+    "a step back": lambda: AT_REST(ZERO, ZERO, ZERO, STATE, dt=-1.0),
+    "steps of joints": lambda: AT_REST(ZERO, ZERO, ZERO, STATE, dt=torch.ones(2)),
+    "no state": lambda: AT_REST(ZERO, ZERO, ZERO, None),
+    "a state of another robot": lambda: AT_REST(ZERO, ZERO, ZERO, ObserverState(*torch.zeros(3, 7))),
+    "torques as many as positions": lambda: AT_REST.series(FIVE, FIVE, FIVE),
+    "times of rows": lambda: AT_REST.series(FIVE, FIVE, FIVE[1:], torch.ones(5)),
+    "one number as a motion": lambda: AT_REST.series(ZERO[0], ZERO[0], ZERO[0]),
+    "a negative margin": lambda: AT_REST.threshold(recorded(), -1.0),
+    "no velocities": lambda: AT_REST.threshold(recorded(qd=None)),
+    "currents": lambda: AT_REST.threshold(recorded(Layout(gain=None))),
+}
+
+MISUSE = REFUSED | {
     "another module": lambda: MomentumObserver(torchdq.ForwardDynamics(TWO), GAIN, 1e-3),
     "no step": lambda: MomentumObserver(TWO, GAIN, 0.0),
     "a negative gain": lambda: MomentumObserver(TWO, -GAIN, 1e-3),
@@ -209,3 +238,8 @@ MISUSE = {
 def test_misuse_is_refused_with_the_argument_and_what_was_found(call):
     with refused(ArgumentError):
         call()
+
+
+def test_dtypes_are_not_mixed():
+    with refused(DtypeError):
+        AT_REST(ZERO, ZERO, ZERO, ObserverState(*[x.double() for x in STATE]))

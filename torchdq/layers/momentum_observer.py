@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import require_number
+from torchdq.backends.call import common_batch
+from torchdq.base.checks import require_number, require_object, require_tensor
 from torchdq.dynamics.observer import step
+from torchdq.errors import ArgumentError
 from torchdq.functions.call import function_of, gain
 from torchdq.functions.options import axes_of, options_of
 from torchdq.layers import layer_program
@@ -92,6 +95,14 @@ class MomentumObserver(nn.Module):
             dt: the step [s], if it is another than that of the observer: a number or shape [..., 1].
         """
         h = self.dt if dt is None else dt
+        require_object("state", state, ObserverState, "torchdq.nn", "observer.start(q, qd)")
+        given = [("q", q, (self.model.robot.n,), False)]
+        given += [(f"state.{name}", x, given[0][2], False) for name, x in state._asdict().items()]
+        if not isinstance(h, Tensor):
+            require_number("dt", h, positive=True)
+        elif h.ndim:
+            given.append(("dt", h, (1,), False))
+        common_batch(given, f" for robot {self.model.robot.name!r}")
         p, rate = self.model._evaluated({"q": q, "qd": qd, "tau": tau}, FUNCTION)
         u = rate - tau
         r = step(state.r, (state.momentum, p), (state.rate, u), tau, h, torch.exp(-self.gain.to(q) * h))
@@ -105,6 +116,16 @@ class MomentumObserver(nn.Module):
             tau: torques in every step, [steps, ..., n].
             dt: steps [s], shape [steps]; None: those of the observer.
         """
+        given = {"q": q, "qd": qd, "tau": tau, **({} if dt is None else {"dt": dt})}
+        for name, x in given.items():
+            require_tensor(name, x)
+        rows = q.ndim == qd.ndim == tau.ndim > 1 and len(q) == len(qd) == len(tau) + 1
+        if not rows or (dt is not None and dt.shape != tau.shape[:1]):
+            raise ArgumentError(
+                "q and qd must be [steps + 1, ..., n], tau [steps, ..., n] and dt [steps], the torques and times between "
+                f"rows of q; found {', '.join(f'{name} {tuple(x.shape)}' for name, x in given.items())}; of torques that "
+                "were sampled like q, give the means of neighbours"
+            )
         h = q.new_tensor(self.dt) if dt is None else dt.reshape(-1, *[1] * (q.ndim - 1)).to(q)
         before = torch.cat((torch.zeros_like(tau[:1]), tau))
         p, rate = self.model._evaluated({"q": q, "qd": qd, "tau": before}, FUNCTION)
@@ -123,7 +144,15 @@ class MomentumObserver(nn.Module):
             motion: what `torchdq.learning.read_log` or `smooth` returns; as fast as the motions to be watched.
             margin: factor of the largest |r| in it.
         """
-        time, q, qd, tau = [torch.as_tensor(getattr(motion, name)) for name in ("time", "q", "qd", "tau")]
+        require_number("margin", margin, positive=True)
+        signals = {name: getattr(motion, name, None) for name in ("time", "q", "qd", "tau")}
+        for name, x in signals.items():
+            if x is None:
+                cure = "torchdq.learning.smooth differentiates q where qd was not recorded"
+                raise ArgumentError(f"motion must have time, q, qd and tau, found no {name}; {cure}")
+        if not np.all(getattr(motion, "layout", motion).known_gains):
+            raise ArgumentError("tau of the motion must be torques, found efforts of unknown gains; give Layout(gain=...)")
+        time, q, qd, tau = map(torch.as_tensor, signals.values())
         return margin * self.series(q, qd, 0.5 * (tau[1:] + tau[:-1]), time.diff()).abs().amax(0)
 
     def force(

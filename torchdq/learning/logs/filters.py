@@ -30,7 +30,7 @@ def low_pass(x: np.ndarray, cutoff: float, step: float, purpose: str, order: int
     """
     signal = imported("scipy.signal", "scipy", purpose)
     found: np.ndarray = signal.sosfiltfilt(signal.butter(order, cutoff, fs=1 / step, output="sos"), x, axis=0)
-    return found
+    return np.ascontiguousarray(found)  # a view backwards, which torch does not take
 
 
 def derivative(time: np.ndarray, x: np.ndarray, purpose: str) -> np.ndarray:
