@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import require_number, require_tensor
+from torchdq.base.checks import require_choice, require_number, require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import function_of, gain
 from torchdq.functions.options import axes_of, options_of
@@ -242,6 +242,7 @@ def operational_space_control(
         require_number("damping", damping)
         if damping <= 0:
             raise ArgumentError(f"damping must be positive, or None for none, found {damping!r}")
+    require_choice("limits", limits, (False, True))
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des, "A_des": A_des}
     gains = {"kp": gain("kp", kp, q), "kd": gain("kd", kd, q)}
     more = {

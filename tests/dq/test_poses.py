@@ -83,6 +83,9 @@ def test_a_screw_path_has_the_twist_and_its_rate():
     ends = [dq.screw_path(x, y, s, 0.0, 0.0)[0] for s in (0.0, 1.0)]
     for found, expected in zip(ends, (x, y), strict=True):
         assert torch.allclose(dq.to_matrix(found), dq.to_matrix(expected), atol=1e-13)
+    for way_and_rates in ((math.nan, 0.0, 0.0), (0.0, None, 0.0), (0.0, 0.0, math.inf)):
+        with refused(ArgumentError):
+            dq.screw_path(x, y, *way_and_rates)
 
 
 def test_six_numbers_are_two_columns_of_a_rotation():

@@ -417,7 +417,8 @@ def test_what_joints_cannot_serve_is_refused_with_what_they_can():
         torchdq.manipulability(ARM, ELBOW, frame="base")
     with refused(ArgumentError):
         torchdq.frame_motion(ARM.with_tip(None), *torch.zeros(2, 7, dtype=F64))
-    for more in ({"limits": True}, {"damping": 0.0}, {"damping": "none"}, {"kp": -1.0}, {"expressed": "tip"}):
+    dampings, limits = [{"damping": x} for x in (0.0, "none")], [{"limits": x} for x in (True, 5.0)]
+    for more in (*dampings, *limits, {"kp": -1.0}, {"expressed": "tip"}):
         with refused(ArgumentError):
             torchdq.operational_space_control(TWO, q, q, X, **({"axes": ("x",), "kp": 1.0, "kd": 1.0} | more))
     with refused(ArgumentError):

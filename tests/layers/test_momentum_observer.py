@@ -51,10 +51,10 @@ def error(robot, dt, push=0.0, friction=()):
     return float((r - push * (1.0 - torch.exp(-GAIN * t))[:, None, None]).abs().max())
 
 
-def recorded(layout=Layout(), **signals):
+def recorded(layout=None, **signals):
     """Log of rows every 10 ms, at rest where no signals are given."""
     signals = dict.fromkeys(("q", "qd", "tau"), np.zeros((10, 2))) | signals
-    return read_log({"time": 1e-2 * np.arange(len(signals["q"])), **signals}, layout)
+    return read_log({"time": 1e-2 * np.arange(len(signals["q"])), **signals}, layout or Layout())
 
 
 # --- the estimate ----------------------------------------------------------------------------------------------------

@@ -120,6 +120,10 @@ WRONG = {
     "more axes than joints": lambda: nn.OperationalSpaceControl(torchdq.robots.load("two_link"), 1.0, 1.0),
     "a floating base": lambda: nn.OperationalSpaceControl(torchdq.robots.load("go2"), 1.0, 1.0),
     "learned beside a module": lambda: nn.CartesianImpedance(Learned(), 1.0, 1.0, learn="mass"),
+    "unknown axes": lambda: nn.CartesianImpedance(PANDA, 1.0, 1.0, axes="everything"),
+    "negative damping": lambda: nn.OperationalSpaceControl(PANDA, 1.0, 1.0, damping=-1.0),
+    "a torque as limits": lambda: nn.OperationalSpaceControl(PANDA, 1.0, 1.0, limits=87.0),
+    "a posture without a gain": lambda: nn.CartesianImpedance(PANDA, 1.0, 1.0, q_null=Q[0], k_null=math.nan),
     "no robot": lambda: nn.CartesianImpedance("panda", 1.0, 1.0),
 }
 

@@ -121,6 +121,9 @@ def screw_path(
     >>> translation(X), V  # 2 m along x in four seconds
     (tensor([1., 2., 3.]), tensor([0.0000, 0.0000, 0.0000, 0.5000, 1.0000, 1.5000]))
     """
+    for name, k in (("s", s), ("sd", sd), ("sdd", sdd)):
+        if not isinstance(k, Tensor):
+            require_number(name, k)
     X, a = sclerp(x, y, s), 2.0 * log_shortest(mul(conj(x), y))
     V, A = (torch.as_tensor(k, dtype=x.dtype, device=x.device).unsqueeze(-1) * a for k in (sd, sdd))
     return X, V, A

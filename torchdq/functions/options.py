@@ -74,7 +74,9 @@ def axes_of(axes: str | Sequence[str]) -> str:
     """Axes as one option: their names, one after the other."""
     if not isinstance(axes, str) and not (isinstance(axes, Sequence) and all(isinstance(x, str) for x in axes)):
         raise ArgumentError(f"axes must be a name or a sequence of names, found {axes!r}")
-    return axes if isinstance(axes, str) else " ".join(axes)
+    found = axes if isinstance(axes, str) else " ".join(axes)
+    _distinct(found)
+    return found
 
 
 def _distinct(axes: str) -> tuple[str, ...]:

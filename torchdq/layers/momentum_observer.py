@@ -122,9 +122,9 @@ class MomentumObserver(nn.Module):
         rows = q.ndim == qd.ndim == tau.ndim > 1 and len(q) == len(qd) == len(tau) + 1
         if not rows or (dt is not None and dt.shape != tau.shape[:1]):
             raise ArgumentError(
-                "q and qd must be [steps + 1, ..., n], tau [steps, ..., n] and dt [steps], the torques and times between "
-                f"rows of q; found {', '.join(f'{name} {tuple(x.shape)}' for name, x in given.items())}; of torques that "
-                "were sampled like q, give the means of neighbours"
+                "q and qd must be [steps + 1, ..., n], tau [steps, ..., n] and dt [steps], those between rows of q, "
+                f"found {', '.join(f'{name} {tuple(x.shape)}' for name, x in given.items())}; of torques that were "
+                "sampled like q, give the means of neighbours"
             )
         h = q.new_tensor(self.dt) if dt is None else dt.reshape(-1, *[1] * (q.ndim - 1)).to(q)
         before = torch.cat((torch.zeros_like(tau[:1]), tau))
@@ -151,7 +151,7 @@ class MomentumObserver(nn.Module):
                 cure = "torchdq.learning.smooth differentiates q where qd was not recorded"
                 raise ArgumentError(f"motion must have time, q, qd and tau, found no {name}; {cure}")
         if not np.all(getattr(motion, "layout", motion).known_gains):
-            raise ArgumentError("tau of the motion must be torques, found efforts of unknown gains; give Layout(gain=...)")
+            raise ArgumentError("motion must have torques, found efforts of unknown gains; give Layout(gain=...)")
         time, q, qd, tau = map(torch.as_tensor, signals.values())
         return margin * self.series(q, qd, 0.5 * (tau[1:] + tau[:-1]), time.diff()).abs().amax(0)
 

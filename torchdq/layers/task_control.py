@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchdq.base.checks import require_choice, require_number
 from torchdq.functional import forward_dynamics
 from torchdq.functions.call import function_of
 from torchdq.functions.options import axes_of, options_of
@@ -25,6 +26,8 @@ class _TaskControl(ControlModule):
     ):
         frame, expressed, axes, *marks = options
         chosen = axes_of(axes)
+        if fixed["k_null"] is not None:
+            require_number("k_null", fixed["k_null"], least=0.0)
         super().__init__(robot, gains, len(rows_of(chosen)), **layer)
         self._chosen = options_of(self.robot, self._function, (frame or "", expressed, chosen, *marks))
         for name, x in fixed.items():
@@ -78,6 +81,9 @@ class OperationalSpaceControl(_TaskControl):
         limits: bool = False,
         **layer: Any,
     ):
+        if damping is not None:
+            require_number("damping", damping, positive=True)
+        require_choice("limits", limits, (False, True))
         fixed = {"q_null": q_null, "k_null": None if q_null is None else k_null, "damping": damping}
         options = (frame, expressed, axes, *["limits"] * limits)
         super().__init__(robot, {"kp": kp, "kd": kd}, options, fixed, **layer)
