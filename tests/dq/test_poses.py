@@ -6,10 +6,12 @@ import mpmath as mp
 import pytest
 import torch
 from helpers import random
+from messages import refused
 from torch.autograd import gradcheck
 from torch.autograd.functional import jvp
 
 from torchdq import dq
+from torchdq.errors import ArgumentError
 
 F32, F64 = torch.float32, torch.float64
 ANGLES = [0.0, 1e-12, 1e-4, 0.5, 2.0, 3.0, math.pi - 1e-9]
