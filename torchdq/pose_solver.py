@@ -64,7 +64,8 @@ def inverse_kinematics(
     `converged` False, and the best q of all starts; none raises.
 
     Gradients in X and in tensors of the robot are those of the solution that was found, by its implicit function: of
-    the smallest change of q where it is not unique. They are zero where it has not converged, and of first order only.
+    the smallest change of q where it is not unique, which may lead a joint that stands at a limit beyond it. They are
+    zero where it has not converged, and of first order only.
 
     Args:
         robot: the robot, with a fixed base.
