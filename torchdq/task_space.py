@@ -173,6 +173,17 @@ def coriolis_matrix(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | 
     return function_of("coriolis_matrix", robot, {"q": q, "qd": qd}, backend)[0]
 
 
+def _gain(name: str, value: Tensor | float, q: Tensor, X_des: Tensor) -> Tensor:
+    """Gain as a tensor, after a check that it is no matrix where q and X_des have one row."""
+    found = gain(name, value, q)
+    if found.ndim > max(q.ndim, X_des.ndim):
+        raise ArgumentError(
+            f"{name} must be a number or one for each of the axes, without batch axes that q and X_des lack, found "
+            f"shape {tuple(found.shape)}; of a diagonal matrix give the diagonal, and for more gains expand q"
+        )
+    return found
+
+
 def operational_space_control(
     robot: Robot,
     q: Tensor,
@@ -215,7 +226,7 @@ def operational_space_control(
         V_des: its twist (angular, linear) [rad/s, m/s], in its own axes or those of the base, as `expressed` says,
             shape [..., 6]; None: zero.
         A_des: rate of the components of V_des [rad/s^2, m/s^2], shape [..., 6]; None: zero.
-        kp: gain of the error [1/s^2], a number or one for each of the axes, [..., m].
+        kp: gain of the error [1/s^2], a number or one for each of the axes, [..., m]; matrices are not taken.
         kd: gain of its rate [1/s], likewise; 2 sqrt(kp) is critical damping.
         frame, expressed, axes: as in `operational_space`.
         q_null: posture [rad or m] that joints move to if the task leaves them free, shape [..., n]; q itself: they come
@@ -238,12 +249,13 @@ def operational_space_control(
     True
     """
     require_tensor("q", q)
+    require_tensor("X_des", X_des)
     if damping is not None and not isinstance(damping, Tensor):
         require_number("damping", damping)
         if damping <= 0:
             raise ArgumentError(f"damping must be positive, or None for none, found {damping!r}")
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des, "A_des": A_des}
-    gains = {"kp": gain("kp", kp, q), "kd": gain("kd", kd, q)}
+    gains = {"kp": _gain("kp", kp, q, X_des), "kd": _gain("kd", kd, q, X_des)}
     more = {
         "q_null": q_null,
         "k_null": None if q_null is None else gain("k_null", k_null, q),
@@ -280,7 +292,7 @@ def cartesian_impedance(
 
     Args:
         robot, q, qd, X_des, V_des, frame, expressed, axes, q_null, k_null: as in `operational_space_control`.
-        stiffness: K, a number or one for each of the axes [N m/rad, N/m], shape [..., m].
+        stiffness: K, a number or one for each of the axes [N m/rad, N/m], shape [..., m]; matrices are not taken.
         damping: D, likewise [N m s/rad, N s/m].
 
     >>> import torch, torchdq
@@ -291,8 +303,12 @@ def cartesian_impedance(
     True
     """
     require_tensor("q", q)
+    require_tensor("X_des", X_des)
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des}
-    gains = {"stiffness": gain("stiffness", stiffness, q), "damping": gain("damping", damping, q)}
+    gains = {
+        "stiffness": _gain("stiffness", stiffness, q, X_des),
+        "damping": _gain("damping", damping, q, X_des),
+    }
     more = {"q_null": q_null, "k_null": None if q_null is None else gain("k_null", k_null, q)}
     marks = [name for name, x in gains.items() if not x.ndim]
     names = options_of(require_robot(robot), "cartesian_impedance", (frame or "", expressed, axes_of(axes), *marks))
