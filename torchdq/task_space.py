@@ -17,7 +17,7 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_number, require_tensor
 from torchdq.errors import ArgumentError
-from torchdq.functions.call import function_of, gain
+from torchdq.functions.call import function_of, gain, gain_of_axes
 from torchdq.functions.options import axes_of, options_of
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
@@ -173,17 +173,6 @@ def coriolis_matrix(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | 
     return function_of("coriolis_matrix", robot, {"q": q, "qd": qd}, backend)[0]
 
 
-def _gain(name: str, value: Tensor | float, q: Tensor, X_des: Tensor) -> Tensor:
-    """Gain as a tensor, after a check that it is no matrix where q and X_des have one row."""
-    found = gain(name, value, q)
-    if found.ndim > max(q.ndim, X_des.ndim):
-        raise ArgumentError(
-            f"{name} must be a number or one for each of the axes, without batch axes that q and X_des lack, found "
-            f"shape {tuple(found.shape)}; of a diagonal matrix give the diagonal, and for more gains expand q"
-        )
-    return found
-
-
 def operational_space_control(
     robot: Robot,
     q: Tensor,
@@ -255,7 +244,7 @@ def operational_space_control(
         if damping <= 0:
             raise ArgumentError(f"damping must be positive, or None for none, found {damping!r}")
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des, "A_des": A_des}
-    gains = {"kp": _gain("kp", kp, q, X_des), "kd": _gain("kd", kd, q, X_des)}
+    gains = {"kp": gain_of_axes("kp", kp, q, X_des), "kd": gain_of_axes("kd", kd, q, X_des)}
     more = {
         "q_null": q_null,
         "k_null": None if q_null is None else gain("k_null", k_null, q),
@@ -306,8 +295,8 @@ def cartesian_impedance(
     require_tensor("X_des", X_des)
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des}
     gains = {
-        "stiffness": _gain("stiffness", stiffness, q, X_des),
-        "damping": _gain("damping", damping, q, X_des),
+        "stiffness": gain_of_axes("stiffness", stiffness, q, X_des),
+        "damping": gain_of_axes("damping", damping, q, X_des),
     }
     more = {"q_null": q_null, "k_null": None if q_null is None else gain("k_null", k_null, q)}
     marks = [name for name, x in gains.items() if not x.ndim]
