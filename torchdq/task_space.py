@@ -17,7 +17,7 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_choice, require_number, require_tensor
 from torchdq.errors import ArgumentError
-from torchdq.functions.call import function_of, gain
+from torchdq.functions.call import function_of, gain, gain_of_axes
 from torchdq.functions.options import axes_of, options_of
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
@@ -215,7 +215,7 @@ def operational_space_control(
         V_des: its twist (angular, linear) [rad/s, m/s], in its own axes or those of the base, as `expressed` says,
             shape [..., 6]; None: zero.
         A_des: rate of the components of V_des [rad/s^2, m/s^2], shape [..., 6]; None: zero.
-        kp: gain of the error [1/s^2], a number or one for each of the axes, [..., m].
+        kp: gain of the error [1/s^2], a number or one for each of the axes, [..., m]; matrices are not taken.
         kd: gain of its rate [1/s], likewise; 2 sqrt(kp) is critical damping.
         frame, expressed, axes: as in `operational_space`.
         q_null: posture [rad or m] that joints move to if the task leaves them free, shape [..., n]; q itself: they come
@@ -238,13 +238,14 @@ def operational_space_control(
     True
     """
     require_tensor("q", q)
+    require_tensor("X_des", X_des)
     if damping is not None and not isinstance(damping, Tensor):
         require_number("damping", damping)
         if damping <= 0:
             raise ArgumentError(f"damping must be positive, or None for none, found {damping!r}")
     require_choice("limits", limits, (False, True))
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des, "A_des": A_des}
-    gains = {"kp": gain("kp", kp, q), "kd": gain("kd", kd, q)}
+    gains = {"kp": gain_of_axes("kp", kp, q, X_des), "kd": gain_of_axes("kd", kd, q, X_des)}
     more = {
         "q_null": q_null,
         "k_null": None if q_null is None else gain("k_null", k_null, q),
@@ -281,7 +282,7 @@ def cartesian_impedance(
 
     Args:
         robot, q, qd, X_des, V_des, frame, expressed, axes, q_null, k_null: as in `operational_space_control`.
-        stiffness: K, a number or one for each of the axes [N m/rad, N/m], shape [..., m].
+        stiffness: K, a number or one for each of the axes [N m/rad, N/m], shape [..., m]; matrices are not taken.
         damping: D, likewise [N m s/rad, N s/m].
 
     >>> import torch, torchdq
@@ -292,8 +293,12 @@ def cartesian_impedance(
     True
     """
     require_tensor("q", q)
+    require_tensor("X_des", X_des)
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des}
-    gains = {"stiffness": gain("stiffness", stiffness, q), "damping": gain("damping", damping, q)}
+    gains = {
+        "stiffness": gain_of_axes("stiffness", stiffness, q, X_des),
+        "damping": gain_of_axes("damping", damping, q, X_des),
+    }
     more = {"q_null": q_null, "k_null": None if q_null is None else gain("k_null", k_null, q)}
     marks = [name for name, x in gains.items() if not x.ndim]
     names = options_of(require_robot(robot), "cartesian_impedance", (frame or "", expressed, axes_of(axes), *marks))

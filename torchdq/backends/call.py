@@ -123,8 +123,7 @@ def evaluate(
         if layout.direct is not None and not in_a_graph(given):
             # without views of the tensors: one takes a microsecond, which counts where a call has one sample
             direct = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
-            if direct is not None:
-                return dict(zip(layout.names, direct, strict=True))
+            return dict(zip(layout.names, direct, strict=True))
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, tensors)  # raises
         rows = [row_of(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]

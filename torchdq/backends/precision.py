@@ -65,8 +65,15 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
     *results, growth = _outputs(backend, program, inputs, samples)
     if readable and within_limit(growth, samples):
         return results
-    over = ~(growth[:, 0].detach() <= largest_growth(dtype))
-    if dtype == torch.float64:
+    return _mended(backend, program, inputs, results, growth)
+
+
+def _mended(
+    backend: Backend, program: Program, inputs: Sequence[Tensor], results: Sequence[Tensor], growth: Tensor
+) -> list[Tensor]:
+    """Results in which rows over the limit of their precision are recomputed, or NaN."""
+    over = ~(growth[:, 0].detach() <= largest_growth(growth.dtype))
+    if growth.dtype == torch.float64:
         return _or_nan(program, results, over)
     return _recomputed(backend, program, inputs, results, over)
 
@@ -78,8 +85,8 @@ def unguarded(
     forms: Sequence[Form],
     samples: int,
     out: Sequence[Tensor] = (),
-) -> list[Tensor] | None:
-    """Results in final shapes, without views on the way; None: a row is over the limit, and `guarded` must be called.
+) -> list[Tensor]:
+    """Results as those of `guarded`, in final shapes, without views on the way unless a row is over the limit.
 
     For a direct kernel on the CPU, a program without sums, at least one sample, and contiguous inputs of one dtype with
     the elements of [samples, width]. `out` are tensors for the results in the forms of the outputs; (): new ones.
@@ -90,7 +97,13 @@ def unguarded(
     direct.into(inputs, found, samples)
     if program.growth is None or backend.guards:
         return found
-    return found if within_limit(found.pop(), samples) else None
+    growth = found.pop()
+    if within_limit(growth, samples):
+        return found
+    sizes = [[a.width] if a.uniform else [samples, a.width] for a in program.arguments]
+    rows = [x.view(size) for x, size in zip(inputs, sizes, strict=True)]
+    results = _mended(backend, program, rows, [y.view(samples, -1) for y in found], growth.view(samples, 1))
+    return [y.copy_(mended.view(y.shape)) for y, mended in zip(found, results, strict=True)]
 
 
 def within_limit(growth: Tensor, samples: int) -> bool:
@@ -119,13 +132,13 @@ def _recomputed(
 ) -> list[Tensor]:
     """Results with the rows over the limit recomputed in float64."""
     dtype = inputs[0].dtype
-    at, others = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
+    at = over.nonzero()[:, 0]
     wide = [y.to(dtype) for y in guarded(backend, program, _among(program, inputs, at, torch.float64))]
-    if any(r.summed for r in program.results) or any(y.requires_grad for y in results):
-        # a sum contains the rows over the limit, and gradients of these rows may be 0 * inf
-        results = guarded(backend, program, _among(program, inputs, others, dtype))
-    else:
-        results = [y[others] for y in results]
+    if not any(r.summed for r in program.results) and not any(y.requires_grad for y in results):
+        return [y.index_copy(0, at, w) for y, w in zip(results, wide, strict=True)]
+    # a sum contains the rows over the limit, and gradients of these rows may be 0 * inf
+    others = (~over).nonzero()[:, 0]
+    results = guarded(backend, program, _among(program, inputs, others, dtype))
     return [
         k + w if r.summed else w.new_empty(len(over), w.shape[1]).index_copy(0, at, w).index_copy(0, others, k)
         for k, w, r in zip(results, wide, program.results, strict=True)

@@ -26,6 +26,7 @@ from torchdq.dynamics.posed import Posed, Row, dot
 from torchdq.numbers.functions import below, maximum, select, sqrt
 
 COMPONENTS = ("rx", "ry", "rz", "x", "y", "z")  # of a twist
+DAMPED = 2.0**11  # growth of damped rows at least: where a pivot is increased, float32 has too few digits of it
 ROUNDED = 2.0**-20  # share of the scale of a pivot that counts beside its own diagonal where digits are lost
 AXES = {"pose": COMPONENTS, "orientation": COMPONENTS[:3], "position": COMPONENTS[3:]}
 
@@ -108,7 +109,17 @@ def inertia(at: Posed, task: Task, damping: Number | None, linear: bool = False)
     factors = ltdl.factorise(_dense(len(J)), inverse, None if raised is None else lambda k, d: d + raised[k])
     # where a whole row of J vanishes, so does its diagonal, but not the rounding errors of the row
     diagonal = [inverse[i][i] + ROUNDED * scales[r // 3] for i, r in enumerate(task.rows)]
-    return Inertia(J, factors, maximum(found.growth, error_growth.growth(diagonal, factors.inverses)))
+    growths = [found.growth, error_growth.growth(diagonal, factors.inverses), dot(diagonal, _diagonal(factors))]
+    if raised is not None:
+        growths.append(select(below(0.0, sum(raised)), DAMPED, 1.0))
+    return Inertia(J, factors, reduce(maximum, growths))
+
+
+def _diagonal(factors: TreeFactors) -> list[Number]:
+    """Diagonal of Lambda, whose products with that of Lambda^-1 are 1 where rows do not act on each other."""
+    m = len(factors.inverses)
+    halves = [ltdl.half(_dense(m), factors, [float(i == k) for i in range(m)]) for k in range(m)]
+    return [sum([d * (x * x) for x, d in zip(half, factors.inverses, strict=True)]) for half in halves]
 
 
 def _raised(J: Matrix, own: Row, rows: Sequence[int], damping: Number | None) -> list[Number] | None:

@@ -96,6 +96,17 @@ def gain(name: str, value: Tensor | float, q: Tensor) -> Tensor:
     return torch.tensor(value, dtype=q.dtype, device=q.device)
 
 
+def gain_of_axes(name: str, value: Tensor | float, q: Tensor, X_des: Tensor) -> Tensor:
+    """Gain as a tensor, after a check that it is no matrix where q and X_des have one row."""
+    found = gain(name, value, q)
+    if found.ndim > max(q.ndim, X_des.ndim):
+        raise ArgumentError(
+            f"{name} must be a number or one for each of the axes, without batch axes that q and X_des lack, found "
+            f"shape {tuple(found.shape)}; of a diagonal matrix give the diagonal, and for more gains expand q"
+        )
+    return found
+
+
 def poses(
     name: str, robot: Robot, given: Tensors, frame: str | Sequence[str] | None, backend: BackendName | None
 ) -> Tensor:

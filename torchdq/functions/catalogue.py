@@ -205,7 +205,8 @@ class Function(_Call, Computation):
 
     def subject(self) -> str:
         """Text about the robot after a shape in error messages."""
-        return f" for the {self.sizes['n']} joints of robot {self.constants.fields['name']!r}"
+        task = f"{self.sizes['axes']} axes of frame {self.options[0]!r} and " if self.name in _OF_AXES else ""
+        return f" for {task}the {self.sizes['n']} joints of robot {self.constants.fields['name']!r}"
 
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise unless all required arguments are present."""

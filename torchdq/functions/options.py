@@ -1,5 +1,6 @@
 """Options of public functions: names that a program depends on, checked, with the defaults of the functions."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.dynamics.task_space import AXES, COMPONENTS, Task
 from torchdq.errors import ArgumentError
+from torchdq.functions.catalogue import Function
 from torchdq.functions.posed import GEOMETRY, frame, posed
 from torchdq.program.transforms import constant_in_graphs, with_values
 from torchdq.robot import Robot
@@ -63,11 +65,17 @@ def _task(default: str, *marks: str) -> Callable[..., Options]:
         tip, expressed, axes = (*named, *("", default, "pose")[len(named) :])
         name, expressed = _frame_and_axes(robot, tip or robot.end_effector().name, expressed)
         require_served(robot, name, expressed, axes)
-        if "limits" in given and not bool(((found := robot.limits.effort) > 0).logical_and(found.isfinite()).any()):
+        if "limits" in given and not _limited(constants(robot)):
             raise ArgumentError(f"limits must be False for robot {robot.name!r}, which has no torque limits")
         return (name, expressed, axes, *[mark for mark in marks if mark in given])
 
     return read
+
+
+@constant_in_graphs
+def _limited(of: Constants) -> bool:
+    """Whether a robot has torque limits, also in a graph that is being traced."""
+    return any([0 < most < math.inf for most in of.fields["limits"].effort.values])
 
 
 def axes_of(axes: str | Sequence[str]) -> str:
@@ -161,7 +169,9 @@ def options_of(robot: Robot, function: str, given: Any) -> Options:
         raise ArgumentError(f"options must be a sequence of names, found {given!r}")
     reader = _READERS.get(function)
     if reader is not None:
-        return reader(robot, *names)
+        if robot.floating:
+            Function(constants(robot), function).require_base()
+        return reader(robot, *[axes_of(name) if isinstance(name, list | tuple) else name for name in names])
     if names:
         raise ArgumentError(f"{function!r} has no options, found {given!r}")
     return ()

@@ -13,9 +13,10 @@ from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dq import pose_error
 from torchdq.dynamics import task_space
+from torchdq.dynamics.error_growth import HUGE
 from torchdq.dynamics.posed import Posed, Row, dot
 from torchdq.dynamics.task_space import Task
-from torchdq.numbers.functions import below, maximum, minimum, select, sqrt
+from torchdq.numbers.functions import at_least, below, maximum, minimum, select, sqrt
 
 COMPLETE = (set(range(6)), set(range(3)), set(range(3, 6)))  # components that turn into each other
 
@@ -145,8 +146,10 @@ def operational_space_torques(
     inertia = task_space.inertia(at, own_axes, damping)
     F = inertia.force(own_axes.of(more))
     own, others = task_space.torques(inertia.J, F), numbers(at.torques(qd, u, None))
+    # a joint that does not move the frame has no part in a force that is NaN, but its row has no torques
+    growth = maximum(inertia.growth, select(at_least(dot(F, F), 0.0), 1.0, HUGE))
     share = 1.0 if effort is None else _share(own, others, effort)
-    return [b + share * t for b, t in zip(others, own, strict=True)], inertia.growth
+    return [b + share * t for b, t in zip(others, own, strict=True)], growth
 
 
 def impedance_torques(
