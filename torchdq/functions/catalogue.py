@@ -227,8 +227,8 @@ class Function(_Call, Computation):
         if (fields["base_mass"] is not None) != (plain != self.name):
             if FLOATING + plain not in RECIPES:
                 raise ArgumentError(
-                    f"robot {fields['name']!r} has a floating base, which {plain.removesuffix('_step')} does not take: {_FIXED_ONLY[plain]}; "
-                    "load it with base='fixed' for the joints alone"
+                    f"robot {fields['name']!r} has a floating base, which {plain.removesuffix('_step')} does not take: "
+                    f"{_FIXED_ONLY[plain]}; load it with base='fixed' for the joints alone"
                 )
             fixed = plain != self.name
             kind, other, way = ("fixed", "floating", "torchdq") if fixed else ("floating", "fixed", "torchdq.floating")
