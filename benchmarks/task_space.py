@@ -26,7 +26,7 @@ SPRING = {"stiffness": 400.0, "damping": 40.0}
 
 
 def functions(dtype: torch.dtype) -> dict[str, Callable[[], Tensor | tuple[Tensor, ...]]]:
-    """What is timed, by its name on the page."""
+    """Calls to be timed, by their names on the page."""
     robot, g = torchdq.robots.load("panda"), torch.Generator().manual_seed(0)
     q, qd, there = (torch.randn(3, SAMPLES, robot.n, generator=g, dtype=torch.float64)).to(dtype)
     X = torchdq.forward_kinematics(robot, there, "tip")
