@@ -4,7 +4,7 @@
 
 Poses are those of random positions within the limits (a turn where there are none), so that all can be reached; FILEs
 are taken beside the arms that ship with the package, for the frame of their tip or of the end of their longest chain. A
-pose counts as reached if angle and distance, computed anew from the positions, are within 1e-8 (1e-5 in float32), and
+pose counts as reached if angle and distance, recomputed from the positions, are within 1e-8 (1e-5 in float32), and
 the positions within the limits. CPU time of the thread.
 """
 

@@ -23,7 +23,8 @@ from torchdq.scene.defaults import nominal_robot
 from torchdq.scene.scene import Scene
 
 Kind = Literal["reference", "target", "torque", "residual", "pose"]
-KP, KD = 100.0, 20.0  # gains of the default controllers [1/s^2, 1/s]
+KP, KD = 100.0, 20.0  # gains of the default controller of joints [1/s^2, 1/s]
+RATE = 20.0  # at which the error of a pose decays under that of frames [1/s]
 SHARE = {"torque": 1.0, "residual": 0.2}  # full action as a share of the torque limits
 OFFSET = 0.25  # full action of a servo's target [rad or m]
 HORIZON = 0.2  # time in which a joint at its velocity limit moves by a full reference action [s]
@@ -98,6 +99,15 @@ class Actions:
             columns[joint] = column
         return torch.stack(columns, 1)
 
+    def towards(self, poses: Any, reference: Tensor) -> Tensor:
+        """Actions [N, k] that move the desired poses [N, 8] to poses [N, 8] or [8], or towards them."""
+        if self.pose is None:
+            raise ArgumentError(f"pose_action needs an environment with action='pose', found {self.kind!r}")
+        goal = torch.as_tensor(poses).to(reference)
+        if goal.shape not in ((8,), reference.shape):
+            raise ArgumentError(f"X must have the shape {tuple(reference.shape)} or (8,), found {tuple(goal.shape)}")
+        return computed(self.pose.towards, x=reference, goal=goal, scale=self.scale)
+
     def inputs(self, actions: Tensor, reference: Tensor) -> dict[str, Tensor]:
         """Inputs of a scene for actions [N, n], at the task's reference [N, 3 n]; or [N, k], at a pose [N, 8]."""
         if self.pose is not None:
@@ -166,7 +176,8 @@ def with_controller(scene: Scene, kind: Kind, controller: Controller | None) -> 
     if kind != "pose":
         return scene.replace(controller=ComputedTorqueController(KP, KD, model))
     middle = tuple([r.lower + 0.5 * r.span for r in ranges(scene.robot)])
-    firm = OperationalSpace(4 * KP, 2 * KD, expressed="world", q_null=middle, model=model)
+    rate = min(RATE, 0.5 / scene.dt)  # torques that are held for dt would overshoot beyond
+    firm = OperationalSpace(rate**2, 2 * rate, expressed="world", q_null=middle, model=model)
     return scene.replace(controller=firm)
 
 

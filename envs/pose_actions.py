@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure, Quaternion
+from torchdq.algebra.screw import Screw
 from torchdq.dq import pose_error
+from torchdq.dq.components import form
 from torchdq.dq.explog import entire
 from torchdq.dq.formulas import numbers
 from torchdq.dynamics.task_space import COMPONENTS, Task
-from torchdq.functions.task_space import pose_of, pose_of_any_norm
+from torchdq.functions.task_space import pose_of, pose_of_any_norm, six
 from torchdq.numbers.functions import at_least, maximum, select, sqrt
 from torchdq.scene.spec import View
 
-POSITION, ROTATION = 0.05, 0.5  # full actions, as in robosuite [m, rad]
+POSITION, ROTATION = 0.1, 0.5  # full actions [m, rad]
 
 
 class PoseActions(NamedTuple):
@@ -32,28 +33,40 @@ class PoseActions(NamedTuple):
         return tuple([COMPONENTS[r] for r in self.task.rows])
 
     def moved(self, x: DualQuaternion, action: Any, scale: Any) -> DualQuaternion:
-        """Desired pose x after an action in [-1, 1], whose rotation vector is at most as long as one full component."""
-        whole: list[Number] = [0.0] * 6
-        moves: list[Number] = [0.0] * 6
-        for row, a, s in zip(self.task.rows, numbers(action), numbers(scale), strict=True):
-            whole[row], moves[row] = a, s * a
-        longest = 1.0 / sqrt(maximum(quat.norm2(tuple(whole[:3])), 1.0))
-        turn = _turned(quat.scale(longest, tuple(moves[:3]))) if min(self.task.rows) < 3 else quat.ONE
+        """Desired pose x after an action in [-1, 1], whose rotation vector is at most as long as one full component.
+
+        Without an action it is x to the bit, so that rounding errors do not move a frame that is held.
+        """
+        a = [*numbers(action)]
+        turn, move = six(self.task, [s * u for s, u in zip(numbers(scale), a, strict=True)])
+        turn = quat.scale(1.0 / sqrt(maximum(quat.norm2(six(self.task, a)[0]), 1.0)), turn)
         if self.task.world:
-            return dq.from_pose(quat.mul(turn, x[0]), quat.add(dq.translation(x), tuple(moves[3:])))
-        return dq.mul(x, dq.from_pose(turn, tuple(moves[3:])))
+            turn, move = (quat.rotate(quat.conj(x[0]), v) for v in (turn, move))
+        return dq.mul(x, dq.from_pose(_turned(turn) if min(self.task.rows) < 3 else quat.ONE, move))
+
+    def towards(self, x: DualQuaternion, goal: Any, scale: Any) -> list[Number]:
+        """Action that moves the desired pose x to a goal of any norm, or by a full action towards it."""
+        e, d = between = _between(x, pose_of_any_norm([*numbers(goal)]))
+        if not self.task.world:
+            e, d = (quat.rotate(quat.conj(x[0]), v) for v in between)
+        e, d = six(self.task, [c / s for c, s in zip(self.task.of((e, d)), numbers(scale), strict=True)])
+        return self.task.of((_shortened(e, 1.0)[1], _shortened(d, 1.0)[1]))
 
     def reference(self, view: View) -> list[Number]:
         """Desired pose after a step, within the leash; at a start the measured one."""
         X = pose_of(view.posed(view.reading[: len(view.q)]), self.task)
         if "reference" in view.inputs:
-            goal, p = pose_of_any_norm(view.inputs["reference"][:8]), dq.translation(X)
-            e = pose_error.error((quat.mul(quat.conj(X[0]), goal[0]), dq.ZERO))[0]
-            d = quat.sub(dq.translation(goal), p)
-            (turns, e), (moves, d) = (_shortened(v, most) for v, most in zip((e, d), self.leash, strict=True))
-            r = _where(turns, goal[0], quat.mul(X[0], _turned(e)))
-            X = dq.from_pose(r, _where(moves, dq.translation(goal), quat.add(p, d)))
+            goal = pose_of_any_norm(view.inputs["reference"][:8])
+            (turns, e), (moves, d) = (_shortened(v, m) for v, m in zip(_between(X, goal), self.leash, strict=True))
+            cut = dq.from_pose(quat.mul(_turned(e), X[0]), quat.add(dq.translation(X), d))
+            X = form([select(turns * moves, a, b) for a, b in zip(numbers(goal), numbers(cut), strict=True)])
         return [*X[0], *X[1]]
+
+
+def _between(x: DualQuaternion, goal: DualQuaternion) -> Screw:
+    """Rotation vector and displacement from one pose to another, in axes of the base."""
+    turn = (quat.mul(goal[0], quat.conj(x[0])), dq.ZERO)
+    return pose_error.error(turn)[0], quat.sub(dq.translation(goal), dq.translation(x))
 
 
 def _turned(v: Pure) -> Quaternion:
@@ -67,7 +80,3 @@ def _shortened(v: Pure, most: float) -> tuple[Number, Pure]:
     """Whether a vector is at most so long, and the vector cut to that."""
     square, most = quat.norm2(v), max(most, 1e-12)
     return at_least(most * most, square), quat.scale(most / sqrt(maximum(square, most * most)), v)
-
-
-def _where(chosen: Number, a: Sequence[Number], b: Sequence[Number]) -> tuple[Number, ...]:
-    return tuple([select(chosen, x, y) for x, y in zip(a, b, strict=True)])

@@ -93,14 +93,16 @@ class ArmVectorEnv(VectorEnv):
             to go from where it is, and without offsets the arm comes to rest. None: "target" if there is a servo, or
             "reference", or "torque" if some joints are passive or the base floats.
             "pose": displacements of the desired pose of the controller's frame in the axes of its error, a rotation
-            vector and a displacement, full ones 0.5 rad and 0.05 m; the task's reference is not followed.
+            vector and a displacement, full ones 0.5 rad and 0.1 m; `pose_action` turns absolute poses into them. The
+            task's reference is not followed.
         controller: controller of residual, reference and pose actions; None: computed torque, or operational space of
             the tip in axes of the world, of the rigid bodies as described, which knows nothing of friction or of what
             is randomised; a floating base needs another one.
         scale: size of a full action [N m or N; rad or m for "reference", "target" and "pose"], one number or k, in the
             order of `actuated`, or of the controller's axes; None: as above.
-        leash: for "pose", the farthest that the desired pose is from the measured one after a step [rad, m]; (0, 0):
-            actions displace the measured pose.
+        leash: for "pose", the farthest that the desired pose is from the measured one after a step [rad, m], so that it
+            does not run ahead of an arm that is slower; displacements beyond it are lost. (0, 0): actions displace the
+            measured pose.
         actuated: names or patterns of the joints that actions move, one column each in the order given, those of a
             pattern in the order of the robot; None: all. The others are passive: they get no torque, from actions or a
             controller, and `action` is "torque" or "target", where the servo's gains say how firmly they are held.
@@ -143,7 +145,7 @@ class ArmVectorEnv(VectorEnv):
         action: Kind | None = None,
         controller: Controller | None = None,
         scale: float | Sequence[float] | None = None,
-        leash: tuple[float, float] = (1.0, 0.3),
+        leash: tuple[float, float] = (0.5, 0.05),
         actuated: str | Sequence[str] | None = None,
         integrator: Integrator | None = None,
         dt: float = 0.02,
@@ -367,6 +369,23 @@ class ArmVectorEnv(VectorEnv):
             self._keep(buffers)
             found = rollout_of(rows)
         return found if self.output == "torch" else Rollout(*map(self._out, found))
+
+    @torch.no_grad()
+    def pose_action(self, X: Any) -> Any:
+        """Actions [N, k] in [-1, 1] that move the desired poses to X, or by a full action towards it.
+
+        Args:
+            X: poses of the controller's frame in the base, of any norm, [N, 8] or [8]; where `action` is "pose".
+
+        >>> import torch, torchdq
+        >>> envs = ArmVectorEnv(2, "reach", "panda", action="pose")
+        >>> _ = envs.reset(seed=0)
+        >>> up = torchdq.dq.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 0.01]))  # by 0.02 m
+        >>> envs.pose_action(torchdq.dq.mul(up, envs.get_state()["reference"]))[:, 5]
+        tensor([0.2000, 0.2000])
+        """
+        self._started("pose_action")
+        return self._out(self._actions.towards(X, self._buffers["reference"]))
 
     def _recorded(self, policy: Any) -> Network | None:
         """Policy that can be part of a program together with the steps; None: it cannot."""

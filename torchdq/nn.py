@@ -9,7 +9,6 @@ MomentumObserver  torques and forces of contacts, from motions and torques of th
 OperationalSpaceControl, CartesianImpedance
                   control of a frame, likewise
 ResidualDynamics  inverse dynamics and a network for the residual torques
-PredictedTorques  torques of a `ResidualDynamics` with their standard errors and intervals
 RobotModule       base of those of a robot alone
 """
 
@@ -22,7 +21,7 @@ from torchdq.layers.dynamics import (
     InverseDynamics,
 )
 from torchdq.layers.momentum_observer import MomentumObserver, ObserverState
-from torchdq.layers.residual import PredictedTorques, ResidualDynamics
+from torchdq.layers.residual import ResidualDynamics
 from torchdq.layers.robot_module import RobotModule
 from torchdq.layers.task_control import CartesianImpedance, OperationalSpaceControl
 
@@ -37,7 +36,6 @@ __all__ = [
     "MomentumObserver",
     "ObserverState",
     "OperationalSpaceControl",
-    "PredictedTorques",
     "ResidualDynamics",
     "RobotModule",
 ]

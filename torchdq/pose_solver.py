@@ -61,7 +61,7 @@ def inverse_kinematics(
     Levenberg-Marquardt steps on the error (rotation vector to X, displacement to X) in axes of the frame, with joints
     held at limits. Where they stall, the next start is taken, a point of one sequence that fills the limits evenly and
     is the same for all rows, so that a row has the same result in every batch. A row that cannot be reached has
-    `converged` False, and the best q of all starts; none raises.
+    `converged` False, and the best q of all starts, NaN if X is; none raises.
 
     Gradients in X and in tensors of the robot are those of the solution that was found, by its implicit function: of
     the smallest change of q where it is not unique, which may lead a joint that stands at a limit beyond it. They are
@@ -92,7 +92,7 @@ def inverse_kinematics(
     common_batch([(name, x, (width,), False) for name, (x, width) in given.items()], f" for robot {robot.name!r}")
     require_count("starts", starts)
     tolerance = TOLERANCES[X.dtype] if tolerance is None else tolerance
-    angle, distance = tolerance if isinstance(tolerance, tuple) and len(tolerance) == 2 else (tolerance, tolerance)
+    angle, distance = tolerance if isinstance(tolerance, Sequence) and len(tolerance) == 2 else (tolerance, tolerance)
     for value in (angle, distance):
         require_number("tolerance", value, positive=True)
     if without_values((X,)) and not transforming():
@@ -149,6 +149,7 @@ def _search(
         back = order.argsort()
         found = [x.index_select(0, back) for x in found]
     q, state = (x.reshape(*batch, x.shape[-1]) for x in found)
+    q = q.masked_fill(state[..., 3:].isinf().any(-1, keepdim=True), math.nan)  # no start had an error
     taken = (state[..., 0].long() + 1).clamp(max=int(settings[2]))
     return InverseKinematics(q, state[..., 1] > 0, state[..., 3:].sqrt(), taken)
 

@@ -107,6 +107,7 @@ def driver(library, monkeypatch):
     """A driver, and a torch that is on device 0, where stream 7 is current; on device 1 that is stream 8."""
     monkeypatch.setenv("TORCHDQ_CUDA_DRIVER", library)
     torchdq.clear_caches()
+    gc.freeze()  # the collections below look for what is made from here on, not in all that other tests hold
     now = SimpleNamespace(device=0)
 
     @contextmanager

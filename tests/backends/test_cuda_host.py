@@ -30,7 +30,7 @@ F32, F64 = torch.float32, torch.float64
 
 
 @pytest.mark.parametrize("dtype", [F64, F32], ids=str)
-@pytest.mark.parametrize("robot", [TWO, TREE], ids=lambda r: r.name)
+@pytest.mark.parametrize("robot", [pytest.param(TWO, marks=pytest.mark.exhaustive), TREE], ids=lambda r: r.name)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_equal_those_of_the_c_backend(name, robot, dtype):
     s = states(robot, 150, dtype=dtype)
@@ -138,8 +138,11 @@ def test_sums_contain_the_recomputed_rows(batch):
 # --- gradients -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
-@pytest.mark.parametrize("robot", [TREE, PANDA], ids=lambda r: r.name)
+@pytest.mark.parametrize(
+    ("robot", "dtype"),
+    [(TREE, F64), (PANDA, F32), *(pytest.param(*x, marks=pytest.mark.exhaustive) for x in ((TREE, F32), (PANDA, F64)))],
+    ids=lambda x: getattr(x, "name", str(x)),
+)
 def test_gradients_equal_those_of_the_c_backend(robot, dtype):
     s = states(robot, 70, dtype=dtype)
 

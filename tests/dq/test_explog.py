@@ -119,10 +119,21 @@ def ulps(rows, references):
     return worst / EPS[rows.dtype]
 
 
-def rounded_exp(a):
-    """The exponential rounded once, component by component, to the dtype of a."""
-    values = [[float(v) for v in exact_exp(exact(row))] for row in a]
-    return torch.tensor(values, dtype=F64).to(a.dtype)
+@cache
+def exact_exps(angle, dtype):
+    """Exponentials of the screws of an angle, which every backend is held to."""
+    return [exact_exp(exact(row)) for row in halves(angle, dtype)]
+
+
+@cache
+def exact_logs(angle, dtype):
+    """Logarithms of these poses, rounded."""
+    return [exact_log(exact(row)) for row in rounded_exps(angle, dtype)]
+
+
+def rounded_exps(angle, dtype):
+    """The exponentials of an angle rounded once, component by component."""
+    return torch.tensor([[float(v) for v in row] for row in exact_exps(angle, dtype)], dtype=F64).to(dtype)
 
 
 def test_the_reference_logarithm_inverts_the_reference_exponential():
@@ -143,7 +154,7 @@ def test_exp_is_within_4_ulp(dtype, angle, margin):
     a = halves(angle, dtype)
     # over many turns the pitch, a difference of products as long as the angle, takes its digits
     condition = angle if angle > 13.0 else 1.0
-    margin(ulps(dq.exp(a), [exact_exp(exact(row)) for row in a]), 4 * condition)
+    margin(ulps(dq.exp(a), exact_exps(angle, dtype)), 4 * condition)
 
 
 def conditioned(angle):
@@ -154,8 +165,7 @@ def conditioned(angle):
 @pytest.mark.case("G2", "G3", "G5", "G6")
 @pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_PI + UP_TO_FULL, 1e-300, 1e-160))
 def test_log_is_within_8_ulp_and_loses_only_what_its_condition_takes(dtype, angle, margin):
-    x = rounded_exp(halves(angle, dtype))
-    found, reference = dq.log(x), [exact_log(exact(row)) for row in x]
+    found, reference = dq.log(rounded_exps(angle, dtype)), exact_logs(angle, dtype)
     margin(ulps(found[:, :3], [row[:3] for row in reference]), 8, "angle")
     margin(ulps(found, reference), conditioned(angle), "line")
 
@@ -179,10 +189,10 @@ def test_log_of_a_longer_turn_is_a_logarithm_within_a_full_turn(angle):
 
 @pytest.mark.parametrize("dtype", [F32, F64])
 def test_log_does_not_see_the_length_of_x_nor_its_part_along_itself(dtype):
-    x = rounded_exp(halves(1.3, dtype))
+    x = rounded_exps(1.3, dtype)
     off = 3.0 * torch.cat([x[:, :4], x[:, 4:] + 0.25 * x[:, :4]], -1)
     assert ulps(dq.log(off), [exact_log(exact(row)) for row in off]) <= 16
-    assert ulps(dq.log(off), [exact_log(exact(row)) for row in x]) <= 16
+    assert ulps(dq.log(off), exact_logs(1.3, dtype)) <= 16
 
 
 @pytest.mark.case("G8")
@@ -273,18 +283,23 @@ def test_nothing_jumps_where_a_series_changes_to_a_closed_form(f, switch, row, b
 
 
 @pytest.mark.case("G1", "G2", "G6")
-@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_PI + UP_TO_FULL + BEYOND, 1e-300, 1e-160))
-def test_values_gradients_and_hessians_are_finite(dtype, angle):
-    a = halves(angle, dtype, rows=2)[1]
-    x = dq.exp(a)
-    assert second_derivatives(dq.exp, a).isfinite().all()
-    assert second_derivatives(dq.log_shortest, x).isfinite().all()
-    for f, at in ((dq.log, x), (round_trip, a)):
-        found = second_derivatives(f, at)
-        if dtype == F32 and 2 * PI - 1e-5 < angle < 2 * PI:
-            # two float32 steps from a full turn the second derivatives pass through sin(angle/2)^-7 > 1e38
-            found = found[: f(at).numel() + at.numel()]
-        assert found.isfinite().all()
+@pytest.mark.parametrize("dtype", [F32, F64])
+def test_values_gradients_and_hessians_are_finite(dtype):
+    angles = [angle for d, angle in with_dtype(UP_TO_PI + UP_TO_FULL + BEYOND, 1e-300, 1e-160) if d == dtype]
+    a = torch.stack([halves(angle, dtype, rows=2)[1] for angle in angles])
+    x = dq.exp(a).detach()
+    # two float32 steps from a full turn the second derivatives pass through sin(angle/2)^-7 > 1e38
+    near = torch.tensor([dtype == F32 and 2 * PI - 1e-5 < angle < 2 * PI for angle in angles])
+    for f, at in ((dq.exp, a), (dq.log_shortest, x), (dq.log, x), (round_trip, a)):
+        at = at.clone().requires_grad_()
+        value = f(at)
+        weights = torch.arange(1.0, 1.0 + value.shape[-1], dtype=dtype)
+        (slope,) = torch.autograd.grad((weights * value).sum(), at, create_graph=True)
+        curves = [torch.autograd.grad(one.sum(), at, retain_graph=True)[0] for one in slope.unbind(-1)]
+        assert value.isfinite().all() and slope.isfinite().all()
+        infinite = ~torch.stack(curves, -1).isfinite().flatten(1).all(-1)
+        excused = near if f in (dq.log, round_trip) else torch.zeros_like(near)
+        assert not (infinite & ~excused).any(), [angles[k] for k in infinite.nonzero()[:, 0]]
 
 
 @pytest.mark.case("G6", "G8")
@@ -399,11 +414,11 @@ def defects(components):
 
 
 def run_products(number, every):
-    """1e5 products with one motion, in one precision, normalising after every so many (0: never)."""
+    """1e4 products with one motion, in one precision, normalising after every so many (0: never)."""
     motion = dq.exp(torch.tensor([0.1, -0.2, 0.15, 0.02, 0.01, -0.03], dtype=F64)).numpy().astype(number)
     step = (tuple(motion[:4]), tuple(motion[4:]))
     x = step
-    for k in range(1, 100_001):
+    for k in range(1, 10_001):
         x = dual_quaternion.mul(x, step)
         if every and k % every == 0:
             row = dq.normalize(torch.tensor(np.array([*x[0], *x[1]], dtype=number))).numpy()
@@ -429,8 +444,8 @@ def drifted(number):
 def test_a_long_product_drifts_by_less_than_an_ulp_per_factor(number):
     eps = float(np.finfo(number).eps)
     length, off = drifted(number)
-    assert 100 * eps < length <= 1e5 * eps  # it does drift: normalising is needed
-    assert off <= 1e5 * eps
+    assert 100 * eps < length <= 1e4 * eps  # it does drift: normalising is needed
+    assert off <= 1e4 * eps
 
 
 def test_normalize_divides_by_the_dual_norm():

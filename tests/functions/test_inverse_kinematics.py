@@ -147,6 +147,7 @@ def test_a_row_is_the_same_in_every_batch():
         for a, b in zip(few, every, strict=True):
             assert torch.equal(a.nan_to_num(), b[some].nan_to_num())
     assert not every.converged[7] and every.error[7].isinf().all() and every.starts[7] == 128
+    assert every.q[7].isnan().all() and every.q.isnan().any(-1).sum() == 1
     assert every.converged[11] and every.starts[11] > 1
     alone = torchdq.inverse_kinematics(ARM, X[42], start=start[42])
     assert torch.equal(alone.q, every.q[42]) and alone.converged.shape == ()

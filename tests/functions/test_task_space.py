@@ -368,6 +368,30 @@ def test_torques_through_a_singular_posture_are_bounded_and_continuous(robot, q,
     assert exact[2000].isnan().all() and exact[same].isfinite().all()
 
 
+@pytest.mark.parametrize(("robot", "q", "way", "axes"), SINGULAR.values(), ids=SINGULAR)
+def test_damping_adds_what_its_formula_says_to_the_inverse_of_the_inertia(robot, q, way, axes):
+    """To its diagonal, row by row from the last, as the pivots of J J^T ask for, to which it adds as much."""
+    q, b, rows = q + torch.linspace(-0.1, 0.1, 5, dtype=F64)[:, None] * way, 0.25, rows_of(axes)
+    e = 0.1 * random(5, 6, seed=3) * double(*[float(r in rows) for r in range(6)])
+    goal = moved(torchdq.forward_kinematics(robot, q, robot.tip), *e.split(3, -1))
+    J = torchdq.jacobian(robot, q, robot.tip)
+    S, A = J @ J.mT, J @ torch.linalg.solve(torchdq.mass_matrix(robot, q), J.mT)
+    sizes = [x.diagonal(dim1=-2, dim2=-1).unflatten(-1, (2, 3)).mean(-1) for x in (S, A)]
+    S, A, most = S[:, rows][..., rows], A[:, rows][..., rows], 0.0
+    for k in reversed(range(len(rows))):
+        after, (size, own) = slice(k + 1, None), (x[:, rows[k] // 3] for x in sizes)
+        known = S[:, k, None, after] @ torch.linalg.solve(S[:, after, after], S[:, after, k, None])
+        share = (b - (S[:, k, k] - known[:, 0, 0]) / size).clamp(min=0) ** 2 / (4 * b)
+        S[:, k, k] += share * size
+        A[:, k, k] += share * own
+        most = max(most, float(share.max()))
+    F = torch.linalg.solve(A, 50.0 * e[:, rows, None])
+    expected = torchdq.inverse_dynamics(robot, q) + (J[:, rows].mT @ F)[..., 0]
+    tau = torchdq.operational_space_control(robot, q, 0 * q, goal, kp=50.0, kd=3.0, axes=axes, damping=b)
+    torch.testing.assert_close(tau, expected, rtol=1e-9, atol=1e-9)
+    assert most > 0
+
+
 @in_axes
 @pytest.mark.parametrize("damping", [2.0**-8, None], ids=["damped", "exact"])
 @pytest.mark.parametrize("name", ["panda", "ur10e"])

@@ -73,9 +73,14 @@ def _mended(
 ) -> list[Tensor]:
     """Results in which rows over the limit of their precision are recomputed, or NaN."""
     over = ~(growth[:, 0].detach() <= largest_growth(growth.dtype))
-    if growth.dtype == torch.float64:
-        return _or_nan(program, results, over)
-    return _recomputed(backend, program, inputs, results, over)
+    double = growth.dtype == torch.float64
+    if backend.differentiable or any(r.summed for r in program.results):
+        return _or_nan(program, results, over) if double else _recomputed(backend, program, inputs, results, over)
+    at = over.nonzero()[:, 0]
+    wide = [] if double else guarded(backend, program, _among(program, inputs, at, torch.float64))
+    for k, y in enumerate(results):  # memory of this call, which nobody has seen
+        y.index_fill_(0, at, torch.nan) if double else y.index_copy_(0, at, wide[k].to(y.dtype))
+    return list(results)
 
 
 def unguarded(
@@ -102,8 +107,8 @@ def unguarded(
         return found
     sizes = [[a.width] if a.uniform else [samples, a.width] for a in program.arguments]
     rows = [x.view(size) for x, size in zip(inputs, sizes, strict=True)]
-    results = _mended(backend, program, rows, [y.view(samples, -1) for y in found], growth.view(samples, 1))
-    return [y.copy_(mended.view(y.shape)) for y, mended in zip(found, results, strict=True)]
+    _mended(backend, program, rows, [y.view(samples, -1) for y in found], growth.view(samples, 1))
+    return found
 
 
 def within_limit(growth: Tensor, samples: int) -> bool:
@@ -136,8 +141,8 @@ def _recomputed(
     wide = [y.to(dtype) for y in guarded(backend, program, _among(program, inputs, at, torch.float64))]
     if not any(r.summed for r in program.results) and not any(y.requires_grad for y in results):
         return [y.index_copy(0, at, w) for y, w in zip(results, wide, strict=True)]
-    # a sum contains the rows over the limit, and gradients of these rows may be 0 * inf
     others = (~over).nonzero()[:, 0]
+    # a sum contains the rows over the limit, and gradients of these rows may be 0 * inf
     results = guarded(backend, program, _among(program, inputs, others, dtype))
     return [
         k + w if r.summed else w.new_empty(len(over), w.shape[1]).index_copy(0, at, w).index_copy(0, others, k)
@@ -147,4 +152,5 @@ def _recomputed(
 
 def _among(program: Program, inputs: Sequence[Tensor], rows: Tensor, dtype: torch.dtype) -> list[Tensor]:
     """Arguments for some of the samples, in a dtype."""
-    return [(x if a.uniform else x[rows]).to(dtype) for x, a in zip(inputs, program.arguments, strict=True)]
+    pairs = zip(inputs, program.arguments, strict=True)
+    return [(x if a.uniform else x.index_select(0, rows)).to(dtype) for x, a in pairs]

@@ -42,6 +42,11 @@ def predecessors(M: Matrix) -> tuple[int, ...]:
     return tuple(before)
 
 
+def dense(m: int) -> tuple[int, ...]:
+    """Predecessors of a matrix without zeros."""
+    return tuple(range(-1, m - 1))
+
+
 def factorise(before: Sequence[int], M: Matrix, pivot: Callable[[int, Number], Number] | None = None) -> TreeFactors:
     """Factors of a mass matrix, or of another symmetric one.
 

@@ -34,7 +34,7 @@ def force(J: Matrix, rows: tuple[int, ...], r: Row, damping: Number) -> tuple[Ro
     more = [damping * damping * scales[k // 3] for k in rows]
     A = tuple(tuple(dot(J[i], J[k]) + (d if i == k else 0.0) for k in rows) for i, d in zip(rows, more, strict=True))
     m = len(rows)
-    before = tuple(range(-1, m - 1))
+    before = ltdl.dense(m)
     found = ltdl.factorise(before, A)
     part = [1.0 - d * ltdl.solve(before, found, [float(i == k) for i in range(m)])[k] for k, d in enumerate(more)]
     growth = error_growth.growth([A[k][k] for k in range(m)], found.inverses)

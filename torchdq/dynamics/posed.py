@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, cast
 
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.matrix import Matrix
@@ -38,12 +38,9 @@ class Factors(NamedTuple):
         return error_growth.growth(self.diagonal, self.inverses)
 
     def mobility(self, J: Matrix) -> Matrix:
-        """Symmetric matrix J M^-1 J^T of rows J."""
-        if self.half is None:
-            left, right = [self.solve(row) for row in J], J
-        else:
-            right = tuple(tuple(self.half(row)) for row in J)
-            left = [[x * d for x, d in zip(row, self.inverses, strict=True)] for row in right]
+        """Symmetric matrix J M^-1 J^T of rows J, by factors of the entries of M."""
+        right = list(map(cast("Callable[[Row], Row]", self.half), J))
+        left = [[x * d for x, d in zip(row, self.inverses, strict=True)] for row in right]
         found = [[dot(a, b) for b in right[: i + 1]] for i, a in enumerate(left)]
         return tuple(tuple(found[max(i, k)][min(i, k)] for k in range(len(J))) for i in range(len(J)))
 

@@ -75,7 +75,7 @@ class Inertia(NamedTuple):
 
     def force(self, a: Row) -> Row:
         """Force Lambda a that accelerates the components by a."""
-        return ltdl.solve(_dense(len(a)), self.factors, a)
+        return ltdl.solve(ltdl.dense(len(a)), self.factors, a)
 
     def matrix(self) -> Matrix:
         """Lambda."""
@@ -84,11 +84,7 @@ class Inertia(NamedTuple):
         return tuple(tuple(rows[max(i, k)][min(i, k)] for k in range(m)) for i in range(m))
 
 
-def _dense(m: int) -> tuple[int, ...]:
-    return tuple(range(-1, m - 1))
-
-
-def inertia(at: Posed, task: Task, damping: Number | None, linear: bool = False) -> Inertia:
+def inertia(at: Posed, task: Task, damping: Number | None) -> Inertia:
     """Inertia of a task, damped where the joints hardly move it.
 
     Whether they do is measured by pivots d of J J^T over their scale s, the mean of the diagonal for components of the
@@ -99,14 +95,13 @@ def inertia(at: Posed, task: Task, damping: Number | None, linear: bool = False)
         at: the robot.
         task: the components.
         damping: b; None: no pivot is increased.
-        linear: whether the mass matrix is factorised by articulated bodies.
     """
-    found, whole = at.factors(linear), task._replace(rows=tuple(range(6))).jacobian(at)
+    found, whole = at.factors(linear=False), task._replace(rows=tuple(range(6))).jacobian(at)
     J, mobility = tuple(whole[r] for r in task.rows), found.mobility(whole)
     inverse = tuple(tuple(mobility[i][k] for k in task.rows) for i in task.rows)
     scales = _scales(mobility)
     raised = _raised(whole, scales, task.rows, damping)
-    factors = ltdl.factorise(_dense(len(J)), inverse, None if raised is None else lambda k, d: d + raised[k])
+    factors = ltdl.factorise(ltdl.dense(len(J)), inverse, None if raised is None else lambda k, d: d + raised[k])
     # where a whole row of J vanishes, so does its diagonal, but not the rounding errors of the row
     diagonal = [inverse[i][i] + ROUNDED * scales[r // 3] for i, r in enumerate(task.rows)]
     growths = [found.growth, error_growth.growth(diagonal, factors.inverses), dot(diagonal, _diagonal(factors))]
@@ -118,7 +113,7 @@ def inertia(at: Posed, task: Task, damping: Number | None, linear: bool = False)
 def _diagonal(factors: TreeFactors) -> list[Number]:
     """Diagonal of Lambda, whose products with that of Lambda^-1 are 1 where rows do not act on each other."""
     m = len(factors.inverses)
-    halves = [ltdl.half(_dense(m), factors, [float(i == k) for i in range(m)]) for k in range(m)]
+    halves = [ltdl.half(ltdl.dense(m), factors, [float(i == k) for i in range(m)]) for k in range(m)]
     return [sum([d * (x * x) for x, d in zip(half, factors.inverses, strict=True)]) for half in halves]
 
 
@@ -137,7 +132,7 @@ def _raised(J: Matrix, own: Row, rows: Sequence[int], damping: Number | None) ->
         shares[k] = fourth * (lack * lack)
         return d + shares[k] * scales[kind]
 
-    ltdl.factorise(_dense(len(rows)), tuple(tuple(squares[i][k] for k in rows) for i in rows), pivot)
+    ltdl.factorise(ltdl.dense(len(rows)), tuple(tuple(squares[i][k] for k in rows) for i in rows), pivot)
     return [share * own[r // 3] for share, r in zip(shares, rows, strict=True)]
 
 
@@ -155,7 +150,7 @@ def manipulability(at: Posed, task: Task) -> Number:
         pivots.append(select(moved, d, 0.0))
         return select(moved, d, 1.0)
 
-    ltdl.factorise(_dense(len(J)), tuple(tuple(dot(a, b) for b in J) for a in J), pivot)
+    ltdl.factorise(ltdl.dense(len(J)), tuple(tuple(dot(a, b) for b in J) for a in J), pivot)
     product = reduce(mul, pivots)
     moved = below(0.0, product)
     return select(moved, sqrt(select(moved, product, 1.0)), 0.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from numbers import Real
 from typing import Literal, get_args
 
 import numpy as np
@@ -15,7 +14,7 @@ from torch.compiler import is_compiling
 from torchdq.backends.call import Tensors, common_batch, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
-from torchdq.base.checks import names_of, require_number, require_tensor
+from torchdq.base.checks import REAL, names_of, require_number, require_tensor
 from torchdq.base.progress import FIRST, warn_once
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, recordings
@@ -87,13 +86,13 @@ def gain(name: str, value: Tensor | float, q: Tensor) -> Tensor:
         if value.is_complex() or value.dtype == torch.bool:
             raise ArgumentError(f"{name} must be a real number, found {value}")
         return value.to(q)
-    if not isinstance(value, Real):
+    if not isinstance(value, REAL):
         cure = "; use torch.as_tensor" if isinstance(value, list | tuple | np.ndarray) else ""
         raise ArgumentError(f"{name} must be a number or a tensor, found {type(value).__name__}{cure}")
     require_number(name, value)
     if value < 0:
         raise ArgumentError(f"{name} must not be negative, found {value!r}")
-    return torch.tensor(value, dtype=q.dtype, device=q.device)
+    return torch.full((), value, dtype=q.dtype, device=q.device)
 
 
 def gain_of_axes(name: str, value: Tensor | float, q: Tensor, X_des: Tensor) -> Tensor:

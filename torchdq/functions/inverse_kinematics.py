@@ -23,9 +23,9 @@ from torchdq.dynamics.posed import Row, dot
 from torchdq.dynamics.task_space import Task
 from torchdq.functions.posed import frame
 from torchdq.functions.recipe import RecipeInputs, Results
-from torchdq.functions.task_space import pose_of
+from torchdq.functions.task_space import pose_of, pose_of_any_norm
 from torchdq.functions.task_space_formulas import rows_of
-from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select, sqrt
+from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select
 from torchdq.robot.robot import Robot
 
 DAMPING, LEAST = 0.03, 1e-9
@@ -36,9 +36,8 @@ GIVEN = 1e-3  # share of a twist that may be missing
 
 def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Screw, Task, Matrix]:
     """Error of a frame, (rotation vector, displacement) to the desired pose in its axes, its task, and rates -de/dq."""
-    at, task, X = x.posed(), Task(*frame(x.robot, name), expressed == "world", rows_of(axes)), x.arguments["X"]
-    X_des = dq.scale(1.0 / sqrt(quat.norm2(X[:4])), (tuple(X[:4]), tuple(X[4:])))
-    to_goal = dq.mul(dq.conj(pose_of(at, task)), X_des)
+    at, task = x.posed(), Task(*frame(x.robot, name), expressed == "world", rows_of(axes))
+    to_goal = dq.mul(dq.conj(pose_of(at, task)), pose_of_any_norm(x.arguments["X"]))
     turn, p = pose_error.error((to_goal[0], dq.ZERO))[0], dq.translation(to_goal)
     turns, moves = (sum(r // 3 == kind for r in task.rows) for kind in (0, 1))
     columns = []
@@ -79,11 +78,7 @@ def _factors(J: Matrix, damping: Number | None) -> ltdl.TreeFactors:
     if damping is not None:
         A = [[*row[:-1], row[-1] + damping] for row in A]
     pivot = None if damping is not None else lambda k, d: maximum(d, least[k])
-    return ltdl.factorise(_dense(J), tuple(map(tuple, A)), pivot)
-
-
-def _dense(J: Matrix) -> tuple[int, ...]:
-    return tuple(range(-1, len(J) - 1))
+    return ltdl.factorise(ltdl.dense(len(J)), tuple(map(tuple, A)), pivot)
 
 
 def _free(J: Matrix, held: Row) -> Matrix:
@@ -92,7 +87,7 @@ def _free(J: Matrix, held: Row) -> Matrix:
 
 
 def _least_norm(J: Matrix, factors: ltdl.TreeFactors, b: Row) -> list[Number]:
-    y = ltdl.solve(_dense(J), factors, b)
+    y = ltdl.solve(ltdl.dense(len(J)), factors, b)
     return [dot(column, y) for column in zip(*J, strict=True)]
 
 

@@ -10,11 +10,11 @@ from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.dynamics.task_space import AXES, COMPONENTS, Task
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function
-from torchdq.functions.posed import GEOMETRY, frame, posed
+from torchdq.functions.posed import frame, posed
 from torchdq.program.transforms import constant_in_graphs, with_values
 from torchdq.robot import Robot
 from torchdq.robot.constants import Constants
-from torchdq.robot.robot import arguments, constants, recorded
+from torchdq.robot.robot import constants, recorded
 
 Options = tuple[str, ...]
 
@@ -65,17 +65,11 @@ def _task(default: str, *marks: str) -> Callable[..., Options]:
         tip, expressed, axes = (*named, *("", default, "pose")[len(named) :])
         name, expressed = _frame_and_axes(robot, tip or robot.end_effector().name, expressed)
         require_served(robot, name, expressed, axes)
-        if "limits" in given and not _limited(constants(robot)):
+        if "limits" in given and not any(0 < most < math.inf for most in robot.limits.effort.tolist()):
             raise ArgumentError(f"limits must be False for robot {robot.name!r}, which has no torque limits")
         return (name, expressed, axes, *[mark for mark in marks if mark in given])
 
     return read
-
-
-@constant_in_graphs
-def _limited(of: Constants) -> bool:
-    """Whether a robot has torque limits, also in a graph that is being traced."""
-    return any([0 < most < math.inf for most in of.fields["limits"].effort.values])
 
 
 def axes_of(axes: str | Sequence[str]) -> str:
@@ -108,9 +102,7 @@ def _contact(robot: Robot, *given: str) -> Options:
 def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
     """Raise unless axes are components of the twist of a frame that the joints can move independently."""
     wanted = _distinct(axes)
-    if set(arguments(robot)) & {*GEOMETRY, "home"}:
-        return
-    served = _served(constants(robot), name, expressed, wanted)
+    served = _components(robot, name, expressed, wanted)
     if len(served) < len(wanted):
         cure = f"take axes={served}" if served else "take another frame"
         raise ArgumentError(
@@ -119,27 +111,24 @@ def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
         )
 
 
-@constant_in_graphs
-def _served(*of: Any) -> tuple[str, ...]:
-    """Components of a frame that joints can serve, also in a graph that is being traced."""
-    return _components(*of)
+def _components(robot: Robot, name: str, expressed: str, wanted: tuple[str, ...]) -> tuple[str, ...]:
+    """Components that the joints move independently at some posture, of those that are wanted; displacements first.
 
-
-@remembered(PROGRAMS)
-def _components(of: Constants, name: str, expressed: str, wanted: tuple[str, ...]) -> tuple[str, ...]:
-    """Components that the joints move independently, the first of those that are wanted: those at some posture."""
+    All of them for a geometry that is an argument, whose numbers are not known.
+    """
+    if any(x.isnan().any() for x in (robot.X_PB_home, robot.screw, robot.home) if x is not None):
+        return wanted
     found: list[tuple[str, ...]] = []
     with with_values():
-        robot = recorded(of)
         rows = tuple([COMPONENTS.index(axis) for axis in wanted])
         for start in (0.37, 1.13, 2.71):
             q = [2.0 * np.sin(start * (k + 1.0)) for k in range(robot.n)]
             J = np.array(Task(*frame(robot, name), expressed == "world", rows).jacobian(posed(robot, q, {}, ())))
             kept: list[int] = []
-            for r in range(len(rows)):
+            for r in sorted(range(len(rows)), key=lambda r: rows[r] < 3):
                 # a URDF has angles with five digits, so an arm may be planar up to those only
                 kept += [r] if np.linalg.matrix_rank(J[[*kept, r]], 1e-4) > len(kept) else []
-            found.append(tuple([wanted[r] for r in kept]))
+            found.append(tuple([wanted[r] for r in sorted(kept)]))
     return max(found, key=len)
 
 
@@ -167,11 +156,24 @@ def options_of(robot: Robot, function: str, given: Any) -> Options:
     names = (given,) if isinstance(given, str) else given
     if not isinstance(names, Sequence):
         raise ArgumentError(f"options must be a sequence of names, found {given!r}")
+    return _in_graphs(constants(robot), function, *[axes_of(x) if isinstance(x, list | tuple) else x for x in names])
+
+
+@constant_in_graphs
+def _in_graphs(*of: Any) -> Options:
+    """Options, also in a graph that is being traced."""
+    return _complete(*of)
+
+
+@remembered(PROGRAMS)
+def _complete(of: Constants, function: str, *given: str) -> Options:
+    """Options of a function of a robot with these constants, complete."""
     reader = _READERS.get(function)
-    if reader is not None:
-        if robot.floating:
-            Function(constants(robot), function).require_base()
-        return reader(robot, *[axes_of(name) if isinstance(name, list | tuple) else name for name in names])
-    if names:
-        raise ArgumentError(f"{function!r} has no options, found {given!r}")
-    return ()
+    if reader is None:
+        if given:
+            raise ArgumentError(f"{function!r} has no options, found {given!r}")
+        return ()
+    robot = recorded(of)
+    if robot.floating:
+        Function(of, function).require_base()
+    return reader(robot, *given)

@@ -136,7 +136,7 @@ def operational_space_torques(
     """
     X, V = pose_of(at, task), task.twist(at, qd)
     found = deviation(task, X, V, goal)
-    wanted = found.twist_rate(_six(task, [-x for x in gains.feedback(task, found.e, found.rate)]))
+    wanted = found.twist_rate(six(task, [-x for x in gains.feedback(task, found.e, found.rate)]))
     u = gains.posture(q, qd)
     more, own_axes = screw.sub(wanted, task.twist_rate(at, qd, u)), task
     if task.world and set(task.rows) in COMPLETE:  # fewer digits are lost in the axes of the frame
@@ -178,7 +178,7 @@ def _share(own: Row, others: Row, effort: Sequence[float]) -> Number:
     return share
 
 
-def _six(task: Task, row: Row) -> Screw:
+def six(task: Task, row: Row) -> Screw:
     """Components of a task as a screw, zero at the others."""
     found: list[Number] = [0.0] * 6
     for r, x in zip(task.rows, row, strict=True):

@@ -65,7 +65,7 @@ class ControlModule(RobotModule):
     @property
     def robot(self) -> Robot:
         """Robot with the present parameters of the module or of its model."""
-        return super().robot if self.model is None else self.model.robot  # type: ignore[return-value]
+        return self._present() if self.model is None else self.model.robot  # type: ignore[return-value]
 
     def _own_quantities(self) -> tuple[dict[str, Tensor], list[str]]:
         """Parameters of its program that are not the robot's, its model's or its own, and names of the learned."""

@@ -24,7 +24,7 @@ from torchdq.layers.layer_friction import described
 from torchdq.numbers.functions import exp
 from torchdq.program.program import Argument, Program, record, replay, results
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_robot
+from torchdq.robot.argument import require_motors, require_robot
 
 FUNCTION = "joint_momentum"
 
@@ -150,7 +150,9 @@ class MomentumObserver(nn.Module):
             if x is None:
                 cure = "torchdq.learning.smooth differentiates q where qd was not recorded"
                 raise ArgumentError(f"motion must have time, q, qd and tau, found no {name}; {cure}")
-        if not np.all(getattr(motion, "layout", motion).known_gains):
+        layout = getattr(motion, "layout", motion)
+        require_motors(self.model.robot, layout.coupling)
+        if not np.all(layout.known_gains):
             raise ArgumentError("motion must have torques, found efforts of unknown gains; give Layout(gain=...)")
         time, q, qd, tau = map(torch.as_tensor, signals.values())
         return margin * self.series(q, qd, 0.5 * (tau[1:] + tau[:-1]), time.diff()).abs().amax(0)

@@ -115,6 +115,9 @@ class RobotModule(nn.Module):
     @property
     def robot(self) -> Robot:
         """Robot with the module's present parameters."""
+        return self._present()
+
+    def _present(self) -> Robot:
         changes = {name: getattr(self, name) for name in self.learn if name in SHAPES}
         return self._robot._with(**changes) if changes else self._robot
 

@@ -8,13 +8,16 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchdq.backends.call import common_batch
 from torchdq.base.checks import require_choice, require_number
 from torchdq.functional import forward_dynamics
 from torchdq.functions.call import function_of
+from torchdq.functions.catalogue import Function
 from torchdq.functions.options import axes_of, options_of
 from torchdq.functions.task_space_formulas import rows_of
 from torchdq.layers.control_module import ControlModule
 from torchdq.robot import Robot
+from torchdq.robot.robot import constants
 from torchdq.task_space import Expressed
 
 
@@ -30,6 +33,9 @@ class _TaskControl(ControlModule):
             require_number("k_null", fixed["k_null"], least=0.0)
         super().__init__(robot, gains, len(rows_of(chosen)), **layer)
         self._chosen = options_of(self.robot, self._function, (frame or "", expressed, chosen, *marks))
+        if fixed["q_null"] is not None:
+            what = Function(constants(self.robot), self._function, self._chosen)
+            common_batch([("q_null", fixed["q_null"], what.axes("q_null"), False)], what.subject())
         for name, x in fixed.items():
             if x is not None:
                 self.register_buffer(name, torch.as_tensor(x, dtype=torch.float64))
