@@ -161,7 +161,7 @@ MISTAKES = [
     (("id", "arm.urdf"), "LOG must be a file at least"),
     (("id", "arm.urdf", "nowhere.csv"), "there is no file 'nowhere.csv'"),
     (("id", "arm.urdf", "folder"), "Is a directory"),
-    (("id", "panda", "log.csv"), "log.csv holds 2 joints, the robot has 7"),
+    (("id", "panda", "log.csv"), "found 2; --joints keeps some joints of the robot"),
     (("id", "arm.urdf", "log.csv", "--columns", "q", "position_{0}"), "there is no column 'position_0'"),
     (("id", "arm.urdf", "log.csv", "--columns", "angle", "q"), "no signal named 'angle'"),
     (("id", "arm.urdf", "log.csv", "--gains", "1"), "gain must have 2 numbers"),
@@ -171,7 +171,9 @@ MISTAKES = [
     (("id", "arm.urdf", "log.csv", "--cutoff", "60"), "half the rate, found 60.0; give another --cutoff"),
     (("id", "arm.urdf", "log.csv", "--delay", "9"), "which lasts 3.98 s, found 9.0; give a shorter --delay"),
     (("id", "arm.urdf", "log.csv", "--gains", "1", "0"), "none of them zero"),
-    (("id", "arm.urdf", "log.csv", "--blocks", "q", "qd", "tau", "--columns", "q", "a"), "give --columns or --blocks"),
+    (("id", "arm.urdf", "log.csv+./log.csv"), "there are several columns"),
+    (("id", "arm.urdf", "bare.csv"), "--columns time 1 q {2} qd {4} tau {6}"),
+    (("id", "arm.urdf", "log.csv", "--transmission", "0.01"), "transmission must have 2 numbers"),
     (("id", "log.csv", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "log.csv", "--test", "./log.csv"), "test must be other logs than those to learn from"),
@@ -189,6 +191,7 @@ def test_a_mistake_of_a_user_is_one_message(here, capsys, arguments, found):
     here.joinpath("still.urdf").write_text("<robot name='still'><link name='base'/></robot>")
     here.joinpath("garbage.urdf").write_bytes(bytes(range(255, 0, -1)) * 9)
     log("log.csv", rows=200)
+    here.joinpath("bare.csv").write_text(here.joinpath("log.csv").read_text().partition("\n")[2])
     out, errors = told(capsys, *arguments, code=MISTAKE)
     assert not out
     errors = "".join(line for line in errors.splitlines(True) if not line.endswith(" s ...\n"))  # without progress
@@ -445,13 +448,43 @@ def test_logs_of_another_robot_have_a_poor_verdict(here, capsys):
     assert "Good: " not in out and "warning" in errors
 
 
+def test_what_may_be_missing_is_tried_where_the_verdict_is_poor(here, capsys):
+    """A load in the motions to test on alone, which no gain and no rotor explains."""
+    pytest.importorskip("scipy")
+    pytest.importorskip("matplotlib")
+    log("empty.csv")
+    log("held.csv", held=ROBOT.with_payload(4.0, (0.1, 0.0, 0.0), frame="lower"), seed=1)
+    quick = ("--friction", "simple", "--prior", "1", "--frame", "lower")
+    found = data(capsys, "id", "arm.urdf", "empty.csv", "--test", "held.csv", *quick)
+    tried = {one["name"]: one for one in found["tried"]}
+    assert found["verdict"] == "Poor" and {"nothing else", "--rotors", "--estimate-gains"} <= tried.keys()
+    (name,) = (name for name, one in tried.items() if one["helps"])
+    mass = float(name.split(" kg at lower in the motions to test on")[0])
+    assert abs(mass - 4) < 0.4 and tried[name]["error"] < 0.2 * tried["nothing else"]["error"]
+    assert "What may be missing" in Path(found["files"]["page"]).read_text()
+
+
+def test_files_of_one_log_are_joined_and_the_output_says_how(here, capsys):
+    pytest.importorskip("scipy")
+    pytest.importorskip("matplotlib")
+    log("whole.csv")
+    rows = np.loadtxt("whole.csv", delimiter=",", skiprows=1)
+    np.savetxt("q.txt", rows[:, 1:3])
+    np.savetxt("tau.txt", rows[:, 5:])
+    named = ("--columns", "q", "q:{1}", "qd", "none", "tau", "tau:{1}", "--rate", "50")
+    quick = ("--friction", "simple", "--prior", "1")
+    found = data(capsys, "id", "arm.urdf", "q.txt+tau.txt", *named, *quick)
+    assert found["verdict"] == "Good" and found["tried"] == []
+    assert "joined row by row" in Path(found["files"]["page"]).read_text()
+
+
 def test_columns_are_named_by_patterns_by_joints_and_one_by_one(here):
     given = {"time": "stamp", "q": "a,b", "tau": "eff_{joint}", "qd": "none"}
     columns = [word for pair in given.items() for word in pair]
     layout = _parsed(["id", "arm.urdf", "a.csv", "--columns", *columns])._layout(ROBOT)
     heads = "stamp,b,eff_elbow,a,eff_shoulder"
     rows = [f"{0.01 * k},{2 * k},{4 * k},{k},{3 * k}" for k in range(9)]
-    found = read_log("\n".join([heads, *rows]).encode(), layout)
+    found = read_log("\n".join([heads, *rows]).encode(), layout, robot=ROBOT)
     assert found.q[1].tolist() == [1, 2] and found.tau[1].tolist() == [3, 4] and found.qd is None
 
 

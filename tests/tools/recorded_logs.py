@@ -224,3 +224,15 @@ def written(path, rows, heads):
     if heads is None:
         path.write_text(path.read_text().removeprefix("\n"))
     return path
+
+
+TIME = np.arange(0, 4, 0.002)
+KNOWN = arrays(2, TIME)
+HEADS = names(2)
+TABLE = np.column_stack([KNOWN[name] for name in ("time", "q", "qd", "tau")])
+
+
+def assert_holds(found, known=KNOWN, atol=1e-9):
+    """The log has these arrays."""
+    for name in ("time", "q", "qd", "tau"):
+        np.testing.assert_allclose(getattr(found, name), known[name], atol=atol)

@@ -35,6 +35,7 @@ NEEDED = ("numpy", "torch", "gymnasium", "rich", "tyro")
 # what optional packages are for, and how they are installed
 OPTIONAL = {
     "scipy": ("logs", "torchdq[learn]"),
+    "mcap-ros2-support": ("ROS 2 bags", "torchdq[ros]"),
     "matplotlib": ("pictures", "torchdq[viz]"),
     "viser": ("torchdq view", "torchdq[viz]"),
     "pin": ("conversions to Pinocchio", "torchdq[pinocchio]"),

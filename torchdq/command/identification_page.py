@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from html import escape
 
 from torchdq.base.optional import imported
+from torchdq.command.trials import HEADER, Trial
 from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.evaluate import MEANING, Evaluation, torques_by
@@ -38,6 +39,7 @@ def page(
     sources: Sequence[str] = (),
     messages: Sequence[str] = (),
     payload: IdentifiedPayload | None = None,
+    tried: Sequence[Trial] = (),
 ) -> str:
     """HTML text about an identified robot: verdict, errors, picture, parameters with errors, unidentifiable ones.
 
@@ -48,6 +50,7 @@ def page(
         sources: lines about where the numbers come from, e.g. names of the logs.
         messages: warnings that were given on the way.
         payload: what the arm holds in other motions; None: nothing was estimated.
+        tried: errors that other options leave.
     Raises:
         MissingLibraryError: matplotlib is not installed.
     """
@@ -64,6 +67,7 @@ def page(
             f"should hold 95 % of the measurements.</p>{_table(measured.header, measured.rows())}"
             f'<div class="picture">{_picture(found.by_these_gains(), torques_by(found, test))}</div>',
         ),
+        _section("What may be missing", _table(HEADER, [one.cells for one in tried])) if tried else "",
         _section("Payload", f"<pre>{escape(str(payload))}</pre>") if payload is not None else "",
         _section("Identified model", _model(found)),
         _section("Unidentifiable parameters", _unidentifiable(found)),

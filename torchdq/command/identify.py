@@ -3,8 +3,9 @@
 import math
 import os
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -16,6 +17,7 @@ from torchdq.base.progress import Progress
 from torchdq.command.command import ENDINGS, NamedRobot, RobotCommand
 from torchdq.command.identification_page import page
 from torchdq.command.outcome import Grid, Outcome, Verbatim
+from torchdq.command.trials import HEADER, Trial, trials
 from torchdq.effects import Coulomb, Viscous
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.learning import (
@@ -23,6 +25,7 @@ from torchdq.learning import (
     Identified,
     IdentifiedPayload,
     Layout,
+    Log,
     LogWarning,
     Model,
     Motion,
@@ -38,8 +41,8 @@ from torchdq.robot import Robot
 
 # module, extra that brings it: looked for before the work, not after it
 NEEDED = {"scipy": "learn", "matplotlib": "viz"}
-ROBOTS, LOGS = (*ENDINGS, ".urdf.xacro"), (".csv", ".csv.gz", ".npz", ".txt")  # how files of each kind end
-JOINT = "{joint}"  # in patterns of columns, the name of a joint
+ROBOTS = (*ENDINGS, ".urdf.xacro")  # how files of each kind end
+LOGS = (".csv", ".csv.gz", ".txt", ".npz", ".npy", ".mat", ".mcap")
 
 
 class RobotFile(NamedTuple):
@@ -54,12 +57,14 @@ class RobotFile(NamedTuple):
 class IdCommand(RobotCommand):
     """A robot identified from logs: errors, a verdict, identifiable parameters, one HTML page, and its URDF.
 
-    A log is a CSV file with columns time [s], q1 ... [rad], qd1 ... [rad/s], tau1 ... [N m], or names by --columns.
-    Tested is the last log, or the last third of the only one.
+    A log is a text (CSV), NPZ, MATLAB or MCAP file with columns time [s], q1 ... [rad], qd1 ... [rad/s], tau1 ...
+    [N m], or names by --columns. Files of one log stand together: positions.csv+torques.csv. Tested is the last log, or
+    the last third of the only one.
 
     Names in --columns: position_{0} reads position_0, position_1, ... for the joints, position_{1} begins with
-    position_1; in effort_{joint} {joint} is replaced by the joint's own name; a1,b2,c3 are the names of all
-    columns, in the robot's order of joints; none: not recorded.
+    position_1, {2} is the second column of a file without a header; in effort_{joint} {joint} is replaced by the
+    joint's own name; a1,b2,c3 are the names of all columns, in the robot's order of joints; torques:tau{1} is in
+    torques.csv; none: not recorded.
 
     Example: torchdq id arm.urdf a.csv b.csv --columns q position_{0} qd velocity_{0} tau effort_{0}
     """
@@ -70,8 +75,11 @@ class IdCommand(RobotCommand):
     """Logs to test on instead; then all LOGs are learned from."""
     columns: Annotated[dict[str, str], tyro.conf.arg(metavar="SIGNAL NAMES ...")] = field(default_factory=dict)
     """Names of columns, for each of time, q, qd and tau that has others; see above."""
-    blocks: tuple[str, ...] = ()
-    """For a file without a header: names of its blocks of columns after the time, e.g. q qd tau."""
+    rate: float | None = None
+    """Rows per second of logs without times [Hz]."""
+    transmission: tuple[float, ...] = ()
+    """Change of the joints' positions per change of the motors' where those were measured: one for each joint, 1/100
+    for a gear of 100:1, or the rows of a matrix, one after the other; coupled motors are what is identified then."""
     rows: tuple[int, int] | None = None
     """First row of each log that is used, and the one after the last, counted from 0."""
     gains: tuple[float, ...] = ()
@@ -83,10 +91,10 @@ class IdCommand(RobotCommand):
     offset: bool = False
     """Estimate a constant torque of every joint."""
     rotors: bool = False
-    """Estimate the rotor inertia of every joint."""
+    """Estimate the rotor inertia of every joint; by default of those that gain on blocks left out."""
     prior: float | None = None
     """Weight of the description; by default chosen on blocks of the logs left out."""
-    rate: float = 50.0
+    keep: float = 50.0
     """Rows per second that are learned from [Hz]."""
     cutoff: float | None = None
     """Low-pass filter of all signals [Hz]; by default 8, or less for slow logs."""
@@ -113,11 +121,11 @@ class IdCommand(RobotCommand):
         if not os.access(self.out, os.W_OK):
             raise ArgumentError(f"out must be a folder that you can write, found {str(self.out)!r}")
         source = self.load_moving()
+        source = source._replace(robot=self._motors(source.robot))
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            motions, tests, held = (
-                [self._motion(log, source.robot) for log in logs] for logs in (self.logs, self.test, self.payload)
-            )
+            logs = [[self._log(log, source.robot) for log in some] for some in (self.logs, self.test, self.payload)]
+            motions, tests, held = ([self._motion(log) for log in some] for some in logs)
             if tests:
                 train, test = motions, tests
             else:
@@ -126,16 +134,19 @@ class IdCommand(RobotCommand):
             payload = identify_payload(found, torques_by(found, held), frame=self.frame) if held else None
             description = _described(source, found)
             measured = evaluate(source.robot, found, test, description.robot)
+            tried = trials(source.robot, found, measured, test, self._others(source.robot, train), self.frame)
         messages = list({str(one.message): one.message for one in said}.values())
         for message in messages:
             warnings.warn(message, stacklevel=2)
+        joined = [log.joined for some in logs for log in some if log.joined]
         with Progress("drawing the page"):
             words = [x.text(command_line=True) if isinstance(x, LogWarning) else str(x) for x in messages]
             sources = [f"robot: {self.robot}", f"logs: {', '.join(self.logs)}"]
             sources += [f"tested on: {', '.join(self.test)}"] if self.test else []
-            text = page(found, measured, test, sources, words, payload)
+            sources += joined
+            text = page(found, measured, test, sources, words, payload, tried)
         files = self._written(source, text, description)
-        return _outcome(found, measured, payload, files, description.omitted)
+        return _outcome(found, measured, (payload, tried), files, [*joined, description.omitted])
 
     def _require_order(self) -> None:
         """Raise unless there is a robot first, and logs after it."""
@@ -152,30 +163,44 @@ class IdCommand(RobotCommand):
         if not self.logs:
             raise ArgumentError("LOG must be a file at least, found none; torchdq id --help has an example")
 
-    def _motion(self, log: str, robot: Robot) -> Motion:
+    def _motors(self, robot: Robot) -> Robot:
+        """Robot whose coordinates are its motors, if the transmission couples them, with what joints have for each."""
+        coupling = self._layout(robot).coupling
+        if coupling is None:
+            return robot
+        own = {name: getattr(robot, name) for name in ("damping", "friction", "armature")}
+        return robot.couple(coupling, robot.joint_names, limits=math.inf, **own)
+
+    def _log(self, name: str, robot: Robot) -> Log:
+        """Log in a file, or in several that are joined by a plus sign."""
+        files = [name] if "+" not in name or os.path.exists(name) else name.split("+")
+        return read_log(files, self._layout(robot), self.rows, robot=robot)
+
+    def _motion(self, log: Log) -> Motion:
         """Motion of a log, filtered, with accelerations."""
-        recorded = read_log(log, self._layout(robot), self.rows)
-        if recorded.q.shape[1] != robot.n:
-            cure = "--joints keeps some joints of the robot"
-            raise ArgumentError(f"{log} holds {recorded.q.shape[1]} joints, the robot has {robot.n}; {cure}")
         width = {} if self.sign_width is None else {"sign_width": self.sign_width}
-        return smooth(recorded, self.cutoff, self.cutoff, self.rate, delay=self.delay, **width)
+        return smooth(log, self.cutoff, self.cutoff, self.keep, delay=self.delay, **width)
 
     def _layout(self, robot: Robot) -> Layout:
         """Layout of the logs, as the options say."""
-        options: dict[str, Any] = {"columns": {name: _names(x, robot) for name, x in self.columns.items()}}
-        options |= {"farthest": self.farthest, "fastest": self.fastest}
+        options: dict[str, Any] = {"columns": {name: _names(x) for name, x in self.columns.items()}}
+        options |= {"farthest": self.farthest, "fastest": self.fastest, "rate": self.rate}
         options["gain"] = self.gains or (None if self.estimate_gains else ())
-        if self.blocks:
-            options |= {"blocks": self.blocks, "header": False, "joints": robot.n}
+        n, S = robot.n, self.transmission
+        options["transmission"] = [S[i : i + n] for i in range(0, n * n, n)] if n > 1 and len(S) == n * n else S
         return Layout(**options)
 
     def _identified(self, robot: Robot, train: Sequence[Motion]) -> Identified:
         """Robot identified with the model that the options ask for."""
         width = 1e-2 if self.sign_width is None else self.sign_width
         friction: Any = {"auto": "auto", "simple": (Viscous(), Coulomb(sign_width=width)), "none": None}[self.friction]
-        model = Model(friction, self.offset, self.rotors, self.estimate_gains)
+        model = Model(friction, self.offset, self.rotors or "auto", self.estimate_gains)
         return identify(robot, train, model, self.prior, width)
+
+    def _others(self, robot: Robot, train: Sequence[Motion]) -> dict[str, Callable[[], Identified]]:
+        """Other models, by the options that ask for them."""
+        others = {"--estimate-gains": replace(self, estimate_gains=True), "--rotors": replace(self, rotors=True)}
+        return {option: partial(other._identified, robot, train) for option, other in others.items() if other != self}
 
     def _written(self, source: NamedRobot, text: str, description: RobotFile) -> dict[str, Path]:
         """Files by kind."""
@@ -205,18 +230,21 @@ def _described(source: NamedRobot, found: Identified) -> RobotFile:
         return RobotFile("", None, f"no description is written: {error}")
 
 
-def _names(pattern: str, robot: Robot) -> str | list[str] | None:
+def _names(pattern: str) -> str | list[str] | None:
     """Names of columns as `Layout` takes them; None: not recorded."""
-    if JOINT in pattern:
-        return [pattern.replace(JOINT, name) for name in robot.joint_names]
-    names = [name.strip() for name in pattern.split(",")]
+    names = pattern.split(",")
     return None if pattern.lower() == "none" else names if len(names) > 1 else pattern
 
 
 def _outcome(
-    found: Identified, measured: Evaluation, payload: IdentifiedPayload | None, files: dict[str, Path], omitted: str
+    found: Identified,
+    measured: Evaluation,
+    besides: tuple[IdentifiedPayload | None, tuple[Trial, ...]],
+    files: dict[str, Path],
+    notes: Sequence[str],
 ) -> Outcome:
-    """Text and data of what was found."""
+    """Text and data of what was found, a payload, what was tried besides, and notes, the last about the files."""
+    payload, tried = besides
     selection, unidentifiable = found.selection, found.unidentifiable
     text: list[str | Grid | Verbatim] = [Grid(measured.header, measured.rows())]
     if selection is not None:
@@ -226,9 +254,9 @@ def _outcome(
         text += [title, Grid((), [("-", line) for line in unidentifiable])]
     if payload is not None:
         text.append(str(payload))
-    text += [measured.summary, MEANING]
+    text += [measured.summary, *([Grid(HEADER, [one.cells for one in tried])] if tried else []), MEANING]
     text.append(Grid((), [("wrote", str(path)) for path in files.values()]))
-    text += [omitted] if omitted else []
+    text += filter(None, notes)
     rows = zip(found.names, found.parameters, found.errors, found.identifiable, strict=True)
     base = zip(found.base_names, found.base @ found.parameters, found.base_errors, strict=True)
     data: dict[str, Any] = {
@@ -244,7 +272,8 @@ def _outcome(
         "noise": found.noise,
         "gains": None if found.gains is None else found.gains._asdict(),
         "payload": None if payload is None else {k: x for k, x in payload._asdict().items() if k != "robot"},
+        "tried": [one._asdict() for one in tried],
         "files": files,
-        "omitted": omitted,
+        "omitted": notes[-1],
     }
     return Outcome(tuple(text), data)

@@ -1,4 +1,4 @@
-"""Logs of robot arms in CSV files, NPZ archives and arrays, checked, also against the robot that they are of."""
+"""Logs of robot arms in files and arrays, checked, also against the robot that they are of."""
 
 import warnings
 
@@ -21,31 +21,31 @@ def read_log(
     rate: float | None = None,
     robot: Robot | None = None,
 ) -> Log:
-    """Log in a file, or made of arrays.
+    """Log in files, or made of arrays.
 
-    A CSV file holds a header line and columns time [s], q1 ... qn [rad], qd1 ... [rad/s], tau1 ... measured at the
-    joints [N m] and, if they are known, qdd1 ... [rad/s^2]; of joints that slide, in m, m/s, N and m/s^2. Columns are
-    found by name; others may stand among them and stay unread. A file may be packed with gzip, or be an NPZ archive of
-    arrays time [rows], q, qd, tau and, if they are known, qdd, `[rows, n]`; arrays in memory are given in the same way.
+    Columns are found by name: time [s], q1 ... qn [rad], qd1 ... [rad/s], tau1 ... measured at the joints [N m] and, if
+    they are known, qdd1 ... [rad/s^2]; of joints that slide, in m, m/s, N and m/s^2. Others stay unread.
 
     Args:
-        path: path of the file, a file:// or package:// address, an open file, or its bytes: numbers separated by
-            commas, packed with gzip or not, or an NPZ archive. Or arrays by name, as in such an archive; None instead
-            of one says that it was not recorded.
+        path: path of the file, a file:// or package:// address, an open file, or its bytes: a text of numbers, packed
+            with gzip or not, an NPZ or NPY file, a file of MATLAB, or a ROS 2 bag in MCAP. Or arrays by name; None
+            instead of one says that it was not recorded. Or a list of files, which are joined by time.
         layout: names and units of the columns; by default time, q1 ..., qd1 ..., tau1 ... in SI units: s, rad, rad/s
             and N m, and of joints that slide (prismatic ones) m, m/s and N.
         rows: first row and the one after the last to use, counted from 0; None: all.
         rate: rows per second, on even time stamps, without what is too fast for them [Hz], e.g. for a log of a drive
             at 8 kHz; needs scipy. None: the rows as they are.
-        robot: the robot that was recorded, whose number of joints and limits the log is checked against; None: unknown.
+        robot: the robot that was recorded, whose number of joints and limits the log is checked against, and in whose
+            order joints of bags are read; None: unknown.
     Raises:
         LogError: the file cannot be opened, a column is missing, a number is missing or not finite, time runs
             backwards, there is a gap, or a column is in degrees; or the robot has another number of joints.
         MissingLogError: there is no such file; it is a FileNotFoundError too.
-        MissingLibraryError: scipy is not installed, and a rate is given.
+        MissingLibraryError: scipy is not installed, and a rate or files of different times are given; or the extra
+            "ros", for a bag.
     Warns:
-        LogWarning: a position jumps farther than its velocities explain, an effort leaps in a few rows, the last
-            number seems to be cut, or motions are far beyond the robot's limits; the same are in `Log.findings`.
+        LogWarning: a position jumps farther than its velocities explain, an effort leaps in a few rows, or motions are
+            far beyond the robot's limits; the same are in `Log.findings`.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -57,7 +57,7 @@ def read_log(
     >>> read_log({"time": [0.0, 0.01], "q": [[0.1], [0.105]], "qd": None, "tau": [[2.0], [2.1]]}).tau.shape
     (2, 1)
     """
-    log = read(path, layout, rows, rate)
+    log = read(path, layout, rows, rate, () if robot is None else robot.joint_names)
     if robot is not None:
         if log.q.shape[1] != robot.n:
             n, claim = log.q.shape[1], f"{robot.n} joints are needed, those of {robot.name!r}"

@@ -1,12 +1,16 @@
 """Checks of the argument `robot`, which public functions share."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from torchdq.errors import ArgumentError, UnphysicalError
 from torchdq.robot.arrays import matrices
 from torchdq.robot.check import consistency
 from torchdq.robot.fields import readable
+from torchdq.robot.model import factors
 from torchdq.robot.robot import Robot
 
 
@@ -23,6 +27,16 @@ def require_robot(x: Any) -> Robot:
         way = f"it is a class, {way}"
     found = x.__name__ if isinstance(x, type) else type(x).__name__
     raise ArgumentError(f"robot must be a torchdq.Robot, found {found}; {way}")
+
+
+def require_motors(robot: Robot, coupling: Sequence[Sequence[float]] | None) -> None:
+    """Raise if a log is of motors that a matrix couples, and the coordinates of the robot are others."""
+    S = factors(robot)
+    if coupling is not None and len(S) == robot.n and not torch.allclose(S, torch.tensor(coupling).to(S), atol=1e-6):
+        raise ArgumentError(
+            f"robot must have the motors as coordinates, since the transmission of the layout couples joints, found "
+            f"{robot.name!r} with {', '.join(robot.joint_names)}; give robot.couple(layout.coupling, names)"
+        )
 
 
 def require_bodies(robot: Robot, what: str) -> None:

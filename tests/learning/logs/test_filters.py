@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("scipy", reason="filters need scipy")
 
-from torchdq.learning.logs.filters import decimated, derivative, even, fewer_times, low_pass
+from torchdq.learning.logs.filters import at_times, derivative, even, fewer_times, low_pass
 
 
 def uneven(rate: float, seconds: float, by: float = 0.6) -> np.ndarray:
@@ -70,8 +70,8 @@ def test_fewer_rows_keep_what_is_slow_and_nothing_of_what_is_fast(rate):
     slow, fast = 0.25 * rate, 0.9 * rate  # without the filter, the fast one would look like 0.1 of the rate
     time = fewer_times(stamps, rate)
     assert np.allclose(np.diff(time), 1 / rate) and stamps[-1] - time[-1] < 1 / rate
-    found = decimated(stamps, sine(stamps, slow, fast), rate, "test")[20:-20]
+    found = at_times(time, stamps, sine(stamps, slow, fast), "test")[20:-20]
     np.testing.assert_allclose(found[:, 0], sine(time, slow)[20:-20, 0], atol=5e-3)
     assert abs(found[:, 1]).max() < 1e-2
     noise = np.random.default_rng(2).normal(size=(len(stamps), 1))
-    assert decimated(stamps, noise, rate, "test").std() < 1.2 * np.sqrt(rate / 1000)
+    assert at_times(time, stamps, noise, "test").std() < 1.2 * np.sqrt(rate / 1000)

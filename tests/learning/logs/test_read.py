@@ -59,7 +59,7 @@ def test_columns_are_found_by_name_and_others_stay_unread(tmp_path):
     heads = names(2, ("pos_meas", "vel_meas", "pos_filt", "tau_con", "tau_meas"))
     rows = table(n=2)
     wide = np.column_stack([rows[:, :5], np.full((len(rows), 4), 7.0), rows[:, 5:]])
-    layout = Layout(joints=2, blocks=("pos_meas", "vel_meas", "tau_meas"))
+    layout = Layout(joints=2, columns={"q": "pos_meas{1}", "qd": "vel_meas{1}", "tau": "tau_meas{1}"})
     found = read_log(written(tmp_path / "log.csv", wide, heads), layout)
     assert found.layout is layout
     assert_holds(found, rows)
@@ -142,7 +142,7 @@ def test_arguments_are_checked(log, tmp_path):
         (FileNotFoundError, tmp_path / "missing.csv", {}),
         (MissingLogError, tmp_path / "missing.csv", {}),
         *((LogError, source, {}) for source in (tmp_path, "https://host/log.csv", b"")),
-        *((ArgumentError, source, {}) for source in (None, 5, ["log.csv"])),
+        *((ArgumentError, source, {}) for source in (None, 5, [5], [])),
         *((ArgumentError, log, {"rows": x}) for x in rows),
         *((ArgumentError, log, {"layout": x}) for x in ({"time": "stamp"}, Layout(gain=(1.0, 2.0)))),
     ):
@@ -245,13 +245,7 @@ MALFORMED = {
     "blanks": (" \n \n", "log.empty"),
     "a header alone": (HEAD, "log.rows"),
     "one row": (HEAD + ROWS[0], "log.rows"),
-    "semicolons": (GOOD.replace(",", ";"), "column.missing"),
-    "tabs": (GOOD.replace(",", "\t"), "column.missing"),
-    "spaces": (GOOD.replace(",", " "), "column.missing"),
     "decimal commas": (HEAD + "\n".join(row.replace(".", ",") for row in ROWS), "row.columns"),
-    "quotes": ("\n".join(f'"{x}"'.replace(",", '","') for x in GOOD.split("\n")), "column.missing"),
-    "quoted numbers": (replaced(8, '0.08,"1",1,1'), "cell.number"),
-    "a comment": ("# log of today\n" + GOOD, "column.missing"),
     "units": (HEAD + "s,rad,rad/s,Nm\n" + GOOD[len(HEAD) :], "cell.number"),
     "no header": ("\n".join(ROWS), "column.missing"),
     "capitals": (GOOD.replace("time", "Time"), "column.missing"),
@@ -277,13 +271,13 @@ MALFORMED = {
     "joints 1 and 3": ("time,q1,q3,qd1,qd3,tau1,tau3\n" + "0,0,0,0,0,0,0\n" * 3, "column.missing"),
     "a velocity missing": ("time,q1,q2,qd1,tau1,tau2\n" + "0,0,0,0,0,0\n" * 3, "column.missing"),
     "a packed file cut short": (gzip.compress(GOOD.encode())[:60], "log.damaged"),
-    "a million columns": (",".join(f"c{i}" for i in range(1_000_000)) + "\n1", "column.missing"),
+    "many columns": (",".join(f"c{i}" for i in range(100_000)) + "\n1", "column.missing"),
     "a zip of a log": (zipped(log_csv=GOOD), "log.zip"),
-    "an empty zip": (zipped(), "array.missing"),
-    "one array": (array(np.zeros((5, 4))), "log.kind"),
+    "an empty zip": (zipped(), "column.missing"),
+    "one array": (array(np.zeros((5, 4))), "column.missing"),
     "an archive of what says it is huge": (
         zipped(q_npy="\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (10, 99999999999999)}"),
-        "array.missing",
+        "column.missing",
     ),
     "JSON": ('{"time": [0, 1], "q": 3}', "log.kind"),
     "pickle": (pickle.dumps({"a": 1}), "log.kind"),
@@ -330,11 +324,10 @@ def test_an_archive_cannot_run_anything(tmp_path):
 @pytest.mark.parametrize(
     ("change", "code"),
     [
-        ({"tau": ...}, "array.missing"),
-        ({"q": None}, "array.missing"),
-        ({"time": None}, "array.missing"),
+        ({"tau": ...}, "column.missing"),
+        ({"q": None}, "column.missing"),
+        ({"time": None}, "column.missing"),
         ({"qd": np.zeros((10, 3))}, "array.shape"),
-        ({"time": np.zeros((5000, 1))}, "array.shape"),
         ({"q": np.full((5000, 3), "a")}, "array.shape"),
         ({"q": 1j * np.ones((5000, 3))}, "array.shape"),
         ({"q": [[1.0], [1.0, 2.0]]}, "array.kind"),
@@ -353,22 +346,6 @@ def test_bad_arrays_are_refused(tmp_path, change, code):
 
 
 # --- what is warned of -----------------------------------------------------------------------------------------------
-
-
-def test_a_file_that_ends_within_its_last_number_has_a_finding(tmp_path):
-    path = written(tmp_path / "log.csv", table(0.5, 2), names(2))
-    whole = path.read_text().rstrip("\n")
-    for text in (whole + "\n", whole):  # without the last line break, as many programs write it
-        path.write_text(text)
-        assert with_findings(read_log, path)[1] == []
-    for cut in (whole[:-8], whole[:-9]):
-        path.write_text(cut)
-        (found,) = with_findings(read_log, path)[1]
-        assert (found.code, found.value) == ("log.cut", 501) and found.cure.endswith("rows=(0, 499)")
-        assert with_findings(read_log, path, rows=(0, 499))[1] == []
-        assert "--rows 10 499" in with_findings(read_log, path, rows=(10, 600))[1][0].text(command_line=True)
-        path.write_text(cut + "\n")
-        assert with_findings(read_log, path)[1] == []
 
 
 def over(x):

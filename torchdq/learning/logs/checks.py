@@ -7,7 +7,8 @@ import numpy as np
 
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
-from torchdq.learning.logs.tables import Table, rows_option
+from torchdq.learning.logs.signals import Signals
+from torchdq.learning.logs.tables import rows_option
 
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
 UNLIKE, ALIKE = 0.5, 0.95  # correlations of signals that have nothing to do with each other, and that follow each other
@@ -19,26 +20,24 @@ AROUND = "read the rows before it or after it, by "
 ELSEWHERE = f"{AROUND}rows=(first, last)", f"{AROUND}--rows FIRST LAST"  # for Python, and for the command line
 
 
-def require_numbers(table: Table) -> None:
+def require_numbers(table: Signals) -> None:
     """Refuse cells that are not finite numbers."""
     for row, column in np.argwhere(~np.isfinite(table.values))[:1]:
         cure = ELSEWHERE
-        if '"' in str(table.cell(row, column)):
-            cure = ("quotation marks must be removed", "quotation marks must be removed")
-        elif row == 0 and np.isnan(table.values[0]).all() and len(table.values) > 1:
-            python, option = rows_option(table.first - table.layout.header, "last")
+        if row == 0 and np.isnan(table.values[0]).all() and len(table.values) > 1:
+            python, option = rows_option(table.before + 1, "last")
             words = "a row of words or units must be removed, or left out by"
             cure = f"{words} {python}", f"{words} {option}"
         claim = f"{table.cell(row, column)} is not a finite number"
         table.refuse(row, table.name(column), Finding("cell.number", "", claim, "", *cure))
 
 
-def require_times(table: Table) -> None:
+def require_times(table: Signals) -> None:
     """Refuse times that run backwards, leave gaps, or are not in seconds."""
     step, name = np.diff(table.time), table.name(0)
     if (step < 0).any():
         i = int((step < 0).argmax())
-        cure, option = (f"{one}{two}" for one, two in zip(_repeated(table, i + 1), _parts(table), strict=True))
+        cure, option = _parts(table)
         claim = f"{-step[i]:.4g} s before the row above"
         fault = Finding("time.backwards", "", claim, "", cure, option, value=float(step[i]))
         table.refuse(i + 1, name, fault)
@@ -54,7 +53,7 @@ def require_times(table: Table) -> None:
         table.refuse(1, name, Finding("time.still", "", "the same time in all rows"))
 
 
-def _parts(table: Table) -> tuple[str, str]:
+def _parts(table: Signals) -> tuple[str, str]:
     """Cures: the parts of a log in which time runs on, at most three, the longest ones."""
     step = np.diff(table.time)
     ends = [0, *((step < 0) | (step > GAP)).nonzero()[0] + 1, len(table.time)]
@@ -70,27 +69,7 @@ def _parts(table: Table) -> tuple[str, str]:
     return f"{words} {python}{more}", f"{words} {option}{more}"
 
 
-def _repeated(table: Table, row: int) -> tuple[str, str]:
-    """Cures if the rows from one on are the same as earlier ones; "" if they are not."""
-    same = (table.values[:row] == table.values[row]).all(1).nonzero()[0]
-    if not len(same):
-        return "", ""
-    first, count = int(same[0]), 0
-    while row + count < len(table.values) and first + count < row:
-        if not (table.values[first + count] == table.values[row + count]).all():
-            break
-        count += 1
-    number, before, end = table.first, table.before, table.before + len(table.values)
-    repeats = f"rows {number + row} to {number + row + count - 1} repeat rows {number + first} to "
-    repeats += f"{number + first + count - 1}; leave them out: read"
-    one, two = rows_option(before, before + row), rows_option(before + row + count, end)
-    return (
-        f"{repeats} {one[0]} and {two[0]}, and give identify both motions; or ",
-        f"{repeats} {one[1]} or {two[1]}; or ",
-    )
-
-
-def jumps(table: Table) -> list[Finding]:
+def jumps(table: Signals) -> list[Finding]:
     """The first jump of a position that its velocities do not explain.
 
     Where velocities were not recorded, those two rows before and after stand for them.
@@ -122,7 +101,7 @@ def jumps(table: Table) -> list[Finding]:
     return [Finding("position.jump", subject, claim, "", cure, option, value=float(change[i, joint]))]
 
 
-def require_radians(table: Table) -> None:
+def require_radians(table: Signals) -> None:
     """Refuse columns in degrees, by their size, and signals that do not change as their rates say."""
     n, layout, blocks = table.layout.joints, table.layout, table.blocks
     for signal, limit, unit, field in (
@@ -134,8 +113,10 @@ def require_radians(table: Table) -> None:
         row, joint = divmod(int(abs(blocks[signal]).argmax()), n)
         if abs(blocks[signal][row, joint]) > limit:
             others = "are these degrees (multiply by pi/180), or millimetres of a joint that slides (by 0.001)?"
-            cure = f"{others} if the joint does go there, pass a Layout that allows it, by {field}"
-            option = f"{others} if the joint does go there, pass --{field}"
+            motors = "are these motors before their gears? give the gears' ratios by"
+            goes = "if the joint does go there,"
+            cure = f"{others} {motors} Layout(transmission=...); {goes} pass a Layout that allows it, by {field}"
+            option = f"{others} {motors} --transmission; {goes} pass --{field}"
             x = float(blocks[signal][row, joint])
             fault = Finding(f"{signal}.unit", "", f"{x:.6g} {unit}, more than {limit:.3g}", "", cure, option, value=x)
             table.refuse(row, table.names[signal][joint], fault)
@@ -144,7 +125,7 @@ def require_radians(table: Table) -> None:
             _require_rate(table, signal, rate, joint)
 
 
-def _require_rate(table: Table, signal: str, rate: str, joint: int) -> None:
+def _require_rate(table: Signals, signal: str, rate: str, joint: int) -> None:
     """Refuse a signal that changes by another factor than its rate says, or as the rate of another joint says."""
     blocks, name, other = table.blocks, table.names[signal][joint], table.names[rate][joint]
     ratio, correlation = _followed(table.time, blocks[signal][:, joint], blocks[rate][:, joint])

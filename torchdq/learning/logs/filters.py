@@ -1,6 +1,6 @@
 """Signals on even time stamps, low-passed without delay, differentiated, and fewer rows of them without aliases."""
 
-from math import ceil
+from math import ceil, floor
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from torchdq.base.optional import imported
 
 ORDER = 4  # the filter of `low_pass` has it, and is applied twice
 STEEP = 8  # the same, of the one before rows are left out
+NEARLY = 1.05  # ratio of rates up to which signals are as fast as the times that they are drawn at
 PASSED = 0.4  # highest frequency that is kept, relative to the rate of the rows that are kept: 0.5 would be an alias
 
 
@@ -48,12 +49,16 @@ def fewer_times(stamps: np.ndarray, rate: float) -> np.ndarray:
     return stamps[0] + np.arange(int((stamps[-1] - stamps[0]) * rate * (1 + 1e-12)) + 1) / rate
 
 
-def decimated(stamps: np.ndarray, x: np.ndarray, rate: float, purpose: str) -> np.ndarray:
-    """Signals [rows, n] at `fewer_times`, without what is too fast for the rate, which would look slow (an alias).
+def at_times(time: np.ndarray, stamps: np.ndarray, x: np.ndarray, purpose: str) -> np.ndarray:
+    """Signals [rows, n] at other times, without what is too fast for those, which would look slow (an alias).
 
-    They are drawn at a multiple of the rate that is as fast as the rows, filtered, and every so many are kept.
+    Signals of more rows are drawn in even steps, a whole number of which is one of `time`, and filtered before.
     """
-    times = ceil(1 / (rate * np.median(np.diff(stamps))) - 1e-9)
-    step = 1 / (rate * times)
-    time = stamps[0] + np.arange((len(fewer_times(stamps, rate)) - 1) * times + 1) * step
-    return low_pass(even(time, stamps, x, purpose), PASSED * rate, step, purpose, STEEP)[::times]
+    step, own = float(np.median(np.diff(time))), float(np.median(np.diff(stamps)))
+    if own * NEARLY > step:
+        return even(time, stamps, x, purpose)
+    fine = step / ceil(step / own - 1e-9)
+    drawn = (
+        time[0] + np.arange(ceil((stamps[0] - time[0]) / fine), floor((stamps[-1] - time[0]) / fine + 1e-9) + 1) * fine
+    )
+    return even(time, drawn, low_pass(even(drawn, stamps, x, purpose), PASSED / step, fine, purpose, STEEP), purpose)

@@ -2,8 +2,8 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from typing import Any
 
@@ -15,10 +15,10 @@ from torchdq.findings import Finding
 
 SIGNALS = ("time", "q", "qd", "tau", "qdd", "command")
 NEEDED = SIGNALS[:4]  # unless a layout says that they were not recorded
-BLOCKS = NEEDED[1:]  # what the first three of a layout's blocks hold
 SPARE = SIGNALS[2:]  # signals that a layout may say were not recorded
 SHOWN = 8  # most names of columns that a message holds
 NUMBER = re.compile(r"\{(\d+)\}")  # place of a joint's number in a pattern, and the number of the first joint
+JOINT = "{joint}"  # place of a joint's name in a pattern
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,7 @@ class Layout:
     """Columns and units of a log, and the filters its signals need.
 
     Args:
-        joints: number of joints; 0: as many as the header names.
-        blocks: names of the columns without the number of the joint, which counts from 1: ("q", "qd", "tau") are q1,
-            q2 ..., qd1 ..., tau1 ... . The first three hold positions [rad or m], velocities [rad/s or m/s] and efforts
-            and are read; more are named only where there is no header.
-        header: whether the first line holds the names; if not, the columns are time and all `blocks`, in order.
+        joints: number of joints; 0: as many as positions are found.
         gain: torque per unit of effort, one number per joint [N m or N per unit], e.g. of motor currents [N m/A];
             empty: the effort is the torque; None: unknown, `tau` of the log is the effort in its own unit; so is that
             of a joint whose number is None.
@@ -38,21 +34,29 @@ class Layout:
             8 Hz, or a quarter of the rate of the rows where that is less.
         farthest: position beyond which a column is refused as one in degrees or millimetres [rad or m].
         fastest: speed beyond which it is refused [rad/s or m/s].
-        columns: names that `blocks` does not fit, of "time", "q", "qd", "tau" (the effort), "qdd" [rad/s^2 or m/s^2]
-            and "command" (what the drives were asked for, kept as it is): a pattern, in which {0} is the number of the
-            joint if the first joint has 0, {1} if it has 1, {7} if it has 7; or, where columns carry the names of
-            joints, a list of names in the robot's order of joints. None: "qd" or "tau" was not recorded. In NPZ
-            archives these are names of arrays.
+        columns: names of "time", "q", "qd", "tau" (the effort), "qdd" [rad/s^2 or m/s^2] and "command" (what the drives
+            were asked for, kept as it is), where they are not time, q1, q2 ..., qd1 ..., tau1 ...: a pattern, in which
+            {0} is the number of the joint if the first joint has 0, {1} if it has 1, {7} if it has 7, and {joint} the
+            name of the robot's joint; a list of names in the robot's order of joints; or the name of an array with a
+            column per joint. None: "qd" or "tau" was not recorded. Columns without a header are called 1, 2, 3 ...;
+            those of one of several files also file:name, with the name of the file without its ending.
+        rate: rows per second of a log without times [Hz]; None: it has times.
         transmission: change of the joints' positions per change of the motors', where motors were measured: a number
-            per joint, 1/100 for a gear of 100:1, negative where it reverses; or, for coupled wrists, the rows of a
-            matrix S, joints = S motors. Torques at the joints are then S^-T times those at the motors, which `gain`
-            belongs to. Empty: joints were measured.
+            per joint, 1/100 for a gear of 100:1, negative where it reverses; or the rows of a matrix S, joints = S
+            motors, where a motor turns several joints, as in wrists. Motors are read at the scale of their joints:
+            positions times the numbers, or the diagonal of S, and torques, which `gain` belongs to, divided by them.
+            Where motors are coupled, the log is that of the motors, the coordinates of `robot.couple(coupling, names)`:
+            there friction and rotor inertia act. Empty: joints were measured.
         zero: positions of the joints where the motors' are zero, a number per joint [rad or m]; empty: zero.
-        at_motors: signals that `transmission` takes to the joints.
+        at_motors: signals that were measured at the motors, if there is a transmission; the others were at the joints.
 
     >>> ros = Layout(columns={"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}", "tau": ["base", "elbow"]})
     >>> ros.names("q", 2), ros.names("tau", 2)
     (['position_0', 'position_1'], ['base', 'elbow'])
+
+    A file of two joints without a header, whose rows hold positions and torques at 500 Hz:
+
+    >>> bare = Layout(columns={"q": "{1}", "qd": None, "tau": "{3}"}, rate=500.0)
 
     Positions of motors behind gears and their currents, whose gains are not known, without velocities:
 
@@ -60,8 +64,6 @@ class Layout:
     """
 
     joints: int = 0
-    blocks: tuple[str, ...] = ("q", "qd", "tau")
-    header: bool = True
     gain: tuple[float | None, ...] | None = ()
     cutoff_qd: float | None = None  # [Hz]
     cutoff_tau: float | None = None  # [Hz]
@@ -71,24 +73,14 @@ class Layout:
     transmission: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
     zero: tuple[float, ...] = ()
     at_motors: tuple[str, ...] = ("q", "qd", "qdd", "tau")
+    rate: float | None = None  # [Hz]
 
     def __post_init__(self) -> None:
         self._require_numbers()
         self._require_transmission()
-        if isinstance(self.blocks, str) or len({*self.blocks}) < max(3, len(self.blocks)):
-            expected = "three or more different names, the first of positions, velocities and torques"
-            cure = "where velocities were not recorded, keep the name and give columns={'qd': None}"
-            raise ArgumentError(f"blocks must be {expected}, found {self.blocks!r}; {cure}")
-        object.__setattr__(self, "blocks", tuple(self.blocks))
         if not isinstance(self.columns, Mapping):
             expected = "a mapping such as {'q': 'position_{0}'}"
             raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
-        if any(given is not None for given in self.columns.values()) and not self.header:
-            claim = "columns needs a header to find the names in; found header=False"
-            option = "--blocks says that there is no header; give --columns or --blocks, not both"
-            raise ArgumentError(Finding("layout.header", "", claim, "", "", option))
-        if not self.header and not self.joints:
-            raise ArgumentError("joints must be given for a file without a header; found joints=0, header=False")
         names_of("columns", tuple(self.columns), SIGNALS, "signal")
         for signal, given in self.columns.items():
             if given is None and signal in SPARE:
@@ -105,9 +97,9 @@ class Layout:
     def _require_numbers(self) -> None:
         """Raise unless what must be numbers is; `gain` becomes a tuple of floats."""
         require_count("joints", self.joints, 0)
-        for name in ("cutoff_qd", "cutoff_tau", "farthest", "fastest"):
+        for name in ("cutoff_qd", "cutoff_tau", "rate", "farthest", "fastest"):
             x = getattr(self, name)
-            if x is None and name.startswith("cutoff"):
+            if x is None and name[0] != "f":
                 continue
             if not isinstance(x, Real) or isinstance(x, bool) or not float(x) > 0:
                 raise ArgumentError(f"{name} must be a positive number, found {x!r}")
@@ -120,21 +112,35 @@ class Layout:
         expected = "numbers, one per joint, such as (0.01, -0.0125), or the rows of a square matrix"
         rows = list(self.transmission) if isinstance(self.transmission, Iterable) else [None]
         if any(isinstance(row, Iterable) and not isinstance(row, str) for row in rows):
-            matrix = tuple(_floats("transmission", row, expected) for row in rows)
-            if any(len(row) != len(matrix) for row in matrix) or np.linalg.matrix_rank(matrix) < len(matrix):
-                raise ArgumentError(f"transmission must be {expected}, which has an inverse, found {matrix}")
-            coupled = sum(x != 0 for row in matrix for x in row) > len(matrix)
-            object.__setattr__(self, "transmission", matrix)
+            found: tuple[Any, ...] = tuple(_floats("transmission", row, expected) for row in rows)
+            if any(len(row) != len(found) for row in found) or np.linalg.matrix_rank(found) < len(found):
+                raise ArgumentError(f"transmission must be {expected}, which has an inverse, found {found}")
+            own = tuple(found[k][k] for k in range(len(found)))
         else:
-            found, coupled = _floats("transmission", self.transmission, expected), False
-            if not all(found):
-                raise ArgumentError(f"transmission must be {expected}, none of them zero, found {found}")
-            object.__setattr__(self, "transmission", found)
-        if coupled and not np.all(self.known_gains) and "tau" in self.at_motors:
-            cure = "give gains of data sheets; Model(gains=True) of identify then finds a factor for each joint"
-            raise ArgumentError(f"gain must be known where a transmission couples joints, found {self.gain}; {cure}")
+            found = own = _floats("transmission", self.transmission, expected)
+        if not all(own):
+            raise ArgumentError(f"transmission must be {expected}, with motor k turning joint k, found zero in {found}")
+        object.__setattr__(self, "transmission", found)
         if self.zero and not self.transmission:
             raise ArgumentError(f"zero needs a transmission, e.g. ones, found zero={self.zero} and transmission=()")
+
+    @property
+    def ratios(self) -> np.ndarray:
+        """Change of every joint's position per change of its own motor's [n]."""
+        S = np.array(self.transmission)
+        return S if S.ndim == 1 else S.diagonal()
+
+    @property
+    def coupling(self) -> tuple[tuple[float, ...], ...] | None:
+        """Rows of the matrix C, joints = C motors, motors being at the scale of their joints; None: not coupled.
+
+        >>> Layout(transmission=((1 / 80, 0), (1 / 80, 1 / 50))).coupling
+        ((1.0, 0.0), (1.0, 1.0))
+        """
+        S = np.array(self.transmission)
+        if S.ndim == 1 or np.count_nonzero(S) == len(S):
+            return None
+        return tuple(map(tuple, (S / self.ratios).tolist()))
 
     @property
     def known_gains(self) -> bool | tuple[bool, ...]:
@@ -143,38 +149,59 @@ class Layout:
 
     def names(self, signal: str, joints: int) -> list[str]:
         """Names of a signal's columns; none of one that was not recorded."""
-        given = self._given(signal)
+        given = self.given(signal)
         if given is None:
             return []
         if not isinstance(given, str):
-            return list(given)
+            return given
         if not NUMBER.search(given):
             return [given]
         parts = NUMBER.split(given)  # the odd ones are the numbers of the first joint
         return ["".join(str(int(x) + i) if k % 2 else x for k, x in enumerate(parts)) for i in range(joints)]
 
-    def count(self, heads: Sequence[str]) -> int:
+    def count(self, heads: Collection[str]) -> int:
         """Number of joints whose positions a header names."""
-        given = self._given("q") or ()
+        given = self.given("q") or ()
         if not isinstance(given, str):
             return len(given)
-        pattern = re.compile(r"\d+".join(map(re.escape, NUMBER.split(given)[::2])))
-        return sum(pattern.fullmatch(head) is not None for head in heads)
+        if not NUMBER.search(given):
+            return int(given in heads)
+        first, *others = self.starts("q")
+        after = min((k for k in others if k > first), default=math.inf)
+        pattern = re.compile(r"(\d+)".join(map(re.escape, NUMBER.split(given)[::2])))
+        return sum((found := pattern.fullmatch(head)) is not None and first <= int(found[1]) < after for head in heads)
+
+    def starts(self, signal: str) -> list[int]:
+        """First number in a signal's pattern, and in those of other signals that have the same words."""
+        patterns = {x: NUMBER.split(given) for x in SIGNALS if isinstance(given := self.given(x), str)}
+        words = patterns.get(signal, [])[::2]
+        found = {x: int(parts[1]) for x, parts in patterns.items() if len(parts) > 1 and parts[::2] == words}
+        return [found.pop(signal), *found.values()] if signal in found else []
 
     def has(self, signal: str) -> bool:
         """Whether a signal was recorded, as far as the layout says."""
-        return self.columns.get(signal, signal) is not None
+        return self.columns.get(signal, signal) is not None and not (signal == "time" and self.rate)
 
     @property
-    def order(self) -> list[str]:
-        """Columns of a file without a header: the time and all columns of the blocks."""
-        absent = [block for signal, block in zip(BLOCKS, self.blocks, strict=False) if not self.has(signal)]
-        blocks = [block for block in self.blocks if block not in absent]
-        return ["time", *(f"{block}{joint}" for block in blocks for joint in range(1, self.joints + 1))]
+    def clock(self) -> str:
+        """Name of the column of times."""
+        return bare(str(self.columns.get("time", "time")))
 
-    def _given(self, signal: str) -> str | Sequence[str] | None:
-        block = dict(zip(BLOCKS, self.blocks, strict=False)).get(signal, signal)
-        return self.columns.get(signal, "time" if signal == "time" else f"{block}{{1}}")
+    def given(self, signal: str) -> str | list[str] | None:
+        """Name, pattern or names of a signal's columns."""
+        found = self.columns.get(signal, "time" if signal == "time" else f"{signal}{{1}}")
+        return None if found is None else bare(found) if isinstance(found, str) else [bare(name) for name in found]
+
+    def with_columns(self, columns: Mapping[str, str | Sequence[str] | None]) -> "Layout":
+        """Layout with these names instead of its own."""
+        return replace(self, columns={**self.columns, **columns}) if columns else self
+
+    def of_joints(self, names: Sequence[str]) -> "Layout":
+        """Layout in which {joint} is replaced by the names of a robot's joints."""
+        patterns = {signal: x for signal, x in self.columns.items() if isinstance(x, str) and JOINT in x}
+        if patterns and not names:
+            raise ArgumentError(f"robot must be given for the names of its joints in columns={patterns}, found None")
+        return self.with_columns({signal: [x.replace(JOINT, name) for name in names] for signal, x in patterns.items()})
 
 
 def _gains(given: Any) -> tuple[float | None, ...] | None:
@@ -201,6 +228,11 @@ def _floats(name: str, x: Any, expected: str) -> tuple[float, ...]:
     if not all(map(math.isfinite, found)):
         raise ArgumentError(f"{name} must be finite numbers, found {x!r}")
     return found
+
+
+def bare(name: str) -> str:
+    """Name of a column without the quotation marks, blanks and signs of comments and lists that files put around it."""
+    return name.strip(' \t"').lstrip("#%- ").rstrip(" ,")
 
 
 def listed(names: Sequence[str]) -> str:

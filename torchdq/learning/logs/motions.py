@@ -44,6 +44,7 @@ class Motion(NamedTuple):
     cutoff_tau: float | None = None  # filter of torques and directions [Hz]; None: unfiltered
     known_gains: bool | tuple[bool, ...] = True  # whether `tau` is in N m, of all joints or of each, or e.g. in A
     name: str = ""  # its log, for messages
+    coupling: tuple[tuple[float, ...], ...] | None = None  # C, joints = C q, where q is of motors that are coupled
 
     def __repr__(self) -> str:
         units = UNITS if np.all(self.known_gains) else UNITS | {"tau": "unknown gains"}
@@ -130,7 +131,8 @@ def _filtered(log: Log, time: np.ndarray, cutoffs: tuple[float, float], sign_wid
     q = drawn(log.q, cutoff_qd)
     qd = derivative(time, q, "smooth") if log.qd is None else drawn(log.qd, cutoff_qd)
     qdd = derivative(time, qd, "smooth") if log.qdd is None else drawn(log.qdd, cutoff_qd)
-    found = Motion(time, q, qd, qdd, None, None, sign_width, cutoff_qd, None, log.layout.known_gains, str(log.path))
+    known, name, coupling = log.layout.known_gains, str(log.path), log.layout.coupling
+    found = Motion(time, q, qd, qdd, None, None, sign_width, cutoff_qd, None, known, name, coupling)
     if log.tau is None:
         return found
     direction = low_pass(qd / np.hypot(qd, sign_width), cutoff_tau, step, "smooth")

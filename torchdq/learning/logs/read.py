@@ -1,6 +1,6 @@
-"""Reading of logs: a table from a source of any kind, checked, taken to the joints' side, at a rate."""
+"""Reading of logs: tables of sources of any kind, checked, joined by time, taken to the joints' side, at a rate."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from numbers import Integral
 from os import PathLike
 from pathlib import Path
@@ -14,25 +14,29 @@ from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
+from torchdq.learning.logs.bags import MAGIC, bag_tables
 from torchdq.learning.logs.checks import jumps, require_numbers, require_radians, require_times
 from torchdq.learning.logs.errors import LogError, MissingLogError
-from torchdq.learning.logs.filters import decimated, fewer_times
-from torchdq.learning.logs.layouts import Layout
+from torchdq.learning.logs.filters import at_times, fewer_times
+from torchdq.learning.logs.headers import find_columns
+from torchdq.learning.logs.layouts import SPARE, Layout
 from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.learning.logs.samples import UNITS
-from torchdq.learning.logs.tables import Table, archive_table, arrays_table, text_table
+from torchdq.learning.logs.signals import Signals, joined, read_signals
+from torchdq.learning.logs.tables import Table, arrays_table, file_arrays, text_table
 
-Source = str | PathLike[str] | bytes | IO[Any] | Mapping[str, Any]
+File = str | PathLike[str] | bytes | IO[Any]
+Source = File | Mapping[str, Any] | Sequence[File]
 
 MOST_BYTES = 1_000_000_000  # largest file that is read
 FEWEST = 30  # rows that a log of a lower rate must keep: the filter before it takes as many
-OTHERS = {  # first bytes of files that are neither tables nor archives
-    b"\x93NUMPY": "a single NumPy array, save all by np.savez(time=..., q=..., qd=..., tau=...)",
+ARRAYS = (b"PK", b"\x93NUMPY", b"MATLAB 5.0")  # first bytes of files of arrays
+OTHERS = {  # and of files that are none of all these
     b"PAR1": "a Parquet file",
     b"\x89HDF": "an HDF5 file",
-    b"MATLAB 5.0": "a file of MATLAB",
-    b"#ROSBAG": "a ROS bag",
-    b"SQLite format 3": "an SQLite file, as ROS 2 writes its bags",
+    b"MATLAB 7.3": "a file of MATLAB 7.3, which is HDF5: save(file, '-v7') writes one that is read",
+    b"#ROSBAG": "a bag of ROS 1",
+    b"SQLite format 3": "a bag in SQLite; `ros2 bag convert` makes one in MCAP, which is read",
     b"\x80": "a pickle",
     b"BZh": "packed with bzip2",
     b"\xfd7zXZ": "packed with xz",
@@ -54,6 +58,7 @@ class Log(NamedTuple):
     qdd: np.ndarray | None = None  # [rows, n] [rad/s^2 or m/s^2], if the file holds them
     command: np.ndarray | None = None  # [rows, n], what the drives were asked for, if the file holds it
     findings: tuple[Finding, ...] = ()  # what is probably wrong in it
+    joined: str = ""  # what was done to join several files by time
 
     def __repr__(self) -> str:
         size = f"{self.q.shape[1]} joints, {len(self.time)} rows, {self.repeats} repeated time stamps left out"
@@ -61,11 +66,14 @@ class Log(NamedTuple):
         if not np.all(self.layout.known_gains):
             units |= {"tau": "unknown gains"}
         signals = {name: (x, units[name]) for name, x in self._asdict().items() if name in units and x is not None}
-        return f"{self.path}: {size}\n\n{summary('Log', signals)}"
+        done = f"\n{self.joined}" if self.joined else ""
+        return f"{self.path}: {size}{done}\n\n{summary('Log', signals)}"
 
 
-def read(path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float | None) -> Log:
-    """Log in a file, or made of arrays, with findings instead of warnings; arguments and errors are `read_log`'s."""
+def read(
+    path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float | None, joints: Sequence[str] = ()
+) -> Log:
+    """Log in files, or made of arrays, with findings instead of warnings; arguments and errors are `read_log`'s."""
     if not isinstance(layout, Layout):
         cure = "columns are named by Layout(columns={'q': 'position_{0}'})"
         raise ArgumentError(f"layout must be a Layout, found {type(layout).__name__}; {cure}")
@@ -78,62 +86,92 @@ def read(path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float
     if rate is not None:
         require_number("rate", rate, positive=True)
     with Progress(f"reading {path}" if isinstance(path, str | PathLike) else "reading a log"):
-        table = _table(path, layout, rows)
-        require_numbers(table)
-        table = _joint_side(table)
-        require_times(table)
-        require_radians(table)
-    findings = [*table.notes, *jumps(table)]
-    if "tau" in table.names:
-        findings += outlier_findings([f"column {x!r}" for x in table.names["tau"]], table.blocks["tau"], table.first)
-    new = np.concatenate([[True], np.diff(table.time) > 0])
-    time, blocks = table.time[new], {signal: x[new] for signal, x in table.blocks.items()}
+        signals = _signals(path, layout.of_joints(joints), rows, joints)
+        require_radians(signals)
+    findings = jumps(signals)
+    if "tau" in signals.names:
+        names = [f"column {x!r}" for x in signals.names["tau"]]
+        findings += outlier_findings(names, signals.blocks["tau"], signals.first)
+    new = signals.distinct()
+    time, blocks, repeats = new.time, new.blocks, len(signals.values) - len(new.values)
     if rate is not None:
-        time, blocks = _at_rate(table.path, time, blocks, rate)
-    signals: dict[str, Any] = {"qd": None, "tau": None} | blocks
-    return Log(table.path, table.layout, time, repeats=int((~new).sum()), findings=tuple(findings), **signals)
+        time, blocks = _at_rate(signals.path, time, blocks, rate)
+    found: dict[str, Any] = {"qd": None, "tau": None} | blocks
+    return Log(
+        signals.path, signals.layout, time, repeats=repeats, findings=tuple(findings), joined=signals.joined, **found
+    )
 
 
-def _table(path: Any, layout: Layout, rows: tuple[int, int] | None) -> Table:
-    """Table of a source of any kind."""
-    if isinstance(path, Mapping):
-        return arrays_table(path, layout, rows)
-    name, content = sources.content("log", path, MOST_BYTES, LogError, MissingLogError)
+def _signals(source: Any, layout: Layout, rows: tuple[int, int] | None, joints: Sequence[str]) -> Signals:
+    """Signals of the joints in a source of any kind; of several tables, rows are those that they have in common."""
+    files = list(source) if isinstance(source, list | tuple) else [source]
+    if not files:
+        raise ArgumentError("path must be a file at least, found none")
+    if isinstance(source, Mapping):
+        names = {x: given for x in SPARE if isinstance(given := layout.columns.get(x, x), str)}
+        layout = layout.with_columns({x: None for x, name in names.items() if source.get(name, x) is None})
+        tables = [arrays_table(Path("the arrays"), source, layout.clock, rows)]
+    else:
+        tables = [table for file in files for table in _tables(file, layout, rows if len(files) == 1 else None, joints)]
+    where = " + ".join(dict.fromkeys(str(table.path) for table in tables))
+    if len(tables) == 1 and tables[0].first > tables[0].before:
+        where += f", row {max(1, tables[0].first - tables[0].before - 1)}"
+    found, columns, places = find_columns(where, layout, tables)
+    parts = read_signals(found, columns, tables, places)
+    for part in parts:
+        require_numbers(part)
+    parts = [_scaled(part) for part in parts]
+    for part in parts:
+        require_times(part)
+    whole = joined(parts)
+    return whole._replace(values=whole.values[slice(*rows)]) if rows and len(files) > 1 else whole
+
+
+def _tables(path: Any, layout: Layout, rows: tuple[int, int] | None, joints: Sequence[str]) -> list[Table]:
+    """Tables of a file, or of the bag in a folder."""
+    inside = sorted(Path(path).glob("*.mcap")) if isinstance(path, str | PathLike) else []
+    contents = [sources.content("log", file, MOST_BYTES, LogError, MissingLogError) for file in inside or [path]]
+    name, content = Path(path if inside else contents[0].name), contents[0].data
     for start, kind in OTHERS.items():
         if content.startswith(start):
-            needed = "not a table; needed are columns separated by commas"
-            cure = ", an NPZ archive, or arrays: read_log({'time': ..., 'q': ..., ...})"
-            python, option = (f"{needed}{rest}" for rest in (cure, " or an NPZ archive"))
-            raise LogError(Finding("log.kind", "", f"this is {kind}", "", python, option), where=Path(name))
-    return (archive_table if content.startswith(b"PK") else text_table)(Path(name), content, layout, rows)
+            needed = "needed are columns of text, an NPZ archive, a file of MATLAB before 7.3, or a bag in MCAP"
+            cure = f"{needed}; or arrays: read_log({{'time': ..., 'q': ..., ...}})"
+            raise LogError(Finding("log.kind", "", f"this is {kind}", "", cure, needed), where=name)
+    if content.startswith(MAGIC):
+        return bag_tables(name, [one.data for one in contents], joints, rows)
+    if content.startswith(ARRAYS):
+        return [arrays_table(name, file_arrays(name, content), layout.clock, rows)]
+    return [text_table(name, content, rows)]
 
 
-def _joint_side(table: Table) -> Table:
-    """Table of the joints, from that of the motors that drive them; efforts are multiplied by their gains, if known.
+def _scaled(table: Signals) -> Signals:
+    """Signals of the joints, or of motors that are coupled; efforts are multiplied by their gains, if known.
 
-    Joints' positions are linear in the motors', q = S m + q0, so that velocities and accelerations follow by S, and,
-    the transmission being lossless, torques at the joints are S^-T times those at the motors.
+    Joints' positions are linear in the motors', q = C z + q0 with the motors z at the scale of their joints, so that
+    velocities and accelerations follow by C, and, the transmission being lossless, torques at the motors are C^T times
+    those at the joints.
     """
     layout = table.layout
     for name, given in (("gain", layout.gain), ("transmission", layout.transmission), ("zero", layout.zero)):
         if given and len(given) != layout.joints:
             rows = "rows" if name == "transmission" and np.ndim(layout.transmission) == 2 else "numbers"
             raise ArgumentError(f"{name} must have {layout.joints} {rows}, one per joint, found {len(given)}")
-    blocks = {signal: _at_joint(layout, signal, x) for signal, x in table.blocks.items()}
+    blocks = {signal: _at_motor(layout, signal, x) for signal, x in table.blocks.items()}
     return table._replace(values=np.column_stack([table.time, *blocks.values()]))
 
 
-def _at_joint(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
-    """Signal of the joints [rows, n]."""
+def _at_motor(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
+    """Signal of the motors at the scale of their joints, which are the joints unless they are coupled [rows, n]."""
     if signal == "tau" and layout.gain:
         x = x * [1.0 if gain is None else gain for gain in layout.gain]
-    if not layout.transmission or signal not in layout.at_motors:
+    if not layout.transmission or signal in ("time", "command"):
         return x
-    given = np.array(layout.transmission)
-    S = np.diag(given) if given.ndim == 1 else given
+    ratios, C = layout.ratios, np.array(layout.coupling or np.eye(layout.joints))
     if signal == "tau":
-        return x @ np.linalg.inv(S)
-    return x @ S.T + (np.array(layout.zero or 0.0) if signal == "q" else 0.0)
+        return x / ratios if signal in layout.at_motors else x @ C
+    if signal not in layout.at_motors:
+        return x @ np.linalg.inv(C).T
+    return x * ratios + (np.linalg.solve(C, layout.zero) if signal == "q" and layout.zero else 0.0)
 
 
 def _at_rate(
@@ -148,4 +186,6 @@ def _at_rate(
     if rate > 1.01 * most or seconds * rate < FEWEST:
         expected = f"at most {most:.4g} Hz, that of the rows, and at least {FEWEST / seconds:.3g} Hz"
         raise ArgumentError(f"rate must be {expected}, of which {FEWEST} rows of {path} are left, found {rate!r}")
-    return fewer_times(time, rate), {signal: decimated(time, x, rate, "read_log") for signal, x in blocks.items()}
+    return fewer_times(time, rate), {
+        signal: at_times(fewer_times(time, rate), time, x, "read_log") for signal, x in blocks.items()
+    }

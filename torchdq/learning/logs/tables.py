@@ -1,26 +1,27 @@
-"""Tables of logs: what CSV files, NPZ archives and arrays hold, before anything is made of it.
+"""Tables of named columns: what texts, NPZ archives, files of MATLAB and arrays hold, before anything is made of it.
 
 Rows are numbered as an editor does, those of arrays from 0.
 """
 
 import codecs
+import csv
 import gzip
 import io
 import math
+import re
 import zlib
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 from torch import Tensor
 
-from torchdq.errors import ArgumentError
+from torchdq.base.optional import imported
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
-from torchdq.learning.logs.headers import OTHER_NAMES, find_columns, missing_signals
-from torchdq.learning.logs.layouts import NEEDED, SIGNALS, Layout, is_number, listed
+from torchdq.learning.logs.layouts import bare, is_number, listed
 
 MARKS = {  # that a text in another encoding than UTF-8 starts with; the longer ones first
     codecs.BOM_UTF32_LE: "utf-32",
@@ -28,44 +29,25 @@ MARKS = {  # that a text in another encoding than UTF-8 starts with; the longer 
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
+SEPARATORS = ";\t,|"  # of the columns of a text, the first that its rows hold; without any: blanks
+DECIMAL_COMMAS = ";\t"  # separators besides which a comma is that of a number
 
 
 class Table(NamedTuple):
-    """Columns of a log that are read: the time, and a block of columns, one per joint, for every signal."""
+    """Columns of a source by name, none of which is read yet."""
 
     path: Path
-    layout: Layout  # with the number of joints found
-    names: dict[str, list[str]]  # names of the columns by signal, in their order
-    values: np.ndarray  # [rows, columns]
-    first: int  # number of the first row, for messages
-    cell: Callable[[int, int], object]  # a value as the source writes it, for messages
+    heads: list[str]  # names of the columns
+    read: Callable[[list[int]], np.ndarray]  # numbers in some columns [rows, columns]; NaN where there are none
+    cell: Callable[[int, int], object]  # what the source writes in a row and a column, for messages
+    first: int = 0  # number of the first row, for messages
     before: int = 0  # rows of numbers before the first, which are left out
-    notes: tuple[Finding, ...] = ()  # what the source may lack
+    arrays: Mapping[str, list[str]] = {}  # names of the columns of each array
 
     @property
-    def time(self) -> np.ndarray:
-        """Time stamps [rows] [s]."""
-        return self.values[:, 0]
-
-    @property
-    def blocks(self) -> dict[str, np.ndarray]:
-        """Arrays of the signals that the log has, without the time, [rows, n] each."""
-        n, signals = self.layout.joints, list(self.names)[1:]
-        return {signal: self.values[:, 1 + i * n : 1 + (i + 1) * n] for i, signal in enumerate(signals)}
-
-    def name(self, column: int) -> str:
-        """Name of a column."""
-        return [name for names in self.names.values() for name in names][column]
-
-    def refuse(self, row: int, name: str, fault: Finding) -> NoReturn:
-        """Raise for a row and a column of this name."""
-        raise LogError(fault._replace(subject=f"column {name!r}"), where=f"{self.path}, row {self.first + row}")
-
-
-def require_rows(path: Path, rows: int) -> None:
-    """Refuse a log of fewer than two rows."""
-    if rows < 2:
-        raise LogError(Finding("log.rows", "", "at least two rows of numbers are needed", str(rows)), where=path)
+    def name(self) -> str:
+        """Name before a colon by which its columns differ from those of other files."""
+        return self.path.name.partition(".")[0]
 
 
 def rows_option(first: object, last: object) -> tuple[str, str]:
@@ -76,46 +58,53 @@ def rows_option(first: object, last: object) -> tuple[str, str]:
 # --- texts ---
 
 
-def text_table(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] | None) -> Table:
-    """Table in the bytes of a CSV file."""
-    text = _decoded(path, content)
-    ended, lines = text.endswith(("\n", "\r")), text.rstrip().splitlines()
+def text_table(path: Path, content: bytes, rows: tuple[int, int] | None) -> Table:
+    """Table in a text: numbers between commas, semicolons, tabs, bars or blanks, below a line of names or not."""
+    lines = _decoded(path, content).rstrip().splitlines()
     if not lines:
         raise LogError(Finding("log.empty", "", "it is empty"), where=path)
-    heads = [cell.strip() for cell in lines[0].split(",")] if layout.header else layout.order
-    layout, names = find_columns(f"{path}, row 1", layout, heads)
-    start = layout.header + (rows[0] if rows else 0)
-    body = lines[start : None if rows is None else start + rows[1] - rows[0]]
-    for number, line in enumerate(body, start + 1):
-        if (found := line.count(",") + 1) != len(heads):
-            cure = "" if found <= len(heads) else "decimal commas must be points"
-            expected = f"{len(heads)} columns {heads[0]} ... {heads[-1]} are needed"
-            fault = Finding("row.columns", "", expected, str(found), cure if line.strip() else "remove empty lines")
-            raise LogError(fault, where=f"{path}, row {number}")
-    require_rows(path, len(body))
-    used = [heads.index(name) for block in names.values() for name in block]
-    values: np.ndarray
-    try:
-        values = np.loadtxt(body, delimiter=",", usecols=used, comments=None, ndmin=2)
-    except ValueError:  # some cell is not numeric; NaN marks it
-        cells = (line.split(",") for line in body)
-        values = np.array([[float(row[i]) if is_number(row[i]) else math.nan for i in used] for row in cells])
-    whole = ended or start + len(body) < len(lines) or len(heads) - 1 not in used
-    before = start - layout.header
-    notes = () if whole else _cut(body, start + len(body), before)
-    return Table(path, layout, names, values, start + 1, lambda i, k: repr(body[i].split(",")[used[k]]), before, notes)
+    top = 0  # lines of comments, of which the last may hold the names
+    while lines[top].startswith(("#", "%")) and top + 1 < len(lines) and not _numbers(lines[top + 1]):
+        top += 1
+    row = next((line for line in lines[top + 1 :] if line.strip()), lines[top])
+    seen = (row, "" if " " in row else lines[top])
+    separator = next((x for text in seen for x in SEPARATORS if x in text), None)
+    head = lines[top]
+    words = next(csv.reader([head], delimiter=separator)) if separator else head.strip("#% ").split()
+    width, said = row.count(separator) + 1 if separator else len(row.split()), head.startswith(("#", "%"))
+    named = not all(map(is_number, words)) or words == [str(k) for k in range(len(words))]
+    header = named and (not said or len(words) == width)  # other comments are none
+    heads = [bare(word) for word in words] if header else [str(k + 1) for k in range(width)]
+    before, start = rows[0] if rows else 0, top + (header or said)
+    body = lines[start + before : None if rows is None else start + rows[1]]
+    start += before
+    if separator and separator in DECIMAL_COMMAS:
+        body = [line.replace(",", ".") for line in body]
+
+    def cells(line: str) -> list[str]:
+        return line.split(separator)
+
+    def read(used: list[int]) -> np.ndarray:
+        for number, line in enumerate(body, start + 1):
+            if (found := line.count(separator) + 1 if separator else len(line.split())) != len(heads):
+                cure = "" if found <= len(heads) else "decimal commas must be points"
+                expected = f"{len(heads)} columns {heads[0]} ... {heads[-1]} are needed"
+                fault = Finding("row.columns", "", expected, str(found), cure if line.strip() else "remove empty lines")
+                raise LogError(fault, where=f"{path}, row {number}")
+        if len(body) < 2:
+            return np.empty((len(body), len(used)))
+        try:
+            return np.loadtxt(body, delimiter=separator, usecols=used, comments=None, ndmin=2, quotechar='"')
+        except ValueError:  # some cell is not numeric; NaN marks it
+            split = ([cell.strip(' "') for cell in cells(line)] for line in body)
+            return np.array([[float(row[i]) if is_number(row[i]) else math.nan for i in used] for row in split])
+
+    return Table(path, heads, read, lambda i, k: repr(cells(body[i])[k]), start + 1, before)
 
 
-def _cut(lines: list[str], number: int, first: int) -> tuple[Finding, ...]:
-    """Note about a last line, which no line break ends, whose last number is shorter than all before."""
-    *before, last = [len(line) - line.rfind(",") - 1 for line in lines]
-    if last >= min(before):
-        return ()
-    found = f"row {number}: the last number has fewer digits than all before it, and no line break after it"
-    cure, option = (
-        f"if the file was cut there, leave the row out by {x}" for x in rows_option(first, first + len(before))
-    )
-    return (Finding("log.cut", "", found, "", cure, option, value=number),)
+def _numbers(line: str) -> bool:
+    """Whether a line holds numbers alone."""
+    return all(is_number(cell.strip(' "')) for cell in re.split("[;\\t,|]| +", line.strip()))
 
 
 def _decoded(path: Path, content: bytes) -> str:
@@ -131,92 +120,74 @@ def _decoded(path: Path, content: bytes) -> str:
 # --- arrays ---
 
 
-def archive_table(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] | None) -> Table:
-    """Table in the bytes of an NPZ archive."""
-    called = _called(layout)
+def file_arrays(path: Path, content: bytes) -> dict[str, Any]:
+    """Arrays in an NPZ archive, an NPY file, whose columns have no names, or a file of MATLAB."""
+    matlab = content.startswith(b"MATLAB")
+    loadmat = imported("scipy.io", "scipy", "reading a file of MATLAB").loadmat if matlab else None
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            inside = archive.zip.namelist()
-            found = {signal: archive[name] for signal, name in called.items() if name in archive}
-    except Exception as fault:  # numpy and zipfile raise errors of many kinds on damaged bytes
+        if loadmat:
+            known = loadmat(io.BytesIO(content), simplify_cells=True)
+            return {name: x for name, x in known.items() if not name.startswith("__")}
+        archive = np.load(io.BytesIO(content), allow_pickle=False)
+        if isinstance(archive, np.ndarray):
+            return {"": archive}
+        inside = archive.zip.namelist()
+        if inside and not any(name.endswith(".npy") for name in inside):
+            raise LogError(Finding("log.zip", "", f"a zip archive of {listed(inside)}", "", "unpack it"), where=path)
+        return dict(archive)
+    except LogError:
+        raise
+    except Exception as fault:  # numpy, scipy and zipfile raise errors of many kinds on damaged bytes
         claim = f"damaged or not an archive of numbers ({fault})"
         raise LogError(Finding("log.damaged", "", claim), where=path) from fault
-    if inside and not any(name.endswith(".npy") for name in inside):
-        raise LogError(Finding("log.zip", "", f"a zip archive of {listed(inside)}", "", "unpack it"), where=path)
-    return _table(path, found, called, [name.removesuffix(".npy") for name in inside], layout, rows)
 
 
-def arrays_table(arrays: Mapping[str, Any], layout: Layout, rows: tuple[int, int] | None) -> Table:
-    """Table of arrays by name; None instead of one: it was not recorded."""
-    path, found = Path("the arrays"), {}
-    called = {signal: name for signal, name in _called(layout).items() if arrays.get(name, "") is not None}
-    for name in ("time", "q"):
-        called.setdefault(name, name)  # no log is without
-    for signal, name in called.items():
-        if (x := arrays.get(name)) is not None:
-            try:
-                found[signal] = np.asarray(x.detach().cpu() if isinstance(x, Tensor) else x)
-            except Exception as fault:  # numpy takes any object, whose conversion may fail in any way
-                expected = f"must be an array of numbers ({fault})"
-                raise LogError(Finding("array.kind", f"array {name!r}", expected), where=path) from fault
-    return _table(path, found, called, [str(name) for name in arrays], layout, rows)
+def arrays_table(path: Path, given: Mapping[str, Any], time: str, rows: tuple[int, int] | None) -> Table:
+    """Table of arrays: x [rows, n] has the columns x1 ... xn, and is known by its own name, too.
 
-
-def _called(layout: Layout) -> dict[str, str]:
-    """Names of the arrays by signal, of those that the layout has."""
-    called: dict[str, str] = {}
-    for signal in filter(layout.has, SIGNALS):
-        name = layout.columns.get(signal, signal)
-        if not isinstance(name, str):
-            raise ArgumentError(f"columns of an archive must be names of its arrays, found {layout.columns}")
-        if name in called.values():
-            raise ArgumentError(f"columns must name every array once, found {name!r} for several signals")
-        called[signal] = name
-    return called
-
-
-def _table(
-    path: Path,
-    found: dict[str, np.ndarray],
-    called: Mapping[str, str],
-    inside: list[str],
-    layout: Layout,
-    rows: tuple[int, int] | None,
-) -> Table:
-    """Table of the signals found among what is inside."""
-    for signal, name in called.items():
-        if signal not in found and (signal in NEEDED or signal in layout.columns):
-            needed = f"time [rows] and {', '.join(called[s] for s in NEEDED[1:] if s in called)} [rows, n]"
-            cure, option = (f"{way}; found {listed(inside)}" for way in OTHER_NAMES)
-            fault = Finding("array.missing", "", f"there is no array {name!r}; needed are {needed}", "", cure, option)
-            raise LogError(missing_signals(fault, called.keys() - found.keys(), inside), where=path)
-    shape = found["q"].shape
-    for signal, x in {"q": found["q"], **found}.items():  # positions first, whose shape the others must have
-        if x.shape != (shape[:1] if signal == "time" else shape) or len(shape) != 2 or x.dtype.kind not in "fiu":
-            expected = "must hold real numbers, time [rows] and q, qd, tau [rows, n]"
-            fault = Finding("array.shape", f"array {called[signal]!r}", expected, f"{x.dtype} {list(x.shape)}")
-            raise LogError(fault._replace(cure=_cure(found, x)), where=path)
-    if layout.joints not in (0, shape[1]) or not shape[1]:
-        expected = f"{layout.joints} joints are needed" if layout.joints else "at least one joint is needed"
-        raise LogError(Finding("log.joints", "", expected, str(shape[1]), value=shape[1]), where=path)
-    joints = range(1, shape[1] + 1)
-    names = {signal: ["time"] if signal == "time" else [f"{signal}{joint}" for joint in joints] for signal in found}
+    Rows are as many as times, or as most arrays have; an array with the joints in its first axis is transposed.
+    """
+    known = {bare(name): x for name, x in _flat(path, given)}
+    lengths = Counter(k for x in known.values() for k in x.shape if k > 1)
+    most = max(lengths, key=lambda k: (lengths[k], k), default=0)
+    length = known[time].size if time in known else most
+    columns: list[tuple[str, int]] = []  # array and place in it
+    heads: list[str] = []
+    arrays = {}
+    for name, x in known.items():
+        x = x.T if x.ndim == 2 and x.shape[0] != length == x.shape[1] else x
+        known[name] = x = x[:, None] if x.ndim == 1 else x
+        n = x.shape[1] if x.ndim == 2 else 1
+        arrays[name] = [f"{name}{k + 1}" for k in range(n)] if n > 1 else [name]
+        heads += arrays[name]
+        columns += [(name, k) for k in range(n)]
     start, end = rows or (0, None)
-    values = np.column_stack([x.astype(float) for x in found.values()])[start:end]
-    require_rows(path, len(values))
-    layout = layout if layout.joints else replace(layout, joints=shape[1])
-    return Table(path, layout, names, values, start, lambda i, k: values[i, k], before=start)
+
+    def read(used: list[int]) -> np.ndarray:
+        for name in dict.fromkeys(columns[i][0] for i in used):
+            x = known[name]
+            if x.ndim != 2 or len(x) != length or x.dtype.kind not in "fiu":
+                expected = f"must hold real numbers, [{length}] or [{length}, n]"
+                fault = Finding("array.shape", f"array {name!r}", expected, f"{x.dtype} {list(x.shape)}")
+                cure = "convert it by .astype(float)" if x.dtype.kind not in "fiu" else "all must have the same rows"
+                raise LogError(fault._replace(cure=cure), where=path)
+        return np.column_stack([known[name][start:end, k].astype(float) for name, k in (columns[i] for i in used)])
+
+    def cell(i: int, k: int) -> object:
+        name, place = columns[k]
+        return known[name][start + i, place]
+
+    return Table(path, heads, read, cell, start, start, arrays)
 
 
-def _cure(found: Mapping[str, np.ndarray], x: np.ndarray) -> str:
-    """Cure for the shape of an array."""
-    rows = found["time"].shape[:1]
-    if x.dtype.kind not in "fiu":
-        return "convert it by .astype(float)"
-    if found["q"].ndim == 1:
-        return "one joint is written [rows, 1], as q[:, None]"
-    if rows and found["q"].shape[1:] == rows and found["q"].shape[:1] != rows:
-        return f"the joints are in the first axis and the {rows[0]} rows in the second: transpose, as q.T"
-    if x.shape[:1] != found["q"].shape[:1]:
-        return f"it has {len(x) if x.ndim else 0} rows and q has {len(found['q'])}: they must be recorded together"
-    return ""
+def _flat(path: Path, given: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Arrays in structures, structure.field by name."""
+    for name, x in given.items():
+        if isinstance(x, Mapping):
+            yield from _flat(path, x, f"{prefix}{name}.")
+        elif x is not None:
+            try:
+                yield f"{prefix}{name}", np.asarray(x.detach().cpu() if isinstance(x, Tensor) else x)
+            except Exception as fault:  # numpy takes any object, whose conversion may fail in any way
+                claim = f"must be an array of numbers ({fault})"
+                raise LogError(Finding("array.kind", f"array {prefix + name!r}", claim), where=path) from fault

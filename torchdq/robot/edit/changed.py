@@ -82,8 +82,8 @@ def require_same_tree(robot: RobotModel, original: RobotModel) -> None:
             found = f", found {own}, in the original {theirs[name]}" if name in ("joint_names", "link_names") else ""
             raise ArgumentError(
                 f"{name} of robot {robot.name!r} must be that of the original{found}; only masses, centres of mass, "
-                "inertias, friction, damping and limits are written: a robot that was cut or moved, or locked "
-                "elsewhere than at zero, has no place in the file that it came from; read it with all joints"
+                "inertias, friction, damping and limits are written: a robot that was cut, moved, coupled, or locked "
+                "elsewhere than at zero, has no place in the file; read it with all joints, and replace their bodies"
             )
 
 

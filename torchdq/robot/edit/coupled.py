@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_number
+from torchdq.base.checks import is_number, require_number
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot.arrays import double, numbers, table, words
 from torchdq.robot.check import consistency, faults
@@ -26,7 +27,7 @@ def couple(
     names: Sequence[str] | None = None,
     offset: Mapping[str, float] | None = None,
     *,
-    limits: Sequence[Any] | None = None,
+    limits: Sequence[Any] | float | None = None,
     damping: Any = None,
     friction: Any = None,
     armature: Any = None,
@@ -46,7 +47,7 @@ def couple(
         names: names of the coordinates of a matrix.
         offset: positions [rad or m] of joints where the coordinates are zero, by name; None: zero.
         limits: those of the new coordinates, four rows (lower, upper, velocity, effort) as in `Robot.limits`, each
-            [coordinates], infinite where there is none; None: those that are handed on.
+            [coordinates], infinite where there is none; math.inf: there are none; None: those that are handed on.
         damping, friction, armature: those of the new coordinates, [coordinates]; None: those that are handed on.
 
     >>> import torchdq
@@ -82,6 +83,8 @@ def couple(
             _require_absent(robot, f"limits.{bound}", getattr(robot.limits, bound).isfinite(), several, "limits")
         new["limits"] = _limits(robot, alone, shift, names)
     else:
+        if is_number(limits) and limits == math.inf:
+            limits = [[x] * len(names) for x in (-math.inf, math.inf, math.inf, math.inf)]
         rows = numbers("limits", limits, ArgumentError).to(robot.mass)
         if rows.ndim < 2 or (rows.shape[0], rows.shape[-1]) != (len(Limits._fields), len(names)):
             expected = f"(lower, upper, velocity, effort), each of {len(names)} numbers"
