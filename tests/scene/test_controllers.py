@@ -179,15 +179,15 @@ def test_small_steps_have_the_poles_of_the_error_equation():
 
 def test_a_rollout_follows_a_screw_path():
     """Up to the torque that is held over a step, which is of first order in it."""
-    q, worst = double(0.1, -1.0, 1.2, 0.3, 0.8, 0.2), []
+    q, worst, control = double(0.1, -1.0, 1.2, 0.3, 0.8, 0.2), [], OperationalSpace(100.0, 20.0)
     X = torchdq.forward_kinematics(UR, q, UR.tip)
     Y = dq.mul(X, dq.exp(double(0.15, -0.2, 0.1, 0.02, 0.05, 0.02)))
     for steps in (100, 200):
         t = torch.arange(steps, dtype=torch.float64) / steps
         way = dq.screw_path(X, Y, t**2 * (3 - 2 * t), 6 * t * (1 - t), 6 - 12 * t)
-        scene = Scene(UR, (effects.Gravity(),), OperationalSpace(100.0, 20.0), SemiImplicitEuler(), 1 / steps)
-        found = scene.rollout(scene.start(q), reference=torch.cat(way, -1))
-        e = dq.log_shortest(dq.mul(dq.conj(torchdq.forward_kinematics(UR, found.q[-1], UR.tip)), Y)).norm()
+        scene = Scene(UR, (effects.Gravity(),), control, SemiImplicitEuler(), 1 / steps, backend="auto")
+        found = scene.rollout(scene.start(q), reference=torch.cat(way, -1), ends=True)
+        e = dq.log_shortest(dq.mul(dq.conj(torchdq.forward_kinematics(UR, found.q, UR.tip)), Y)).norm()
         worst.append(float(e))
     assert worst[0] < 0.01 and worst[0] / worst[1] == pytest.approx(2.0, rel=0.2)
 

@@ -344,8 +344,8 @@ ORDINARY = {
 
 @pytest.mark.parametrize("kind", ORDINARY)
 def test_ordinary_effects_hold_at_the_default_integrator_and_step(kind):
-    """A Panda of the file, whose last link is light, for two seconds."""
+    """A Panda of the file, whose last link is light, for a second."""
     effect, inputs = ORDINARY[kind]
     scene = Scene(PANDA.robot, (effects.Gravity(), effect))
-    speeds = trace(scene, scene.start(double(*HOME)), 200, **inputs).qd.abs()
+    speeds = trace(scene, scene.start(double(*HOME)), 100, **inputs).qd.abs()
     assert speeds.max() < 50.0  # a joint that falls reaches 20 rad/s

@@ -175,6 +175,17 @@ def test_policies_are_learned_through_the_steps(checkpoint):
     assert torch.autograd.gradcheck(end, policy[2].bias, atol=1e-8)
 
 
+class Normalised(torch.nn.Module):
+    """Network of the positions."""
+
+    def __init__(self, network):
+        super().__init__()
+        self.network = network
+
+    def forward(self, state, k):
+        return self.network(state.q)
+
+
 class Filter(torch.nn.Module):
     """Policy whose torques depend on those before."""
 
@@ -199,6 +210,14 @@ def test_a_policy_that_remembers_is_refused_where_it_is_called_again():
     end = rolled(Filter(), 3)
     with refused(torchdq.ArgumentError):
         end.backward()
+    # a batch norm counts the states that it has seen
+    norm = torch.nn.Sequential(torch.nn.Linear(2, 2), torch.nn.BatchNorm1d(2)).double()
+    policy = Normalised(norm)
+    rolled(policy, 0).backward()
+    with refused(torchdq.ArgumentError):
+        rolled(policy, 3)
+    policy.eval()
+    rolled(policy, 3).backward()
 
 
 def test_ends_that_remember_or_move_are_refused_where_they_are_asked_again():
@@ -264,7 +283,7 @@ def test_a_tensor_changed_before_the_steps_are_computed_again_is_refused(changed
     gain = double(3.0, 2.0)
     inputs = {"torque": torque}
     if changed in ("policy", "closed over"):
-        inputs = {"policy": policy if changed == "policy" else lambda state, k: -gain * state.q}
+        inputs = {"policy": policy if changed == "policy" else lambda state, k: -gain * (state.q - state.q.detach())}
     tensors = {"effect": friction, "robot": scene.robot.mass, "torque": torque, "state": start.qd, "closed over": gain}
     if changed == "goal":  # of which the states know nothing, in a loop
         tensors["goal"] = inputs["goal"] = random(6, 3, 2, seed=3)

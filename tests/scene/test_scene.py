@@ -26,6 +26,7 @@ from torchdq.scene import recording as plans
 from torchdq.scene.controllers import PD, ComputedTorqueController
 from torchdq.scene.integrators import (
     DormandPrince,
+    Repeated,
     RungeKutta4,
     SemiImplicitEuler,
     StoermerVerlet,
@@ -315,6 +316,17 @@ def test_equal_scenes_share_their_programs():
     assert Scene(ARM, (effects.Viscous(double(0.1)),)).spec is Scene(ARM, (effects.Viscous(double(0.2)),)).spec
 
 
+def test_an_integrator_that_is_repeated_changes_the_program_of_its_steps_alone(monkeypatch):
+    scene = Scene(ARM, (effects.Viscous(0.0123), effects.Bias(0.1)), PD(9.0, 1.0))
+    names, record = [], plans.record
+    monkeypatch.setattr(plans, "record", lambda name, *given: names.append(name) or record(name, *given))
+    for integrator in (Repeated(RungeKutta4(), 2), Repeated(RungeKutta4(), 4), Repeated(SemiImplicitEuler(), 4)):
+        other = scene.replace(integrator=integrator)
+        other.step(other.start(ZERO), reference=double(*[0.1] * 6))
+    stages = ("begin", "drive", "sense", "substep", "substep")
+    assert sorted(names) == [f"{stage}_two_link" for stage in stages]
+
+
 def test_scenes_and_recommendations_need_no_gymnasium():
     program = "import sys, torchdq; torchdq.Scene, torchdq.recommend_settings; assert 'gymnasium' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)
@@ -365,6 +377,31 @@ def test_a_learned_damping_of_the_robot_is_learned_in_a_scene():
 
 
 # --- graphs ----------------------------------------------------------------------------------------------------------
+
+
+@needs_compiler
+def test_a_start_has_a_graph_of_what_its_reading_depends_on_alone():
+    """Two rollouts from a state share its graph, which torch walks once."""
+    q, others = double(0.3, -0.2), [x.requires_grad_() for x in (ARM.mass.clone(), double(9.0, 8.0), double(0.2, 0.1))]
+
+    def scene(bias):
+        mass, kp, damping = others
+        parts = (effects.Viscous(damping), effects.Bias(bias), effects.MeasurementDelay(1))
+        return Scene(ARM.replace(mass=mass), parts, PD(kp, 1.0), backend="c")
+
+    def gradients(scene, state, *wrt):
+        return torch.autograd.grad(scene.rollout(state, reference=ZERO.new_zeros(3, 6)).q.sum(), wrt)
+
+    known, bias = scene(0.1), double(0.1, 0.1).requires_grad_()
+    state = known.start(q)
+    for a, b in zip(gradients(known, state, *others), gradients(known, state, *others), strict=True):
+        assert torch.equal(a, b) and bool((a != 0).any())
+    learned = scene(bias)
+    state = learned.start(q)
+    (first,) = gradients(learned, state, bias)
+    with pytest.raises(RuntimeError):
+        gradients(learned, state, bias)
+    assert torch.equal(gradients(learned, learned.start(q), bias)[0], first)
 
 
 @pytest.mark.case("P4")

@@ -92,7 +92,7 @@ def test_unstable_steps_come_with_stable_ones(kind):
     effect, inputs = STIFF[kind]
     scene = Scene(ARM, (effects.Gravity(), effect), integrator=SemiImplicitEuler())
     start = scene.start(double(0.45, 0.45), double(1.0, 1.0))
-    found = scene.check(start, **inputs)
+    found = scene.check(start, 0.2, **inputs)
     assert not found
     assert bool(found.diverged)
     first, second = found.alternatives
@@ -114,7 +114,7 @@ def test_the_joint_with_the_least_inertia_is_named():
 @pytest.mark.parametrize("integrator", [*EXPLICIT, LinearlyImplicit()], ids=called)
 def test_a_falling_arm_is_not_stiff(integrator):
     scene = Scene(PANDA, (effects.Gravity(), effects.RotorInertia(0.1)), integrator=integrator)
-    assert scene.check(scene.start(HOME), seconds=0.5)
+    assert scene.check(scene.start(HOME), seconds=0.2)
 
 
 def test_rows_diverge_one_by_one():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import add as plus
 from operator import mul
 from typing import Any, NamedTuple
@@ -303,11 +303,6 @@ class TensorSystem(System):
     evaluate: Callable[..., Mapping[str, Tensor]]  # rows of a stage of the scene
     repeat: Callable[..., Mapping[str, Tensor]]  # rows of a stage after a number of times
     inputs: Mapping[str, Tensor]
-
-    def under(self, x: Tensor, v: Tensor, name: str, torques: Tensor | None) -> Tensor:
-        """Accelerations of the joints [..., n] under torques that the scene computes, or under none."""
-        given = {} if torques is None else {name: torques}
-        return replace(self, inputs={**self.inputs, **given}).accelerations([x], [v])[0][..., : self.spec.robot.n]
 
     def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
         """Positions at a displacement."""

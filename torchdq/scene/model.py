@@ -9,7 +9,6 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, Self, TypeVar, get_args
 
 import torch
@@ -23,6 +22,8 @@ from torchdq.base.checks import require_choice, require_count, require_number, r
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.effect import Effect
+from torchdq.effects.joint import JointEffect
+from torchdq.effects.sensor import Sensor
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import Precision, check_precision
 from torchdq.program.program import Argument, Count, Program
@@ -149,6 +150,8 @@ class SceneModel:
     ) -> State:
         """Initial state, effects at rest, sensors read once; positions far outside `effects.JointLimits` are warned of.
 
+        Start again after `backward` if parameters of sensors are learned: the reading depends on them.
+
         Args:
             q: positions [rad or m], shape [..., n].
             qd: velocities [rad/s or m/s], shape [..., n]; None: at rest.
@@ -205,10 +208,7 @@ class SceneModel:
         self.spec.require_inputs(inputs, task)
         present = {name: x for name, x in inputs.items() if x is not None}
         if not isinstance(self.integrator, Unrecorded):
-            present |= self.grounds(state)
-            if not self.computed.keys() <= present.keys():
-                system, *_ = self.drive(state, present, task)
-                present |= {name: system.inputs[name] for name in self.computed}
+            present |= self.outside(state)
             return _split(self.evaluate("step", self.with_noise({**state.rows(), **present}, noise), task))
         dtype = state.q.dtype
         if self.precision == "double" and dtype == torch.float32:
@@ -228,14 +228,14 @@ class SceneModel:
         rows = self.evaluate("drive", {**state.rows(), **inputs}, task)
         x, v = rows.pop("x"), rows.pop("v")
         acting = {name: inputs[name] for effect in self.effects for name in effect.inputs(self.n) if name in inputs}
-        held = self.grounds(state) | {k: rows[k] for k in ("u", "X_WB") if k in rows}
-        system = TensorSystem(self.spec, self.evaluate, self._repeat, {**acting, **held})
-        for effect in self.effects:
-            for name in effect.computed(self.n).keys() - held.keys():
-                accelerations = partial(system.under, x, v, name)
-                torques = effect.torques(state.q, state.qd, accelerations)  # type: ignore[attr-defined]
-                system = replace(system, inputs={**system.inputs, name: torques})
-        return system, x, v, rows
+        held = self.outside(state) | {k: rows[k] for k in ("u", "X_WB") if k in rows}
+        return TensorSystem(self.spec, self.evaluate, self._repeat, {**acting, **held}), x, v, rows
+
+    def outside(self, state: State) -> dict[str, Tensor]:
+        """Rows that torch computes outside the program, from the state at the start of a step, by name."""
+        of = self.spec.of(JointEffect) if self.computed else ()
+        learning: dict[str, Any] = {name: self.effects[i] for i, effect in of for name in effect.computed(self.n)}
+        return self.grounds(state) | {name: effect.torques(state.q, state.qd) for name, effect in learning.items()}
 
     def grounds(self, state: State) -> dict[str, Tensor]:
         """Rows that effects on bodies look up below their points in a state, by name."""
@@ -309,8 +309,15 @@ class SceneModel:
     ) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
         constants(self.robot)  # raises if they were changed in place
-        tensors = {**given, **self.parameters}
+        tensors = {**given, **(self._at_rest if stage == "begin" and task is None else self.parameters)}
         return evaluate(Stage(self.spec, stage, task, wrt), tensors, self.backend, self.precision == "double")
+
+    @property
+    def _at_rest(self) -> dict[str, Tensor]:
+        """Parameters, without gradients where no start depends on them: rollouts from one share no graph of those."""
+        own = {i for i, x in enumerate(self.effects) if type(x).start != Effect.start}
+        own |= {i for i, _ in self.spec.of(Sensor)}
+        return {name: x if int(name.partition(".")[0]) in own else x.detach() for name, x in self.parameters.items()}
 
     def _repeat(
         self, stage: str, times: int, carried: Mapping[str, Tensor], fixed: Mapping[str, Tensor]

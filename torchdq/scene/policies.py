@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import require_tensor
-from torchdq.dynamics.posed import Row
+from torchdq.dynamics.posed import Row, dot
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import below, exp, maximum, minimum, select, sqrt, tanh
 from torchdq.scene.state import State
@@ -91,7 +91,7 @@ class LinearForm:
         gain, torque, state = (rows[name] for name in STEPPED)
         s = [x for name in ORDER for x in rows.get(name, ())]
         error = [a - b for a, b in zip(s, state, strict=True)]
-        return [t + _dot(gain[i * len(s) : (i + 1) * len(s)], error) for i, t in enumerate(torque)]
+        return [t + dot(gain[i * len(s) : (i + 1) * len(s)], error) for i, t in enumerate(torque)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ def _affine(x: Row, _: float, weight: Row, bias: Row = ()) -> Row:
 def _normalised(x: Row, eps: float, weight: Row = (), bias: Row = ()) -> Row:
     mean = sum(x, 0.0) / len(x)
     centred = [v - mean for v in x]
-    scale = 1.0 / sqrt(_dot(centred, centred) / len(x) + eps)
+    scale = 1.0 / sqrt(dot(centred, centred) / len(x) + eps)
     found = [v * scale for v in centred]
     found = [y * w for y, w in zip(found, weight, strict=True)] if weight else found
     return [y + b for y, b in zip(found, bias, strict=True)] if bias else found
@@ -241,7 +241,3 @@ FORMULAS: dict[type[nn.Module], Callable[..., Row]] = {
     nn.LayerNorm: _normalised,
 }
 NUMBERS: dict[type[nn.Module], str] = {nn.ELU: "alpha", nn.LayerNorm: "eps"}
-
-
-def _dot(a: Row, b: Row) -> Number:
-    return sum([x * y for x, y in zip(a, b, strict=True)], 0.0)

@@ -288,11 +288,13 @@ class Stage(_StageFields, Computation):
         """Program of the stage, recorded once."""
         if self.wrt is not None:
             return _linearized(self, arguments)
-        if self.stage not in EVALUATIONS:
+        if self.stage == "step":
             return _program(self, arguments)
-        # independent of controller and time step, and of the number of steps
-        once = self.spec.integrator.integrator if isinstance(self.spec.integrator, Repeated) else Integrator()
-        spec = replace(self.spec, integrator=once, dt=1.0, substeps=1, controller=None)
+        spec = replace(self.spec, integrator=Integrator(), substeps=1)  # which the others do not depend on
+        if self.stage in EVALUATIONS:  # nor on controller and time step
+            spec = replace(spec, dt=1.0, controller=None)
+        if self.stage == "substep" and isinstance(self.spec.integrator, Repeated):
+            spec = replace(spec, integrator=self.spec.integrator.integrator)
         return _program(self._replace(spec=spec), arguments)
 
 

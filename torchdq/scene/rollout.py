@@ -5,8 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
+from functools import partial
 from typing import Any, Literal, NamedTuple, get_args
 
 import torch
@@ -99,7 +100,8 @@ def rollout(
             part = looped(scene, series, count, plan, state.q)
         else:
             part = _stepped(scene, series, count, plan, state, notice)
-        rows = _again(part, start, count, plan, checkpoint) if again else part(0, count, start)
+        read = partial(_tensors_read, scene, series, plan)
+        rows = _again(part, start, count, plan, checkpoint, read) if again else part(0, count, start)
     states = State(**{name: rows.pop(name) for name in state.rows()})
     for name in plan.total:
         if name not in rows:
@@ -109,21 +111,25 @@ def rollout(
     return states if task is None else (states, rows)
 
 
-def _again(part: Part, start: dict[str, Tensor], steps: int, plan: Plan, stride: int) -> dict[str, Tensor]:
+def _again(
+    part: Part, start: dict[str, Tensor], steps: int, plan: Plan, stride: int, read: Callable[[], list[Tensor]]
+) -> dict[str, Tensor]:
     """Rows of a rollout, of which the gradient keeps a state in `stride` and computes the others again."""
-    ends, found = dict[int, dict[str, Tensor]](), list[dict[str, Tensor]]()
+    ends, found, before = dict[int, dict[str, Tensor]](), list[dict[str, Tensor]](), read()
+    versions = [(id(x), x._version) for x in before]  # a change may show in the gradient alone
 
     def checked(first: int, start: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         rows = part(first, min(first + stride, steps), start)
         whole = {*plan.total, *(start if plan.ends else ())}
         end = {name: x if name in whole else x[-1].clone() for name, x in rows.items()}
         seen = ends.setdefault(first, {name: x.detach().clone() for name, x in end.items()})
-        if not all([torch.allclose(x, end[name], 0.0, 0.0, equal_nan=True) for name, x in seen.items()]):
+        same = all([torch.allclose(x, end[name], 0.0, 0.0, equal_nan=True) for name, x in seen.items()])
+        if not same or [(id(x), x._version) for x in read()] != versions:
             raise ArgumentError(
                 "policy, done and all tensors that a step reads must remain the same where checkpoint is not 0, since "
-                "steps are computed again for the gradient, found other rows the second time; use checkpoint=0, or "
-                "functions that remember nothing, as modules do after eval(), and take the gradient before a tensor "
-                "that they read is changed"
+                f"steps are computed again for the gradient, found {'changed tensors' if same else 'other rows'}; use "
+                "checkpoint=0, or functions that remember nothing, as modules do after eval(), and take the gradient "
+                "before a tensor that they read is changed"
             )
         return rows, {name: end[name] for name in start}
 
@@ -219,6 +225,19 @@ def _require_function(name: str, x: Any, arguments: str) -> None:
         except TypeError:
             found = f"one of {found}"
     raise ArgumentError(f"{name} must be a function {name}({arguments}), found {found}")
+
+
+def _tensors_read(scene: SceneModel, series: Mapping[str, Tensor], plan: Plan) -> list[Tensor]:
+    """Tensors that the steps read, beside the state: of the scene, of the inputs, and of modules and functions."""
+    parts: list[Any] = [plan.policy, plan.done, *(x for effect in scene.effects for x in vars(effect).values())]
+    if plan.recorded is not None:
+        parts += [*plan.recorded.stepped().values(), *plan.recorded.weights().values()]
+    for closed in [inspect.getclosurevars(part) for part in parts if inspect.isfunction(part)]:
+        parts += [*closed.nonlocals.values(), *closed.globals.values()]
+    found = [*scene.parameters.values(), *series.values(), *(part for part in parts if isinstance(part, Tensor))]
+    found += [x for part in parts if isinstance(part, nn.Module) for x in (*part.parameters(), *part.buffers())]
+    # tensors made in inference mode do not tell whether they were changed
+    return [x for x in found if not x.is_inference()]
 
 
 def _finite(scene: SceneModel, state: State) -> State:

@@ -19,7 +19,7 @@ from torchdq.backends.call import evaluate
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.learning import LogError, LogWarning, Recording, fit_rollout
-from torchdq.learning.rollout import shooting, unknowns
+from torchdq.learning.rollout import fit, shooting, unknowns
 from torchdq.learning.rollout.problem import Problem
 from torchdq.learning.rollout.recordings import Commands
 from torchdq.scene import controllers, integrators
@@ -29,6 +29,7 @@ ROBOT = torchdq.robots.load("two_link")
 DT, ROWS = 0.01, 301
 TIME = DT * torch.arange(ROWS, dtype=torch.float64)
 NOISE = 1e-3  # [rad]
+RULE = integrators.RungeKutta4()
 
 
 def driving(time):
@@ -46,7 +47,7 @@ def moved(scene, inputs, start=None, rows=ROWS):
 def with_friction(viscous, coulomb, rotor):
     """A scene with friction and rotors."""
     parts = (effects.Gravity(), effects.Viscous(viscous), effects.Coulomb(coulomb, 0.05), effects.RotorInertia(rotor))
-    return Scene(ROBOT, parts, dt=DT)
+    return Scene(ROBOT, parts, integrator=RULE, dt=DT)
 
 
 def noisy(q, seed, size=NOISE):
@@ -135,7 +136,7 @@ def test_exact_logs_give_the_exact_parameters(motion, guess, segment):
     before = guess.effects
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = fit_rollout(guess, logged(motion), FRICTION, segment=segment)
+        found = fit_rollout(guess, logged(motion), FRICTION, segment=segment, integrator=RULE)
     assert guess.effects == before
     torch.testing.assert_close(found.estimate, TRUE, rtol=1e-7, atol=0)
     assert not found.unidentifiable and not found.warning and float(found.rms.max()) < 1e-12
@@ -146,7 +147,7 @@ def test_exact_logs_give_the_exact_parameters(motion, guess, segment):
 def test_it_is_the_least_squares_over_simulated_motions(motion, guess):
     """One motion with one start, by a library that knows nothing of shooting, with its own finite differences."""
     measured = noisy(motion, 5)
-    found = fit_rollout(guess, logged(measured), FRICTION, segment=None)
+    found = fit_rollout(guess, logged(measured), FRICTION, segment=None, integrator=RULE)
     weight = 1 / found.noise
 
     def residuals(x):
@@ -171,7 +172,7 @@ def test_it_is_the_least_squares_over_simulated_motions(motion, guess):
 def chi_squares(motion, guess, runs, segment):
     """Deviations from the true parameters, in their stated covariance, of logs that differ by their noise."""
     for seed in range(runs):
-        found = fit_rollout(guess, logged(noisy(motion, seed)), FRICTION, segment=segment)
+        found = fit_rollout(guess, logged(noisy(motion, seed)), FRICTION, segment=segment, integrator=RULE)
         off = found.estimate - TRUE
         yield float(off @ torch.linalg.solve(found.covariance, off))
 
@@ -188,27 +189,100 @@ def test_the_errors_of_two_hundred_runs_are_chi_square(motion, guess, segment):
     assert stats.kstest(found, stats.chi2(6).cdf).pvalue > 1e-3
 
 
+ARM = """<mujoco><option timestep="{step}" integrator="{integrator}"/><worldbody>
+    <body><inertial pos="0.2 0 0" mass="2" diaginertia="0.02 0.02 0.02"/><joint name="a" axis="0 1 0" damping="0.7"
+      armature="0.3"/>
+      <body pos="0.4 0 0"><inertial pos="0.1 0.05 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+        <joint name="b" axis="0 0 1" damping="0.2" armature="0.1"/></body></body></worldbody>
+    <actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+DAMPING, WIDTH = double(0.7, 0.2), 0.02  # [N m s/rad], [rad/s]
+
+
+def by_mujoco(rows, dt, steps, integrator, coulomb=(0.0, 0.0)):
+    """Recording of an arm that MuJoCo moves, in a number of its steps from row to row, with smooth dry friction."""
+    model = mujoco.MjModel.from_xml_string(ARM.format(step=dt / steps, integrator=integrator))
+    data, time = mujoco.MjData(model), dt * np.arange(rows)
+    torque, q = np.stack([6 * np.sin(4 * time), 2 * np.cos(6 * time)], -1), []
+
+    def friction(model, data):
+        data.qfrc_passive[:] -= coulomb * data.qvel / np.sqrt(data.qvel**2 + WIDTH**2)
+
+    mujoco.set_mjcb_passive(friction if any(coulomb) else None)
+    try:
+        for u in torque:
+            q.append(data.qpos.copy())
+            data.ctrl[:] = u
+            mujoco.mj_step(model, data, steps)
+    finally:
+        mujoco.set_mjcb_passive(None)
+    return Recording(time, np.stack(q), {"torque": torque})
+
+
+def arm_guess(dt, *parts):
+    robot = torchdq.Robot.from_mjcf(ARM.format(step=dt, integrator="RK4"))
+    return Scene(robot, (effects.Gravity(), effects.Viscous(0.05), *parts), dt=dt)
+
+
 def test_positions_of_another_simulator():
     """MuJoCo's implicit integrator is the scene's: its parameters are found to rounding, from positions alone."""
-    text = """<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody>
-        <body><inertial pos="0.2 0 0" mass="2" diaginertia="0.02 0.02 0.02"/><joint name="a" axis="0 1 0" damping="0.7"
-          armature="0.3"/>
-          <body pos="0.4 0 0"><inertial pos="0.1 0.05 0" mass="1" diaginertia="0.01 0.01 0.01"/>
-            <joint name="b" axis="0 0 1" damping="0.2" armature="0.1"/></body></body></worldbody>
-        <actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
-    model = mujoco.MjModel.from_xml_string(text)
-    data, time = mujoco.MjData(model), 0.005 * np.arange(400)
-    torque = np.stack([6 * np.sin(4 * time), 2 * np.cos(6 * time)], -1)
-    q = []
-    for u in torque:
-        q.append(data.qpos.copy())
-        data.ctrl[:] = u
-        mujoco.mj_step(model, data)
-    scene = Scene(
-        torchdq.Robot.from_mjcf(text), (effects.Gravity(), effects.Viscous(0.05), effects.RotorInertia(0.02)), dt=0.005
-    )
-    found = fit_rollout(scene, Recording(time, q, {"torque": torque}), ("Viscous.*", "RotorInertia.*"))
+    scene = arm_guess(0.005, effects.RotorInertia(0.02))
+    log = by_mujoco(400, 0.005, 1, "implicitfast")
+    found = fit_rollout(scene, log, ("Viscous.*", "RotorInertia.*"), integrator=scene.integrator)
     torch.testing.assert_close(found.estimate, double(0.7, 0.2, 0.3, 0.1), rtol=1e-6, atol=0)
+
+
+def with_noise(log, seed):
+    return log._replace(q=noisy(torch.from_numpy(log.q), seed, 2e-4))
+
+
+@pytest.mark.parametrize("dt", [0.005, 0.02])
+@pytest.mark.parametrize("coulomb", [(0.0, 0.0), (0.5, 0.2)], ids=["viscous", "dry"])
+def test_errors_are_those_of_a_motion_in_continuous_time(dt, coulomb):
+    """Whatever the steps of the scene: a first-order step of 5 ms is tens of standard errors wrong."""
+    log = by_mujoco(round(2 / dt), dt, round(dt / 5e-4), "RK4", coulomb)
+    rotors = effects.RotorInertia(double(0.3, 0.1))
+    parts, learn, true = (rotors,), ["Viscous.coefficient"], DAMPING
+    if any(coulomb):
+        parts, true = (rotors, effects.Coulomb(0.05, WIDTH)), torch.cat([DAMPING, double(*coulomb)])
+        learn.append("Coulomb.coulomb")
+    guess, total, runs = arm_guess(dt, *parts), 0.0, 3
+    for seed in range(runs):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = fit_rollout(guess, with_noise(log, seed), learn)
+        off = found.estimate - true
+        total += float(off @ torch.linalg.solve(found.covariance, off))
+    chi_square = stats.chi2(runs * len(true))
+    assert chi_square.ppf(1e-4) < total < chi_square.ppf(1 - 1e-4)
+    # the scene that is returned moves as recorded
+    start = found.scene.start(torch.from_numpy(log.q[0]))
+    again = found.scene.rollout(start, torch.from_numpy(log.inputs["torque"])[:-1]).q
+    assert float((again - torch.from_numpy(log.q[1:])).square().mean().sqrt()) < 2e-3
+    assert (found.scene.integrator == RULE) == (not any(coulomb))
+
+
+def test_first_order_steps_are_told_by_correlated_residuals():
+    scene = arm_guess(0.005, effects.RotorInertia(double(0.3, 0.1)))
+    log = with_noise(by_mujoco(400, 0.005, 10, "RK4"), 0)
+    with warned(LogWarning):
+        found = fit_rollout(scene, log, "Viscous.coefficient", integrator=scene.integrator)
+    assert worst_z(found, *DAMPING.tolist()) > 10
+
+
+def test_errors_that_shorter_steps_contradict_are_wider(monkeypatch):
+    """Where no integrator is fine enough, the change by the finest is a standard error, too."""
+    coulomb = (0.5, 0.2)
+    scene = arm_guess(0.02, effects.RotorInertia(double(0.3, 0.1)), effects.Coulomb(0.05, WIDTH))
+    log = with_noise(by_mujoco(100, 0.02, 40, "RK4", coulomb), 0)
+    learn = ("Viscous.coefficient", "Coulomb.coulomb")
+    fine = fit_rollout(scene, log, learn)
+    monkeypatch.setattr(fit, "_rules", lambda scene: [RULE, integrators.Repeated(RULE, 64)])
+    with warned(LogWarning):
+        coarse = fit_rollout(scene, log, learn)
+    off = coarse.estimate - fine.estimate
+    by_fine, by_coarse = (float(off @ torch.linalg.solve(x.covariance, off)) for x in (fine, coarse))
+    assert by_coarse < stats.chi2(4).ppf(1 - 1e-3) < stats.chi2(4).ppf(1 - 1e-8) < by_fine
+    assert worst_z(coarse, *DAMPING.tolist(), *coulomb) < 4
 
 
 # --- hard cases ------------------------------------------------------------------------------------------------------
@@ -219,7 +293,8 @@ def test_stiff_friction():
     dt = 0.005
     time = dt * torch.arange(601, dtype=torch.float64)
     both = ((effects.Viscous(0.2), effects.Coulomb(level, 0.005)) for level in ((1.5, 1.0), 0.2))
-    real, wrong = (Scene(ROBOT, parts, dt=dt) for parts in both)
+    fine = integrators.Repeated(RULE, 64)
+    real, wrong = (Scene(ROBOT, parts, integrator=fine, dt=dt) for parts in both)
     inputs = {"torque": driving(time)}
     log = Recording(time, noisy(moved(real, inputs, rows=601), 1, 1e-4), inputs)
     found = fit_rollout(wrong, log, ("Coulomb.coulomb", "Viscous.coefficient"))
@@ -243,14 +318,15 @@ def late():
 def test_delay_and_lag_are_identifiable_from_fast_commands(late):
     scene, log = late
     start = scene.replace(effects=(effects.Viscous(0.1), effects.FirstOrderLag(0.005)))
-    found = fit_rollout(start, log(1.0, 1e-4), ("delay", "FirstOrderLag.time", "Viscous.coefficient"))
+    learn = ("delay", "FirstOrderLag.time", "Viscous.coefficient")
+    found = fit_rollout(start, log(1.0, 1e-4), learn, integrator=scene.integrator)
     assert worst_z(found, 0.0137, 0.02, 0.02, 0.5, 0.5) < 4 and not found.unidentifiable
     assert found.delay == float(found.values["delay"]) and 0 < float(found.errors["delay"]) < 1e-3
 
 
 def test_delay_and_lag_are_named_as_unidentifiable_from_slow_commands(late):
     scene, log = late
-    found = fit_rollout(scene, log(0.1, 1e-2), ("delay", "FirstOrderLag.time"))
+    found = fit_rollout(scene, log(0.1, 1e-2), ("delay", "FirstOrderLag.time"), integrator=scene.integrator)
     assert found.values["delay"].isnan() and found.values["FirstOrderLag.time"].isnan().all()
     assert any("delay by" in text and "FirstOrderLag.time" in text for text in found.unidentifiable)
     assert "unidentifiable" in str(found)
@@ -260,7 +336,7 @@ def test_scales_that_are_unidentifiable_from_positions_are_named():
     """A servo of unknown gains that moves unknown masses: only their ratios show, and the scene moves as logged."""
     parts = (effects.Servo(100.0, 10.0), effects.RotorInertia(0.5), effects.MassScale(1.0))
     target = torch.stack([(3 * TIME).sin(), 0.6 * (5 * TIME).cos()], -1)
-    real = Scene(ROBOT, parts, dt=DT)
+    real = Scene(ROBOT, parts, integrator=RULE, dt=DT)
     log = Recording(TIME, noisy(moved(real, {"target": target}), 3, 1e-4), {"target": target})
     wrong = real.replace(effects=(effects.Servo(60.0, 5.0), effects.RotorInertia(0.3), effects.MassScale(1.2)))
     found = fit_rollout(wrong, log, ("Servo.*", "RotorInertia.inertia", "MassScale.factor"))
@@ -278,10 +354,12 @@ def test_scales_that_are_unidentifiable_from_positions_are_named():
 
 def test_a_payload_is_found_from_far_away():
     parts = effects.Gravity((0.0, -9.81, 0.0)), effects.Viscous(0.5)
-    real, light, heavy = (Scene(ROBOT, (*parts, effects.Payload(mass)), dt=DT) for mass in (1.7, 1e-3, 20.0))
+    real, light, heavy = (
+        Scene(ROBOT, (*parts, effects.Payload(mass)), integrator=RULE, dt=DT) for mass in (1.7, 1e-3, 20.0)
+    )
     log = logged(moved(real, {"torque": driving(TIME)}))
     for start in (light, heavy):
-        assert abs(float(fit_rollout(start, log, "Payload.mass").estimate) - 1.7) < 1e-6
+        assert abs(float(fit_rollout(start, log, "Payload.mass", integrator=RULE).estimate) - 1.7) < 1e-6
 
 
 def test_links_stay_bodies_and_unidentifiable_masses_are_named():
@@ -291,7 +369,7 @@ def test_links_stay_bodies_and_unidentifiable_masses_are_named():
     target = 30 * torch.stack([((2 + k) * time + k).sin() for k in range(6)], -1) * double(1, 1, 1, 0.1, 0.1, 0.05)
     log = Recording(time, noisy(moved(scene, {"torque": target}, rows=101), 0, 1e-5), {"torque": target})
     wrong = scene.replace(robot=robot.replace(mass=1.2 * robot.mass))
-    found = fit_rollout(wrong, log, "mass")
+    found = fit_rollout(wrong, log, "mass", integrator=scene.integrator)
     assert float((found.estimate - robot.mass).abs().max()) < 0.1 or found.unidentifiable
     assert (found.scene.robot.mass > 0).all() and float(found.rms.max()) < 2e-5
 
@@ -324,7 +402,7 @@ def test_rows_at_other_times_than_steps(guess):
 def test_measured_velocities_and_a_controller():
     """A controller with unknown gains, driven by its reference; velocities are measured as well."""
     gains = [(controllers.PD(*kp_kd), (effects.Gravity(),)) for kp_kd in ((80.0, 8.0), (40.0, 10.0))]
-    real, wrong = (Scene(ROBOT, parts, controller=control, dt=DT) for control, parts in gains)
+    real, wrong = (Scene(ROBOT, parts, controller=control, integrator=RULE, dt=DT) for control, parts in gains)
     reference = torch.cat([(3 * TIME[:, None] + double(0.0, 1.0)).sin(), torch.zeros(ROWS, 4, dtype=torch.float64)], -1)
     state = real.start(double(0.0, 0.8))
     after = real.rollout(state, steps=ROWS - 1, reference=reference[:-1])
@@ -391,7 +469,7 @@ MISUSE = {
     "negative segment": refit(LOG, segment=-1.0),
     "missing input": refit(LOG, "Servo.kp", SERVO),
     "sensors": refit(LOG, scene=RUBBING.replace(effects=(effects.Viscous(0.1), effects.Noise(0.1)))),
-    "adaptive steps": refit(LOG, scene=RUBBING.replace(integrator=integrators.DormandPrince())),
+    "class of integrators": refit(LOG, integrator=integrators.RungeKutta4),
     "delay of nothing": refit(LOG._replace(inputs={}), "delay"),
     # a servo is no command to the actuators: a lag would follow the noise of the positions
     "actuator without command": refit(LOG._replace(inputs={"target": STILL}), "FirstOrderLag.time", SERVO),

@@ -1,10 +1,10 @@
 """Parameters of a scene from recorded motions: positions and commands, no torques and no accelerations.
 
 The scene is simulated through the recordings (`shooting`), and its parameters and the states at which the segments
-start are those of the greatest likelihood (`rollout_problem`). Iterations are steps of Gauss-Newton with exact
-derivatives of the scene's step. A step is accepted if, compared with each of the steps accepted before, it closes the
-defects between the nodes or raises the likelihood (R. Fletcher, S. Leyffer, "Nonlinear programming without a penalty
-function", Mathematical Programming 91 (2002)).
+start are those of the greatest likelihood (`problem`). Iterations are steps of Gauss-Newton. A step is accepted if,
+compared with each of the steps accepted before, it closes the defects between the nodes or raises the likelihood
+(R. Fletcher, S. Leyffer, "Nonlinear programming without a penalty function", Mathematical Programming 91 (2002)).
+Then it is tried whether time steps of a quarter of their length move the parameters; if so, it goes on with those.
 """
 
 import warnings
@@ -19,14 +19,14 @@ from torchdq.effects.actuator import Actuator
 from torchdq.errors import ArgumentError
 from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.rollout import shooting
-from torchdq.learning.rollout.problem import Change, Iterate, Problem
+from torchdq.learning.rollout.problem import Change, End, Iterate, Problem
 from torchdq.learning.rollout.recordings import CheckedRecording, Recording, checked
 from torchdq.learning.rollout.result import RolloutFit, result
 from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import Unknowns, changed, unknowns
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
-from torchdq.scene.integrators import Unrecorded
+from torchdq.scene.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, Unrecorded
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 
@@ -37,6 +37,7 @@ DAMPED = 1e-6  # damping of the second trial, relative to the information
 SETTLED = 1e-2  # length of a step that ends the search, in standard deviations of all measurements together
 STILL = 1e-6  # length of a step that does so too, relative to the parameters: for measurements without noise
 GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the likelihood
+ACCURATE = 0.1  # shift of the parameters by shorter steps that counts as none, in standard errors
 NEARLY = 1e-5  # defects before a last step
 APART = (
     "the scene does not move as recorded, so nothing is identifiable and all values are NaN; check signs, units and "
@@ -51,8 +52,13 @@ def fit_rollout(
     learn: str | Sequence[str],
     segment: float | None = 1.0,
     iterations: int = 100,
+    integrator: Integrator | None = None,
 ) -> RolloutFit:
     """Scene with the parameters under which it moves as recorded.
+
+    A recording is of continuous time, so the scene is simulated by Runge-Kutta steps that are short enough: a quarter
+    of their length moves no parameter by a tenth of its standard error. The scene that is returned has this integrator.
+    Controllers and actuators act once per `dt`, as in every scene.
 
     The search starts from the scene as it is, whose parameters are also the scale of what is large: a friction to be
     estimated must be in the scene, and may be ten times too small or too large.
@@ -67,13 +73,15 @@ def fit_rollout(
         segment: time after which a motion starts again from an unknown state [s], so that errors of the scene do not
             add up; None: the motion of every recording is one.
         iterations: most of them.
+        integrator: None: as above. One that is given is taken as it is, for recordings of another simulator with the
+            same steps, or for parameters with which a scene of coarse steps follows a robot.
     Raises:
         ArgumentError: a name cannot be learned, by its kind or because no torque goes through that actuator, or
             recordings do not fit the scene.
         LogError: a recording has a number that is not finite, or time that does not increase.
     Warns:
         LogWarning: it ended before it had found the best parameters, by too few iterations or Ctrl-C; the result has
-            those found until then.
+            those found until then. Or residuals are correlated over more than two rows, or no step is short enough.
 
     >>> import torchdq
     >>> from torchdq.envs import Scene, effects
@@ -83,7 +91,8 @@ def fit_rollout(
     >>> start = scene.start(torch.zeros(2, dtype=torch.float64))
     >>> q = torch.cat([start.q[None], scene.rollout(start, torque[:-1]).q])
     >>> guess = Scene(two_link, (effects.Gravity(), effects.Viscous(0.1)), dt=0.01)
-    >>> found = fit_rollout(guess, Recording(t, q, {"torque": torque}), "Viscous.coefficient")
+    >>> log = Recording(t, q, {"torque": torque})
+    >>> found = fit_rollout(guess, log, "Viscous.coefficient", integrator=scene.integrator)  # by which it was made
     >>> [round(x, 6) for x in found.values["Viscous.coefficient"].tolist()]
     [0.5, 0.5]
     """
@@ -100,14 +109,17 @@ def fit_rollout(
     _require_driven(scene, variables, data)
     whole = changed(scene, variables.parameters(variables.start))
     _require_derivatives(whole, data[0].inputs)
-    problem = Problem(whole, variables, data, shooting.segments(data, scene.dt, segment))
+    pieces = shooting.segments(data, scene.dt, segment)
+    rule, *finer = _rules(scene) if integrator is None else [integrator]
+    exact = not finer and not isinstance(rule, Unrecorded)
+    problem = Problem(whole.replace(integrator=rule), variables, data, pieces, exact)
     named = ", ".join(part.name for part in variables.parts)
     # a trial step may diverge: its numbers are not finite then
     with torch.no_grad(), np.errstate(all="ignore"), Progress(f"fitting {named}") as notice:
-        at, linear, steps, ended = _search(problem, problem.first(), iterations, notice)
-        followed = at.defect <= NEARLY
-        warning = (ended or problem.uneven(at)) if followed else f"{ended}; {APART}"
-        found = result(problem, at, linear, steps, warning, followed)
+        end = _search(problem, finer, iterations, notice)
+        followed = end.at.defect <= NEARLY
+        warning = (end.reason or end.problem.correlated(end.at)) if followed else f"{end.reason}; {APART}"
+        found = result(end, warning, followed)
     if warning:
         warnings.warn(f"the parameters may not be the best: {warning}", LogWarning, stacklevel=2)
     return found
@@ -116,7 +128,6 @@ def fit_rollout(
 def _require_derivatives(scene: Scene, inputs: Iterable[str]) -> None:
     """Raise unless a step with these inputs is one program of joint positions, whose changes are differences."""
     found = ["a floating base"] if scene.robot.floating else []
-    found += [type(scene.integrator).__name__] if isinstance(scene.integrator, Unrecorded) else []
     found += [type(e).__name__ for e in scene.effects if e.SLOT == "sensor" or e.computed(scene.n)]
     found += [f"batch axes of {name}" for name, batch in scene.batches.items() if batch]
     if found:
@@ -136,31 +147,46 @@ def _require_driven(scene: Scene, variables: Unknowns, data: Sequence[CheckedRec
             raise ArgumentError(f"{part.name} cannot be learned: {cause}, so that nothing goes through its actuator")
 
 
-def _search(problem: Problem, at: Iterate, iterations: int, notice: Progress) -> tuple[Iterate, Linear, int, str]:
-    """Best iterate near one by Gauss-Newton, linearised; the steps to it; and the reason why it ended early, or ""."""
-    linear, tried, count = problem.linearised(at), [at], 0
+def _rules(scene: Scene) -> list[Integrator]:
+    """Integrators for a scene, each with four times the steps of the one before."""
+    rule = LinearlyImplicit() if any(e.IMPLICIT for e in scene.effects) else RungeKutta4()
+    return [rule, *(Repeated(rule, times) for times in (4, 16, 64, 256))]
+
+
+def _search(problem: Problem, finer: Sequence[Integrator], iterations: int, notice: Progress) -> End:
+    """Best iterate by Gauss-Newton, with the first integrator that the next finer one does not contradict."""
+    at, count, shift = problem.first(), 0, 0.0
+    linear, tried = problem.linearised(at), [at]
     try:
         while True:
             done = f"iteration {count + 1} of at most {iterations}"
             notice.at(f"{done}, residuals {np.linalg.norm(at.spread):.3g}, defects {at.defect:.2g}")
             step = problem.step(at, linear, 0.0)
             relative = abs(step.values / problem.unknowns.sizes(at.values)).max()
-            # the next step, about the square of this one, would not matter
+            # the next step, much smaller than this one, would not matter
             last = bool(at.defect <= NEARLY and (step.length < SETTLED or relative < STILL))
             if count == iterations:
-                return at, linear, count, "" if last else f"{iterations} iterations were not enough"
-            after = _accepted(problem, at, linear, step, tried)
+                return End(problem, at, linear, count, "" if last else f"{iterations} iterations were not enough")
+            after, reason = _accepted(problem, at, linear, step, tried), ""
             if after is None:
-                ended = "" if at.defect <= CLOSED else "no step closes the defects between the states"
-                return at, linear, count, ended
-            settled = after.defect <= NEARLY and 0 <= at.cost - after.cost < GAIN
-            at, count = after, count + 1
-            if last or settled:
-                return at, linear, count, ""
-            tried = [other for other in tried if other.defect < at.defect or other.cost < at.cost] + [at]
+                reason = "" if at.defect <= CLOSED else "no step closes the defects between the states"
+            else:
+                last = last or (after.defect <= NEARLY and 0 <= at.cost - after.cost < GAIN)
+                at, count = after, count + 1
+            if after is None or last:
+                shift = problem.shift(at, linear, finer[0]) if finer else 0.0
+                if shift <= ACCURATE or len(finer) < 2:
+                    long = f"steps a quarter as long still move the parameters, by {shift:.2g} standard errors"
+                    return End(problem, at, linear, count, reason or (long if shift > ACCURATE else ""), shift)
+                problem, finer = problem.by(finer[0]), finer[1:]
+                # unstable steps may have led anywhere
+                at = problem.at(at.values, at.motions.nodes) if at.defect <= NEARLY else problem.first()
+                tried = [at]
+            else:
+                tried = [other for other in tried if other.defect < at.defect or other.cost < at.cost] + [at]
             linear = problem.linearised(at)
     except KeyboardInterrupt:
-        return at, linear, count, f"interrupted after {count} iterations"
+        return End(problem, at, linear, count, f"interrupted after {count} iterations", shift)
 
 
 def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Change, tried: Sequence[Iterate]) -> Iterate | None:

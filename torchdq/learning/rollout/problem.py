@@ -2,26 +2,34 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from torchdq.backends.call import evaluate
+from torchdq.effects.actuator import Actuator
 from torchdq.learning.rollout import shooting
 from torchdq.learning.rollout.recordings import CheckedRecording
 from torchdq.learning.rollout.shooting import Linear, Motions, Segments
 from torchdq.learning.rollout.unknowns import Unknowns
+from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
+from torchdq.scene.state import State
 
 Arrays = Mapping[str, np.ndarray]  # by name
 PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what is not identifiable
 EXACT = 1e-9  # least deviation of a measurement, relative to its motion
 UNEVEN = 1e-3  # motion of a joint that hardly moves, relative to that of the one that moves most
-FAR = 6.0  # times the usual residuals from which those of a block are far larger
+MOST = 16  # linearly implicit steps for derivatives
+CORRELATED = 2.0  # rows over which residuals may be correlated
+BLOCKS = 40  # least number of means whose variance tells
+RESOLVED = 1e-6  # residuals that are none, relative to the motion: no sensor is finer
 SINGLE = 100  # single steps, at most about so many, that the search starts with
 SINGLE_STEPS = 20  # most iterations on them
 ALMOST = 0.1  # last step of those, relative to the sizes
@@ -45,14 +53,38 @@ class Change(NamedTuple):
     length: float  # change of all predicted measurements, in their standard deviations
 
 
+class End(NamedTuple):
+    """End of a search."""
+
+    problem: "Problem"  # with the integrator that was used
+    at: Iterate
+    linear: Linear
+    steps: int
+    reason: str  # for which it ended early, or ""
+    shift: float = 0.0  # of the parameters by shorter steps, in standard errors
+
+
 @dataclass(frozen=True)
 class Problem:
     """Greatest likelihood of recordings: independent errors, whose deviation every signal has of its own."""
 
-    scene: Scene
+    scene: Scene  # as it is simulated
     unknowns: Unknowns
     logs: Sequence[CheckedRecording]
     pieces: Segments
+    exact: bool = False  # whether derivatives are those of the scene's own step, rather than of implicit ones
+
+    def by(self, integrator: Integrator) -> "Problem":
+        """Problem with another integrator of the motions."""
+        return replace(self, scene=self.scene.replace(integrator=integrator, substeps=1))
+
+    def shift(self, at: Iterate, linear: Linear, integrator: Integrator) -> float:
+        """Change of the parameters by another integrator, in standard errors."""
+        there = self.by(integrator).at(at.values, at.motions.nodes)
+        other = self.linearised(there)
+        change = self.step(there, other, 0.0).values - self.step(at, linear, 0.0).values
+        found = float(np.linalg.norm(self.information(there, other)[:, :-1] @ change))
+        return found / math.sqrt(len(change)) if math.isfinite(found) else math.inf
 
     # --- iterates ---
 
@@ -127,35 +159,40 @@ class Problem:
 
     def _after(self, values: np.ndarray, nodes: np.ndarray, inputs: Arrays) -> np.ndarray:
         """States [..., s] after the steps from nodes [..., s]."""
-        found = self._evaluated(values, nodes, inputs, None)
-        return np.concatenate([found[name] for name in self.scene.spec.state], -1)
+        scene = copy(self.scene)
+        # not `with_parameters`: what no robot has is no error in a trial
+        object.__setattr__(scene, "parameters", self.scene.parameters | self.unknowns.parameters(values))
+        given = {name: torch.from_numpy(x) for name, x in inputs.items()}
+        after = scene.advance(State(**self._rows(nodes)), given)[0].rows()
+        return np.concatenate([after[name].numpy() for name in self.scene.spec.state], -1)
 
-    def _evaluated(self, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, wrt: tuple[str, ...] | None) -> Arrays:
-        """Rows after the steps from nodes [..., s], or with their derivatives in inputs and parameters."""
+    def _rows(self, nodes: np.ndarray) -> dict[str, Tensor]:
+        """Tensors of nodes [..., s], by name."""
         state = self.scene.spec.state
-        rows = dict(zip(state, torch.from_numpy(nodes).split([*state.values()], -1), strict=True))
-        given = {**rows, **{name: torch.from_numpy(x) for name, x in inputs.items()}}
-        tensors = {**given, **self.scene.parameters, **self.unknowns.parameters(values)}
-        found = evaluate(Stage(self.scene.spec, "step", wrt=wrt), tensors, self.scene.backend)
-        return {name: x.numpy() for name, x in found.items()}
+        return dict(zip(state, torch.from_numpy(nodes).split([*state.values()], -1), strict=True))
 
-    def uneven(self, at: Iterate) -> str:
-        """Warning of the part of a log whose residuals are far larger than most; "": there is none."""
-        size, c = self.pieces.block, at.spread.size
-        count = self.pieces.used.reshape(-1, size, 1).sum(1)
-        squares = np.square(at.motions.residual).reshape(-1, size, c).sum(1) / np.maximum(count, 1.0)
-        rms = self._least(np.sqrt(squares))
-        usual = np.median(rms[count[:, 0] > 0], 0)
-        worst, signal = divmod(int((rms / usual).argmax()), c)
-        if rms[worst, signal] <= FAR * usual[signal]:
+    def correlated(self, at: Iterate) -> str:
+        """Warning of residuals that are correlated over more than two rows; "": there are none.
+
+        Means of m independent residuals have the m-th part of their variance; of correlated ones, more.
+        """
+        kept = self.pieces.used[..., 0] > 0
+        rows, joints = at.motions.residual[kept], self.scene.robot.joint_names
+        least = np.square(at.spread) + np.square(RESOLVED * self.scale)
+        times = np.ones_like(least)
+        for m in range(2, len(rows) // BLOCKS + 1):
+            means = rows[: len(rows) // m * m].reshape(-1, m, least.size).mean(1)
+            times = np.maximum(times, m * np.square(means).mean(0) / least)
+        signal = int(times.argmax())
+        if times[signal] <= CORRELATED:
             return ""
-        piece, block = divmod(worst, self.pieces.time.shape[1] // size)
-        time, log = self.pieces.time[piece, block * size], self.logs[self.pieces.log[piece]]
-        joint = self.scene.robot.joint_names[signal % self.pieces.n]
+        worst = int(abs(rows[:, signal]).argmax())
+        log, time = self.logs[np.repeat(self.pieces.log, kept.sum(1))[worst]], self.pieces.time[kept][worst]
         return (
-            f"at {time:.3g} s of {log.name} the scene is {rms[worst, signal] / usual[signal]:.0f} times farther from "
-            f"the measurements of joint {joint!r} than usual: it lacks an effect, or sticks where the robot moved; "
-            "shorter segments or other starting values may help"
+            f"residuals of joint {joints[signal % len(joints)]!r} are correlated over {times[signal]:.0f} rows, and "
+            f"largest at {time:.3g} s of {log.name}: they are errors of the scene, not of sensors, and larger than the "
+            "standard errors say; the scene lacks an effect, or sticks where the robot moved (shorter segments or "
+            "other starting values may help), or a simulator made the recordings, whose integrator must be given"
         )
 
     # --- single steps ---
@@ -186,8 +223,8 @@ class Problem:
             if unknowns.delayed:
                 inputs = {name: picked(x[:, :-1]) for name, x in self._inputs(values).items()}
                 slopes = {name: picked(x[:, :-1]) for name, x in self._slopes(values).items()}
-            reached, _, B = self._linear_steps(values, before, inputs, slopes)
-            defects = after - reached[:, n:]
+            _, B = self._linear_steps(values, before, inputs, slopes)
+            defects = after - self._after(values, before, inputs)[:, n:]
             return defects, np.sqrt(np.square(defects).sum(0)), B[:, n:]
 
         defects, norms, B = linear(values)
@@ -221,22 +258,57 @@ class Problem:
     def linearised(self, at: Iterate) -> Linear:
         """Linearised motions at an iterate."""
         inputs, slopes = self._inputs(at.values), self._slopes(at.values)
-        _, A, B = self._linear_steps(at.values, at.motions.nodes, inputs, slopes)
+        A, B = self._linear_steps(at.values, at.motions.nodes, inputs, slopes)
         return shooting.linearised(self.pieces, at.motions, A, B, 1 / self.noise(at))
 
+    @cached_property
+    def _differentiated(self) -> list[Scene]:
+        """Scenes whose steps have the derivatives; implicit ones are about as short as those of the integrator."""
+        if self.exact:
+            return [self.scene]
+        scene = self.scene.replace(integrator=LinearlyImplicit())
+        if scene.controller is not None or scene.spec.of(Actuator):  # which act once per dt
+            return [scene, scene.replace(substeps=2)]
+        most = min(max(getattr(self.scene.integrator, "times", 1), 2), MOST)
+        return [scene.replace(dt=scene.dt / times) for times in (most // 2, most)]
+
     def _linear_steps(
-        self, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, slopes: Arrays
+        self, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, late: Arrays
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the steps in the states [..., s, s] and in the unknowns [..., s, p].
+
+        Those of linearly implicit steps, which hold stiff friction, are of first order: twice those of many steps less
+        those of half as many are of second order. Their programs are a tenth of that of Runge-Kutta steps.
+        """
+        (A, B), *many = (self._chained(scene, values, nodes, inputs, late) for scene in self._differentiated)
+        return (2 * many[0][0] - A, 2 * many[0][1] - B) if many else (A, B)
+
+    def _chained(
+        self, scene: Scene, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, late: Arrays
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the steps by those of a scene with shorter ones."""
+        nodes, A, B = self._linear_step(scene, values, nodes, inputs, late)
+        for _ in range(round(self.scene.dt / scene.dt) - 1):
+            nodes, through, own = self._linear_step(scene, values, nodes, inputs, late)
+            A, B = through @ A, through @ B + own
+        return A, B
+
+    def _linear_step(
+        self, scene: Scene, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, late: Arrays
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """States after the steps, and their derivatives in the states [..., s, s] and in the unknowns [..., s, p]."""
-        unknowns = self.unknowns
-        wrt = (*unknowns.parameters(values), *(inputs if unknowns.delayed else ()))
-        found, columns = self._evaluated(values, nodes, inputs, wrt), []
+        """States after recorded steps, and their derivatives in the states and in the unknowns."""
+        unknowns, columns = self.unknowns, []
+        given = {**self._rows(nodes), **{name: torch.from_numpy(x) for name, x in inputs.items()}}
+        own = unknowns.parameters(values)
+        wrt = (*own, *(inputs if unknowns.delayed else ()))
+        found = evaluate(Stage(scene.spec, "step", wrt=wrt), {**given, **scene.parameters, **own}, scene.backend)
+        by = {name: x.numpy() for name, x in found.items()}
         for part in unknowns.parts:
             if part.key:
-                columns.append(found[part.key][..., part.at])
+                columns.append(by[part.key][..., part.at])
             else:
-                columns.append(sum((found[name] @ u[..., None] for name, u in slopes.items()), np.zeros(1)))
-        return found["after"], found["A"], np.concatenate(columns, -1) @ unknowns.slopes(values)
+                columns.append(sum((by[name] @ u[..., None] for name, u in late.items()), np.zeros(1)))
+        return by["after"], by["A"], np.concatenate(columns, -1) @ unknowns.slopes(values)
 
     def information(self, at: Iterate, linear: Linear) -> np.ndarray:
         """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""

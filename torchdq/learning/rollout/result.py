@@ -1,5 +1,6 @@
 """Result of a fit of rollouts: the scene, its parameters with standard errors, and what is not identifiable."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -7,8 +8,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.tables import summary, table
-from torchdq.learning.rollout.problem import Iterate, Problem
-from torchdq.learning.rollout.shooting import Linear
+from torchdq.learning.rollout.problem import End
 from torchdq.learning.rollout.unknowns import changed
 from torchdq.scene.scene import Scene
 
@@ -24,11 +24,11 @@ class RolloutFit(NamedTuple):
     stays near its start. `unidentifiable` names changes of parameters that do not change the recorded motions. Where
     the scene does not come to move as recorded, all are NaN, and `warning` says so.
 
-    The standard errors are those of independent errors of the measurements. Errors of the scene itself are not among
-    them: where `rms` is far above the noise of the sensors, the parameters are less certain than they say.
+    The standard errors are those of independent errors of the measurements, and of steps that are too long. Errors of
+    the scene are not among them: where residuals are correlated, the parameters are less certain than they say.
     """
 
-    scene: Scene
+    scene: Scene  # with the integrator of the fit, a choice for accuracy; `replace` gives it the one for simulation
     values: dict[str, Tensor]  # by name in `learn`; NaN where unidentifiable
     errors: dict[str, Tensor]  # standard errors of the values; NaN where unidentifiable
     names: tuple[str, ...]  # [p] of single numbers, such as "Viscous.coefficient[elbow]"
@@ -57,6 +57,7 @@ class RolloutFit(NamedTuple):
             (name, f"{x:.4g}", f"{e:.2g}") if x == x else (name, "unidentifiable", "-")
             for name, x, e in zip(self.names, values.tolist(), errors.tolist(), strict=True)
         ]
+        title += f"\nby steps of {self.scene.dt:.4g} s with {self.scene.integrator}"
         parts = [title, table(("parameter", "estimate", "standard error"), rows)]
         if self.unidentifiable:
             parts.append("\n".join(("unidentifiable changes:", *self.unidentifiable)))
@@ -64,14 +65,16 @@ class RolloutFit(NamedTuple):
         return "\n\n".join(parts)
 
 
-def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, warning: str, followed: bool) -> RolloutFit:
-    """Result of a fit that ended at an iterate; `followed`: whether the scene moves from state to state there."""
+def result(end: End, warning: str, followed: bool) -> RolloutFit:
+    """Result of a search; `followed`: whether the scene moves from state to state at its end."""
+    problem, at, linear = end.problem, end.at, end.linear
     unknowns, p = problem.unknowns, len(at.values)
     sizes = unknowns.sizes(at.values)
     R = problem.information(at, linear)[:p, :p] * sizes  # in changes relative to the sizes
     _, e, V = np.linalg.svd(R)
     identifiable = (e > 1 / IDENTIFIABLE) & (e > EXCITED * e[0])
-    spread = sizes[:, None] * V[identifiable].T / e[identifiable]
+    # standard errors that shorter steps do not contradict
+    spread = math.sqrt(1 + end.shift**2) * sizes[:, None] * V[identifiable].T / e[identifiable]
     slopes = unknowns.slopes(at.values)
     covariance = slopes @ spread @ spread.T @ slopes.T
     hidden = (V[~identifiable] * sizes) @ slopes.T / unknowns.scales(at.values)
@@ -99,7 +102,7 @@ def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, warni
         unknowns.delay(at.values),
         residuals,
         torch.from_numpy(problem.noise(at)[:n]),
-        iterations,
+        end.steps,
         warning,
     )
 
