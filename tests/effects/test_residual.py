@@ -7,16 +7,14 @@ import helpers
 import pytest
 import torch
 from helpers import FIXED, called, double, random, thinned
-from messages import refused, warned
+from messages import refused
 from oracles import shipped
 from torch import nn
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.effects.residual import BLOCK
 from torchdq.envs import ArmVectorEnv, Scene, State, effects
 from torchdq.errors import ArgumentError
-from torchdq.layers.residual.recorded import Learned, Prepared
 from torchdq.scene import controllers, stability
 from torchdq.scene.integrators import DormandPrince, ExplicitEuler, LinearlyImplicit, Repeated, RungeKutta4
 
@@ -26,27 +24,12 @@ UP_TO = 1e-12
 one_thread = helpers.one_thread
 
 
-class OneFeature(nn.Module):
-    """A network that is a factor on one of the six features of every joint."""
-
-    def __init__(self, feature, factor):
-        super().__init__()
-        self.feature, self.factor = feature, nn.Parameter(torch.as_tensor(factor, dtype=torch.float64))
-
-    def forward(self, x):
-        return self.factor * x[..., self.feature : self.feature + 1]
-
-
-def imitated(feature, factor, robot=ARM):
-    return torchdq.ResidualDynamics(torchdq.DQRNEA(robot), OneFeature(feature, factor))
-
-
 def trained(learn=("friction", "offset", "mass"), robot=ARM):
-    """A model whose network is no longer zero, but whose torques still grow with the acceleration."""
+    """A model whose network is no longer zero."""
     torch.manual_seed(0)
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(robot, learn), hidden=(8,)).double()
     with torch.no_grad():
-        for weight in model.network.weights:
+        for weight in model.network.parameters():
             weight.add_(0.1 * torch.randn_like(weight))
         if "offset" in learn:
             model.model.offset.add_(0.3)
@@ -69,8 +52,8 @@ def test_a_network_that_learned_viscous_friction_is_that_friction_to_first_order
     exact = Scene(ARM, (*parts, effects.Viscous(0.8)), integrator=DormandPrince(), dt=seconds)
     expected = exact.step(exact.start(q, qd)).q
     errors = []
-    learned = effects.Residual(imitated(0, 0.8))
-    for steps in (50, 100):
+    learned = effects.Residual(lambda q, qd: 0.8 * qd)
+    for steps in (25, 50):
         scene = Scene(ARM, (*parts, learned), integrator=RungeKutta4(), dt=seconds / steps)
         with torch.no_grad():
             errors.append(float((scene.rollout(scene.start(q, qd), steps=steps).q[-1] - expected).abs().max()))
@@ -78,28 +61,12 @@ def test_a_network_that_learned_viscous_friction_is_that_friction_to_first_order
     assert 1.8 < errors[0] / errors[1] < 2.2
 
 
-@pytest.mark.parametrize("inertia", [0.01, 1.0, 100.0])
-def test_a_network_that_learned_rotors_is_those_rotors_however_heavy(inertia):
-    state, torque = State(random(5, 2), random(5, 2, seed=1)), random(5, 2, seed=2)
-    learned = accelerations(Scene(ARM, (effects.Residual(imitated(4, inertia)),)), state, torque)
-    true = accelerations(Scene(ARM, (effects.RotorInertia(inertia),)), state, torque)
-    assert torch.allclose(learned, true, rtol=1e-9, atol=1e-9)
-
-
-def test_a_network_that_learned_losses_in_proportion_to_the_torque_has_them():
-    """tau = model + 0.25 model, so that the acceleration is that of 0.8 tau."""
-    state, torque = State(random(5, 2), random(5, 2, seed=1)), random(5, 2, seed=2)
-    robot = ARM.replace(gravity=None)
-    learned = accelerations(Scene(robot, (effects.Residual(imitated(5, 0.25, robot)),)), state, torque)
-    assert torch.allclose(learned, accelerations(Scene(robot), state, 0.8 * torque), rtol=1e-9, atol=1e-9)
-
-
 @pytest.mark.parametrize("learn", [(), ("friction",), ("friction", "offset", "mass", "armature", "gravity")])
 def test_the_simulated_arm_accelerates_as_the_model_that_was_learned_says(learn):
     """Its torques for an acceleration, given back to the scene of its effects, cause that acceleration."""
     model = trained(learn)
     q, qd, qdd = random(3, 6, 2)
-    scene = Scene(model.robot, (*model.effects()[:-1], effects.Residual(model, 8)), dt=1e-3)
+    scene = Scene(model.robot, model.effects(), dt=1e-3)
     found = accelerations(scene, State(q, qd), model(q, qd, qdd).detach())
     assert torch.allclose(found, qdd, rtol=1e-8, atol=1e-8)
 
@@ -108,7 +75,7 @@ def test_an_arm_that_learned_from_friction_moves_as_the_arm_with_that_friction()
     """A network trained on torques of friction that its model does not know; a motion that it was not trained on."""
     generator = torch.Generator().manual_seed(3)
     ranges = double(2, 4, 10)[:, None, None]
-    q, qd, qdd = (2 * torch.rand(3, 500, 2, generator=generator, dtype=torch.float64) - 1) * ranges
+    q, qd, qdd = (2 * torch.rand(3, 300, 2, generator=generator, dtype=torch.float64) - 1) * ranges
     tau = torchdq.inverse_dynamics(ARM, q, qd, qdd) + 1.5 * qd + 0.5 * qd / (qd * qd + 0.04).sqrt()
     torch.manual_seed(0)
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM), hidden=(16,)).double()
@@ -126,7 +93,7 @@ def test_an_arm_that_learned_from_friction_moves_as_the_arm_with_that_friction()
         with torch.no_grad():
             ends.append(scene.rollout(scene.start(double(0.2, -0.3)), torque).q)
     without, true, learned = ends
-    assert float((learned - true).abs().max()) < 0.05 * float((without - true).abs().max())
+    assert float((learned - true).abs().max()) < 0.1 * float((without - true).abs().max())
 
 
 @pytest.mark.parametrize("integrator", EVERY, ids=called)
@@ -141,17 +108,6 @@ def test_it_is_held_over_a_step_as_a_commanded_torque_is(integrator):
             assert torch.allclose(a, b, rtol=UP_TO, atol=UP_TO)
 
 
-@pytest.mark.parametrize("integrator", EVERY, ids=called)
-def test_a_model_that_sees_accelerations_works_with_every_integrator_and_behind_elastic_joints(integrator):
-    for parts in ((), (effects.Elastic(50.0, 0.1, 0.2), effects.FirstOrderLag(0.05), effects.Noise(0.01))):
-        scene = Scene(ARM, (*parts, effects.Residual(imitated(4, 0.2))), integrator=integrator, dt=1e-4)
-        true = Scene(ARM, (*parts, effects.RotorInertia(0.2)), integrator=integrator, dt=1e-4)
-        noise = torch.full((scene.noises,), 0.5, dtype=torch.float64)
-        state = scene.start(random(3, 2), random(3, 2, seed=1), noise)
-        a, b = (x.step(state, random(3, 2, seed=2), noise) for x in (scene, true))
-        assert torch.allclose(a.qd, b.qd, rtol=1e-5, atol=1e-5)
-
-
 # --- gradients -------------------------------------------------------------------------------------------------------
 
 
@@ -159,7 +115,7 @@ def test_a_model_that_sees_accelerations_works_with_every_integrator_and_behind_
 def test_gradients_are_those_of_finite_differences(integrator):
     """In the state, the torques, and every parameter of the network."""
     model = trained(())
-    scene = Scene(ARM, (effects.Gravity(), effects.Residual(model, 6)), integrator=integrator, dt=0.02)
+    scene = Scene(ARM, (effects.Gravity(), effects.Residual(model)), integrator=integrator, dt=0.02)
 
     def end(q, qd, torque, *parameters):  # gradcheck changes the parameters in place
         state = State(q, qd)
@@ -252,60 +208,6 @@ def test_steps_are_traced_whole(backend, model):
     assert torch.allclose(traced(q, qd), scene.step(State(q, qd)).qd, rtol=UP_TO, atol=UP_TO)
 
 
-@pytest.mark.parametrize("inputs", ["joint", "all"])
-@pytest.mark.parametrize("learn", [(), ("friction", "offset", "mass")])
-@pytest.mark.parametrize("hidden", [(), (5,), (6, 4)], ids=str)
-def test_the_closed_form_is_what_forward_mode_finds_of_any_network(inputs, learn, hidden):
-    """Inside of the trained states, where the gate fades, where features and torques are limited, and far away."""
-    torch.manual_seed(1)
-    model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM, learn), inputs=inputs, hidden=hidden).double()
-    with torch.no_grad():
-        model.standardise(*(0.5 * random(4, 40, 2, seed=2)))
-        for p in model.network.parameters():
-            p.add_(0.3 * torch.randn_like(p))
-        if learn:
-            model.model.offset.add_(0.3)
-        model.domain.reach.clamp_min_(2.0)
-        model.weight.copy_(double(0.7, 0.9))
-        model.largest.mul_(0.05)
-        q, qd, qdd, r = random(4, 30, 2)
-        q, qd, qdd = (x * torch.linspace(0.1, 3, 30, dtype=torch.float64)[:, None] for x in (q, qd, qdd))
-        W = random(30, 2, 2, seed=1)
-        tau = model.model(q, qd, qdd)
-        directions = torch.stack((W, torchdq.mass_matrix(model.robot, q) @ W), -2)
-        closed, features = model.line(q, qd, qdd, W), model._columns(q, qd, qdd, tau)
-        offset = model.model.offset if learn else None
-        general = Learned(model.scales, model.domain, model.network, model.scaled(features), directions, offset)
-        assert type(closed) is Prepared
-        moved = qdd - (W @ r[..., None])[..., 0]
-        expected = model.unmodelled(q, qd, moved)
-        gate = model.gate(model.scaled(model._columns(q, qd, moved, model.model(q, qd, moved))))
-        assert (gate == 0).any() and (gate == 1).any() and ((gate > 0.01) & (gate < 0.99)).any()
-        for line in (closed, general):
-            assert torch.allclose(line.torques(r), expected, rtol=1e-9, atol=1e-9)
-        for found, other in zip(closed.linearised(r), general.linearised(r), strict=True):
-            assert torch.allclose(found, other, rtol=1e-9, atol=1e-9)
-
-        def change(r):
-            return r - model.unmodelled(q, qd, qdd - (W @ r[..., None])[..., 0])
-
-    h, J = 1e-6, closed.linearised(r)[1]
-    for k in range(2):
-        d = h * torch.eye(2, dtype=torch.float64)[k]
-        with torch.no_grad():
-            assert torch.allclose(J[..., k], (change(r + d) - change(r - d)) / (2 * h), rtol=1e-6, atol=1e-6)
-
-
-def test_a_large_batch_is_solved_in_blocks_with_the_same_result():
-    scene = Scene(ARM, (effects.Gravity(), effects.Residual(trained())), dt=0.01)
-    q, qd = 0.3 * random(2, 2, BLOCK, 2)
-    whole = scene.step(State(q, qd))
-    for i in range(2):
-        assert torch.allclose(scene.step(State(q[i], qd[i])).qd, whole.qd[i], rtol=UP_TO, atol=UP_TO)
-    with torch.no_grad():
-        assert torch.allclose(scene.step(State(q, qd)).qd, whole.qd, rtol=UP_TO, atol=UP_TO)
-
-
 # --- in scenes and environments --------------------------------------------------------------------------------------
 
 
@@ -337,10 +239,9 @@ def test_a_description_tells_the_size_of_the_network_and_what_it_adds_to(model, 
 
 
 def test_a_check_of_the_step_counts_its_torques(monkeypatch):
-    monkeypatch.setattr(stability, "FEW", 64)  # of trials of shorter steps, none of which hold
-    model = imitated(0, -400.0)  # a torque that grows with the velocity
+    monkeypatch.setattr(stability, "FEW", 8)  # of trials of shorter steps, none of which hold
     assert Scene(ARM).check(Scene(ARM).start(double(0.1, 0.2)), seconds=0.2)
-    scene = Scene(ARM, (effects.Residual(model),))
+    scene = Scene(ARM, (effects.Residual(lambda q, qd: -400.0 * qd),))  # grows with the velocity
     assert not scene.check(scene.start(double(0.1, 0.2), double(0.1, 0.1)), seconds=0.2)
 
 
@@ -367,14 +268,14 @@ def test_gymnasium_makes_environments_with_it():
 
 def test_a_controller_and_a_rollout_by_a_policy_see_it():
     model = trained()
-    scene = Scene(model.robot, model.effects(), controllers.ComputedTorqueController(100.0, 20.0), dt=0.002)
+    scene = Scene(model.robot, model.effects(), controllers.ComputedTorqueController(100.0, 20.0), dt=0.004)
     q = double(0.3, -0.4)
     wanted = torch.cat([q, 0 * q, 0 * q])
     control = torchdq.ComputedTorque(model, 100.0, 20.0)
     plain = scene.replace(controller=None)
     with torch.no_grad():
-        held = scene.rollout(scene.start(q), steps=200, reference=wanted.expand(200, -1)).q[-1]
-        known = plain.rollout(plain.start(q), steps=200, policy=lambda s, k: control(s.q, s.qd, q, 0 * q, 0 * q)).q[-1]
+        held = scene.rollout(scene.start(q), steps=100, reference=wanted.expand(100, -1)).q[-1]
+        known = plain.rollout(plain.start(q), steps=100, policy=lambda s, k: control(s.q, s.qd, q, 0 * q, 0 * q)).q[-1]
     assert float((held - q).abs().max()) > 1e-3  # the described model does not know what was learned
     assert float((known - q).abs().max()) < 1e-6
 
@@ -393,8 +294,7 @@ MISUSE = {
     "number": lambda: Scene(ARM, (effects.Residual(3.0),)),
     "class": lambda: Scene(ARM, (effects.Residual(nn.Bilinear),)),
     "model of all bodies": lambda: Scene(ARM, (effects.Residual(torchdq.DQRNEA(ARM)),)),
-    "model of another robot": lambda: Scene(ARM, (effects.Residual(imitated(0, 0.1, PANDA)),)),
-    "no iterations": lambda: Scene(ARM, (effects.Residual(torch.add, 0),)),
+    "model of another robot": lambda: Scene(ARM, (effects.Residual(trained((), PANDA)),)),
     "two models": lambda: Scene(ARM, (effects.Residual(torch.add), effects.Residual(torch.mul))),
     "model that returns nothing": lambda: returning(None),
     "torques of three joints": lambda: returning(torch.ones(3)),
@@ -408,16 +308,3 @@ MISUSE = {
 def test_what_a_residual_cannot_be_is_refused(what):
     with refused(ArgumentError):
         MISUSE[what]()
-
-
-def test_a_network_without_a_solution_is_told():
-    """Its torque falls faster with the acceleration than that of the bodies rises."""
-
-    class Falling(nn.Module):
-        def forward(self, x):
-            return -50 * torch.tanh(20 * x[..., 4:5])
-
-    model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM), Falling())
-    scene = Scene(ARM, (effects.Residual(model),))
-    with warned(UserWarning):
-        scene.step(scene.start(random(20, 2)), random(20, 2, seed=1))

@@ -304,7 +304,7 @@ def test_a_residual_that_was_trained_on_torques_with_friction_gets_no_other():
     robot, state = with_friction(), random(5, 4, 2)
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(robot))
     with torch.no_grad():  # a network that found the friction
-        model.correction = lambda features: 2.0 * features[..., 0] + 0.7 * features[..., 1]
+        model.residual = lambda q, qd: 2.0 * qd + 0.7 * qd / (qd.square() + 1e-4).sqrt()
         found = torchdq.ComputedTorque(model, 25.0, 10.0)(*state)
     torch.testing.assert_close(found, torchdq.ComputedTorque(robot, 25.0, 10.0)(*state), rtol=1e-12, atol=1e-12)
 
@@ -327,7 +327,7 @@ def test_a_trained_model_is_taken_at_the_commanded_acceleration(kind):
     model.mass = 1.3 * model.mass.detach()
     if kind == "residual":
         model = torchdq.ResidualDynamics(model)
-        torch.nn.init.normal_(model.network.weights[-1], std=0.3)
+        torch.nn.init.normal_(model.network[-2].weight, std=0.3)
     controller = torchdq.ComputedTorque(model, 25.0, double(10.0, 9.0), learn="kp")
     tau = controller(q, qd, q_des, qd_des, qdd_des, wrench)
     a = commanded(q, qd, q_des, qd_des, qdd_des, 25.0, double(10.0, 9.0))

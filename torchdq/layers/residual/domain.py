@@ -7,18 +7,15 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchdq.layers.residual.smooth import smooth_step
-
 CENTRES = 48  # states that stand for all that were trained on
 ROWS = 4096  # most rows that the centres are chosen among
 FAR = 1e4  # size of a scaled feature beyond which it is far away, however far
-OPEN = 1e30  # reach of a domain without an end
 LEAST = 0.25  # least reach, per scaled feature
 FADED = 2.0  # distance, in units of the reach, from which nothing is left
 
 
 class Domain(nn.Module):
-    """Trained states: factors [..., groups] that are one among them and fade to zero away from them.
+    """Trained states of every group of joints: factors that are one among them and fade to zero away from them.
 
     The squared distance of a state x from the centres c_k is a soft minimum of those from each,
 
@@ -28,8 +25,8 @@ class Domain(nn.Module):
     second derivatives have no jump. A new domain has no end.
 
     Args:
-        groups: number of networks side by side; each has its own domain.
-        features: number of features of each.
+        groups: number of groups, joints or one for all of them.
+        features: number of features of a state.
 
     >>> domain = Domain(1, 2)
     >>> domain.cover(torch.zeros(10, 1, 2))
@@ -38,28 +35,21 @@ class Domain(nn.Module):
             [0.]])
     """
 
-    centres: Tensor
-    softness: Tensor
-    reach: Tensor
+    centres: Tensor  # [groups, centres, features]
+    softness: Tensor  # [groups]
+    reach: Tensor  # [groups]
 
     def __init__(self, groups: int, features: int):
         super().__init__()
         self.register_buffer("centres", torch.zeros(groups, CENTRES, features, dtype=torch.float64))
         self.register_buffer("softness", torch.ones(groups, dtype=torch.float64))
-        self.register_buffer("reach", torch.full((groups,), OPEN, dtype=torch.float64))
+        self.register_buffer("reach", torch.full((groups,), 1e30, dtype=torch.float64))
 
     def forward(self, x: Tensor) -> Tensor:
         """Factors [..., groups] for scaled features x [..., groups, features]."""
-        return self.factor(self.squared_distance(x))
-
-    def squared_distance(self, x: Tensor) -> Tensor:
-        """Squared distances [..., groups] from the centres; less than zero between several of them."""
-        return -self.softness.to(x).square() * torch.logsumexp(self._nearness(x), -1)
-
-    def factor(self, squared_distance: Tensor) -> Tensor:
-        """Factors [..., groups] at squared distances."""
-        reach = self.reach.to(squared_distance)
-        return 1 - smooth_step((squared_distance / reach / reach - 1) / (FADED**2 - 1))
+        reach = self.reach.to(x)
+        t = ((self._squared_distance(x) / reach / reach - 1) / (FADED**2 - 1)).clamp(0.0, 1.0)
+        return 1 - t * t * t * (10 + t * (6 * t - 15))
 
     @torch.no_grad()
     def cover(self, x: Tensor) -> None:
@@ -67,25 +57,23 @@ class Domain(nn.Module):
 
         Every centre after the first, which is the row nearest to the mean, is the row farthest from those before it.
         """
-        x = x.detach().to(self.centres)
-        some = x[:: -(-len(x) // ROWS)].transpose(0, 1)  # [groups, rows, features]
-        groups = torch.arange(len(some), device=x.device)
-        left = torch.full(some.shape[:2], torch.inf, dtype=x.dtype, device=x.device)
-        chosen = (some - some.mean(1, keepdim=True)).square().sum(-1).argmin(1)
+        x = x.to(self.centres)
+        some, group = x[:: -(-len(x) // ROWS)], torch.arange(x.shape[1], device=x.device)
+        left = torch.full_like(some[..., 0], torch.inf)
+        chosen = (some - some.mean(0)).square().sum(-1).argmin(0)
         for k in range(CENTRES):
-            self.centres[:, k] = some[groups, chosen]
-            left = left.minimum((some - self.centres[:, k, None]).square().sum(-1))
-            chosen = left.argmax(1)
+            self.centres[:, k] = some[chosen, group]
+            left = left.minimum((some - some[chosen, group]).square().sum(-1))
+            chosen = left.argmax(0)
         # half the largest distance of a row to its nearest centre, and not much less than the features spread
         least = LEAST * math.sqrt(x.shape[-1])
-        self.softness.copy_((left.amax(1).sqrt() / 2).clamp_min(least / 2))
-        self.reach.fill_(OPEN)
-        farthest = torch.stack([self.squared_distance(part).amax(0) for part in x.split(ROWS)]).amax(0)
+        self.softness.copy_((left.amax(0).sqrt() / 2).clamp_min(least / 2))
+        farthest = torch.stack([self._squared_distance(part).amax(0) for part in x.split(ROWS)]).amax(0)
         self.reach.copy_(farthest.clamp_min(0).sqrt().clamp_min(least))
 
-    def _nearness(self, x: Tensor) -> Tensor:
-        """Negative squared distances [..., groups, centres] in units of the squared softness."""
-        x, centres = x.clamp(-FAR, FAR), self.centres.to(x)
-        s = self.softness.to(x).square().unsqueeze(-1)
-        across = torch.einsum("...gf,gkf->...gk", x, (2 / s).unsqueeze(-1) * centres)
-        return across - (x.square().sum(-1, keepdim=True) / s + centres.square().sum(-1) / s)
+    def _squared_distance(self, x: Tensor) -> Tensor:
+        """Squared distances [..., groups] from the centres; less than zero between several of them."""
+        x, centres, s = x.clamp(-FAR, FAR), self.centres.to(x), self.softness.to(x).square()
+        across = (x.unsqueeze(-2) @ centres.mT).squeeze(-2)
+        away = x.square().sum(-1, keepdim=True) + centres.square().sum(-1) - 2 * across
+        return -s * torch.logsumexp(-away / s[:, None], -1)
