@@ -19,7 +19,7 @@ import report
 import splits
 import torch
 
-from torchdq.learning import LogWarning, Model, Motion, identify, stack_samples, train_test_split
+from torchdq.learning import LogWarning, Motion, identify, stack_samples, train_test_split
 from torchdq.robot import Robot
 
 FIFTHS = 5  # parts of the recording of the Panda
@@ -75,7 +75,7 @@ def others(arm: Arm, k: int) -> list[Motion]:
 def held(arm: Arm, k: int) -> Held:
     """Shares of the torques of one motion, by models of the others."""
     test = [arm.motions[k]]
-    found = identify(arm.robot, others(arm, k), Model(armature=True, offset=True))
+    found = identify(arm.robot, others(arm, k))
     selection = found.selection
     assert selection is not None, "the recordings are long enough to leave blocks out"
     predicted, tau = found.predict(test), stack_samples(test).tau

@@ -8,8 +8,8 @@ alone, and not the state at the start; it has one thread, mujoco.sysid as many a
 answers is that of mujoco.sysid's own function. A run contains everything but the recording and compilation of the
 scene's programs, once per machine; the time of the first run is printed beside it.
 
-Then the stated errors: arms with friction and noisy positions, fitted over and over; the deviations in their stated
-covariance are chi-square.
+Then the stated errors: an arm of three joints that MuJoCo moves in steps of 0.25 ms, with viscous or dry friction, and
+noisy positions of it, fitted over and over; the deviations in their stated covariance are chi-square.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import mujoco
 import numpy as np
 import report
 import torch
@@ -40,6 +41,15 @@ from torchdq.learning import Recording, RolloutFit, fit_rollout
 
 DT, ROUNDS = 0.002, 15
 DEGREES = 6  # parameters of the noisy arm: degrees of freedom of the chi-square
+FINE, NOISE, WIDTH = 2.5e-4, 2e-4, 0.05  # [s] of MuJoCo's steps, [rad] and [rad/s]
+VISCOUS, COULOMB, ROTORS = np.array([(1.0, 0.8, 0.3), (0.8, 0.6, 0.3), (0.1, 0.08, 0.04)])
+THREE_JOINTS = f"""<mujoco><option timestep="{FINE}" integrator="RK4"/><worldbody>
+  <body><joint name="a" axis="0 0 1" armature="0.1"/><inertial pos="0 0 .1" mass="3" diaginertia=".02 .02 .02"/>
+    <body pos="0 0 .2"><joint name="b" axis="0 1 0" armature=".08"/>
+      <inertial pos=".2 .02 0" mass="2.5" diaginertia=".01 .03 .03"/>
+      <body pos=".4 0 0"><joint name="c" axis="0 1 0" armature=".04"/>
+        <inertial pos=".15 0 .02" mass="1.2" diaginertia=".005 .01 .01"/></body></body></body></worldbody>
+  <actuator><motor joint="a"/><motor joint="b"/><motor joint="c"/></actuator></mujoco>"""
 
 
 def their_tests() -> ModuleType:
@@ -98,7 +108,9 @@ class Task:
 
     def ours(self) -> np.ndarray:
         """Rotor inertias by torchdq."""
-        return fit_rollout(self.scene, self.log, "RotorInertia.inertia", segment=None).estimate.numpy()
+        # the recording is of MuJoCo's own steps, as a scene takes them by default
+        how = {"segment": None, "integrator": self.scene.integrator}
+        return fit_rollout(self.scene, self.log, "RotorInertia.inertia", **how).estimate.numpy()
 
     def left(self, values: np.ndarray) -> float:
         """Root of the sum of squares of mujoco.sysid's residuals at some rotor inertias."""
@@ -134,52 +146,85 @@ def compared(rounds: int) -> dict[str, float]:
     }
 
 
-def noisy(runs: int) -> list[float]:
-    """Deviations of fits from the true parameters, in their stated covariance."""
-    robot, dt = torchdq.robots.load("two_link"), 0.01
-    t = dt * torch.arange(301, dtype=torch.float64)
-    torque = 8 * torch.stack([(5 * t).sin() + 0.5 * (11 * t).cos(), 0.6 * (7 * t).cos()], -1)
+def recorded(dt: float, seconds: float, coulomb: np.ndarray) -> Recording:
+    """Recording of the three joints, with the smooth friction of the effects."""
+    model = mujoco.MjModel.from_xml_string(THREE_JOINTS)
+    data, time = mujoco.MjData(model), dt * np.arange(round(seconds / dt) + 1)
+    slow, fast = 2 * np.pi * np.array([(0.5, 0.7, 1.1), (1.3, 1.9, 2.3)])
+    torque = np.array([6, 8, 2]) * (np.sin(slow * time[:, None]) + 0.6 * np.sin(fast * time[:, None] + 1))
+    data.qpos[:], q = (0.0, 0.3, 0.5), []
 
-    def scene(viscous: Any, coulomb: Any, rotor: Any) -> Scene:
-        parts = (effects.Viscous(viscous), effects.Coulomb(coulomb, 0.05), effects.RotorInertia(rotor))
-        return Scene(robot, (effects.Gravity(), *parts), dt=dt)
+    def friction(_: Any, data: Any) -> None:
+        data.qfrc_passive[:] -= (VISCOUS + coulomb / np.sqrt(data.qvel**2 + WIDTH**2)) * data.qvel
 
-    real, guess = scene((0.5, 0.3), (0.4, 0.2), (0.05, 0.03)), scene(0.1, 0.1, 0.01)
-    state = real.start(torch.zeros(2, dtype=torch.float64))
-    q = torch.cat([state.q[None], real.rollout(state, torque[:-1]).q])
-    true = torch.tensor([0.5, 0.3, 0.4, 0.2, 0.05, 0.03], dtype=torch.float64)
-    found = []
+    mujoco.set_mjcb_passive(friction)
+    try:
+        for row in torque:
+            q.append(data.qpos.copy())
+            data.ctrl[:] = row
+            mujoco.mj_step(model, data, round(dt / FINE))
+    finally:
+        mujoco.set_mjcb_passive(None)
+    return Recording(time, np.stack(q), {"torque": torque})
+
+
+class Errors(NamedTuple):
+    """Stated errors of fits of a recording whose noise differs."""
+
+    squares: list[float]  # deviations from the true parameters, in their stated covariance
+    seconds: float  # of a fit, the first left out
+    integrator: str  # that most fits took
+
+
+def noisy(runs: int, dt: float, dry: bool) -> Errors:
+    """Errors of fits with viscous friction and rotors unknown, or viscous and dry friction."""
+    log = recorded(dt, 4.0 if dt > 1e-3 else 2.0, COULOMB if dry else np.zeros(3))
+    friction = effects.Coulomb(0.3, WIDTH) if dry else effects.RotorInertia(0.02)
+    rotors = (effects.RotorInertia(torch.tensor(ROTORS)),) if dry else ()
+    robot = torchdq.Robot.from_mjcf(THREE_JOINTS)
+    guess = Scene(robot, (effects.Gravity(), effects.Viscous(0.3), friction, *rotors), dt=dt)
+    learn = ("Viscous.coefficient", "Coulomb.coulomb" if dry else "RotorInertia.inertia")
+    true = torch.from_numpy(np.concatenate([VISCOUS, COULOMB if dry else ROTORS]))
+    squares, times, rules = [], [], []
     for seed in range(runs):
-        noise = 1e-3 * torch.randn(q.shape, dtype=q.dtype, generator=torch.Generator().manual_seed(seed))
-        fit: RolloutFit = fit_rollout(
-            guess,
-            Recording(t, q + noise, {"torque": torque}),
-            ("Viscous.coefficient", "Coulomb.coulomb", "RotorInertia.inertia"),
-        )
+        q = np.asarray(log.q) + NOISE * np.random.default_rng(seed).normal(size=np.shape(log.q))
+        begin = time.process_time()
+        fit: RolloutFit = fit_rollout(guess, log._replace(q=q), learn)
+        times.append(time.process_time() - begin)
+        rules.append(str(fit.scene.integrator))
         off = fit.estimate - true
-        found.append(float(off @ torch.linalg.solve(fit.covariance, off)))
-    return found
+        squares.append(float(off @ torch.linalg.solve(fit.covariance, off)))
+    return Errors(squares, statistics.median(times[1:]), statistics.mode(rules))
 
 
-def main() -> tuple[dict[str, float], list[float]]:
-    arguments = report.parser(__doc__, quick="3 rounds and 20 noisy runs", page=False).parse_args()
+def main() -> tuple[dict[str, float], dict[str, Errors]]:
+    arguments = report.parser(__doc__, quick="3 rounds and 20 noisy runs of each case", page=False).parse_args()
     if not hasattr(sysid, "create_initial_state"):
         raise SystemExit("mujoco.sysid has not all that it needs; run pip install 'mujoco[sysid]'")
     warnings.simplefilter("ignore", DeprecationWarning)
     torch.set_num_threads(1)
-    rounds, runs = (3, 20) if arguments.quick else (ROUNDS, 200)
+    rounds, runs = (3, 20) if arguments.quick else (ROUNDS, 100)
     found = compared(rounds)
     print("| quantity | value |\n|---|---|")
     for name, value in found.items():
         print(f"| {name} | {value:.3g} |")
-    squares = noisy(runs)
-    p = float(stats.kstest(squares, stats.chi2(DEGREES).cdf).pvalue)
-    print(f"| chi-square per degree of freedom, {runs} runs | {np.mean(squares) / DEGREES:.3f} |")
-    print(f"| probability of a distribution as far from chi-square | {p:.2g} |")
+    cases = {
+        f"{1e3 * dt:g} ms, {'dry' if dry else 'viscous'}": noisy(runs, dt, dry)
+        for dry in (False, True)
+        for dt in (0.001, 0.005, 0.02)
+    }
+    print(f"\n| rows and `dt`, friction | chi-square per parameter, {runs} runs | steps | CPU time of a fit |")
+    print("|---|---|---|---|")
+    for name, case in cases.items():
+        size = np.mean(case.squares) / DEGREES
+        print(f"| {name} | {size:.2f} | `{case.integrator}` | {case.seconds:.2g} s |")
+    whole = [x for case in cases.values() for x in case.squares]
+    p = float(stats.kstest(whole, stats.chi2(DEGREES).cdf).pvalue)
+    print(f"\nprobability of a distribution as far from chi-square: {p:.2g}")
     facts = report.machine("mujoco", "scipy")
     print(f"\n{report.words(facts)}, torch threads {torch.get_num_threads()}")
-    report.into_json(arguments.json, machine=facts, compared=found, squares=squares)
-    return found, squares
+    report.into_json(arguments.json, machine=facts, compared=found, errors=cases)
+    return found, cases
 
 
 if __name__ == "__main__":

@@ -31,14 +31,13 @@ from torchdq.learning.read_log import read_log
 from torchdq.learning.rollout.fit import fit_rollout
 from torchdq.learning.rollout.recordings import Recording
 from torchdq.learning.rollout.result import RolloutFit
-from torchdq.learning.training.fit import CheckpointError, History, fit
-from torchdq.learning.training.loop import TrainingError
+from torchdq.learning.training.fit import fit
+from torchdq.learning.training.loop import History, TrainingError
 from torchdq.learning.with_residual import IdentifiedWithResidual
 
 __all__ = [
     "Box",
     "CandidateModel",
-    "CheckpointError",
     "Evaluation",
     "Excitation",
     "HalfSpace",

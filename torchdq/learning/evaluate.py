@@ -23,6 +23,7 @@ from torchdq.robot import Robot
 GAINED = 0.95  # part of the error of the description that may be left at most, so that there is something gained
 GOOD, FAIR = 0.1, 0.3  # parts of the torque that are left unexplained at most
 SEEN = 0.005  # difference of two errors that is mentioned
+UNLIKE = 2.0  # times the forecast error from which motions are unlike those that were learned from
 MEANING = (
     f"Good means that, in the mean over the joints, at most {GOOD:.0%} of the torque's standard deviation is left "
     f"unexplained, and at no joint more than {FAIR:.0%}; Fair means at most {FAIR:.0%} in the mean. The share in 95 % "
@@ -43,7 +44,8 @@ class Evaluation(NamedTuple):
     """Errors of the torques in motions that were not learned from.
 
     Errors are root mean squares over the standard deviation of the measured torque: 0 is perfect, 1 no better than a
-    constant. `file` are those of a file of the robot, which has no other friction than viscous and Coulomb friction.
+    constant. `file` are those of a file of the robot, which has no other friction than viscous and Coulomb friction;
+    `forecast` those on the parts of the motions learned from that were left out to choose the model.
 
     Printed, it is a table with the verdict.
     """
@@ -55,6 +57,7 @@ class Evaluation(NamedTuple):
     within: Tensor  # [n] share of the measured torques in the intervals that should hold 95 %
     file: Tensor | None = None  # [n] error of a file of the robot found; None: there is no file
     findings: tuple[Finding, ...] = ()  # what is probably wrong in the motions
+    forecast: Tensor | None = None  # [n] error of what was identified on parts left out; None: none were
 
     @property
     def verdict(self) -> Verdict:
@@ -76,6 +79,9 @@ class Evaluation(NamedTuple):
         text = f"{self.verdict.value}: in {self.seconds:.1f} s that were not learned from, {change}."
         if self.file is not None and after > whole + SEEN:
             text += f" With all that was found it is {whole:.1%}: a file cannot hold all of that."
+        if self.forecast is not None and whole > UNLIKE * float(self.forecast.mean()):
+            unlike = "these motions are unlike those that were learned from"
+            text += f" The forecast was {float(self.forecast.mean()):.1%}: {unlike}."
         if self.verdict is Verdict.KEEP_DESCRIPTION:
             return text
         worst = int(used.argmax())
@@ -93,12 +99,13 @@ class Evaluation(NamedTuple):
     @property
     def header(self) -> tuple[str, ...]:
         """Names of the columns of `rows`."""
+        forecast = () if self.forecast is None else ("forecast",)
         found = ("identified",) if self.file is None else ("identified", "by the file")
-        return ("joint", "error as described", *found, "in 95 % intervals")
+        return ("joint", "error as described", *forecast, *found, "in 95 % intervals")
 
     def rows(self) -> list[tuple[str, ...]]:
         """Cells of the table of errors, a row for each joint."""
-        errors = [x for x in (self.described, self.found, self.file) if x is not None]
+        errors = [x for x in (self.described, self.forecast, self.found, self.file) if x is not None]
         numbers = zip(self.joints, *(x.tolist() for x in errors), self.within.tolist(), strict=True)
         return [(name, *(f"{x:.3f}" for x in some), f"{share:.0%}") for name, *some, share in numbers]
 
@@ -134,10 +141,12 @@ def evaluate(
     q, qd, qdd, tau = rows = stack_samples(known)
     predicted = found.by_these_gains().predict(known)  # motion by motion: friction remembers nothing of the one before
     findings: tuple[Finding, ...] = ()
+    size = tau.std(0)
+    size = size.where(size > 1e-6 * size.max(), size.mean())  # of a finger without an effort, that of the others
     with torch.no_grad():
 
         def error(torques: Tensor) -> Tensor:
-            return (tau - torques).square().mean(0).sqrt() / tau.std(0)
+            return (tau - torques).square().mean(0).sqrt() / size
 
         of_file = None
         if file is not None:
@@ -150,7 +159,9 @@ def evaluate(
         warnings.warn(LogWarning(*findings, where="the motions to test on"), stacklevel=2)
     seconds = float(sum(motion.time[-1] - motion.time[0] for motion in known))
     within = ((tau >= predicted.low) & (tau <= predicted.high)).double().mean(0)
-    return Evaluation(described.joint_names, seconds, before, after, within, of_file, findings)
+    chosen = found.selection
+    forecast = chosen.chosen.scores.mean(0).sqrt() if chosen is not None and chosen.validated else None
+    return Evaluation(described.joint_names, seconds, before, after, within, of_file, findings, forecast)
 
 
 def torques_by(found: Identified, motions: Sequence[Motion]) -> list[Motion]:

@@ -40,7 +40,7 @@ def negative(x, j):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", thinned([0, 1], [0]))
 def test_a_robot_that_differs_from_its_description_has_no_findings(name, seed):
     robot, data = recorded(name, seed)
     assert warned(robot, data) == warned(robot, data, armature=True, offset=True) == []
@@ -65,6 +65,8 @@ def test_torques_in_another_unit_have_findings(name, factor):
     if 1e-3 < factor < 1e3:  # all joints that share the factor; those whose torque is friction alone show none
         least = robot.joint_names[1 if name == "puma560" else 0 : 3]
         assert {one.subject for one in wrong} >= set(least)
+    if factor != 1e3:
+        return
     # the least squares may have no solution on such torques, after the warning
     with pytest.warns(LogWarning) as given, contextlib.suppress(torchdq.ArgumentError):
         fitted(robot, *data._replace(tau=factor * data.tau))
@@ -72,7 +74,7 @@ def test_torques_in_another_unit_have_findings(name, factor):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", thinned([0, 1], [1]))
 def test_torques_without_gravity_have_a_finding(name, seed):
     robot, data = recorded(name, seed)
     gravity = torchdq.inverse_dynamics(robot, data.q)
@@ -169,9 +171,7 @@ def test_a_fit_of_a_model_that_holds_a_robot_has_them_too(residual):
     robot, data = recorded("panda", seed=1)
     model = torchdq.DQRNEA(robot, learn=("mass", "friction"))
     model = torchdq.ResidualDynamics(model) if residual else model
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        fit(model, data, steps=1)
+    assert with_findings(fit, model, data, steps=1)[1] == []
     _, wrong = with_findings(fit, model, data._replace(tau=negative(data.tau, 1)), steps=1)
     assert ("torque.sign", "panda_joint2") in [(x.code, x.subject) for x in wrong]
     small = Samples(*(x.float() for x in data._replace(tau=data.tau / 1000)))

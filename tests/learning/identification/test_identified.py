@@ -49,6 +49,24 @@ def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
     assert bool((measured.file < 0.7 * (tau - before).square().mean(0).sqrt() / tau.std(0)).all())
     assert bool((measured.found < 0.05).all()) and bool((measured.file > 2 * measured.found).all())
     assert " by the file is " in measured.summary and "With all that was found" in measured.summary
+    still = evaluate(DESCRIBED, found, motion._replace(tau=motion.tau * [1.0, 0.0]))  # no effort at one joint
+    assert bool(still.found.isfinite().all()) and bool(still.described.isfinite().all())
+
+
+def test_the_forecast_is_the_error_in_motions_like_those_that_were_learned_from():
+    robot, several = torchdq.robots.load("two_link"), [[x[0] for x in states(1, 600, seed=k)] for k in (1, 2)]
+    heavier = robot.replace(mass=1.2 * robot.mass)
+
+    def moved(rows, real):
+        tau = torchdq.inverse_dynamics(real, *rows)
+        return Motion(STEP * np.arange(600), *(x.numpy() for x in (*rows, tau + 0.05 * tau.std(0) * random(600, 2))))
+
+    found = identify(robot, moved(several[0], heavier), Model(friction=None, offset=False))
+    like = evaluate(robot, found, moved(several[1], heavier))
+    assert torch.allclose(like.forecast, like.found, rtol=0.15) and like.header[2] == "forecast"
+    assert like.rows()[0][2] == f"{float(like.forecast[0]):.3f}" and "The forecast was" not in like.summary
+    loaded = evaluate(robot, found, moved(several[1], heavier.with_payload(3.0)))
+    assert torch.equal(loaded.forecast, like.forecast) and "The forecast was 5." in loaded.summary
 
 
 def test_plain_friction_is_written_as_it_was_found():

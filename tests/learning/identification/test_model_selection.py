@@ -41,7 +41,7 @@ from torchdq.learning.identification import model_selection, terms
     ("robot", "friction", "name"),
     [(ROBOT, torch.zeros_like, "description"), (ROBOT, dry, "+ friction"), (REAL, dry, "identified")],
 )
-@pytest.mark.parametrize("motions", [1, 5])
+@pytest.mark.parametrize("motions", [1, 4])
 def test_the_candidate_that_is_the_truth_is_chosen(robot, friction, name, motions):
     q, qd, qdd = states(motions, 2000 // motions, seed=motions)
     found = identify(ROBOT, Samples(q, qd, qdd, torques(robot, q, qd, qdd, friction)))
@@ -50,6 +50,37 @@ def test_the_candidate_that_is_the_truth_is_chosen(robot, friction, name, motion
     assert found.selection.chosen.score < 2 * float(noise_alone.mean())
     if name != "identified":
         assert torch.equal(found.robot.mass, ROBOT.mass) and torch.equal(found.robot.com, ROBOT.com)
+
+
+def test_rotors_are_found_at_the_joints_that_have_them_and_said():
+    q, qd, qdd = states(6, 500, seed=3)
+    rotor = torch.tensor([0.4, 0.0]).double()
+    found = identify(ROBOT, Samples(q, qd, qdd, torques(ROBOT, q, qd, qdd, size=0.03) + rotor * qdd))
+    assert float((found.robot.armature - rotor).abs().max()) < 0.02 and float(found.robot.armature[1]) == 0.0
+    assert re.search(r"joint1: .*rotor \(", str(found.selection)) and not found.findings
+    without = identify(ROBOT, Samples(q, qd, qdd, torques(ROBOT, q, qd, qdd, size=0.03)))
+    assert without.robot.armature is None and "rotor" in without.selection.useless
+
+
+def test_a_joint_that_no_body_explains_better_keeps_the_described_torques():
+    """The elbow is as described, and noisy: its torques stay, whatever the shoulder asks of the bodies."""
+    q, qd, qdd = states(6, 500, seed=3)
+    real = ROBOT.replace(mass=ROBOT.mass * torch.tensor([1.6, 1.0]).double())
+    tau = torques(real, q, qd, qdd) + torch.tensor([0.0, 0.5]).double() * noise(q.shape, 0.9, seed=5)
+    found = identify(ROBOT, Samples(q, qd, qdd, tau), Model(offset=False, armature=False))
+    assert found.selection.chosen.kept == ("joint2",) and "keep the description: joint2" in str(found.selection)
+    change = [torchdq.inverse_dynamics(one, q, qd, qdd) for one in (found.robot, ROBOT)]
+    off, size = ((x**2).mean((0, 1)).sqrt() for x in (change[0] - change[1], change[1]))
+    assert float(off[1] / size[1]) < 0.02 and float(off[0] / size[0]) > 0.1
+
+
+def test_a_joint_that_moves_in_one_motion_keeps_the_description():
+    q, qd, qdd = (x.clone() for x in states(4, 400, seed=3))
+    for x in (qd, qdd):
+        x[1:, :, 1] = 0
+    q[1:, :, 1] = 0.3
+    found = identify(ROBOT, Samples(q, qd, qdd, torques(REAL, q, qd, qdd)))
+    assert "joint2" in found.selection.candidates[-1].kept and "joint1" not in found.selection.candidates[-1].kept
 
 
 def test_the_simplest_as_good_as_the_best_is_chosen():
@@ -75,7 +106,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_friction_of_each_shape_is_found_with_its_size(name):
-    q, qd, qdd = states(6, 800, seed=3)
+    q, qd, qdd = states(4, 600, seed=3)
     tau = torques(ROBOT, q, qd, qdd, size=0.03)
     law, size = SHAPES[name]
     if name == "ripple sine":
@@ -153,7 +184,7 @@ def test_nothing_is_made_worse_by_little_data_and_a_wrong_guess():
     test = states(3, 400, seed=50)
     truth = torchdq.inverse_dynamics(REAL, *test) + dry(test[1])
     ratios = []
-    for seed in range(4):
+    for seed in range(3):
         q, qd, qdd = states(1, 150, seed=seed)
         tau = torques(REAL, q, qd, qdd, size=1.0, memory=0.9, seed=seed)
         simple = fitted(ROBOT, q, qd, qdd, tau, prior=math.inf)
@@ -220,7 +251,7 @@ def test_the_report_is_a_table_with_reasons():
     assert "5 motions that were left out in turn" in lines[0]
     assert lines[1].split() == ["model", "score", "standard", "error", "root", "prior"]
     names = [one.name for one in found.selection.candidates]
-    assert names[:2] == ["description", "+ friction"] and "identified" in names
+    assert names[0] == "description" and names[1].startswith("+ friction") and names[-1].startswith("identified")
     assert sum("chosen" in line for line in lines[2 : 2 + len(names)]) == 1
     assert any(line.startswith("chosen: identified") for line in lines)
     assert str(found).endswith(str(found.selection)) and "\n" not in repr(found.selection)

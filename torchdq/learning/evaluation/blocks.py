@@ -24,6 +24,7 @@ from torchdq.functions.call import check
 from torchdq.learning.logs.motions import ENDS, Motion
 from torchdq.learning.logs.samples import Samples
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_motors
 
 MOST = 10  # most blocks; further motions share one
 PARTS = 6  # blocks, at least, that fewer than three motions are cut into
@@ -107,6 +108,7 @@ def _rows_of(robot: Robot, motion: Any) -> MotionRows:
     if motion.q.shape[1:] != (robot.n,):
         found = f"found one with {motion.q.shape[1]}"
         raise ArgumentError(f"motions must be of {robot.name!r}, which has {robot.n} joints, {found}")
+    require_motors(robot, motion.coupling)
 
     def tensor(x: np.ndarray) -> Tensor:
         return torch.as_tensor(x, dtype=torch.float64, device=robot.mass.device)

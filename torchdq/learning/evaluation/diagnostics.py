@@ -39,6 +39,7 @@ class Thresholds:
     alike: float = 10.0  # most of that ratio for other readings: torques that compensate friction are not reversed
     loaded: float = 0.1  # least variance of a joint's gravity, relative to that of its torque, for gravity to be missed
     weightless: float = 0.15  # most variance left, relative to that of gravity, where torques are without gravity
+    beaten: float = 1.5  # times less that they must leave unexplained than the description with gravity does
     unexplained: float = 0.08  # part of a joint's torque left unexplained, from which other readings are tried
     gain: float = 0.15  # least sum of these parts that another reading must explain
     better: float = 3.0  # times less that it must leave unexplained
@@ -120,7 +121,7 @@ def diagnose(robot: Robot, torques: Torques, rows: Sequence[Tensor], sign_width:
         return [*leaps, *far]
     fit = _compared(torques, few, sign_width)
     found = _units(names, fit) or _currents(names, fit)
-    weightless = [] if found else _weightless(torques, few, sign_width)
+    weightless = [] if found else _weightless(torques, few, sign_width, fit.left)
     if not weightless and bool((fit.left > AT.unexplained).any()):
         found += _misread(torques, robot, few, sign_width, fit.left)
     return [*leaps, *_constant(torques, names, few, sign_width), *found, *weightless]
@@ -160,7 +161,7 @@ def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, si
     part = (tau - fitted).var(0) / size.clamp_min(1e-12 * float(size.max()) + 1e-30)
     poor = _moves(qd, sign_width) & (size > AT.faint * size.max()) & (part > AT.poor)
     claim = "the fit must explain most of the torque's variance"
-    cure = "are units, signs and the order of the joints those of the robot, and are torques measured at the joints?"
+    cure = "are units, signs, order of joints and the robot itself as described, and torques measured at the joints?"
     return _of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))
 
 
@@ -226,8 +227,8 @@ def _constant(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], si
     return _of_joints(names, dead, Finding("torque.constant", "", claim, "{:.3g} in all rows", cure), tau[0])
 
 
-def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float) -> list[Finding]:
-    """Finding about torques that are explained without the gravity of the description."""
+def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:
+    """Finding about torques that are explained without the gravity of the description; it leaves parts [n] of them."""
     # motion, rotor inertia and friction explain a joint's torque so well that gravity, of which they explain little,
     # cannot be in it; most joints that gravity loads must show it
     q, _, _, tau = rows
@@ -241,6 +242,7 @@ def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float) -> 
     size, weight = tau.var(0).cpu(), without.left * gravity.var(0).cpu()
     loaded = weight > AT.loaded * size
     shown = loaded & (fit.left * size < AT.weightless * weight) & (fit.factor > 1 / AT.alike) & (fit.factor < AT.alike)
+    shown &= fit.left * AT.beaten < left
     if not 2 * int(shown.sum()) > int(loaded.sum()):
         return []
     cure = "add torchdq.inverse_dynamics(robot, q) to them"

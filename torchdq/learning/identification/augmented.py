@@ -15,9 +15,10 @@ from torch import Tensor
 from torchdq.findings import Finding
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.identification.evidence import Evidence
+from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import columns
-from torchdq.learning.identification.solution import Solution
 from torchdq.learning.identification.terms import OFFSET, ROTOR
+from torchdq.robot import Robot
 
 SURE = 5.0  # standard errors from which something is there
 MATTERS = 0.1  # part of the squared residuals of a joint or motion that it must take away to matter
@@ -38,7 +39,8 @@ class AugmentedFit(NamedTuple):
     """Rows of a fit that are used, and its prior."""
 
     evidence: Evidence
-    found: Solution
+    near: Neighbourhood
+    parameters: Tensor  # [k] of the fit
     rows: Tensor  # [rows] numbers of the rows
     motion: Tensor  # [rows] numbers of their motions
     residual: Tensor  # [rows, n] of the fit
@@ -46,13 +48,22 @@ class AugmentedFit(NamedTuple):
     curvature: Tensor  # [t, t] of the prior
 
     @classmethod
-    def of(cls, evidence: Evidence, found: Solution, prior: float, residual: Tensor) -> AugmentedFit:
-        """Some rows of a fit with evidence of its terms, this weight of its prior, and residuals [rows, n]."""
-        lengths = evidence.recording.lengths
-        rows = torch.arange(0, len(residual), -(-len(residual) // ROWS))
+    def of(
+        cls,
+        evidence: Evidence,
+        near: Neighbourhood,
+        y: Tensor,
+        prior: float,
+        residual: Tensor | None = None,
+        most: int = ROWS,
+    ) -> AugmentedFit:
+        """Some rows of a fit y [t] with evidence of its terms, and this weight of its prior; or of the description."""
+        lengths, samples = evidence.recording.lengths, evidence.samples
+        rows = torch.arange(0, samples, -(-samples // most))
         motion = torch.repeat_interleave(torch.arange(len(lengths)), torch.tensor(lengths))[rows]
-        slope, curvature = (prior / 2 * part for part in found.near.slopes(found.y))
-        return cls(evidence, found, rows, motion, residual.cpu()[rows], slope, curvature)
+        slope, curvature = (prior / 2 * part for part in near.slopes(y))
+        left = (evidence.recording.measured if residual is None else residual)[rows].cpu()
+        return cls(evidence, near, near.described + near.S @ y, rows, motion, left, slope, curvature)
 
     @property
     def lengths(self) -> list[int]:
@@ -64,20 +75,22 @@ class AugmentedFit(NamedTuple):
         """Mean squares of the residuals [n]."""
         return self.residual.square().mean(0).clamp_min(torch.finfo(self.residual.dtype).tiny)
 
-    def columns(self, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor) -> tuple[Tensor, Tensor]:
-        """Torques per unit of y [rows, n, t], and torques of the fit [rows, n], in some states."""
-        robot, at = self.evidence.robot, self.evidence.at
+    def columns(
+        self, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor, *, other: Robot | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Torques per unit of y [rows, n, t], and torques of the fit [rows, n], in some states; or of another robot."""
+        robot, at = other or self.evidence.robot, self.evidence.at
         Z = columns(robot, q, qd, qdd, own)
-        tau = torch.einsum("rjp,jp->rj", Z, self.found.parameters[at].to(q))
+        tau = torch.einsum("rjp,jp->rj", Z, self.parameters[at].to(q))
         if ROTOR not in self.evidence.terms and robot.armature is not None:
             tau = tau + robot.armature.to(q) * qdd
-        return torch.einsum("rjp,jpt->rjt", Z, self.found.near.S[at].to(q)).cpu(), tau.cpu()
+        return torch.einsum("rjp,jpt->rjt", Z, self.near.S[at].to(q)).cpu(), tau.cpu()
 
-    def solve(self, Z: Tensor, r: Tensor, E: Tensor) -> AugmentedSolution:
+    def solve(self, Z: Tensor, r: Tensor, E: Tensor, rounds: int = 2) -> AugmentedSolution:
         """Unknowns of torques per unit [rows, n, e] that explain residuals [rows, n], with a change of the fit."""
         left, A, t = r, torch.cat([Z, E], -1), Z.shape[-1]
         step = len(self.evidence.own) / len(self.rows)
-        for _ in range(2):  # what is noise depends on the unknowns
+        for _ in range(rounds):  # what is noise depends on the unknowns
             variance = left.square().mean(0).maximum(EXACT * self.square)
             weight = 1 / (variance * correlation_times(left, self.lengths))
             b = torch.einsum("rjk,rj->k", A, r * weight)

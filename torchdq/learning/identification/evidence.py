@@ -17,7 +17,7 @@ from torchdq.learning.identification.regression import by_chunks, gram, parted, 
 from torchdq.learning.identification.terms import ROTOR, Term, rows_of, unit_torques
 from torchdq.robot import Robot
 
-STILL = 1e-2  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
+STILL = 0.3  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
 NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, in standard deviations
 ROWS = 4096  # most rows that intervals are made from
 
@@ -48,6 +48,7 @@ class Evidence(NamedTuple):
     unit: Tensor  # [terms, n] torques per unit that set the width of the prior: `Term.size`
     identifiable: Tensor  # [terms, n] bool: whether the rows can separate a term from others
     at: Tensor  # [n, p] places of the parameters of each joint
+    kept: Tensor  # [n] bool: joints whose torques changes of the bodies must not explain
 
     @property
     def samples(self) -> int:
@@ -58,24 +59,39 @@ class Evidence(NamedTuple):
         """Evidence with the loads that the bodies and rotors of a fit make, which found these parameters [k]."""
         pi, own = parted(self.robot, parameters)
         rotors = own[self.terms.index(ROTOR)] if ROTOR in self.terms else self.robot.armature
-        return gather(*self[:6], pi, rotors) if any(term.loaded for term in self.terms) else self
+        again = any(term.loaded for term in self.terms)
+        return gather(*self[:6], pi, rotors).keeping(self.kept) if again else self
+
+    def keeping(self, kept: Tensor) -> Evidence:
+        """Evidence in which some joints [n] keep the description: changes of bodies only add torques there."""
+        total, folds = self.total.clone(), self.folds.clone()
+        for sums in (total, folds):
+            sums[..., kept, : -len(self.terms) - 1, -len(self.terms) - 1 :] = 0
+            sums[..., kept, -len(self.terms) - 1 :, : -len(self.terms) - 1] = 0
+        return self._replace(total=total, folds=folds, kept=kept)
+
+    @property
+    def measurements(self) -> Tensor:
+        """Sums [n, p + 1, p + 1] of all rows, in which joints that keep the description say nothing of bodies."""
+        total = self.total.clone()
+        total[self.kept, : -len(self.terms) - 1, : -len(self.terms) - 1] = 0
+        return total
 
     def near(self, estimated: Tensor, strength: float = 1.0) -> Neighbourhood:
         """Neighbourhood of the description, with those coefficients [terms, n] that are estimated."""
         return Neighbourhood(self.robot, self.terms, estimated, self.squares.sqrt(), self.unit, strength)
 
-    def scores(self, changes: Sequence[Tensor]) -> Tensor:
-        """Squared residuals over the torques' variance [blocks, n], parameters [n, p] being those found without it."""
-        found = [squared(sums, change) for sums, change in zip(self.left, changes, strict=True)]
-        return torch.stack(found) / self.sizes
+    def scores(self, changes: Tensor) -> Tensor:
+        """Squared residuals over the torques' variance [blocks, n], changes [blocks, n, p] being found without it."""
+        return squared(self.left, changes) / self.sizes
 
     def residual(self, change: Tensor, rows: Tensor | None = None) -> Tensor:
         """Residuals [rows, n] after a change of the parameters [n, p]; of all rows, or those of these numbers."""
         some, own = (self.recording, self.own) if rows is None else (self.recording.some(rows), self.own[rows])
         phi = bodies(self.robot, self.at.shape[1]) + change
-        return some.measured - torques(self.robot, some, own, phi, ROTOR not in self.terms)
+        return some.measured - torques(self.robot, some, own, phi, self.robot.armature)
 
-    def left_out(self, changes: Sequence[Tensor]) -> tuple[list[Unseen], list[Unseen]]:
+    def left_out(self, changes: Tensor) -> tuple[list[Unseen], list[Unseen]]:
         """Residuals of blocks, and of regions, by parameters [n, p] that were found without each."""
         device = self.recording.q.device
         parts = [torch.arange(block.rows.start, block.rows.stop, device=device) for block in self.blocks]
@@ -141,10 +157,10 @@ def gather(
     states = rows_of(robot, recording, sign_width, load)
     own = unit_torques(terms, states)
     at = places(len(robot.link_names), len(terms), robot.n)
-    start, rotor = bodies(robot, at.shape[1]), ROTOR not in terms
+    start = bodies(robot, at.shape[1])
     rows = [block.rows for block in blocks] or [slice(0, len(own))]
     margins = [part for block in blocks for part in block.margins]
-    sums = gram(robot, recording, own, start, rotor, [*rows, *margins], say)
+    sums = gram(robot, recording, own, start, [*rows, *margins], say)
     left, total, first = sums[: len(rows)], sums[: len(rows)].sum(0), len(rows)
     folds = total - left
     for k, block in enumerate(blocks):
@@ -157,7 +173,7 @@ def gather(
     counts = [part.stop - part.start for part in rows]
     for pair in regions(recording) if blocks else ():
         whole = [slice(0, len(pair[0]))]
-        half = gram(robot, recording.some(pair[0]), own[pair[0]], start, rotor, whole, say)
+        half = gram(robot, recording.some(pair[0]), own[pair[0]], start, whole, say)
         left, folds = torch.cat([left, half, total - half]), torch.cat([folds, total - half, half])
         variance = torch.cat([variance, tau.var(0, correction=0).expand(2, -1)])
         counts += [len(part) for part in pair]
@@ -170,7 +186,8 @@ def gather(
         identifiable[k] = term.identifiable(states)
         unit[k] = term.size(rms[k], squares.sqrt(), identifiable[k])
     given = robot, recording, tuple(terms), sign_width, blocks, say
-    return Evidence(*given, own, total, left, folds, each, sizes, squares, unit, identifiable, at)
+    kept = torch.zeros(robot.n, dtype=torch.bool)
+    return Evidence(*given, own, total, left, folds, each, sizes, squares, unit, identifiable, at, kept)
 
 
 def described(robot: Robot) -> Tensor:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchdq.errors import ArgumentError
-from torchdq.learning.identification.terms import Term
+from torchdq.learning.identification.terms import ROTOR, Term
 from torchdq.robot import Robot
 from torchdq.robot.arrays import second_moments
 from torchdq.robot.pseudo_inertia import (
@@ -75,7 +75,11 @@ class Neighbourhood:
         self.described = torch.zeros(k, dtype=torch.float64)
         pi = self.described[: 10 * len(mass)].reshape(-1, 10)
         pi[massive] = inertial_parameters(factor @ factor.mT)
-        self.described[10 * len(mass) :] = torch.where(signed, 0.0, self.start)
+        rotors = torch.zeros(len(terms), robot.n, dtype=torch.float64)  # described ones act, estimated or not
+        if robot.armature is not None and ROTOR in terms:
+            rotors[terms.index(ROTOR)] = robot.armature.detach().double().cpu()
+        self.described[10 * len(mass) :] = torch.where(self.start > 0, self.start * ~signed, rotors.flatten())
+        self.zero = torch.cat([self.described[: 10 * len(mass)], rotors.flatten()])
         self.S = torch.zeros(k, 10 * len(self.links) + len(self.effects), dtype=torch.float64)
         self.inverse = torch.zeros_like(self.S).T  # y of a change of phi
         C = self.factor[:, None]
@@ -87,41 +91,38 @@ class Neighbourhood:
         self.S[to, at], self.inverse[at, to] = self.start[self.effects], 1 / self.start[self.effects]
 
     def start_of(self, at: Tensor) -> Tensor:
-        """Coefficients at the start, with inertial parameters of zero, at places in phi [n, p]."""
-        start = self.described.clone()
-        start[: len(start) - len(self.start)] = 0
-        return start[at]
+        """Start less the description, whose rotors act and whose friction does not, at places in phi [n, p]."""
+        return (self.described - self.zero)[at]
 
     def _split(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        """B [links, 4, 4] and the ratio of every coefficient to its size."""
+        """B [..., links, 4, 4] and the ratio [..., coefficients] of every coefficient to its size."""
         bodies = 10 * len(self.links)
-        change = y[:bodies].reshape(-1, 10) / math.sqrt(self.strength)
-        return relative(change), 1 + y[bodies:]
+        change = y[..., :bodies].unflatten(-1, (-1, 10)) / math.sqrt(self.strength)
+        return relative(change), 1 + y[..., bodies:]
 
-    def distance(self, y: Tensor) -> float:
-        """Distance to the description; infinite where no robot can exist."""
+    def distance(self, y: Tensor) -> Tensor:
+        """Distance to the description [...] of y [..., t]; infinite where no robot can exist."""
         B, x = self._split(y)
         t = self.fraction
-        if not bool(((self.signed | (x > 0)) & (t * x < 1)).all()):
-            return math.inf
+        exists = ((self.signed | (x > 0)) & (t * x < 1)).all(-1)
         below_one = 2 * (((1 - t) / (1 - t * x)).log() - (x - 1) * t / (1 - t))
-        coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log()) + below_one).sum()
-        return self.strength * float(divergence(B).sum()) + float(coefficients)
+        coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log()) + below_one).sum(-1)
+        return torch.where(exists, self.strength * divergence(B).sum(-1) + coefficients, torch.inf)
 
     def apart(self, y: Tensor) -> float:
         """Distance of the bodies alone, were the strength one."""
         return float(divergence(self._split(y)[0]).sum())
 
     def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradient [t] and Hessian [t, t] of the distance."""
-        B, x = self._split(y)
-        slopes, H = divergence_slopes(B)
-        gradient = math.sqrt(self.strength) * slopes.flatten()
-        x = torch.where(self.signed, 1.0, x)
-        t = self.fraction
-        rest = torch.where(self.signed, 2 * y[len(gradient) :], 2 - 2 / x + 2 * t / (1 - t * x) - 2 * t / (1 - t))
-        curved = 2 / x**2 + 2 * (t / (1 - t * x)) ** 2
-        return torch.cat([gradient, rest]), torch.block_diag(*H, torch.diag(curved))
+        """Gradient [..., t] and Hessian [..., t, t] of the distance, at y [..., t]."""
+        B, ratio = self._split(y)
+        slopes, blocks = divergence_slopes(B)
+        x, t, b = torch.where(self.signed, 1.0, ratio), self.fraction, 10 * len(self.links)
+        rest = torch.where(self.signed, 2 * (ratio - 1), 2 - 2 / x + 2 * t / (1 - t * x) - 2 * t / (1 - t))
+        H = torch.diag_embed(torch.cat([y.new_zeros(*y.shape[:-1], b), 2 / x**2 + 2 * (t / (1 - t * x)) ** 2], -1))
+        for i in range(len(self.links)):
+            H[..., 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = blocks[..., i, :, :]
+        return torch.cat([math.sqrt(self.strength) * slopes.flatten(-2), rest], -1), H
 
     def bodies(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Mass [n], centre of mass [n, 3] and inertia about it [n, 6] of the links."""

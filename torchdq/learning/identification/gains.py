@@ -18,11 +18,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.learning.identification.evidence import Evidence, bodies
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import by_chunks, places
 from torchdq.learning.identification.solution import Solution, solve
 from torchdq.learning.identification.terms import Term
+from torchdq.robot import Robot
 
 SPREAD = 0.3  # standard deviation of a gain that is given, relative to it, before the samples
 WIDE = 1.0  # the same of one that is not given, relative to a first guess
@@ -30,6 +33,7 @@ ITERATIONS = 30
 ENOUGH = 1e-4  # relative change of a gain at which the iteration ends
 STRENGTH = 100.0  # prior of the bodies, whose described masses set the factor of all gains
 TRUST = 0.1  # relative standard error of the described masses together
+RUNAWAY = 100.0  # times a first guess from which a gain has run away
 FLAT = 0.5  # relative standard error of a first guess, above which the mean of the other joints takes its place
 
 GAIN = Term("gain", ("1", "1"), signed=True)
@@ -53,7 +57,7 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
     at, start = places(len(robot.link_names), len(terms), n), bodies(robot, p)
     inertial = torch.arange(p) < 10 * len(robot.link_names)
     centre = torch.where(known, 1.0, _guess(sums, start, int(inertial.sum()), evidence.samples, ~known))
-    scale = torch.where(known, SPREAD, WIDE) * centre
+    scale = torch.where(known, SPREAD, WIDE) * centre.abs()
     h, phi, correlation = centre, start, torch.ones(n, dtype=start.dtype)
     for _ in range(ITERATIONS):
         T = torch.zeros(n, p + 1, p + 2, dtype=start.dtype)
@@ -66,14 +70,34 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
         near = Neighbourhood(robot, terms, torch.ones(len(terms), n, dtype=torch.bool), torque, unit, STRENGTH)
         found = solve(near, T.mT @ sums @ T, evidence.squares, evidence.samples, correlation, at)
         change = found.change(at)
-        before, h, phi = h, (centre + change[:, -1]).maximum(h / 3), start + change[:, :-1] * inertial
+        least = h.abs() / 3  # in the direction of h
+        before, h, phi = (
+            h,
+            h.sign() * (h.sign() * (centre + change[:, -1])).maximum(least),
+            start + change[:, :-1] * inertial,
+        )
         if float((h / before - 1).abs().max()) < ENOUGH:
             break
         own = change[:, :-1] * ~inertial
         correlation = evidence.correlation(h[:, None] * phi - start + own)
+    if bool((lost := h.abs() * RUNAWAY < centre.abs()).any()):
+        names = ", ".join(name for name, yes in zip(robot.joint_names, lost.tolist(), strict=True) if yes)
+        claim = "the efforts must show the bodies, to identify gains of the drives"
+        cure = "give Layout(gain=...) for it, or leave the log out"
+        raise ArgumentError(Finding("gains.lost", names, claim, "efforts that no torque explains", cure))
     relative = torch.cat([-found.spread(1.0)[at[:, -1]] / h[:, None], torch.full_like(h[:, None], TRUST)], 1)
     spread = torch.linalg.qr(relative.T / h).R.T  # as many columns as gains
     return Gains(1 / h, spread.norm(dim=1)), spread
+
+
+def negative_gains(robot: Robot, gains: Gains) -> list[Finding]:
+    """Findings about gains that are clearly negative."""
+    claim, cure = "the gain of a drive must be positive", "its efforts are counted against the joint's direction"
+    return [
+        Finding("gain.negative", name, claim, f"{x:.3g} +- {e:.2g}", cure, value=x)
+        for name, x, e in zip(robot.joint_names, gains.value.tolist(), gains.error.tolist(), strict=True)
+        if x < -3 * e
+    ]
 
 
 def spread_of_gains(
@@ -106,6 +130,6 @@ def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, estimated: 
     inverse = torch.linalg.pinv(M.mT @ A @ M, rtol=1e-10, hermitian=True)
     x = (inverse @ right[..., None])[..., 0]
     left = (total - (x * right).sum(1)).clamp_min(0) / samples
-    clear = estimated & (x[:, 0] > 0) & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0])
-    middle = x[clear, 0].log().mean().exp() if bool(clear.any()) else x.new_ones(())
+    clear = estimated & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0].abs())
+    middle = x[clear, 0].abs().log().mean().exp() if bool(clear.any()) else x.new_ones(())
     return torch.where(clear, x[:, 0], middle)

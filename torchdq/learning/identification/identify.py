@@ -32,7 +32,8 @@ from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, sampled
 from torchdq.learning.identification.augmented import AugmentedFit, offset_findings
 from torchdq.learning.identification.base_parameters import base_parameters
 from torchdq.learning.identification.evidence import Evidence, gather
-from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
+from torchdq.learning.identification.faults import fault_findings
+from torchdq.learning.identification.gains import Gains, drive_gains, negative_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified
 from torchdq.learning.identification.lags import lag_findings
 from torchdq.learning.identification.model import Model
@@ -43,7 +44,7 @@ from torchdq.learning.identification.model_selection import (
     UnseenParts,
     select,
 )
-from torchdq.learning.identification.regression import parted
+from torchdq.learning.identification.regression import known, parted, shifted
 from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
@@ -56,6 +57,7 @@ from torchdq.robot.argument import require_bodies, require_robot
 from torchdq.robot.model import batches
 
 IDENTIFIABLE = 0.9  # least part of a parameter's variance that the samples take away where they identify it
+FAR = 3.0  # times the described mass from which a note says so
 FEW = 100  # rows below which no effects that the model lacks are reported
 AUTO = Model()
 
@@ -86,10 +88,11 @@ def identify(
 ) -> Identified:
     """Physically consistent robot that explains measured torques best, as `Identified`.
 
-    Blocks of the motions are left out in turn, and candidates are validated on them: the description, with friction,
-    with all inertial parameters and a prior at the description, and with friction of other shapes. The simplest one
-    within one standard error of the best is returned; `selection` says so. Where there are too few samples, that is
-    viscous and Coulomb friction and a prior of 1; a `LogWarning` says how many would do.
+    Blocks of the motions are left out in turn, and candidates are validated on them: the description; with friction,
+    and rotors and offsets of the joints that gain from them; with friction of other shapes; and with all inertial
+    parameters and a prior at the description, by which joints that do not gain keep their described torques. The
+    simplest one within one standard error of the best is returned; `selection` says so. Where there are too few
+    samples, that is viscous and Coulomb friction and a prior of 1; a `LogWarning` says how many would do.
 
     Joints are weighted by the noise that least squares leave in each. A link without mass stays without; a point, a rod
     or a plate gets 1 % of its size as thickness. Friction and rotor inertia that the description does not give make
@@ -143,18 +146,18 @@ def identify(
     require_finite(**{"tau": rows.measured} | rows.signals())
     require_bodies(robot, "identification")
     fixed = model.fixed(robot, sign_width)
-    known = torch.tensor(rows.known_gains).expand(robot.n)
-    if not (model.gains or bool(known.all())):
+    units = torch.tensor(rows.known_gains).expand(robot.n)
+    if not (model.gains or bool(units.all())):
         claim = "tau of the motions must be torques, found efforts of unknown gains"
         raise ArgumentError(Finding("gains.unknown", "", claim, "", "give Model(gains=True)", "give --estimate-gains"))
     with torch.no_grad(), _solvable(rows.signals()), Progress(f"identifying {robot.name}") as notice:
         drives = None
         if model.gains:
             motors = gather(robot, rows, model.of_motors(robot), sign_width, say=notice.at)
-            drives = drive_gains(motors, known)
+            drives = drive_gains(motors, units)
             rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         data = diagnose(robot, partial(inverse_dynamics, robot), [rows.q, rows.qd, rows.qdd, rows.measured], sign_width)
-        still = _still_joints(robot, rows.qd, sign_width)
+        still = [*_still_joints(robot, rows.qd, sign_width), *(negative_gains(robot, drives[0]) if drives else ())]
         _warn([*still, *data])
         problem = _problem(robot, rows, model, fixed, prior, sign_width, notice.at)
         problem, found, correlation = _fitted(problem)
@@ -162,7 +165,7 @@ def identify(
         misfits = _misfits(problem, found, offsets, explained=not data)
         _warn(misfits)
         identified = _identified(problem, found, correlation, drives)
-        return identified._replace(findings=(*still, *data, *misfits))
+        return identified._replace(findings=(*still, *data, *misfits, *_notes(problem, identified)))
 
 
 def _warn(findings: Sequence[Finding]) -> None:
@@ -210,6 +213,9 @@ def _fitted(problem: _Problem) -> tuple[_Problem, Solution, Tensor]:
         if again:
             correlation = evidence.correlation(found.change(at))
             evidence = evidence.with_loads(found.parameters)
+    if bool(evidence.kept.any()):  # that a joint keeps the description is no measurement
+        sums = shifted(evidence.measurements, near.start_of(at)) / correlation[:, None, None]
+        found = found._replace(facts=known(sums, near.S[at], found.facts.noise**2))
     return problem._replace(evidence=evidence), found, correlation
 
 
@@ -286,6 +292,25 @@ def _still_joints(robot: Robot, qd: Tensor, sign_width: float) -> list[Finding]:
     ]
 
 
+def _notes(problem: _Problem, found: Identified) -> list[Finding]:
+    """Notes about what one motion cannot show, and links whose mass is far from the described one."""
+    notes, robot = list[Finding](), problem.evidence.robot
+    if problem.validated and len(problem.evidence.recording.lengths) == 1:
+        claim = "motions of several kinds are needed to vouch for others"
+        cure = "the model was chosen on parts of it; in motions unlike it errors may be far larger than stated"
+        notes.append(Finding("motion.single", "", claim, "one motion", cure, severity="note"))
+    ratios = (found.robot.mass / robot.mass).tolist()
+    claim, cure = (
+        "the mass found must be near the described one",
+        "is it the robot of this description, without a load?",
+    )
+    return notes + [
+        Finding("mass.far", link, claim, f"{ratio:.2g} times it", cure, severity="note", value=ratio)
+        for link, ratio in zip(robot.link_names, ratios, strict=True)
+        if not math.isnan(ratio) and not 1 / FAR < ratio < FAR
+    ]
+
+
 def _misfits(problem: _Problem, found: Solution, offsets: bool, explained: bool) -> list[Finding]:
     """Findings about a model that could not be chosen, and torques that it does not explain or explains by wrong terms.
 
@@ -307,10 +332,12 @@ def _misfits(problem: _Problem, found: Solution, offsets: bool, explained: bool)
     signals = [rows.q, rows.qd, rows.qdd, rows.measured, residual]
     few = sampled(signals if rows.direction is None else [*signals, rows.direction])
     fitted, signs = few[3] - few[4], None if rows.direction is None else few[5]
+    if len(residual) >= FEW and (faults := fault_findings(evidence, problem.estimated)):
+        return misfits + faults
     if poor := unexplained(robot.joint_names, few[:4], fitted, sign_width):
         return misfits + poor
     if len(residual) >= FEW:
-        fit = AugmentedFit.of(evidence, found, problem.weight, residual)
+        fit = AugmentedFit.of(evidence, found.near, found.y, problem.weight, residual)
         if lacking := [*lag_findings(fit), *(offset_findings(fit) if offsets else ())]:
             return misfits + lacking
     if COULOMB in evidence.terms and not any(term in evidence.terms for term in SHAPES):

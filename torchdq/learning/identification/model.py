@@ -20,7 +20,8 @@ class Model:
             there; their other numbers hold.
         offset: "auto": estimate a constant torque of the joints whose prediction improves on blocks left out; True: of
             every joint; False: of none.
-        armature: estimate the rotor inertia of every joint, or leave it as described.
+        armature: "auto": estimate the rotor inertia of the joints whose prediction improves on blocks left out, and
+            leave that of others as described; True: of every joint; False: of none.
         gains: estimate the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains
             that are not trusted: 1 with a standard deviation of 0.3 before the samples, and unknown at joints for which
             the layout of the log has no gain. One factor of all gains comes from the described masses. Gains are found
@@ -32,12 +33,12 @@ class Model:
 
     >>> from torchdq import effects
     >>> Model(friction=(effects.Viscous(), effects.Coulomb()), offset=False).armature
-    False
+    'auto'
     """
 
     friction: Literal["auto"] | Friction | Sequence[Friction] | None = "auto"
     offset: bool | Literal["auto"] = "auto"
-    armature: bool = False
+    armature: bool | Literal["auto"] = "auto"
     gains: bool = False
     memory: bool = True
 
@@ -45,8 +46,9 @@ class Model:
         if isinstance(self.friction, str | bool) and self.friction != "auto":
             expected = "None, 'auto', or a sequence of friction effects, such as (effects.Viscous(), effects.Coulomb())"
             raise ArgumentError(f"friction must be {expected}, found {self.friction!r}")
-        if self.offset != "auto" and not isinstance(self.offset, bool):
-            raise ArgumentError(f"offset must be True, False or 'auto', found {self.offset!r}")
+        for name in ("offset", "armature"):
+            if (given := getattr(self, name)) != "auto" and not isinstance(given, bool):
+                raise ArgumentError(f"{name} must be True, False or 'auto', found {given!r}")
 
     def fixed(self, robot: Robot, sign_width: float) -> list[Term]:
         """Terms that every joint has."""
@@ -56,14 +58,14 @@ class Model:
         if not self.memory and any(term.bristles for term in friction):
             cure = "give other friction, or memory=True"
             raise ArgumentError(f"friction must have no memory if memory=False, found LuGre; {cure}")
-        return [ROTOR] * self.armature + friction + [OFFSET] * (self.offset is True)
+        return [ROTOR] * (self.armature is True) + friction + [OFFSET] * (self.offset is True)
 
     def candidates(self) -> list[Term]:
-        """Terms that a joint has if they improve its prediction: offsets, and friction of other shapes."""
-        shapes = SHAPES if self.friction == "auto" else ()
-        return [OFFSET] * (self.offset == "auto") + [term for term in shapes if self.memory or not term.bristles]
+        """Terms that a joint has if they improve its prediction: rotors, offsets, and friction of other shapes."""
+        shapes = [term for term in SHAPES if self.memory or not term.bristles] if self.friction == "auto" else []
+        return [ROTOR] * (self.armature == "auto") + [OFFSET] * (self.offset == "auto") + shapes
 
     def of_motors(self, robot: Robot) -> list[Term]:
         """Terms with which gains are estimated."""
-        rotor = [ROTOR] * (self.armature or robot.armature is not None)
+        rotor = [ROTOR] * (self.armature is True or robot.armature is not None)
         return rotor + [VISCOUS, COULOMB] * (self.friction is not None) + [OFFSET] * (self.offset is True)

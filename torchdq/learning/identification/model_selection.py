@@ -19,10 +19,14 @@ from torchdq.learning.evaluation.blocks import Block, MotionRows
 from torchdq.learning.identification.evidence import Evidence, Unseen, gather
 from torchdq.learning.identification.friction_selection import Gain, gainful
 from torchdq.learning.identification.solution import Solution, changes, solve
-from torchdq.learning.identification.terms import OFFSET, Term
+from torchdq.learning.identification.terms import OFFSET, ROTOR, SHAPES, Term
 from torchdq.robot import Robot
 
-STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # prior of the bodies, the strongest first
+STRENGTHS = (1e4, 1e2, 1.0)  # prior of the bodies, the strongest first
+SURE = 2.0  # standard errors by which a joint gains from a rotor or an offset, tried before friction of other shapes
+TIED = 1e-3  # relative difference of scores that count as equal
+MOVES = 0.01  # least mean square of a joint's velocity in a block, relative to the largest, where it moves
+NONE = torch.zeros(0)
 
 UnseenParts = tuple[list[Unseen], list[Unseen]]  # blocks, and regions of the states
 
@@ -34,8 +38,9 @@ class CandidateModel(NamedTuple):
     scores: Tensor  # [blocks, n] mean squared residual over the variance of the joint's torque; none: not validated
     estimated: Tensor  # [terms, n] coefficients that it has
     strength: float  # weight of the bodies' prior; infinite: they stay as described
-    gains: tuple[Gain, ...] = ()  # friction of other shapes that it has
-    found: tuple[Tensor, ...] = ()  # changes of the parameters, found without each block and region [n, p]
+    gains: tuple[Gain, ...] = ()  # terms that single joints have
+    found: Tensor = NONE  # [blocks, n, p] changes of the parameters, found without each block and region
+    kept: tuple[str, ...] = ()  # joints at which the bodies act as described
 
     @property
     def score(self) -> float:
@@ -58,7 +63,7 @@ class ModelSelection(NamedTuple):
     choice: int  # number of the chosen one
     validation: str  # the blocks and regions that were left out, or why there are none
     left: Tensor  # [n] mean squared residual of the chosen one on blocks, or on regions where larger [(N m)^2 or N^2]
-    useless: tuple[str, ...] = ()  # shapes of friction, and offsets, that no joint gained from
+    useless: tuple[str, ...] = ()  # terms that no joint gained from
 
     @property
     def chosen(self) -> CandidateModel:
@@ -99,11 +104,15 @@ class ModelSelection(NamedTuple):
             table(("model", "score", "standard error", "root", "prior", ""), rows),
             f"chosen: {chosen.name}, {reason}",
         ]
+        if chosen.kept:
+            lines.append(
+                f"joints that do not gain from other bodies, and keep the description: {', '.join(chosen.kept)}"
+            )
         if chosen.gains:
             found: dict[str, list[str]] = {}
             for gain in chosen.gains:
                 found.setdefault(gain.joint, []).append(f"{gain.term} ({gain.gain:.2g} +- {gain.error:.1g})")
-            lines.append(f"{_additions(chosen.gains)}, with the gain in validation, by joint:")
+            lines.append("terms of single joints, with the gain in validation:")
             lines += [f"  {joint}: {', '.join(terms)}" for joint, terms in found.items()]
         if self.useless:
             lines.append(f"no joint gains from {', '.join(self.useless)}")
@@ -114,7 +123,7 @@ def select(
     robot: Robot,  # as described
     recording: MotionRows,
     fixed: Sequence[Term],  # terms of every joint
-    candidates: Sequence[Term],  # friction of other shapes, and offsets
+    candidates: Sequence[Term],  # rotors, offsets, and friction of other shapes
     sign_width: float,
     strengths: Sequence[float],  # priors of the bodies to choose from, the strongest first
     blocks: Sequence[Block],
@@ -125,54 +134,76 @@ def select(
     The residuals are those of blocks, and of regions, by parameters that were found without each.
     """
     terms, n = (*fixed, *candidates), robot.n
-    estimated = torch.tensor([[term in fixed] * n for term in terms], dtype=torch.bool).reshape(len(terms), n)
-    others = [k for k, term in enumerate(terms) if term not in fixed]
     evidence = identified = gather(robot, recording, terms, sign_width, blocks, say)
-    nothing = (torch.zeros(evidence.at.shape, dtype=torch.float64),) * len(evidence.left)
-    tried = [
-        CandidateModel("description", evidence.scores(nothing), torch.zeros_like(estimated), math.inf, found=nothing)
-    ]
-
-    def add(name: str, evidence: Evidence, strengths: Sequence[float], mask: Tensor, gains: Sequence[Gain]) -> None:
-        say(name)
-        tried.append(_candidate(name, evidence, strengths, mask, variance, gains))
-
-    found, variance = _noise(evidence, estimated, math.inf)
-    if fixed:
-        add("+ friction", evidence, (math.inf,), estimated, ())
-    if others:
-        mask, gains = gainful(evidence, variance, estimated, others, math.inf)
-        if gains:
-            add(f"+ {_additions(gains)}", evidence, (math.inf,), mask, gains)
+    untested = _untested(evidence)
+    base = torch.tensor([[term in fixed] * n for term in terms], dtype=torch.bool).reshape(len(terms), n)
+    base |= untested & torch.tensor([term in (ROTOR, OFFSET) for term in terms], dtype=torch.bool)[:, None]
+    nothing = torch.zeros(len(evidence.left), *evidence.at.shape, dtype=torch.float64)
+    tried = [CandidateModel("description", evidence.scores(nothing), torch.zeros_like(base), math.inf, found=nothing)]
+    tried += _family(evidence, (math.inf,), base)[0]
     if not math.isinf(strengths[-1]):
-        found, variance = _noise(evidence, estimated, strengths[-1])
-        add("identified", evidence, strengths, estimated, ())
-        if others:
-            identified, strength = evidence.with_loads(found.parameters), tried[-1].strength
-            for _ in range(2):  # what is noise depends on the friction
-                mask, gains = gainful(identified, variance, estimated, others, strength)
-                if not gains:
-                    break
-                found, variance = _noise(identified, mask, strength)
-            if gains:
-                add(f"identified, {_additions(gains)}", identified, strengths, mask, gains)
+        more, identified = _family(evidence, strengths, base)
+        less = tried[:2][-1].scores - more[_simplest([one.scores for one in more])].scores
+        kept = untested | (less.mean(0) <= less.std(0) / len(less) ** 0.5)
+        if bool(kept.any()):
+            more, identified = _family(evidence.keeping(kept), strengths, base)
+        tried += more
 
     number = _simplest([one.scores for one in tried])
     chosen, regions = tried[number], len(evidence.left) - len(blocks)
     what = f"parts of motions and {regions} regions of the states" if regions else "motions"
     squares = chosen.scores * evidence.sizes / evidence.counts[:, None]
     left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
-    useless = tuple(terms[k].name for k in others if not any(bool(one.estimated[k].any()) for one in tried))
+    tries = torch.stack([one.estimated for one in tried]).any(0).any(1)
+    useless = tuple(term.name for term, used in zip(terms, tries.tolist(), strict=True) if not used)
     validation = f"{len(blocks)} {what} that were left out in turn"
     selection = ModelSelection(tuple(tried), number, validation, left, useless)
     own = evidence if math.isinf(chosen.strength) else identified
     return selection, own.only(chosen.estimated.any(1)), own.left_out(chosen.found)
 
 
-def _additions(gains: Sequence[Gain]) -> str:
-    """Names of the kinds of terms that joints gain from."""
-    offsets = [gain.term == OFFSET.name for gain in gains]
-    return " and ".join(["friction of other shapes"] * (not all(offsets)) + ["offsets"] * any(offsets))
+def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tuple[list[CandidateModel], Evidence]:
+    """Candidates of one kind of bodies, the simplest first, and the evidence with their loads.
+
+    They have coefficients `base` [terms, n]; rotors and offsets of the joints that gain from them; friction of other
+    shapes; and friction with memory, which is for the arm to choose.
+    """
+    terms, strength, free = evidence.terms, strengths[-1], strengths[-1] < math.inf
+    name = "identified" if free else "+ friction"
+    optional = [k for k in range(len(terms)) if not bool(base[k].all())]
+    _, variance = _noise(evidence, base, strength)
+    simple = [k for k in optional if terms[k] in (ROTOR, OFFSET)]
+    mask, gains = gainful(evidence, variance, base, simple, strength, SURE)
+    if not (free or bool(mask.any())):
+        return [], evidence
+    found, variance = _noise(evidence, mask, strength)
+    tried = [_candidate(name, evidence, strengths, mask, variance, gains, found)]
+    strengths = [x for x in strengths if x <= tried[0].strength]
+    if free:
+        evidence = evidence.with_loads(found.parameters)
+    for memory in (False, True):
+        kinds = [k for k in optional if memory or not terms[k].bristles]
+        mask, more = gainful(evidence, variance, mask, kinds, tried[-1].strength)
+        if more:
+            gains = [*gains, *more]
+            found, variance = _noise(evidence, mask, tried[-1].strength)
+            tried.append(_candidate(name, evidence, strengths, mask, variance, gains, found))
+    return tried, evidence
+
+
+def _untested(evidence: Evidence) -> Tensor:
+    """Joints [n] that move in one block alone: nothing that it shows of them can be tried on another."""
+    speed = torch.stack([evidence.recording.qd[block.rows].square().mean(0) for block in evidence.blocks]).cpu()
+    return (speed > MOVES * speed.amax(0)).sum(0) == 1
+
+
+def _additions(evidence: Evidence, estimated: Tensor) -> list[str]:
+    """Names of the kinds of terms besides viscous and Coulomb friction."""
+    own = [term for term, used in zip(evidence.terms, estimated.any(1).tolist(), strict=True) if used]
+    shapes = [term for term in own if term in SHAPES]
+    kinds = {"rotors": ROTOR in own, "offsets": OFFSET in own, "friction of other shapes": bool(shapes)}
+    kinds["memory"] = any(term.bristles for term in shapes)
+    return [kind for kind, there in kinds.items() if there]
 
 
 def _candidate(
@@ -182,25 +213,24 @@ def _candidate(
     estimated: Tensor,
     variance: Tensor,
     gains: Sequence[Gain],
+    whole: Solution,  # fit to all rows
 ) -> CandidateModel:
     """Model with the strength of the prior that does best on the blocks, or a stronger one as good."""
-    scores, every = list[Tensor](), list[list[Tensor]]()
-    starts: list[Tensor | None] = [None] * len(evidence.folds)
-    before = 1.0
+    name = ", ".join([name, *_additions(evidence, estimated)])
+    evidence.say(name)
+    scores, every = list[Tensor](), list[Tensor]()
+    start, before = whole.y.expand(len(evidence.folds), -1), whole.near.strength
     for strength in strengths:
-        near, found = evidence.near(estimated, strength), []
-        ratio = math.sqrt(strength / before)
-        for k, sums in enumerate(evidence.folds):
-            start = starts[k]
-            if start is not None:
-                start = torch.cat([start[: 10 * len(near.links)] * ratio, start[10 * len(near.links) :]])
-            starts[k], change = changes(near, sums, variance, evidence.at, start)
-            found.append(change)
-        before = strength
+        near = evidence.near(estimated, strength)
+        b = 10 * len(near.links)
+        start = torch.cat([start[:, :b] * math.sqrt(near.strength / before), start[:, b:]], 1)
+        start, found = changes(near, evidence.folds, variance, evidence.at, start)
+        before = near.strength
         every.append(found)
         scores.append(evidence.scores(found))
     best = _simplest(scores)
-    return CandidateModel(name, scores[best], estimated, strengths[best], tuple(gains), tuple(every[best]))
+    kept = tuple(joint for joint, yes in zip(evidence.robot.joint_names, evidence.kept.tolist(), strict=True) if yes)
+    return CandidateModel(name, scores[best], estimated, strengths[best], tuple(gains), every[best], kept)
 
 
 def _simplest(scores: Sequence[Tensor]) -> int:
@@ -209,7 +239,7 @@ def _simplest(scores: Sequence[Tensor]) -> int:
     best = min(range(len(means)), key=lambda i: float(means[i].mean()))
     for i, one in enumerate(means):
         off = one - means[best]
-        if float(off.mean()) <= float(off.std() / len(off) ** 0.5):
+        if float(off.mean()) <= float(off.std() / len(off) ** 0.5) + TIED * float(means[best].mean()):
             return i
     return best
 

@@ -50,21 +50,18 @@ def by_chunks(
         yield part, columns(robot, recording.q[part], recording.qd[part], recording.qdd[part], own[part])
 
 
-def torques(robot: Robot, recording: MotionRows, own: Tensor, phi: Tensor, rotor: bool) -> Tensor:
-    """Torques [rows, n] of parameters phi [n, p]; `rotor` says that those of the description are to be added."""
+def torques(robot: Robot, recording: MotionRows, own: Tensor, phi: Tensor, rotors: Tensor | None) -> Tensor:
+    """Torques [rows, n] of parameters phi [n, p], and of rotors [n]."""
     tau = torch.empty_like(recording.q)
     for part, Z in by_chunks(robot, recording, own, phi.numel()):
         tau[part] = torch.einsum("rjp,jp->rj", Z, phi.to(Z))
-    if rotor and robot.armature is not None:
-        tau += robot.armature.to(tau) * recording.qdd
-    return tau
+    return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
 
 
 def rigid(robot: Robot, recording: MotionRows, pi: Tensor, rotors: Tensor | None) -> Tensor:
     """Torques [rows, n] of bodies with inertial parameters pi [10 links], and of rotors [n]."""
     none = recording.q.new_zeros(*recording.q.shape, 0)
-    tau = torques(robot, recording, none, pi.expand(robot.n, -1), rotor=False)
-    return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
+    return torques(robot, recording, none, pi.expand(robot.n, -1), rotors)
 
 
 def gram(
@@ -72,13 +69,12 @@ def gram(
     recording: MotionRows,
     own: Tensor,
     described: Tensor,
-    rotor: bool,
     parts: Sequence[slice],
     say: Callable[[str], None],
 ) -> Tensor:
     """Sums [parts, n, p + 1, p + 1] of [Z d]^T [Z d] over parts of the rows; `say` is called with the number read.
 
-    d is the residual of the described parameters [n, p], and of the described rotors if `rotor` is true.
+    d is the residual of the described parameters [n, p] and rotors.
     """
     n, p = described.shape
     sums = recording.q.new_zeros(len(parts), n, p + 1, p + 1)
@@ -87,7 +83,7 @@ def gram(
     for i, rows in enumerate(parts):
         for part, Z in by_chunks(robot, recording, own, n * p, rows):
             residual = recording.measured[part] - torch.einsum("rjp,jp->rj", Z, phi)
-            if rotor and robot.armature is not None:
+            if robot.armature is not None:
                 residual -= robot.armature.to(Z) * recording.qdd[part]
             Z = torch.cat([Z, residual[..., None]], -1).transpose(0, 1)
             sums[i] += Z.mT @ Z
@@ -98,24 +94,24 @@ def gram(
 
 def shifted(sums: Tensor, change: Tensor) -> Tensor:
     """Sums [..., n, p + 1, p + 1] of `gram` about other parameters, which differ by a change [n, p]."""
-    n, p = change.shape
-    T = torch.eye(p + 1, dtype=sums.dtype).repeat(n, 1, 1)
-    T[:, :-1, -1] = -change
-    return T.mT @ sums @ T
+    found = sums.clone()
+    found[..., -1] -= (sums[..., :-1] @ change[..., None])[..., 0]
+    found[..., -1, :] -= (change[..., None, :] @ found[..., :-1, :])[..., 0, :]
+    return found
 
 
 def squared(sums: Tensor, change: Tensor) -> Tensor:
-    """Sums of squared residuals [..., n] after a change of the parameters [n, p]."""
-    error = torch.cat([-change, change.new_ones(len(change), 1)], 1)
-    return torch.einsum("jp,...jpr,jr->...j", error, sums, error).clamp_min(0)
+    """Sums of squared residuals [..., n] after changes of the parameters [..., n, p]."""
+    error = torch.cat([-change, change.new_ones(*change.shape[:-1], 1)], -1)[..., None, :]
+    return (error @ sums @ error.mT)[..., 0, 0].clamp_min(0)
 
 
 class Information(NamedTuple):
     """Sum of e (w - w_0)^2 that the samples add to the cost of y = V w."""
 
-    e: Tensor  # [t], zero where they hold no information
-    V: Tensor  # [t, t]
-    w: Tensor  # [t] w_0
+    e: Tensor  # [..., t], zero where they hold no information
+    V: Tensor  # [..., t, t]
+    w: Tensor  # [..., t] w_0
     noise: Tensor  # [n] standard deviation by which the joints are weighted [N m or N]
 
 
@@ -165,15 +161,17 @@ def known(sums: Tensor, S: Tensor, variance: Tensor) -> Information:
 
 
 def projected(sums: Tensor, S: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Matrix [n, t, t], right-hand side [n, t] and constant [n] of every joint's squares as a function of y."""
-    b = torch.einsum("jp,jpt->jt", sums[:, :-1, -1], S)
-    return S.mT @ sums[:, :-1, :-1] @ S, b, sums[:, -1, -1]
+    """Matrix [..., n, t, t], right-hand side [..., n, t] and constant [..., n] of every joint's squares, by y."""
+    b = (sums[..., -1:, :-1] @ S)[..., 0, :]
+    return S.mT @ sums[..., :-1, :-1] @ S, b, sums[..., -1, -1]
 
 
 def _weighted(A: Tensor, b: Tensor, variance: Tensor, P: Tensor, unknown: Tensor) -> Information:
     """Information in the sums of all joints; directions P [t, s] are identifiable, those in `unknown` are not."""
-    e, V = torch.linalg.eigh((A / variance[:, None, None]).sum(0))
-    e = torch.where(e > 1e-15 * e.amax(), e, 0.0) if len(e) else e
-    w = torch.where(e > 0, V.T @ (b / variance[:, None]).sum(0) / torch.where(e > 0, e, 1.0), 0.0)
-    none = torch.zeros(unknown.shape[1], dtype=e.dtype)
-    return Information(torch.cat([none, e]), torch.cat([unknown, P @ V], 1), torch.cat([none, w]), variance.sqrt())
+    e, V = torch.linalg.eigh((A / variance[:, None, None]).sum(-3))
+    e = torch.where(e > 1e-15 * e.amax(-1, keepdim=True), e, 0.0) if e.numel() else e
+    right = ((b / variance[:, None]).sum(-2)[..., None, :] @ V)[..., 0, :]
+    w = torch.where(e > 0, right / torch.where(e > 0, e, 1.0), 0.0)
+    none = e.new_zeros(*e.shape[:-1], unknown.shape[1])
+    V = torch.cat([unknown.expand(*e.shape[:-1], -1, -1), P @ V], -1)
+    return Information(torch.cat([none, e], -1), V, torch.cat([none, w], -1), variance.sqrt())

@@ -83,10 +83,10 @@ def solve(
 
 
 def _factor(H: Tensor) -> Tensor:
-    """Factor L of H = L L^T, H having a diagonal of ones; at the edge of what can exist rounding may need more."""
+    """Factors L of H = L L^T, H having diagonals of ones; at the edge of what can exist rounding may need more."""
     for more in JITTERS:
-        L, failed = torch.linalg.cholesky_ex(H + more * torch.eye(len(H), dtype=H.dtype))
-        if not int(failed):
+        L, failed = torch.linalg.cholesky_ex(H + more * torch.eye(H.shape[-1], dtype=H.dtype))
+        if not bool(failed.any()):
             return L
     return torch.linalg.cholesky(H)
 
@@ -94,45 +94,46 @@ def _factor(H: Tensor) -> Tensor:
 def changes(
     near: Neighbourhood, sums: Tensor, variance: Tensor, at: Tensor, start: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Minimum y [t] where the variance of the joints [n] is known, and the parameters [n, p] there less the zero."""
+    """Minima y [..., t] of sums [..., n, p + 1, p + 1] and a known variance [n], and the parameters less the zero."""
     zero = near.start_of(at)
     y, _ = minimum(near, known(shifted(sums, zero), near.S[at], variance), 1.0, start, ROUGH)
-    return y, zero + near.S[at] @ y
+    return y, zero + (y @ near.S.T)[..., at]
 
 
 def minimum(
     near: Neighbourhood, facts: Information, prior: float, start: Tensor | None = None, tolerance: float = EXACT
 ) -> tuple[Tensor, bool]:
-    """Minimum y [t] of the sum of e (w - w_0)^2 and prior * distance, with y = V w, and whether it was reached.
+    """Minima y [..., t] of the sum of e (w - w_0)^2 and prior * distance, with y = V w, and whether all were reached.
 
     Newton's method from the description, the weight of the distance falling tenfold at a time; or from a y near by.
     """
     e, V, w_0 = facts.e, facts.V, facts.w
-    if not len(e):
+    if not e.shape[-1]:
         return e, True
-    w, weight = torch.zeros_like(w_0), max(prior, float(e.amax()))
+    w, weight = torch.zeros_like(w_0), e.amax(-1).clamp_min(prior)
     if start is not None:
-        w, weight = V.T @ start, prior
+        w, weight = (V.mT @ start[..., None])[..., 0], torch.full_like(weight, prior)
 
-    def cost(w: Tensor) -> float:
-        return float((e * (w - w_0).square()).sum()) + weight * near.distance(V @ w)
+    def cost(w: Tensor) -> Tensor:
+        return (e * (w - w_0).square()).sum(-1) + weight * near.distance((V @ w[..., None])[..., 0])
 
     for _ in range(ITERATIONS):
-        slope, curvature = near.slopes(V @ w)
-        gradient, H = 2 * e * (w - w_0) + weight * (slope @ V), torch.diag(2 * e) + weight * (V.T @ curvature @ V)
-        scale = H.diagonal().rsqrt()  # the samples' part may be 1e20 times the prior's
-        factor = _factor(scale[:, None] * H * scale)
-        step = -scale * torch.cholesky_solve((scale * gradient)[:, None], factor)[:, 0]
-        before, expected = cost(w), float(-gradient @ step)
-        settled = expected <= (0.1 if weight > prior else tolerance) * weight + 1e-14 * before
-        length = 1.0
-        while not settled and cost(w + length * step) > before - 1e-4 * length * expected:
-            length /= 2
-            settled = length < 1e-9  # by rounding
-        if not settled:
-            w = w + length * step
-        elif weight == prior:
-            return V @ w, True
-        else:
-            weight = max(prior, weight / 10)
-    return V @ w, False
+        slope, curvature = near.slopes((V @ w[..., None])[..., 0])
+        gradient = 2 * e * (w - w_0) + weight[..., None] * (slope[..., None, :] @ V)[..., 0, :]
+        H = torch.diag_embed(2 * e) + weight[..., None, None] * (V.mT @ curvature @ V)
+        scale = H.diagonal(dim1=-2, dim2=-1).rsqrt()  # the samples' part may be 1e20 times the prior's
+        factor = _factor(scale[..., None] * H * scale[..., None, :])
+        step = -scale * torch.cholesky_solve((scale * gradient)[..., None], factor)[..., 0]
+        before, expected, last = cost(w), -(gradient * step).sum(-1), weight == prior
+        settled = expected <= torch.where(last, tolerance, 0.1) * weight + 1e-14 * before
+        length = torch.where(settled, 0.0, 1.0)
+        while bool(
+            (long := (length > 0) & (cost(w + length[..., None] * step) > before - 1e-4 * length * expected)).any()
+        ):
+            length = torch.where(long, length / 2, length)
+            length = torch.where(length < 1e-9, 0.0, length)  # by rounding
+        w, settled = w + length[..., None] * step, length == 0
+        if bool((settled & last).all()):
+            return (V @ w[..., None])[..., 0], True
+        weight = torch.where(settled, (weight / 10).clamp_min(prior), weight)
+    return (V @ w[..., None])[..., 0], False

@@ -1,0 +1,62 @@
+"""A joint's zero, a drive's constant and a tilted base are named with their size, and nothing where there are none."""
+
+import math
+
+import pytest
+import torch
+from recorded_logs import codes, fitted, recorded, with_findings
+
+import torchdq
+from torchdq.learning import Samples
+
+JOINTS = torchdq.robots.load("ur10e").joint_names
+
+
+def faulty(kind, j=0, size=0.0):
+    """Samples of an arm whose masses are off by 30 %, with a fault."""
+    robot, data = recorded("ur10e", noise=0.005)
+    unit = torch.eye(robot.n).double()[j]
+    if kind == "joint.zero":
+        return robot, data._replace(q=data.q + size * unit)
+    if kind == "torque.factor":
+        return robot, data._replace(tau=data.tau * (1 + (size - 1) * unit))
+    if kind == "base.tilt":  # the description stands upright, and the arm does not
+        a = torch.tensor(size).double()
+        robot = robot.replace(gravity=9.81 * torch.stack([a.sin() * 0.6, a.sin() * 0.8, -a.cos()]))
+    return robot, data
+
+
+@pytest.mark.parametrize(
+    ("kind", "j", "size"),
+    [("joint.zero", 1, 0.3), ("joint.zero", 3, -0.2), ("torque.factor", 2, 0.7), ("base.tilt", 0, math.radians(10))],
+)
+def test_faults_are_named_with_their_size(kind, j, size):
+    found, ((one,)) = with_findings(fitted, *flat(faulty(kind, j, size)))
+    assert one.code == kind and one.subject == ("" if kind == "base.tilt" else JOINTS[j])
+    assert one.value == pytest.approx(size, rel=0.05) and one in found.findings
+
+
+@pytest.mark.parametrize("payload", [0.0, 2.0])
+def test_there_are_none_of_an_arm_that_is_only_heavier(payload):
+    robot, data = recorded("ur10e", noise=0.005)
+    held = robot.with_payload(payload, (0.0, 0.0, 0.05)) if payload else robot
+    more = torchdq.inverse_dynamics(held, *data[:3]) - torchdq.inverse_dynamics(robot, *data[:3])
+    found, findings = with_findings(fitted, robot, *data[:3], data.tau + more)
+    assert not findings
+    noted = {one.code for one in found.findings}
+    assert noted <= {"mass.far"} and all(one.severity == "note" for one in found.findings)
+
+
+def flat(faulty):
+    """Robot and signals."""
+    robot, data = faulty
+    return robot, *data
+
+
+def test_masses_far_off_and_single_motions_are_noted():
+    robot, data = recorded("two_link", noise=0.005)
+    light = robot.replace(mass=robot.mass / torch.tensor([1.0, 5.0]).double())
+    found, _ = with_findings(torchdq.learning.identify, light, Samples(*data))
+    notes = {(one.code, one.subject) for one in found.findings if one.severity == "note"}
+    assert {("mass.far", robot.link_names[1]), ("motion.single", "")} <= notes
+    assert codes(found.findings)[-1] == "mass.far"

@@ -1,0 +1,137 @@
+"""Faults of a log or a description that a few more unknowns explain: a joint's zero, a drive's constant, a tilted base.
+
+Masses and friction take the place of such a fault, and none of them is right then. So the search begins at the
+description: each fault is one more unknown x, or two, of the model tau = Z(x) phi, and Gauss and Newton's method finds
+it together with phi and constant torques. Of the faults that take away most of the squared residual, the best is named.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.findings import Finding
+from torchdq.learning.evaluation.blocks import MotionRows
+from torchdq.learning.identification.augmented import SURE, AugmentedFit, AugmentedSolution
+from torchdq.learning.identification.evidence import Evidence
+
+LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; real arms without one leave .59 or more
+TRIED = 0.7  # the same after one linear step, to be searched further
+LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
+ROWS = 300  # most rows that are used
+STEP = 1e-3  # of differences, in the units of the unknowns
+ROUNDS = 8
+SETTLED = 1e-3  # change of an unknown that ends the search
+FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
+FACTOR = 3.0  # most factor of a torque
+
+Model = Callable[[Tensor], tuple[Tensor, Tensor]]  # torques per unit of y, and at y = 0, of unknowns x
+
+
+class _Fault(NamedTuple):
+    """Fault that a few unknowns describe."""
+
+    model: Model
+    unknowns: int
+    within: Callable[[Tensor], bool]  # whether unknowns are those of this fault
+    finding: Callable[[Tensor], Finding]
+
+
+def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
+    """Finding about the fault that explains most of what the bodies and these coefficients [terms, n] do not."""
+    near = evidence.near(estimated)
+    fit = AugmentedFit.of(evidence, near, torch.zeros(near.S.shape[1]).double(), 1.0, most=ROWS)
+    some = evidence.recording.some(fit.rows)
+    measured = some.measured.cpu()
+    size = measured.var(0)
+    moved = size > 0
+    offsets = torch.eye(len(size)).double().expand(len(fit.rows), -1, -1)
+    Z, tau = fit.columns(some.q, some.qd, some.qdd, evidence.own[fit.rows])
+    plain = fit.solve(Z, measured - tau, offsets, rounds=3)
+
+    def left(found: AugmentedSolution) -> float:
+        return float((found.left.square().mean(0) / size)[moved].sum())
+
+    def step(fault: _Fault, x: Tensor, y: Tensor) -> AugmentedSolution:
+        Z, tau = fault.model(x)
+        columns = []
+        for unit in STEP * torch.eye(fault.unknowns).double():
+            (A, a), (B, b) = fault.model(x + unit), fault.model(x - unit)
+            columns.append((a + A @ y - b - B @ y) / (2 * STEP))
+        return fit.solve(Z, measured - tau, torch.cat([offsets, torch.stack(columns, -1)], -1), rounds=3)
+
+    before = left(plain)
+    if before < LEAST * int(moved.sum()):
+        return []
+    tried = [(fault, step(fault, torch.zeros(fault.unknowns).double(), plain.y)) for fault in _faults(fit, some)]
+    promising = [(fault, found) for fault, found in tried if left(found) < TRIED * before]
+    best, findings = LEFT * before, list[Finding]()
+    for fault, found in promising:
+        x = torch.zeros(fault.unknowns).double()
+        for _ in range(ROUNDS):
+            change = found.x[len(size) :]
+            if not bool(change.isfinite().all()):
+                break
+            x = x + change.clamp(-FARTHEST / 2, FARTHEST / 2)
+            found = step(fault, x, found.y)
+            if float(change.abs().max()) < SETTLED:
+                break
+        sure = bool((x.abs() > SURE * found.error[len(size) :]).any())
+        if left(found) < best and sure and fault.within(x):
+            best, findings = left(found), [fault.finding(x)]
+    return findings
+
+
+def _faults(fit: AugmentedFit, rows: MotionRows) -> Iterator[_Fault]:
+    """Faults that are tried: of every joint its zero and its torque, and the direction of gravity."""
+    robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
+    q, qd, qdd = rows.q, rows.qd, rows.qdd
+    Z, tau = fit.columns(q, qd, qdd, own)
+    rigid, load = fit.columns(q, qd, qdd, 0 * own)
+    for j, unit in enumerate(torch.eye(robot.n).double()):
+        name, joint = robot.joint_names[j], robot.joint_types[j]
+
+        def zero(x: Tensor, unit: Tensor = unit) -> tuple[Tensor, Tensor]:
+            return fit.columns(q - (x * unit).to(q), qd, qdd, own)
+
+        def factor(x: Tensor, unit: Tensor = unit) -> tuple[Tensor, Tensor]:
+            return Z + (x * unit)[:, None] * rigid, tau + x * unit * load
+
+        def of_zero(x: Tensor, name: str = name, turns: bool = joint.turns) -> Finding:
+            claim = "the zero of q must be that of the description"
+            found = f"a far better fit with {float(x):.3g} {'rad' if turns else 'm'} taken from it"
+            return Finding("joint.zero", name, claim, found, "correct q in the log", value=float(x))
+
+        def of_factor(x: Tensor, name: str = name) -> Finding:
+            claim = "the torques of all joints must be in one unit"
+            found = f"a far better fit if those of this one are {1 + float(x):.3g} times what they are to be"
+            cure = "check its torque constant and gear ratio; Model(gains=True) estimates them"
+            option = "check its torque constant and gear ratio; --estimate-gains estimates them"
+            return Finding("torque.factor", name, claim, found, cure, option, value=1 + float(x))
+
+        yield _Fault(zero, 1, lambda x: float(x.abs()) < FARTHEST, of_zero)
+        if robot.n > 1:
+            yield _Fault(factor, 1, lambda x: 1 / FACTOR < 1 + float(x) < FACTOR, of_factor)
+    if robot.gravity is not None and bool(robot.gravity.any()):
+        gravity = robot.gravity.double().cpu()
+
+        def tilt(x: Tensor) -> tuple[Tensor, Tensor]:
+            return fit.columns(q, qd, qdd, own, other=robot.replace(gravity=_tilted(gravity, x).to(robot.mass)))
+
+        def of_tilt(x: Tensor) -> Finding:
+            numbers = ", ".join(f"{float(g):.3g}" for g in _tilted(gravity, x))
+            claim, angle = "gravity must have the direction of the description", float(x.norm())
+            found = f"a far better fit with the base tilted by {math.degrees(angle):.2g} degrees"
+            return Finding("base.tilt", "", claim, found, f"robot.replace(gravity=[{numbers}]) has it", value=angle)
+
+        yield _Fault(tilt, 2, lambda x: float(x.norm()) < FARTHEST, of_tilt)
+
+
+def _tilted(gravity: Tensor, x: Tensor) -> Tensor:
+    """Gravity [3] turned by x [2] radians towards two directions across it."""
+    down = gravity / gravity.norm()
+    across = torch.linalg.qr(torch.stack([down, *torch.eye(3).double()[down.abs().argsort()[:2]]], 1)).Q[:, 1:]
+    angle = x.norm()
+    return gravity.norm() * (angle.cos() * down + torch.sinc(angle / math.pi) * (across @ x))
