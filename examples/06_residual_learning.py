@@ -21,7 +21,6 @@ import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from importlib.metadata import files
 from itertools import pairwise
@@ -314,18 +313,11 @@ def candidates(nominal: torchdq.Robot, data: Samples, quick: bool) -> Iterator[t
     grid = [(64, 1.0)] if quick else [(width, decay) for width in (64, 256) for decay in (0.3, 3.0)]
     yield BLACK, [Candidate(BlackBox(data, width), 3e-3, decay) for width, decay in grid]
     fixed = torchdq.DQRNEA(nominal, sign_width=WIDTH)
-    yield RESIDUAL, [Candidate(residual(fixed, data, inputs), 3e-3, decay=1.0) for inputs in ("joint", "all")]
+    yield RESIDUAL, [Candidate(ResidualDynamics(fixed), 3e-3, decay=1.0)]
     guess = nominal.replace(armature=torch.full((7,), 0.1, dtype=torch.float64))  # the URDF says nothing about rotors
     physics = torchdq.DQRNEA(guess, learn=LEARNED, sign_width=WIDTH)
     yield PHYSICS, [Candidate(physics, 2e-2, prior=1e-4)]
-    yield BOTH, [Candidate(residual(deepcopy(physics), data, "joint"), 3e-3, prior=1e-4)]  # goes on from the last one
-
-
-def residual(model: torchdq.DQRNEA, data: Samples, inputs: str) -> ResidualDynamics:
-    """Model with a network that starts at zero."""
-    layer = ResidualDynamics(model, inputs=inputs, position=True)  # cables pull by the position
-    layer.standardise(*data)
-    return layer
+    yield BOTH, [Candidate(ResidualDynamics(physics), 3e-3, decay=1.0)]  # beside the last one, as it is
 
 
 def learned(choices: Sequence[Candidate], train: Samples, valid: Samples, args: Args, seed: int) -> nn.Module:

@@ -10,7 +10,7 @@ choice. Models are selected on held-out blocks of the training motions. Rows:
     + friction           with viscous and Coulomb friction, offset and rotor inertia
     identified           least squares over all inertial parameters and friction, physically consistent
     chosen               the selection of `identify` among these and other friction models
-    chosen + residual    the same with a small network per joint, where it helps (`fit`)
+    chosen + residual    the same with a small network, at the joints where it helps (`fit`)
     black box            a network from q, qd, qdd of all joints to torques, without a model
 
 The last row is the coverage of the 95 % intervals of `IdentifiedWithResidual.predict`: near 95 % for similar motions,
@@ -200,10 +200,8 @@ def main(args: Args) -> Result:
     inside: list[list[np.ndarray]] = []  # per seed, per test
     for seed in range(seeds):
         torch.manual_seed(seed)
-        layer = found.layer().requires_grad_(False)  # least squares have found the best there is
-        model = IdentifiedWithResidual(found, torchdq.ResidualDynamics(layer))
+        model = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
         parts = [model.samples(motion) for motion in motions]
-        model.residual.standardise(*model.samples(motions))
         how = {"steps": steps, "batch": BATCH, "rate": RATE, "decay": DECAY, "seed": seed}
         history = fit_on(args.place, model.residual, parts, **how)
         add("chosen + residual", of_motions(model))

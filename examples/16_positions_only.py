@@ -20,6 +20,7 @@ from torch import Tensor
 import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.learning import Recording, RolloutFit, fit_rollout
+from torchdq.scene import integrators
 
 STEP, EVERY = 0.002, 5  # [s] of the simulation, and its steps from command to command
 DELAY, PAYLOAD, NOISE = 0.014, 2.4, 5e-5  # [s], [kg], [rad]
@@ -53,7 +54,8 @@ class Result(NamedTuple):
 def arm(kp: object, kd: object, coulomb: object, payload: float) -> Scene:
     """The arm behind its servos."""
     drives = (effects.RotorInertia(ROTORS), effects.Servo(kp, kd), effects.Coulomb(coulomb, 0.02))
-    return Scene(torchdq.robots.load("ur10e"), (effects.Gravity(), *drives, effects.Payload(payload)), dt=STEP)
+    parts = (effects.Gravity(), *drives, effects.Payload(payload))
+    return Scene(torchdq.robots.load("ur10e"), parts, integrator=integrators.RungeKutta4(), dt=STEP)
 
 
 def commands(seconds: float, generator: np.random.Generator) -> tuple[Tensor, Tensor]:

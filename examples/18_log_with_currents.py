@@ -5,8 +5,9 @@
 
 The log is that of a simulated arm, which differs from its description. Its drives record time stamps, motor encoders
 and currents, but no velocities. A gear reverses one joint, and the last two motors drive the wrist together. A
-`Layout` describes all of it. The torques per ampere are those of a data sheet, and wrong by up to a fifth: with
-`Model(gains=True)`, `identify` estimates the factor of each joint. A common factor of all joints is not identifiable
+`Layout` describes all of it, and `robot.couple` makes the motors the coordinates of the robot: friction and rotor
+inertia act there. The torques per ampere are those of a data sheet, and wrong by up to a fifth: with
+`Model(gains=True)`, `identify` estimates the factor of each motor. A common factor of all motors is not identifiable
 along with the masses; it comes from the description.
 """
 
@@ -27,10 +28,7 @@ import torchdq
 from torchdq.learning import Identified, Layout, LogError, Model, identify, read_log, smooth, stack_samples
 
 RATIOS = (101.0, -101.0, 101.0, 101.0)  # gear ratios of the arm, negative where the joint turns against the motor
-WRIST = (
-    (1 / 80, 0.0),
-    (1 / 80, 1 / 50),
-)  # joints per motor: the first one carries the second joint along
+WRIST = ((1 / 80, 0.0), (1 / 80, 1 / 50))  # joints per motor: the first one carries the second joint along
 TRANSMISSION = np.zeros((6, 6))
 TRANSMISSION[:4, :4], TRANSMISSION[4:, 4:] = np.diag(1 / np.array(RATIOS)), WRIST
 GAINS = (0.12, 0.12, 0.10, 0.09, 0.09, 0.09)  # torque of the motors per ampere, by the data sheet [N m/A]
@@ -63,13 +61,10 @@ def made_logs(robot: torchdq.Robot, args: Args) -> tuple[list[Path], np.ndarray]
     """Logs of the drives of an arm that is not as described, and their torques over those of the data sheet."""
     arm, paths = real_arm(robot, args.seed, rotors=True), []
     off = np.random.default_rng(args.seed).uniform(0.8, 1.2, robot.n)
-    off[-1] = off[-2]  # the motors of the wrist are of one kind
     for k in range(2 if args.quick else 4):
         log = recorded(arm, 12.0 if args.quick else 25.0, 200.0, 100 * args.seed + k)
-        encoders = log.q @ np.linalg.inv(TRANSMISSION).T
-        currents = (
-            log.tau @ TRANSMISSION / (off * GAINS)
-        )  # no power is lost: torques go to the motors by the transposed matrix
+        encoders = log.q / DRIVES.ratios
+        currents = log.tau * DRIVES.ratios / (off * GAINS)  # no power is lost in the gears
         paths.append(write(args.out / f"drives_{k}.csv", log.time, {"encoder": encoders, "current": currents}))
     return paths, off
 
@@ -78,6 +73,7 @@ def main(args: Args) -> Result:
     """Errors of the torques before and after."""
     console = Console(width=110)
     robot = torchdq.robots.load("ur10e")
+    robot = robot.couple(DRIVES.coupling, [f"motor {k}" for k in range(1, 7)], limits=robot.limits)
     paths, off = made_logs(robot, args)
     try:
         read_log(paths[0], Layout(columns={"time": "stamp", "q": "encoder_{0}"}))
@@ -95,7 +91,7 @@ def main(args: Args) -> Result:
 
     factors = found.gains.value.numpy()
     common = float(np.median(factors / off))
-    rows = Table("torque over that of the data sheet", *(f"joint {j + 1}" for j in range(robot.n)))
+    rows = Table("torque over that of the data sheet", *robot.joint_names)
     shown = {
         "true": off,
         "found": factors,

@@ -14,6 +14,8 @@ class Arm(Layout):
 
     files: str = ""
     """Pattern of the names of the data set's files; empty: those of no data set."""
+    width: int | None = None
+    """Number of columns of a file without a header; None: it has one."""
     robot: str | None = None
     """Name of the shipped robot it was recorded on, if it is one."""
     slow: float = 0.02
@@ -28,10 +30,10 @@ LAYOUTS = {
     # no header; time [s], six each of q [rad], qd [rad/s], motor current [A], and twelve desired values
     "ur10e": Arm(
         files="ur-20_*.csv",
+        width=31,
         robot="ur10e",
         joints=6,
-        blocks=("q", "qd", "current", "current_des", "tau_des"),
-        header=False,
+        columns={"time": "1", "q": "{2}", "qd": "{8}", "tau": "{14}"},
         gain=(10.0, 10.6956, 8.4566, 9.0029, 9.48, 10.1232),  # drive gains identified with a known payload [N m/A]
         cutoff_qd=7.0,
         cutoff_tau=10.0,
@@ -42,7 +44,7 @@ LAYOUTS = {
     "double_pendulum": Arm(
         files="trajectory_*.csv*",
         joints=2,
-        blocks=("pos_meas", "vel_meas", "tau_meas"),
+        columns={"q": "pos_meas{1}", "qd": "vel_meas{1}", "tau": "tau_meas{1}"},
         cutoff_qd=8.0,  # above 8 Hz, the shoulder's torques are those of the shaking mount
         rotors=True,
     ),
@@ -64,8 +66,8 @@ def layout_of(path: Path) -> Arm:
     with (gzip.open if packed else open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:
         heads = [cell.strip() for cell in file.readline().split(",")]
     for layout in candidates:
-        needed = layout.order
-        if set(needed) <= set(heads) if layout.header else len(needed) == len(heads) and _are_numbers(heads):
+        needed = {name for signal in ("time", "q", "qd", "tau") for name in layout.names(signal, layout.joints)}
+        if needed <= {*heads} if layout.width is None else len(heads) == layout.width and _are_numbers(heads):
             return layout
     return LAYOUTS["csv"]
 

@@ -84,6 +84,7 @@ def pytest_configure(config):
 def pytest_collection_finish():
     """What is there now stays to the end, so that no collection of garbage visits it again: a tenth of all time."""
     gc.freeze()
+    gc.set_threshold(10_000, 10, 100)  # robots and programs that tests share are not visited again and again either
     gc.enable()
 
 

@@ -202,11 +202,11 @@ def test_cross_validation_of_a_residual_shows_its_networks_and_steps(shown):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         fit(model, two_link_samples(), steps=3, batch=64)
-    said = [line for line in shown if line.startswith("measuring the residual")]
-    assert said[0] == "measuring the residual on held-out rows"
-    networks = int(said[1].split(" of ")[1].split(",")[0])
-    expected = [f"network {k + 1} of {networks}, step {i + 1} of 3" for k in range(networks) for i in range(3)]
-    assert networks > 1 and said[1:] == [f"measuring the residual on held-out rows, {where}" for where in expected]
+    said = [line for line in shown if line.startswith("fitting, copy")]
+    copies = int(said[0].split(" of ")[1].split(" ")[0])
+    pairs = [(k, i) for k in range(1, copies + 1) for i in range(1, 4)]
+    expected = [f"fitting, copy {k} of {copies} for held-out rows, step {i} of 3" for k, i in pairs]
+    assert copies > 1 and said == expected
 
 
 def test_the_search_for_a_motion_tells_its_stages_and_steps(shown, monkeypatch):

@@ -8,6 +8,7 @@ package's, name the argument, and say what was expected and what was found. A fu
 import contextlib
 import inspect
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -60,10 +61,12 @@ NOT_DYNAMICS |= {"inverse_kinematics", "differential_inverse_kinematics"}  # who
 every_function = pytest.mark.parametrize("key", FUNCTIONS)
 
 
+@cache
 def arm():
     return torchdq.robots.load("panda")
 
 
+@cache
 def full():
     """Arm with every optional tensor."""
     return arm().replace(armature=torch.ones(N, dtype=F64), home=torch.ones(N, dtype=F64))

@@ -116,10 +116,10 @@ def test_no_motion_is_learned_from_and_tested_on(example, plant):
 
 @pytest.fixture(scope="module")
 def run(example, tmp_path_factory):
-    """The quick run, with motions of 1.5 s to be tracked, and the folder it wrote to."""
+    """The quick run, with motions of 0.8 s to be tracked, and the folder it wrote to."""
     folder, tracking = tmp_path_factory.mktemp("residual"), example.tracking
     with torchdq.backend(BACKEND), pytest.MonkeyPatch.context() as patched:
-        patched.setattr(example, "tracking", lambda plant, model, seed, seconds: tracking(plant, model, seed, 1.5))
+        patched.setattr(example, "tracking", lambda plant, model, seed, seconds: tracking(plant, model, seed, 0.8))
         found = example.main(example.Args(quick=True, out=folder / "new", json=folder / "found.json"))
     return found, folder
 
@@ -128,7 +128,7 @@ def test_tracking_improves_with_what_the_model_knows(example, run):
     (results,) = run[0][2000].values()
     error = {name: result.track_near for name, result in results.items()}
     assert error[example.NOTHING] > 1.5 * error[example.GRAVITY]
-    assert error[example.NOMINAL] > error[example.FRICTION] > 2 * error[example.RESIDUAL]
+    assert error[example.NOMINAL] > error[example.FRICTION] > 1.7 * error[example.RESIDUAL]
     assert error[example.FRICTION] > 3 * error[example.PHYSICS] > 3 * error[example.BOTH]
     assert error[example.TRUE] == min(error.values()) < 2.0  # [mrad]
     assert results[example.TRUE].track_far < 2.0
@@ -139,7 +139,8 @@ def test_torque_errors_near_and_far(example, run):
     near = {name: np.mean(result.near) for name, result in results.items() if result.near}
     far = {name: np.mean(result.far) for name, result in results.items() if result.far}
     assert len(near) == len(far) == len(results) - 2
-    assert near[example.FRICTION] > near[example.BLACK] > near[example.RESIDUAL] > near[example.BOTH]
+    # a network beside physics sees the state alone, and cannot learn masses
+    assert near[example.FRICTION] > 2 * near[example.RESIDUAL] > 2 * near[example.BLACK] > 2 * near[example.BOTH]
     assert far[example.BLACK] > 5 * far[example.BOTH]  # a network alone does not extrapolate
     assert far[example.TRUE] < 0.01
 

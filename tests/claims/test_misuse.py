@@ -225,8 +225,6 @@ DTYPES = {
 LOGS = {
     "short q": lambda: read_log(LOG | {"q": Q[:-1]}),
     "short tau": lambda: read_log(LOG | {"tau": Q[:-1]}),
-    "transposed": lambda: read_log(LOG | {"q": Q.T, "qd": Q.T, "tau": Q.T}),
-    "flat": lambda: read_log({name: x if x.ndim == 1 else x[:, 0] for name, x in LOG.items()}),
     "text": lambda: read_log(LOG | {"q": [["a", "b"]] * 400}),
 }
 # a file that is no URDF

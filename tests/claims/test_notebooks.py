@@ -4,13 +4,11 @@ import pytest
 from places import ROOT
 
 nbformat = pytest.importorskip("nbformat", reason="notebooks need the extra 'docs'")
-nbclient = pytest.importorskip("nbclient", reason="notebooks need the extra 'docs'")
-pytest.importorskip("ipykernel", reason="notebooks need the extra 'docs'")
-for needed in ("matplotlib", "scipy"):
-    pytest.importorskip(needed, reason="the notebooks need the extra 'examples'")
+plt = pytest.importorskip("matplotlib.pyplot", reason="the notebooks need the extra 'examples'")
+pytest.importorskip("scipy", reason="the notebooks need the extra 'examples'")
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
-SECONDS = 300.0  # for a cell, on a machine that does other things
+BACKEND = "auto"
 
 
 @pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
@@ -23,10 +21,14 @@ def test_there_are_notebooks():
 
 
 def test_a_notebook_runs(notebook, tmp_path, monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    ran = nbclient.NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": tmp_path}}).execute()
-    outputs = [output for cell in ran.cells if cell.cell_type == "code" for output in cell.outputs]
-    assert any("image/png" in output.get("data", {}) for output in outputs)
+    """Cells are plain Python, without a kernel; the site is built from what a kernel makes of them."""
+    monkeypatch.chdir(tmp_path)
+    known = {"__name__": "__main__"}
+    for k, cell in enumerate(notebook.cells):
+        if cell.cell_type == "code":
+            exec(compile(cell.source, f"cell {k}", "exec"), known)
+    assert plt.get_fignums()
+    plt.close("all")
     assert not list(tmp_path.iterdir())
 
 

@@ -1,5 +1,6 @@
 """What is published: the version is one everywhere, and the wheel and the source archive hold all that they need."""
 
+import json
 import os
 import re
 import runpy
@@ -128,42 +129,48 @@ def test_the_release_runs_what_is_there():
 
 
 OPTIONAL = """
-import importlib.abc, sys
+import contextlib, importlib.abc, io, json, sys
 class Hidden(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in names:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-names, sys.argv = set(sys.argv[1].split(",")), ["torchdq", *sys.argv[2:]]
+names, orders, ended = set(sys.argv[1].split(",")), sys.argv[2:], []
 sys.meta_path.insert(0, Hidden())
 import torchdq, torchdq.learning, torchdq.envs
 from torchdq.command.main import main
-sys.exit(main())
+for order in orders:
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        code = main(order.split())
+    ended.append([bool(code), said.getvalue()])
+print(json.dumps(ended))
 """
 MODULES = {"pin": "pinocchio"}  # names that are not those of their packages
 
 
-@pytest.mark.parametrize(
-    ("order", "cure"),
-    [
-        ("doctor", None),
-        ("report two_link", None),
-        ("id two_link log.csv", "pip install 'torchdq[learn,viz]'"),
-        ("view two_link", "pip install 'torchdq[viz]'"),
-        ("report panda_description", "pip install 'torchdq[names]'"),
-    ],
-)
-def test_optional_packages_are_never_in_the_way(order, cure, tmp_path):
+ORDERS = {  # and what they say to install
+    "doctor": None,
+    "report two_link": None,
+    "id two_link log.csv": "pip install 'torchdq[learn,viz]'",
+    "view two_link": "pip install 'torchdq[viz]'",
+    "report panda_description": "pip install 'torchdq[names]'",
+}
+
+
+def test_optional_packages_are_never_in_the_way(tmp_path):
     """Commands without them work, or name the line that installs what they need."""
     groups = {k: v for k, v in PROJECT["optional-dependencies"].items() if k not in ("docs", "test", "gpu-test")}
     names = {re.match(r"[\w-]+", x)[0] for group in groups.values() for x in group} - {"torchdq"}
     hidden = {MODULES.get(name, name.replace("-", "_")) for name in names}
     assert {"scipy", "matplotlib", "mujoco", "pinocchio", "casadi"} <= hidden
     done = subprocess.run(
-        [sys.executable, "-c", OPTIONAL, ",".join(hidden), *order.split()], cwd=tmp_path, capture_output=True, text=True
+        [sys.executable, "-c", OPTIONAL, ",".join(hidden), *ORDERS], cwd=tmp_path, capture_output=True, text=True
     )
-    assert bool(done.returncode) == bool(cure), done.stderr
-    assert not cure or cure in " ".join((done.stdout + done.stderr).split())
-    assert "Traceback" not in done.stderr
+    assert not done.returncode, done.stderr
+    for (order, cure), (failed, said) in zip(ORDERS.items(), json.loads(done.stdout), strict=True):
+        assert failed == bool(cure), f"{order}: {said}"
+        assert not cure or cure in " ".join(said.split()), said
+        assert "Traceback" not in said, said
 
 
 def test_the_wheel_works_without_a_compiler_and_says_once_what_one_would_bring(archives, tmp_path):

@@ -1,6 +1,7 @@
 """Dynamics and kinematics agree with pinocchio, on every robot of example-robot-data, the shipped ones and 200 trees.
 
-A robot of every folder and every eleventh tree are in the default run; `make test-all` takes all.
+A robot of every folder and every eleventh tree are in the default run, the largest ones with fewer quantities;
+`make test-all` takes all.
 
 Joint order, joint frames and unbounded joints differ between the two, so everything is mapped by name. The trees have
 skew axes, prismatic and helical joints, full inertia tensors, random homes, random gravity and, every second one,
@@ -283,13 +284,19 @@ QUANTITIES = (
     potential_energy,
 )
 IN_SINGLE = (torques, torques_under_f_ext, mass_matrix, world_jacobians, poses)
-every_quantity = pytest.mark.parametrize(
-    ("quantity", "dtype"),
-    [
-        *(pytest.param(quantity, torch.float64, id=quantity.__name__) for quantity in QUANTITIES),
-        *(pytest.param(quantity, torch.float32, id=f"{quantity.__name__}-f32") for quantity in IN_SINGLE),
-    ],
+# of robots with many joints, which are of no other kinds, these alone are in the default run
+BASIC = (torques, mass_matrix, poses)
+LARGE = (
+    *("human", "tiago_pro", "pr2", "icub_reduced", "romeo_small", "alexander_v1.lowerBodyOnly", "centauro"),
+    *("simple_humanoid_classical", "g1_29dof_rev_1_0", "tree99", "tree124"),
 )
+
+
+def compared(name, quantity, dtype):
+    """Parameters of a test of one quantity of one robot."""
+    kept = name in oracles.REPRESENTATIVES and (name not in LARGE or quantity in BASIC)
+    id = quantity.__name__ + ("-f32-" if dtype == torch.float32 else "-") + name
+    return pytest.param(quantity, dtype, name, marks=() if kept else pytest.mark.exhaustive, id=id)
 
 
 def acceleration_error(case: Case, s: States) -> float:
@@ -328,9 +335,16 @@ def acceleration_error(case: Case, s: States) -> float:
 # --- tests -----------------------------------------------------------------------------------------------------------
 
 
-# the name comes last and so changes last: what was loaded or computed for a robot serves all of its tests
-@every_quantity
-@pytest.mark.parametrize("name", thinned(NAMES, oracles.REPRESENTATIVES))
+# what was loaded or computed for a robot serves all of its tests, which are one after the other
+@pytest.mark.parametrize(
+    ("quantity", "dtype", "name"),
+    [
+        compared(name, quantity, dtype)
+        for name in NAMES
+        for dtype, quantities in ((torch.float64, QUANTITIES), (torch.float32, IN_SINGLE))
+        for quantity in quantities
+    ],
+)
 def test_agrees_with_pinocchio(quantity, dtype, name):
     case = oracles.case(name)
     assert quantity(case, oracles.states(case.robot, dtype=dtype)) <= TOLERANCE[dtype]

@@ -157,7 +157,7 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("name", thinned(SCENES, ("bare", "memory", "sensors", "controlled")))
+@pytest.mark.parametrize("name", thinned(SCENES, ("memory", "controlled")))
 def test_steps_of_a_scene_compile_without_a_graph_break(name):
     scene = SCENES[name]()
     given = {"reference": 3} if scene.controller is not None else {}

@@ -262,7 +262,7 @@ def stretched(mass, far, seed):
 @pytest.mark.parametrize("mass", [1e-9, 1.0, 1e9])
 def test_a_stretched_arm_without_inertia_has_no_acceleration(mass, far, dtype):
     """Its pivot is zero but for rounding, of either sign, which must not become a huge acceleration."""
-    for seed in range(15):
+    for seed in range(5):
         robot, q = stretched(mass, far, 10 * seed), torch.zeros(2, dtype=dtype)
         tau = torch.ones(2, dtype=dtype, requires_grad=True)
         qdd = torchdq.forward_dynamics(robot, q, None, tau)
