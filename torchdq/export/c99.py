@@ -41,12 +41,12 @@ _WITH_NAN = """#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
 """
 
 # rounding by adding and subtracting a large number, and pi/2 in parts, are removed by compilers with these options;
-# clang has no macro for them, and a pragma that forbids it
+# clang has no macro for them, and a pragma that forbids it; 16 is 0 on processors that have half precision, too
 _EXACT = """#include <float.h>
 #if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(_M_FP_FAST)
 #error "sines and roots are wrong with -ffast-math or -fassociative-math; compile this file without it"
 #endif
-#if FLT_EVAL_METHOD != 0
+#if FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16
 #error "sines and roots are wrong if numbers are kept in a wider type; compile this file for SSE2: -mfpmath=sse -msse2"
 #endif
 #if defined(__clang__) && __clang_major__ >= 13
