@@ -13,46 +13,38 @@ from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.motions import Motion, stack_samples
 from torchdq.robot import Robot
 
-BLUE, GREY = "#0072B2", "#8A8A8A"
+BLUE, GREY, PALE = "#0072B2", "#8A8A8A", "#E4E4E4"
 TURNS, SLIDES = ("q [rad]", "qd [rad/s]", "tau [N m]"), ("q [m]", "qd [m/s]", "tau [N]")
 BREAK = 0.1  # [s] between rows, from which a line is broken: rows at rest are not in a motion
 PAUSE = 1.0  # [s] between motions in a picture
-STYLE = {
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#E4E4E4",
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-}
 
 
 def _panels(rows: int, columns: int, purpose: str, width: float = 4.5) -> tuple[Any, Any]:
     """Figure and panels [rows, columns] over one axis of time, without a window: `savefig` writes it."""
     matplotlib = imported("matplotlib", "matplotlib", purpose, "torchdq[viz]")
-    figures = imported("matplotlib.figure", "matplotlib", purpose, "torchdq[viz]")
-    with matplotlib.rc_context(STYLE):
-        figure = figures.Figure(figsize=(width * columns, 1.6 * rows + 0.6), layout="constrained")
-        return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
+    imported("matplotlib.figure", "matplotlib", purpose, "torchdq[viz]")
+    figure = matplotlib.figure.Figure(figsize=(width * columns, 1.6 * rows + 0.6), layout="constrained")
+    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for panel in panels.flat:
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.grid(color=PALE)
+        panel.set_axisbelow(True)
+    for panel in panels[-1]:
+        panel.set_xlabel("time [s]")
+    return figure, panels
 
 
 def picture_of_motion(robot: Robot, time: Tensor, q: Tensor, qd: Tensor, tau: Tensor, bounds: Bounds) -> Any:
     """Figure of positions, velocities and torques [rows, n] with the limits that they keep, a row per joint."""
     figure, panels = _panels(robot.n, 3, "plot")
-    most = (bounds.upper, bounds.velocity, bounds.effort)
-    least = (bounds.lower, -bounds.velocity, -bounds.effort)
-    for j, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
-        names = TURNS if kind.turns else SLIDES
-        for k, x in enumerate((q, qd, tau)):
-            panel = panels[j, k]
+    limits = (bounds.lower, bounds.upper), (-bounds.velocity, bounds.velocity), (-bounds.effort, bounds.effort)
+    for j, kind in enumerate(robot.joint_types):
+        for panel, label, x, ends in zip(panels[j], TURNS if kind.turns else SLIDES, (q, qd, tau), limits, strict=True):
             panel.plot(time, x[:, j], color=BLUE)
-            for limit in (least[k][j], most[k][j]):
-                panel.axhline(float(limit), color=GREY, linestyle="--")
-            panel.set_ylabel(names[k])
-        panels[j, 0].set_title(name)
-    for panel in panels[-1]:
-        panel.set_xlabel("time [s]")
+            for limit in ends:
+                panel.axhline(float(limit[j]), color=GREY, linestyle="--")
+            panel.set_ylabel(label)
+        panels[j, 0].set_title(robot.joint_names[j])
     return figure
 
 
@@ -80,7 +72,9 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
         raise ArgumentError(f"motions must be of the {robot.n} joints of {robot.name!r}, found {tau.shape[1]}")
     predicted = identified.predict(several)
     left = (tau - predicted.tau).square().mean(0).sqrt() / tau.std(0)
-    time, breaks = _one_axis(several)
+    step = np.concatenate([np.diff(motion.time, prepend=motion.time[0] - PAUSE) for motion in several])
+    breaks = 1 + np.flatnonzero(step[1:] > BREAK)  # a NaN before these rows breaks the lines
+    time = np.insert(np.cumsum(step) - PAUSE, breaks, np.nan)
     rows = tau, predicted.tau, predicted.low, predicted.high
     measured, mean, lower, upper = (np.insert(x.numpy(), breaks, np.nan, axis=0) for x in rows)
     figure, panels = _panels(robot.n, 1, "plot_torques", width=9.0)
@@ -90,17 +84,5 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
         panel.plot(time, mean[:, j], color=BLUE, linewidth=1.2, label="predicted")
         panel.set_title(f"{robot.joint_names[j]}: {float(left[j]):.3f} of a standard deviation unexplained")
         panel.set_ylabel("[N m]" if robot.joint_types[j].turns else "[N]")
-    panels[-1, 0].set_xlabel("time [s]")
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     return figure
-
-
-def _one_axis(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
-    """Times of the rows of all motions, with a NaN where a line is broken, and the rows before which it is."""
-    times, start = [], 0.0
-    for motion in motions:
-        times.append(motion.time - motion.time[0] + start)
-        start = times[-1][-1] + PAUSE
-    time = np.concatenate(times)
-    breaks = 1 + np.flatnonzero(np.diff(time) > BREAK)
-    return np.insert(time, breaks, np.nan), breaks

@@ -498,5 +498,5 @@ def test_from_a_scene_that_cannot_follow_nothing_is_identifiable():
 def test_positive_numbers_stay_positive_however_long_the_step():
     """An unidentifiable mass may be taken far down: exp(-step) alone would be zero, and no body."""
     value = np.array([2.0, 3.0])
-    moved = unknowns.PositiveNumbers().moved(value, np.array([-1e6, 0.5]))
+    moved = unknowns.PositiveNumbers("", "", (), value, np.arange(2)).moved(value, np.array([-1e6, 0.5]))
     assert moved[0] > 0 and moved[1] == 3.5

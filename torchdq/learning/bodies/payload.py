@@ -9,7 +9,6 @@ bring their own errors. Minimised is the sum of squares over the noise, with the
 expected as prior (`nearest`), so that the payload can exist, however little is identifiable from the motion.
 """
 
-import math
 import warnings
 from collections.abc import Sequence
 from functools import partial
@@ -26,7 +25,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding, merged
 from torchdq.functional import inverse_dynamics, regressor, require_finite
-from torchdq.learning.bodies.nearest import curvature, nearest
+from torchdq.learning.bodies.nearest import Distance, nearest
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.diagnostics import diagnose
 from torchdq.learning.identification.base_parameters import base_names, base_of, inverse_of
@@ -41,7 +40,8 @@ ROUNDS = 20  # most times that joints are weighted again
 WORSE = 3.0  # residual over that of the empty arm, from which a joint is reported: on good logs it is below 2
 MATTERS = 0.03  # the same, over the joint's torques, below which it does not matter
 NUISANCE = 1e-3  # part of its expected size that a change of friction or offset has at most: it is free
-PARTS = ("x", "y", "z"), ("xx", "xy", "yy", "xz", "yz", "zz")
+NAMES = ("mass", *(f"com {x}" for x in "xyz"), *(f"inertia {x}" for x in ("xx", "xy", "yy", "xz", "yz", "zz")))
+UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 DTYPE = torch.float64
 
 
@@ -68,12 +68,10 @@ class IdentifiedPayload(NamedTuple):
         return f"IdentifiedPayload({float(self.mass):.4g} +- {float(self.mass_error):.2g} kg at {self.frame!r})"
 
     def __str__(self) -> str:
-        rows = [("mass", f"{float(self.mass):.4g}", f"{float(self.mass_error):.2g}", "kg")]
-        for kind, unit, names in (("com", "m", PARTS[0]), ("inertia", "kg m^2", PARTS[1])):
-            values, errors = getattr(self, kind).tolist(), getattr(self, f"{kind}_error").tolist()
-            rows += [
-                (f"{kind} {x}", f"{v:.4g}", f"{e:.2g}", unit) for x, v, e in zip(names, values, errors, strict=True)
-            ]
+        values = self.mass[None], self.com, self.inertia
+        errors = self.mass_error[None], self.com_error, self.inertia_error
+        numbers = (torch.cat(x).tolist() for x in (values, errors))
+        rows = [(name, f"{x:.4g}", f"{e:.2g}", unit) for name, unit, x, e in zip(NAMES, UNITS, *numbers, strict=True)]
         found = table((f"payload at {self.frame}", "estimate", "standard error", "unit"), rows)
         if not self.unidentifiable:
             return found
@@ -156,24 +154,25 @@ def identify_payload(
         unidentifiable = _unidentifiable(robot, at.name, body)
         sign = smooth_sign(qd, empty.sign_width) if rows.direction is None else rows.direction.cpu()
         units = [qd, sign] * friction + [torch.ones_like(qd)] * offset
-        changes = torch.cat([torch.diag_embed(x) for x in units], -1) if units else body[..., :0]
+        changes = torch.cat([body[..., :0], *map(torch.diag_embed, units)], -1)
         residual = tau - alone.to(tau)
         variance, correlation = _empty_residual(empty, reference)
         Z = torch.cat([body[..., :4], changes], -1)  # columns of a point mass
         weight, point = _reweighted(Z, residual, rows.lengths, variance, correlation)
-        mass = point[0].maximum(_error(Z, weight))
-        J = _expected(mass, (point[1:4] / mass).clamp(-10 * size, 10 * size), size)
+        mass = point[0].maximum(_solved(Z, residual, weight)[1][0])
+        C = size * torch.eye(4, dtype=DTYPE)  # of the body that is expected
+        C[0, 0], C[1:, 0] = 1.0, (point[1:4] / mass).clamp(-10 * size, 10 * size)
         model = Y @ empty.by_these_gains().spread[: Y.shape[-1]]
-        pi, covariance = _estimate(body, changes, residual, weight, J, prior, model)
-        rms, before = (_rms(Z, residual, weight) for Z in (torch.cat([body, changes], -1), changes))
-        if findings := _unexplained(robot, tau, rms, torch.hypot(variance.sqrt(), empty.model)):
-            _warn(empty, (q, qd, qdd, tau), findings)
+        pi, covariance = _estimate(body, changes, residual, weight, mass.sqrt() * C, prior, model)
+        both = torch.cat([body, changes], -1)
+        rms, before = (_solved(Z, residual, weight)[2].square().mean(0).sqrt() for Z in (both, changes))
+        findings = _unexplained(empty, (q, qd, qdd, tau), rms, torch.hypot(variance.sqrt(), empty.model))
     slopes = torch.autograd.functional.jacobian(_quantities, pi)
     quantities, errors = _quantities(pi), (slopes @ covariance @ slopes.T).diagonal().sqrt()
-    mass, com, inertia = quantities[0], quantities[1:4], quantities[4:]
-    held = robot.with_payload(mass.to(robot.mass), com.to(robot.mass), inertia.to(robot.mass), at.name)
-    own_errors = errors[0], errors[1:4], errors[4:]
-    return IdentifiedPayload(held, at.name, mass, com, inertia, *own_errors, rms, before, unidentifiable, findings)
+    found, own_errors = ((x[0], x[1:4], x[4:]) for x in (quantities, errors))
+    mass, com, inertia = (x.to(robot.mass) for x in found)
+    held = robot.with_payload(mass, com, inertia, at.name)
+    return IdentifiedPayload(held, at.name, *found, *own_errors, rms, before, unidentifiable, findings)
 
 
 def _unidentifiable(robot: Robot, frame: str, body: Tensor) -> tuple[str, ...]:
@@ -190,25 +189,23 @@ def _unidentifiable(robot: Robot, frame: str, body: Tensor) -> tuple[str, ...]:
     return tuple(name for k, name in enumerate(INERTIAL) if k not in single)
 
 
-def _unexplained(robot: Robot, tau: Tensor, rms: Tensor, usual: Tensor) -> tuple[Finding, ...]:
-    """Joints whose residual torques [n] are far larger than those of the empty arm, with the factor as value."""
-    far = (rms > WORSE * usual) & (rms > MATTERS * tau.square().mean(0).sqrt())
+def _unexplained(empty: Identified, rows: Sequence[Tensor], rms: Tensor, usual: Tensor) -> tuple[Finding, ...]:
+    """Joints whose residual torques [n] are far larger than those of the empty arm; warns of them and of the cause."""
+    far = (rms > WORSE * usual) & (rms > MATTERS * rows[-1].square().mean(0).sqrt())
     claim = "residual torques must be like those of the empty arm"
     cure = "is a sign, gain or column another than then, or the body elsewhere?"
-    return tuple(
+    findings = tuple(
         Finding("payload.unexplained", joint, claim, f"{factor:.1f} times as large", cure, value=factor)
-        for joint, factor, beyond in zip(robot.joint_names, (rms / usual).tolist(), far.tolist(), strict=True)
+        for joint, factor, beyond in zip(empty.robot.joint_names, (rms / usual).tolist(), far.tolist(), strict=True)
         if beyond
     )
-
-
-def _warn(empty: Identified, rows: Sequence[Tensor], findings: Sequence[Finding]) -> None:
-    """Warn of joints whose torques no payload explains, with what may be the cause in rows (q, qd, qdd, tau)."""
-    robot = empty.robot.to(DTYPE, "cpu")
-    joints = ", ".join(f"{finding.subject} ({finding.value:.1f} times)" for finding in findings)
-    found = f"no payload explains the torques: residuals are larger than those of the empty arm at {joints}"
-    cause = merged(diagnose(robot, partial(inverse_dynamics, robot), rows, empty.sign_width)) or findings[0].cure
-    warnings.warn(LogWarning(f"{found}; the payload may be wrong beyond its errors: {cause}"), stacklevel=4)
+    if findings:
+        robot = empty.robot.to(DTYPE, "cpu")
+        joints = ", ".join(f"{finding.subject} ({finding.value:.1f} times)" for finding in findings)
+        found = f"no payload explains the torques: residuals are larger than those of the empty arm at {joints}"
+        cause = merged(diagnose(robot, partial(inverse_dynamics, robot), rows, empty.sign_width)) or cure
+        warnings.warn(LogWarning(f"{found}; the payload may be wrong beyond its errors: {cause}"), stacklevel=4)
+    return findings
 
 
 def _quantities(pi: Tensor) -> Tensor:
@@ -237,8 +234,7 @@ def _reweighted(
     """
     weight = 1 / (variance * correlation)
     for _ in range(ROUNDS):
-        x = _solved(Z, residual, weight)
-        left, before = residual - Z @ x, weight
+        (x, _, left), before = _solved(Z, residual, weight), weight
         times = correlation_times(left - left.mean(0), lengths, clear=0.0)
         weight = 1 / (left.square().mean(0).maximum(variance) * times.maximum(correlation))
         if float((weight / before - 1).abs().max()) < 1e-3:
@@ -246,54 +242,34 @@ def _reweighted(
     return weight, x
 
 
-def _solved(Z: Tensor, residual: Tensor, weight: Tensor) -> Tensor:
-    """Weighted least squares [p], the smallest of them where some combination is unidentifiable."""
-    A = (weight.sqrt()[:, None] * Z).flatten(0, 1)
-    size = A.norm(dim=0)
-    size = torch.where(size > 0, size, 1.0)
-    b = (weight.sqrt() * residual).flatten()
-    return torch.linalg.lstsq(A / size, b[:, None], driver="gelsd").solution[:, 0] / size
-
-
-def _error(Z: Tensor, weight: Tensor) -> Tensor:
-    """Standard error [] of the first parameter of weighted least squares."""
-    A = (weight.sqrt()[:, None] * Z).flatten(0, 1)
+def _solved(Z: Tensor, residual: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Smallest weighted least squares [p], their standard errors [p], and the torques that they leave [rows, n]."""
+    A, b = ((weight.sqrt()[:, None] * x).flatten(0, 1) for x in (Z, residual[..., None]))
     size = A.norm(dim=0).clamp_min(1e-30)
-    return torch.linalg.pinv((A / size).T @ (A / size), hermitian=True)[0, 0].sqrt() / size[0]
-
-
-def _rms(Z: Tensor, residual: Tensor, weight: Tensor) -> Tensor:
-    """Root mean squares [n] of what least squares leave."""
-    left = residual - Z @ _solved(Z, residual, weight) if Z.shape[-1] else residual
-    return left.square().mean(0).sqrt()
-
-
-def _expected(mass: Tensor, com: Tensor, size: float) -> Tensor:
-    """Pseudo-inertia [4, 4] of a body with radii of gyration `size` about its centre of mass."""
-    whole = torch.cat([torch.ones(1, dtype=DTYPE), com])
-    J = mass * torch.outer(whole, whole)
-    J[1:, 1:] += mass * size**2 * torch.eye(3, dtype=DTYPE)
-    return J
+    inverse = torch.linalg.pinv(A / size) / size[:, None]
+    x = (inverse @ b)[:, 0]
+    return x, inverse.norm(dim=1), residual - Z @ x
 
 
 def _estimate(
-    body: Tensor, changes: Tensor, residual: Tensor, weight: Tensor, J: Tensor, prior: float, model: Tensor
+    body: Tensor,  # [rows, n, 10] torques per unit of the payload's parameters
+    changes: Tensor,  # [rows, n, p] the same of changes of friction and offset
+    residual: Tensor,
+    weight: Tensor,
+    C: Tensor,  # [4, 4] Cholesky factor of the pseudo-inertia that is expected
+    prior: float,
+    model: Tensor,  # [rows, n, t] errors of the empty arm's torques
 ) -> tuple[Tensor, Tensor]:
-    """Inertial parameters [10] of the payload with their covariance.
-
-    `body` [rows, n, 10] and `changes` [rows, n, p] are torques per unit of the payload's parameters and of the changes,
-    `J` is the body that is expected, and `model` [rows, n, t] are the errors of the empty arm's torques.
-    """
-    C = torch.linalg.cholesky(J)
+    """Inertial parameters [10] of the payload with their covariance."""
     blocks = inertial_parameters(C @ BASIS @ C.T)  # [10 entries, 10 parameters]
     typical = residual.square().mean().sqrt() / changes.square().mean((0, 1)).sqrt().clamp_min(1e-30)
     Z = torch.cat([body @ blocks.T, changes * (typical / NUISANCE)], -1)
-    off = body @ inertial_parameters(J) - residual
+    off = body @ inertial_parameters(C @ C.T) - residual
     A, b, model = ((weight.sqrt()[:, None] * x).flatten(0, 1) for x in (Z, off[..., None], model))
     Q, R = torch.linalg.qr(A)
-    scale = 1 / math.sqrt(prior)
-    y = nearest(scale * R[None], scale * (Q.T @ b)[None, :, 0], 1, 0)
-    H = curvature(y, 1, 0)[1][0] / 2 * prior + R.T @ R
+    near = Distance(links=1, signed=changes.shape[-1])
+    y = nearest(near, R[None] / prior**0.5, (Q.T @ b).T / prior**0.5)
+    H = near.slopes(y)[1][0] / 2 * prior + R.T @ R
     size = H.diagonal().rsqrt()
     inverse = size[:, None] * torch.cholesky_inverse(torch.linalg.cholesky(size[:, None] * H * size)) * size
     errors = inverse @ (R.T @ (Q.T @ model))

@@ -8,7 +8,6 @@ base parameters, kappa (base phi - drawn)^T covariance^-1 (base phi - drawn) bei
 (`nearest`).
 """
 
-import math
 from typing import Any, NamedTuple
 
 import torch
@@ -19,7 +18,7 @@ from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.errors import ArgumentError
-from torchdq.learning.bodies.nearest import nearest
+from torchdq.learning.bodies.nearest import Distance, nearest
 from torchdq.learning.identification.identified import Identified, coefficients_of
 from torchdq.learning.identification.regression import parted
 from torchdq.learning.identification.terms import ROTOR, Term
@@ -101,48 +100,43 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
         for i in range(0, n, TOGETHER):
             notice.at(f"{i} of {n}")
             parts.append(space.nearest(draws[i : i + TOGETHER]))
-    parameters = torch.cat([part[0] for part in parts])
-    bodies = bodies_of(torch.linalg.cholesky(torch.cat([part[1] for part in parts])))
-    robot, changes = identified.robot, dict[str, Any]()
-    for name, x in zip(("mass", "com", "inertia"), bodies, strict=True):
+    parameters, J = (torch.cat(part) for part in zip(*parts, strict=True))
+    robot, terms, changes = identified.robot, identified.terms, dict[str, Any]()
+    for name, x in zip(("mass", "com", "inertia"), bodies_of(torch.linalg.cholesky(J)), strict=True):
         before = getattr(robot, name).double()
         changes[name] = torch.index_copy(before.expand(n, *before.shape), 1, space.links, x)
-    drawn = PosteriorSamples(robot, identified.terms, identified.names, parameters, identified.sign_width)
-    if (rotors := drawn.coefficients(ROTOR.name)) is not None:
+    if (rotors := coefficients_of(robot, terms, parameters, ROTOR.name)) is not None:
         changes["armature"] = rotors
-    return drawn._replace(robot=robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()}))
+    drawn = robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()})
+    return PosteriorSamples(drawn, terms, identified.names, parameters, identified.sign_width)
 
 
 class _Space:
     """Coordinates y [samples, t] around drawn bodies and coefficients: ten per link with mass, one per coefficient."""
 
     def __init__(self, identified: Identified, most: float):
-        F, phi = identified.spread.double(), identified.parameters.double()
-        bodies = 10 * len(identified.robot.link_names)
-        self.phi, self.F, self.base = phi, F, identified.base.double()
-        pi, own = phi[:bodies].reshape(-1, 10), F[:bodies].unflatten(0, (-1, 10))
+        n, bodies = identified.robot.n, 10 * len(identified.robot.link_names)
+        self.F, self.phi, base = (x.double() for x in (identified.spread, identified.parameters, identified.base))
+        pi, own = self.phi[:bodies].reshape(-1, 10), self.F[:bodies].unflatten(0, (-1, 10))
         self.links = ((pi[:, 0] > 0) & (own != 0).any(-1).any(-1)).nonzero()[:, 0]
+        self.bodies = (10 * self.links[:, None] + torch.arange(10)).flatten()
         self.C = torch.linalg.cholesky(pseudo_inertia(pi[self.links]))
         # change of each link in its own axes per draw [links, 4, 4, t], whose greatest width is bounded
-        change = pseudo_inertia(own[self.links].mT).movedim(1, -1)
-        inverse = torch.linalg.inv(self.C)
-        change = torch.einsum("lij,ljkt,lmk->limt", inverse, change, inverse)
+        inverse, change = torch.linalg.inv(self.C), pseudo_inertia(own[self.links].mT)
+        change = torch.einsum("lij,ltjk,lmk->limt", inverse, change, inverse)
+        self.most, least = most, max(most, 1e-300)
         width = torch.linalg.matrix_norm(change.flatten(1, 2), 2)
-        self.change = change * (most / width.clamp_min(most))[:, None, None, None] if most else 0 * change
-        rest = F[bodies:].norm(dim=1)
-        signed = [term.signed for term in identified.terms for _ in range(identified.robot.n)]
-        positive = ~torch.tensor(signed, dtype=torch.bool) & (phi[bodies:] > 0)
-        self.positive = (positive & (rest > 0)).nonzero()[:, 0] + bodies
-        self.signed = (~positive & (rest > 0)).nonzero()[:, 0] + bodies
-        fraction = [term.fraction for term in identified.terms for _ in range(identified.robot.n)]
-        self.fraction = torch.tensor(fraction, dtype=torch.bool).nonzero()[:, 0] + bodies
-        self.bodies = (10 * self.links[:, None] + torch.arange(10)).flatten()
-        self.most = most
+        self.change = change * (most / width.clamp_min(least))[:, None, None, None]
+        kinds = [(term.signed, term.fraction) for term in identified.terms for _ in range(n)]
+        signed, fraction = torch.tensor(kinds, dtype=torch.bool).reshape(-1, 2).T
+        estimated, positive = self.F[bodies:].norm(dim=1) > 0, ~signed & (self.phi[bodies:] > 0)
+        chosen = estimated & positive, estimated & ~positive, fraction
+        self.positive, self.signed, self.fraction = (x.nonzero()[:, 0] + bodies for x in chosen)
         # whitening of the base parameters, whose errors may differ by many powers of ten
-        BF = self.base @ F
+        BF = base @ self.F
         size = BF.norm(dim=1)
         R = torch.linalg.qr((BF / size[:, None]).T).R
-        self.white = torch.linalg.solve_triangular(R.T, self.base / size[:, None], upper=False)
+        self.white = KAPPA**0.5 * torch.linalg.solve_triangular(R.T, base / size[:, None], upper=False)
 
     def nearest(self, draws: Tensor) -> tuple[Tensor, Tensor]:
         """Parameters [samples, k] and pseudo-inertias [samples, links, 4, 4] of robots that can exist."""
@@ -157,15 +151,13 @@ class _Space:
         phi[:, self.signed] += gaussian[:, self.signed]
 
         blocks = inertial_parameters(torch.einsum("nlij,ejk,nlmk->nleim", C, BASIS, C))  # [samples, links, entries, 10]
-        count, links = len(draws), len(self.links)
-        A = self.white.new_zeros(count, len(self.white), 10 * links + len(self.positive) + len(self.signed))
-        white = self.white[:, self.bodies].reshape(len(self.white), links, 10)
-        A[..., : 10 * links] = torch.einsum("rlp,nlep->nrle", white, blocks).flatten(2)
-        at = torch.cat([self.positive, self.signed])
-        scale = torch.cat([phi[:, self.positive], self.F[self.signed].norm(dim=1).expand(count, -1)], 1)
-        A[..., 10 * links :] = self.white[:, at] * scale[:, None]
+        links, at = len(self.links), torch.cat([self.positive, self.signed])
+        white = self.white[:, self.bodies].unflatten(1, (links, 10))
+        scale = torch.cat([phi[:, self.positive], self.F[self.signed].norm(dim=1).expand(len(draws), -1)], 1)
+        bodies = torch.einsum("rlp,nlep->nrle", white, blocks).flatten(2)
+        A = torch.cat([bodies, self.white[:, at] * scale[:, None]], -1)
         offset = (phi - self.phi - gaussian) @ self.white.T
-        y = nearest(math.sqrt(KAPPA) * A, math.sqrt(KAPPA) * offset, links, len(self.positive))
+        y = nearest(Distance(links, len(self.positive), len(self.signed)), A, offset)
         J = C @ relative(y[:, : 10 * links].unflatten(1, (links, 10))) @ C.mT
         phi[:, self.bodies] = inertial_parameters(J).flatten(1)
         phi[:, at] += scale * y[:, 10 * links :]

@@ -9,7 +9,6 @@ everywhere (H. Ehlich, K. Zeller, "Schwankung von Polynomen zwischen Gitterpunkt
 """
 
 import math
-from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -61,11 +60,7 @@ class Family:
         self.bounds, self.harmonics = bounds, harmonics
         k = torch.arange(1, harmonics + 1, dtype=DTYPE)
         self._sines, self._cosines = _orthogonal(k), _orthogonal(k * k)  # at rest, qd = qdd = 0
-
-    @cached_property
-    def phases(self) -> Tensor:
-        """Phases [points] of one period at which peaks are looked for."""
-        return grid(POINTS * self.harmonics)
+        self._phases = grid(POINTS * harmonics)
 
     def start(self, rows: int, generator: torch.Generator) -> Tensor:
         """Numbers [rows, n, 2 H] of random motions."""
@@ -80,8 +75,8 @@ class Family:
         H = self.harmonics
         sine, cosine = shapes[..., : H - 1] @ self._sines, shapes[..., H - 1 :] @ self._cosines
         shape = Series(torch.zeros_like(centre), sine, cosine, rate)
-        missed = math.cos(math.pi * H / len(self.phases))
-        q, qd, qdd = shape.at(self.phases)
+        missed = math.cos(math.pi * H / len(self._phases))
+        q, qd, qdd = shape.at(self._phases)
         top, bottom = q.amax(-2), q.amin(-2)
         half, reach = (top - bottom) / 2 / missed, (upper - lower) / 2
         used = half / reach, qd.abs().amax(-2) / velocity / missed, qdd.abs().amax(-2) / acceleration / missed

@@ -8,9 +8,10 @@ from torch import Tensor
 
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.functional import regressor
-from torchdq.learning.identification.base_parameters import SEPARATE, base_names, base_of, inverse_of
-from torchdq.learning.identification.identified import INERTIAL
+from torchdq.learning.identification.base_parameters import SEPARATE, base_of, inverse_of
 from torchdq.robot import Robot
+
+States = tuple[Tensor, Tensor, Tensor]  # q, qd and qdd [..., samples, n]
 
 
 class BaseParameters(NamedTuple):
@@ -29,38 +30,22 @@ class BaseParameters(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        robot: Robot,
-        coefficients: Sequence[str],
-        sign_width: float,
-        noise: Tensor,
-        states: tuple[Tensor, Tensor, Tensor],
+        cls, robot: Robot, coefficients: Sequence[str], sign_width: float, noise: Tensor, states: States
     ) -> "BaseParameters":
         """Base parameters that torques in some states depend on: many random q, qd and qdd [samples, n]."""
-        base, size = base_of((_columns(robot, *states, coefficients, sign_width) / noise[:, None]).flatten(0, 1))
+        Z = _columns(robot, states, coefficients, sign_width) / noise[:, None]
+        base, size = base_of(Z.flatten(0, 1))
         alone = (base == 1) & ((base != 0).sum(0) == 1)
-        leading = alone.int().argmax(1)
-        return cls(robot, tuple(coefficients), sign_width, noise, base, leading, size)
+        return cls(robot, tuple(coefficients), sign_width, noise, base, alone.int().argmax(1), size)
 
     @property
     def typical(self) -> Tensor:
         """Sizes [rank] of the leading parameters."""
         return self.sizes[self.leading]
 
-    @property
-    def every_name(self) -> tuple[str, ...]:
-        """Names [k] of all parameters."""
-        bodies = [f"{link} {name}" for link in self.robot.link_names for name in INERTIAL]
-        return (*bodies, *(f"{joint} {name}" for name in self.coefficients for joint in self.robot.joint_names))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names [rank] of the base parameters, as sums of at most three terms."""
-        return base_names(self.base, self.every_name, inverse_of(self.sizes))
-
     def columns(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         """Torques per unit of each, over the noise, [..., n, rank]."""
-        Z = _columns(self.robot, q, qd, qdd, self.coefficients, self.sign_width)
+        Z = _columns(self.robot, (q, qd, qdd), self.coefficients, self.sign_width)
         return Z.index_select(-1, self.leading) / self.noise[:, None]
 
     def information(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
@@ -71,24 +56,20 @@ class BaseParameters(NamedTuple):
     def errors(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         """Standard errors [rank] that the torques of samples [samples, n] leave; infinite without information."""
         A = len(q) * self.information(q, qd, qdd)
-        size = A.diagonal().sqrt()
-        size = torch.where(size > 0, size, 1.0)
+        size = A.diagonal().sqrt().clamp_min(1e-100)
         e, V = torch.linalg.eigh(A / size / size[:, None])
         identifiable = e > SEPARATE * e[-1]
-        variance = V.square() @ torch.where(identifiable, 1 / torch.where(identifiable, e, 1.0), 0.0)
+        variance = V.square() @ inverse_of(e * identifiable)
         unknown = (V.square()[:, ~identifiable] > 1e-6).any(1)
         return torch.where(unknown, torch.inf, variance.sqrt() / size / self.typical)
 
     def condition(self, q: Tensor, qd: Tensor, qdd: Tensor) -> float:
         """Condition number of the matrix of all torques per unit of the base parameters, over the noise."""
-        A = self.information(q, qd, qdd) * self.typical * self.typical[:, None]
-        e = torch.linalg.eigvalsh(A)
-        return float((e[-1] / e[0]).sqrt()) if e[0] > 0 else torch.inf
+        return float(torch.linalg.cond(self.columns(q, qd, qdd).flatten(0, 1)))
 
 
-def _columns(
-    robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, coefficients: Sequence[str], sign_width: float
-) -> Tensor:
+def _columns(robot: Robot, states: States, coefficients: Sequence[str], sign_width: float) -> Tensor:
     """Torque per unit of every parameter [..., n, k]."""
+    q, qd, qdd = states
     own = {"rotor": qdd, "viscous": qd, "coulomb": smooth_sign(qd, sign_width), "offset": torch.ones_like(qd)}
     return torch.cat([regressor(robot, q, qd, qdd), *(torch.diag_embed(own[name]) for name in coefficients)], -1)

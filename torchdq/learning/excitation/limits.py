@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -144,35 +144,30 @@ class MotionLimits:
         Warns:
             UserWarning: one is wider than that of the description, as degrees are.
         """
-        described = robot.limits._asdict()
-        found = {}
-        for name in ("lower", "upper", "velocity", "acceleration", "effort"):
+        described = {"acceleration": torch.tensor(math.inf), **robot.limits._asdict()}
+        rows = []
+        for name in Bounds._fields:
             given = getattr(self, name)
-            if given is None:
-                x = described[name] if name in described else torch.full((robot.n,), math.inf)
-            else:
-                x = tensor_of(given)
+            x = described[name] if given is None else tensor_of(given)
             if x.ndim > 1 or (x.ndim == 1 and len(x) != robot.n) or x.is_complex():
                 raise ArgumentError(f"{name} must be one number or {robot.n}, found the shape {tuple(x.shape)}")
-            found[name] = x.detach().double().cpu().expand(robot.n)
-        joints = zip(robot.joint_names, robot.joint_types, *(x.tolist() for x in found.values()), strict=True)
+            rows.append(x.detach().double().cpu().expand(robot.n))
+        found = Bounds(*rows)
+        joints = zip(robot.joint_names, robot.joint_types, *(x.tolist() for x in found), strict=True)
         for joint, kind, lower, upper, *others in joints:
             whose = f"of joint {joint!r} of robot {robot.name!r}"
-            if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
+            if not -math.inf < lower < upper < math.inf:
                 unit = "rad" if kind.turns else "m"
                 what = f"position {whose} must have finite limits, lower below upper"
                 cure = "give MotionLimits(lower=..., upper=...)"
                 raise ArgumentError(f"{what}, found {lower:g} to {upper:g} {unit}; {cure}")
-            for name, x in zip(("velocity", "acceleration", "effort"), others, strict=True):
+            for (name, units), x in zip(JOINT_UNITS.items(), others, strict=True):
                 if not x > 0 or (math.isinf(x) and name != "acceleration"):
-                    unit = JOINT_UNITS[name][not kind.turns]
-                    cure = f"give MotionLimits({name}=...) with one number, or one per joint"
-                    raise ArgumentError(f"{name} {whose} must have a finite limit, found {x:g} {unit}; {cure}")
-        if wide := _wider(robot, found):
-            warnings.warn(wide, stacklevel=4)
-        middle, reach = (found["upper"] + found["lower"]) / 2, self.share * (found["upper"] - found["lower"]) / 2
-        rates = (self.share * found[name] for name in ("velocity", "acceleration", "effort"))
-        return Bounds(middle - reach, middle + reach, *rates)
+                    wrong = f"{name} {whose} must have a finite limit, found {x:g} {units[not kind.turns]}"
+                    raise ArgumentError(f"{wrong}; give MotionLimits({name}=...) with one number, or one per joint")
+        _warn_of_wider(robot, found)
+        middle, reach = (found.upper + found.lower) / 2, self.share * (found.upper - found.lower) / 2
+        return Bounds(middle - reach, middle + reach, *(self.share * x for x in found[2:]))
 
     def clearance(self, robot: Robot, q: Tensor) -> Tensor:
         """Numbers [..., c] of all parts of the workspace at positions [..., n], not negative where q may be."""
@@ -180,26 +175,22 @@ class MotionLimits:
         return torch.cat(parts, -1) if parts else q[..., :0]
 
 
-def _wider(robot: Robot, found: Mapping[str, Tensor]) -> str:
-    """Warning of limits [n] that are wider than those of the description, or than joints turn; "" for none."""
-    described = {name: x.double().cpu() for name, x in robot.limits._asdict().items()}
-    wide = list[str]()
-    for j, (joint, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
-        low, high = float(described["lower"][j]), float(described["upper"][j])
-        low, high = max(low, -TURNS if kind.turns else low), min(high, TURNS if kind.turns else high)
-        slack = (WIDER - 1) * (high - low)
-        unit = "rad" if kind.turns else "m"
-        if found["lower"][j] < low - slack or found["upper"][j] > high + slack:
-            span = f"{float(found['lower'][j]):.4g} to {float(found['upper'][j]):.4g} {unit}"
-            wide.append(f"{joint} {span} instead of {low:.3g} to {high:.3g}")
-        fast = float(described["velocity"][j])
-        fast = min(fast, FAST) if kind.turns else fast
-        if found["velocity"][j] > WIDER * fast:
-            wide.append(f"{joint} {float(found['velocity'][j]):.4g} {unit}/s instead of {fast:.3g}")
-    if not wide:
-        return ""
-    cure = "give radians and metres, or the robot's own limits, by None"
-    return f"limits are wider than those of the description: {', '.join(wide)}; are they in degrees? {cure}"
+def _warn_of_wider(robot: Robot, found: Bounds) -> None:
+    """Warn of limits that are wider than those of the description, or than joints turn."""
+    wide, numbers = list[str](), (x.tolist() for x in (*robot.limits[:3], *found[:3]))
+    joints = zip(robot.joint_names, robot.joint_types, *numbers, strict=True)
+    for joint, kind, low, high, fast, lower, upper, velocity in joints:
+        if kind.turns:
+            low, high, fast = max(low, -TURNS), min(high, TURNS), min(fast, FAST)
+        slack, unit = (WIDER - 1) * (high - low), "rad" if kind.turns else "m"
+        if lower < low - slack or upper > high + slack:
+            wide.append(f"{joint} {lower:.4g} to {upper:.4g} {unit} instead of {low:.3g} to {high:.3g}")
+        if velocity > WIDER * fast:
+            wide.append(f"{joint} {velocity:.4g} {unit}/s instead of {fast:.3g}")
+    if wide:
+        cure = "are they in degrees? give radians and metres, or the robot's own limits, by None"
+        claim = f"limits are wider than those of the description: {', '.join(wide)}"
+        warnings.warn(f"{claim}; {cure}", stacklevel=5)
 
 
 def _require_three(name: str, x: Any, finite: bool = True) -> None:

@@ -50,8 +50,8 @@ class Search(NamedTuple):
                 schedule = torch.optim.lr_scheduler.CosineAnnealingLR(method, steps, STEP / 10 if last else STEP)
                 for step in range(steps):
                     say(f"step {step + 1} of {steps}")
-                    costs = ((self.cost(*part), part[0]) for part in _parts(x, w))
-                    x.grad = torch.cat([torch.autograd.grad(cost.sum(), numbers)[0] for cost, numbers in costs])
+                    slopes = [torch.autograd.grad(self.cost(*part).sum(), part[0])[0] for part in _parts(x, w)]
+                    x.grad = torch.cat(slopes)
                     method.step()
                     schedule.step()
                 with torch.no_grad():
@@ -81,7 +81,7 @@ class Search(NamedTuple):
 
         large = torch.ones(len(series.rate), dtype=DTYPE)
         small = torch.where(fits(large), large, 0.0)
-        for _ in range(HALVINGS if bool((small < 1).any()) else 0):
+        for _ in range(HALVINGS):
             middle = (small + large) / 2
             inside = fits(middle)
             small, large = torch.where(inside, middle, small), torch.where(inside, large, middle)

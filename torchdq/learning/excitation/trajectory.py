@@ -12,7 +12,6 @@ and workspace are limited in the search (`search`).
 """
 
 import math
-from collections.abc import Sequence
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -24,9 +23,11 @@ from torchdq.base.checks import require_count, require_number, tensor_of
 from torchdq.base.tables import table
 from torchdq.errors import ArgumentError
 from torchdq.learning.excitation.fourier import Family, Series
-from torchdq.learning.excitation.information import BaseParameters
+from torchdq.learning.excitation.information import BaseParameters, States
 from torchdq.learning.excitation.limits import Bounds, MotionLimits
 from torchdq.learning.excitation.search import Search, described_torques
+from torchdq.learning.identification.base_parameters import base_names, inverse_of
+from torchdq.learning.identification.identified import INERTIAL
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.plots import picture_of_motion
 from torchdq.learning.threads import one_thread
@@ -64,7 +65,9 @@ class Excitation(NamedTuple):
     @property
     def names(self) -> tuple[str, ...]:
         """Names [k] of all parameters, of bodies and then of friction, in the order of `Identified.names`."""
-        return self.parameters.every_name
+        robot = self.parameters.robot
+        bodies = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
+        return (*bodies, *(f"{joint} {name}" for name in self.parameters.coefficients for joint in robot.joint_names))
 
     @property
     def base(self) -> Tensor:
@@ -74,7 +77,7 @@ class Excitation(NamedTuple):
     @property
     def base_names(self) -> tuple[str, ...]:
         """Base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms."""
-        return self.parameters.names
+        return base_names(self.base, self.names, inverse_of(self.parameters.sizes))
 
     def __repr__(self) -> str:
         seconds, n, name = float(self.time[-1]), self.q.shape[1], self.parameters.robot.name
@@ -90,7 +93,9 @@ class Excitation(NamedTuple):
     def sampled(self, rate: float) -> Motion:
         """Motion at another rate [Hz], from 0 to the end, with the torques of the description."""
         require_number("rate", rate, positive=True)
-        return _motion(_rows(self.parameters.robot, self.series, float(self.time[-1]), rate))
+        rows = _rows(self.parameters.robot, self.series, float(self.time[-1]), rate)
+        time, q, qd, qdd, tau = (x.numpy() for x in rows)
+        return Motion(time, q, qd, qdd, tau)
 
     def to_csv(self, path: str | PathLike[str], rate: float | None = None) -> None:
         """Write columns time, q1 ..., qd1 ..., tau1 ..., qdd1 ..., which `read` reads; torques are as described.
@@ -99,10 +104,9 @@ class Excitation(NamedTuple):
             path: path of the file.
             rate: rows per second [Hz]; None: as `time`.
         """
-        motion = _motion((self.time, self.q, self.qd, self.qdd, self.tau)) if rate is None else self.sampled(rate)
-        signals = {name: getattr(motion, name) for name in ("q", "qd", "tau", "qdd")}
-        heads = ["time", *(f"{name}{j + 1}" for name, x in signals.items() for j in range(x.shape[1]))]
-        rows = np.column_stack([motion.time, *signals.values()])
+        motion, signals = self if rate is None else self.sampled(rate), ("q", "qd", "tau", "qdd")
+        rows = np.column_stack([getattr(motion, name) for name in ("time", *signals)])
+        heads = ["time", *(f"{name}{j + 1}" for name in signals for j in range(self.q.shape[1]))]
         np.savetxt(path, rows, fmt="%.12g", delimiter=",", header=",".join(heads), comments="")
 
     def plot(self) -> Any:
@@ -175,12 +179,11 @@ def excitation_trajectory(
     states = _states(bounds, generator)
     parameters = BaseParameters.of(robot, coefficients, width, _noise(robot, noise, bounds), states)
     family = Family(bounds, harmonics)
-    numbers = family.start(restarts, generator)
     w = (2 * math.pi / seconds * repeats)[torch.arange(restarts) % len(repeats)]
-    series = Search(family, parameters, limits).best(numbers, w)
-    time, q, qd, qdd, tau = _rows(robot, series, seconds, rate)
-    errors, condition = parameters.errors(q, qd, qdd), parameters.condition(q, qd, qdd)
-    return Excitation(series, time, q, qd, qdd, tau, bounds, parameters, errors, condition)
+    series = Search(family, parameters, limits).best(family.start(restarts, generator), w)
+    rows = _rows(robot, series, seconds, rate)
+    errors, condition = parameters.errors(*rows[1:4]), parameters.condition(*rows[1:4])
+    return Excitation(series, *rows, bounds, parameters, errors, condition)
 
 
 def _noise(robot: Robot, given: Any, bounds: Bounds) -> Tensor:
@@ -205,16 +208,11 @@ def _repeats(seconds: float, period: float | None, harmonics: int) -> Tensor:
     return torch.tensor([repeats]).to(DTYPE)
 
 
-def _states(bounds: Bounds, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+def _states(bounds: Bounds, generator: torch.Generator) -> States:
     """Random positions, velocities and accelerations [states, n] within bounds."""
     u = 2 * torch.rand(3, STATES, len(bounds.lower), dtype=DTYPE, generator=generator) - 1
     reach = (bounds.upper - bounds.lower) / 2
     return bounds.upper - reach + reach * u[0], bounds.velocity * u[1], bounds.velocity.square() / reach * u[2]
-
-
-def _motion(rows: Sequence[Tensor]) -> Motion:
-    time, q, qd, qdd, tau = (x.numpy() for x in rows)
-    return Motion(time, q, qd, qdd, tau)
 
 
 def _rows(robot: Robot, series: Series, seconds: float, rate: float) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:

@@ -10,16 +10,17 @@ from torchdq.base.optional import imported
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.layouts import listed
-from torchdq.learning.logs.tables import Table, arrays_table
+from torchdq.learning.logs.tables import Rows, Table, arrays_table
 
 MAGIC = b"\x89MCAP"  # first bytes of a bag
 STATES = "sensor_msgs/msg/JointState"
 FIELDS = {"q": "position", "qd": "velocity", "tau": "effort"}
 
+Names = Sequence[str]
+State = tuple[int, list[list[float]]]  # stamp of a message [ns], and the numbers in each of its fields
 
-def bag_tables(
-    path: Path, contents: Sequence[bytes], joints: Sequence[str], rows: tuple[int, int] | None
-) -> list[Table]:
+
+def bag_tables(path: Path, contents: Sequence[bytes], joints: Names, rows: Rows) -> list[Table]:
     """Tables of the joint states in the files of a bag, a table for each topic and set of joints.
 
     The arrays q, qd and tau of a table are those of the robot's joints, in their order; of all joints if none are
@@ -29,16 +30,15 @@ def bag_tables(
     mcap = imported("mcap.reader", "mcap", "reading a bag", extra)
     factory = imported("mcap_ros2.decoder", "mcap-ros2-support", "reading a bag", extra).DecoderFactory()
     kinds: dict[str, str] = {}
-    states: dict[tuple[str, tuple[str, ...]], list[tuple[int, list[list[float]]]]] = {}
+    states: dict[tuple[str, Names], list[State]] = {}
     try:
         for content in contents:
             reader = mcap.make_reader(io.BytesIO(content))
             summary = reader.get_summary()
-            topics = None  # all of a bag without an index
-            if summary is not None:
-                kinds |= {x.topic: summary.schemas[x.schema_id].name for x in summary.channels.values() if x.schema_id}
-                topics = [topic for topic, kind in kinds.items() if kind == STATES]
-            for schema, channel, message in reader.iter_messages(topics) if topics is None or topics else ():
+            channels = summary.channels.values() if summary else ()
+            kinds |= {x.topic: summary.schemas[x.schema_id].name for x in channels if x.schema_id}
+            topics = [x.topic for x in channels if kinds.get(x.topic) == STATES]
+            for schema, channel, message in reader.iter_messages(topics or None):  # all of a bag without an index
                 kinds[channel.topic] = kind = getattr(schema, "name", "")
                 if kind == STATES:
                     state = factory.decoder_for(channel.message_encoding, schema)(message.data)
@@ -55,17 +55,9 @@ def bag_tables(
     return [_table(path, topic, names, known, start, joints, rows) for (topic, names), known in states.items()]
 
 
-def _table(
-    path: Path,
-    topic: str,
-    names: tuple[str, ...],
-    known: list[tuple[int, list[list[float]]]],
-    start: int,
-    joints: Sequence[str],
-    rows: tuple[int, int] | None,
-) -> Table:
+def _table(path: Path, topic: str, names: Names, known: list[State], start: int, joints: Names, rows: Rows) -> Table:
     """Table of the joint states of a topic, whose fields may be empty."""
-    arrays: dict[str, np.ndarray] = {"time": np.array([(stamp - start) * 1e-9 for stamp, _ in known])}
+    arrays = {"time": np.array([(stamp - start) * 1e-9 for stamp, _ in known])}
     columns = {}
     wanted = [name for name in joints or names if name in names]
     for k, (signal, field) in enumerate(FIELDS.items()):

@@ -18,39 +18,46 @@ FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is c
 PARTS = 3  # most parts of a log that are named
 AROUND = "read the rows before it or after it, by "
 ELSEWHERE = f"{AROUND}rows=(first, last)", f"{AROUND}--rows FIRST LAST"  # for Python, and for the command line
+TOO_FAR = (
+    "are these degrees (multiply by pi/180), or millimetres of a joint that slides (by 0.001)? are these motors before "
+    "their gears? give the gears' ratios by {}; if the joint does go there, pass {}"
+)
 
 
 def require_numbers(table: Signals) -> None:
-    """Refuse cells that are not finite numbers."""
-    for row, column in np.argwhere(~np.isfinite(table.values))[:1]:
+    """Refuse fewer rows than two, and cells that are not finite numbers."""
+    if len(table.time) < 2:
+        fault = Finding("log.rows", "", "at least two rows of numbers are needed", str(len(table.time)))
+        raise LogError(fault, where=table.path)
+    values = np.column_stack([table.time, *table.blocks.values()])
+    for row, column in np.argwhere(~np.isfinite(values))[:1]:
         cure = ELSEWHERE
-        if row == 0 and np.isnan(table.values[0]).all() and len(table.values) > 1:
-            python, option = rows_option(table.before + 1, "last")
+        if row == 0 and np.isnan(values[0]).all():
             words = "a row of words or units must be removed, or left out by"
+            python, option = rows_option(table.before + 1, "last")
             cure = f"{words} {python}", f"{words} {option}"
         claim = f"{table.cell(row, column)} is not a finite number"
-        table.refuse(row, table.name(column), Finding("cell.number", "", claim, "", *cure))
+        name = [name for names in table.names.values() for name in names][column]
+        table.refuse(row, name, Finding("cell.number", "", claim, "", *cure))
 
 
 def require_times(table: Signals) -> None:
     """Refuse times that run backwards, leave gaps, or are not in seconds."""
-    step, name = np.diff(table.time), table.name(0)
-    if (step < 0).any():
-        i = int((step < 0).argmax())
-        cure, option = _parts(table)
-        claim = f"{-step[i]:.4g} s before the row above"
-        fault = Finding("time.backwards", "", claim, "", cure, option, value=float(step[i]))
-        table.refuse(i + 1, name, fault)
-    if (step > GAP).any():
-        i = int((step > GAP).argmax())
-        fault = Finding("time.gap", "", f"{step[i]:.4g} s after the row above, more than {GAP} s", value=float(step[i]))
-        if np.median(step) <= GAP:
-            cure, option = _parts(table)
-            table.refuse(i + 1, name, fault._replace(cure=cure, option=option))
+    step = np.diff(table.time)
+    i = int((step < 0 if (step < 0).any() else step > GAP).argmax())
+    late = f"{step[i]:.4g} s after the row above, more than {GAP} s"
+    if step[i] < 0:
+        fault = Finding("time.backwards", "", f"{-step[i]:.4g} s before the row above", "", *_parts(table))
+    elif np.median(step) > GAP:
         cure = "times must be in seconds; divide milliseconds by 1000, nanoseconds by 1e9"
-        table.refuse(i + 1, name, fault._replace(code="time.unit", cure=cure))
-    if not step.any():
-        table.refuse(1, name, Finding("time.still", "", "the same time in all rows"))
+        fault = Finding("time.unit", "", late, "", cure)
+    elif step[i] > GAP:
+        fault = Finding("time.gap", "", late, "", *_parts(table))
+    elif not step.any():
+        fault = Finding("time.still", "", "the same time in all rows")
+    else:
+        return
+    table.refuse(i + 1, table.names["time"][0], fault._replace(value=float(step[i])))
 
 
 def _parts(table: Signals) -> tuple[str, str]:
@@ -76,13 +83,13 @@ def jumps(table: Signals) -> list[Finding]:
     """
     time, q, qd = table.time, table.blocks["q"], table.blocks.get("qd")
     step, change = np.diff(time), np.diff(q, axis=0)
-    if qd is None:
-        if len(step) < 5:
-            return []
+    if qd is not None:
+        fastest = np.maximum(abs(qd[1:]), abs(qd[:-1]))
+    elif len(step) < 5:
+        return []
+    else:
         rate = np.pad(abs(change) / np.maximum(step, np.median(step))[:, None], ((2, 2), (0, 0)), mode="reflect")
         fastest = np.maximum(rate[:-4], rate[4:])
-    else:
-        fastest = np.maximum(abs(qd[1:]), abs(qd[:-1]))
     # stamps may be rounded, or late by a row
     explained = fastest * (step + np.median(step))[:, None]
     unexplained = np.maximum(abs(change) - explained, 0.0)
@@ -103,54 +110,41 @@ def jumps(table: Signals) -> list[Finding]:
 
 def require_radians(table: Signals) -> None:
     """Refuse columns in degrees, by their size, and signals that do not change as their rates say."""
-    n, layout, blocks = table.layout.joints, table.layout, table.blocks
-    for signal, limit, unit, field in (
-        ("q", layout.farthest, "rad", "farthest"),
-        ("qd", layout.fastest, "rad/s", "fastest"),
-    ):
-        if signal not in blocks:
-            continue
-        row, joint = divmod(int(abs(blocks[signal]).argmax()), n)
-        if abs(blocks[signal][row, joint]) > limit:
-            others = "are these degrees (multiply by pi/180), or millimetres of a joint that slides (by 0.001)?"
-            motors = "are these motors before their gears? give the gears' ratios by"
-            goes = "if the joint does go there,"
-            cure = f"{others} {motors} Layout(transmission=...); {goes} pass a Layout that allows it, by {field}"
-            option = f"{others} {motors} --transmission; {goes} pass --{field}"
-            x = float(blocks[signal][row, joint])
-            fault = Finding(f"{signal}.unit", "", f"{x:.6g} {unit}, more than {limit:.3g}", "", cure, option, value=x)
+    n, blocks = table.layout.joints, table.blocks
+    for signal, unit, field in (("q", "rad", "farthest"), ("qd", "rad/s", "fastest")):
+        x, limit = blocks.get(signal, np.zeros((1, n))), getattr(table.layout, field)
+        row, joint = divmod(int(abs(x).argmax()), n)
+        if abs(x[row, joint]) > limit:
+            cure = TOO_FAR.format("Layout(transmission=...)", f"a Layout that allows it, by {field}")
+            option = TOO_FAR.format("--transmission", f"--{field}")
+            claim = f"{x[row, joint]:.6g} {unit}, more than {limit:.3g}"
+            fault = Finding(f"{signal}.unit", "", claim, "", cure, option, value=float(x[row, joint]))
             table.refuse(row, table.names[signal][joint], fault)
     for signal, rate in (("q", "qd"), ("qd", "qdd")):
-        for joint in range(n) if {signal, rate} <= blocks.keys() else ():
-            _require_rate(table, signal, rate, joint)
+        if {signal, rate} <= blocks.keys():
+            _require_rates(table, signal, rate)
 
 
-def _require_rate(table: Signals, signal: str, rate: str, joint: int) -> None:
-    """Refuse a signal that changes by another factor than its rate says, or as the rate of another joint says."""
-    blocks, name, other = table.blocks, table.names[signal][joint], table.names[rate][joint]
-    ratio, correlation = _followed(table.time, blocks[signal][:, joint], blocks[rate][:, joint])
-    if abs(correlation) < UNLIKE:
-        for k in range(table.layout.joints):
-            factor, alike = _followed(table.time, blocks[signal][:, joint], blocks[rate][:, k])
-            if k != joint and alike > ALIKE and 0.5 < factor < 2:
-                claim = f"it changes as {table.names[rate][k]} says, not as {other}"
+def _require_rates(table: Signals, signal: str, rate: str) -> None:
+    """Refuse signals that change by another factor than their rates say, or as the rate of another joint says."""
+    n, x, rates = table.layout.joints, table.blocks[signal], table.blocks[rate]
+    change = np.diff(table.time)[:, None] * (rates[1:] + rates[:-1]) / 2
+    covariance = np.cov(x.T, np.pad(np.cumsum(change, axis=0), ((1, 0), (0, 0))).T, bias=True)
+    variance, both = covariance.diagonal(), covariance[:n, n:]
+    moving = np.where(variance < FOLLOWED**2, np.nan, variance)  # what is at rest follows nothing
+    ratios, correlations = both / moving[n:], both / np.sqrt(np.outer(moving[:n], moving[n:]))
+    others = table.names[rate]
+    for j, name in enumerate(table.names[signal]):
+        ratio, correlation = float(ratios[j, j]), abs(correlations[j, j])
+        if correlation < UNLIKE:
+            for k in np.flatnonzero((correlations[j] > ALIKE) & (ratios[j] > 0.5) & (ratios[j] < 2)):
+                claim = f"it changes as {others[k]} says, not as {others[j]}"
                 cure = "the columns of both signals must be in the same order of joints"
                 raise LogError(Finding("columns.order", f"column {name!r}", claim, "", cure), where=table.path)
-    if not abs(correlation) >= ALIKE or 0.5 < ratio < 2:
-        return
-    cure = "the two must agree in unit, sign and joint"
-    for column, factor in ((name, ratio), (other, 1 / ratio)):
-        if 0.5 < factor * math.pi / 180 < 2:
-            cure = f"{column} seems to be in degrees; multiply the column by pi/180"
-    claim = f"{name} changes {ratio:.3g} times as much as {other} says"
-    raise LogError(Finding("columns.rate", f"column {name!r}", claim, "", cure, value=ratio), where=table.path)
-
-
-def _followed(time: np.ndarray, x: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
-    """Changes of a signal over the integral of a rate, and the correlation of both; NaN where one is at rest."""
-    integral = np.concatenate([[0.0], np.cumsum(np.diff(time) * (rate[1:] + rate[:-1]) / 2)])
-    x, integral = x - x.mean(), integral - integral.mean()
-    if x.std() < FOLLOWED or integral.std() < FOLLOWED:
-        return math.nan, math.nan
-    product = float(x @ integral)
-    return product / float(integral @ integral), product / math.sqrt((x @ x) * (integral @ integral))
+        if correlation >= ALIKE and not 0.5 < ratio < 2:
+            cure = "the two must agree in unit, sign and joint"
+            for column, factor in ((name, ratio), (others[j], 1 / ratio)):
+                if 0.5 < factor * math.pi / 180 < 2:
+                    cure = f"{column} seems to be in degrees; multiply the column by pi/180"
+            claim = f"{name} changes {ratio:.3g} times as much as {others[j]} says"
+            raise LogError(Finding("columns.rate", f"column {name!r}", claim, "", cure, value=ratio), where=table.path)

@@ -22,8 +22,7 @@ class _AboutLog(Exception):
         link = ", " if words.startswith(("column", "array")) else ": "
         return f"{self.where}{link}{words}" if self.where else words
 
-    def __str__(self) -> str:
-        return self.text()
+    __str__ = text
 
 
 class LogError(_AboutLog, TorchdqError, ValueError):

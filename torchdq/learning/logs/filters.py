@@ -20,8 +20,7 @@ def even(time: np.ndarray, stamps: np.ndarray, x: np.ndarray, purpose: str) -> n
     """
     interpolate = imported("scipy.interpolate", "scipy", purpose)
     with np.errstate(over="ignore"):  # the inverse of a slope that is nearly zero
-        found: np.ndarray = interpolate.PchipInterpolator(stamps, x, axis=0)(time)
-    return found
+        return interpolate.PchipInterpolator(stamps, x, axis=0)(time)
 
 
 def low_pass(x: np.ndarray, cutoff: float, step: float, purpose: str, order: int = ORDER) -> np.ndarray:
@@ -30,8 +29,8 @@ def low_pass(x: np.ndarray, cutoff: float, step: float, purpose: str, order: int
     At the cutoff [Hz] half of a signal passes. `purpose` is the function that needs the filter, for messages.
     """
     signal = imported("scipy.signal", "scipy", purpose)
-    found: np.ndarray = signal.sosfiltfilt(signal.butter(order, cutoff, fs=1 / step, output="sos"), x, axis=0)
-    return np.ascontiguousarray(found)  # a view backwards, which torch does not take
+    filtered = signal.sosfiltfilt(signal.butter(order, cutoff, fs=1 / step, output="sos"), x, axis=0)
+    return np.ascontiguousarray(filtered)  # a view backwards, which torch does not take
 
 
 def derivative(time: np.ndarray, x: np.ndarray, purpose: str) -> np.ndarray:
@@ -40,8 +39,7 @@ def derivative(time: np.ndarray, x: np.ndarray, purpose: str) -> np.ndarray:
     Ten rows a period leave an error of 1e-5; central differences would be 6 % too small.
     """
     interpolate = imported("scipy.interpolate", "scipy", purpose)
-    found: np.ndarray = interpolate.make_interp_spline(time, x, k=5).derivative()(time)
-    return found
+    return interpolate.make_interp_spline(time, x, k=5).derivative()(time)
 
 
 def fewer_times(stamps: np.ndarray, rate: float) -> np.ndarray:
@@ -58,7 +56,6 @@ def at_times(time: np.ndarray, stamps: np.ndarray, x: np.ndarray, purpose: str) 
     if own * NEARLY > step:
         return even(time, stamps, x, purpose)
     fine = step / ceil(step / own - 1e-9)
-    drawn = (
-        time[0] + np.arange(ceil((stamps[0] - time[0]) / fine), floor((stamps[-1] - time[0]) / fine + 1e-9) + 1) * fine
-    )
+    first, last = ceil((stamps[0] - time[0]) / fine), floor((stamps[-1] - time[0]) / fine + 1e-9)
+    drawn = time[0] + np.arange(first, last + 1) * fine
     return even(time, drawn, low_pass(even(drawn, stamps, x, purpose), PASSED / step, fine, purpose, STEEP), purpose)

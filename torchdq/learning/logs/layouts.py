@@ -4,12 +4,11 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
-from torchdq.base.checks import names_of, require_count
+from torchdq.base.checks import is_number, names_of, require_count
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 
@@ -76,53 +75,28 @@ class Layout:
     rate: float | None = None  # [Hz]
 
     def __post_init__(self) -> None:
-        self._require_numbers()
-        self._require_transmission()
-        if not isinstance(self.columns, Mapping):
-            expected = "a mapping such as {'q': 'position_{0}'}"
-            raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
-        names_of("columns", tuple(self.columns), SIGNALS, "signal")
-        for signal, given in self.columns.items():
-            if given is None and signal in SPARE:
-                continue
-            kinds = str if signal == "time" else str | Sequence
-            if not given or not isinstance(given, kinds) or not all(isinstance(one, str) for one in given):
-                expected = (
-                    "a name" if signal == "time" else "a name, a pattern such as 'position_{0}' or a list of names"
-                )
-                option = f"give other names by --columns {signal} NAMES"
-                claim = f"columns[{signal!r}] must be {expected}, found {given!r}"
-                raise ArgumentError(Finding("layout.columns", "", claim, "", "", option))
-
-    def _require_numbers(self) -> None:
-        """Raise unless what must be numbers is; `gain` becomes a tuple of floats."""
         require_count("joints", self.joints, 0)
         for name in ("cutoff_qd", "cutoff_tau", "rate", "farthest", "fastest"):
-            x = getattr(self, name)
-            if x is None and name[0] != "f":
-                continue
-            if not isinstance(x, Real) or isinstance(x, bool) or not float(x) > 0:
+            x, optional = getattr(self, name), name in ("cutoff_qd", "cutoff_tau", "rate")
+            if not (optional and x is None) and not (is_number(x) and x > 0):
                 raise ArgumentError(f"{name} must be a positive number, found {x!r}")
         object.__setattr__(self, "gain", _gains(self.gain))
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
-
-    def _require_transmission(self) -> None:
-        """Raise unless motors and joints have a transmission with an inverse; `transmission` becomes a tuple."""
         object.__setattr__(self, "at_motors", names_of("at_motors", self.at_motors, SIGNALS[1:5], "signal"))
-        expected = "numbers, one per joint, such as (0.01, -0.0125), or the rows of a square matrix"
-        rows = list(self.transmission) if isinstance(self.transmission, Iterable) else [None]
-        if any(isinstance(row, Iterable) and not isinstance(row, str) for row in rows):
-            found: tuple[Any, ...] = tuple(_floats("transmission", row, expected) for row in rows)
-            if any(len(row) != len(found) for row in found) or np.linalg.matrix_rank(found) < len(found):
-                raise ArgumentError(f"transmission must be {expected}, which has an inverse, found {found}")
-            own = tuple(found[k][k] for k in range(len(found)))
-        else:
-            found = own = _floats("transmission", self.transmission, expected)
-        if not all(own):
-            raise ArgumentError(f"transmission must be {expected}, with motor k turning joint k, found zero in {found}")
-        object.__setattr__(self, "transmission", found)
+        object.__setattr__(self, "transmission", _transmission(self.transmission))
         if self.zero and not self.transmission:
             raise ArgumentError(f"zero needs a transmission, e.g. ones, found zero={self.zero} and transmission=()")
+        if not isinstance(self.columns, Mapping):
+            expected = "a mapping such as {'q': 'position_{0}'}"
+            raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
+        for signal in names_of("columns", tuple(self.columns), SIGNALS, "signal"):
+            given, kinds = self.columns[signal], str if signal == "time" else str | Sequence
+            named = isinstance(given, kinds) and given and all(isinstance(name, str) for name in given)
+            if not named and (given is not None or signal not in SPARE):
+                more = "" if signal == "time" else ", a pattern such as 'position_{0}' or a list of names"
+                claim = f"columns[{signal!r}] must be a name{more}, found {given!r}"
+                option = f"give other names by --columns {signal} NAMES"
+                raise ArgumentError(Finding("layout.columns", "", claim, "", "", option))
 
     @property
     def ratios(self) -> np.ndarray:
@@ -149,23 +123,17 @@ class Layout:
 
     def names(self, signal: str, joints: int) -> list[str]:
         """Names of a signal's columns; none of one that was not recorded."""
-        given = self.given(signal)
-        if given is None:
-            return []
-        if not isinstance(given, str):
-            return given
-        if not NUMBER.search(given):
-            return [given]
+        given = self.given(signal) or []
+        if isinstance(given, list) or not NUMBER.search(given):
+            return [given] if isinstance(given, str) else given
         parts = NUMBER.split(given)  # the odd ones are the numbers of the first joint
         return ["".join(str(int(x) + i) if k % 2 else x for k, x in enumerate(parts)) for i in range(joints)]
 
     def count(self, heads: Collection[str]) -> int:
         """Number of joints whose positions a header names."""
-        given = self.given("q") or ()
-        if not isinstance(given, str):
-            return len(given)
-        if not NUMBER.search(given):
-            return int(given in heads)
+        given = self.given("q") or []
+        if isinstance(given, list) or not NUMBER.search(given):
+            return int(given in heads) if isinstance(given, str) else len(given)
         first, *others = self.starts("q")
         after = min((k for k in others if k > first), default=math.inf)
         pattern = re.compile(r"(\d+)".join(map(re.escape, NUMBER.split(given)[::2])))
@@ -182,15 +150,10 @@ class Layout:
         """Whether a signal was recorded, as far as the layout says."""
         return self.columns.get(signal, signal) is not None and not (signal == "time" and self.rate)
 
-    @property
-    def clock(self) -> str:
-        """Name of the column of times."""
-        return bare(str(self.columns.get("time", "time")))
-
     def given(self, signal: str) -> str | list[str] | None:
         """Name, pattern or names of a signal's columns."""
-        found = self.columns.get(signal, "time" if signal == "time" else f"{signal}{{1}}")
-        return None if found is None else bare(found) if isinstance(found, str) else [bare(name) for name in found]
+        given = self.columns.get(signal, "time" if signal == "time" else f"{signal}{{1}}")
+        return None if given is None else bare(given) if isinstance(given, str) else [bare(name) for name in given]
 
     def with_columns(self, columns: Mapping[str, str | Sequence[str] | None]) -> "Layout":
         """Layout with these names instead of its own."""
@@ -202,6 +165,21 @@ class Layout:
         if patterns and not names:
             raise ArgumentError(f"robot must be given for the names of its joints in columns={patterns}, found None")
         return self.with_columns({signal: [x.replace(JOINT, name) for name in names] for signal, x in patterns.items()})
+
+
+def _transmission(given: Any) -> tuple[Any, ...]:
+    """Numbers, or the rows of a matrix with an inverse, as tuples."""
+    expected = "numbers, one per joint, such as (0.01, -0.0125), or the rows of a square matrix"
+    rows = list(given) if isinstance(given, Iterable) else []
+    if any(isinstance(row, Iterable) and not isinstance(row, str) for row in rows):
+        found: tuple[Any, ...] = tuple(_floats("transmission", row, expected) for row in rows)
+        if any(len(row) != len(found) for row in found) or np.linalg.matrix_rank(found) < len(found):
+            raise ArgumentError(f"transmission must be {expected}, which has an inverse, found {found}")
+    else:
+        found = _floats("transmission", given, expected)
+    if not np.all(found if np.ndim(found) < 2 else np.diagonal(found)):
+        raise ArgumentError(f"transmission must be {expected}, with motor k turning joint k, found zero in {found}")
+    return found
 
 
 def _gains(given: Any) -> tuple[float | None, ...] | None:
@@ -241,7 +219,7 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN]) + more
 
 
-def is_number(cell: str) -> bool:
+def is_numeric(cell: str) -> bool:
     """Whether a cell is a number as files write it: Python's float also takes 1_000 and digits of other scripts."""
     try:
         return cell.isascii() and "_" not in cell and isinstance(float(cell), float)

@@ -13,13 +13,12 @@ import numpy as np
 import torch
 
 from torchdq.base.checks import is_number, require_number
-from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.filters import derivative, even, low_pass
 from torchdq.learning.logs.read import Log
-from torchdq.learning.logs.samples import UNITS, Samples
+from torchdq.learning.logs.samples import Samples, signal_table
 
 ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only
 SIGN_WIDTH = 1e-3  # velocity below which its sign is rounded, small against what the filter rounds [rad/s or m/s]
@@ -47,11 +46,10 @@ class Motion(NamedTuple):
     coupling: tuple[tuple[float, ...], ...] | None = None  # C, joints = C q, where q is of motors that are coupled
 
     def __repr__(self) -> str:
-        units = UNITS if np.all(self.known_gains) else UNITS | {"tau": "unknown gains"}
-        signals = {name: (x, units[name]) for name, x in self._asdict().items() if name in units and x is not None}
+        signals = signal_table("Motion", self._asdict(), self.known_gains)
         cutoffs = {"velocities": self.cutoff_qd, "torques": self.cutoff_tau}
         filters = [f"{name} at {cutoff:.4g} Hz" for name, cutoff in cutoffs.items() if cutoff is not None]
-        return summary("Motion", signals) + (f"\nlow-pass filters: {', '.join(filters)}" if filters else "")
+        return signals + (f"\nlow-pass filters: {', '.join(filters)}" if filters else "")
 
 
 def smooth(
@@ -101,29 +99,17 @@ def smooth(
     step = float(np.median(np.diff(log.time)))
     cutoff_qd = _cutoff("cutoff_qd", cutoff_qd, log.layout.cutoff_qd, step)
     cutoff_tau = _cutoff("cutoff_tau", cutoff_tau, log.layout.cutoff_tau, step)
-    for name, x in (("rate", rate), ("sign_width", sign_width)):
-        if x is not None:
-            require_number(name, x, positive=True)
+    require_number("sign_width", sign_width, positive=True)
     require_number("delay", delay)
+    if rate is not None:
+        require_number("rate", rate, positive=True)
     time = np.arange(log.time[0] - min(delay, 0.0), log.time[-1] - max(delay, 0.0), step)
     if not len(time):
-        lasts = f"{log.time[-1] - log.time[0]:.3g} s"
-        claim = f"delay must be shorter than the log, which lasts {lasts}, found {delay!r}"
+        claim = f"delay must be shorter than the log, which lasts {np.ptp(log.time):.3g} s, found {delay!r}"
         raise ArgumentError(Finding("delay.long", "", claim, "", "", "give a shorter --delay", value=delay))
     lowest = cutoff_qd if log.tau is None else min(cutoff_qd, cutoff_tau)
-    if time[-1] - time[0] <= _reach(lowest) or len(time) <= FEWEST:
+    if np.ptp(time) <= _reach(lowest) or len(time) <= FEWEST:
         raise _too_short(log, 3 * _reach(lowest))
-    whole = _filtered(log, time, (cutoff_qd, cutoff_tau), sign_width, delay)
-    used = _used(log, whole, lowest, 1.0 if rate is None else max(1.0, np.rint(1 / rate / step)))
-    if not used.any():
-        lasts = f"{time[-1] - time[0]:.3g} s of motion"
-        raise ArgumentError(f"rate must leave rows of the {lasts}, found {rate:g} Hz, which leaves none")
-    return _rows(whole, used)
-
-
-def _filtered(log: Log, time: np.ndarray, cutoffs: tuple[float, float], sign_width: float, delay: float) -> Motion:
-    """Whole motion of a log at even times, filtered at the cutoffs of velocities and torques."""
-    (cutoff_qd, cutoff_tau), step = cutoffs, float(np.median(np.diff(log.time)))
 
     def drawn(x: np.ndarray, cutoff: float, late: float = 0.0) -> np.ndarray:
         return low_pass(even(time + late, log.time, x, "smooth"), cutoff, step, "smooth")
@@ -132,46 +118,49 @@ def _filtered(log: Log, time: np.ndarray, cutoffs: tuple[float, float], sign_wid
     qd = derivative(time, q, "smooth") if log.qd is None else drawn(log.qd, cutoff_qd)
     qdd = derivative(time, qd, "smooth") if log.qdd is None else drawn(log.qdd, cutoff_qd)
     known, name, coupling = log.layout.known_gains, str(log.path), log.layout.coupling
-    found = Motion(time, q, qd, qdd, None, None, sign_width, cutoff_qd, None, known, name, coupling)
-    if log.tau is None:
-        return found
-    direction = low_pass(qd / np.hypot(qd, sign_width), cutoff_tau, step, "smooth")
-    return found._replace(tau=drawn(log.tau, cutoff_tau, delay), direction=direction, cutoff_tau=cutoff_tau)
+    whole = Motion(time, q, qd, qdd, None, None, sign_width, cutoff_qd, None, known, name, coupling)
+    if log.tau is not None:
+        direction = low_pass(qd / np.hypot(qd, sign_width), cutoff_tau, step, "smooth")
+        whole = whole._replace(tau=drawn(log.tau, cutoff_tau, delay), direction=direction, cutoff_tau=cutoff_tau)
+    used = _used(log, whole, lowest)
+    if rate is not None:
+        used &= np.arange(len(time)) % max(1.0, np.rint(1 / rate / step)) == 0
+        if not used.any():
+            lasts = f"{np.ptp(time):.3g} s of motion"
+            raise ArgumentError(f"rate must leave rows of the {lasts}, found {rate:g} Hz, which leaves none")
+    return _rows(whole, used)
 
 
-def _used(log: Log, whole: Motion, lowest: float, every: float) -> np.ndarray:
-    """Rows that move and that the filter does not spoil, every so many of them [rows]."""
+def _used(log: Log, whole: Motion, lowest: float) -> np.ndarray:
+    """Rows that move and that the filter does not spoil [rows]."""
     time, reach = whole.time, _reach(lowest)
     moves = abs(whole.qd).max(axis=-1) > AT_REST
     since, left = time - time[0], time[-1] - time
     first, last = (reach if moves[at <= SETTLED / lowest].any() else 0.0 for at in (since, left))
-    if time[-1] - time[0] <= first + reach + last:
+    if np.ptp(time) <= first + reach + last:
         raise _too_short(log, first + reach + last)
     used: np.ndarray = moves & (since >= first) & (left >= last)
     if not used.any():
-        fault = Finding("log.still", "", f"no joint ever moves faster than {AT_REST} rad/s")
-        raise LogError(fault, where=log.path)
-    return used & (np.arange(len(time)) % every == 0)
+        raise LogError(Finding("log.still", "", f"no joint ever moves faster than {AT_REST} rad/s"), where=log.path)
+    return used
 
 
 def _cutoff(name: str, asked: float | None, usual: float | None, step: float) -> float:
     """Frequency of a filter: what is asked for, or usual for the log, or fits its rate."""
-    cutoff = usual if asked is None else asked
-    if cutoff is None:
-        return min(CUTOFF, 0.25 / step)
+    cutoff = next(x for x in (asked, usual, min(CUTOFF, 0.25 / step)) if x is not None)
     if not is_number(cutoff) or not 0 < cutoff < 0.5 / step:
         claim = f"{name} must be between 0 and {0.5 / step:.4g} Hz, half the rate"
         raise ArgumentError(Finding("cutoff.range", "", claim, repr(cutoff), "", "give another --cutoff"))
     return float(cutoff)
 
 
-def _reach(cutoff: float | None) -> float:
+def _reach(cutoff: float) -> float:
     """Time over which a filter mixes what comes before with what comes after [s]."""
-    return ENDS if cutoff is None else max(ENDS, 3 / cutoff)
+    return max(ENDS, 3 / cutoff)
 
 
 def _too_short(log: Log, needed: float) -> LogError:
-    seconds, claim = log.time[-1] - log.time[0], f"more than {needed:.3g} s of motion are needed"
+    seconds, claim = np.ptp(log.time), f"more than {needed:.3g} s of motion are needed"
     return LogError(Finding("log.short", "", claim, f"{seconds:.3g} s", value=seconds), where=log.path)
 
 
@@ -215,14 +204,13 @@ def _cut(motion: Motion, share: float) -> tuple[list[Motion], list[Motion]]:
     """First part of a motion, with a share of the rows, and the rest."""
     rows = len(motion.time)
     first = np.arange(rows) < share * rows
-    cutoffs = [cutoff for cutoff in (motion.cutoff_qd, motion.cutoff_tau) if cutoff is not None]
-    gap = _reach(min(cutoffs, default=None))
+    gap = _reach(min(motion.cutoff_qd or np.inf, motion.cutoff_tau or np.inf))
     second = motion.time > motion.time[first].max(initial=-np.inf) + gap
     if not (first.any() and second.any()):
         sides = f"both sides of the cut of {rows} rows, and of {gap:.3g} s after it"
         option = "give a longer log, or another one to test on by --test"
-        fault = Finding("motion.short", motion.name, f"share must leave rows on {sides}", str(share), "", option)
-        raise ArgumentError(fault)
+        claim = f"share must leave rows on {sides}"
+        raise ArgumentError(Finding("motion.short", motion.name, claim, str(share), "", option))
     return [_rows(motion, first)], [_rows(motion, second)]
 
 

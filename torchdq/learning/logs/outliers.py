@@ -32,11 +32,10 @@ def outliers(x: np.ndarray) -> np.ndarray:
         return found
     before = x[REACH:-REACH] - x[: -2 * REACH]
     after = x[REACH:-REACH] - x[2 * REACH :]
-    far = np.where(before * after > 0, np.minimum(abs(before), abs(after)), 0.0)
+    nearest = np.minimum(abs(before), abs(after))
+    found[REACH:-REACH] = (before * after > 0) & (nearest > FAR * USUAL * np.median(nearest, axis=0))
     low, high = np.quantile(x, (OUTER, 1 - OUTER), axis=0)
-    usual, reach = USUAL * np.median(np.minimum(abs(before), abs(after)), axis=0), high - low
-    reach = BEYOND * np.maximum(reach, LEAST * reach.max())
-    found[REACH:-REACH] = far > FAR * usual
+    reach = BEYOND * np.maximum(high - low, LEAST * (high - low).max())
     return found & ((x > high + reach) | (x < low - reach))
 
 

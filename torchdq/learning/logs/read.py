@@ -11,7 +11,6 @@ import numpy as np
 from torchdq.base import sources
 from torchdq.base.checks import require_number
 from torchdq.base.progress import Progress
-from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.logs.bags import MAGIC, bag_tables
@@ -21,9 +20,9 @@ from torchdq.learning.logs.filters import at_times, fewer_times
 from torchdq.learning.logs.headers import find_columns
 from torchdq.learning.logs.layouts import SPARE, Layout
 from torchdq.learning.logs.outliers import outlier_findings
-from torchdq.learning.logs.samples import UNITS
+from torchdq.learning.logs.samples import signal_table
 from torchdq.learning.logs.signals import Signals, joined, read_signals
-from torchdq.learning.logs.tables import Table, arrays_table, file_arrays, text_table
+from torchdq.learning.logs.tables import Rows, Table, arrays_table, file_arrays, text_table
 
 File = str | PathLike[str] | bytes | IO[Any]
 Source = File | Mapping[str, Any] | Sequence[File]
@@ -62,17 +61,11 @@ class Log(NamedTuple):
 
     def __repr__(self) -> str:
         size = f"{self.q.shape[1]} joints, {len(self.time)} rows, {self.repeats} repeated time stamps left out"
-        units = UNITS | {"command": "as in the file"}
-        if not np.all(self.layout.known_gains):
-            units |= {"tau": "unknown gains"}
-        signals = {name: (x, units[name]) for name, x in self._asdict().items() if name in units and x is not None}
         done = f"\n{self.joined}" if self.joined else ""
-        return f"{self.path}: {size}{done}\n\n{summary('Log', signals)}"
+        return f"{self.path}: {size}{done}\n\n{signal_table('Log', self._asdict(), self.layout.known_gains)}"
 
 
-def read(
-    path: Source, layout: Layout, rows: tuple[int, int] | None, rate: float | None, joints: Sequence[str] = ()
-) -> Log:
+def read(path: Source, layout: Layout, rows: Rows, rate: float | None, joints: Sequence[str]) -> Log:
     """Log in files, or made of arrays, with findings instead of warnings; arguments and errors are `read_log`'s."""
     if not isinstance(layout, Layout):
         cure = "columns are named by Layout(columns={'q': 'position_{0}'})"
@@ -93,16 +86,14 @@ def read(
         names = [f"column {x!r}" for x in signals.names["tau"]]
         findings += outlier_findings(names, signals.blocks["tau"], signals.first)
     new = signals.distinct()
-    time, blocks, repeats = new.time, new.blocks, len(signals.values) - len(new.values)
+    repeats, found = len(signals.time) - len(new.time), tuple(findings)
     if rate is not None:
-        time, blocks = _at_rate(signals.path, time, blocks, rate)
-    found: dict[str, Any] = {"qd": None, "tau": None} | blocks
-    return Log(
-        signals.path, signals.layout, time, repeats=repeats, findings=tuple(findings), joined=signals.joined, **found
-    )
+        new = _at_rate(new, rate)
+    blocks: dict[str, Any] = {"qd": None, "tau": None} | new.blocks
+    return Log(new.path, new.layout, new.time, repeats=repeats, findings=found, joined=new.joined, **blocks)
 
 
-def _signals(source: Any, layout: Layout, rows: tuple[int, int] | None, joints: Sequence[str]) -> Signals:
+def _signals(source: Any, layout: Layout, rows: Rows, joints: Sequence[str]) -> Signals:
     """Signals of the joints in a source of any kind; of several tables, rows are those that they have in common."""
     files = list(source) if isinstance(source, list | tuple) else [source]
     if not files:
@@ -110,7 +101,7 @@ def _signals(source: Any, layout: Layout, rows: tuple[int, int] | None, joints: 
     if isinstance(source, Mapping):
         names = {x: given for x in SPARE if isinstance(given := layout.columns.get(x, x), str)}
         layout = layout.with_columns({x: None for x, name in names.items() if source.get(name, x) is None})
-        tables = [arrays_table(Path("the arrays"), source, layout.clock, rows)]
+        tables = [arrays_table(Path("the arrays"), source, layout.names("time", 1)[0], rows)]
     else:
         tables = [table for file in files for table in _tables(file, layout, rows if len(files) == 1 else None, joints)]
     where = " + ".join(dict.fromkeys(str(table.path) for table in tables))
@@ -120,14 +111,15 @@ def _signals(source: Any, layout: Layout, rows: tuple[int, int] | None, joints: 
     parts = read_signals(found, columns, tables, places)
     for part in parts:
         require_numbers(part)
-    parts = [_scaled(part) for part in parts]
-    for part in parts:
         require_times(part)
-    whole = joined(parts)
-    return whole._replace(values=whole.values[slice(*rows)]) if rows and len(files) > 1 else whole
+    whole = joined([_scaled(part) for part in parts])
+    if rows and len(files) > 1:
+        whole = whole.rows(slice(*rows))
+        require_numbers(whole)  # there may be none
+    return whole
 
 
-def _tables(path: Any, layout: Layout, rows: tuple[int, int] | None, joints: Sequence[str]) -> list[Table]:
+def _tables(path: Any, layout: Layout, rows: Rows, joints: Sequence[str]) -> list[Table]:
     """Tables of a file, or of the bag in a folder."""
     inside = sorted(Path(path).glob("*.mcap")) if isinstance(path, str | PathLike) else []
     contents = [sources.content("log", file, MOST_BYTES, LogError, MissingLogError) for file in inside or [path]]
@@ -140,32 +132,27 @@ def _tables(path: Any, layout: Layout, rows: tuple[int, int] | None, joints: Seq
     if content.startswith(MAGIC):
         return bag_tables(name, [one.data for one in contents], joints, rows)
     if content.startswith(ARRAYS):
-        return [arrays_table(name, file_arrays(name, content), layout.clock, rows)]
+        return [arrays_table(name, file_arrays(name, content), layout.names("time", 1)[0], rows)]
     return [text_table(name, content, rows)]
 
 
 def _scaled(table: Signals) -> Signals:
-    """Signals of the joints, or of motors that are coupled; efforts are multiplied by their gains, if known.
-
-    Joints' positions are linear in the motors', q = C z + q0 with the motors z at the scale of their joints, so that
-    velocities and accelerations follow by C, and, the transmission being lossless, torques at the motors are C^T times
-    those at the joints.
-    """
+    """Signals of the joints, or of motors that are coupled; efforts are multiplied by their gains, if known."""
     layout = table.layout
     for name, given in (("gain", layout.gain), ("transmission", layout.transmission), ("zero", layout.zero)):
         if given and len(given) != layout.joints:
-            rows = "rows" if name == "transmission" and np.ndim(layout.transmission) == 2 else "numbers"
+            rows = "rows" if isinstance(given[0], tuple) else "numbers"
             raise ArgumentError(f"{name} must have {layout.joints} {rows}, one per joint, found {len(given)}")
-    blocks = {signal: _at_motor(layout, signal, x) for signal, x in table.blocks.items()}
-    return table._replace(values=np.column_stack([table.time, *blocks.values()]))
+    return table._replace(blocks={signal: _at_motor(layout, signal, x) for signal, x in table.blocks.items()})
 
 
 def _at_motor(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
     """Signal of the motors at the scale of their joints, which are the joints unless they are coupled [rows, n]."""
     if signal == "tau" and layout.gain:
         x = x * [1.0 if gain is None else gain for gain in layout.gain]
-    if not layout.transmission or signal in ("time", "command"):
+    if not layout.transmission or signal == "command":
         return x
+    # positions of joints are q = C z + q0, with the motors z at the scale of their joints, and no power is lost
     ratios, C = layout.ratios, np.array(layout.coupling or np.eye(layout.joints))
     if signal == "tau":
         return x / ratios if signal in layout.at_motors else x @ C
@@ -174,10 +161,9 @@ def _at_motor(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
     return x * ratios + (np.linalg.solve(C, layout.zero) if signal == "q" and layout.zero else 0.0)
 
 
-def _at_rate(
-    path: Path, time: np.ndarray, blocks: dict[str, np.ndarray], rate: float
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Times and signals at a rate."""
+def _at_rate(signals: Signals, rate: float) -> Signals:
+    """Signals at a rate."""
+    time, path = signals.time, signals.path
     seconds, most = time[-1] - time[0], 1 / float(np.median(np.diff(time)))
     if seconds * most < FEWEST:
         claim = f"more than {FEWEST} rows are needed to read it at a rate"
@@ -186,6 +172,6 @@ def _at_rate(
     if rate > 1.01 * most or seconds * rate < FEWEST:
         expected = f"at most {most:.4g} Hz, that of the rows, and at least {FEWEST / seconds:.3g} Hz"
         raise ArgumentError(f"rate must be {expected}, of which {FEWEST} rows of {path} are left, found {rate!r}")
-    return fewer_times(time, rate), {
-        signal: at_times(fewer_times(time, rate), time, x, "read_log") for signal, x in blocks.items()
-    }
+    new = fewer_times(time, rate)
+    blocks = {signal: at_times(new, time, x, "read_log") for signal, x in signals.blocks.items()}
+    return signals._replace(time=new, blocks=blocks)

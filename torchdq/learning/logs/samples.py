@@ -1,9 +1,9 @@
 """Training data: joint positions, velocities, accelerations and torques, validated."""
 
-import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,7 +11,13 @@ from torchdq.base.checks import require_tensor
 from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
 
-UNITS = {"time": "s", "q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}  # units of the signals
+UNITS = {"time": "s", "q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m", "command": "as in the file"}
+
+
+def signal_table(title: str, signals: Mapping[str, Any], known_gains: Any = True) -> str:
+    """Table of the signals that were recorded, among other things, with their units."""
+    units = UNITS if np.all(known_gains) else UNITS | {"tau": "unknown gains"}
+    return summary(title, {name: (x, units[name]) for name, x in signals.items() if name in units and x is not None})
 
 
 class Samples(NamedTuple):
@@ -23,18 +29,11 @@ class Samples(NamedTuple):
     tau: Tensor  # [N m]
 
     def __repr__(self) -> str:
-        return summary("Samples", {name: (x, UNITS[name]) for name, x in self._asdict().items()})
+        return signal_table("Samples", self._asdict())
 
     def to(self, device: torch.device) -> "Samples":
         """Samples on a device."""
         return Samples(*(x.to(device) for x in self))
-
-    def fingerprint(self) -> str:
-        """Shape, dtype and hash of the samples."""
-        digest = hashlib.sha256()
-        for x in self:
-            digest.update(x.cpu().contiguous().view(torch.uint8).numpy().tobytes())
-        return f"{list(self.q.shape)} {self.q.dtype} samples with SHA-256 {digest.hexdigest()}"
 
 
 def validated(name: str, samples: Samples) -> Samples:
@@ -51,8 +50,7 @@ def validated(name: str, samples: Samples) -> Samples:
         if x.shape != shape or x.dtype != dtype:
             expected = f"{dtype} {list(shape)} as {name}.q"
             raise ArgumentError(f"{name}.{field} must be {expected}, found {x.dtype} {list(x.shape)}")
-        if not bool(x.isfinite().all()):
-            row, joint = (~x.isfinite()).nonzero()[0].tolist()
+        for row, joint in (~x.isfinite()).nonzero()[:1].tolist():
             found = f"{float(x[row, joint])} in row {row}, joint {joint + 1}"
             raise ArgumentError(f"{name}.{field} must be finite, found {found}; leave the row out")
     return Samples(*(x.detach() for x in samples))
@@ -60,8 +58,7 @@ def validated(name: str, samples: Samples) -> Samples:
 
 def of_motions(name: str, motions: Any) -> tuple[Samples, tuple[int, ...]]:
     """Rows of one or several motions as one, after checking them, and the number of rows of each."""
-    several = isinstance(motions, Sequence) and not isinstance(motions, Samples) and len(motions) > 0
-    if not several or not all(isinstance(motion, Samples) for motion in motions):
+    if not isinstance(motions, Sequence) or not motions or not all(isinstance(motion, Samples) for motion in motions):
         rows = validated(name, motions)
         return rows, (len(rows.q),)
     parts = [validated(f"{name}[{k}]", motion) for k, motion in enumerate(motions)]

@@ -1,15 +1,15 @@
 """Signals of a log, read from the tables that hold their columns, and joined by time where those are several."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
-from torchdq.learning.logs.filters import PASSED, at_times
-from torchdq.learning.logs.headers import Places
+from torchdq.learning.logs.filters import NEARLY, PASSED, at_times
+from torchdq.learning.logs.headers import Columns, Places
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.tables import Table
 
@@ -19,41 +19,30 @@ class Signals(NamedTuple):
 
     path: Path
     layout: Layout  # with the number of joints found
-    names: dict[str, list[str]]  # names of the columns by signal, in their order
-    values: np.ndarray  # [rows, columns]
+    names: dict[str, list[str]]  # names of the columns by signal, in their order, the time first
+    time: np.ndarray  # [rows] [s]
+    blocks: dict[str, np.ndarray]  # signals that the log has, [rows, n] each
     first: int  # number of the first row, for messages
-    cell: Callable[[int, int], object]  # a value as the source writes it, for messages
+    cell: Callable[[int, int], object]  # a value as the source writes it, by row and column, for messages
     before: int = 0  # rows of numbers before the first, which are left out
     joined: str = ""  # what was done to signals of other times
-
-    @property
-    def time(self) -> np.ndarray:
-        """Time stamps [rows] [s]."""
-        return self.values[:, 0]
-
-    @property
-    def blocks(self) -> dict[str, np.ndarray]:
-        """Arrays of the signals that the log has, without the time, [rows, n] each."""
-        n, signals = self.layout.joints, list(self.names)[1:]
-        return {signal: self.values[:, 1 + i * n : 1 + (i + 1) * n] for i, signal in enumerate(signals)}
-
-    def name(self, column: int) -> str:
-        """Name of a column."""
-        return [name for names in self.names.values() for name in names][column]
 
     def refuse(self, row: int, name: str, fault: Finding) -> NoReturn:
         """Raise for a row and a column of this name."""
         raise LogError(fault._replace(subject=f"column {name!r}"), where=f"{self.path}, row {self.first + row}")
 
+    def rows(self, used: Any) -> "Signals":
+        """Signals in some rows."""
+        return self._replace(time=self.time[used], blocks={signal: x[used] for signal, x in self.blocks.items()})
+
     def distinct(self) -> "Signals":
-        """Rows without those that repeat a time stamp."""
-        return self._replace(values=self.values[np.concatenate([[True], np.diff(self.time) > 0])])
+        """Signals without rows that repeat a time stamp."""
+        return self.rows(np.diff(self.time, prepend=-np.inf) > 0)
 
 
-def read_signals(
-    layout: Layout, columns: Mapping[str, Sequence[str]], tables: Sequence[Table], places: Places
-) -> list[Signals]:
+def read_signals(layout: Layout, columns: Columns, tables: Sequence[Table], places: Places) -> list[Signals]:
     """Signals of every table that has some, at its own times."""
+    clock = columns.get("time", ["time"])[:1]
     found: dict[int, dict[str, list[str]]] = {}
     for signal, names in columns.items():
         if signal != "time":
@@ -61,42 +50,37 @@ def read_signals(
             if len(inside) > 1:
                 files = ", ".join(str(tables[i].path) for i in sorted(inside))
                 raise LogError(Finding("column.split", "", f"columns of {signal} must be in one file", files))
-            found.setdefault(inside.pop(), {})[signal] = list(names)
-    clock = columns.get("time", ["time"])[0]
-    stamps = {i: k for i, k in places.get(clock, ())}
-    return [_of_table(layout, {"time": [clock], **names}, i, tables, places, stamps) for i, names in found.items()]
+            found.setdefault(inside.pop(), {"time": clock})[signal] = names
+    return [_of_table(layout, names, i, tables, places) for i, names in found.items()]
 
 
-def _of_table(
-    layout: Layout,
-    names: dict[str, list[str]],
-    i: int,
-    tables: Sequence[Table],
-    places: Places,
-    stamps: Mapping[int, int],
-) -> Signals:
+def _of_table(layout: Layout, names: dict[str, list[str]], i: int, tables: Sequence[Table], places: Places) -> Signals:
     """Signals of a table, at its times, at even ones, or at those of another table, row by row."""
-    table, used = tables[i], [places[name][0][1] for block in list(names.values())[1:] for name in block]
-    if layout.rate or i not in stamps:
-        values = table.read(used)
-        time = (table.before + np.arange(len(values))) / layout.rate if layout.rate else np.empty(0)
-        for other, k in stamps.items() if not layout.rate else ():
-            time = tables[other].read([k])[:, 0]
+    table, clock, signals = tables[i], names["time"][0], list(names)[1:]
+    stamps = {} if layout.rate else dict(places[clock])  # tables that have times, and their place there
+    own = [stamps[i]] if i in stamps else []
+    used = [places[name][0][1] for signal in signals for name in names[signal]]
+    if {*own} & {*used}:
+        claim = f"{clock!r} would be read for several signals or joints"
+        raise LogError(Finding("column.shared", "", claim, "", "see columns", "see --columns"), where=table.path)
+    values = table.read(own + used)
+    if own:
+        time = values[:, 0]
+    elif layout.rate:
+        time = (table.before + np.arange(len(values))) / layout.rate
+    else:
+        other, k = stamps.popitem()
+        time = tables[other].read([k])[:, 0]
         if len(time) != len(values):
-            claim = f"there is no column {names['time'][0]!r}, and {len(time)} times elsewhere for {len(values)} rows"
+            claim = f"there is no column {clock!r}, and {len(time)} times elsewhere for {len(values)} rows"
             cure, option = (f"rows at an even rate need none, but {x}" for x in ("Layout(rate=...)", "--rate"))
             raise LogError(Finding("time.missing", "", claim, "", cure, option), where=table.path)
-        values, used = np.column_stack([time, values]), [used[0], *used]
-    elif stamps[i] in used:
-        claim = f"{names['time'][0]!r} would be read for several signals or joints"
-        raise LogError(Finding("column.shared", "", claim, "", "see columns", "see --columns"), where=table.path)
-    else:
-        used = [stamps[i], *used]
-        values = table.read(used)
-    if len(values) < 2:
-        fault = Finding("log.rows", "", "at least two rows of numbers are needed", str(len(values)))
-        raise LogError(fault, where=table.path)
-    return Signals(table.path, layout, names, values, table.first, lambda r, k: table.cell(r, used[k]), table.before)
+
+    def cell(row: int, column: int) -> object:
+        return table.cell(row, (own + used)[column - 1 + len(own)]) if own or column else time[row]
+
+    blocks = dict(zip(signals, np.split(values[:, len(own) :], len(signals), axis=1), strict=True))
+    return Signals(table.path, layout, names, time, blocks, table.first, cell, table.before)
 
 
 def joined(parts: Sequence[Signals]) -> Signals:
@@ -109,32 +93,28 @@ def joined(parts: Sequence[Signals]) -> Signals:
         return parts[0]
     parts = [part.distinct() for part in parts]
     steps = [float(np.median(np.diff(part.time))) for part in parts]
-    k = int(np.argmax(steps))
-    slowest = parts[k]
+    longest, slowest = max(zip(steps, parts, strict=True), key=lambda pair: pair[0])
     first, last = max(part.time[0] for part in parts), min(part.time[-1] for part in parts)
-    time = slowest.time[(slowest.time >= first) & (slowest.time <= last)]
+    common = (slowest.time >= first) & (slowest.time <= last)
+    time = slowest.time[common]
     if len(time) < 2:
         ranges = " and ".join(f"{part.time[0]:.6g} to {part.time[-1]:.6g} s in {part.path}" for part in parts)
         cure = "times of all files must count from the same instant"
         raise LogError(Finding("time.apart", "", "the files must have times in common", ranges, cure))
-    names, blocks, said = {"time": slowest.names["time"]}, [], list[str]()
+    names, blocks, said = dict[str, list[str]](), dict[str, np.ndarray](), list[str]()
     for part, step in zip(parts, steps, strict=True):
-        same = len(part.time) == len(slowest.time) and bool((part.time == slowest.time).all())
+        names |= part.names
+        if np.array_equal(part.time, slowest.time):
+            blocks |= part.rows(common).blocks
+            continue
         for signal, x in part.blocks.items():
-            names[signal] = part.names[signal]
-            if same:
-                x = x[(part.time >= first) & (part.time <= last)]
-            elif signal == "command":
-                x = x[np.searchsorted(part.time, time, "right") - 1]
+            if signal == "command":
+                blocks[signal] = x[np.searchsorted(part.time, time, "right") - 1]
             else:
-                x = at_times(time, part.time, x, "joining files by time")
-            blocks.append(x)
-        if not same:
-            filtered = f", low-passed at {PASSED / steps[k]:.4g} Hz" if step < steps[k] / 1.05 else ""
-            what = ", ".join(list(part.names)[1:])
-            said.append(f"{what} of {part.path} ({1 / step:.4g} Hz{filtered})")
+                blocks[signal] = at_times(time, part.time, x, "joining files by time")
+        filtered = f", low-passed at {PASSED / longest:.4g} Hz" if step * NEARLY <= longest else ""
+        said.append(f"{', '.join(part.blocks)} of {part.path} ({1 / step:.4g} Hz{filtered})")
     held = " (commands are held)" if "command" in names else ""
-    done = f"interpolated{held} at the times of {slowest.path} ({1 / steps[k]:.4g} Hz): {'; '.join(said)}"
-    path, values = Path(" + ".join(str(part.path) for part in parts)), np.column_stack([time, *blocks])
-    done = done if said else "joined row by row"
-    return Signals(path, slowest.layout, names, values, 0, lambda r, c: values[r, c], joined=done)
+    done = f"interpolated{held} at the times of {slowest.path} ({1 / longest:.4g} Hz): {'; '.join(said)}"
+    path, done = Path(" + ".join(str(part.path) for part in parts)), done if said else "joined row by row"
+    return Signals(path, slowest.layout, names, time, blocks, 0, slowest.cell, joined=done)

@@ -21,16 +21,16 @@ from torch import Tensor
 from torchdq.base.optional import imported
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
-from torchdq.learning.logs.layouts import bare, is_number, listed
+from torchdq.learning.logs.layouts import bare, is_numeric, listed
 
 MARKS = {  # that a text in another encoding than UTF-8 starts with; the longer ones first
-    codecs.BOM_UTF32_LE: "utf-32",
-    codecs.BOM_UTF32_BE: "utf-32",
-    codecs.BOM_UTF16_LE: "utf-16",
-    codecs.BOM_UTF16_BE: "utf-16",
+    "utf-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE),
+    "utf-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE),
 }
 SEPARATORS = ";\t,|"  # of the columns of a text, the first that its rows hold; without any: blanks
 DECIMAL_COMMAS = ";\t"  # separators besides which a comma is that of a number
+
+Rows = tuple[int, int] | None  # first row and the one after the last; None: all
 
 
 class Table(NamedTuple):
@@ -58,7 +58,7 @@ def rows_option(first: object, last: object) -> tuple[str, str]:
 # --- texts ---
 
 
-def text_table(path: Path, content: bytes, rows: tuple[int, int] | None) -> Table:
+def text_table(path: Path, content: bytes, rows: Rows) -> Table:
     """Table in a text: numbers between commas, semicolons, tabs, bars or blanks, below a line of names or not."""
     lines = _decoded(path, content).rstrip().splitlines()
     if not lines:
@@ -66,27 +66,24 @@ def text_table(path: Path, content: bytes, rows: tuple[int, int] | None) -> Tabl
     top = 0  # lines of comments, of which the last may hold the names
     while lines[top].startswith(("#", "%")) and top + 1 < len(lines) and not _numbers(lines[top + 1]):
         top += 1
-    row = next((line for line in lines[top + 1 :] if line.strip()), lines[top])
-    seen = (row, "" if " " in row else lines[top])
-    separator = next((x for text in seen for x in SEPARATORS if x in text), None)
     head = lines[top]
+    row = next((line for line in lines[top + 1 :] if line.strip()), head)
+    seen = (row, "" if " " in row else head)
+    separator = next((x for text in seen for x in SEPARATORS if x in text), None)
     words = next(csv.reader([head], delimiter=separator)) if separator else head.strip("#% ").split()
-    width, said = row.count(separator) + 1 if separator else len(row.split()), head.startswith(("#", "%"))
-    named = not all(map(is_number, words)) or words == [str(k) for k in range(len(words))]
+    width, said = len(row.split(separator)), head.startswith(("#", "%"))
+    named = not all(map(is_numeric, words)) or words == [str(k) for k in range(len(words))]
     header = named and (not said or len(words) == width)  # other comments are none
     heads = [bare(word) for word in words] if header else [str(k + 1) for k in range(width)]
-    before, start = rows[0] if rows else 0, top + (header or said)
-    body = lines[start + before : None if rows is None else start + rows[1]]
-    start += before
+    before, end = rows or (0, None)
+    top += header or said
+    body, first = lines[top:][before:end], top + before + 1
     if separator and separator in DECIMAL_COMMAS:
         body = [line.replace(",", ".") for line in body]
 
-    def cells(line: str) -> list[str]:
-        return line.split(separator)
-
     def read(used: list[int]) -> np.ndarray:
-        for number, line in enumerate(body, start + 1):
-            if (found := line.count(separator) + 1 if separator else len(line.split())) != len(heads):
+        for number, line in enumerate(body, first):
+            if (found := len(line.split(separator))) != len(heads):
                 cure = "" if found <= len(heads) else "decimal commas must be points"
                 expected = f"{len(heads)} columns {heads[0]} ... {heads[-1]} are needed"
                 fault = Finding("row.columns", "", expected, str(found), cure if line.strip() else "remove empty lines")
@@ -96,22 +93,22 @@ def text_table(path: Path, content: bytes, rows: tuple[int, int] | None) -> Tabl
         try:
             return np.loadtxt(body, delimiter=separator, usecols=used, comments=None, ndmin=2, quotechar='"')
         except ValueError:  # some cell is not numeric; NaN marks it
-            split = ([cell.strip(' "') for cell in cells(line)] for line in body)
-            return np.array([[float(row[i]) if is_number(row[i]) else math.nan for i in used] for row in split])
+            split = ([cell.strip(' "') for cell in line.split(separator)] for line in body)
+            return np.array([[float(row[i]) if is_numeric(row[i]) else math.nan for i in used] for row in split])
 
-    return Table(path, heads, read, lambda i, k: repr(cells(body[i])[k]), start + 1, before)
+    return Table(path, heads, read, lambda i, k: repr(body[i].split(separator)[k]), first, before)
 
 
 def _numbers(line: str) -> bool:
     """Whether a line holds numbers alone."""
-    return all(is_number(cell.strip(' "')) for cell in re.split("[;\\t,|]| +", line.strip()))
+    return all(is_numeric(cell.strip(' "')) for cell in re.split("[;\\t,|]| +", line.strip()))
 
 
 def _decoded(path: Path, content: bytes) -> str:
     """Text in UTF-8, or in the encoding that its first bytes name; unpacked if gzip has packed it."""
     try:
         content = gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content
-        return content.decode(next((name for mark, name in MARKS.items() if content.startswith(mark)), "utf-8-sig"))
+        return content.decode(next((name for name, marks in MARKS.items() if content.startswith(marks)), "utf-8-sig"))
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as fault:
         claim = f"damaged or not a text ({fault})"
         raise LogError(Finding("log.damaged", "", claim, "", "save it as UTF-8 text"), where=path) from fault
@@ -122,62 +119,56 @@ def _decoded(path: Path, content: bytes) -> str:
 
 def file_arrays(path: Path, content: bytes) -> dict[str, Any]:
     """Arrays in an NPZ archive, an NPY file, whose columns have no names, or a file of MATLAB."""
-    matlab = content.startswith(b"MATLAB")
-    loadmat = imported("scipy.io", "scipy", "reading a file of MATLAB").loadmat if matlab else None
+    matlab = imported("scipy.io", "scipy", "reading a file of MATLAB") if content.startswith(b"MATLAB") else None
     try:
-        if loadmat:
-            known = loadmat(io.BytesIO(content), simplify_cells=True)
+        if matlab:
+            known = matlab.loadmat(io.BytesIO(content), simplify_cells=True)
             return {name: x for name, x in known.items() if not name.startswith("__")}
         archive = np.load(io.BytesIO(content), allow_pickle=False)
         if isinstance(archive, np.ndarray):
             return {"": archive}
         inside = archive.zip.namelist()
-        if inside and not any(name.endswith(".npy") for name in inside):
-            raise LogError(Finding("log.zip", "", f"a zip archive of {listed(inside)}", "", "unpack it"), where=path)
-        return dict(archive)
-    except LogError:
-        raise
+        if not inside or any(name.endswith(".npy") for name in inside):
+            return dict(archive)
     except Exception as fault:  # numpy, scipy and zipfile raise errors of many kinds on damaged bytes
         claim = f"damaged or not an archive of numbers ({fault})"
         raise LogError(Finding("log.damaged", "", claim), where=path) from fault
+    raise LogError(Finding("log.zip", "", f"a zip archive of {listed(inside)}", "", "unpack it"), where=path)
 
 
-def arrays_table(path: Path, given: Mapping[str, Any], time: str, rows: tuple[int, int] | None) -> Table:
+def arrays_table(path: Path, given: Mapping[str, Any], time: str, rows: Rows) -> Table:
     """Table of arrays: x [rows, n] has the columns x1 ... xn, and is known by its own name, too.
 
     Rows are as many as times, or as most arrays have; an array with the joints in its first axis is transposed.
     """
     known = {bare(name): x for name, x in _flat(path, given)}
     lengths = Counter(k for x in known.values() for k in x.shape if k > 1)
-    most = max(lengths, key=lambda k: (lengths[k], k), default=0)
-    length = known[time].size if time in known else most
-    columns: list[tuple[str, int]] = []  # array and place in it
-    heads: list[str] = []
-    arrays = {}
+    length = known[time].size if time in known else max(lengths, key=lambda k: (lengths[k], k), default=0)
+    arrays, columns = {}, list[tuple[str, int]]()  # names of columns by array; array and place in it by column
     for name, x in known.items():
         x = x.T if x.ndim == 2 and x.shape[0] != length == x.shape[1] else x
         known[name] = x = x[:, None] if x.ndim == 1 else x
         n = x.shape[1] if x.ndim == 2 else 1
         arrays[name] = [f"{name}{k + 1}" for k in range(n)] if n > 1 else [name]
-        heads += arrays[name]
         columns += [(name, k) for k in range(n)]
-    start, end = rows or (0, None)
+    first, end = rows or (0, None)
+
+    def column(k: int) -> np.ndarray:
+        name, place = columns[k]
+        return known[name][first:end, place]
 
     def read(used: list[int]) -> np.ndarray:
-        for name in dict.fromkeys(columns[i][0] for i in used):
+        for name in dict.fromkeys(columns[k][0] for k in used):
             x = known[name]
             if x.ndim != 2 or len(x) != length or x.dtype.kind not in "fiu":
                 expected = f"must hold real numbers, [{length}] or [{length}, n]"
-                fault = Finding("array.shape", f"array {name!r}", expected, f"{x.dtype} {list(x.shape)}")
+                found = f"{x.dtype} {list(x.shape)}"
                 cure = "convert it by .astype(float)" if x.dtype.kind not in "fiu" else "all must have the same rows"
-                raise LogError(fault._replace(cure=cure), where=path)
-        return np.column_stack([known[name][start:end, k].astype(float) for name, k in (columns[i] for i in used)])
+                raise LogError(Finding("array.shape", f"array {name!r}", expected, found, cure), where=path)
+        return np.column_stack([column(k).astype(float) for k in used])
 
-    def cell(i: int, k: int) -> object:
-        name, place = columns[k]
-        return known[name][start + i, place]
-
-    return Table(path, heads, read, cell, start, start, arrays)
+    heads = [head for names in arrays.values() for head in names]
+    return Table(path, heads, read, lambda i, k: column(k)[i], first, first, arrays)
 
 
 def _flat(path: Path, given: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, np.ndarray]]:

@@ -8,7 +8,7 @@ Then it is tried whether time steps of a quarter of their length move the parame
 """
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import torch
@@ -167,13 +167,14 @@ def _search(problem: Problem, finer: Sequence[Integrator], iterations: int, noti
             last = bool(at.defect <= NEARLY and (step.length < SETTLED or relative < STILL))
             if count == iterations:
                 return End(problem, at, linear, count, "" if last else f"{iterations} iterations were not enough")
-            after, reason = _accepted(problem, at, linear, step, tried), ""
+            trials, reason = _trials(problem, at, linear, step), ""
+            after = next((one for one in trials if all(_better(one, other) for other in tried)), None)
             if after is None:
-                reason = "" if at.defect <= CLOSED else "no step closes the defects between the states"
+                last, reason = True, "" if at.defect <= CLOSED else "no step closes the defects between the states"
             else:
                 last = last or (after.defect <= NEARLY and 0 <= at.cost - after.cost < GAIN)
                 at, count = after, count + 1
-            if after is None or last:
+            if last:
                 shift = problem.shift(at, linear, finer[0]) if finer else 0.0
                 if shift <= ACCURATE or len(finer) < 2:
                     long = f"steps a quarter as long still move the parameters, by {shift:.2g} standard errors"
@@ -189,21 +190,18 @@ def _search(problem: Problem, finer: Sequence[Integrator], iterations: int, noti
         return End(problem, at, linear, count, f"interrupted after {count} iterations", shift)
 
 
-def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Change, tried: Sequence[Iterate]) -> Iterate | None:
-    """Iterate after the longest trial that is better than all before in one of the two ways; None: none is.
+def _trials(problem: Problem, at: Iterate, linear: Linear, step: Change) -> Iterator[Iterate]:
+    """Iterates after shorter and shorter steps: as linearised, then simulated from the starts of the blocks.
 
     Where friction is stiff, linearised steps do not close the defects, but simulation from the starts does.
     """
     for k in range(TRIALS):
         if k:
             step = problem.step(at, linear, DAMPED * 10.0 ** (k - 1))
-        after = problem.moved(at, step, 0.5**k)
-        if all(_better(after, other) for other in tried):
-            return after
-        after = problem.simulated(after)
-        if all(_better(after, other) for other in tried):
-            return after
-    return None
+        values = problem.unknowns.moved(at.values, 0.5**k * step.values)
+        after = problem.at(values, at.motions.nodes + 0.5**k * step.nodes)
+        yield after
+        yield problem.simulated(after)
 
 
 def _better(one: Iterate, other: Iterate) -> bool:

@@ -101,10 +101,6 @@ class Problem:
         cost = self.rows * np.log(self._least(spread)).sum() + 0.5 * prior
         return Iterate(values, moved, defect, float(cost), spread)
 
-    def moved(self, at: Iterate, step: Change, share: float) -> Iterate:
-        """Iterate after a share of a step."""
-        return self.at(self.unknowns.moved(at.values, share * step.values), at.motions.nodes + share * step.nodes)
-
     def simulated(self, at: Iterate) -> Iterate:
         """Iterate whose nodes follow from each other within a block; there are defects between blocks only."""
         nodes, size = at.motions.nodes, self.pieces.block
@@ -132,10 +128,10 @@ class Problem:
     @cached_property
     def _measured(self) -> np.ndarray:
         """Nodes where the measurements are."""
-        q, qd = shooting.first_guess(self.pieces, self.logs)
-        given = {"q": torch.from_numpy(q), "qd": torch.from_numpy(qd)}
-        memory = self.scene.begin(given, {})[0].memory
-        return np.concatenate([q, qd] if memory is None else [q, qd, memory.numpy()], -1)
+        found = shooting.first_guess(self.pieces, self.logs)
+        q, qd = torch.from_numpy(found).split(self.pieces.n, -1)
+        memory = self.scene.begin({"q": q, "qd": qd}, {})[0].memory
+        return found if memory is None else np.concatenate([found, memory.numpy()], -1)
 
     @cached_property
     def _sizes(self) -> np.ndarray:
@@ -204,42 +200,29 @@ class Problem:
         numerical derivatives. With a memory among the states, which nothing measures, they are those of the scene.
         """
         n, unknowns = self.pieces.n, self.unknowns
-        values = unknowns.start
+        values = trial = unknowns.start
         if nodes.shape[-1] > 2 * n:
             return values
-        steps = np.flatnonzero(self.pieces.follows[:, :-1])
+        steps, states = np.flatnonzero(self.pieces.follows), nodes.reshape(-1, 2 * n)
         chosen = steps[:: max(1, len(steps) // SINGLE)]
-
-        def picked(x: np.ndarray) -> np.ndarray:
-            """Chosen rows of an array over the steps [K, T - 1, ...]."""
-            return x.reshape(-1, x.shape[-1])[chosen]
-
-        before, after = picked(nodes[:, :-1]), picked(nodes[:, 1:, n:])
-        undelayed = {name: picked(x[:, :-1]) for name, x in self._undelayed.items()}
-
-        def linear(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """Gaps of the velocities, their norms [n], and their slopes in the parameters."""
-            inputs, slopes = undelayed, {}
-            if unknowns.delayed:
-                inputs = {name: picked(x[:, :-1]) for name, x in self._inputs(values).items()}
-                slopes = {name: picked(x[:, :-1]) for name, x in self._slopes(values).items()}
-            _, B = self._linear_steps(values, before, inputs, slopes)
-            defects = after - self._after(values, before, inputs)[:, n:]
-            return defects, np.sqrt(np.square(defects).sum(0)), B[:, n:]
-
-        defects, norms, B = linear(values)
-        for _ in range(SINGLE_STEPS):
-            sizes, rows = unknowns.sizes(values), math.sqrt(len(defects)) / np.maximum(norms, 1e-300)
-            Z = (B * rows[:, None] * sizes).reshape(-1, len(sizes))
-            right = Z.T @ (defects * rows).ravel() - unknowns.offset(values) / sizes
-            change = sizes * np.linalg.solve(Z.T @ Z + np.eye(len(sizes)), right)
-            trial, least = unknowns.moved(values, change), np.log(norms).sum()
-            defects, norms, B = linear(trial)
+        before, after = states[chosen], states[chosen + 1, n:]
+        least, close = math.inf, False
+        for _ in range(SINGLE_STEPS + 1):
+            whole = self._inputs(trial), self._slopes(trial)
+            inputs, late = ({name: x.reshape(-1, x.shape[-1])[chosen] for name, x in of.items()} for of in whole)
+            gaps = after - self._after(trial, before, inputs)[:, n:]
+            norms = np.sqrt(np.square(gaps).sum(0))
             if not np.log(norms).sum() < least:
                 break
-            values = trial
-            if abs(change / sizes).max() < ALMOST:
+            values, least = trial, np.log(norms).sum()
+            if close:
                 break
+            B = self._linear_steps(values, before, inputs, late)[1][:, n:]
+            sizes, rows = unknowns.sizes(values), math.sqrt(len(gaps)) / np.maximum(norms, 1e-300)
+            Z = (B * rows[:, None] * sizes).reshape(-1, len(sizes))
+            right = Z.T @ (gaps * rows).ravel() - unknowns.offset(values) / sizes
+            change = sizes * np.linalg.solve(Z.T @ Z + np.eye(len(sizes)), right)
+            trial, close = unknowns.moved(values, change), bool(abs(change / sizes).max() < ALMOST)
         return values
 
     # --- steps ---
@@ -251,14 +234,12 @@ class Problem:
         """
         if not (at.spread > 0).any():
             return self.scale
-        states = at.motions.nodes.shape[-1] * len(at.motions.nodes) / at.spread.size
-        spent = states + len(at.values) / at.spread.size
+        spent = (at.motions.nodes[:, 0].size + len(at.values)) / at.spread.size
         return self._least(at.spread) * math.sqrt(self.rows / max(self.rows - spent, 1.0))
 
     def linearised(self, at: Iterate) -> Linear:
         """Linearised motions at an iterate."""
-        inputs, slopes = self._inputs(at.values), self._slopes(at.values)
-        A, B = self._linear_steps(at.values, at.motions.nodes, inputs, slopes)
+        A, B = self._linear_steps(at.values, at.motions.nodes, self._inputs(at.values), self._slopes(at.values))
         return shooting.linearised(self.pieces, at.motions, A, B, 1 / self.noise(at))
 
     @cached_property
@@ -287,28 +268,18 @@ class Problem:
         self, scene: Scene, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, late: Arrays
     ) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the steps by those of a scene with shorter ones."""
-        nodes, A, B = self._linear_step(scene, values, nodes, inputs, late)
-        for _ in range(round(self.scene.dt / scene.dt) - 1):
-            nodes, through, own = self._linear_step(scene, values, nodes, inputs, late)
-            A, B = through @ A, through @ B + own
+        unknowns, own = self.unknowns, self.unknowns.parameters(values)
+        given = {**scene.parameters, **own, **{name: torch.from_numpy(x) for name, x in inputs.items()}}
+        stage = Stage(scene.spec, "step", wrt=(*own, *(inputs if unknowns.delayed else ())))
+        A, B = np.eye(nodes.shape[-1]), np.zeros((nodes.shape[-1], len(values)))
+        for _ in range(round(self.scene.dt / scene.dt)):
+            found = evaluate(stage, {**given, **self._rows(nodes)}, scene.backend)
+            by = {name: x.numpy() for name, x in found.items()}
+            delay = sum((by[name] @ u[..., None] for name, u in late.items()), np.zeros(1))
+            columns = [by[part.key][..., part.at] if part.key else delay for part in unknowns.parts]
+            nodes, through = by["after"], by["A"]
+            A, B = through @ A, through @ B + np.concatenate(columns, -1) @ unknowns.slopes(values)
         return A, B
-
-    def _linear_step(
-        self, scene: Scene, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, late: Arrays
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """States after recorded steps, and their derivatives in the states and in the unknowns."""
-        unknowns, columns = self.unknowns, []
-        given = {**self._rows(nodes), **{name: torch.from_numpy(x) for name, x in inputs.items()}}
-        own = unknowns.parameters(values)
-        wrt = (*own, *(inputs if unknowns.delayed else ()))
-        found = evaluate(Stage(scene.spec, "step", wrt=wrt), {**given, **scene.parameters, **own}, scene.backend)
-        by = {name: x.numpy() for name, x in found.items()}
-        for part in unknowns.parts:
-            if part.key:
-                columns.append(by[part.key][..., part.at])
-            else:
-                columns.append(sum((by[name] @ u[..., None] for name, u in late.items()), np.zeros(1)))
-        return by["after"], by["A"], np.concatenate(columns, -1) @ unknowns.slopes(values)
 
     def information(self, at: Iterate, linear: Linear) -> np.ndarray:
         """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""

@@ -87,27 +87,26 @@ def _checked(log: Recording, name: str, joints: int, widths: Mapping[str, int]) 
     for key in log.inputs:
         if key not in widths:
             raise ArgumentError(f"inputs of {name} must be among those of the scene, {', '.join(widths)}, found {key}")
-    time = _array(f"time of {name}", log.time, 1)
+    time = _array(f"time of {name}", log.time)
     if len(time) < 3:
         raise ArgumentError(f"{name} must have at least three rows, found {len(time)}")
     if (np.diff(time) <= 0).any():
         row = int(np.argmax(np.diff(time) <= 0)) + 1
         raise LogError(f"{name}, row {row}: time must increase, found {time[row]:g} s after {time[row - 1]:g} s")
-    signals = {"q": (log.q, joints), **({} if log.qd is None else {"qd": (log.qd, joints)})}
-    signals |= {key: (x, widths[key]) for key, x in log.inputs.items()}
-    arrays = {key: _array(f"{key} of {name}", x, 2, len(time), width) for key, (x, width) in signals.items()}
-    inputs = {key: Commands(time, arrays[key]) for key in sorted(log.inputs)}
-    return CheckedRecording(name, time, arrays["q"], arrays.get("qd"), inputs)
+    q = _array(f"q of {name}", log.q, (len(time), joints))
+    qd = None if log.qd is None else _array(f"qd of {name}", log.qd, (len(time), joints))
+    inputs = {key: _array(f"{key} of {name}", log.inputs[key], (len(time), widths[key])) for key in sorted(log.inputs)}
+    return CheckedRecording(name, time, q, qd, {key: Commands(time, x) for key, x in inputs.items()})
 
 
-def _array(name: str, x: Any, axes: int, rows: int = 0, width: int = 0) -> np.ndarray:
-    """Array of finite numbers; raises unless it has that many axes, rows and columns."""
+def _array(name: str, x: Any, shape: tuple[int, int] | None = None) -> np.ndarray:
+    """Array of finite numbers; raises unless it has that shape, or one axis."""
     try:
         found = np.asarray(x, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"{name} must be an array of numbers, found {type(x).__name__}") from error
-    if found.ndim != axes or (rows and found.shape != (rows, width)):
-        expected = f"[{rows}, {width}]" if rows else "[rows]"
+    if found.shape != (shape or (found.size,)):
+        expected = list(shape) if shape else "[rows]"
         raise ArgumentError(f"{name} must have the shape {expected}, found {list(found.shape)}")
     bad = np.argwhere(~np.isfinite(found))
     if len(bad):

@@ -52,12 +52,12 @@ class RolloutFit(NamedTuple):
 
     def __str__(self) -> str:
         values, errors = (torch.cat([x.flatten() for x in part.values()]) for part in (self.values, self.errors))
-        title = f"{self.scene.robot.name}, {int(values.isfinite().sum())} of {len(self.names)} parameters identified"
+        known = f"{self.scene.robot.name}, {int(values.isfinite().sum())} of {len(self.names)} parameters identified"
         rows = [
             (name, f"{x:.4g}", f"{e:.2g}") if x == x else (name, "unidentifiable", "-")
             for name, x, e in zip(self.names, values.tolist(), errors.tolist(), strict=True)
         ]
-        title += f"\nby steps of {self.scene.dt:.4g} s with {self.scene.integrator}"
+        title = f"{known}\nby steps of {self.scene.dt:.4g} s with {self.scene.integrator}"
         parts = [title, table(("parameter", "estimate", "standard error"), rows)]
         if self.unidentifiable:
             parts.append("\n".join(("unidentifiable changes:", *self.unidentifiable)))
@@ -79,22 +79,16 @@ def result(end: End, warning: str, followed: bool) -> RolloutFit:
     covariance = slopes @ spread @ spread.T @ slopes.T
     hidden = (V[~identifiable] * sizes) @ slopes.T / unknowns.scales(at.values)
     known = (np.square(hidden).sum(0) < PART**2) & followed
-    errors = np.where(known, np.sqrt(covariance.diagonal()), np.nan)
-    values = np.where(known, at.values, np.nan)
+    values, errors = (np.where(known, x, np.nan) for x in (at.values, np.sqrt(covariance.diagonal())))
     n, pieces = problem.pieces.n, problem.pieces
     residuals = tuple(np.zeros(log.q.shape) for log in problem.logs)
     for k, rows, found in zip(pieces.log, pieces.row, at.motions.residual, strict=True):
         residuals[k][rows[rows >= 0]] = found[rows >= 0, :n]
 
-    def by_name(numbers: np.ndarray) -> dict[str, Tensor]:
-        """Numbers [p] of every unknown."""
-        parts = zip(unknowns.parts, unknowns.split(numbers), strict=True)
-        return {part.name: torch.from_numpy(x) for part, x in parts}
-
     return RolloutFit(
         changed(problem.scene, unknowns.parameters(at.values)),
-        by_name(values),
-        by_name(errors),
+        unknowns.by_name(values),
+        unknowns.by_name(errors),
         unknowns.labels,
         torch.from_numpy(at.values),
         torch.from_numpy(covariance),

@@ -85,33 +85,29 @@ def segments(logs: Sequence[CheckedRecording], dt: float, seconds: float | None)
     time = np.stack([logs[k].time[0] + (a + np.arange(T)) * dt for k, a, _ in pieces])
     row = np.stack([np.concatenate([rows, np.full(T - len(rows), -1)]) for *_, rows in pieces])
     which = np.array([k for k, *_ in pieces])
-    signals = [np.concatenate([x for x in (log.q, log.qd) if x is not None], axis=1) for log in logs]
-    used = row[..., None] >= 0
-    y = np.stack([signals[k][rows] for k, rows in zip(which, row, strict=True)]) * used
-    late = np.stack([logs[k].time[rows] for k, rows in zip(which, row, strict=True)]) - time
-    late = np.where(used[..., 0] & (abs(late) > 1e-6 * dt), late, 0.0)[..., None]
-    lengths = np.array([len(rows) for *_, rows in pieces])
-    follows = np.arange(T) < lengths[:, None] - 1
-    n, measured, some = logs[0].q.shape[1], used.astype(float), late if late.any() else None
-    return Segments(dt, n, block, which, time, row, follows[..., None], measured, y, some)
+    signals = [np.column_stack([x for x in (log.time, log.q, log.qd) if x is not None]) for log in logs]
+    measured, used = np.stack([signals[k][rows] for k, rows in zip(which, row, strict=True)]), row[..., None] >= 0
+    late = measured[..., :1] - time[..., None]
+    late = np.where(used & (abs(late) > 1e-6 * dt), late, 0.0)
+    follows = np.arange(T)[:, None] < np.array([len(rows) - 1 for *_, rows in pieces])[:, None, None]
+    n, y, some = logs[0].q.shape[1], measured[..., 1:] * used, late if late.any() else None
+    return Segments(dt, n, block, which, time, row, follows, used.astype(float), y, some)
 
 
-def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities [K, T, n] of the nodes: those measured, or slopes of cubics through measured ones."""
-    found = np.zeros((2, *pieces.time.shape, pieces.n))
+def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> np.ndarray:
+    """Positions and velocities [K, T, 2 n] of the nodes: those measured, or slopes of cubics through measured ones."""
+    found = []
     for k, log in enumerate(logs):
         grid = np.arange(log.time[0], log.time[-1] + 0.5 * pieces.dt, pieces.dt)
-        q = _interpolated(grid, log.time, log.q)
+        measured = log.q if log.qd is None else np.concatenate([log.q, log.qd], -1)
+        nodes = np.stack([np.interp(grid, log.time, x) for x in measured.T], -1)
         if log.qd is None:
             rows = max(SMOOTHED, 2.5 * float(np.diff(log.time).max())) / pieces.dt
             window = min(2 * math.ceil(rows) + 1, (len(grid) - 1) // 2 * 2 + 1)
-            qd = slopes(q, window) / pieces.dt
-        else:
-            qd = _interpolated(grid, log.time, log.qd)
-        own = pieces.log == k
-        at = np.clip(np.rint((pieces.time[own] - log.time[0]) / pieces.dt).astype(int), 0, len(grid) - 1)
-        found[0, own], found[1, own] = q[at], qd[at]
-    return found[0], found[1]
+            nodes = np.concatenate([nodes, slopes(nodes, window) / pieces.dt], -1)
+        at = np.rint((pieces.time[pieces.log == k] - log.time[0]) / pieces.dt).astype(int)
+        found.append(nodes[np.clip(at, 0, len(grid) - 1)])
+    return np.concatenate(found)
 
 
 def slopes(x: np.ndarray, window: int) -> np.ndarray:
@@ -129,23 +125,16 @@ def slopes(x: np.ndarray, window: int) -> np.ndarray:
     return np.concatenate([rows[:middle] @ x[:window], inner, rows[middle + 1 :] @ x[-window:]])
 
 
-def _interpolated(at: np.ndarray, time: np.ndarray, x: np.ndarray) -> np.ndarray:
-    return np.stack([np.interp(at, time, column) for column in x.T], axis=-1)
-
-
 def commands(
     pieces: Segments, logs: Sequence[CheckedRecording], delay: float, slope: bool = False
 ) -> dict[str, np.ndarray]:
     """Commands [K, T, width] of all steps, or their derivatives by the delay [s]."""
-    found = {}
-    for name, first in logs[0].inputs.items():
-        rows = np.zeros((*pieces.time.shape, first.values.shape[1]))
-        for k, log in enumerate(logs):
-            own, given = pieces.log == k, log.inputs[name]
-            at = pieces.time[own] - delay
-            rows[own] = -given.slope(at, pieces.dt) if slope else given.mean(at, pieces.dt)
-        found[name] = rows
-    return found
+    found: dict[str, list[np.ndarray]] = {name: [] for name in logs[0].inputs}
+    for k, log in enumerate(logs):
+        at = pieces.time[pieces.log == k] - delay
+        for name, given in log.inputs.items():
+            found[name].append(-given.slope(at, pieces.dt) if slope else given.mean(at, pieces.dt))
+    return {name: np.concatenate(rows) for name, rows in found.items()}
 
 
 # --- motions ---------------------------------------------------------------------------------------------------------
@@ -153,8 +142,7 @@ def commands(
 
 def motions(pieces: Segments, nodes: np.ndarray, after: np.ndarray) -> Motions:
     """Nodes [K, T, s] with defects and residuals, from the states after the step of each."""
-    defects = np.zeros_like(nodes)
-    np.subtract(after[:, :-1], nodes[:, 1:], out=defects[:, :-1], where=pieces.follows[:, :-1])
+    defects = np.where(pieces.follows, after - np.roll(nodes, -1, axis=1), 0.0)
     return Motions(nodes, defects, pieces.y - seen(pieces, nodes))
 
 
