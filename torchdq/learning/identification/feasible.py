@@ -94,6 +94,13 @@ class Neighbourhood:
         """Start less the description, whose rotors act and whose friction does not, at places in phi [n, p]."""
         return (self.described - self.zero)[at]
 
+    def at(self, other: "Neighbourhood", y: Tensor) -> Tensor:
+        """Place here [..., t] of what is at y [..., s] in another neighbourhood, whose coefficients are some of these."""
+        phi = other.described + y @ other.S.T
+        found = (phi - self.described) @ self.inverse.T
+        coefficients, b = phi[..., len(phi.T) - len(self.start) :][..., self.effects], 10 * len(self.links)
+        return torch.cat([found[..., :b], found[..., b:].where(coefficients != 0, 0.0)], -1)
+
     def _split(self, y: Tensor) -> tuple[Tensor, Tensor]:
         """B [..., links, 4, 4] and the ratio [..., coefficients] of every coefficient to its size."""
         bodies = 10 * len(self.links)

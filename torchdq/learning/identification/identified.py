@@ -24,7 +24,7 @@ from torchdq.learning.identification.base_parameters import base_names
 from torchdq.learning.identification.gains import Gains
 from torchdq.learning.identification.model_selection import ModelSelection
 from torchdq.learning.identification.regression import by_chunks, parted, places, rigid
-from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
+from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, at_rest, rows_of, unit_torques
 from torchdq.learning.logs.motions import Motion
 from torchdq.nn import InverseDynamics
 from torchdq.robot import Robot
@@ -74,6 +74,7 @@ class Identified(NamedTuple):
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
     correlation: Tensor  # [n] correlation time of the residual torque, in rows
     sign_width: float  # width of the Coulomb friction [rad/s or m/s]
+    fastest: Tensor  # [n] largest speed in the samples [rad/s or m/s]
     simple: Tensor  # [2, n] viscous and Coulomb friction that come nearest to all friction found, in these samples
     identifiable: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
     selection: ModelSelection | None  # how the model was chosen; None: it was given
@@ -250,7 +251,9 @@ class Identified(NamedTuple):
         The errors are those of the parameters, and those of the model, `model`. The intervals are `half_width` times
         the root of the squared errors of the parameters and the squared noise, to either side: as wide as they had to
         be to hold 95 % of the measured torques of blocks that were left out, and of a block more. Where no model was
-        chosen, errors are taken for normal. In motions that go elsewhere or far faster the intervals hold less.
+        chosen, errors are taken for normal. A joint at rest may be held by any torque within its dry friction, by which
+        they are wider there; and in states that are faster than the samples, by as much as these are. In motions that
+        go elsewhere the intervals hold less.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]
@@ -271,6 +274,9 @@ class Identified(NamedTuple):
             if ROTOR not in self.terms and self.robot.armature is not None:
                 tau += self.robot.armature.to(tau) * recording.qdd
             margin = self.half_width.to(error) * torch.hypot(error, self.noise.to(error))
+            margin += self.simple[1].to(error) * at_rest(recording.qd, self.sign_width)
+            beyond = recording.qd.abs() / self.fastest.to(error).clamp_min(self.sign_width)
+            margin *= beyond.amax(-1, keepdim=True).clamp_min(1)
             error = torch.hypot(error, self.model.to(error))
         return Prediction(*(x.reshape(*batch, n) for x in (tau, error, tau - margin, tau + margin)))
 

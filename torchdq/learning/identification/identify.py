@@ -206,10 +206,11 @@ def _fitted(problem: _Problem) -> tuple[_Problem, Solution, Tensor]:
     """Solution to all rows with the loads that it finds itself, and correlation times [n] of its residuals in rows."""
     evidence = problem.evidence._replace(blocks=())
     correlation = torch.ones(evidence.robot.n, dtype=torch.float64)
+    found: Solution | None = None
     for again in (True, False):
         near, at = evidence.near(problem.estimated, problem.strength), evidence.at
-        sums, say = evidence.total, evidence.say
-        found = solve(near, sums, evidence.squares, evidence.samples, correlation, at, problem.weight, say)
+        facts = evidence.total, evidence.squares, evidence.samples, correlation, at, problem.weight, evidence.say
+        found = solve(near, *facts, start=found and near.at(found.near, found.y))
         if again:
             correlation = evidence.correlation(found.change(at))
             evidence = evidence.with_loads(found.parameters)
@@ -227,14 +228,14 @@ def _identified(
     robot, terms, sign_width = evidence.robot, evidence.terms, evidence.sign_width
     inflation = found.inflation(weight) if problem.validated else 1.0  # a strength that was chosen adds no knowledge
     spread = found.spread(weight, inflation)
-    moves = (evidence.recording.qd.abs().amax(0) > sign_width).cpu()
+    fastest = evidence.recording.qd.abs().amax(0).cpu()
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
     changes = dict(zip(("mass", "com", "inertia"), near.bodies(found.y), strict=True))
     own = zip(terms, parted(robot, found.parameters)[1], strict=True)
     changes |= {term.described: x for term, x in own if term.described}
     model = _beyond(evidence, spread, facts.noise, problem.validated)
     wide = evidence.half_widths(problem.unseen, spread, facts.noise)
-    identifiable = _identifiable(spread, near.S.norm(dim=1) * math.sqrt(inflation / weight), moves, terms)
+    identifiable = _identifiable(spread, near.S.norm(dim=1) * math.sqrt(inflation / weight), fastest > sign_width, terms)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, weight, *drives)], 1)
     return Identified(
@@ -250,6 +251,7 @@ def _identified(
         rms=found.rms,
         correlation=correlation,
         sign_width=sign_width,
+        fastest=fastest,
         simple=simple_friction(evidence, found.parameters),
         identifiable=identifiable,
         selection=problem.selection,

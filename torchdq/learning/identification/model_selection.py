@@ -25,6 +25,7 @@ from torchdq.robot import Robot
 STRENGTHS = (1e4, 1e2, 1.0)  # prior of the bodies, the strongest first
 SURE = 2.0  # standard errors by which a joint gains from a rotor or an offset, tried before friction of other shapes
 TIED = 1e-3  # relative difference of scores that count as equal
+ALONE = 0.12  # the same of the best and the plainest models, where parts of a single motion vouch for all others
 MOVES = 0.01  # least mean square of a joint's velocity in a block, relative to the largest, where it moves
 NONE = torch.zeros(0)
 
@@ -150,13 +151,16 @@ def select(
         tried += more
 
     number = _simplest([one.scores for one in tried])
+    if len(recording.lengths) == 1:
+        best = min(one.score for one in tried)
+        number = next((k for k, one in enumerate(tried[:2]) if one.score <= (1 + ALONE) * best), number)
     chosen, regions = tried[number], len(evidence.left) - len(blocks)
-    what = f"parts of motions and {regions} regions of the states" if regions else "motions"
+    what = "motions" if len(recording.lengths) >= 3 else "parts of motions"
     squares = chosen.scores * evidence.sizes / evidence.counts[:, None]
     left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
     tries = torch.stack([one.estimated for one in tried]).any(0).any(1)
     useless = tuple(term.name for term, used in zip(terms, tries.tolist(), strict=True) if not used)
-    validation = f"{len(blocks)} {what} that were left out in turn"
+    validation = f"{len(blocks)} {what} and {regions} regions of the states that were left out in turn"
     selection = ModelSelection(tuple(tried), number, validation, left, useless)
     own = evidence if math.isinf(chosen.strength) else identified
     return selection, own.only(chosen.estimated.any(1)), own.left_out(chosen.found)
@@ -171,12 +175,12 @@ def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tup
     terms, strength, free = evidence.terms, strengths[-1], strengths[-1] < math.inf
     name = "identified" if free else "+ friction"
     optional = [k for k in range(len(terms)) if not bool(base[k].all())]
-    _, variance = _noise(evidence, base, strength)
+    found, variance = _noise(evidence, base, strength)
     simple = [k for k in optional if terms[k] in (ROTOR, OFFSET)]
     mask, gains = gainful(evidence, variance, base, simple, strength, SURE)
     if not (free or bool(mask.any())):
         return [], evidence
-    found, variance = _noise(evidence, mask, strength)
+    found, variance = _noise(evidence, mask, strength, found)
     tried = [_candidate(name, evidence, strengths, mask, variance, gains, found)]
     strengths = [x for x in strengths if x <= tried[0].strength]
     if free:
@@ -186,7 +190,7 @@ def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tup
         mask, more = gainful(evidence, variance, mask, kinds, tried[-1].strength)
         if more:
             gains = [*gains, *more]
-            found, variance = _noise(evidence, mask, tried[-1].strength)
+            found, variance = _noise(evidence, mask, tried[-1].strength, found)
             tried.append(_candidate(name, evidence, strengths, mask, variance, gains, found))
     return tried, evidence
 
@@ -219,13 +223,11 @@ def _candidate(
     name = ", ".join([name, *_additions(evidence, estimated)])
     evidence.say(name)
     scores, every = list[Tensor](), list[Tensor]()
-    start, before = whole.y.expand(len(evidence.folds), -1), whole.near.strength
+    before, start = whole.near, whole.y.expand(len(evidence.folds), -1)
     for strength in strengths:
         near = evidence.near(estimated, strength)
-        b = 10 * len(near.links)
-        start = torch.cat([start[:, :b] * math.sqrt(near.strength / before), start[:, b:]], 1)
-        start, found = changes(near, evidence.folds, variance, evidence.at, start)
-        before = near.strength
+        start, found = changes(near, evidence.folds, variance, evidence.at, near.at(before, start))
+        before = near
         every.append(found)
         scores.append(evidence.scores(found))
     best = _simplest(scores)
@@ -244,9 +246,13 @@ def _simplest(scores: Sequence[Tensor]) -> int:
     return best
 
 
-def _noise(evidence: Evidence, estimated: Tensor, strength: float) -> tuple[Solution, Tensor]:
-    """Fit to all rows, and the variance of its residuals times their correlation time [n]."""
+def _noise(
+    evidence: Evidence, estimated: Tensor, strength: float, before: Solution | None = None
+) -> tuple[Solution, Tensor]:
+    """Fit to all rows, from one with fewer terms on, and the variance of its residuals times their correlation [n]."""
     one, near = torch.ones(evidence.robot.n, dtype=torch.float64), evidence.near(estimated, strength)
-    found = solve(near, evidence.total, evidence.squares, evidence.samples, one, evidence.at, say=evidence.say)
+    start = None if before is None else near.at(before.near, before.y)
+    facts = evidence.total, evidence.squares, evidence.samples, one, evidence.at
+    found = solve(near, *facts, say=evidence.say, start=start)
     variance = found.facts.noise.maximum(found.rms) ** 2
     return found, variance * evidence.correlation(found.change(evidence.at))

@@ -14,7 +14,7 @@ from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import Information, information, known, shifted, squared
 
 ITERATIONS = 200  # most Newton steps of a minimum
-EXACT, ROUGH = 1e-12, 1e-6  # part of the prior's weight by which a minimum may be missed; a score needs less
+EXACT, ROUGH = 1e-12, 1e-3  # part of the prior's weight by which a minimum may be missed; a score needs less
 ROUNDS = 10  # most times that the joints are reweighted
 JITTERS = (0.0, 1e-15, 1e-13, 1e-11)  # added to a diagonal of ones, until rounding leaves a matrix positive definite
 
@@ -64,6 +64,7 @@ def solve(
     at: Tensor,  # [n, p] places of the parameters of each joint
     prior: float = 1.0,  # weight of the distance
     say: Callable[[str], None] = lambda _: None,
+    start: Tensor | None = None,  # [t] near the minimum
 ) -> Solution:
     """Minimum in a neighbourhood, joints being weighted by the noise that it leaves."""
     S, independent = near.S[at], samples / correlation
@@ -72,7 +73,7 @@ def solve(
     for k in range(ROUNDS):
         say(f"minimum {k + 1} of at most {ROUNDS}")
         facts = information(own, S, squares, floor, independent)
-        y, settled = minimum(near, facts, prior)
+        y, settled = minimum(near, facts, prior, start)
         rms = (squared(own, S @ y) / independent).sqrt()
         # least squares may explain a joint by a robot that cannot exist; what a physical one cannot do is noise
         worse = rms > 2 * facts.noise
