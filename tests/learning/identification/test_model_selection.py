@@ -259,9 +259,9 @@ def test_the_report_is_a_table_with_reasons():
 
 def test_one_motion_vouches_for_other_bodies_where_they_explain_much_more():
     """Masses that are 3 % larger take a tenth of the squared residual away: enough in three motions, not in one."""
-    q, qd, qdd = states(3, 400, seed=5)
+    q, qd, qdd = states(3, 400, seed=2)
     slightly = ROBOT.replace(mass=1.03 * ROBOT.mass).bake()
-    tau = torques(slightly, q, qd, qdd, size=0.7, memory=0.9)
+    tau = torques(slightly, q, qd, qdd, size=0.5, memory=0.5)
     names = [identify(ROBOT, Samples(*(x[:k] for x in (q, qd, qdd, tau)))).selection.chosen.name for k in (1, 3)]
     assert names[0].startswith("+ friction") and names[1].startswith("identified")
 
