@@ -147,7 +147,8 @@ def select(
         less = tried[:2][-1].scores - more[_simplest([one.scores for one in more])].scores
         kept = untested | (less.mean(0) <= less.std(0) / len(less) ** 0.5)
         if bool(kept.any()):
-            more, identified = _family(evidence.keeping(kept), strengths, base)
+            identified = identified.keeping(kept)
+            more = [] if bool(kept.all()) else [_again(identified, one, strengths) for one in more]
         tried += more
 
     number = _simplest([one.scores for one in tried])
@@ -193,6 +194,13 @@ def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tup
             found, variance = _noise(evidence, mask, tried[-1].strength, found)
             tried.append(_candidate(name, evidence, strengths, mask, variance, gains, found))
     return tried, evidence
+
+
+def _again(evidence: Evidence, one: CandidateModel, strengths: Sequence[float]) -> CandidateModel:
+    """Candidate with the same terms, validated on other evidence."""
+    found, variance = _noise(evidence, one.estimated, one.strength)
+    strengths = [x for x in strengths if x <= one.strength]
+    return _candidate("identified", evidence, strengths, one.estimated, variance, one.gains, found)
 
 
 def _untested(evidence: Evidence) -> Tensor:
