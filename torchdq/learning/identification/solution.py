@@ -115,9 +115,10 @@ def minimum(
     if start is not None:
         w, weight = (V.mT @ start[..., None])[..., 0], torch.full_like(weight, prior)
 
-    def cost(w: Tensor) -> Tensor:
-        return (e * (w - w_0).square()).sum(-1) + weight * near.distance((V @ w[..., None])[..., 0])
+    def parts(w: Tensor) -> tuple[Tensor, Tensor]:
+        return (e * (w - w_0).square()).sum(-1), near.distance((V @ w[..., None])[..., 0])
 
+    squares, distance = parts(w)
     for _ in range(ITERATIONS):
         slope, curvature = near.slopes((V @ w[..., None])[..., 0])
         gradient = 2 * e * (w - w_0) + weight[..., None] * (slope[..., None, :] @ V)[..., 0, :]
@@ -125,12 +126,14 @@ def minimum(
         scale = H.diagonal(dim1=-2, dim2=-1).rsqrt()  # the samples' part may be 1e20 times the prior's
         factor = _factor(scale[..., None] * H * scale[..., None, :])
         step = -scale * torch.cholesky_solve((scale * gradient)[..., None], factor)[..., 0]
-        before, expected, last = cost(w), -(gradient * step).sum(-1), weight == prior
+        before, expected, last = squares + weight * distance, -(gradient * step).sum(-1), weight == prior
         settled = expected <= torch.where(last, tolerance, 0.1) * weight + 1e-14 * before
         length = torch.where(settled, 0.0, 1.0)
-        while bool(
-            (long := (length > 0) & (cost(w + length[..., None] * step) > before - 1e-4 * length * expected)).any()
-        ):
+        while True:
+            squares, distance = parts(w + length[..., None] * step)
+            long = (length > 0) & (squares + weight * distance > before - 1e-4 * length * expected)
+            if not bool(long.any()):
+                break
             length = torch.where(long, length / 2, length)
             length = torch.where(length < 1e-9, 0.0, length)  # by rounding
         w, settled = w + length[..., None] * step, length == 0
