@@ -39,7 +39,6 @@ from recordings import LAYOUTS
 from torchdq import DQRNEA, ResidualDynamics, Robot, effects
 from torchdq.learning import (
     Identified,
-    IdentifiedWithResidual,
     LogWarning,
     Model,
     Motion,
@@ -102,7 +101,7 @@ class Models(NamedTuple):
 class Trained(NamedTuple):
     """What was chosen with a network, what that gains on held-out rows, and how long it took [s]."""
 
-    whole: IdentifiedWithResidual
+    whole: Identified
     gain: ValidationGain
     seconds: float
 
@@ -281,17 +280,17 @@ def trained(split: Split, found: Identified) -> Trained:
     """Network beside what was chosen."""
     start = time.perf_counter()
     torch.manual_seed(0)
-    whole = IdentifiedWithResidual(found, ResidualDynamics(found.layer()))
-    gain = fit(whole.residual, [whole.samples(motion) for motion in split.train], **TRAINING).residual
+    network = ResidualDynamics(found.layer())
+    gain = fit(network, [found.residual_samples(motion) for motion in split.train], **TRAINING).residual
     assert gain is not None
-    return Trained(whole, gain, time.perf_counter() - start)
+    return Trained(found.with_residual(network), gain, time.perf_counter() - start)
 
 
 def with_network(split: Split, network: Trained) -> Network:
     """Scores with the network beside what was chosen."""
     whole, gain, seconds = network
     tau, told = stack_samples(split.test).tau, whole.predict(split.test)
-    left = [whole.identified.predict(split.test).tau - tau, told.tau - tau]
+    left = [whole._replace(network=None).predict(split.test).tau - tau, told.tau - tau]
     without, error = (x.square().mean(0).sqrt() for x in left)
     return Network(
         *(scores(x, split.test) for x in left),

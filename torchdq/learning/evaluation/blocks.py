@@ -5,8 +5,8 @@ each other, so that rows left out at random would show nothing. A filter mixes n
 that is left out are left out of the fit, too.
 
 Motions that repeat themselves or each other show the same states again and again, and a model that is right in these
-alone would pass for a good one. So regions of the states are left out, too: slow and fast rows, and those on either side
-along the direction in which the positions vary most.
+alone would pass for a good one. So regions of the states are left out, too: slow and fast rows, and those on either
+side along the direction in which the positions vary most.
 """
 
 import math

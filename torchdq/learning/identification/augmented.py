@@ -86,9 +86,7 @@ class AugmentedFit(NamedTuple):
             tau = tau + robot.armature.to(q) * qdd
         return torch.einsum("rjp,jpt->rjt", Z, self.near.S[at].to(q)).cpu(), tau.cpu()
 
-    def solve(
-        self, Z: Tensor, r: Tensor, E: Tensor, rounds: int = 2, left: Tensor | None = None
-    ) -> AugmentedSolution:
+    def solve(self, Z: Tensor, r: Tensor, E: Tensor, rounds: int = 2, left: Tensor | None = None) -> AugmentedSolution:
         """Unknowns of torques per unit [rows, n, e] that explain residuals [rows, n], with a change of the fit.
 
         Rows are weighted by what was `left` before, or by the residuals.

@@ -14,6 +14,7 @@ from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.coverage import interval_factors
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import by_chunks, gram, parted, places, rigid, squared
+from torchdq.learning.identification.solution import Solution, solve
 from torchdq.learning.identification.terms import ROTOR, Term, at_rest, rows_of, unit_torques
 from torchdq.robot import Robot
 
@@ -81,6 +82,20 @@ class Evidence(NamedTuple):
         """Neighbourhood of the description, with those coefficients [terms, n] that are estimated."""
         return Neighbourhood(self.robot, self.terms, estimated, self.squares.sqrt(), self.unit, strength)
 
+    def fit(
+        self,
+        estimated: Tensor,  # [terms, n]
+        strength: float,
+        correlation: Tensor,  # [n] correlation times of the residuals: so many rows say as much as one
+        weight: float = 1.0,  # of the prior
+        before: Solution | None = None,  # fit with fewer terms
+    ) -> Solution:
+        """Solution to all rows, from an earlier one on."""
+        near = self.near(estimated, strength)
+        sums, independent = self.total / correlation[:, None, None], self.samples / correlation
+        start = None if before is None else near.at(before.near, before.y)
+        return solve(near, sums, self.squares, independent, self.at, weight, self.say, start)
+
     def scores(self, changes: Tensor) -> Tensor:
         """Squared residuals over the torques' variance [blocks, n], changes [blocks, n, p] being found without it."""
         return squared(self.left, changes) / self.sizes
@@ -105,7 +120,7 @@ class Evidence(NamedTuple):
 
         Of those that blocks and regions that were left out ask for, the larger ones are taken; where there are neither,
         errors are assumed to be normal. Errors are those of parameters with the covariance `spread` [k, t] times its
-        transpose, and of noise with these standard deviations [n]. Joints at rest, which dry friction holds, do not count.
+        transpose, and of noise with these standard deviations [n]. Joints at rest, which friction holds, do not count.
         """
         F, found = spread[self.at], list[Tensor]()
         for kind in filter(None, left_out):

@@ -95,10 +95,10 @@ class Neighbourhood:
         return (self.described - self.zero)[at]
 
     def at(self, other: "Neighbourhood", y: Tensor) -> Tensor:
-        """Place here [..., t] of what is at y [..., s] in another neighbourhood, whose coefficients are some of these."""
+        """Place [..., t] of y [..., s] of another neighbourhood; coefficients that are zero there start as here."""
         phi = other.described + y @ other.S.T
-        found = (phi - self.described) @ self.inverse.T
-        coefficients, b = phi[..., len(phi.T) - len(self.start) :][..., self.effects], 10 * len(self.links)
+        found, b = (phi - self.described) @ self.inverse.T, 10 * len(self.links)
+        coefficients = phi[..., phi.shape[-1] - len(self.start) :][..., self.effects]
         return torch.cat([found[..., :b], found[..., b:].where(coefficients != 0, 0.0)], -1)
 
     def _split(self, y: Tensor) -> tuple[Tensor, Tensor]:

@@ -46,7 +46,7 @@ from torchdq.learning.identification.model_selection import (
 )
 from torchdq.learning.identification.regression import known, parted, shifted
 from torchdq.learning.identification.simple import simple_friction
-from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
+from torchdq.learning.identification.solution import ITERATIONS, Solution
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
 from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.motions import Motion
@@ -205,18 +205,14 @@ def _problem(
 def _fitted(problem: _Problem) -> tuple[_Problem, Solution, Tensor]:
     """Solution to all rows with the loads that it finds itself, and correlation times [n] of its residuals in rows."""
     evidence = problem.evidence._replace(blocks=())
-    correlation = torch.ones(evidence.robot.n, dtype=torch.float64)
-    found: Solution | None = None
-    for again in (True, False):
-        near, at = evidence.near(problem.estimated, problem.strength), evidence.at
-        facts = evidence.total, evidence.squares, evidence.samples, correlation, at, problem.weight, evidence.say
-        found = solve(near, *facts, start=found and near.at(found.near, found.y))
-        if again:
-            correlation = evidence.correlation(found.change(at))
-            evidence = evidence.with_loads(found.parameters)
+    model = problem.estimated, problem.strength
+    first = evidence.fit(*model, torch.ones(evidence.robot.n, dtype=torch.float64), problem.weight)
+    correlation = evidence.correlation(first.change(evidence.at))
+    evidence = evidence.with_loads(first.parameters)
+    found, at = evidence.fit(*model, correlation, problem.weight, first), evidence.at
     if bool(evidence.kept.any()):  # that a joint keeps the description is no measurement
-        sums = shifted(evidence.measurements, near.start_of(at)) / correlation[:, None, None]
-        found = found._replace(facts=known(sums, near.S[at], found.facts.noise**2))
+        sums = shifted(evidence.measurements, found.near.start_of(at)) / correlation[:, None, None]
+        found = found._replace(facts=known(sums, found.near.S[at], found.facts.noise**2))
     return problem._replace(evidence=evidence), found, correlation
 
 
@@ -235,7 +231,8 @@ def _identified(
     changes |= {term.described: x for term, x in own if term.described}
     model = _beyond(evidence, spread, facts.noise, problem.validated)
     wide = evidence.half_widths(problem.unseen, spread, facts.noise)
-    identifiable = _identifiable(spread, near.S.norm(dim=1) * math.sqrt(inflation / weight), fastest > sign_width, terms)
+    alone = near.S.norm(dim=1) * math.sqrt(inflation / weight)  # standard errors by the prior
+    identifiable = _identifiable(spread, alone, fastest > sign_width, terms)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, weight, *drives)], 1)
     return Identified(

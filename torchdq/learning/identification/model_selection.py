@@ -18,7 +18,7 @@ from torchdq.base.tables import table
 from torchdq.learning.evaluation.blocks import Block, MotionRows
 from torchdq.learning.identification.evidence import Evidence, Unseen, gather
 from torchdq.learning.identification.friction_selection import Gain, gainful
-from torchdq.learning.identification.solution import Solution, changes, solve
+from torchdq.learning.identification.solution import Solution, changes
 from torchdq.learning.identification.terms import OFFSET, ROTOR, SHAPES, Term
 from torchdq.robot import Robot
 
@@ -258,9 +258,6 @@ def _noise(
     evidence: Evidence, estimated: Tensor, strength: float, before: Solution | None = None
 ) -> tuple[Solution, Tensor]:
     """Fit to all rows, from one with fewer terms on, and the variance of its residuals times their correlation [n]."""
-    one, near = torch.ones(evidence.robot.n, dtype=torch.float64), evidence.near(estimated, strength)
-    start = None if before is None else near.at(before.near, before.y)
-    facts = evidence.total, evidence.squares, evidence.samples, one, evidence.at
-    found = solve(near, *facts, say=evidence.say, start=start)
+    found = evidence.fit(estimated, strength, torch.ones(evidence.robot.n, dtype=torch.float64), before=before)
     variance = found.facts.noise.maximum(found.rms) ** 2
     return found, variance * evidence.correlation(found.change(evidence.at))

@@ -57,18 +57,16 @@ class Solution(NamedTuple):
 
 def solve(
     near: Neighbourhood,
-    sums: Tensor,  # [n, p + 1, p + 1] by `gram` about the described bodies and coefficients of zero
+    sums: Tensor,  # [n, p + 1, p + 1] by `gram` about the described bodies and coefficients of zero, of those samples
     squares: Tensor,  # [n] mean squares of the torques
-    samples: int,
-    correlation: Tensor,  # [n] correlation times of the residuals: so many rows say as much as one
+    independent: Tensor,  # [n] number of independent samples
     at: Tensor,  # [n, p] places of the parameters of each joint
     prior: float = 1.0,  # weight of the distance
     say: Callable[[str], None] = lambda _: None,
     start: Tensor | None = None,  # [t] near the minimum
 ) -> Solution:
     """Minimum in a neighbourhood, joints being weighted by the noise that it leaves."""
-    S, independent = near.S[at], samples / correlation
-    own = shifted(sums, near.start_of(at)) / correlation[:, None, None]
+    S, own = near.S[at], shifted(sums, near.start_of(at))
     floor = torch.zeros_like(squares)
     for k in range(ROUNDS):
         say(f"minimum {k + 1} of at most {ROUNDS}")
