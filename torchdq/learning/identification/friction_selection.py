@@ -38,7 +38,7 @@ def gainful(
     if not candidates:
         return estimated, []
     near = evidence.near(torch.ones_like(estimated), strength)
-    n, b, terms, blocks = len(variance), 10 * len(near.links), evidence.terms, len(evidence.left)
+    n, b, terms, blocks = len(variance), near.inertial, evidence.terms, len(evidence.left)
     inertial, scale = evidence.at.shape[1] - len(terms), near.start.reshape(len(terms), n).T
     described = near.zero[-len(near.start) :].reshape(len(terms), n).T
     units = torch.cat([scale, torch.ones_like(scale[:, :1])], 1)[:, None]  # of the columns that follow those of bodies

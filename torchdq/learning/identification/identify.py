@@ -161,8 +161,7 @@ def identify(
         _warn([*still, *data])
         problem = _problem(robot, rows, model, fixed, prior, sign_width, notice.at)
         problem, found, correlation = _fitted(problem)
-        offsets = not (problem.validated and model.offset == "auto")
-        misfits = _misfits(problem, found, offsets, explained=not data)
+        misfits = _misfits(problem, found, model, explained=not data)
         _warn(misfits)
         identified = _identified(problem, found, correlation, drives)
         return identified._replace(findings=(*still, *data, *misfits, *_notes(problem, identified)))
@@ -310,15 +309,15 @@ def _notes(problem: _Problem, found: Identified) -> list[Finding]:
     ]
 
 
-def _misfits(problem: _Problem, found: Solution, offsets: bool, explained: bool) -> list[Finding]:
+def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) -> list[Finding]:
     """Findings about a model that could not be chosen, and torques that it does not explain or explains by wrong terms.
 
-    `offsets`: whether constant torques that are missing are to be reported; `explained`: whether the description
-    explains the measurements; if not, no model does.
+    `explained`: whether the description explains the measurements; if not, no model does. What was tried on blocks that
+    were left out is not asked for.
     """
     evidence, misfits = problem.evidence, list[Finding]()
-    robot, rows, sign_width = evidence.robot, evidence.recording, evidence.sign_width
-    if problem.selection and not problem.validated:
+    robot, rows, sign_width, tried = evidence.robot, evidence.recording, evidence.sign_width, problem.validated
+    if problem.selection and not tried:
         misfits.append(
             too_few(rows)._replace(cure=f"the model is {problem.selection.chosen.name}; record longer motions")
         )
@@ -337,9 +336,9 @@ def _misfits(problem: _Problem, found: Solution, offsets: bool, explained: bool)
         return misfits + poor
     if len(residual) >= FEW:
         fit = AugmentedFit.of(evidence, found.near, found.y, problem.weight, residual)
-        if lacking := [*lag_findings(fit), *(offset_findings(fit) if offsets else ())]:
+        if lacking := [*lag_findings(fit), *(() if tried and model.offset == "auto" else offset_findings(fit))]:
             return misfits + lacking
-    if COULOMB in evidence.terms and not any(term in evidence.terms for term in SHAPES):
+    if COULOMB in evidence.terms and not ((tried and model.friction == "auto") or set(SHAPES) & set(evidence.terms)):
         misfits += misshapen(robot.joint_names, few[:4], fitted, sign_width, signs)
     return misfits
 
