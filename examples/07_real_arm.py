@@ -13,7 +13,7 @@ choice. Models are selected on held-out blocks of the training motions. Rows:
     chosen + residual    the same with a small network, at the joints where it helps (`fit`)
     black box            a network from q, qd, qdd of all joints to torques, without a model
 
-The last row is the coverage of the 95 % intervals of `IdentifiedWithResidual.predict`: near 95 % for similar motions,
+The last row is the coverage of the 95 % intervals of `Identified.predict`: near 95 % for similar motions,
 less for others.
 """
 
@@ -40,7 +40,6 @@ import torchdq
 from torchdq import effects
 from torchdq.learning import (
     Identified,
-    IdentifiedWithResidual,
     LogError,
     Model,
     Motion,
@@ -117,12 +116,12 @@ def of_states(model: nn.Module) -> Torques:
     return lambda motion: model(*stack_samples(motion)[:3])
 
 
-def of_motions(model: Identified | IdentifiedWithResidual) -> Torques:
+def of_motions(model: Identified) -> Torques:
     """Torques of a motion by a model with memory."""
     return lambda motion: model.predict(motion).tau
 
 
-def covered(model: IdentifiedWithResidual, test: Motion) -> np.ndarray:
+def covered(model: Identified, test: Motion) -> np.ndarray:
     """Share of the torques in their 95 % intervals, per joint."""
     predicted, tau = model.predict(test), stack_samples(test).tau
     return ((tau >= predicted.low) & (tau <= predicted.high)).double().mean(0).numpy()
@@ -200,10 +199,11 @@ def main(args: Args) -> Result:
     inside: list[list[np.ndarray]] = []  # per seed, per test
     for seed in range(seeds):
         torch.manual_seed(seed)
-        model = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
-        parts = [model.samples(motion) for motion in motions]
+        network = torchdq.ResidualDynamics(found.layer())
+        parts = [found.residual_samples(motion) for motion in motions]
         how = {"steps": steps, "batch": BATCH, "rate": RATE, "decay": DECAY, "seed": seed}
-        history = fit_on(args.place, model.residual, parts, **how)
+        history = fit_on(args.place, network, parts, **how)
+        model = found.with_residual(network)
         add("chosen + residual", of_motions(model))
         inside.append([covered(model, test) for test in tests])
         add("black box", of_states(black_box(args, box, data, steps, seed)))

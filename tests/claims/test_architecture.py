@@ -94,7 +94,6 @@ STOREYS = {
     "torchdq.learning.rollout": 3,
     "torchdq.learning.bodies": 4,
     "torchdq.learning.evaluate": 4,
-    "torchdq.learning.with_residual": 4,
     "torchdq.learning.excitation.limits": 1,
     "torchdq.learning.plots": 5,
     "torchdq.learning.excitation": 6,

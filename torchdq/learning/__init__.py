@@ -33,7 +33,6 @@ from torchdq.learning.rollout.recordings import Recording
 from torchdq.learning.rollout.result import RolloutFit
 from torchdq.learning.training.fit import fit
 from torchdq.learning.training.loop import History, TrainingError
-from torchdq.learning.with_residual import IdentifiedWithResidual
 
 __all__ = [
     "Box",
@@ -44,7 +43,6 @@ __all__ = [
     "History",
     "Identified",
     "IdentifiedPayload",
-    "IdentifiedWithResidual",
     "Layout",
     "Log",
     "LogError",

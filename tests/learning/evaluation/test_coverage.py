@@ -48,6 +48,13 @@ def test_one_block_has_its_own_quantile_and_none_of_zeros_is_wide():
     assert torch.equal(interval_factors([torch.zeros(50, 2, dtype=F64)] * 3), torch.zeros(2, dtype=F64))
 
 
+def test_rows_without_a_number_do_not_count():
+    rows = torch.randn(6, 500, 2, generator=generator(), dtype=F64)
+    gaps = rows.repeat_interleave(2, 1)
+    gaps[:, ::2] = torch.nan
+    assert torch.equal(interval_factors(list(gaps)), interval_factors(list(rows)))
+
+
 def motion(seed, noise):
     """A motion, and torques with a few outliers at the first joint, and noise of two values at the second."""
     (q, qd, qdd), g = (x[0] for x in states(1, 300, seed)), generator(seed)
@@ -74,6 +81,26 @@ def test_intervals_of_an_identified_robot_hold_their_share_whatever_the_noise_is
 def test_a_model_that_was_given_has_the_intervals_of_normal_errors():
     q, qd, qdd, tau = motion(0, 0.1)
     found = fitted(TWO, q, qd, qdd, tau)
-    predicted = found.predict(q, qd, qdd)
+    some = qd.abs().amin(-1) > 1.0  # they slide
+    predicted = found.predict(q[some], qd[some], qdd[some])
     assert torch.equal(found.half_width, double(1.96, 1.96)) and not found.model.any()
-    assert torch.allclose(predicted.high - predicted.low, 2 * 1.96 * torch.hypot(predicted.error, found.noise))
+    half = (predicted.high - predicted.low) / 2
+    assert torch.allclose(half, 1.96 * torch.hypot(predicted.error, found.noise), rtol=1e-4)
+
+
+def test_intervals_have_room_for_friction_at_rest_and_for_speeds_beyond_the_samples():
+    q, qd, qdd, tau = motion(0, 0.1)
+    found = fitted(TWO, q, qd, qdd, tau + 2.0 * qd.sign())
+    at_rest, other = torch.zeros_like(qd), torch.zeros_like(qd)
+    other[:, 1] = 0.5 * qd[:, 1].abs().amax()
+    fast = qd.abs().amax(0) * double(1.5, 3.0)
+
+    def half(qd):
+        predicted = found.predict(q, qd, qdd)
+        return (predicted.high - predicted.low) / 2, 1.96 * torch.hypot(predicted.error, found.noise)
+
+    for speed, held in ((at_rest, double(1.0, 1.0)), (other, double(1.0, 0.0))):
+        width, sliding = half(speed)
+        assert torch.allclose(width - sliding, (held * found.coulomb).expand_as(width), atol=1e-3)
+    width, sliding = half(fast.expand_as(qd))
+    assert torch.allclose(width, 3.0 * sliding, rtol=1e-3)

@@ -319,7 +319,7 @@ def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd)
     monkeypatch.setattr(progress, "FIRST", 0.01)
     monkeypatch.setattr(progress, "EVERY", 0.01)
     monkeypatch.setattr(regression, "CHUNK", 2 * 22 * 50)
-    plain = regression.columns
+    plain = regression.regressor
 
     def slow(*arguments):
         time.sleep(0.1)
@@ -328,7 +328,7 @@ def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd)
             raise KeyboardInterrupt  # as Ctrl-C does
         return plain(*arguments)
 
-    monkeypatch.setattr(regression, "columns", slow)
+    monkeypatch.setattr(regression, "regressor", slow)
     with pytest.raises(KeyboardInterrupt):
         fitted(ROBOT, *states, states[0])
     assert seen == [50, 50, 50]

@@ -248,13 +248,22 @@ def test_the_report_is_a_table_with_reasons():
     q, qd, qdd = states(5, 300)
     found = identify(ROBOT, Samples(q, qd, qdd, torques(REAL, q, qd, qdd)))
     lines = str(found.selection).splitlines()
-    assert "5 motions that were left out in turn" in lines[0]
+    assert "5 motions and 4 regions of the states that were left out in turn" in lines[0]
     assert lines[1].split() == ["model", "score", "standard", "error", "root", "prior"]
     names = [one.name for one in found.selection.candidates]
     assert names[0] == "description" and names[1].startswith("+ friction") and names[-1].startswith("identified")
     assert sum("chosen" in line for line in lines[2 : 2 + len(names)]) == 1
     assert any(line.startswith("chosen: identified") for line in lines)
     assert str(found).endswith(str(found.selection)) and "\n" not in repr(found.selection)
+
+
+def test_one_motion_vouches_for_other_bodies_where_they_explain_much_more():
+    """Masses that are 3 % larger take a tenth of the squared residual away: enough in three motions, not in one."""
+    q, qd, qdd = states(3, 400, seed=2)
+    slightly = ROBOT.replace(mass=1.03 * ROBOT.mass).bake()
+    tau = torques(slightly, q, qd, qdd, size=0.5, memory=0.5)
+    names = [identify(ROBOT, Samples(*(x[:k] for x in (q, qd, qdd, tau)))).selection.chosen.name for k in (1, 3)]
+    assert names[0].startswith("+ friction") and names[1].startswith("identified")
 
 
 # --- recordings ------------------------------------------------------------------------------------------------------

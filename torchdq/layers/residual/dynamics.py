@@ -43,7 +43,7 @@ class ResidualDynamics(nn.Module):
       a controller with a network that went wrong is a controller with a bounded disturbance;
     * a joint where it does not help has the weight zero.
 
-    Beside an identified robot, `torchdq.learning.IdentifiedWithResidual` has friction with memory and errors, too.
+    Beside an identified robot (`Identified.with_residual`), friction keeps its memory, and predictions have errors.
 
     Args:
         model: the dynamics.

@@ -4,9 +4,9 @@ A block is a whole motion, or a contiguous part of one where there are fewer tha
 each other, so that rows left out at random would show nothing. A filter mixes neighbours, so the rows next to a part
 that is left out are left out of the fit, too.
 
-A motion that repeats itself shows the same states in all its parts, and a model that is right in these alone would pass
-for a good one. So where there are fewer than three motions, regions of the states are left out, too: slow and fast
-rows, and those on either side along the direction in which the positions vary most.
+Motions that repeat themselves or each other show the same states again and again, and a model that is right in these
+alone would pass for a good one. So regions of the states are left out, too: slow and fast rows, and those on either
+side along the direction in which the positions vary most.
 """
 
 import math
@@ -161,9 +161,7 @@ def too_few(recording: MotionRows) -> Finding:
 
 
 def regions(recording: MotionRows) -> list[tuple[Tensor, Tensor]]:
-    """Pairs of regions of the states, each the rows of one and of the other; none for three motions and more."""
-    if len(recording.lengths) >= 3:
-        return []
+    """Pairs of regions of the states, each the rows of one and of the other."""
     still = torch.finfo(torch.float64).tiny
     speed = (recording.qd / recording.qd.std(0).clamp_min(still)).norm(dim=1)
     middle = recording.q - recording.q.mean(0)

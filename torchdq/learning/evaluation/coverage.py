@@ -17,17 +17,17 @@ def interval_factors(ratios: Sequence[Tensor]) -> Tensor:
     Intelligence 74, 2015, of blocks instead of rows).
 
     Args:
-        ratios: of each block that was left out, the residuals in units of the predicted errors [rows, n].
+        ratios: of each block that was left out, the residuals in units of the predicted errors [rows, n]; NaN: no row.
 
     >>> alike = torch.randn(6, 2000, 1, generator=torch.Generator().manual_seed(0)).double()
     >>> bool((interval_factors(list(alike)) - 1.96).abs() < 0.1)
     True
     """
     sizes = [ratio.abs() for ratio in ratios]
-    quantile = torch.cat(sizes).quantile(COVERED, 0)
+    quantile = torch.cat(sizes).nanquantile(COVERED, 0)
     if len(sizes) < 2:
         return quantile
-    others = [torch.cat([*sizes[:k], *sizes[k + 1 :]]).quantile(COVERED, 0) for k in range(len(sizes))]
+    others = [torch.cat([*sizes[:k], *sizes[k + 1 :]]).nanquantile(COVERED, 0) for k in range(len(sizes))]
     still = torch.finfo(quantile.dtype).tiny
     beyond = torch.cat([size / other.clamp_min(still) for size, other in zip(sizes, others, strict=True)])
-    return quantile * beyond.quantile(COVERED, 0).clamp_min(1.0)
+    return quantile * beyond.nanquantile(COVERED, 0).clamp_min(1.0)

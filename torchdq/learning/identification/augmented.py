@@ -86,21 +86,24 @@ class AugmentedFit(NamedTuple):
             tau = tau + robot.armature.to(q) * qdd
         return torch.einsum("rjp,jpt->rjt", Z, self.near.S[at].to(q)).cpu(), tau.cpu()
 
-    def solve(self, Z: Tensor, r: Tensor, E: Tensor, rounds: int = 2) -> AugmentedSolution:
-        """Unknowns of torques per unit [rows, n, e] that explain residuals [rows, n], with a change of the fit."""
-        left, A, t = r, torch.cat([Z, E], -1), Z.shape[-1]
+    def solve(self, Z: Tensor, r: Tensor, E: Tensor, rounds: int = 2, left: Tensor | None = None) -> AugmentedSolution:
+        """Unknowns of torques per unit [rows, n, e] that explain residuals [rows, n], with a change of the fit.
+
+        Rows are weighted by what was `left` before, or by the residuals.
+        """
+        left, A, t = r if left is None else left, torch.cat([Z, E], -1).flatten(0, 1), Z.shape[-1]
         step = len(self.evidence.own) / len(self.rows)
         for _ in range(rounds):  # what is noise depends on the unknowns
             variance = left.square().mean(0).maximum(EXACT * self.square)
             weight = 1 / (variance * correlation_times(left, self.lengths))
-            b = torch.einsum("rjk,rj->k", A, r * weight)
-            H = torch.einsum("rjk,rjl->kl", A, A * weight[:, None])
+            weighted = A * weight.repeat(len(r))[:, None]
+            b, H = weighted.T @ r.flatten(), weighted.T @ A
             H[:t, :t] += self.curvature / step
             b[:t] -= self.slope / step
             size = H.diagonal().clamp_min(torch.finfo(H.dtype).tiny).sqrt()
             inverse = torch.linalg.pinv(H / size / size[:, None], rtol=1e-12, hermitian=True) / size / size[:, None]
             x = inverse @ b
-            left = r - A @ x
+            left = r - (A @ x).reshape(r.shape)
         return AugmentedSolution(x[:t], x[t:], inverse.diagonal()[t:].clamp_min(0).sqrt(), left)
 
 

@@ -13,8 +13,9 @@ from torchdq.learning.evaluation.blocks import Block, MotionRows, regions
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.coverage import interval_factors
 from torchdq.learning.identification.feasible import Neighbourhood
-from torchdq.learning.identification.regression import by_chunks, gram, parted, places, rigid, squared, torques
-from torchdq.learning.identification.terms import ROTOR, Term, rows_of, unit_torques
+from torchdq.learning.identification.regression import by_chunks, gram, parted, places, rigid, squared
+from torchdq.learning.identification.solution import Solution, solve
+from torchdq.learning.identification.terms import ROTOR, Term, at_rest, rows_of, unit_torques
 from torchdq.robot import Robot
 
 STILL = 0.3  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
@@ -81,6 +82,20 @@ class Evidence(NamedTuple):
         """Neighbourhood of the description, with those coefficients [terms, n] that are estimated."""
         return Neighbourhood(self.robot, self.terms, estimated, self.squares.sqrt(), self.unit, strength)
 
+    def fit(
+        self,
+        estimated: Tensor,  # [terms, n]
+        strength: float,
+        correlation: Tensor,  # [n] correlation times of the residuals: so many rows say as much as one
+        weight: float = 1.0,  # of the prior
+        before: Solution | None = None,  # fit with fewer terms
+    ) -> Solution:
+        """Solution to all rows, from an earlier one on."""
+        near = self.near(estimated, strength)
+        sums, independent = self.total / correlation[:, None, None], self.samples / correlation
+        start = None if before is None else near.at(before.near, before.y)
+        return solve(near, sums, self.squares, independent, self.at, weight, self.say, start)
+
     def scores(self, changes: Tensor) -> Tensor:
         """Squared residuals over the torques' variance [blocks, n], changes [blocks, n, p] being found without it."""
         return squared(self.left, changes) / self.sizes
@@ -89,7 +104,8 @@ class Evidence(NamedTuple):
         """Residuals [rows, n] after a change of the parameters [n, p]; of all rows, or those of these numbers."""
         some, own = (self.recording, self.own) if rows is None else (self.recording.some(rows), self.own[rows])
         phi = bodies(self.robot, self.at.shape[1]) + change
-        return some.measured - torques(self.robot, some, own, phi, self.robot.armature)
+        pi, coefficients = phi[0, : -len(self.terms) or None], phi[:, phi.shape[1] - len(self.terms) :].to(own)
+        return some.measured - rigid(self.robot, some, pi, self.robot.armature) - (own * coefficients).sum(-1)
 
     def left_out(self, changes: Tensor) -> tuple[list[Unseen], list[Unseen]]:
         """Residuals of blocks, and of regions, by parameters [n, p] that were found without each."""
@@ -104,7 +120,7 @@ class Evidence(NamedTuple):
 
         Of those that blocks and regions that were left out ask for, the larger ones are taken; where there are neither,
         errors are assumed to be normal. Errors are those of parameters with the covariance `spread` [k, t] times its
-        transpose, and of noise with these standard deviations [n].
+        transpose, and of noise with these standard deviations [n]. Joints at rest, which friction holds, do not count.
         """
         F, found = spread[self.at], list[Tensor]()
         for kind in filter(None, left_out):
@@ -113,8 +129,9 @@ class Evidence(NamedTuple):
                 some, error = self.recording.some(rows), torch.empty_like(residual)
                 for chunk, Z in by_chunks(self.robot, some, self.own[rows], F.numel()):
                     error[chunk] = torch.einsum("rjp,jpt->rjt", Z, F.to(Z)).norm(dim=-1)
-                ratios.append(residual / torch.hypot(error, noise.to(error)))
-            found.append(interval_factors(ratios).cpu())
+                held = at_rest(some.qd, self.sign_width) > 0.5
+                ratios.append((residual / torch.hypot(error, noise.to(error))).masked_fill(held, torch.nan))
+            found.append(interval_factors(ratios).cpu().nan_to_num(NORMAL))
         return torch.stack(found).amax(0) if found else torch.full_like(noise, NORMAL)
 
     def correlation(self, change: Tensor) -> Tensor:

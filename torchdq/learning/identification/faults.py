@@ -54,18 +54,19 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     def left(found: AugmentedSolution) -> float:
         return float((found.left.square().mean(0) / size)[moved].sum())
 
-    def step(fault: _Fault, x: Tensor, y: Tensor) -> AugmentedSolution:
+    def step(fault: _Fault, x: Tensor, last: AugmentedSolution) -> AugmentedSolution:
         Z, tau = fault.model(x)
         columns = []
         for unit in STEP * torch.eye(fault.unknowns).double():
             (A, a), (B, b) = fault.model(x + unit), fault.model(x - unit)
-            columns.append((a + A @ y - b - B @ y) / (2 * STEP))
-        return fit.solve(Z, measured - tau, torch.cat([offsets, torch.stack(columns, -1)], -1), rounds=3)
+            columns.append((a + A @ last.y - b - B @ last.y) / (2 * STEP))
+        E = torch.cat([offsets, torch.stack(columns, -1)], -1)
+        return fit.solve(Z, measured - tau, E, rounds=1, left=last.left)
 
     before = left(plain)
     if before < LEAST * int(moved.sum()):
         return []
-    tried = [(fault, step(fault, torch.zeros(fault.unknowns).double(), plain.y)) for fault in _faults(fit, some)]
+    tried = [(fault, step(fault, torch.zeros(fault.unknowns).double(), plain)) for fault in _faults(fit, some)]
     promising = [(fault, found) for fault, found in tried if left(found) < TRIED * before]
     best, findings = LEFT * before, list[Finding]()
     for fault, found in promising:
@@ -75,7 +76,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
             if not bool(change.isfinite().all()):
                 break
             x = x + change.clamp(-FARTHEST / 2, FARTHEST / 2)
-            found = step(fault, x, found.y)
+            found = step(fault, x, found)
             if float(change.abs().max()) < SETTLED:
                 break
         sure = bool((x.abs() > SURE * found.error[len(size) :]).any())

@@ -29,11 +29,53 @@ THIN = 1e-2  # least extent of a body relative to its size: coordinates of point
 SMALL = 0.1  # prior scale of an undescribed effect, relative to the joint's RMS torque
 
 
-class Neighbourhood:
-    """Parameters phi = phi_0 + S y around those of a described robot, and the distance of y [t] from it.
+class Distance:
+    """Distance of y [..., t] from bodies and coefficients.
 
-    Ten numbers of y are the entries of (B - 1) sqrt(strength) of a link with mass, one the change of a coefficient over
-    its size.
+    Ten numbers of y are the entries of (B - 1) sqrt(strength) of a link, one the change of a coefficient over its size.
+
+    Args:
+        links: number of links.
+        signed: coefficients that may have either sign [coefficients].
+        fraction: t of those that must be below one, zero of others [coefficients].
+        strength: weight of the distance of bodies.
+    """
+
+    def __init__(self, links: int, signed: Tensor, fraction: Tensor, strength: float = 1.0):
+        self.inertial, self.signed, self.fraction, self.strength = 10 * links, signed, fraction, strength
+
+    def _split(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """B [..., links, 4, 4] and the ratio [..., coefficients] of every coefficient to its size."""
+        change = y[..., : self.inertial].unflatten(-1, (-1, 10)) / math.sqrt(self.strength)
+        return relative(change), 1 + y[..., self.inertial :]
+
+    def distance(self, y: Tensor) -> Tensor:
+        """Distance to the description [...] of y [..., t]; infinite where no robot can exist."""
+        B, x = self._split(y)
+        t = self.fraction
+        exists = ((self.signed | (x > 0)) & (t * x < 1)).all(-1)
+        below_one = 2 * (((1 - t) / (1 - t * x)).log() - (x - 1) * t / (1 - t))
+        coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log()) + below_one).sum(-1)
+        return torch.where(exists, self.strength * divergence(B).sum(-1) + coefficients, torch.inf)
+
+    def apart(self, y: Tensor) -> float:
+        """Distance of the bodies alone, were the strength one."""
+        return float(divergence(self._split(y)[0]).sum())
+
+    def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Gradient [..., t] and Hessian [..., t, t] of the distance, at y [..., t]."""
+        B, ratio = self._split(y)
+        slopes, blocks = divergence_slopes(B)
+        x, t, b = torch.where(self.signed, 1.0, ratio), self.fraction, self.inertial
+        rest = torch.where(self.signed, 2 * (ratio - 1), 2 - 2 / x + 2 * t / (1 - t * x) - 2 * t / (1 - t))
+        H = torch.diag_embed(torch.cat([y.new_zeros(*y.shape[:-1], b), 2 / x**2 + 2 * (t / (1 - t * x)) ** 2], -1))
+        for i in range(0, b, 10):
+            H[..., i : i + 10, i : i + 10] = blocks[..., i // 10, :, :]
+        return torch.cat([math.sqrt(self.strength) * slopes.flatten(-2), rest], -1), H
+
+
+class Neighbourhood(Distance):
+    """Parameters phi = phi_0 + S y around those of a described robot, and the distance of y [t] from it.
 
     Args:
         robot: the robot as described.
@@ -59,16 +101,17 @@ class Neighbourhood:
         massive = mass.nonzero()[:, 0]
         factor = _factor(mass[massive], com[massive], inertia[massive])
         free = strength < math.inf
-        self.strength = strength if free else 1.0
         self.links, self.factor = (massive, factor) if free else (massive[:0], factor[:0])
         self.mass, self.com, self.inertia = mass, com, inertia
         self.start = _scales(robot, terms, torque, unit) * estimated.reshape(-1)
-        signed = torch.tensor([term.signed for term in terms for _ in range(robot.n)], dtype=torch.bool)
         self.effects = self.start.nonzero()[:, 0]
-        self.signed = signed[self.effects]
-        below_one = torch.tensor([term.fraction for term in terms for _ in range(robot.n)], dtype=torch.bool)
-        self.fraction = (self.start * below_one)[self.effects]  # t, zero for a coefficient that may be any
-        if free and not len(self.links) + len(self.effects):
+        signed, below_one = (
+            torch.tensor([getattr(term, name) for term in terms for _ in range(robot.n)], dtype=torch.bool)
+            for name in ("signed", "fraction")
+        )
+        fraction = (self.start * below_one)[self.effects]
+        super().__init__(len(self.links), signed[self.effects], fraction, strength if free else 1.0)
+        if free and not self.inertial + len(self.effects):
             raise ArgumentError(f"robot {robot.name!r} has no mass, and there is nothing else to identify")
 
         k = 10 * len(mass) + len(self.start)
@@ -80,49 +123,26 @@ class Neighbourhood:
             rotors[terms.index(ROTOR)] = robot.armature.detach().double().cpu()
         self.described[10 * len(mass) :] = torch.where(self.start > 0, self.start * ~signed, rotors.flatten())
         self.zero = torch.cat([self.described[: 10 * len(mass)], rotors.flatten()])
-        self.S = torch.zeros(k, 10 * len(self.links) + len(self.effects), dtype=torch.float64)
+        self.S = torch.zeros(k, self.inertial + len(self.effects), dtype=torch.float64)
         self.inverse = torch.zeros_like(self.S).T  # y of a change of phi
         C = self.factor[:, None]
         blocks = inertial_parameters(C @ BASIS @ C.mT).mT / self.strength**0.5  # [links, 10 parameters, 10 entries]
         for i, link in enumerate(self.links.tolist()):
             own, columns = slice(10 * i, 10 * i + 10), slice(10 * link, 10 * link + 10)
             self.S[columns, own], self.inverse[own, columns] = blocks[i], torch.linalg.inv(blocks[i])
-        at, to = 10 * len(self.links) + torch.arange(len(self.effects)), 10 * len(mass) + self.effects
+        at, to = self.inertial + torch.arange(len(self.effects)), 10 * len(mass) + self.effects
         self.S[to, at], self.inverse[at, to] = self.start[self.effects], 1 / self.start[self.effects]
 
     def start_of(self, at: Tensor) -> Tensor:
         """Start less the description, whose rotors act and whose friction does not, at places in phi [n, p]."""
         return (self.described - self.zero)[at]
 
-    def _split(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        """B [..., links, 4, 4] and the ratio [..., coefficients] of every coefficient to its size."""
-        bodies = 10 * len(self.links)
-        change = y[..., :bodies].unflatten(-1, (-1, 10)) / math.sqrt(self.strength)
-        return relative(change), 1 + y[..., bodies:]
-
-    def distance(self, y: Tensor) -> Tensor:
-        """Distance to the description [...] of y [..., t]; infinite where no robot can exist."""
-        B, x = self._split(y)
-        t = self.fraction
-        exists = ((self.signed | (x > 0)) & (t * x < 1)).all(-1)
-        below_one = 2 * (((1 - t) / (1 - t * x)).log() - (x - 1) * t / (1 - t))
-        coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log()) + below_one).sum(-1)
-        return torch.where(exists, self.strength * divergence(B).sum(-1) + coefficients, torch.inf)
-
-    def apart(self, y: Tensor) -> float:
-        """Distance of the bodies alone, were the strength one."""
-        return float(divergence(self._split(y)[0]).sum())
-
-    def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradient [..., t] and Hessian [..., t, t] of the distance, at y [..., t]."""
-        B, ratio = self._split(y)
-        slopes, blocks = divergence_slopes(B)
-        x, t, b = torch.where(self.signed, 1.0, ratio), self.fraction, 10 * len(self.links)
-        rest = torch.where(self.signed, 2 * (ratio - 1), 2 - 2 / x + 2 * t / (1 - t * x) - 2 * t / (1 - t))
-        H = torch.diag_embed(torch.cat([y.new_zeros(*y.shape[:-1], b), 2 / x**2 + 2 * (t / (1 - t * x)) ** 2], -1))
-        for i in range(len(self.links)):
-            H[..., 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = blocks[..., i, :, :]
-        return torch.cat([math.sqrt(self.strength) * slopes.flatten(-2), rest], -1), H
+    def at(self, other: "Neighbourhood", y: Tensor) -> Tensor:
+        """Place [..., t] of y [..., s] of another neighbourhood; coefficients that are zero there start as here."""
+        phi = other.described + y @ other.S.T
+        found, b = (phi - self.described) @ self.inverse.T, self.inertial
+        coefficients = phi[..., phi.shape[-1] - len(self.start) :][..., self.effects]
+        return torch.cat([found[..., :b], found[..., b:].where(coefficients != 0, 0.0)], -1)
 
     def bodies(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Mass [n], centre of mass [n, 3] and inertia about it [n, 6] of the links."""

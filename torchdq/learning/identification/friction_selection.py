@@ -38,15 +38,17 @@ def gainful(
     if not candidates:
         return estimated, []
     near = evidence.near(torch.ones_like(estimated), strength)
-    n, b, terms, blocks = len(variance), 10 * len(near.links), evidence.terms, len(evidence.left)
+    n, b, terms, blocks = len(variance), near.inertial, evidence.terms, len(evidence.left)
     inertial, scale = evidence.at.shape[1] - len(terms), near.start.reshape(len(terms), n).T
     described = near.zero[-len(near.start) :].reshape(len(terms), n).T
-    basis = torch.zeros(n, inertial + len(terms) + 1, b + len(terms) + 1, dtype=torch.float64)
-    basis[:, :inertial, :b] = near.S[:inertial, :b]
-    basis[:, inertial:-1, b:-1] = torch.diag_embed(scale)
-    basis[:, -1, -1] = 1
-    M = basis.mT @ torch.cat([evidence.folds, evidence.total[None]]) @ basis / variance[:, None, None]
-    left, sizes = basis.mT @ evidence.left @ basis, evidence.sizes[..., None]
+    units = torch.cat([scale, torch.ones_like(scale[:, :1])], 1)[:, None]  # of the columns that follow those of bodies
+
+    def by_coordinates(sums: Tensor) -> Tensor:
+        """Columns of sums [..., n, p + 1, p + 1] per unit of y, as rows."""
+        return torch.cat([sums[..., :inertial] @ near.S[:inertial, :b], sums[..., inertial:] * units], -1).mT
+
+    M = by_coordinates(by_coordinates(torch.cat([evidence.folds, evidence.total[None]]))) / variance[:, None, None]
+    left, sizes = by_coordinates(by_coordinates(evidence.left)), evidence.sizes[..., None]
     own, at = M[:, :, b:-1], torch.tensor(candidates, dtype=torch.long)
     one = torch.eye(len(terms), dtype=M.dtype)
     signed = torch.tensor([terms[c].signed for c in candidates])

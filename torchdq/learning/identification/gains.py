@@ -68,7 +68,8 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
         torque = evidence.squares.sqrt()
         unit = torch.cat([evidence.unit, (torque / scale)[None]])
         near = Neighbourhood(robot, terms, torch.ones(len(terms), n, dtype=torch.bool), torque, unit, STRENGTH)
-        found = solve(near, T.mT @ sums @ T, evidence.squares, evidence.samples, correlation, at)
+        independent = T.mT @ sums @ T / correlation[:, None, None]
+        found = solve(near, independent, evidence.squares, evidence.samples / correlation, at)
         change = found.change(at)
         least = h.abs() / 3  # in the direction of h
         before, h, phi = (

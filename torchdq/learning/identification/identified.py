@@ -19,13 +19,15 @@ from torchdq.effects.friction import Friction
 from torchdq.effects.steady import at_speeds
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
+from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.identification.base_parameters import base_names
 from torchdq.learning.identification.gains import Gains
 from torchdq.learning.identification.model_selection import ModelSelection
 from torchdq.learning.identification.regression import by_chunks, parted, places, rigid
-from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
-from torchdq.learning.logs.motions import Motion
+from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, at_rest, rows_of, unit_torques
+from torchdq.learning.logs.motions import Motion, require_torques
+from torchdq.learning.logs.samples import Samples
 from torchdq.nn import InverseDynamics
 from torchdq.robot import Robot
 
@@ -74,11 +76,13 @@ class Identified(NamedTuple):
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
     correlation: Tensor  # [n] correlation time of the residual torque, in rows
     sign_width: float  # width of the Coulomb friction [rad/s or m/s]
+    fastest: Tensor  # [n] largest speed in the samples [rad/s or m/s]
     simple: Tensor  # [2, n] viscous and Coulomb friction that come nearest to all friction found, in these samples
     identifiable: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
     selection: ModelSelection | None  # how the model was chosen; None: it was given
     gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not estimated
     findings: tuple[Finding, ...] = ()  # what is probably wrong in the motions or missing in the model
+    network: ResidualDynamics | None = None  # torques of the state that no term has; None: none
 
     def coefficients(self, name: str) -> Tensor | None:
         """Parameters [n] of the joints of one kind: "rotor", "viscous", "coulomb", "offset"; None: not estimated."""
@@ -151,7 +155,7 @@ class Identified(NamedTuple):
     def effects(self) -> tuple[Effect, ...]:
         """Effects of a scene with the robot found: gravity, rotor inertia if there is any, and friction.
 
-        A constant torque is not among them: `offset` is added to the torques of the scene.
+        A constant torque is among them with a residual network alone; else add `offset` to the torques of the scene.
 
         >>> import torch, torchdq, torchdq.envs
         >>> from torchdq.learning import Samples, identify
@@ -162,13 +166,14 @@ class Identified(NamedTuple):
         'two_link'
         """
         rotors = () if self.robot.armature is None else (effects.RotorInertia(),)
-        return (effects.Gravity(), *rotors, *self.friction())
+        network = () if self.network is None else (effects.Residual(self.network),)
+        return (effects.Gravity(), *rotors, *self.friction(), *network)
 
     def layer(self, learn: Sequence[str] = ()) -> InverseDynamics:
         """Torques as a module: the robot found, with its friction, the width of dry friction, and the offset.
 
         A layer does not know the motion before, so friction with memory is that of steady sliding there.
-        `Model(memory=False)` finds the best friction without; `IdentifiedWithResidual` adds a network to that with it.
+        `Model(memory=False)` finds the best friction without. A residual network is not in it.
 
         Args:
             learn: quantities that the layer goes on learning, as in `torchdq.InverseDynamics`; "friction" only if no
@@ -180,6 +185,64 @@ class Identified(NamedTuple):
         if self.offset is not None:
             layer.offset = self.offset
         return layer
+
+    def with_residual(self, network: ResidualDynamics) -> Identified:
+        """Identified robot with a residual network, in predictions and scenes.
+
+        Train the network on `residual_samples`. Errors and intervals become smaller in the trained states, by as much
+        as the network lowered the error on held-out rows.
+
+        Args:
+            network: network around `layer()`.
+        Raises:
+            ArgumentError: it is around another robot.
+
+        >>> import torch, torchdq
+        >>> from torchdq import effects
+        >>> from torchdq.learning import Model, Samples, fit, identify
+        >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 300, 2, dtype=torch.float64)
+        >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * q[..., :1].sin() * q[..., 1:].cos()
+        >>> plain = Model(friction=(effects.Viscous(), effects.Coulomb()))
+        >>> found = identify(robot, Samples(q, qd, qdd, tau), plain, prior=1.0)
+        >>> network = torchdq.ResidualDynamics(found.layer(), hidden=(8,))
+        >>> history = fit(network, found.residual_samples(q, qd, qdd, tau), steps=20)
+        >>> found.with_residual(network).predict(q, qd, qdd).tau.shape
+        torch.Size([300, 2])
+        """
+        if not isinstance(network, ResidualDynamics):
+            expected = "a ResidualDynamics(identified.layer())"
+            raise ArgumentError(f"network must be {expected}, found {type(network).__name__}")
+        pairs = [(getattr(self.robot, name), getattr(network.robot, name)) for name in ("mass", "com", "inertia")]
+        if not all(a.shape == b.shape and torch.equal(a, b.to(a)) for a, b in pairs):
+            raise ArgumentError("network must be around identified.layer(), found one around another robot")
+        return self._replace(network=network)
+
+    @torch.no_grad()
+    def residual_samples(
+        self,
+        motions: Motion | Sequence[Motion] | Tensor,
+        qd: Tensor | None = None,
+        qdd: Tensor | None = None,
+        tau: Tensor | None = None,
+    ) -> Samples:
+        """Samples to train a residual network on: measured torques without what `predict` knows and `layer()` does not.
+
+        That is the memory of friction, and what the filter of a log does to the steps of dry friction.
+
+        Args:
+            motions, qd, qdd: as in `predict`.
+            tau: measured torques [..., n] [N m or N], with positions; in the unit of the identification, where gains
+                were estimated.
+        Raises:
+            ArgumentError: there are no torques, or efforts of unknown gains that were not identified.
+        """
+        gains, several = self.gains, [motions] if isinstance(motions, Motion) else motions
+        _, rows = recorded(self.robot, motions, qd, qdd, tau=tau)
+        if gains is None and not isinstance(several, Tensor):
+            require_torques(several)
+        measured = rows.measured if gains is None else rows.measured * gains.value.to(rows.measured)
+        known = self._replace(network=None).predict(motions, qd, qdd).tau.reshape(rows.q.shape)
+        return Samples(rows.q, rows.qd, rows.qdd, measured - known + self.layer()(rows.q, rows.qd, rows.qdd))
 
     def with_simple_friction(self) -> Robot:
         """Robot found, its viscous and Coulomb friction being those that come nearest to all friction found."""
@@ -245,12 +308,14 @@ class Identified(NamedTuple):
     def predict(
         self, motions: Motion | Sequence[Motion] | Tensor, qd: Tensor | None = None, qdd: Tensor | None = None
     ) -> Prediction:
-        """Torques of the identified robot, friction and offset included, [..., n], with standard errors and intervals.
+        """Torques of the identified robot with friction, offset and network, [..., n], standard errors and intervals.
 
         The errors are those of the parameters, and those of the model, `model`. The intervals are `half_width` times
         the root of the squared errors of the parameters and the squared noise, to either side: as wide as they had to
         be to hold 95 % of the measured torques of blocks that were left out, and of a block more. Where no model was
-        chosen, errors are taken for normal. In motions that go elsewhere or far faster the intervals hold less.
+        chosen, errors are taken for normal. A joint at rest may be held by any torque within its dry friction, by which
+        they are wider there; and in states that are faster than the samples, by as much as these are. In motions that
+        go elsewhere the intervals hold less.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]
@@ -271,7 +336,14 @@ class Identified(NamedTuple):
             if ROTOR not in self.terms and self.robot.armature is not None:
                 tau += self.robot.armature.to(tau) * recording.qdd
             margin = self.half_width.to(error) * torch.hypot(error, self.noise.to(error))
+            margin += self.simple[1].to(error) * at_rest(recording.qd, self.sign_width)
+            beyond = recording.qd.abs() / self.fastest.to(error).clamp_min(self.sign_width)
+            margin *= beyond.amax(-1, keepdim=True).clamp_min(1)
             error = torch.hypot(error, self.model.to(error))
+            if self.network is not None:
+                tau += self.network.residual(recording.q, recording.qd)
+                narrower = self.network.narrowing(recording.q, recording.qd).to(error)
+                error, margin = narrower * error, narrower * margin
         return Prediction(*(x.reshape(*batch, n) for x in (tau, error, tau - margin, tau + margin)))
 
 

@@ -46,7 +46,7 @@ from torchdq.learning.identification.model_selection import (
 )
 from torchdq.learning.identification.regression import known, parted, shifted
 from torchdq.learning.identification.simple import simple_friction
-from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
+from torchdq.learning.identification.solution import ITERATIONS, Solution
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
 from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.motions import Motion
@@ -161,8 +161,7 @@ def identify(
         _warn([*still, *data])
         problem = _problem(robot, rows, model, fixed, prior, sign_width, notice.at)
         problem, found, correlation = _fitted(problem)
-        offsets = not (problem.validated and model.offset == "auto")
-        misfits = _misfits(problem, found, offsets, explained=not data)
+        misfits = _misfits(problem, found, model, explained=not data)
         _warn(misfits)
         identified = _identified(problem, found, correlation, drives)
         return identified._replace(findings=(*still, *data, *misfits, *_notes(problem, identified)))
@@ -205,17 +204,14 @@ def _problem(
 def _fitted(problem: _Problem) -> tuple[_Problem, Solution, Tensor]:
     """Solution to all rows with the loads that it finds itself, and correlation times [n] of its residuals in rows."""
     evidence = problem.evidence._replace(blocks=())
-    correlation = torch.ones(evidence.robot.n, dtype=torch.float64)
-    for again in (True, False):
-        near, at = evidence.near(problem.estimated, problem.strength), evidence.at
-        sums, say = evidence.total, evidence.say
-        found = solve(near, sums, evidence.squares, evidence.samples, correlation, at, problem.weight, say)
-        if again:
-            correlation = evidence.correlation(found.change(at))
-            evidence = evidence.with_loads(found.parameters)
+    model = problem.estimated, problem.strength
+    first = evidence.fit(*model, torch.ones(evidence.robot.n, dtype=torch.float64), problem.weight)
+    correlation = evidence.correlation(first.change(evidence.at))
+    evidence = evidence.with_loads(first.parameters)
+    found, at = evidence.fit(*model, correlation, problem.weight, first), evidence.at
     if bool(evidence.kept.any()):  # that a joint keeps the description is no measurement
-        sums = shifted(evidence.measurements, near.start_of(at)) / correlation[:, None, None]
-        found = found._replace(facts=known(sums, near.S[at], found.facts.noise**2))
+        sums = shifted(evidence.measurements, found.near.start_of(at)) / correlation[:, None, None]
+        found = found._replace(facts=known(sums, found.near.S[at], found.facts.noise**2))
     return problem._replace(evidence=evidence), found, correlation
 
 
@@ -227,14 +223,15 @@ def _identified(
     robot, terms, sign_width = evidence.robot, evidence.terms, evidence.sign_width
     inflation = found.inflation(weight) if problem.validated else 1.0  # a strength that was chosen adds no knowledge
     spread = found.spread(weight, inflation)
-    moves = (evidence.recording.qd.abs().amax(0) > sign_width).cpu()
+    fastest = evidence.recording.qd.abs().amax(0).cpu()
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
     changes = dict(zip(("mass", "com", "inertia"), near.bodies(found.y), strict=True))
     own = zip(terms, parted(robot, found.parameters)[1], strict=True)
     changes |= {term.described: x for term, x in own if term.described}
     model = _beyond(evidence, spread, facts.noise, problem.validated)
     wide = evidence.half_widths(problem.unseen, spread, facts.noise)
-    identifiable = _identifiable(spread, near.S.norm(dim=1) * math.sqrt(inflation / weight), moves, terms)
+    alone = near.S.norm(dim=1) * math.sqrt(inflation / weight)  # standard errors by the prior
+    identifiable = _identifiable(spread, alone, fastest > sign_width, terms)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, weight, *drives)], 1)
     return Identified(
@@ -250,6 +247,7 @@ def _identified(
         rms=found.rms,
         correlation=correlation,
         sign_width=sign_width,
+        fastest=fastest,
         simple=simple_friction(evidence, found.parameters),
         identifiable=identifiable,
         selection=problem.selection,
@@ -311,15 +309,15 @@ def _notes(problem: _Problem, found: Identified) -> list[Finding]:
     ]
 
 
-def _misfits(problem: _Problem, found: Solution, offsets: bool, explained: bool) -> list[Finding]:
+def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) -> list[Finding]:
     """Findings about a model that could not be chosen, and torques that it does not explain or explains by wrong terms.
 
-    `offsets`: whether constant torques that are missing are to be reported; `explained`: whether the description
-    explains the measurements; if not, no model does.
+    `explained`: whether the description explains the measurements; if not, no model does. What was tried on blocks that
+    were left out is not asked for.
     """
     evidence, misfits = problem.evidence, list[Finding]()
-    robot, rows, sign_width = evidence.robot, evidence.recording, evidence.sign_width
-    if problem.selection and not problem.validated:
+    robot, rows, sign_width, tried = evidence.robot, evidence.recording, evidence.sign_width, problem.validated
+    if problem.selection and not tried:
         misfits.append(
             too_few(rows)._replace(cure=f"the model is {problem.selection.chosen.name}; record longer motions")
         )
@@ -338,9 +336,9 @@ def _misfits(problem: _Problem, found: Solution, offsets: bool, explained: bool)
         return misfits + poor
     if len(residual) >= FEW:
         fit = AugmentedFit.of(evidence, found.near, found.y, problem.weight, residual)
-        if lacking := [*lag_findings(fit), *(offset_findings(fit) if offsets else ())]:
+        if lacking := [*lag_findings(fit), *(() if tried and model.offset == "auto" else offset_findings(fit))]:
             return misfits + lacking
-    if COULOMB in evidence.terms and not any(term in evidence.terms for term in SHAPES):
+    if COULOMB in evidence.terms and not ((tried and model.friction == "auto") or set(SHAPES) & set(evidence.terms)):
         misfits += misshapen(robot.joint_names, few[:4], fitted, sign_width, signs)
     return misfits
 

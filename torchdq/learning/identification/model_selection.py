@@ -18,13 +18,14 @@ from torchdq.base.tables import table
 from torchdq.learning.evaluation.blocks import Block, MotionRows
 from torchdq.learning.identification.evidence import Evidence, Unseen, gather
 from torchdq.learning.identification.friction_selection import Gain, gainful
-from torchdq.learning.identification.solution import Solution, changes, solve
+from torchdq.learning.identification.solution import Solution, changes
 from torchdq.learning.identification.terms import OFFSET, ROTOR, SHAPES, Term
 from torchdq.robot import Robot
 
 STRENGTHS = (1e4, 1e2, 1.0)  # prior of the bodies, the strongest first
 SURE = 2.0  # standard errors by which a joint gains from a rotor or an offset, tried before friction of other shapes
 TIED = 1e-3  # relative difference of scores that count as equal
+ALONE = 0.12  # the same of the best and the plainest models, where parts of a single motion vouch for all others
 MOVES = 0.01  # least mean square of a joint's velocity in a block, relative to the largest, where it moves
 NONE = torch.zeros(0)
 
@@ -146,17 +147,21 @@ def select(
         less = tried[:2][-1].scores - more[_simplest([one.scores for one in more])].scores
         kept = untested | (less.mean(0) <= less.std(0) / len(less) ** 0.5)
         if bool(kept.any()):
-            more, identified = _family(evidence.keeping(kept), strengths, base)
+            identified = identified.keeping(kept)
+            more = [] if bool(kept.all()) else [_again(identified, one, strengths) for one in more]
         tried += more
 
     number = _simplest([one.scores for one in tried])
+    if len(recording.lengths) == 1:
+        best = min(one.score for one in tried)
+        number = next((k for k, one in enumerate(tried[:2]) if one.score <= (1 + ALONE) * best), number)
     chosen, regions = tried[number], len(evidence.left) - len(blocks)
-    what = f"parts of motions and {regions} regions of the states" if regions else "motions"
+    what = "motions" if len(recording.lengths) >= 3 else "parts of motions"
     squares = chosen.scores * evidence.sizes / evidence.counts[:, None]
     left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
     tries = torch.stack([one.estimated for one in tried]).any(0).any(1)
     useless = tuple(term.name for term, used in zip(terms, tries.tolist(), strict=True) if not used)
-    validation = f"{len(blocks)} {what} that were left out in turn"
+    validation = f"{len(blocks)} {what} and {regions} regions of the states that were left out in turn"
     selection = ModelSelection(tuple(tried), number, validation, left, useless)
     own = evidence if math.isinf(chosen.strength) else identified
     return selection, own.only(chosen.estimated.any(1)), own.left_out(chosen.found)
@@ -171,12 +176,12 @@ def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tup
     terms, strength, free = evidence.terms, strengths[-1], strengths[-1] < math.inf
     name = "identified" if free else "+ friction"
     optional = [k for k in range(len(terms)) if not bool(base[k].all())]
-    _, variance = _noise(evidence, base, strength)
+    found, variance = _noise(evidence, base, strength)
     simple = [k for k in optional if terms[k] in (ROTOR, OFFSET)]
     mask, gains = gainful(evidence, variance, base, simple, strength, SURE)
     if not (free or bool(mask.any())):
         return [], evidence
-    found, variance = _noise(evidence, mask, strength)
+    found, variance = _noise(evidence, mask, strength, found)
     tried = [_candidate(name, evidence, strengths, mask, variance, gains, found)]
     strengths = [x for x in strengths if x <= tried[0].strength]
     if free:
@@ -186,9 +191,16 @@ def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tup
         mask, more = gainful(evidence, variance, mask, kinds, tried[-1].strength)
         if more:
             gains = [*gains, *more]
-            found, variance = _noise(evidence, mask, tried[-1].strength)
+            found, variance = _noise(evidence, mask, tried[-1].strength, found)
             tried.append(_candidate(name, evidence, strengths, mask, variance, gains, found))
     return tried, evidence
+
+
+def _again(evidence: Evidence, one: CandidateModel, strengths: Sequence[float]) -> CandidateModel:
+    """Candidate with the same terms, validated on other evidence."""
+    found, variance = _noise(evidence, one.estimated, one.strength)
+    strengths = [x for x in strengths if x <= one.strength]
+    return _candidate("identified", evidence, strengths, one.estimated, variance, one.gains, found)
 
 
 def _untested(evidence: Evidence) -> Tensor:
@@ -219,13 +231,11 @@ def _candidate(
     name = ", ".join([name, *_additions(evidence, estimated)])
     evidence.say(name)
     scores, every = list[Tensor](), list[Tensor]()
-    start, before = whole.y.expand(len(evidence.folds), -1), whole.near.strength
+    before, start = whole.near, whole.y.expand(len(evidence.folds), -1)
     for strength in strengths:
         near = evidence.near(estimated, strength)
-        b = 10 * len(near.links)
-        start = torch.cat([start[:, :b] * math.sqrt(near.strength / before), start[:, b:]], 1)
-        start, found = changes(near, evidence.folds, variance, evidence.at, start)
-        before = near.strength
+        start, found = changes(near, evidence.folds, variance, evidence.at, near.at(before, start))
+        before = near
         every.append(found)
         scores.append(evidence.scores(found))
     best = _simplest(scores)
@@ -244,9 +254,10 @@ def _simplest(scores: Sequence[Tensor]) -> int:
     return best
 
 
-def _noise(evidence: Evidence, estimated: Tensor, strength: float) -> tuple[Solution, Tensor]:
-    """Fit to all rows, and the variance of its residuals times their correlation time [n]."""
-    one, near = torch.ones(evidence.robot.n, dtype=torch.float64), evidence.near(estimated, strength)
-    found = solve(near, evidence.total, evidence.squares, evidence.samples, one, evidence.at, say=evidence.say)
+def _noise(
+    evidence: Evidence, estimated: Tensor, strength: float, before: Solution | None = None
+) -> tuple[Solution, Tensor]:
+    """Fit to all rows, from one with fewer terms on, and the variance of its residuals times their correlation [n]."""
+    found = evidence.fit(estimated, strength, torch.ones(evidence.robot.n, dtype=torch.float64), before=before)
     variance = found.facts.noise.maximum(found.rms) ** 2
     return found, variance * evidence.correlation(found.change(evidence.at))

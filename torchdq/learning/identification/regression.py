@@ -40,28 +40,25 @@ def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor) -> Te
     return torch.cat([regressor(robot, q, qd, qdd), own], -1)
 
 
-def by_chunks(
-    robot: Robot, recording: MotionRows, own: Tensor, numbers: int, rows: slice | None = None
-) -> Iterator[tuple[slice, Tensor]]:
-    """Slices of all rows or some, each small enough for so many numbers per row, with their `columns`."""
-    rows, size = rows or slice(0, len(own)), max(1, CHUNK // max(1, numbers))
+def chunks(rows: slice, numbers: int) -> Iterator[slice]:
+    """Slices of rows, each small enough for so many numbers per row."""
+    size = max(1, CHUNK // max(1, numbers))
     for i in range(rows.start, rows.stop, size):
-        part = slice(i, min(i + size, rows.stop))
+        yield slice(i, min(i + size, rows.stop))
+
+
+def by_chunks(robot: Robot, recording: MotionRows, own: Tensor, numbers: int) -> Iterator[tuple[slice, Tensor]]:
+    """Slices of the rows, each small enough for so many numbers per row, with their `columns`."""
+    for part in chunks(slice(0, len(own)), numbers):
         yield part, columns(robot, recording.q[part], recording.qd[part], recording.qdd[part], own[part])
-
-
-def torques(robot: Robot, recording: MotionRows, own: Tensor, phi: Tensor, rotors: Tensor | None) -> Tensor:
-    """Torques [rows, n] of parameters phi [n, p], and of rotors [n]."""
-    tau = torch.empty_like(recording.q)
-    for part, Z in by_chunks(robot, recording, own, phi.numel()):
-        tau[part] = torch.einsum("rjp,jp->rj", Z, phi.to(Z))
-    return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
 
 
 def rigid(robot: Robot, recording: MotionRows, pi: Tensor, rotors: Tensor | None) -> Tensor:
     """Torques [rows, n] of bodies with inertial parameters pi [10 links], and of rotors [n]."""
-    none = recording.q.new_zeros(*recording.q.shape, 0)
-    return torques(robot, recording, none, pi.expand(robot.n, -1), rotors)
+    tau, pi = torch.empty_like(recording.q), pi.to(recording.q)
+    for part in chunks(slice(0, len(tau)), robot.n * len(pi)):
+        tau[part] = regressor(robot, recording.q[part], recording.qd[part], recording.qdd[part]) @ pi
+    return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
 
 
 def gram(
@@ -74,18 +71,21 @@ def gram(
 ) -> Tensor:
     """Sums [parts, n, p + 1, p + 1] of [Z d]^T [Z d] over parts of the rows; `say` is called with the number read.
 
-    d is the residual of the described parameters [n, p] and rotors.
+    d is the residual of the described bodies [n, p], and rotors.
     """
     n, p = described.shape
     sums = recording.q.new_zeros(len(parts), n, p + 1, p + 1)
-    phi, read = described.to(recording.q), 0
+    pi, read = described[0, : p - own.shape[-1]].to(recording.q), 0
     whole = sum(part.stop - part.start for part in parts)
     for i, rows in enumerate(parts):
-        for part, Z in by_chunks(robot, recording, own, n * p, rows):
-            residual = recording.measured[part] - torch.einsum("rjp,jp->rj", Z, phi)
+        for part in chunks(rows, n * p):
+            Y = regressor(robot, recording.q[part], recording.qd[part], recording.qdd[part])
+            Z = sums.new_empty(n, len(Y), p + 1)
+            Z[..., : len(pi)], Z[..., len(pi) : -1] = Y.transpose(0, 1), own[part].transpose(0, 1)
+            residual = recording.measured[part] - Y @ pi
             if robot.armature is not None:
                 residual -= robot.armature.to(Z) * recording.qdd[part]
-            Z = torch.cat([Z, residual[..., None]], -1).transpose(0, 1)
+            Z[..., -1] = residual.T
             sums[i] += Z.mT @ Z
             read += part.stop - part.start
             say(f"{read} of {whole} samples")

@@ -14,7 +14,7 @@ from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import Information, information, known, shifted, squared
 
 ITERATIONS = 200  # most Newton steps of a minimum
-EXACT, ROUGH = 1e-12, 1e-6  # part of the prior's weight by which a minimum may be missed; a score needs less
+EXACT, ROUGH = 1e-12, 1e-3  # part of the prior's weight by which a minimum may be missed; a score needs less
 ROUNDS = 10  # most times that the joints are reweighted
 JITTERS = (0.0, 1e-15, 1e-13, 1e-11)  # added to a diagonal of ones, until rounding leaves a matrix positive definite
 
@@ -57,22 +57,21 @@ class Solution(NamedTuple):
 
 def solve(
     near: Neighbourhood,
-    sums: Tensor,  # [n, p + 1, p + 1] by `gram` about the described bodies and coefficients of zero
+    sums: Tensor,  # [n, p + 1, p + 1] by `gram` about the described bodies and coefficients of zero, of those samples
     squares: Tensor,  # [n] mean squares of the torques
-    samples: int,
-    correlation: Tensor,  # [n] correlation times of the residuals: so many rows say as much as one
+    independent: Tensor,  # [n] number of independent samples
     at: Tensor,  # [n, p] places of the parameters of each joint
     prior: float = 1.0,  # weight of the distance
     say: Callable[[str], None] = lambda _: None,
+    start: Tensor | None = None,  # [t] near the minimum
 ) -> Solution:
     """Minimum in a neighbourhood, joints being weighted by the noise that it leaves."""
-    S, independent = near.S[at], samples / correlation
-    own = shifted(sums, near.start_of(at)) / correlation[:, None, None]
+    S, own = near.S[at], shifted(sums, near.start_of(at))
     floor = torch.zeros_like(squares)
     for k in range(ROUNDS):
         say(f"minimum {k + 1} of at most {ROUNDS}")
         facts = information(own, S, squares, floor, independent)
-        y, settled = minimum(near, facts, prior)
+        y, settled = minimum(near, facts, prior, start)
         rms = (squared(own, S @ y) / independent).sqrt()
         # least squares may explain a joint by a robot that cannot exist; what a physical one cannot do is noise
         worse = rms > 2 * facts.noise
@@ -114,9 +113,10 @@ def minimum(
     if start is not None:
         w, weight = (V.mT @ start[..., None])[..., 0], torch.full_like(weight, prior)
 
-    def cost(w: Tensor) -> Tensor:
-        return (e * (w - w_0).square()).sum(-1) + weight * near.distance((V @ w[..., None])[..., 0])
+    def parts(w: Tensor) -> tuple[Tensor, Tensor]:
+        return (e * (w - w_0).square()).sum(-1), near.distance((V @ w[..., None])[..., 0])
 
+    squares, distance = parts(w)
     for _ in range(ITERATIONS):
         slope, curvature = near.slopes((V @ w[..., None])[..., 0])
         gradient = 2 * e * (w - w_0) + weight[..., None] * (slope[..., None, :] @ V)[..., 0, :]
@@ -124,12 +124,14 @@ def minimum(
         scale = H.diagonal(dim1=-2, dim2=-1).rsqrt()  # the samples' part may be 1e20 times the prior's
         factor = _factor(scale[..., None] * H * scale[..., None, :])
         step = -scale * torch.cholesky_solve((scale * gradient)[..., None], factor)[..., 0]
-        before, expected, last = cost(w), -(gradient * step).sum(-1), weight == prior
+        before, expected, last = squares + weight * distance, -(gradient * step).sum(-1), weight == prior
         settled = expected <= torch.where(last, tolerance, 0.1) * weight + 1e-14 * before
         length = torch.where(settled, 0.0, 1.0)
-        while bool(
-            (long := (length > 0) & (cost(w + length[..., None] * step) > before - 1e-4 * length * expected)).any()
-        ):
+        while True:
+            squares, distance = parts(w + length[..., None] * step)
+            long = (length > 0) & (squares + weight * distance > before - 1e-4 * length * expected)
+            if not bool(long.any()):
+                break
             length = torch.where(long, length / 2, length)
             length = torch.where(length < 1e-9, 0.0, length)  # by rounding
         w, settled = w + length[..., None] * step, length == 0

@@ -113,6 +113,11 @@ def rows_of(robot: Robot, recording: MotionRows, width: float, load: Tensor | No
     return TermRows(robot, recording.q, recording.qd, recording.qdd, sign, load, recording.starts(), width)
 
 
+def at_rest(qd: Tensor, width: float) -> Tensor:
+    """Parts [..., n] of dry friction that may be anything: all of it at rest, none of it where a joint slides."""
+    return 1 - smooth_sign(qd, width).abs()
+
+
 def unit_torques(terms: Sequence[Term], rows: TermRows) -> Tensor:
     """Torques per unit of every term [rows, n, terms]."""
     if not terms:

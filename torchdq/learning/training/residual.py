@@ -88,7 +88,8 @@ class _Trainer:
         parts: list[tuple[list[Any], list[Any]]] = [
             ([block.rows for block in group], [rows for block in group for rows in block.margins]) for group in groups
         ]
-        parts += [([half], []) for pair in regions(motions) for half in pair] if found else []
+        if found and len(motions.lengths) < 3:
+            parts += [([half], []) for pair in regions(motions) for half in pair]
         held_out = list[HeldOut]()
         for k, (some, margins) in enumerate(parts):
             used = torch.ones(len(self.rows[1]), dtype=torch.bool, device=self.rows[1].device)

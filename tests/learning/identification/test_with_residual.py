@@ -1,7 +1,6 @@
 """A network beside an identified robot whose friction remembers: never worse than the robot alone, in scenes too."""
 
 import copy
-import math
 
 import pytest
 import torch
@@ -12,7 +11,7 @@ from recorded_logs import STEP, waves
 import torchdq
 from torchdq import effects
 from torchdq.envs import Scene
-from torchdq.learning import IdentifiedWithResidual, Model, Motion, Samples, evaluate, fit, identify, plot_torques
+from torchdq.learning import Model, Motion, Samples, evaluate, fit, identify, plot_torques
 
 pytestmark = pytest.mark.filterwarnings("ignore::torchdq.learning.LogWarning")  # of friction that no term has
 F64 = torch.float64
@@ -56,9 +55,9 @@ def as_motion(part, **changes):
 def trained(found, train, steps=200, inputs="joint"):
     """The robot that was found with a network, trained on what both leave."""
     torch.manual_seed(0)
-    whole = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer(), inputs=inputs, hidden=(16,)))
-    fit(whole.residual, [whole.samples(*part) for part in train], steps=steps, **OPTIONS)
-    return whole
+    network = torchdq.ResidualDynamics(found.layer(), inputs=inputs, hidden=(16,))
+    fit(network, [found.residual_samples(*part) for part in train], steps=steps, **OPTIONS)
+    return found.with_residual(network)
 
 
 def made(rest, steps=200):
@@ -80,7 +79,7 @@ def test_the_network_adds_to_friction_that_remembers(bumpy):
     found, whole, parts = bumpy
     test = motion(99, stribeck)
     alone, both = (error(x.predict(*test[:3]).tau, test) for x in (found, whole))
-    assert (whole.residual.weight > 0.8).all()
+    assert (whole.network.weight > 0.8).all()
     assert (both < 0.4 * alone).all()
     # a network around the layer alone has to guess what was before
     model = torchdq.ResidualDynamics(found.layer(), hidden=(16,))
@@ -127,11 +126,11 @@ def test_intervals_hold_their_share(bumpy):
 
 def test_errors_and_intervals_are_those_identified_narrowed_where_the_network_was_trained(bumpy):
     found, whole, parts = copy.deepcopy(bumpy)
-    whole.residual.weight[1], whole.residual.remaining[1] = 0, 1
+    whole.network.weight[1], whole.network.remaining[1] = 0, 1
     predicted, alone = whole.predict(*parts[0][:3]), found.predict(*parts[0][:3])
     assert torch.equal(predicted.tau[:, 1], alone.tau[:, 1]) and (predicted.tau != alone.tau)[:, 0].any()
     assert torch.equal(predicted.low[:, 1], alone.low[:, 1]) and torch.equal(predicted.high[:, 1], alone.high[:, 1])
-    factor = whole.residual.remaining
+    factor = whole.network.remaining
     assert 0.1 < float(factor[0]) < 0.6
     assert torch.allclose(predicted.error, factor * alone.error)
     assert torch.allclose(predicted.high - predicted.low, factor * (alone.high - alone.low))
@@ -144,7 +143,7 @@ def test_samples_are_what_the_layer_explains_as_well_as_the_robot_that_remembers
     found, whole, parts = bumpy
     with torch.no_grad():
         steady = found.layer()(*parts[0][:3])
-    left = whole.samples(*parts[0])
+    left = whole.residual_samples(*parts[0])
     assert torch.equal(left.q, parts[0].q)
     assert torch.allclose(left.tau - steady, parts[0].tau - found.predict(*parts[0][:3]).tau, atol=1e-12)
     assert float((left.tau - parts[0].tau).abs().max()) > 1.0  # bristles that are bent back
@@ -168,8 +167,8 @@ def test_trials_and_pictures_predict_motion_by_motion(bumpy):
 def test_motions_and_tensors_are_alike_and_rows_of_motions_follow_each_other(bumpy):
     whole, parts = bumpy[1:]
     several = [as_motion(part) for part in parts[:2]]
-    found = whole.samples(several)
-    assert torch.equal(found.tau, torch.cat([whole.samples(*part).tau for part in parts[:2]]))
+    found = whole.residual_samples(several)
+    assert torch.equal(found.tau, torch.cat([whole.residual_samples(*part).tau for part in parts[:2]]))
     predicted = whole.predict(several)
     assert torch.equal(predicted.low, torch.cat([whole.predict(*part[:3]).low for part in parts[:2]]))
     stacked = whole.predict(*(torch.stack(x) for x in zip(*(part[:3] for part in parts[:2]), strict=True)))
@@ -191,7 +190,7 @@ def test_a_scene_moves_as_it_predicts(bumpy):
     assert (qd.amax(0) > 0.2).all() and (qd.amin(0) < -0.2).all()  # both joints turn round
     off = (predicted.tau - torque[1:]).square().mean(0).sqrt()
     with torch.no_grad():
-        steady = whole.residual(q[1:], qd[1:], qdd)
+        steady = whole.network(q[1:], qd[1:], qdd)
     assert (off < 0.3).all() and (off < 0.3 * (steady - torque[1:]).square().mean(0).sqrt()).all()
 
 
@@ -200,26 +199,23 @@ def test_gains_that_were_identified_scale_the_torques():
     drives = torch.tensor([4.0, 0.5], dtype=F64)
     motions = [as_motion(part, tau=(part.tau / drives).numpy(), known_gains=False) for part in parts]
     found = identify(TWO, motions, Model(REMEMBERS, gains=True), prior=1.0)
-    whole = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
-    ratio = whole.samples(motions[0]).tau + found.predict(motions[0]).tau - found.layer()(*parts[0][:3]).detach()
+    steady = found.layer()(*parts[0][:3]).detach()
+    ratio = found.residual_samples(motions[0]).tau + found.predict(motions[0]).tau - steady
     assert torch.allclose(ratio, torch.as_tensor(motions[0].tau) * found.gains.value)
     plain = identify(TWO, parts[0], Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
-    other = IdentifiedWithResidual(plain, torchdq.ResidualDynamics(plain.layer()))
     for measured in (motions[0], as_motion(parts[0], tau=None)):
         with refused(torchdq.ArgumentError):
-            other.samples(measured)
+            plain.residual_samples(measured)
 
 
 def test_what_it_does_not_take(bumpy):
     found, whole, parts = bumpy
-    fresh = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
     heavier = torchdq.ResidualDynamics(torchdq.DQRNEA(TWO.replace(mass=2 * TWO.mass)))
     for call in (
-        lambda: IdentifiedWithResidual(TWO, whole.residual),
-        lambda: IdentifiedWithResidual(found, found.layer()),
-        lambda: IdentifiedWithResidual(found, heavier),
-        lambda: fresh.samples(*parts[0][:3]),
+        lambda: found.with_residual(found.layer()),
+        lambda: found.with_residual(heavier),
+        lambda: found.residual_samples(*parts[0][:3]),
     ):
         with refused(torchdq.ArgumentError):
             call()
-    assert math.isfinite(float(fresh.samples(*parts[0]).tau.sum()))
+    assert torch.equal(whole.residual_samples(*parts[0]).tau, found.residual_samples(*parts[0]).tau)
