@@ -18,7 +18,7 @@ import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError
 from torchdq.learning import posterior_samples
-from torchdq.learning.bodies.nearest import Distance, nearest
+from torchdq.learning.bodies.nearest import nearest, of_numbers
 from torchdq.robot.pseudo_inertia import pseudo_inertia, relative
 from torchdq.scene import integrators
 
@@ -52,7 +52,7 @@ def test_slopes_of_the_distance_are_those_of_autograd():
         bodies = sum(2 * (B.trace() - torch.logdet(B) - 4) for B in relative(y[:20].reshape(2, 10)))
         return bodies + 2 * (x - x.log() - 1).sum() + y[23:].square().sum()
 
-    y, near = 0.1 * random(24), Distance(2, 3, 1)
+    y, near = 0.1 * random(24), of_numbers(2, 3, 1)
     gradient, H = near.slopes(y)
     assert torch.allclose(near.distance(y), distance(y))
     assert torch.allclose(gradient, torch.autograd.functional.jacobian(distance, y))
@@ -61,7 +61,7 @@ def test_slopes_of_the_distance_are_those_of_autograd():
 
 def test_the_nearest_robot_is_a_minimum_where_bodies_can_exist():
     A, offset = 30 * random(40, 9, 24, seed=1), 100 * random(40, 9, seed=2)
-    near = Distance(2, 3, 1)
+    near = of_numbers(2, 3, 1)
     y = nearest(near, A, offset)  # such offsets would take most bodies where none can exist
     least = torch.linalg.eigvalsh(relative(y[:, :20].unflatten(1, (2, 10)))).min()
     assert float(least) > 0 and float(y[:, 20:23].min()) > -1

@@ -15,20 +15,16 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.feasible import Neighbourhood
+from torchdq.learning.identification.feasible import Distance
 from torchdq.learning.identification.regression import Information
 from torchdq.learning.identification.solution import ITERATIONS, minimum
 
 SETTLED = 1e-6  # decrease of the cost that ends the search
 
 
-class Distance(Neighbourhood):
-    """Distance to given links and coefficients, which need no description: their numbers are enough."""
-
-    def __init__(self, links: int, positive: int = 0, signed: int = 0):
-        self.strength, self.links = 1.0, torch.arange(links)
-        self.signed = torch.arange(positive + signed) >= positive
-        self.fraction = torch.zeros(positive + signed, dtype=torch.float64)
+def of_numbers(links: int, positive: int = 0, signed: int = 0) -> Distance:
+    """Distance from so many links and coefficients."""
+    return Distance(links, torch.arange(positive + signed) >= positive, torch.zeros(positive + signed).double())
 
 
 def nearest(near: Distance, A: Tensor, offset: Tensor) -> Tensor:

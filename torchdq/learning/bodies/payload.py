@@ -25,7 +25,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding, merged
 from torchdq.functional import inverse_dynamics, regressor, require_finite
-from torchdq.learning.bodies.nearest import Distance, nearest
+from torchdq.learning.bodies.nearest import nearest, of_numbers
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.diagnostics import diagnose
 from torchdq.learning.identification.base_parameters import base_names, base_of, inverse_of
@@ -267,7 +267,7 @@ def _estimate(
     off = body @ inertial_parameters(C @ C.T) - residual
     A, b, model = ((weight.sqrt()[:, None] * x).flatten(0, 1) for x in (Z, off[..., None], model))
     Q, R = torch.linalg.qr(A)
-    near = Distance(links=1, signed=changes.shape[-1])
+    near = of_numbers(links=1, signed=changes.shape[-1])
     y = nearest(near, R[None] / prior**0.5, (Q.T @ b).T / prior**0.5)
     H = near.slopes(y)[1][0] / 2 * prior + R.T @ R
     size = H.diagonal().rsqrt()

@@ -18,7 +18,7 @@ from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.errors import ArgumentError
-from torchdq.learning.bodies.nearest import Distance, nearest
+from torchdq.learning.bodies.nearest import nearest, of_numbers
 from torchdq.learning.identification.identified import Identified, coefficients_of
 from torchdq.learning.identification.regression import parted
 from torchdq.learning.identification.terms import ROTOR, Term
@@ -157,7 +157,7 @@ class _Space:
         bodies = torch.einsum("rlp,nlep->nrle", white, blocks).flatten(2)
         A = torch.cat([bodies, self.white[:, at] * scale[:, None]], -1)
         offset = (phi - self.phi - gaussian) @ self.white.T
-        y = nearest(Distance(links, len(self.positive), len(self.signed)), A, offset)
+        y = nearest(of_numbers(links, len(self.positive), len(self.signed)), A, offset)
         J = C @ relative(y[:, : 10 * links].unflatten(1, (links, 10))) @ C.mT
         phi[:, self.bodies] = inertial_parameters(J).flatten(1)
         phi[:, at] += scale * y[:, 10 * links :]
