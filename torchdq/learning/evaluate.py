@@ -77,7 +77,7 @@ class Evaluation(NamedTuple):
         before, after, whole = (float(x.mean()) for x in (self.described, used, self.found))
         change = f"the error of the torques{by} is {after:.1%} of their standard deviation, {before:.1%} as described"
         text = f"{self.verdict.value}: in {self.seconds:.1f} s that were not learned from, {change}."
-        if self.file is not None and after > whole + SEEN:
+        if after > whole + SEEN:
             text += f" With all that was found it is {whole:.1%}: a file cannot hold all of that."
         if self.forecast is not None and whole > UNLIKE * float(self.forecast.mean()):
             unlike = "these motions are unlike those that were learned from"
@@ -89,8 +89,7 @@ class Evaluation(NamedTuple):
             own = float(self.found[worst])
             cure = ": look at its picture" if own > FAIR else f", {own:.1%} with all that was found"
             text += f" Worst is {self.joints[worst]} with {float(used[worst]):.1%}{cure}."
-        worse = [name for name, x, y in zip(self.joints, self.described, used, strict=True) if float(y) > float(x)]
-        if worse:
+        if worse := [name for name, x, y in zip(self.joints, self.described, used, strict=True) if y > x]:
             text += f" Not better than described: {', '.join(worse)}."
         if self.verdict is Verdict.POOR:
             text += " Something is missing: gains of the drives, a payload, rotor inertia, or another time base."
@@ -140,21 +139,20 @@ def evaluate(
     known = torques_by(found, [motions] if isinstance(motions, Motion) else motions)
     q, qd, qdd, tau = rows = stack_samples(known)
     predicted = found.by_these_gains().predict(known)  # motion by motion: friction remembers nothing of the one before
-    findings: tuple[Finding, ...] = ()
     size = tau.std(0)
     size = size.where(size > 1e-6 * size.max(), size.mean())  # of a finger without an effort, that of the others
+
+    def error(torques: Tensor) -> Tensor:
+        return (tau - torques).square().mean(0).sqrt() / size
+
     with torch.no_grad():
-
-        def error(torques: Tensor) -> Tensor:
-            return (tau - torques).square().mean(0).sqrt() / size
-
-        of_file = None
+        torques = partial(inverse_dynamics, described)
+        before, after, of_file = error(torques(q, qd, qdd)), error(predicted.tau), None
         if file is not None:
             friction = file.damping.to(qd) * qd + file.friction.to(qd) * smooth_sign(qd, found.sign_width)
             of_file = error(inverse_dynamics(file, q, qd, qdd) + friction)
-        before, after = error(inverse_dynamics(described, q, qd, qdd)), error(predicted.tau)
-        if float(after.mean()) > FAIR:  # the model may be right, and the file wrong
-            findings = tuple(diagnose(described, partial(inverse_dynamics, described), rows, found.sign_width))
+        poor = float(after.mean()) > FAIR  # the model may be right, and the file wrong
+        findings = tuple(diagnose(described, torques, rows, found.sign_width)) if poor else ()
     if findings:
         warnings.warn(LogWarning(*findings, where="the motions to test on"), stacklevel=2)
     seconds = float(sum(motion.time[-1] - motion.time[0] for motion in known))
@@ -169,6 +167,4 @@ def torques_by(found: Identified, motions: Sequence[Motion]) -> list[Motion]:
     if found.gains is None:
         return list(motions)
     gains = found.gains.value.numpy()
-    return [
-        motion._replace(tau=None if motion.tau is None else motion.tau * gains, known_gains=True) for motion in motions
-    ]
+    return [x if x.tau is None else x._replace(tau=x.tau * gains, known_gains=True) for x in motions]

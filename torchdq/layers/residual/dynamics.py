@@ -119,7 +119,7 @@ class ResidualDynamics(nn.Module):
     def residual(self, q: Tensor, qd: Tensor) -> Tensor:
         """Torques [..., n] that the network adds to those of the model."""
         x = self.features(q, qd)
-        return (self.weight.to(x) * self.gate(x) * self.ungated(x, self.network)).to(q)
+        return (self.weight.to(x) * self.gate(x) * self.ungated(x)).to(q)
 
     def unmodelled(self, q: Tensor, qd: Tensor) -> Tensor:
         """Torques [..., n] of the network and of an offset that the model has: all that no effect simulates."""
@@ -162,12 +162,10 @@ class ResidualDynamics(nn.Module):
         Raises:
             ArgumentError: there are fewer than two samples.
         """
-        columns = self._columns(q, qd)
-        columns = columns.reshape(-1, *columns.shape[-2:])
+        columns = self._columns(*torch.atleast_2d(q, qd)).flatten(0, -3)
         if len(columns) < 2:
             raise ArgumentError(f"q must have at least two samples, found the shape {tuple(q.shape)}")
-        mean = columns.mean(0)
-        spread = (columns - mean).square().mean(0).sqrt()
+        spread, mean = torch.std_mean(columns, 0, correction=0)
         self.mean.copy_(mean)
         self.spread.copy_(spread.where(spread > 1e-6 * mean.abs(), 1.0))  # 1 where constant but for rounding
         largest = (tau - self.model(q, qd, qdd)).abs().flatten(0, -2).amax(0)
@@ -190,12 +188,12 @@ class ResidualDynamics(nn.Module):
         """Features [..., groups, features] that tell how far a state is from those that were trained."""
         return x.unflatten(-1, (self.groups, -1, FEATURES))[..., :STATE].flatten(-2)
 
-    def ungated(self, x: Tensor, network: nn.Module) -> Tensor:
-        """Torques [..., n] of a network for features, bounded, as if the gate were open and the weight one."""
-        found, expected = network(x), (*x.shape[:-1], len(self.bound))
+    def ungated(self, x: Tensor) -> Tensor:
+        """Torques [..., n] of the network for features, bounded, as if the gate were open and the weight one."""
+        found, expected = self.network(x), (*x.shape[:-1], len(self.bound))
         if found.shape != expected:
             raise ArgumentError(
-                f"network must return the shape {tuple(expected)} for inputs of the shape {tuple(x.shape)}, found "
+                f"network must return the shape {expected} for inputs of the shape {tuple(x.shape)}, found "
                 f"{tuple(found.shape)}"
             )
         return self.bound.to(found) * found.tanh()

@@ -31,6 +31,7 @@ PARTS = 6  # blocks, at least, that fewer than three motions are cut into
 LEAST = 20  # fewest rows of a block
 MARGIN = 0.02  # part of a motion without times that is left out on either side of a block
 FITTED = 0.25  # least part of the rows that a fit without a block has
+SIGNALS = ("q", "qd", "qdd", "tau", "direction")
 
 
 class MotionRows(NamedTuple):
@@ -55,8 +56,7 @@ class MotionRows(NamedTuple):
 
     def signals(self) -> dict[str, Tensor]:
         """Rows of the signals that there are, by name."""
-        names = ("q", "qd", "qdd", "tau", "direction")
-        return {name: x for name in names if (x := getattr(self, name)) is not None}
+        return {name: x for name in SIGNALS if (x := getattr(self, name)) is not None}
 
     def some(self, rows: Tensor) -> "MotionRows":
         """Rows with these numbers, as one motion, without times."""
@@ -85,17 +85,11 @@ def of_motions(robot: Robot, motions: Motion | Samples | Sequence[Motion | Sampl
     parts = [_rows_of(robot, motion) for motion in several]
     if len(parts) == 1:
         return parts[0]
-
-    def if_all(name: str) -> Tensor | None:
-        signals = [getattr(part, name) for part in parts]
-        return None if any(x is None for x in signals) else torch.cat(signals)
-
-    q, qd, qdd = (torch.cat([getattr(part, name) for part in parts]) for name in ("q", "qd", "qdd"))
     lengths, names = (tuple(x for part in parts for x in getattr(part, name)) for name in ("lengths", "names"))
     known = tuple(np.all([np.broadcast_to(part.known_gains, robot.n) for part in parts], axis=0).tolist())
-    tau, direction, time = (if_all(name) for name in ("tau", "direction", "time"))
-    names = names if all(part.names for part in parts) else ()
-    return MotionRows(q, qd, qdd, lengths, tau, direction, time, known, names)
+    signals: dict[str, Any] = {name: [getattr(part, name) for part in parts] for name in (*SIGNALS, "time")}
+    joined = {name: torch.cat(x) for name, x in signals.items() if not any(part is None for part in x)}
+    return MotionRows(**joined, lengths=lengths, known_gains=known, names=names if len(names) == len(parts) else ())
 
 
 def _rows_of(robot: Robot, motion: Any) -> MotionRows:
@@ -109,24 +103,17 @@ def _rows_of(robot: Robot, motion: Any) -> MotionRows:
         found = f"found one with {motion.q.shape[1]}"
         raise ArgumentError(f"motions must be of {robot.name!r}, which has {robot.n} joints, {found}")
     require_motors(robot, motion.coupling)
-
-    def tensor(x: np.ndarray) -> Tensor:
-        return torch.as_tensor(x, dtype=torch.float64, device=robot.mass.device)
-
-    tau, direction = (None if x is None else tensor(x) for x in (motion.tau, motion.direction))
-    q, qd, qdd, time = (tensor(x) for x in (motion.q, motion.qd, motion.qdd, motion.time))
-    return MotionRows(q, qd, qdd, (len(q),), tau, direction, time, motion.known_gains, (motion.name,))
+    given = {name: x for name in (*SIGNALS, "time") if (x := getattr(motion, name)) is not None}
+    rows = {name: torch.as_tensor(x, dtype=torch.float64, device=robot.mass.device) for name, x in given.items()}
+    return MotionRows(**rows, lengths=(len(motion.q),), known_gains=motion.known_gains, names=(motion.name,))
 
 
 def of_tensors(robot: Robot, **signals: Tensor) -> MotionRows:
     """Rows of signals q, qd, qdd and perhaps tau [..., rows, n]; leading axes are those of motions."""
     batch = check(robot, (), **signals)
-    rows = {
-        name: x.detach().to(torch.float64).expand(*batch, robot.n).reshape(math.prod(batch), robot.n)
-        for name, x in signals.items()
-    }
-    lengths = (batch[-1],) * math.prod(batch[:-1]) if batch else (1,)
-    return MotionRows(rows["q"], rows["qd"], rows["qdd"], lengths, tau=rows.get("tau"))
+    shape, lengths = (math.prod(batch), robot.n), (batch[-1],) * math.prod(batch[:-1]) if batch else (1,)
+    rows: dict[str, Any] = {name: x.detach().double().expand(*batch, -1).reshape(shape) for name, x in signals.items()}
+    return MotionRows(**rows, lengths=lengths)
 
 
 def blocks(recording: MotionRows) -> list[Block]:
@@ -162,8 +149,7 @@ def too_few(recording: MotionRows) -> Finding:
 
 def regions(recording: MotionRows) -> list[tuple[Tensor, Tensor]]:
     """Pairs of regions of the states, each the rows of one and of the other."""
-    still = torch.finfo(torch.float64).tiny
-    speed = (recording.qd / recording.qd.std(0).clamp_min(still)).norm(dim=1)
+    speed = (recording.qd / recording.qd.std(0).clamp_min(1e-300)).norm(dim=1)
     middle = recording.q - recording.q.mean(0)
     spread = torch.linalg.eigh(middle.T @ middle).eigenvectors[:, -1]
     half = len(speed) // 2

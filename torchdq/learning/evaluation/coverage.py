@@ -28,6 +28,5 @@ def interval_factors(ratios: Sequence[Tensor]) -> Tensor:
     if len(sizes) < 2:
         return quantile
     others = [torch.cat([*sizes[:k], *sizes[k + 1 :]]).nanquantile(COVERED, 0) for k in range(len(sizes))]
-    still = torch.finfo(quantile.dtype).tiny
-    beyond = torch.cat([size / other.clamp_min(still) for size, other in zip(sizes, others, strict=True)])
+    beyond = torch.cat([size / other.clamp_min(1e-300) for size, other in zip(sizes, others, strict=True)])
     return quantile * beyond.nanquantile(COVERED, 0).clamp_min(1.0)

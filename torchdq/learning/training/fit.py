@@ -96,15 +96,12 @@ def fit(
         with seeded(device, seed), Progress("fitting") as progress:
             _warn_of(model, train)
             if isinstance(model, ResidualDynamics):
-                history = fit_residual(model, train, lengths, valid, training, progress)
-            else:
-                weigh = getattr(model, "prior", None) if prior else None
-                penalty = None if weigh is None else lambda: prior * weigh()
-                variance = torque_variance(train.tau)
-                history = descend(model, model, train, valid, variance, training, progress.at, penalty)
+                return fit_residual(model, train, lengths, valid, training, progress)
+            weigh = getattr(model, "prior", None) if prior else None
+            penalty = None if weigh is None else lambda: prior * weigh()
+            return descend(model, model, train, valid, torque_variance(train.tau), training, progress.at, penalty)
     finally:
         model.train(was_training)
-    return history
 
 
 def _device_of(model: nn.Module) -> torch.device:
@@ -132,4 +129,4 @@ def _warn_of(model: nn.Module, train: Samples) -> None:
         return
     model.eval()
     if findings := diagnose(rigid.robot, rigid, train, rigid.sign_width):
-        warnings.warn(LogWarning(*findings), stacklevel=3)
+        warnings.warn(LogWarning(*findings), stacklevel=4)  # no_grad is a level, too

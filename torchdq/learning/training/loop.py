@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from typing import NamedTuple
 
 import torch
@@ -84,7 +85,8 @@ def descend(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adamw, training.steps)
     history, losses, best = History(), list[float](), None
     model.train()
-    for step, rows in enumerate(_batches(len(train[-1]), training), 1):
+    epochs = (torch.randperm(len(train[-1])).split(training.batch) for _ in range(training.steps))
+    for step, rows in enumerate(islice(chain.from_iterable(epochs), training.steps), 1):
         say(f"step {step} of {training.steps}")
         error = _error(torques, [x[rows.to(x.device)] for x in train], variance)
         if not error.requires_grad:
@@ -116,15 +118,6 @@ def descend(
 def by_parts(function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
     """Values of a function of rows, so many at a time."""
     return torch.cat([function(*part) for part in zip(*(x.split(ROWS) for x in inputs), strict=True)])
-
-
-def _batches(count: int, training: Training) -> Iterator[Tensor]:
-    """Numbers of the rows of every step."""
-    done = 0
-    while done < training.steps:
-        batches = torch.randperm(count).split(training.batch)[: training.steps - done]
-        yield from batches
-        done += len(batches)
 
 
 def _error(torques: Callable[..., Tensor], rows: Sequence[Tensor], variance: Tensor) -> Tensor:

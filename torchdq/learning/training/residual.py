@@ -8,13 +8,12 @@ The torques for held-out rows decide how far the network is trusted (`validation
 
 import copy
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchdq.base.progress import Progress
 from torchdq.layers.residual import ResidualDynamics
@@ -25,6 +24,7 @@ from torchdq.learning.training.loop import History, Training, by_parts, descend,
 from torchdq.learning.training.validation_gain import HeldOut, validation_gain
 
 GROUPS = 5  # groups of blocks, each held out from one copy of the network
+Rows = tuple[Tensor, Tensor]  # features [rows, 6 n] and residual torques [rows, n]
 
 
 def fit_residual(
@@ -37,16 +37,15 @@ def fit_residual(
 ) -> History:
     """History of the network of a model, trained on the rows `train` of motions of these lengths, and measured."""
     model.standardise(*train)
-    variance = torque_variance(train.tau).double()
-    trainer = _Trainer(model, _residuals(model, train), variance, training)
-    if valid is None:
-        history = trainer.train(model.network, progress.at)
-        held_out, regional = trainer.cross_validated(_motions(train, lengths), progress)
+    variance, rows = torque_variance(train.tau).double(), _residuals(model, train)
+    unseen = None if valid is None else _residuals(model, valid)
+    history = descend(model.network, model.ungated, rows, unseen, variance.to(rows[0]), training, progress.at)
+    q, qd, qdd, tau = (x.double().cpu() for x in (train if valid is None else valid))
+    motions = MotionRows(q, qd, qdd, tuple(lengths) if valid is None else (len(q),), tau)
+    if unseen is None:
+        held_out, regional = _cross_validated(model, rows, variance, motions, training, progress)
     else:
-        rows = _residuals(model, valid)
-        history = trainer.train(model.network, progress.at, valid=rows)
-        found = blocks(_motions(valid, (len(valid.q),)))
-        held_out, regional = _predicted(model, model.network, model.domain, rows, [block.rows for block in found]), []
+        held_out, regional = _predicted(model, unseen, [block.rows for block in blocks(motions)]), []
     gain = validation_gain(model, held_out, regional, variance)
     if poor := [name for name, weight in zip(gain.joints, gain.weight.tolist(), strict=True) if not weight]:
         warnings.warn(
@@ -59,83 +58,48 @@ def fit_residual(
     return replace(history, residual=gain)
 
 
-@dataclass(frozen=True)
-class _Trainer:
-    """Training of networks on the residuals of a model."""
-
-    model: ResidualDynamics
-    rows: tuple[Tensor, Tensor]  # features and residuals
-    variance: Tensor  # [n] of the torques
-    training: Training
-
-    def train(
-        self,
-        network: nn.Module,
-        say: Callable[[str], None],
-        used: Tensor | slice = slice(None),
-        valid: tuple[Tensor, Tensor] | None = None,
-    ) -> History:
-        """History of a network that is trained on the rows `used`."""
-        x, residual = (y[used] for y in self.rows)
-        torques = partial(self.model.ungated, network=network)
-        return descend(network, torques, (x, residual), valid, self.variance.to(x), self.training, say)
-
-    def cross_validated(self, motions: MotionRows, progress: Progress) -> tuple[list[HeldOut], list[HeldOut]]:
-        """Torques for blocks and for regions, of copies that were trained without those."""
-        found = blocks(motions)
-        groups = [found[k::GROUPS] for k in range(min(GROUPS, len(found)))]
-        # rows that a copy predicts, and further ones that it is not trained on, either
-        parts: list[tuple[list[Any], list[Any]]] = [
-            ([block.rows for block in group], [rows for block in group for rows in block.margins]) for group in groups
-        ]
-        if found and len(motions.lengths) < 3:
-            parts += [([half], []) for pair in regions(motions) for half in pair]
-        held_out = list[HeldOut]()
-        for k, (some, margins) in enumerate(parts):
-            used = torch.ones(len(self.rows[1]), dtype=torch.bool, device=self.rows[1].device)
-            for rows in (*some, *margins):
-                used[rows] = False
-            say = progress.within(f"copy {k + 1} of {len(parts)} for held-out rows")
-            held_out += self._predicted(some, used, k, say)
-        return held_out[: len(found)], held_out[len(found) :]
-
-    def _predicted(
-        self, some: Sequence[slice | Tensor], used: Tensor, number: int, say: Callable[[str], None]
-    ) -> list[HeldOut]:
-        """Torques for sets of rows of a copy with new weights, trained on others; its seed follows from its number."""
-        model, network, domain = self.model, copy.deepcopy(self.model.network), copy.deepcopy(self.model.domain)
-        with seeded(used.device, self.training.seed + number):
-            for part in network.modules():
-                if callable(reset := getattr(part, "reset_parameters", None)):
+def _cross_validated(
+    model: ResidualDynamics, rows: Rows, variance: Tensor, motions: MotionRows, training: Training, progress: Progress
+) -> tuple[list[HeldOut], list[HeldOut]]:
+    """Torques for blocks and for regions, of copies with new weights that were trained without those."""
+    found = blocks(motions)
+    groups = [found[k::GROUPS] for k in range(min(GROUPS, len(found)))]
+    # rows that a copy predicts, and further ones that it is not trained on, either
+    parts: list[tuple[list[Any], list[Any]]] = [
+        ([block.rows for block in group], [margin for block in group for margin in block.margins]) for group in groups
+    ]
+    if found and len(motions.lengths) < 3:
+        parts += [([half], []) for pair in regions(motions) for half in pair]
+    held_out = list[HeldOut]()
+    for k, (some, margins) in enumerate(parts):
+        used = torch.ones(len(rows[0]), dtype=torch.bool, device=rows[0].device)
+        for left_out in (*some, *margins):
+            used[left_out] = False
+        x, residual = (part[used] for part in rows)
+        copied = copy.deepcopy(model, {id(model.model): model.model})  # beside the same physics
+        say = progress.within(f"copy {k + 1} of {len(parts)} for held-out rows")
+        with seeded(used.device, training.seed + k):
+            for layer in copied.network.modules():
+                if callable(reset := getattr(layer, "reset_parameters", None)):
                     reset()
-            self.train(network, say, used)
-        domain.cover(model.state_of(self.rows[0][used]))
-        return _predicted(model, network, domain, self.rows, some)
+            descend(copied.network, copied.ungated, (x, residual), None, variance.to(x), training, say)
+        copied.domain.cover(copied.state_of(x))
+        held_out += _predicted(copied, rows, some)
+    return held_out[: len(found)], held_out[len(found) :]
 
 
 @torch.no_grad()
-def _predicted(
-    model: ResidualDynamics,
-    network: nn.Module,
-    domain: nn.Module,
-    rows: tuple[Tensor, Tensor],
-    some: Sequence[slice | Tensor],
-) -> list[HeldOut]:
-    """Torques of a network, trained in a domain, for sets of rows."""
-    network.eval()
-    torque = by_parts(partial(model.ungated, network=network), rows[0]).double()
-    gate = domain(model.state_of(rows[0])).double()
-    return [HeldOut(gate[k] * torque[k], gate[k].expand_as(torque[k]), rows[1][k].double()) for k in some]
-
-
-def _motions(samples: Samples, lengths: Sequence[int]) -> MotionRows:
-    q, qd, qdd, tau = (x.double().cpu() for x in samples)
-    return MotionRows(q, qd, qdd, tuple(lengths), tau)
+def _predicted(model: ResidualDynamics, rows: Rows, some: Sequence[slice | Tensor]) -> list[HeldOut]:
+    """Torques of a network for sets of rows."""
+    model.network.eval()
+    x, residual = rows
+    torque, gate = by_parts(model.ungated, x).double(), model.gate(x).double()
+    return [HeldOut(gate[k] * torque[k], gate[k].expand_as(torque[k]), residual[k].double()) for k in some]
 
 
 @torch.no_grad()
-def _residuals(model: ResidualDynamics, samples: Samples) -> tuple[Tensor, Tensor]:
-    """Features of the network, and torques [rows, n] that the model leaves, in its dtype."""
+def _residuals(model: ResidualDynamics, samples: Samples) -> Rows:
+    """Features of the network, and torques that the model leaves, in its dtype."""
     q, qd, qdd, tau = samples
     x = model.features(q, qd)
     return x, (tau - by_parts(model.model, q, qd, qdd)).to(x)
