@@ -148,6 +148,16 @@ def test_joints_sorted_by_name_have_a_finding():
     assert (one.code == "columns.sorted" and "columns of all signals" in one.expected) or one.code == "columns.swapped"
 
 
+def test_a_joint_that_swings_freely_has_no_finding():
+    """Its measured torque is noise, and hardly any of what the description needs for the motion."""
+    robot, data = recorded("panda")
+    noise = torch.randn(len(data.tau), generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    for part, said in ((0.1, False), (1.0, True)):
+        tau = data.tau.clone()
+        tau[:, 1] = part * tau[:, 1].std() * noise
+        assert ("torque.unexplained" in codes(warned(robot, data._replace(tau=tau)))) == said
+
+
 def test_torques_that_nothing_explains_have_findings():
     robot, data = recorded("panda")
     other = torch.randn(data.tau.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)

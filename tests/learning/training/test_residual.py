@@ -85,6 +85,24 @@ def test_other_motions_are_never_worse_with_it(seconds):
         assert (error(model, test) <= 1.01 * error(model.model, test)).all(), speed
 
 
+class Linear(torch.nn.Module):
+    """A layer whose weights nothing draws anew."""
+
+    def __init__(self):
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(2, 12))
+
+    def forward(self, x):
+        return x @ self.weight.T
+
+
+def test_a_network_that_cannot_be_drawn_anew_has_no_copies():
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(TWO), network=Linear())
+    with refused(torchdq.ArgumentError):
+        fit(model, motion(0, cable), steps=2)
+    assert fit(model, motion(0, cable), motion(1, cable), steps=2).residual is not None
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_a_motion_that_repeats_itself_does_not_pass_for_others():
     """Its network knows the recorded path, and blocks left out of one pass are in the next; regions are in none."""

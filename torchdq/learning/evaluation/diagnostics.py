@@ -45,6 +45,7 @@ class Thresholds:
     still: float = 1e-6  # change of a torque, relative to its size, that is none
     moving: float = 0.1  # least part of the rows in which a joint must move to be judged by a fit
     faint: float = 1e-4  # variance of a torque, relative to the largest, below which it may be noise alone
+    driven: float = 0.05  # the same, relative to that described: a joint that swings freely has less
     poor: float = 0.5  # part of a joint's torque that a fit leaves unexplained, from which it is named
     shaped: float = 0.9  # part of the residual left by dry friction of other widths, from which the shape is another
     seen: float = 0.02  # residual that they explain, relative to the joint's torques, below which it does not matter
@@ -136,14 +137,17 @@ def beyond_limits(robot: Robot, q: Tensor, qd: Tensor | None) -> list[Finding]:
     return found
 
 
-def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, sign_width: float) -> list[Finding]:
-    """Findings about joints that move, whose measured torques a fit hardly explains."""
+def unexplained(
+    names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, described: Tensor, sign_width: float
+) -> list[Finding]:
+    """Findings about joints that move and are driven, whose measured torques a fit hardly explains."""
     _, qd, _, tau = rows
     if len(tau) < AT.few:
         return []
     size = tau.var(0)
     part = (tau - fitted).var(0) / size.clamp_min(1e-12 * float(size.max()) + 1e-30)
-    poor = _moves(qd, sign_width) & (size > AT.faint * size.max()) & (part > AT.poor)
+    driven = (size > AT.faint * size.max()) & (size > AT.driven * described.var(0))
+    poor = _moves(qd, sign_width) & driven & (part > AT.poor)
     claim = "the fit must explain most of the torque's variance"
     cure = "are units, signs, order of joints and the robot itself as described, and torques measured at the joints?"
     return _of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))

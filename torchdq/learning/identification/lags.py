@@ -42,7 +42,7 @@ def lag_findings(fit: AugmentedFit) -> list[Finding]:
     lags = [
         _Lag(name or f"motion {k + 1}", late, error, settled)
         for k, (name, late, error, settled, matters) in enumerate(found)
-        if matters and abs(late) > SURE * error > 0 and (settled or abs(late) > FARTHEST)
+        if matters and abs(late) > SURE * error > 0 and (settled or abs(late) > ROUNDS * FARTHEST / 2)
     ]
     if len(lags) > 1:
         weight = sum(1 / lag.error**2 for lag in lags)

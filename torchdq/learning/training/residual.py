@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.progress import Progress
+from torchdq.errors import ArgumentError
 from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, regions
 from torchdq.learning.logs.errors import LogWarning
@@ -82,6 +83,9 @@ def _cross_validated(
             for layer in copied.network.modules():
                 if callable(reset := getattr(layer, "reset_parameters", None)):
                     reset()
+                elif any(True for _ in layer.parameters(recurse=False)):
+                    cure = "so that copies know nothing of held-out rows; or give valid"
+                    raise ArgumentError(f"{type(layer).__name__} in network must have reset_parameters(), {cure}")
             descend(copied.network, copied.ungated, (x, residual), None, variance.to(x), training, say)
         copied.domain.cover(copied.state_of(x))
         held_out += _predicted(copied, rows, some)
