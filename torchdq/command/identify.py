@@ -42,6 +42,7 @@ from torchdq.robot import Robot
 # module, extra that brings it: looked for before the work, not after it
 NEEDED = {"scipy": "learn", "matplotlib": "viz"}
 ROBOTS = (*ENDINGS, ".urdf.xacro")  # how files of each kind end
+HEADS = ("joint", "torque per unit of effort", "standard error")
 LOGS = (".csv", ".csv.gz", ".txt", ".npz", ".npy", ".mat", ".mcap")
 
 
@@ -78,7 +79,7 @@ class IdCommand(RobotCommand):
     rate: float | None = None
     """Rows per second of logs without times [Hz]."""
     transmission: tuple[float, ...] = ()
-    """Change of the joints' positions per change of the motors' where those were measured: one for each joint, 1/100
+    """Change of the joints' positions per change of the motors' where those were measured: one for each joint, 0.01
     for a gear of 100:1, or the rows of a matrix, one after the other; coupled motors are what is identified then."""
     rows: tuple[int, int] | None = None
     """First row of each log that is used, and the one after the last, counted from 0."""
@@ -121,7 +122,8 @@ class IdCommand(RobotCommand):
         if not os.access(self.out, os.W_OK):
             raise ArgumentError(f"out must be a folder that you can write, found {str(self.out)!r}")
         source = self.load_moving()
-        source = source._replace(robot=self._motors(source.robot))
+        joints = source.robot
+        source = source._replace(robot=self._motors(joints))
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             logs = [[self._log(log, source.robot) for log in some] for some in (self.logs, self.test, self.payload)]
@@ -132,7 +134,7 @@ class IdCommand(RobotCommand):
                 train, test = train_test_split(motions) if len(motions) == 1 else (motions[:-1], motions[-1:])
             found = self._identified(source.robot, train)
             payload = identify_payload(found, torques_by(found, held), frame=self.frame) if held else None
-            description = _described(source, found)
+            description = _described(source, joints, found)
             measured = evaluate(source.robot, found, test, description.robot)
             tried = trials(source.robot, found, measured, test, self._others(source.robot, train), self.frame)
         messages = list({str(one.message): one.message for one in said}.values())
@@ -214,12 +216,17 @@ class IdCommand(RobotCommand):
         return {kind: self.out / file for kind, (file, _) in texts.items()}
 
 
-def _described(source: NamedRobot, found: Identified) -> RobotFile:
-    """File of the robot found: that which it was read from, with other numbers."""
+def _described(source: NamedRobot, joints: Robot, found: Identified) -> RobotFile:
+    """File of the robot found: that which it was read from, with other numbers; `joints` has its coordinates."""
     if source.format not in ("urdf", "mjcf"):
         return RobotFile("", None, "no description is written: the robot is not from a URDF or MJCF file")
     robot = found.with_simple_friction()
     try:
+        if joints is not source.robot:
+            bodies = {name: getattr(robot, name) for name in ("mass", "com", "inertia")}
+            written = joints.replace(on_unphysical="warn", **bodies)
+            text = written.to_mjcf(source.file) if source.format == "mjcf" else written.to_urdf(source.file)
+            return RobotFile(text, None, "friction and rotors are those of the coupled motors, which no file describes")
         if source.format == "mjcf":
             return RobotFile(robot.to_mjcf(source.file), robot, "")
         with warnings.catch_warnings(record=True) as said:
@@ -252,6 +259,9 @@ def _outcome(
     if unidentifiable:
         title = "not identifiable from these logs, kept near the description:"
         text += [title, Grid((), [("-", line) for line in unidentifiable])]
+    if found.gains is not None:
+        gains = zip(found.robot.joint_names, *(x.tolist() for x in found.gains), strict=True)
+        text.append(Grid(HEADS, [(name, f"{x:.4g}", f"{e:.2g}") for name, x, e in gains]))
     if payload is not None:
         text.append(str(payload))
     text += [measured.summary, *([Grid(HEADER, [one.cells for one in tried])] if tried else []), MEANING]

@@ -80,7 +80,7 @@ class Evaluation(NamedTuple):
         if after > whole + SEEN:
             text += f" With all that was found it is {whole:.1%}: a file cannot hold all of that."
         if self.forecast is not None and whole > UNLIKE * float(self.forecast.mean()):
-            unlike = "these motions are unlike those that were learned from"
+            unlike = "these motions are unlike those that were learned from, or rest where those moved"
             text += f" The forecast was {float(self.forecast.mean()):.1%}: {unlike}."
         if self.verdict is Verdict.KEEP_DESCRIPTION:
             return text
@@ -91,7 +91,7 @@ class Evaluation(NamedTuple):
             text += f" Worst is {self.joints[worst]} with {float(used[worst]):.1%}{cure}."
         if worse := [name for name, x, y in zip(self.joints, self.described, used, strict=True) if y > x]:
             text += f" Not better than described: {', '.join(worse)}."
-        if self.verdict is Verdict.POOR:
+        if self.verdict is Verdict.POOR and not self.findings:
             text += " Something is missing: gains of the drives, a payload, rotor inertia, or another time base."
         return text
 

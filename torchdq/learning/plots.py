@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchdq.base.optional import imported
 from torchdq.errors import ArgumentError
+from torchdq.learning.evaluate import torques_by
 from torchdq.learning.excitation.limits import Bounds
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.motions import Motion, stack_samples
@@ -66,7 +67,7 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
     """
     if not isinstance(identified, Identified):
         raise ArgumentError(f"identified must be what identify returns, found {type(identified).__name__}")
-    several = [motions] if isinstance(motions, Motion) else motions
+    several = torques_by(identified, [motions] if isinstance(motions, Motion) else motions)
     tau, robot = stack_samples(several).tau, identified.robot
     if tau.shape[1] != robot.n:
         raise ArgumentError(f"motions must be of the {robot.n} joints of {robot.name!r}, found {tau.shape[1]}")

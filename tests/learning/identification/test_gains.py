@@ -7,7 +7,7 @@ from helpers import PAIR
 from recorded_logs import COULOMB, ROBOT, STEP, VISCOUS, dry, fitted, noise, sign, states, with_findings
 
 import torchdq
-from torchdq.learning import Layout, Motion, posterior_samples, read_log, smooth
+from torchdq.learning import Layout, Model, Motion, identify, posterior_samples, read_log, smooth
 from torchdq.learning.evaluation.blocks import of_motions
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, pseudo_inertia
 
@@ -53,6 +53,24 @@ def test_negative_gains_are_found_and_named():
     found, findings = with_findings(fitted, robot, motions, gains=True)
     assert float((found.gains.value / gains - 1)[:5].abs().max()) < 0.1
     assert [(x.code, x.subject) for x in findings] == [("gain.negative", robot.joint_names[j]) for j in (1, 3)]
+
+
+def test_gains_are_found_beside_rotors_that_the_description_lacks():
+    """Currents drive the rotors, too: without them, gains would be those of a part of the torque."""
+    robot = torchdq.robots.load("ur10e")
+    q, qd, qdd = states(3, 300, joints=6)
+    clean = torchdq.inverse_dynamics(robot.replace(armature=torch.ones(6).double()), q, qd, qdd) + 2 * qd + sign(qd)
+    tau = clean + 0.02 * clean.std((0, 1)) * noise(q.shape, 0.5)
+    found = identify(
+        robot,
+        [
+            Motion(np.arange(300) * STEP, *(x[k].numpy() for x in (q, qd, qdd, tau / 5)), known_gains=False)
+            for k in range(3)
+        ],
+        Model(gains=True),
+    )
+    assert float((found.gains.value / 5 - 1)[:5].abs().max()) < 0.1
+    assert float(((found.gains.value - 5) / found.gains.error).abs().max()) < 3
 
 
 def real_arm(described, seed, size=0.1):

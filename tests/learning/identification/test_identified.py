@@ -1,5 +1,6 @@
 """Files of identified robots: the friction in them stands for all that was found, and the verdict is about the file."""
 
+import pickle
 import warnings
 
 import numpy as np
@@ -141,3 +142,10 @@ def test_a_layer_a_scene_and_a_file_have_all_that_was_found():
         text = found.to_urdf(PAIR)
     again = torchdq.Robot.from_urdf(text)
     assert torch.allclose(again.mass, found.robot.mass)
+
+
+def test_an_identified_robot_can_be_pickled():
+    q, qd, qdd = states(3, 100)
+    found = identify(DESCRIBED, Samples(q, qd, qdd, torques(DESCRIBED, q, qd, qdd)))
+    again = pickle.loads(pickle.dumps(found))
+    assert torch.equal(again.predict(q, qd, qdd).high, found.predict(q, qd, qdd).high)

@@ -157,3 +157,10 @@ def test_a_follower_is_no_coordinate():
     chain = {"panda_joint7": {"panda_joint6": 0.5}, "panda_joint6": {"panda_joint5": -2.0}}
     with refused(torchdq.ArgumentError):
         torchdq.robots.load("panda").couple(chain)
+
+
+def test_one_number_is_that_of_every_coordinate():
+    robot = torchdq.robots.load("two_link")
+    S, names = [[1.0, 0.0], [1.0, 1.0]], ["a", "b"]
+    one, each = (robot.couple(S, names, limits=float("inf"), damping=x, friction=x) for x in (0.5, [0.5, 0.5]))
+    assert torch.equal(one.damping, each.damping) and torch.equal(one.friction, each.friction)

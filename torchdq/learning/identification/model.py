@@ -66,6 +66,6 @@ class Model:
         return [ROTOR] * (self.armature == "auto") + [OFFSET] * (self.offset == "auto") + shapes
 
     def of_motors(self, robot: Robot) -> list[Term]:
-        """Terms with which gains are estimated."""
-        rotor = [ROTOR] * (self.armature is True or robot.armature is not None)
+        """Terms with which gains are estimated; the drives' currents move the rotors, too."""
+        rotor = [ROTOR] * (self.armature is not False or robot.armature is not None)
         return rotor + [VISCOUS, COULOMB] * (self.friction is not None) + [OFFSET] * (self.offset is True)

@@ -186,10 +186,10 @@ def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tup
     strengths = [x for x in strengths if x <= tried[0].strength]
     if free:
         evidence = evidence.with_loads(found.parameters)
-    for memory in (False, True):
-        kinds = [k for k in optional if memory or not terms[k].bristles]
+    steady = [k for k in optional if not terms[k].bristles]
+    for kinds in (steady, optional):
         mask, more = gainful(evidence, variance, mask, kinds, tried[-1].strength)
-        if more:
+        if any(kinds is steady or gain.term not in [terms[k].name for k in steady] for gain in more):
             gains = [*gains, *more]
             found, variance = _noise(evidence, mask, tried[-1].strength, found)
             tried.append(_candidate(name, evidence, strengths, mask, variance, gains, found))

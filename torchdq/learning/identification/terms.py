@@ -7,6 +7,7 @@ in `torchdq.effects`, with one of its linear parameters one and the others zero.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -145,31 +146,39 @@ def deflection(q: Tensor, starts: Tensor, distance: float) -> Tensor:
     return found
 
 
-def _of_width(law: Friction) -> Callable[[float], Friction]:
-    """Friction of a law, with any width."""
-    return lambda width: replace(law, **{"sign_width": width})
+def _wide(law: Friction, width: float) -> Friction:
+    """Friction of a law with a width."""
+    return replace(law, **{"sign_width": width})
 
 
-def _always(law: Friction) -> Callable[[float], Friction]:
-    return lambda _: law
+def _same(law: Friction, _: float) -> Friction:
+    """Friction of a law that has no width, or one of its own."""
+    return law
 
 
 ROTOR = Term("rotor", ("kg m^2", "kg"), described="armature")
-VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), _always(effects.Viscous()), "coefficient", "damping")
-COULOMB = Term("coulomb", FORCE, _of_width(effects.Coulomb()), "coulomb", "friction", dry=True)
+VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), partial(_same, effects.Viscous()), "coefficient", "damping")
+COULOMB = Term("coulomb", FORCE, partial(_wide, effects.Coulomb()), "coulomb", "friction", dry=True)
 OFFSET = Term("offset", FORCE, signed=True)
 
 SPEEDS = (0.03, 0.1, 0.3, 1.0)  # [rad/s or m/s]
 BRISTLES = (5e-4, 2e-3, 1e-2)  # [rad or m]
-LOAD, DIRECTIONAL = _of_width(effects.LoadDependent()), _of_width(effects.Directional())
+LOAD, DIRECTIONAL = partial(_wide, effects.LoadDependent()), partial(_wide, effects.Directional())
+RIPPLE = partial(_same, effects.Ripple(2 * math.pi))
 SHAPES = (  # friction of other shapes
     Term("load", ("1", "1"), LOAD, "coefficient", dry=True, loaded=True),
-    *(Term(f"stribeck {v:g}", FORCE, _of_width(effects.Stribeck(velocity=v)), "static", dry=True) for v in SPEEDS),
-    *(Term(f"saturating {v:g}", FORCE, _always(effects.Coulomb(sign_width=v)), "coulomb") for v in SPEEDS),
-    Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), _always(effects.Quadratic()), "coefficient"),
+    *(Term(f"stribeck {v:g}", FORCE, partial(_wide, effects.Stribeck(velocity=v)), "static", dry=True) for v in SPEEDS),
+    *(Term(f"saturating {v:g}", FORCE, partial(_same, effects.Coulomb(sign_width=v)), "coulomb") for v in SPEEDS),
+    Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), partial(_same, effects.Quadratic()), "coefficient"),
     *(Term(way, FORCE, DIRECTIONAL, way, dry=True) for way in ("forward", "backward")),
-    *(Term(f"lugre {x:g}", FORCE, _always(effects.LuGre(deflection=x)), "coulomb", bristles=x) for x in BRISTLES),
-    *(Term(f"ripple {x}", FORCE, _always(effects.Ripple(2 * math.pi)), x, signed=True) for x in ("sine", "cosine")),
+    *(
+        Term(f"lugre {x:g}", FORCE, partial(_same, effects.LuGre(deflection=x)), "coulomb", bristles=x)
+        for x in BRISTLES
+    ),
+    *(
+        Term(f"ripple {x}", FORCE, partial(_same, effects.Ripple(2 * math.pi)), x, signed=True)
+        for x in ("sine", "cosine")
+    ),
 )
 
 
@@ -202,7 +211,7 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
     words += ["/".join(f"{one:g}" for one in (x if isinstance(x, Sequence) else (x,))) for x in numbers]
     return alike._replace(
         name=" ".join(words),
-        effect=_of_width(law) if dry else _always(law),
+        effect=partial(_wide if dry else _same, law),
         described="",
         dry=dry,
         bristles=bristles,

@@ -48,7 +48,8 @@ def couple(
         offset: positions [rad or m] of joints where the coordinates are zero, by name; None: zero.
         limits: those of the new coordinates, four rows (lower, upper, velocity, effort) as in `Robot.limits`, each
             [coordinates], infinite where there is none; math.inf: there are none; None: those that are handed on.
-        damping, friction, armature: those of the new coordinates, [coordinates]; None: those that are handed on.
+        damping, friction, armature: those of the new coordinates, [coordinates], or one number for all of them; None:
+            those that are handed on.
 
     >>> import torchdq
     >>> robot = torchdq.robots.load("two_link")
@@ -74,6 +75,7 @@ def couple(
     for name, value in given.items():
         before, weights = getattr(robot, name), alone.abs() if name == "friction" else alone.square()
         if value is not None:
+            value = [value] * len(names) if is_number(value) else value
             new[name] = table(name, value, len(names), error=ArgumentError).to(robot.mass)
         elif before is not None:
             _require_absent(robot, name, before != 0, several)
