@@ -332,7 +332,7 @@ def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) 
     fitted, signs = few[3] - few[4], None if rows.direction is None else few[5]
     if len(residual) >= FEW and (faults := fault_findings(evidence, problem.estimated)):
         return misfits + faults
-    described = inverse_dynamics(robot, *few[:3])
+    described = inverse_dynamics(robot, few[0], few[1], few[2])
     if poor := unexplained(robot.joint_names, few[:4], fitted, described, sign_width):
         return misfits + poor
     if len(residual) >= FEW:

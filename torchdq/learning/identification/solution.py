@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.feasible import Neighbourhood
+from torchdq.learning.identification.feasible import Distance, Neighbourhood
 from torchdq.learning.identification.regression import Information, information, known, shifted, squared
 
 ITERATIONS = 200  # most Newton steps of a minimum
@@ -100,7 +100,7 @@ def changes(
 
 
 def minimum(
-    near: Neighbourhood, facts: Information, prior: float, start: Tensor | None = None, tolerance: float = EXACT
+    near: Distance, facts: Information, prior: float, start: Tensor | None = None, tolerance: float = EXACT
 ) -> tuple[Tensor, bool]:
     """Minima y [..., t] of the sum of e (w - w_0)^2 and prior * distance, with y = V w, and whether all were reached.
 

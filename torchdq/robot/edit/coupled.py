@@ -75,8 +75,8 @@ def couple(
     for name, value in given.items():
         before, weights = getattr(robot, name), alone.abs() if name == "friction" else alone.square()
         if value is not None:
-            value = [value] * len(names) if is_number(value) else value
-            new[name] = table(name, value, len(names), error=ArgumentError).to(robot.mass)
+            every = [value] * len(names) if is_number(value) else value
+            new[name] = table(name, every, len(names), error=ArgumentError).to(robot.mass)
         elif before is not None:
             _require_absent(robot, name, before != 0, several)
             new[name] = before @ weights.to(before)
