@@ -92,7 +92,7 @@ def facts(name: str) -> Facts:
 def identified() -> set[type]:
     """Effects whose numbers `identify` finds; rotor inertia is a term that is no friction."""
     named = [x for x in vars(terms).values() if isinstance(x, Term)]
-    found = {type(term.effect(0.01)) for term in (*named, *terms.SHAPES) if term.effect is not None}
+    found = {type(term.law) for term in (*named, *terms.SHAPES) if term.law is not None}
     return found | ({effects.RotorInertia} if any(term.described == "armature" for term in named) else set())
 
 

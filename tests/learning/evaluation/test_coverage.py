@@ -48,6 +48,12 @@ def test_one_block_has_its_own_quantile_and_none_of_zeros_is_wide():
     assert torch.equal(interval_factors([torch.zeros(50, 2, dtype=F64)] * 3), torch.zeros(2, dtype=F64))
 
 
+def test_a_block_that_is_unlike_all_others_widens_no_more_than_twice():
+    blocks = torch.randn(4, 1000, 1, generator=generator(), dtype=F64)
+    blocks[0] *= 20
+    assert float(interval_factors(list(blocks))) == 2 * float(blocks.flatten().abs().quantile(0.95))
+
+
 def test_rows_without_a_number_do_not_count():
     rows = torch.randn(6, 500, 2, generator=generator(), dtype=F64)
     gaps = rows.repeat_interleave(2, 1)

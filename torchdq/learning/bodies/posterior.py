@@ -16,8 +16,9 @@ from torch import Tensor
 from torchdq.base.checks import require_count, require_number
 from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
-from torchdq.effects import Effect, Gravity, RotorInertia
+from torchdq.effects import Effect, Gravity, Residual, RotorInertia
 from torchdq.errors import ArgumentError
+from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning.bodies.nearest import nearest, of_numbers
 from torchdq.learning.identification.identified import Identified, coefficients_of
 from torchdq.learning.identification.regression import parted
@@ -40,6 +41,7 @@ class PosteriorSamples(NamedTuple):
     names: tuple[str, ...]  # [k]
     parameters: Tensor  # [samples, k], as in `Identified`
     sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
+    network: ResidualDynamics | None = None  # that of the identified robot
 
     def __repr__(self) -> str:
         return summary(f"PosteriorSamples {self.robot.name}", {"mass": (self.robot.mass, "kg")})
@@ -49,14 +51,14 @@ class PosteriorSamples(NamedTuple):
         return coefficients_of(self.robot, self.terms, self.parameters, kind)
 
     def effects(self) -> tuple[Effect, ...]:
-        """Gravity, rotor inertia and all friction found, a row per robot, as effects of a scene.
+        """Gravity, rotor inertia, all friction found, a row per robot, and the residual network, as effects of a scene.
 
-        Constant torques are not among them: `coefficients("offset")` is added to the torques of the scene.
+        Without a network, constant torques are not among them: add `coefficients("offset")` to the scene's torques.
         """
         rotors = () if self.robot.armature is None else (RotorInertia(),)
         rows = zip(self.terms, parted(self.robot, self.parameters)[1].unbind(1), strict=True)
         friction = (effect for term, numbers in rows for effect in term.found(numbers, self.sign_width))
-        return (Gravity(), *rotors, *friction)
+        return (Gravity(), *rotors, *friction, *(() if self.network is None else [Residual(self.network)]))
 
 
 @one_thread()
@@ -108,7 +110,7 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
     if (rotors := coefficients_of(robot, terms, parameters, ROTOR.name)) is not None:
         changes["armature"] = rotors
     drawn = robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()})
-    return PosteriorSamples(drawn, terms, identified.names, parameters, identified.sign_width)
+    return PosteriorSamples(drawn, terms, identified.names, parameters, identified.sign_width, identified.network)
 
 
 class _Space:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 COVERED = 0.95  # share of measured torques in an interval
+WIDEST = 2.0  # most factor of the quantile: it holds a block that is unlike all others already
 
 
 def interval_factors(ratios: Sequence[Tensor]) -> Tensor:
@@ -29,4 +30,4 @@ def interval_factors(ratios: Sequence[Tensor]) -> Tensor:
         return quantile
     others = [torch.cat([*sizes[:k], *sizes[k + 1 :]]).nanquantile(COVERED, 0) for k in range(len(sizes))]
     beyond = torch.cat([size / other.clamp_min(1e-300) for size, other in zip(sizes, others, strict=True)])
-    return quantile * beyond.nanquantile(COVERED, 0).clamp_min(1.0)
+    return quantile * beyond.nanquantile(COVERED, 0).clamp(1.0, WIDEST)

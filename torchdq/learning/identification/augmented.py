@@ -49,21 +49,15 @@ class AugmentedFit(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        evidence: Evidence,
-        near: Neighbourhood,
-        y: Tensor,
-        prior: float,
-        residual: Tensor | None = None,
-        most: int = ROWS,
+        cls, evidence: Evidence, near: Neighbourhood, y: Tensor, prior: float, residual: Tensor, most: int = ROWS
     ) -> AugmentedFit:
-        """Some rows of a fit y [t] with evidence of its terms, and this weight of its prior; or of the description."""
+        """Some rows of a fit y [t] with evidence of its terms, this weight of its prior, and residuals [rows, n]."""
         lengths, samples = evidence.recording.lengths, evidence.samples
         rows = torch.arange(0, samples, -(-samples // most))
         motion = torch.repeat_interleave(torch.arange(len(lengths)), torch.tensor(lengths))[rows]
         slope, curvature = (prior / 2 * part for part in near.slopes(y))
-        left = (evidence.recording.measured if residual is None else residual)[rows].cpu()
-        return cls(evidence, near, near.described + near.S @ y, rows, motion, left, slope, curvature)
+        parameters = near.described + near.S @ y
+        return cls(evidence, near, parameters, rows, motion, residual[rows].cpu(), slope, curvature)
 
     @property
     def lengths(self) -> list[int]:

@@ -25,7 +25,7 @@ def base_parameters(R: Tensor, size: Tensor) -> Tensor:
         left[:, chosen] = 0
     chosen.sort()
     base = torch.linalg.solve(R[:, chosen], R) if rank else R
-    base = size[chosen, None] * base / torch.where(size > 0, size, 1.0)
+    base = size[chosen, None] * base * inverse_of(size)
     base = torch.where((base * size).abs() > 1e-8 * size[chosen, None], base, 0.0)
     base[:, chosen] = torch.eye(rank, dtype=base.dtype)
     return base
@@ -35,7 +35,7 @@ def base_of(Z: Tensor) -> tuple[Tensor, Tensor]:
     """Base parameters [rank, k] that torques per unit Z [rows, k] identify, and the sizes [k] of its columns."""
     size = Z.square().mean(0).sqrt()
     size = torch.where(size > NOTHING * size.max(), size, 0.0)
-    Z = torch.where(size > 0, Z / torch.where(size > 0, size, 1.0), 0.0)
+    Z = Z * inverse_of(size)
     e, V = torch.linalg.eigh(Z.T @ Z)
     return base_parameters(V[:, e > SEPARATE * e[-1]].T * size, inverse_of(size)), size
 

@@ -41,15 +41,16 @@ class _Fault(NamedTuple):
 
 def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     """Finding about the fault that explains most of what the bodies and these coefficients [terms, n] do not."""
-    near = evidence.near(estimated)
-    fit = AugmentedFit.of(evidence, near, torch.zeros(near.S.shape[1]).double(), 1.0, most=ROWS)
-    some = evidence.recording.some(fit.rows)
+    near, recording = evidence.near(estimated), evidence.recording
+    fit = AugmentedFit.of(evidence, near, torch.zeros(near.S.shape[1]).double(), 1.0, recording.measured, ROWS)
+    some = recording.some(fit.rows)
     measured = some.measured.cpu()
     size = measured.var(0)
     moved = size > 0
     offsets = torch.eye(len(size)).double().expand(len(fit.rows), -1, -1)
+    besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu())], -1)  # rotors are no fault
     Z, tau = fit.columns(some.q, some.qd, some.qdd, evidence.own[fit.rows])
-    plain = fit.solve(Z, measured - tau, offsets, rounds=3)
+    plain = fit.solve(Z, measured - tau, besides, rounds=3)
 
     def left(found: AugmentedSolution) -> float:
         return float((found.left.square().mean(0) / size)[moved].sum())
@@ -60,36 +61,36 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         for unit in STEP * torch.eye(fault.unknowns).double():
             (A, a), (B, b) = fault.model(x + unit), fault.model(x - unit)
             columns.append((a + A @ last.y - b - B @ last.y) / (2 * STEP))
-        E = torch.cat([offsets, torch.stack(columns, -1)], -1)
+        E = torch.cat([besides, torch.stack(columns, -1)], -1)
         return fit.solve(Z, measured - tau, E, rounds=1, left=last.left)
 
     before = left(plain)
     if before < LEAST * int(moved.sum()):
         return []
-    tried = [(fault, step(fault, torch.zeros(fault.unknowns).double(), plain)) for fault in _faults(fit, some)]
-    promising = [(fault, found) for fault, found in tried if left(found) < TRIED * before]
     best, findings = LEFT * before, list[Finding]()
-    for fault, found in promising:
+    for fault in _faults(fit, some, Z, tau):
         x = torch.zeros(fault.unknowns).double()
+        found = step(fault, x, plain)
+        if not left(found) < TRIED * before:
+            continue
         for _ in range(ROUNDS):
-            change = found.x[len(size) :]
+            change = found.x[-fault.unknowns :]
             if not bool(change.isfinite().all()):
                 break
             x = x + change.clamp(-FARTHEST / 2, FARTHEST / 2)
             found = step(fault, x, found)
             if float(change.abs().max()) < SETTLED:
                 break
-        sure = bool((x.abs() > SURE * found.error[len(size) :]).any())
+        sure = bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
         if left(found) < best and sure and fault.within(x):
             best, findings = left(found), [fault.finding(x)]
     return findings
 
 
-def _faults(fit: AugmentedFit, rows: MotionRows) -> Iterator[_Fault]:
+def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iterator[_Fault]:
     """Faults that are tried: of every joint its zero and its torque, and the direction of gravity."""
     robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
     q, qd, qdd = rows.q, rows.qd, rows.qdd
-    Z, tau = fit.columns(q, qd, qdd, own)
     rigid, load = fit.columns(q, qd, qdd, 0 * own)
     for j, unit in enumerate(torch.eye(robot.n).double()):
         name, joint = robot.joint_names[j], robot.joint_types[j]

@@ -13,17 +13,11 @@ import torch
 from torch import Tensor
 
 from torchdq.errors import ArgumentError
+from torchdq.learning.identification.base_parameters import inverse_of
 from torchdq.learning.identification.terms import ROTOR, Term
 from torchdq.robot import Robot
 from torchdq.robot.arrays import second_moments
-from torchdq.robot.pseudo_inertia import (
-    BASIS,
-    bodies_of,
-    divergence,
-    divergence_slopes,
-    inertial_parameters,
-    relative,
-)
+from torchdq.robot.pseudo_inertia import BASIS, bodies_of, divergence, divergence_slopes, inertial_parameters, relative
 
 THIN = 1e-2  # least extent of a body relative to its size: coordinates of points, rods and plates would be infinite
 SMALL = 0.1  # prior scale of an undescribed effect, relative to the joint's RMS torque
@@ -103,12 +97,18 @@ class Neighbourhood(Distance):
         free = strength < math.inf
         self.links, self.factor = (massive, factor) if free else (massive[:0], factor[:0])
         self.mass, self.com, self.inertia = mass, com, inertia
-        self.start = _scales(robot, terms, torque, unit) * estimated.reshape(-1)
-        self.effects = self.start.nonzero()[:, 0]
+        given = torch.zeros(len(terms), robot.n, dtype=torch.float64)
+        for row, term in zip(given, terms, strict=True):
+            if term.described and (x := getattr(robot, term.described)) is not None:
+                row.copy_(x.detach())
         signed, below_one = (
             torch.tensor([getattr(term, name) for term in terms for _ in range(robot.n)], dtype=torch.bool)
             for name in ("signed", "fraction")
         )
+        large, known = (torque * inverse_of(unit)).flatten(), given.flatten()  # as large as the torques; as described
+        scale = torch.where(signed, large, torch.where(known > 0, known, SMALL * large))  # zero: nothing moves it
+        self.start = scale * estimated.flatten()
+        self.effects = self.start.nonzero()[:, 0]
         fraction = (self.start * below_one)[self.effects]
         super().__init__(len(self.links), signed[self.effects], fraction, strength if free else 1.0)
         if free and not self.inertial + len(self.effects):
@@ -118,11 +118,9 @@ class Neighbourhood(Distance):
         self.described = torch.zeros(k, dtype=torch.float64)
         pi = self.described[: 10 * len(mass)].reshape(-1, 10)
         pi[massive] = inertial_parameters(factor @ factor.mT)
-        rotors = torch.zeros(len(terms), robot.n, dtype=torch.float64)  # described ones act, estimated or not
-        if robot.armature is not None and ROTOR in terms:
-            rotors[terms.index(ROTOR)] = robot.armature.detach().double().cpu()
-        self.described[10 * len(mass) :] = torch.where(self.start > 0, self.start * ~signed, rotors.flatten())
-        self.zero = torch.cat([self.described[: 10 * len(mass)], rotors.flatten()])
+        rotors = known * torch.tensor([term == ROTOR for term in terms for _ in range(robot.n)])  # estimated or not
+        self.described[10 * len(mass) :] = torch.where(self.start > 0, self.start * ~signed, rotors)
+        self.zero = torch.cat([self.described[: 10 * len(mass)], rotors])
         self.S = torch.zeros(k, self.inertial + len(self.effects), dtype=torch.float64)
         self.inverse = torch.zeros_like(self.S).T  # y of a change of phi
         C = self.factor[:, None]
@@ -167,14 +165,3 @@ def _factor(mass: Tensor, com: Tensor, inertia: Tensor) -> Tensor:
     C[:, 1:, 0] = mass.sqrt()[:, None] * com
     C[:, 1:, 1:] = torch.linalg.cholesky(second)
     return C
-
-
-def _scales(robot: Robot, terms: Sequence[Term], torque: Tensor, unit: Tensor) -> Tensor:
-    """Scale of every coefficient [terms * n], zero where the samples do not move it."""
-    scales = [torch.zeros(0, dtype=torch.float64)]
-    for term, size in zip(terms, unit, strict=True):
-        large = torch.where(size > 0, torque / torch.where(size > 0, size, 1.0), 0.0)  # as large as the torques
-        x = getattr(robot, term.described) if term.described else None
-        known = torch.zeros_like(large) if x is None else x.detach().double().cpu()
-        scales.append(large if term.signed else torch.where(known > 0, known, SMALL * large))
-    return torch.cat(scales)

@@ -56,7 +56,8 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
     terms, p = (*evidence.terms, GAIN), evidence.at.shape[1]
     at, start = places(len(robot.link_names), len(terms), n), bodies(robot, p)
     inertial = torch.arange(p) < 10 * len(robot.link_names)
-    centre = torch.where(known, 1.0, _guess(sums, start, int(inertial.sum()), evidence.samples, ~known))
+    guessed = sums, start, int(inertial.sum()), evidence.samples
+    centre = torch.where(known, _guess(*guessed, known).sign(), _guess(*guessed, ~known))
     scale = torch.where(known, SPREAD, WIDE) * centre.abs()
     h, phi, correlation = centre, start, torch.ones(n, dtype=start.dtype)
     for _ in range(ITERATIONS):
@@ -71,12 +72,8 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
         independent = T.mT @ sums @ T / correlation[:, None, None]
         found = solve(near, independent, evidence.squares, evidence.samples / correlation, at)
         change = found.change(at)
-        least = h.abs() / 3  # in the direction of h
-        before, h, phi = (
-            h,
-            h.sign() * (h.sign() * (centre + change[:, -1])).maximum(least),
-            start + change[:, :-1] * inertial,
-        )
+        before, phi = h, start + change[:, :-1] * inertial
+        h = h.sign() * (h.sign() * (centre + change[:, -1])).maximum(h.abs() / 3)
         if float((h / before - 1).abs().max()) < ENOUGH:
             break
         own = change[:, :-1] * ~inertial

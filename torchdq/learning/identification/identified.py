@@ -314,8 +314,8 @@ class Identified(NamedTuple):
         the root of the squared errors of the parameters and the squared noise, to either side: as wide as they had to
         be to hold 95 % of the measured torques of blocks that were left out, and of a block more. Where no model was
         chosen, errors are taken for normal. A joint at rest may be held by any torque within its dry friction, by which
-        they are wider there; and in states that are faster than the samples, by as much as these are. In motions that
-        go elsewhere the intervals hold less.
+        they are wider there; and where a joint is faster than in the samples, by as much as it is. In motions that go
+        elsewhere the intervals hold less.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]
@@ -337,8 +337,8 @@ class Identified(NamedTuple):
                 tau += self.robot.armature.to(tau) * recording.qdd
             margin = self.half_width.to(error) * torch.hypot(error, self.noise.to(error))
             margin += self.simple[1].to(error) * at_rest(recording.qd, self.sign_width)
-            beyond = recording.qd.abs() / self.fastest.to(error).clamp_min(self.sign_width)
-            margin *= beyond.amax(-1, keepdim=True).clamp_min(1)
+            fastest = self.fastest.where(self.fastest > self.sign_width, torch.inf).to(error)  # inf: it never moved
+            margin *= (recording.qd.abs() / fastest).amax(-1, keepdim=True).clamp_min(1)
             error = torch.hypot(error, self.model.to(error))
             if self.network is not None:
                 tau += self.network.residual(recording.q, recording.qd)

@@ -77,11 +77,11 @@ def _search(fit: AugmentedFit, run: Tensor) -> tuple[Tensor, Tensor, Tensor, Ten
 
     before = late
     for k in range(ROUNDS):
-        Z, tau, (early, behind), inside = _moved(fit, run, late[fit.motion], y)
+        Z, tau, slope, inside = _moved(fit, run, late[fit.motion], y)
         Z, r = Z * inside[..., None], (measured - tau) * inside
         if not k:
             before = squares(fit.solve(Z, r, Z[..., :0]).left)
-        found = fit.solve(Z, r, ((behind - early) * inside)[..., None] * one)
+        found = fit.solve(Z, r, (slope * inside)[..., None] * one)
         y, x = found.y, found.x.clamp(-FARTHEST, FARTHEST)
         late = late + x
         settled = x.abs() < SETTLED * found.error.clamp_min(1.0)
@@ -90,14 +90,8 @@ def _search(fit: AugmentedFit, run: Tensor) -> tuple[Tensor, Tensor, Tensor, Ten
     return late, found.error, settled, squares(found.left) < (1 - MATTERS) * before
 
 
-def _moved(
-    fit: AugmentedFit, run: Tensor, late: Tensor, y: Tensor
-) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor], Tensor]:
-    """Model as it was some rows before [rows].
-
-    Torques per unit of y [rows, n, t], and of the fit [rows, n]; torques at y of half a row less and half a row more;
-    and one where the rows are known, else zero [rows, 1].
-    """
+def _moved(fit: AugmentedFit, run: Tensor, late: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Columns and torques of the fit `late` rows before, change of torques at y by one more, and 1 for known rows."""
     recording, all_late = fit.evidence.recording, torch.cat([late, late - 0.5, late + 0.5])
     at = fit.rows.repeat(3) - all_late
     first = at.floor().long().clamp(0, len(run) - 1)
@@ -111,7 +105,7 @@ def _moved(
 
     Z, tau = fit.columns(*(drawn(x) for x in (recording.q, recording.qd, recording.qdd, fit.evidence.own)))
     near = (tau + Z @ y).reshape(3, len(late), -1)
-    return Z[: len(late)], tau[: len(late)], (near[1], near[2]), inside[:, None].to(tau)
+    return Z[: len(late)], tau[: len(late)], near[2] - near[1], inside[:, None].to(tau)
 
 
 def _runs(evidence: Evidence) -> tuple[Tensor | None, float]:

@@ -13,10 +13,12 @@ from torch import Tensor
 
 from torchdq.functional import regressor
 from torchdq.learning.evaluation.blocks import MotionRows
+from torchdq.learning.identification.base_parameters import inverse_of
 from torchdq.robot import Robot
 
 COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it
 EXACT = 1e-5  # least noise relative to the joint's torques otherwise; more weight costs more digits than it gives
+FREE = 0.25  # least part of the samples that are not spent on parameters: the joint's noise would have no bound
 FAINT = 1e-3  # weight of the description while the noise is estimated: negligible against a few samples
 INDEPENDENT = 1e-13  # least eigenvalue, relative to the largest, of an identifiable combination: beyond rounding
 CHUNK = 2**22  # numbers of the regressor that are held at a time
@@ -87,7 +89,7 @@ def gram(
                 residual -= robot.armature.to(Z) * recording.qdd[part]
             Z[..., -1] = residual.T
             sums[i] += Z.mT @ Z
-            read += part.stop - part.start
+            read += len(Y)
             say(f"{read} of {whole} samples")
     return sums.cpu()
 
@@ -131,13 +133,10 @@ def information(
     A, b, c = projected(sums, S)
     squares = squares.clamp_min(1e-6 * float(squares.max()))
     squares = torch.where(squares > 0, squares, 1.0)  # torques that vanish: any weight will do
-    if not S.shape[-1]:
-        empty = S.new_zeros(0)
-        return Information(empty, S.new_zeros(0, 0), empty, (c / samples).maximum(squares * EXACT**2).sqrt())
     # which combinations are identifiable does not depend on the weights, and is clearest where they differ least
     e, Q = torch.linalg.eigh((A / squares[:, None, None]).sum(0))
-    identifiable = e > INDEPENDENT * e.amax()
-    P = Q[:, identifiable]
+    identifiable = e > INDEPENDENT * e[-1:]
+    P, unknown = Q[:, identifiable], Q[:, ~identifiable]
     A, b = P.T @ A @ P, b @ P
     least = squares * (EXACT if float(samples.sum()) >= 2 * P.shape[1] else COARSE) ** 2
     least = least.maximum(floor**2)
@@ -148,30 +147,24 @@ def information(
         y = inverse @ (b / variance[:, None]).sum(0)
         left = (c - 2 * b @ y + (A @ y) @ y).clamp_min(0)
         spent = (A * inverse).sum((1, 2)) / variance
-        before, variance = variance, (left / (samples - spent).maximum(1e-3 * samples)).maximum(least)
+        before, variance = variance, (left / (samples - spent).maximum(FREE * samples)).maximum(least)
         if float((variance / before - 1).abs().max()) < 1e-3:
             break
-    return _weighted(A, b, variance, P, Q[:, ~identifiable])
+    found, none = known(sums, S @ P, variance), e.new_zeros(unknown.shape[1])
+    V = torch.cat([unknown, P @ found.V], 1)
+    return Information(torch.cat([none, found.e]), V, torch.cat([none, found.w]), found.noise)
 
 
 def known(sums: Tensor, S: Tensor, variance: Tensor) -> Information:
     """Least squares with joints weighted by known noise, in the terms of `information`."""
     A, b, _ = projected(sums, S)
-    return _weighted(A, b, variance, torch.eye(S.shape[-1], dtype=S.dtype), S.new_zeros(S.shape[-1], 0))
+    e, V = torch.linalg.eigh((A / variance[:, None, None]).sum(-3))
+    e = torch.where(e > 1e-15 * e[..., -1:], e, 0.0)
+    w = ((b / variance[:, None]).sum(-2)[..., None, :] @ V)[..., 0, :] * inverse_of(e)
+    return Information(e, V, w, variance.sqrt())
 
 
 def projected(sums: Tensor, S: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Matrix [..., n, t, t], right-hand side [..., n, t] and constant [..., n] of every joint's squares, by y."""
     b = (sums[..., -1:, :-1] @ S)[..., 0, :]
     return S.mT @ sums[..., :-1, :-1] @ S, b, sums[..., -1, -1]
-
-
-def _weighted(A: Tensor, b: Tensor, variance: Tensor, P: Tensor, unknown: Tensor) -> Information:
-    """Information in the sums of all joints; directions P [t, s] are identifiable, those in `unknown` are not."""
-    e, V = torch.linalg.eigh((A / variance[:, None, None]).sum(-3))
-    e = torch.where(e > 1e-15 * e.amax(-1, keepdim=True), e, 0.0) if e.numel() else e
-    right = ((b / variance[:, None]).sum(-2)[..., None, :] @ V)[..., 0, :]
-    w = torch.where(e > 0, right / torch.where(e > 0, e, 1.0), 0.0)
-    none = e.new_zeros(*e.shape[:-1], unknown.shape[1])
-    V = torch.cat([unknown.expand(*e.shape[:-1], -1, -1), P @ V], -1)
-    return Information(torch.cat([none, e], -1), V, torch.cat([none, w], -1), variance.sqrt())

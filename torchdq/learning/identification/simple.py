@@ -8,6 +8,7 @@ the torque of all friction together, by least squares over the samples, with nei
 import torch
 from torch import Tensor
 
+from torchdq.learning.identification.base_parameters import inverse_of
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.identification.regression import parted
 from torchdq.learning.identification.terms import COULOMB, VISCOUS, rows_of
@@ -24,25 +25,21 @@ def simple_friction(evidence: Evidence, parameters: Tensor) -> Tensor:
     own = parted(robot, parameters)[1]
     rows = [own[terms.index(term)] if term in terms else getattr(robot, term.described).to(own) for term in SIMPLE]
     known = torch.stack(rows)
-    friction = [k for k, term in enumerate(terms) if term.effect is not None]
+    friction = [k for k, term in enumerate(terms) if term.law is not None]
     if not friction:
         return known
     tau = (evidence.own[..., friction] * own[friction].T.to(evidence.own)).sum(-1)
     sign = rows_of(robot, evidence.recording, evidence.sign_width).sign
-    columns = torch.stack([evidence.recording.qd, sign], -1)
-    nearest = _nonnegative(
-        torch.einsum("rjp,rjq->jpq", columns, columns).cpu(), torch.einsum("rjp,rj->jp", columns, tau).cpu()
-    )
+    X = torch.stack([evidence.recording.qd.T, sign.T], -1)
+    nearest = _nonnegative((X.mT @ X).cpu(), (X.mT @ tau.T[..., None])[..., 0].cpu())
     others = [k for k in friction if terms[k] not in SIMPLE]
     return torch.where((own[others] != 0).any(0), nearest.T, known)
 
 
 def _nonnegative(A: Tensor, b: Tensor) -> Tensor:
     """Minima [n, 2] of x A x - 2 b x over x that are not negative, A [n, 2, 2] being positive semidefinite."""
-    size = A.diagonal(dim1=-2, dim2=-1)
-    alone = torch.where(size > 0, b / torch.where(size > 0, size, 1.0), 0.0).clamp_min(0)
-    both = (torch.linalg.pinv(A, hermitian=True) @ b[..., None])[..., 0]
-    none = torch.zeros_like(b[:, 0])
-    tried = torch.stack([torch.stack([alone[:, 0], none], -1), torch.stack([none, alone[:, 1]], -1), both.clamp_min(0)])
-    cost = torch.einsum("ijp,jpq,ijq->ij", tried, A, tried) - 2 * torch.einsum("jp,ijp->ij", b, tried)
-    return tried[cost.argmin(0), torch.arange(len(b))]
+    alone = torch.diag_embed(b * inverse_of(A.diagonal(dim1=-2, dim2=-1)))
+    both = torch.linalg.pinv(A, hermitian=True) @ b[..., None]
+    tried = torch.cat([alone, both.mT], 1).clamp_min(0)
+    cost = torch.einsum("jip,jpq,jiq->ji", tried, A, tried) - 2 * torch.einsum("jp,jip->ji", b, tried)
+    return tried[torch.arange(len(b)), cost.argmin(1)]

@@ -135,7 +135,7 @@ def minimum(
             length = torch.where(long, length / 2, length)
             length = torch.where(length < 1e-9, 0.0, length)  # by rounding
         w, settled = w + length[..., None] * step, length == 0
-        if bool((settled & last).all()):
-            return (V @ w[..., None])[..., 0], True
+        if done := bool((settled & last).all()):
+            break
         weight = torch.where(settled, (weight / 10).clamp_min(prior), weight)
-    return (V @ w[..., None])[..., 0], False
+    return (V @ w[..., None])[..., 0], done

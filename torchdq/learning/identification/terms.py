@@ -5,9 +5,8 @@ in `torchdq.effects`, with one of its linear parameters one and the others zero.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -31,12 +30,9 @@ class TermRows(NamedTuple):
     """Quantities that torques per unit depend on, [rows, n] each."""
 
     robot: Robot
-    q: Tensor
-    qd: Tensor
-    qdd: Tensor
+    recording: MotionRows
     sign: Tensor  # smooth sign of the velocity
     load: Tensor | None  # torque of the bodies and the rotor; None: unknown
-    starts: Tensor  # rows at which motions begin
     width: float  # velocity below which dry friction is viscous
 
 
@@ -45,30 +41,33 @@ class Term(NamedTuple):
 
     name: str
     units: tuple[str, str]  # unit of the number at a joint that turns, and at one that slides
-    effect: Callable[[float], Friction] | None = None  # friction that dry friction of a width makes; None: no friction
+    law: Friction | None = None  # None: no friction
     parameter: str = ""  # linear parameter of the friction that the number is
     described: str = ""  # attribute of the robot that holds the number
     signed: bool = False  # whether the number may be negative
-    dry: bool = False  # whether the torque has the sign of the velocity, sharp but for the width
+    dry: bool = False  # whether the torque has the sign of the velocity, sharp but for a width of choice
     loaded: bool = False  # whether the torque per unit depends on the load
     bristles: float = 0.0  # deflection of bristles that slide, of friction that remembers it [rad or m]
 
+    def effect(self, width: float) -> Friction | None:
+        """Friction, with a width where it is dry, if it is friction."""
+        return replace(self.law, **{"sign_width": width}) if self.law is not None and self.dry else self.law
+
     def unit(self, rows: TermRows) -> Tensor:
         """Torque per unit [rows, n]."""
-        if self.effect is None:
-            return rows.qdd if self.name == "rotor" else torch.ones_like(rows.qd)
+        q, qd, effect = rows.recording.q, rows.recording.qd, self.effect(rows.width)
+        if effect is None:
+            return rows.recording.qdd if self.name == "rotor" else torch.ones_like(qd)
         if self.bristles:
-            return deflection(rows.q, rows.starts, self.bristles)
-        effect = self.effect(rows.width)
-        qd = rows.qd.where(rows.qd.abs() > STILL, STILL) if self.dry else rows.qd
-        load = rows.load if self.loaded else None
-        torque = columns(rows.robot, effect, rows.q, qd, load, backend="eager")[self.parameter]
+            return deflection(q, rows.recording.starts(), self.bristles)
+        qd = qd.where(qd.abs() > STILL, STILL) if self.dry else qd
+        torque = columns(rows.robot, effect, q, qd, rows.load if self.loaded else None, backend="eager")[self.parameter]
         return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
 
     @property
     def fraction(self) -> bool:
         """Whether the number is below one."""
-        return self.effect is not None and self.parameter in self.effect(1.0).FRACTIONS
+        return self.law is not None and self.parameter in self.law.FRACTIONS
 
     def size(self, unit: Tensor, torque: Tensor, identifiable: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
@@ -88,30 +87,29 @@ class Term(NamedTuple):
         a sin(x) + b cos(x), with a^2 + b^2 = 1. That is 1 / sqrt(2) in whole periods, and must be `WAVE` / sqrt(2) at
         least, as in about a quarter of a period.
         """
+        q, qd, effect = rows.recording.q, rows.recording.qd, self.effect(rows.width)
         if not self.signed:  # rotors and friction, which resist
-            return (rows.qd.abs().amax(0) > rows.width).cpu()
-        if self.effect is None:
+            return (qd.abs().amax(0) > rows.width).cpu()
+        if effect is None:
             return torch.ones(rows.robot.n, dtype=torch.bool)
-        effect = self.effect(rows.width)
-        wave = torch.stack([*columns(rows.robot, effect, rows.q, rows.qd, backend="eager").values()], -1)
+        wave = torch.stack([*columns(rows.robot, effect, q, qd, backend="eager").values()], -1)
         wave = wave - wave.mean(0)
         least = torch.linalg.eigvalsh(torch.einsum("rjk,rjl->jkl", wave, wave) / len(wave))[:, 0]
         return (least >= WAVE**2 / 2).cpu()
 
     def found(self, numbers: Sequence[float] | Tensor, width: float) -> tuple[Friction, ...]:
         """Friction with the numbers of the joints [n], or of the joints of many robots [..., n], if it is friction."""
-        if self.effect is None:
+        if (effect := self.effect(width)) is None:
             return ()
-        effect = self.effect(width)
-        others: dict[str, Any] = {name: 0.0 for name in effect.LINEAR if name != self.parameter}
-        values = numbers if isinstance(numbers, Tensor) else tuple(numbers)
-        return (replace(effect, **others, **{self.parameter: values}),)
+        values: dict[str, Any] = dict.fromkeys(effect.LINEAR, 0.0)
+        values[self.parameter] = numbers if isinstance(numbers, Tensor) else tuple(numbers)
+        return (replace(effect, **values),)
 
 
 def rows_of(robot: Robot, recording: MotionRows, width: float, load: Tensor | None = None) -> TermRows:
     """Rows of a recording; the sign is that of qd / sqrt(qd^2 + width^2), unless it was filtered."""
     sign = smooth_sign(recording.qd, width) if recording.direction is None else recording.direction
-    return TermRows(robot, recording.q, recording.qd, recording.qdd, sign, load, recording.starts(), width)
+    return TermRows(robot, recording, sign, load, width)
 
 
 def at_rest(qd: Tensor, width: float) -> Tensor:
@@ -121,9 +119,8 @@ def at_rest(qd: Tensor, width: float) -> Tensor:
 
 def unit_torques(terms: Sequence[Term], rows: TermRows) -> Tensor:
     """Torques per unit of every term [rows, n, terms]."""
-    if not terms:
-        return rows.q.new_zeros(*rows.q.shape, 0)
-    return torch.stack([term.unit(rows).expand_as(rows.q) for term in terms], -1)
+    q = rows.recording.q
+    return torch.stack([term.unit(rows).expand_as(q) for term in terms], -1) if terms else q.new_zeros(*q.shape, 0)
 
 
 def deflection(q: Tensor, starts: Tensor, distance: float) -> Tensor:
@@ -139,46 +136,27 @@ def deflection(q: Tensor, starts: Tensor, distance: float) -> Tensor:
     found = step.sign() * (1 - keep)
     shift = 1
     while shift < len(q):  # a linear recurrence, by doubling
-        before = torch.cat([found.new_zeros(shift, found.shape[1]), found[:-shift]])
-        kept = torch.cat([keep.new_zeros(shift, keep.shape[1]), keep[:-shift]])
-        found, keep = found + keep * before, keep * kept
+        found[shift:] += keep[shift:] * found[:-shift]
+        keep = torch.cat([keep[:shift], keep[shift:] * keep[:-shift]])
         shift *= 2
     return found
 
 
-def _wide(law: Friction, width: float) -> Friction:
-    """Friction of a law with a width."""
-    return replace(law, **{"sign_width": width})
-
-
-def _same(law: Friction, _: float) -> Friction:
-    """Friction of a law that has no width, or one of its own."""
-    return law
-
-
 ROTOR = Term("rotor", ("kg m^2", "kg"), described="armature")
-VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), partial(_same, effects.Viscous()), "coefficient", "damping")
-COULOMB = Term("coulomb", FORCE, partial(_wide, effects.Coulomb()), "coulomb", "friction", dry=True)
+VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), effects.Viscous(), "coefficient", "damping")
+COULOMB = Term("coulomb", FORCE, effects.Coulomb(), "coulomb", "friction", dry=True)
 OFFSET = Term("offset", FORCE, signed=True)
 
 SPEEDS = (0.03, 0.1, 0.3, 1.0)  # [rad/s or m/s]
 BRISTLES = (5e-4, 2e-3, 1e-2)  # [rad or m]
-LOAD, DIRECTIONAL = partial(_wide, effects.LoadDependent()), partial(_wide, effects.Directional())
-RIPPLE = partial(_same, effects.Ripple(2 * math.pi))
 SHAPES = (  # friction of other shapes
-    Term("load", ("1", "1"), LOAD, "coefficient", dry=True, loaded=True),
-    *(Term(f"stribeck {v:g}", FORCE, partial(_wide, effects.Stribeck(velocity=v)), "static", dry=True) for v in SPEEDS),
-    *(Term(f"saturating {v:g}", FORCE, partial(_same, effects.Coulomb(sign_width=v)), "coulomb") for v in SPEEDS),
-    Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), partial(_same, effects.Quadratic()), "coefficient"),
-    *(Term(way, FORCE, DIRECTIONAL, way, dry=True) for way in ("forward", "backward")),
-    *(
-        Term(f"lugre {x:g}", FORCE, partial(_same, effects.LuGre(deflection=x)), "coulomb", bristles=x)
-        for x in BRISTLES
-    ),
-    *(
-        Term(f"ripple {x}", FORCE, partial(_same, effects.Ripple(2 * math.pi)), x, signed=True)
-        for x in ("sine", "cosine")
-    ),
+    Term("load", ("1", "1"), effects.LoadDependent(), "coefficient", dry=True, loaded=True),
+    *(Term(f"stribeck {v:g}", FORCE, effects.Stribeck(velocity=v), "static", dry=True) for v in SPEEDS),
+    *(Term(f"saturating {v:g}", FORCE, effects.Coulomb(sign_width=v), "coulomb") for v in SPEEDS),
+    Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), effects.Quadratic(), "coefficient"),
+    *(Term(way, FORCE, effects.Directional(), way, dry=True) for way in ("forward", "backward")),
+    *(Term(f"lugre {x:g}", FORCE, effects.LuGre(deflection=x), "coulomb", bristles=x) for x in BRISTLES),
+    *(Term(f"ripple {x}", FORCE, effects.Ripple(2 * math.pi), x, signed=True) for x in ("sine", "cosine")),
 )
 
 
@@ -197,7 +175,7 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
     alike = Term(f"{name.lower()} {parameter}", ("", ""), parameter=parameter, signed=parameter in law.SIGNED)
     # first, since saturating friction may have the same width; and last, since it is like all dry friction
     for term in (COULOMB, *reversed(SHAPES), COULOMB, VISCOUS):
-        known = None if term.effect is None else term.effect(width)
+        known = term.effect(width)
         if known == law and term.parameter == parameter:
             return term
         alike = term if type(known) is type(law) and term.parameter == parameter else alike
@@ -209,10 +187,4 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
     numbers = [x for key, x in own.items() if not (dry and key == "sign_width")]
     words = [word for word in alike.name.split() if not word[0].isdigit()]
     words += ["/".join(f"{one:g}" for one in (x if isinstance(x, Sequence) else (x,))) for x in numbers]
-    return alike._replace(
-        name=" ".join(words),
-        effect=partial(_wide if dry else _same, law),
-        described="",
-        dry=dry,
-        bristles=bristles,
-    )
+    return alike._replace(name=" ".join(words), law=law, described="", dry=dry, bristles=bristles)
