@@ -298,10 +298,7 @@ def _notes(problem: _Problem, found: Identified) -> list[Finding]:
         cure = "the model was chosen on parts of it; in motions unlike it errors may be far larger than stated"
         notes.append(Finding("motion.single", "", claim, "one motion", cure, severity="note"))
     ratios = (found.robot.mass / robot.mass).tolist()
-    claim, cure = (
-        "the mass found must be near the described one",
-        "is it the robot of this description, without a load?",
-    )
+    claim, cure = "the mass found must be near that described", "is it the robot of this description, without a load?"
     return notes + [
         Finding("mass.far", link, claim, f"{ratio:.2g} times it", cure, severity="note", value=ratio)
         for link, ratio in zip(robot.link_names, ratios, strict=True)
