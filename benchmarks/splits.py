@@ -50,6 +50,7 @@ from torchdq.learning import (
     stack_samples,
     train_test_split,
 )
+from torchdq.learning.evaluation.blocks import REGIONS
 from torchdq.learning.identification.evidence import STILL
 from torchdq.learning.training.validation_gain import ValidationGain
 
@@ -229,7 +230,7 @@ def worse(models: Models, split: Split) -> tuple[bool, tuple[str, ...]]:
     largest = torch.stack([stack_samples(motion).tau.var(0) for motion in split.train]).amax(0)
     unit = tau.var(0).maximum(STILL * largest)  # of the scores
     squares = [(one.predict(split.test).tau - tau).square().mean(0) / unit for one in (models.chosen, models.friction)]
-    more, blocks = squares[0] - squares[1], selection.chosen.scores
+    more, blocks = squares[0] - squares[1], selection.chosen.scores[:-REGIONS]
     joints = (more > blocks.std(0) / len(blocks) ** 0.5).tolist()
     names = zip(models.chosen.robot.joint_names, joints, strict=True)
     return float(more.mean()) > selection.chosen.error, tuple(name for name, yes in names if yes)

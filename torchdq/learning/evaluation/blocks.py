@@ -29,6 +29,7 @@ from torchdq.robot.argument import require_motors
 MOST = 10  # most blocks; further motions share one
 PARTS = 6  # blocks, at least, that fewer than three motions are cut into
 LEAST = 20  # fewest rows of a block
+REGIONS = 4  # of the states, which are left out, too
 MARGIN = 0.02  # part of a motion without times that is left out on either side of a block
 FITTED = 0.25  # least part of the rows that a fit without a block has
 SIGNALS = ("q", "qd", "qdd", "tau", "direction")

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.tables import table
-from torchdq.learning.evaluation.blocks import Block, MotionRows
+from torchdq.learning.evaluation.blocks import REGIONS, Block, MotionRows
 from torchdq.learning.identification.evidence import Evidence, Unseen, gather
 from torchdq.learning.identification.friction_selection import Gain, gainful
 from torchdq.learning.identification.solution import Solution, changes
@@ -50,8 +50,9 @@ class CandidateModel(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Standard error of the score over blocks."""
-        return float(self.scores.mean(1).std() / len(self.scores) ** 0.5)
+        """Standard error of the score over blocks; regions share their rows."""
+        blocks = self.scores[:-REGIONS].mean(1)
+        return float(blocks.std() / len(blocks) ** 0.5)
 
 
 class ModelSelection(NamedTuple):
