@@ -13,7 +13,8 @@ A row is marked where what was chosen is worse than the description with frictio
 counts; and where the network makes it worse by more than the standard error of the gain that `fit` states.
 "seen" is the share of the test samples whose positions and velocities were in the training motions as well, to a
 twentieth of their spread: a motion that repeats itself asks for a memory, not for a model. "in 95 %" are the shares of
-the test torques in the 95 % intervals of what was chosen, and of that one with the network.
+the test torques in the 95 % intervals of what was chosen, in brackets of the joint with the fewest, and of what was
+chosen with the network.
 """
 
 from __future__ import annotations
@@ -82,6 +83,7 @@ class Row(NamedTuple):
     identified: tuple[float, float]
     chosen: tuple[float, float]
     covered: float  # share of the torques in 95 % intervals of the one that was chosen
+    lowest: float  # the same of the joint that has the fewest
     expected: float
     error: float
     model: str
@@ -241,9 +243,10 @@ def inside(told: Prediction, tau: torch.Tensor) -> torch.Tensor:
     return ((tau >= told.low) & (tau <= told.high)).double().mean(0)
 
 
-def held(found: Identified, tests: Sequence[Motion]) -> float:
-    """Share of the torques in the 95 % intervals of an identified robot."""
-    return float(inside(found.predict(tests), stack_samples(tests).tau).mean())
+def held(found: Identified, tests: Sequence[Motion]) -> tuple[float, float]:
+    """Share of the torques in the 95 % intervals of an identified robot, and that of the joint with the fewest."""
+    shares = inside(found.predict(tests), stack_samples(tests).tau)
+    return float(shares.mean()), float(shares.amin())
 
 
 def learned(split: Split) -> Models:
@@ -270,7 +273,7 @@ def measured(split: Split, models: Models) -> Row:
         seen(split),
         description,
         *three,
-        held(models.chosen, split.test),
+        *held(models.chosen, split.test),
         *expected,
         models.seconds,
         *worse(models, split),
@@ -315,7 +318,7 @@ def page(rows: Sequence[tuple[Row, Network]]) -> str:
             + ["with the residual"] * network.worse
         )
         errors = [f"{root:.3f}" for _, root in roots]
-        shares = f"{100 * row.covered:.0f}, {network.covered:.0%}"
+        shares = f"{100 * row.covered:.0f} ({100 * row.lowest:.0f}), {network.covered:.0%}"
         cells = (row.name, f"{row.seen:.0%}", *errors, shares, ", ".join(marks) or "no")
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
