@@ -57,7 +57,8 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
     at, start = places(len(robot.link_names), len(terms), n), bodies(robot, p)
     inertial = torch.arange(p) < 10 * len(robot.link_names)
     guessed = sums, start, int(inertial.sum()), evidence.samples
-    centre = torch.where(known, _guess(*guessed, known).sign(), _guess(*guessed, ~known))
+    opposite = (_guess(*guessed, known) + 1).abs() < 2 * SPREAD
+    centre = torch.where(known, torch.where(opposite, -1.0, 1.0), _guess(*guessed, ~known))
     scale = torch.where(known, SPREAD, WIDE) * centre.abs()
     h, phi, correlation = centre, start, torch.ones(n, dtype=start.dtype)
     for _ in range(ITERATIONS):

@@ -210,8 +210,7 @@ class Identified(NamedTuple):
         torch.Size([300, 2])
         """
         if not isinstance(network, ResidualDynamics):
-            expected = "a ResidualDynamics(identified.layer())"
-            raise ArgumentError(f"network must be {expected}, found {type(network).__name__}")
+            raise ArgumentError(f"network must be ResidualDynamics(identified.layer()), found {type(network).__name__}")
         pairs = [(getattr(self.robot, name), getattr(network.robot, name)) for name in ("mass", "com", "inertia")]
         if not all(a.shape == b.shape and torch.equal(a, b.to(a)) for a, b in pairs):
             raise ArgumentError("network must be around identified.layer(), found one around another robot")
