@@ -55,6 +55,17 @@ def test_negative_gains_are_found_and_named():
     assert [(x.code, x.subject) for x in findings] == [("gain.negative", robot.joint_names[j]) for j in (1, 3)]
 
 
+def test_a_given_gain_of_the_wrong_sign_is_found_and_named():
+    robot = torchdq.robots.load("ur10e")
+    q, qd, qdd = states(3, 300, joints=6)
+    clean = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd + sign(qd)
+    tau = clean + 0.02 * clean.std((0, 1)) * noise(q.shape, 0.5)
+    tau[..., 1] *= -1
+    found, findings = with_findings(fitted, robot, q, qd, qdd, tau, gains=True)
+    assert abs(float(found.gains.value[1]) + 1) < 0.1 and bool((found.gains.value[[0, 2, 3, 4]] > 0.9).all())
+    assert [(x.code, x.subject) for x in findings] == [("gain.negative", robot.joint_names[1])]
+
+
 def test_gains_are_found_beside_rotors_that_the_description_lacks():
     """Currents drive the rotors, too: without them, gains would be those of a part of the torque."""
     robot = torchdq.robots.load("ur10e")

@@ -17,7 +17,7 @@ import pinocchio as pin
 import pytest
 import torch
 from messages import refused
-from recorded_logs import WIDTH, fitted, plain, sign, with_findings
+from recorded_logs import WIDTH, fitted, noise, plain, sign, states, with_findings
 
 import torchdq
 from torchdq import effects
@@ -340,6 +340,18 @@ def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd)
     monkeypatch.setattr(progress, "FIRST", 60.0)
     fitted(ROBOT, *states, states[0])
     assert capfd.readouterr().err == ""
+
+
+def test_a_joint_whose_residuals_are_correlated_keeps_its_weight():
+    """Where a constant torque is missing, few rows are independent, and a described damping is far off."""
+    robot = torchdq.robots.load("ur10e").replace(damping=torch.full((6,), 10.0).double())
+    q, qd, qdd = (x[0] for x in states(1, 1000, joints=6))
+    rigid = torchdq.inverse_dynamics(robot.replace(mass=1.1 * robot.mass), q, qd, qdd)
+    spread = rigid.std(0)
+    tau = rigid + 0.1 * qd + 0.5 * sign(qd) + spread * (torch.linspace(-0.1, 0.1, 6) + 0.003 * noise(q.shape, 0.0))
+    found, _ = with_findings(fitted, robot, q, qd, qdd, tau)
+    assert float(found.correlation.max()) == 250  # a quarter of the rows
+    assert float(((found.predict(q, qd, qdd).tau - tau).square().mean(0).sqrt() / tau.std(0)).max()) < 0.3
 
 
 # --- form ------------------------------------------------------------------------------------------------------------
