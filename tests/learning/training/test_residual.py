@@ -86,7 +86,7 @@ def test_other_motions_are_never_worse_with_it(seconds):
 
 
 class Linear(torch.nn.Module):
-    """A layer whose weights nothing draws anew."""
+    """Linear layer without `reset_parameters`."""
 
     def __init__(self):
         super().__init__()
@@ -96,7 +96,7 @@ class Linear(torch.nn.Module):
         return x @ self.weight.T
 
 
-def test_a_network_that_cannot_be_drawn_anew_has_no_copies():
+def test_a_network_without_reset_parameters_needs_validation_data():
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(TWO), network=Linear())
     with refused(torchdq.ArgumentError):
         fit(model, motion(0, cable), steps=2)

@@ -136,7 +136,7 @@ class Neighbourhood(Distance):
         return (self.described - self.zero)[at]
 
     def at(self, other: "Neighbourhood", y: Tensor) -> Tensor:
-        """Place [..., t] of y [..., s] of another neighbourhood; coefficients that are zero there start as here."""
+        """Coordinates [..., t] here of y [..., s] in another neighbourhood; coefficients it lacks have their size."""
         phi = other.described + y @ other.S.T
         found, b = (phi - self.described) @ self.inverse.T, self.inertial
         coefficients = phi[..., phi.shape[-1] - len(self.start) :][..., self.effects]

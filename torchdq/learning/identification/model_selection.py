@@ -25,7 +25,7 @@ from torchdq.robot import Robot
 STRENGTHS = (1e4, 1e2, 1.0)  # prior of the bodies, the strongest first
 SURE = 2.0  # standard errors by which a joint gains from a rotor or an offset, tried before friction of other shapes
 TIED = 1e-3  # relative difference of scores that count as equal
-ALONE = 0.12  # the same of the best and the plainest models, where parts of a single motion vouch for all others
+ALONE = 0.12  # the same of the best and the plainest models, where parts of a single motion are all the validation
 MOVES = 0.01  # least mean square of a joint's velocity in a block, relative to the largest, where it moves
 NONE = torch.zeros(0)
 

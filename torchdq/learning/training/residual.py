@@ -84,8 +84,8 @@ def _cross_validated(
                 if callable(reset := getattr(layer, "reset_parameters", None)):
                     reset()
                 elif any(True for _ in layer.parameters(recurse=False)):
-                    cure = "so that copies know nothing of held-out rows; or give valid"
-                    raise ArgumentError(f"{type(layer).__name__} in network must have reset_parameters(), {cure}")
+                    expected = "reset_parameters() in every layer, to train copies of it without the held-out rows"
+                    raise ArgumentError(f"network must have {expected}, found {type(layer).__name__}; or give valid")
             descend(copied.network, copied.ungated, (x, residual), None, variance.to(x), training, say)
         copied.domain.cover(copied.state_of(x))
         held_out += _predicted(copied, rows, some)
