@@ -29,7 +29,9 @@ def loaded(text, **options):
 
 
 ARM = loaded(bare(arm()))
-FOLLOWED = loaded(bare(tree().replace('child link="left2"/>', 'child link="left2"/><mimic joint="waist" multiplier="2"/>')))
+FOLLOWED = loaded(
+    bare(tree().replace('child link="left2"/>', 'child link="left2"/><mimic joint="waist" multiplier="2"/>'))
+)
 ROBOTS = {
     "an arm": ARM,
     "a joint that follows": FOLLOWED,
@@ -94,7 +96,9 @@ def test_a_robot_without_mass_is_told_of_once_at_load_and_in_its_report():
     assert ("robot.massless", "") not in codes(heavier) | codes(robot.with_payload(1.0, (0, 0, 0.1)))
 
 
-@pytest.mark.parametrize("text", [arm(), tree().replace('child link="left2"/>', 'child link="left2"/><mimic joint="waist"/>')])
+@pytest.mark.parametrize(
+    "text", [arm(), tree().replace('child link="left2"/>', 'child link="left2"/><mimic joint="waist"/>')]
+)
 def test_kinematics_and_the_regressor_are_those_of_the_robot_with_mass(text):
     robot, heavy = loaded(bare(text)), Robot.from_urdf(text)
     q, qd, qdd = (random(5, robot.n, seed=k, dtype=F64) for k in range(3))
@@ -126,7 +130,9 @@ def test_rotors_payloads_and_masses_that_are_learned_or_vary_are_dynamics():
     layer(zero, zero, zero + 1).sum().backward()
     assert layer.parametrizations.mass.original.grad is not None
     start = zero.clone().requires_grad_()  # learned from nothing
-    (slope,) = torch.autograd.grad(torchdq.inverse_dynamics(ARM.replace(mass=start), zero + 0.3, zero, zero).sum(), start)
+    (slope,) = torch.autograd.grad(
+        torchdq.inverse_dynamics(ARM.replace(mass=start), zero + 0.3, zero, zero).sum(), start
+    )
     assert bool((slope != 0).any())
     masses = torch.tensor([[0.0, 0.0], [1.0, 0.5]], dtype=F64)  # a batch
     tau = torchdq.inverse_dynamics(ARM.replace(mass=masses), zero + 0.3, zero, zero)

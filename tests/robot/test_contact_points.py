@@ -239,8 +239,7 @@ def test_what_has_points_serves_and_the_rest_is_named_in_one_warning(case, on):
         robot = Robot.from_urdf(also(link("foot", more="".join(map(collision, forms))) + fixed("f", "lower", "foot")))
     else:  # only what has no points is left out
         elements = (
-            link(f"foot{i}", more=collision(form)) + fixed(f"f{i}", "lower", f"foot{i}")
-            for i, form in enumerate(forms)
+            link(f"foot{i}", more=collision(form)) + fixed(f"f{i}", "lower", f"foot{i}") for i, form in enumerate(forms)
         )
         robot, left_out = Robot.from_urdf(also("".join(elements))), [x for x in left_out if x in ("mesh", "cone")]
         count = sum({BALL: 1, BOX: 8, CYLINDER: 8, MESH: 0, "<cone/>": 0}.get(form, 2) for form in forms)

@@ -76,8 +76,8 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
         )
     if others:
         warnings.warn(
-            f"contact points of robot {robot.name!r}, {len(found)}, leave out {shown}: meshes have no points, and spheres "
-            "serve for boxes and cylinders beside them",
+            f"contact points of robot {robot.name!r}, {len(found)}, leave out {shown}: meshes have no points, and "
+            "spheres serve for boxes and cylinders beside them",
             stacklevel=2,
         )
     return tuple(found)

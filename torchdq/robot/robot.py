@@ -234,8 +234,8 @@ class Robot(RobotModel):
             DescriptionError: the description cannot be fetched, or as the function that reads the file.
         """
         file = named.file_of(name)
-        readers = {"mjcf": (cls.from_mjcf,), "urdf": (cls.from_urdf,), "xacro": (cls.from_xacro, cls.from_urdf)}
-        _require_options("from_name", options, *readers[file.format])
+        reader: Callable[..., Robot] = getattr(cls, f"from_{file.format}")
+        _require_options("from_name", options, reader, *([cls.from_urdf] if file.format == "xacro" else []))
         if file.format == "mjcf":
             return cls.from_mjcf(file.path, **options)
         if file.format == "urdf":

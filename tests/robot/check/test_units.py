@@ -118,7 +118,10 @@ def legged(*ends):
     rows = [link("l0", None)]
     for i, end in enumerate(ends):
         limit = f'<limit lower="-{end}" upper="{end}" velocity="1" effort="1"/>'
-        rows += [link(f"l{i + 1}", 1), joint(f"j{i}", f"l{i}", f"l{i + 1}", xyz=(0.3, 0, 0), axis=(0, 1, 0), more=limit)]
+        rows += [
+            link(f"l{i + 1}", 1),
+            joint(f"j{i}", f"l{i}", f"l{i + 1}", xyz=(0.3, 0, 0), axis=(0, 1, 0), more=limit),
+        ]
     return urdf(*rows)
 
 

@@ -270,7 +270,9 @@ def test_origins_turned_by_quaternions_are_those_of_pinocchio():
     robot, model = Robot.from_urdf(PLACED), pin.buildModelFromXML(PLACED)
     for q, qd, qdd in zip(*(x.tolist() for x in states(1)), strict=True):
         theirs = pin.rnea(model, model.createData(), *(np.array(x) for x in (q, qd, qdd)))
-        assert same(torchdq.inverse_dynamics(robot, *(torch.tensor(x, dtype=torch.float64) for x in (q, qd, qdd))), theirs)
+        assert same(
+            torchdq.inverse_dynamics(robot, *(torch.tensor(x, dtype=torch.float64) for x in (q, qd, qdd))), theirs
+        )
     other = robot.replace(inertia=1.25 * robot.inertia)
     text = other.to_urdf(PLACED)
     assert text.count("quat_xyzw") == 4 and "rpy" not in text
@@ -278,10 +280,10 @@ def test_origins_turned_by_quaternions_are_those_of_pinocchio():
 
 
 def test_shapes_are_placed_by_quaternions():
-    shape = '<collision><origin xyz="1 0 0" quat_xyzw="0 0 3 3"/><geometry><capsule radius="0.1" length="2"/></geometry></collision>'
-    for turned in (shape, shape.replace('quat_xyzw="0 0 3 3"', f'rpy="0 0 {math.pi / 2}"')):
-        (a, b) = Robot.from_urdf(also(link("rod", more=turned) + fixed("f", "lower", "rod"))).contact_points("rod")
-        assert [x.center for x in (a, b)] == [(1.0, 0.0, -1.0), (1.0, 0.0, 1.0)]
+    rod = '<collision><origin xyz="1 0 0" {}/><geometry><capsule radius="0.1" length="2"/></geometry></collision>'
+    for turn in ('quat_xyzw="0 3 0 3"', f'rpy="0 {math.pi / 2} 0"'):
+        text = also(link("rod", more=rod.format(turn)) + fixed("f", "lower", "rod"))
+        assert [x.center for x in Robot.from_urdf(text).contact_points("rod")] == [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)]
 
 
 @pytest.mark.parametrize("word", ["quat", "quat_wxyz", "quat_xyz"])

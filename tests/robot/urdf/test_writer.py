@@ -189,10 +189,17 @@ def unsound(moments, turn="", links=("upper", "tool", "hand")):
     for name in ("base", "upper", "tool", "hand"):
         xx, yy, zz = moments if name in links else ("0.1", "0.1", "0.1")
         inertia = f'<inertia ixx="{xx}" ixy="0" ixz="0" iyy="{yy}" iyz="0" izz="{zz}"/>'
-        rows.append(f'<link name="{name}"><inertial><origin xyz="0.1 0 0" {turn}/><mass value="1"/>{inertia}</inertial></link>')
+        rows.append(
+            f'<link name="{name}"><inertial><origin xyz="0.1 0 0" {turn}/><mass value="1"/>{inertia}</inertial></link>'
+        )
     ends = '<parent link="{}"/><child link="{}"/><origin xyz="0 0.1 0.2" rpy="1 2 3"/>'
-    rows.append(f'<joint name="j" type="revolute">{ends.format("base", "upper")}<axis xyz="0 1 0"/><limit upper="1"/></joint>')
-    rows += [f'<joint name="to_{b}" type="fixed">{ends.format(a, b)}</joint>' for a, b in (("upper", "tool"), ("tool", "hand"))]
+    rows.append(
+        f'<joint name="j" type="revolute">{ends.format("base", "upper")}<axis xyz="0 1 0"/><limit upper="1"/></joint>'
+    )
+    rows += [
+        f'<joint name="to_{b}" type="fixed">{ends.format(a, b)}</joint>'
+        for a, b in (("upper", "tool"), ("tool", "hand"))
+    ]
     return urdf(*rows)
 
 
