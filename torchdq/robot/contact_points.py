@@ -76,7 +76,7 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
         )
     if others:
         warnings.warn(
-            f"contact points of robot {robot.name!r}, {len(found)}, leave out {shown}: meshes have no points, and "
+            f"contact points of robot {robot.name!r} ({len(found)}) leave out {shown}: meshes have no points, and "
             "spheres serve for boxes and cylinders beside them",
             stacklevel=2,
         )
