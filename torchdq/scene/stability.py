@@ -21,7 +21,7 @@ from torch import Tensor
 from torchdq.base.checks import require_number, tensor_of
 from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
-from torchdq.effects.contact import Contact, Contacts, firmest
+from torchdq.effects.contact import Contact, Contacts
 from torchdq.errors import ArgumentError
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RecordedSystem, Repeated
 from torchdq.scene.model import SceneModel
@@ -58,14 +58,13 @@ class GroundCheck(NamedTuple):
     aloft: int  # rows that never touched
     rows: int
     stiffness: float  # of the firmest contact [N/m]
-    firmest: float  # stiffness that the step allows, 4 m / h^2 [N/m]
 
     def __str__(self) -> str:
         lines = []
         if self.aloft < self.rows:
             lines.append(
                 f"- contact: points sink up to {1e3 * self.deepest:.2g} mm and slip at {self.slip:.2g} m/s at the end; "
-                f"stiffness {self.stiffness:.3g} N/m, of at most 4 m / h^2 = {self.firmest:.3g} N/m"
+                f"stiffness {self.stiffness:.3g} N/m"
             )
         if self.deepest > DEEP:
             lines.append(
@@ -223,7 +222,6 @@ class _Trial:
             int(aloft.sum()),
             aloft.numel(),
             stiffness,
-            firmest(scene.robot, step),
         )
 
     def _inputs(self) -> dict[str, Tensor]:
