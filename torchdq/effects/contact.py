@@ -144,6 +144,10 @@ class Contact(BodyEffect):
 
     # --- parameters ---
 
+    def __post_init__(self) -> None:
+        if isinstance(self.points, list):  # which could change after it was recorded
+            object.__setattr__(self, "points", tuple(self.points))
+
     def described(self, robot: Robot) -> Self:
         """Copy with its contact points, on links that move, and a stiffness."""
         points = points_of(robot, ContactPoint(robot.end_effector().name) if self.points is None else self.points)
