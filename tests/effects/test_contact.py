@@ -40,10 +40,10 @@ def ground(robot_and_points, dt, stiction=True, **parameters):
 
 def touched(memory, n, depth, u, h, law, mass):
     """Force on a point, its impedance C and its memory at the end, a function of the velocity there; in numpy."""
-    *z, pressed, last, pushed, left = memory
+    *z, compression, pressed, last, pushed, left = memory
     k, c, mu, T = *law[:3], max(law[3], h / 2)
     tangent, along = np.eye(3) - np.outer(n, n), n @ u
-    d, z = min(depth, n @ z), tangent @ z
+    d, z = min(depth, compression), np.array(z)
     Z_n, Z_t = k * (h + c * max(d, 0.0)), k * (h + T)
     f_n, y = k * d - Z_n * along, k * z + Z_t * tangent @ u
     active = f_n > 0 or (pressed > k * 1e-6 and d > 0)
@@ -53,8 +53,7 @@ def touched(memory, n, depth, u, h, law, mass):
         Z_n, f_n = k * d / along, 0.0
     size = math.sqrt(y @ y + 1e-12)
     ahead = np.clip(2 * size - last, size, 2 * size) if pressed > k * 1e-6 else size
-    part = mass / (mass + h * Z_n)
-    limit = active * max(mu * max(part * (f_n + h * Z_n * pushed), 0.0) + left, 0.0)
+    limit = active * max(mu * max((f_n + h * Z_n * pushed) / (1 + h * Z_n / mass), 0.0) + left, 0.0)
     s = min(1.0, limit / ahead)
 
     def after(end):
@@ -62,8 +61,8 @@ def touched(memory, n, depth, u, h, law, mass):
         f = max(f_n - Z_n * (n @ end - along), 0.0)
         rest = left + mu * f - k * (y @ bent) / size if limit < ahead else 0.0
         deepest = math.sqrt(max(max(d, 0.0) ** 2 - 2 * h * (n @ end) * f / k, 0.0) + (0.1 * h) ** 2)
-        kept = [f, size, (f / part - f_n) / (h * Z_n), rest]
-        return [*((bent + T / h * z) / (1 + T / h) + active * deepest * n), *(kept if active else [0.0] * 4)]
+        kept = [deepest, f, size, f / mass - (n @ end - along) / h, rest]
+        return [*((bent + T / h * z) / (1 + T / h)), *(kept if active else [0.0] * 5)]
 
     return active * f_n * n - s * y, active * Z_n * np.outer(n, n) + s * Z_t * tangent, after
 
@@ -100,10 +99,10 @@ def test_a_step_solves_the_law_with_the_masses_of_its_points(n, by, monkeypatch)
             J = pin.computeFrameJacobian(case.model, data, at_q, f, pin.LOCAL_WORLD_ALIGNED)
             arm = center - point.radius * normal - placement.translation
             J = J[:3] - pin.skew(arm) @ J[3:]
-            own = memory[i, 7 * k : 7 * k + 7]
+            own = memory[i, 8 * k : 8 * k + 8]
             depth = 0.1 + point.radius - normal @ center
             one, C, after = touched(own, normal, depth, J @ v, h, law, masses[k])
-            kinds.add((depth > 0, bool(one.any()), own[3] > 0))
+            kinds.add((depth > 0, bool(one.any()), own[4] > 0))
             M, force = M + h * J.T @ C @ J, force + J.T @ one
             rows.append((J, after))
         end = v + h * np.linalg.solve(M, force)
@@ -119,10 +118,12 @@ def _pressed_states(case, points, normal, k, rng, rows=24):
     s = states(case.robot, batch=rows, seed=1)
     was = rng.random((rows, len(points))) < 0.6
     z = rng.normal(size=(rows, len(points), 3)) * 0.01 * was[..., None]
+    z -= (z @ normal)[..., None] * normal
+    compression = was * rng.uniform(0, 0.05, was.shape)
     last = was * np.linalg.norm(k * z, axis=-1) * rng.uniform(0.3, 1.5, was.shape)
     pressed = was * rng.uniform(0, 5, was.shape)
     others = was * rng.uniform(-1, 5, was.shape), was * rng.uniform(-0.1, 0.5, was.shape)  # acceleration, friction left
-    memory = np.concatenate([z, np.stack([pressed, last, *others], -1)], -1).reshape(rows, -1)
+    memory = np.concatenate([z, np.stack([compression, pressed, last, *others], -1)], -1).reshape(rows, -1)
     return s.q.numpy(), s.qd.numpy(), s.qdd.numpy(), memory
 
 
@@ -131,7 +132,7 @@ def test_a_memory_of_the_size_of_rounding_is_none():
     scene, X = ground(ball(), 5e-3), at(0.1 - 1e-4, 1)
     V = double([[0.0, 0, 0, 1.0, 0, -0.5]])
     clean = begin(scene, X, V)
-    left = clean._replace(memory=double([[0.0, 0.0, 0.0, 1e-12, 0.0, 0.0, 0.0]]))
+    left = clean._replace(memory=double([[0.0, 0.0, 0.0, 0.0, 1e-12, 0.0, 0.0, 0.0]]))
     clean, left = scene.step(clean), scene.step(left)
     assert clean.V_WB_B[0, 3] < 0.99
     assert torch.allclose(clean.V_WB_B, left.V_WB_B, rtol=0, atol=1e-12)
@@ -280,8 +281,9 @@ def test_a_tumbling_cube_loses_energy_and_comes_to_rest(stiction):
     assert found.touching.any() and (found.force[~found.touching] == 0).all()
     stored = 0.5 * 5e3 * found.depth.clamp(min=0).square().sum(-1)
     if stiction:
-        bent = path.memory.unflatten(-1, (8, 7))[..., :3]
-        stored = 0.5 * 5e3 * (bent[..., :2].square().sum(-1) + torch.minimum(bent[..., 2], found.depth).clamp(min=0) ** 2).sum(-1)
+        memory = path.memory.unflatten(-1, (8, 8))
+        pressed = torch.minimum(memory[..., 3], found.depth).clamp(min=0)
+        stored = 0.5 * 5e3 * (memory[..., :3].square().sum(-1) + pressed.square()).sum(-1)
     energy = torch.cat([scene.energy(state).sum()[None], scene.energy(path).sum(-1) + stored])
     assert (torch.diff(energy) <= 1e-3 * energy[0]).all() and energy[-1] < 0.6 * energy[0]
     assert path.V_WB_B[-1].norm() < 0.02

@@ -18,8 +18,9 @@ The spring along the normal neither: a point may be deeper than the step foresaw
 another into the ground; it then is compressed by no more than the work done on it allows, and recovers slowly.
 
 Friction keeps to mu times the normal impulse. The normal force that limits it is that of the last step, and its change
-since, which the effective mass m of the point tells: f_n - f_n- = (f - f-) / (1 + h Z / m), Z = k (h + c d). What a
-step used too much or too little of it, the next one makes up for.
+since: f_n = (k d - Z n.u + h Z a) / (1 + h Z / m) with Z = k (h + c d), the effective mass m of the point, and the
+acceleration a towards the ground that all else gave it over the last step, a = f_n / m - n.(u' - u) / h. What a step
+uses too much or too little of it, the next one makes up for.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functions.inverse_kinematics import ranges, start
 from torchdq.functions.posed import frame as frame_of
 from torchdq.functions.posed import posed
-from torchdq.numbers.functions import below, clip, maximum, minimum, select, sqrt
+from torchdq.numbers.functions import absolute, below, clip, maximum, minimum, select, sqrt
 from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.contact_points import points_of
@@ -60,7 +61,11 @@ TINY = 1e-6  # friction beside which the size of none counts as zero [N]
 SLOWEST = 1e-9  # speed that a point has at least where it lands or leaves within a step [m/s]
 RECOVERY = 0.1  # speed that sets how fast the compression of a point that is deeper recovers [m/s]
 WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
-KEPT = 7  # numbers that a point remembers
+KEPT = 8  # numbers that a point remembers
+
+
+class _Chosen(float):
+    """Stiffness that was not given: another robot has its own."""
 
 
 class Contacts(NamedTuple):
@@ -93,9 +98,9 @@ class Contact(BodyEffect):
 
     The force at a depth d is continuous and never attractive; at rest friction holds without creep, and sliding it is
     mu f_n. For `LinearlyImplicit`, which takes the force at the end of the step and holds any stiffness; an impact is
-    of first order in the step. A point remembers seven numbers of a state: bristles of the friction, and along the normal
-    the largest compression of its spring, in world axes [m]; normal force, size of the friction, predicted normal force,
-    and friction that is left over, of the last step [N].
+    of first order in the step. A point remembers eight numbers of a state: bristles of the friction in world axes, and the
+    largest compression of its spring [m]; normal force and size of the friction over the last step [N], acceleration
+    towards the ground by all else [m/s^2], and friction that is left over [N].
 
     Sources: K. H. Hunt and F. R. E. Crossley, "Coefficient of restitution interpreted as damping in vibroimpact",
     Journal of Applied Mechanics, 1975, for the normal force; M. Anitescu and F. A. Potra, "A time-stepping method for
@@ -159,13 +164,15 @@ class Contact(BodyEffect):
         if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
         stiffness = self.stiffness
-        if stiffness is None:
+        if stiffness is None or isinstance(stiffness, _Chosen):
             stiffness = max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING)))
         return replace(self, points=_with_masses(robot, points), stiffness=stiffness)
 
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
         whole = super().resolved(robot)
+        if self.stiffness is None or isinstance(self.stiffness, _Chosen):
+            whole = replace(whole, stiffness=_Chosen(whole.stiffness))
         normal = tensor_of(whole.normal).double()
         if without_values((normal,)):
             return whole
@@ -231,17 +238,17 @@ class Contact(BodyEffect):
             # in less than half of the step the extrapolated friction of slow sliding would alternate
             T = maximum(self.settling, 0.5 * h)
             Z_t = k * (h + T)
-            *bent, pressed, last, pushed, left = memory
+            *bent, compression, pressed, last, pushed, left = memory
             z = bodies.posed.to_link(place.link, tuple(bent))
-            compression = quat.dot(n, z)
-            z = quat.sub(z, quat.scale(compression, n))
+            if self.surface is not None:  # whose normal turns
+                z = quat.sub(z, quat.scale(quat.dot(n, z), n))
             place = place._replace(depth=minimum(place.depth, compression))
             force, Z_n = self._pressing(place, h)
             was = below(k * NEAR, pressed)
             # the prediction alone would let a point chatter that lands, and the depth alone hold one that leaves
             active = maximum(below(0.0, force), was * below(0.0, place.depth))
-            part = place.mass / (place.mass + h * Z_n)
-            normal_force = maximum(part * (force + h * Z_n * pushed), 0.0)
+            Z_h, mobility = h * Z_n, 1.0 / place.mass
+            normal_force = maximum((force + Z_h * pushed) / (1.0 + Z_h * mobility), 0.0)
             limit = select(active, maximum(self.friction * normal_force + left, 0.0), 0.0)
             trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
             size = sqrt(quat.dot(trial, trial) + TINY * TINY)
@@ -255,12 +262,13 @@ class Contact(BodyEffect):
                 # s y / k = s (z + (h + T) u_t')
                 acted = quat.scale(share, quat.add(z, quat.scale(h + T, slip)))
                 after = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, z)))
-                pressing = maximum(force - Z_n * (along - place.approach), 0.0)
+                change = along - place.approach
+                pressing = maximum(force - Z_n * change, 0.0)
                 used = k * quat.dot(trial, acted) / size
                 d, worked = maximum(place.depth, 0.0), pressing * (-2.0 * h) * along / k
                 deepest = sqrt(maximum(d * d + worked, 0.0) + (RECOVERY * h) * (RECOVERY * h))
-                row = [pressing, size, (pressing / maximum(part, TINY) - force) / maximum(h * Z_n, TINY), select(slides, left + self.friction * pressing - used, 0.0)]
-                after = quat.add(after, quat.scale(select(active, deepest, 0.0), n))
+                rest = select(slides, left + self.friction * pressing - used, 0.0)
+                row = [deepest, pressing, size, pressing * mobility - change / h, rest]
                 return [*bodies.posed.to_world(place.link, after), *(select(active, x, 0.0) for x in row)]
 
         normal, D = select(active, force, 0.0), share * Z_t
@@ -273,11 +281,9 @@ class Contact(BodyEffect):
         for i, place in enumerate(self._places(bodies, inputs)):
             to_world, speed = partial(bodies.posed.to_world, place.link), sqrt(quat.dot(place.slip, place.slip))
             if self.stiction:
-                *z, f_n, _, _, _ = memory[KEPT * i : KEPT * (i + 1)]
-                n = to_world(place.normal)
+                *z, _, f_n, _, _, _ = memory[KEPT * i : KEPT * (i + 1)]
                 bent = select(below(0.0, f_n), self.stiffness, 0.0)  # those of a point that left relax without a force
-                along = f_n + bent * quat.dot(n, tuple(z))  # where z has the compression
-                force = quat.sub(quat.scale(along, n), quat.scale(bent, tuple(z)))
+                force = quat.sub(quat.scale(f_n, to_world(place.normal)), quat.scale(bent, tuple(z)))
             else:
                 f_n, _ = self._pressing(place, 0.0)
                 f_n, force = maximum(f_n, 0.0), to_world(self._impedance(bodies, place, (), 0.0).force)
@@ -289,8 +295,8 @@ class Contact(BodyEffect):
         k, d, u = self.stiffness, place.depth, place.approach
         Z = k * (h + self.dissipation * maximum(d, 0.0))
         force = k * d - Z * u
-        lands, stays = below(d, 0.0), below(0.0, force)
-        Z = select(lands, force / maximum(-u, SLOWEST), select(stays, Z, k * d / maximum(u, SLOWEST)))
+        lands, passing = below(d, 0.0), maximum(below(d, 0.0), below(force, 0.0))
+        Z = select(passing, select(lands, force, k * d) / maximum(absolute(u), SLOWEST), Z)
         return select(lands, force, maximum(force, 0.0)), Z
 
     def _places(self, bodies: Bodies, inputs: Inputs) -> Iterator[_Place]:
@@ -336,7 +342,7 @@ def _with_masses(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactP
     try:
         factors = at.factors(False)
     except NoInertiaError:  # which a solution names
-        return tuple(point._replace(mass=0.0) for point in points)
+        return tuple(point._replace(mass=1.0) for point in points)
     found = []
     for point in points:
         link, X_BF = frame_of(robot, point.frame)
