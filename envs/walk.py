@@ -28,9 +28,9 @@ from torchdq.scene.spec import Rows, View
 
 __all__ = ["Walk"]
 
-FULL = 1.5  # full action, an offset of a servo's target [rad]
+FULL = 0.9  # full action, an offset of a servo's target, in m g times the height of the base of its torque
 STAND = {"?L_hip_joint": 0.1, "?R_hip_joint": -0.1, "F?_thigh_joint": 0.8, "R?_thigh_joint": 1.0, "*_calf_joint": -1.5}
-SOFT, LAG = 0.6, 40.0  # gains of the servos: kp in m g times the height of the base per rad, and kp / kd [1/s]
+SOFT, LAG = 0.6, 40.0  # gains of the servos: default stiffness, and kp / kd [1/s]
 ROTOR = 0.01  # rotor inertia where the description has none [kg m^2]
 STEEPEST = 0.6  # cosine of the largest tilt, 53 degrees
 CROUCH = 0.88  # desired height of the base, in heights of the start
@@ -60,11 +60,12 @@ class Walk(EpisodeTask):
     """Follow a commanded velocity of the base on feet, from a stand.
 
     Goal: forward and sideways velocity [m/s] and yaw rate [rad/s] of the base. Actions: offsets of the targets of the
-    joints' servos from the stand, full ones 1.5 rad. Observation, in the order and with the factors of `SEEN`: velocity
-    of the base and of the goal, angular velocity and yaw rate of the goal, and the direction of gravity, in axes of the
-    base; offsets of the joints from the stand, their velocities, and the last action. Reward: the sum of the terms in
-    `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends where the base tilts by
-    more than 53 degrees or sinks below `lowest`, or where another point of the scene's contacts than a foot touches.
+    joints' servos from the stand, full ones 0.9 / `stiffness`, that is 1.5 rad. Observation, in the order and with the
+    factors of `SEEN`: velocity of the base and of the goal, angular velocity and yaw rate of the goal, and the direction
+    of gravity, in axes of the base; offsets of the joints from the stand, their velocities, and the last action. Reward:
+    the sum of the terms in `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends
+    where the base tilts by more than 53 degrees or sinks below `lowest`, or where another point of the scene's contacts
+    than a foot touches.
 
     By default the ground's friction is 0.36 to 1.24 and its stiffness differs by a factor of ten, masses differ by up
     to 10 %, and the base is pushed.
@@ -77,6 +78,7 @@ class Walk(EpisodeTask):
             contact points are one foot.
         fatal: others that touch it, which ends the episode.
         lowest: height of the base at which the episode ends, in heights of the stand.
+        stiffness: kp of the servos, in m g times the height of the base per rad; two feet need 1.5 or more.
         weights: weights that replace those of `WEIGHTS`.
 
     >>> from torchdq.envs import ArmVectorEnv
@@ -97,6 +99,7 @@ class Walk(EpisodeTask):
     feet: Any = "*_foot"
     fatal: tuple[Any, ...] = ()
     lowest: float = 0.5
+    stiffness: float = SOFT
     weights: Any = ()
 
     def __post_init__(self) -> None:
@@ -114,7 +117,7 @@ class Walk(EpisodeTask):
         if not robot.floating:
             raise ArgumentError(f"robot {robot.name!r} must have a floating base to walk; load it with base='floating'")
         weight, effort = WEIGHT * moving_mass(robot), robot.limits.effort
-        kp = SOFT * weight * self.height(robot, self.joints(robot))
+        kp = self.stiffness * weight * self.height(robot, self.joints(robot))
         push = effects.Push(next(frame.name for frame in robot.frames if frame.link == BASE))
         return {
             "effects": (
@@ -124,7 +127,7 @@ class Walk(EpisodeTask):
                 effects.Contact((*self._feet(robot), *self.fatal)),
                 push,
             ),
-            "scale": FULL,
+            "scale": FULL / self.stiffness,
             "substeps": 4,
             "randomise": {"Contact.friction": (0.45, 1.55), "Contact.stiffness": (0.2, 2.0), "mass": 0.1},
             "pushes": {push.name: Pushes((0.3 * weight, 0.3 * weight, 0.0, 0.0, 0.0, 0.0))},
