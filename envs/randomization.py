@@ -171,8 +171,10 @@ KINDS: dict[str, tuple[type[Effect], str]] = {
 SHORT = ("com", "friction", "gains", *KINDS)
 
 
-def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) -> tuple[Scene, tuple[Randomised, ...]]:
-    """Scene with all that carries what is drawn, its sensors last, and the parameters to draw.
+def randomised(
+    scene: Scene, randomise: Randomise, num_envs: int, like: Tensor
+) -> tuple[Scene, Scene, tuple[Randomised, ...]]:
+    """Scene with all that carries what is drawn, the same with a row of it per environment, and the parameters to draw.
 
     Args:
         scene: effects that are missing are added for "mass", "payload" and "delay".
@@ -193,19 +195,15 @@ def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) 
                 if (other := taken.setdefault(parameter, name)) != name:
                     raise ArgumentError(f"randomise: {other!r} and {name!r} both change {parameter[1]}; leave one out")
             drawn.append(Randomised(name, {p: _base(scene, p, num_envs, like) for p in parameters}))
-    return scene, with_ranges(scene, drawn, randomise, num_envs, like)
+    rows = {f"{owner}.{name}": x.clone() for r in drawn for (owner, name), x in r.bases.items()}
+    simulated = scene.with_parameters(rows) if rows else scene
+    return scene, simulated, with_ranges(scene, drawn, randomise, num_envs, like)
 
 
 def with_ranges(
     scene: Scene, drawn: Sequence[Randomised], randomise: Randomise, num_envs: int, like: Tensor
 ) -> tuple[Randomised, ...]:
-    """Parameters to draw with the ranges of `randomise`; those that it does not name keep theirs.
-
-    Args:
-        scene: the scene before anything is drawn, with all that carries it.
-        drawn: parameters to draw.
-        randomise, num_envs, like: as in `randomised`.
-    """
+    """Parameters to draw in a scene without them, with the ranges of `randomise`; others keep theirs."""
     _require_mapping(randomise)
     found = list(drawn)
     for name, given in randomise.items():
@@ -216,7 +214,7 @@ def with_ranges(
                 f"{', '.join(dict.fromkeys(r.name for r in drawn)) or 'nothing'}; make them with it, at first with a "
                 "range of a single value, such as (1.0, 1.0)"
             )
-        span, absolute = _span(name, given, like), isinstance(given, Absolute) or name in ADDED
+        span, absolute = _span(name, given, like), name in ADDED or isinstance(given, Absolute)
         how: Any = "shift" if name == "com" else "absolute" if absolute else "factor"
         for k in at:
             found[k] = r = drawn[k]._replace(span=span, how=how)
@@ -234,12 +232,6 @@ def with_ranges(
             raise ArgumentError(f"randomise[{name!r}] is a factor of zeros and would change nothing; leave it out")
     _require_allowed(scene, found, num_envs)
     return tuple(found)
-
-
-def with_rows(scene: Scene, drawn: Sequence[Randomised]) -> Scene:
-    """Scene with a row of the parameters to draw per environment."""
-    rows = {f"{owner}.{name}": x.clone() for r in drawn for (owner, name), x in r.bases.items()}
-    return scene.with_parameters(rows) if rows else scene
 
 
 def _require_mapping(randomise: Any) -> None:

@@ -45,7 +45,7 @@ from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of, pose_of_actions, with_controller
 from torchdq.envs.block import WORST
 from torchdq.envs.pushes import Pushes
-from torchdq.envs.randomization import Randomise, randomised, with_ranges, with_rows
+from torchdq.envs.randomization import Randomise, randomised, with_ranges
 from torchdq.envs.reset import KEPT, NOISE, PUSHED, Reset, task_inputs
 from torchdq.envs.rng import Streams, seeds_of
 from torchdq.envs.rollout import Blocks, Rollout, rollout_of, stepped
@@ -199,8 +199,8 @@ class ArmVectorEnv(VectorEnv):
         pose = pose_of_actions(scene.controller, leash)
         pushed: Mapping[str, Pushes] = chosen.get("pushes", {})
         _check_scene(scene, num_envs, pushed)
-        self._nominal, drawn = randomised(scene.to(self.device), chosen.get("randomise", {}), num_envs, like)
-        self._scene = with_rows(self._nominal, drawn)
+        drawn = chosen.get("randomise", {})
+        self._nominal, self._scene, drawn = randomised(scene.to(self.device), drawn, num_envs, like)
         if kind == kind_of(None, self.robot, joints, scene.effects):
             scale = chosen.get("scale")  # of the actions that the task is made for
         size = torch.as_tensor(full(self.robot, kind, scale, joints, pose)).to(like)
@@ -431,8 +431,7 @@ class ArmVectorEnv(VectorEnv):
         """Change what episodes are drawn from, as a curriculum does, without a new program.
 
         Functions of a `TorchTask` for reward, observation and end act from the next step, pushes from the next one on,
-        and all else from the next episode of each row. `get_state` has none of it, and a CUDA graph that was captured
-        before keeps what it had.
+        and all else from the next episode of a row. `get_state` has none of it; a captured CUDA graph does not change.
 
         Args:
             task: the same task with other commands, the fields that its `spans` reads, or with other functions of

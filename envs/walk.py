@@ -60,12 +60,12 @@ class Walk(EpisodeTask):
     """Follow a commanded velocity of the base on feet, from a stand.
 
     Goal: forward and sideways velocity [m/s] and yaw rate [rad/s] of the base. Actions: offsets of the targets of the
-    joints' servos from the stand, full ones 0.9 / `stiffness`, that is 1.5 rad. Observation, in the order and with the
-    factors of `SEEN`: velocity of the base and of the goal, angular velocity and yaw rate of the goal, and the direction
-    of gravity, in axes of the base; offsets of the joints from the stand, their velocities, and the last action. Reward:
+    servos from the stand, full ones 0.9 / `stiffness` = 1.5 rad. Observation, in the order and with the factors of
+    `SEEN`: velocity of the base and of the goal, angular velocity and yaw rate of the goal, and the direction of
+    gravity, in axes of the base; offsets of the joints from the stand, their velocities, and the last action. Reward:
     the sum of the terms in `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends
-    where the base tilts by more than 53 degrees or sinks below `lowest`, or where another point of the scene's contacts
-    than a foot touches.
+    where the base tilts by more than 53 degrees or sinks below `lowest`, or where another contact point than a foot's
+    touches.
 
     By default the ground's friction is 0.36 to 1.24 and its stiffness differs by a factor of ten, masses differ by up
     to 10 %, and the base is pushed.

@@ -52,7 +52,7 @@ class Args(ppo.Walker):
 class Walkers:
     """Robots of the task, differentiable: their state, and what is remembered of it."""
 
-    def __init__(self, robots: int, stiffness: float, walker: Any = ppo.Walker()) -> None:
+    def __init__(self, robots: int, stiffness: float, walker: Any) -> None:
         self.task, self.robot = walker.task(turning=(0.0, 0.0)), walker.load()
         chosen = self.task.defaults(self.robot)
         parts = {type(effect): effect for effect in chosen["effects"]}

@@ -3,8 +3,8 @@
     python examples/23_policy_in_mujoco.py [out/walk.pt] [--turning 0.5] [--robot FILE]
 
 Nothing of this package simulates or observes: MuJoCo reads the file, the observation is built from MuJoCo's state,
-torques are cut at the limits of the file, the step is 2 ms. That masses and inertias are those of the robot that learned
-is checked by the mass matrix. Each line has four runs of 10 s from different starts.
+torques are cut at the limits of the file, the step is 2 ms. The mass matrix must be that of the robot that learned.
+Each line has four runs of 10 s from different starts.
 """
 
 import sys
@@ -40,9 +40,9 @@ class Run(NamedTuple):
 def read(walker: ppo.Walker, robot: Robot) -> mujoco.MjSpec:
     """Description of a robot whose other joints are locked, of its file.
 
-    Of an MJCF file without actuators. Of a URDF file without meshes, and with the inertia of links on fixed joints given
-    to those that move, as readers of URDF do. Left alone, MuJoCo gives a link without `<inertial>` the mass of its
-    geoms, and refuses one whose inertia no rigid body can have, such as a placeholder, although the sum is sound.
+    Of an MJCF file without actuators. Of a URDF file without meshes, and links on fixed joints are added to those that
+    carry them, as readers of URDF do. Left alone, MuJoCo gives a link without `<inertial>` the mass of its geoms, and
+    refuses one whose inertia no rigid body can have, such as a placeholder, although the sum is sound.
     """
     if walker.robot.endswith(".xml"):
         spec = mujoco.MjSpec.from_file(walker.robot)
@@ -129,7 +129,7 @@ class Player:
         model.dof_armature[self.moving] = robot.armature if rotors is None else rotors
 
     def require_the_same(self, robot: Robot) -> None:
-        """Raise unless MuJoCo has the mass matrix of the robot, and with it all masses, centres of mass and inertias."""
+        """Raise unless MuJoCo has the mass matrix of the robot, and so its masses, centres of mass and inertias."""
         model, data = self.model, mujoco.MjData(self.model)
         data.qpos[3], data.qpos[self.at] = 1.0, self.stand
         mujoco.mj_forward(model, data)
