@@ -222,12 +222,12 @@ def with_ranges(
                 raise ArgumentError(
                     f"randomise[{name!r}] must have one range, or {r.width} of them, found the shape {r.span.shape}"
                 )
-            late = [scene.effects[i].steps for i, _ in r.bases if name == "delay"]
-            if late and span.upper > late[0]:
-                raise ArgumentError(
-                    f"randomise['delay'] needs another program beyond the {late[0]} time steps that these environments "
-                    f"remember, found {span.upper:g}; make them with the longest delay"
-                )
+        most = [effect.steps for effect in scene.effects if isinstance(effect, DrawnDelay)]
+        if name == "delay" and span.upper > most[0]:
+            raise ArgumentError(
+                f"randomise['delay'] needs another program beyond the {most[0]} time steps that these environments "
+                f"remember, found {span.upper:g}; make them with the longest delay"
+            )
         if how == "factor" and not any(bool(x.any()) for k in at for x in drawn[k].bases.values()):
             raise ArgumentError(f"randomise[{name!r}] is a factor of zeros and would change nothing; leave it out")
     _require_allowed(scene, found, num_envs)
