@@ -95,6 +95,7 @@ class Span(NamedTuple):
         return self.distribution.icdf(u).to(u)
 
 
+Drawn = tuple["Randomised", ...]  # all that is drawn
 Owned = tuple[int, str]  # a parameter: ROBOT, CONTROLLER, or position among the scene's effects; and its name
 
 
@@ -171,9 +172,7 @@ KINDS: dict[str, tuple[type[Effect], str]] = {
 SHORT = ("com", "friction", "gains", *KINDS)
 
 
-def randomised(
-    scene: Scene, randomise: Randomise, num_envs: int, like: Tensor
-) -> tuple[Scene, Scene, tuple[Randomised, ...]]:
+def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) -> tuple[Scene, Scene, Drawn]:
     """Scene with all that carries what is drawn, the same with a row of it per environment, and the parameters to draw.
 
     Args:
@@ -197,12 +196,10 @@ def randomised(
             drawn.append(Randomised(name, {p: _base(scene, p, num_envs, like) for p in parameters}))
     rows = {f"{owner}.{name}": x.clone() for r in drawn for (owner, name), x in r.bases.items()}
     simulated = scene.with_parameters(rows) if rows else scene
-    return scene, simulated, with_ranges(scene, drawn, randomise, num_envs, like)
+    return scene, simulated, with_ranges(scene, drawn, randomise, like)
 
 
-def with_ranges(
-    scene: Scene, drawn: Sequence[Randomised], randomise: Randomise, num_envs: int, like: Tensor
-) -> tuple[Randomised, ...]:
+def with_ranges(scene: Scene, drawn: Sequence[Randomised], randomise: Randomise, like: Tensor) -> Drawn:
     """Parameters to draw in a scene without them, with the ranges of `randomise`; others keep theirs."""
     _require_mapping(randomise)
     found = list(drawn)
@@ -225,12 +222,11 @@ def with_ranges(
         most = [effect.steps for effect in scene.effects if isinstance(effect, DrawnDelay)]
         if name == "delay" and span.upper > most[0]:
             raise ArgumentError(
-                f"randomise['delay'] needs another program beyond the {most[0]} time steps that these environments "
-                f"remember, found {span.upper:g}; make them with the longest delay"
+                f"randomise['delay'] needs another program above {most[0]} steps, found {span.upper:g}; begin with more"
             )
         if how == "factor" and not any(bool(x.any()) for k in at for x in drawn[k].bases.values()):
             raise ArgumentError(f"randomise[{name!r}] is a factor of zeros and would change nothing; leave it out")
-    _require_allowed(scene, found, num_envs)
+    _require_allowed(scene, found)
     return tuple(found)
 
 
@@ -354,13 +350,12 @@ def _absolute(what: str, x: Absolute, like: Tensor) -> Span:
     return Span(like.new_tensor(ends[0]), like.new_tensor(ends[1]))
 
 
-def _require_allowed(scene: Scene, drawn: Sequence[Randomised], num_envs: int) -> None:
+def _require_allowed(scene: Scene, drawn: Sequence[Randomised]) -> None:
     """Raise if an effect or the controller refuses some of what may be drawn together.
 
     Args:
         scene: the scene without what is drawn.
-        drawn: what is drawn.
-        num_envs: number of environments; samples are tried in all of them if their other numbers differ.
+        drawn: what is drawn; samples are tried in all environments if their other numbers differ.
     """
     if not drawn:
         return
@@ -372,7 +367,8 @@ def _require_allowed(scene: Scene, drawn: Sequence[Randomised], num_envs: int) -
         for i, part in parts.items()
     }
     differ = any(batched.values()) or any(x.stride(0) for x in bases.values())
-    number, like = num_envs if differ else 1, next(iter(bases.values()))
+    like = next(iter(bases.values()))
+    number = len(like) if differ else 1
     for u in _samples(drawn, like).split(max(1, TRIED // number)):
         rows = Indexed(torch.arange(number, device=like.device).repeat(len(u)))
         columns = u.repeat_interleave(number, 0).split([r.width for r in drawn], 1)

@@ -66,6 +66,7 @@ from torchdq.scene.policies import Network
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
+_HELD = ("observation", "finished")  # buffers that callers may hold, and that are never written into
 _RESTORED = (*STATE, *KEPT)  # buffers set back after a failed step
 
 
@@ -205,7 +206,7 @@ class ArmVectorEnv(VectorEnv):
             scale = chosen.get("scale")  # of the actions that the task is made for
         size = torch.as_tensor(full(self.robot, kind, scale, joints, pose)).to(like)
         self._actions = Actions(kind, self.robot, joints, size, pose)
-        self._reset = Reset(self._scene, Checked(self.task, pose), drawn, pushed, self._functions_of(task))
+        self._reset = Reset(self._scene, Checked(self.task, pose), drawn, pushed, self._functions(task))
         self.single_observation_space = self._observed(task)
         self.single_action_space = Box(-1.0, 1.0, (len(self._actions.names),), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -434,8 +435,7 @@ class ArmVectorEnv(VectorEnv):
         and all else from the next episode of a row. `get_state` has none of it; a captured CUDA graph does not change.
 
         Args:
-            task: the same task with other commands, the fields that its `spans` reads, or with other functions of
-                tensors; None: no change.
+            task: the same task with other commands, which its `spans` reads, or functions of tensors; None: no change.
             randomise: ranges of parameters that these environments draw; those that are not named keep theirs.
             pushes: likewise.
 
@@ -456,11 +456,9 @@ class ArmVectorEnv(VectorEnv):
                     f"task must have the program and the observation of {self.task}, found another {other}; change its "
                     "commands or functions of a TorchTask alone, or make other environments"
                 )
-            checked = replace(reset.checked, task=described)
-            reset = replace(reset, checked=checked, functions=self._functions_of(task))
+            reset = replace(reset, checked=replace(reset.checked, task=described), functions=self._functions(task))
         if randomise is not None:
-            drawn = with_ranges(self._nominal, reset.randomised, randomise, self.num_envs, self._valid)
-            reset = replace(reset, randomised=drawn)
+            reset = replace(reset, randomised=with_ranges(self._nominal, reset.randomised, randomise, self._valid))
         if pushes is not None:
             reset = replace(reset, pushes={**reset.pushes, **pushes})
             _check_scene(self._scene, self.num_envs, reset.pushes)
@@ -534,7 +532,7 @@ class ArmVectorEnv(VectorEnv):
         if self.closed:
             raise ClosedEnvironmentError("the environment was closed; make another one")
 
-    def _functions_of(self, task: str | EpisodeTask | TorchTask) -> Functions | None:
+    def _functions(self, task: str | EpisodeTask | TorchTask) -> Functions | None:
         """Functions of tensors of a task; None: it has none."""
         return Functions.of(task, self.robot, self._scene, self.device) if isinstance(task, TorchTask) else None
 
@@ -589,7 +587,12 @@ class ArmVectorEnv(VectorEnv):
         """Buffers with new episodes in some rows, and the task's rows at their start."""
         found = dict(buffers)
         fresh, seen = self._reset(rows, self._streams(buffers).rows(rows), self.dtype)
-        found |= {name: rows.replaced(buffers[name], x) for name, x in fresh.items()}
+        held = _HELD if self._reset.functions is None else fresh  # functions see everything
+        for name, x in fresh.items():
+            if name in held or isinstance(rows, Masked):
+                found[name] = rows.replaced(buffers[name], x)
+            else:
+                rows.write(buffers[name], x)
         return found, seen
 
     def _keep(self, buffers: dict[str, Tensor]) -> None:

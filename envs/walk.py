@@ -64,8 +64,7 @@ class Walk(EpisodeTask):
     `SEEN`: velocity of the base and of the goal, angular velocity and yaw rate of the goal, and the direction of
     gravity, in axes of the base; offsets of the joints from the stand, their velocities, and the last action. Reward:
     the sum of the terms in `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends
-    where the base tilts by more than 53 degrees or sinks below `lowest`, or where another contact point than a foot's
-    touches.
+    where the base tilts by more than 53 degrees or sinks below `lowest`, or where any other contact point touches.
 
     By default the ground's friction is 0.36 to 1.24 and its stiffness differs by a factor of ten, masses differ by up
     to 10 %, and the base is pushed.
@@ -74,8 +73,7 @@ class Walk(EpisodeTask):
         forward, sideways: least and largest commanded velocity [m/s].
         turning: least and largest commanded yaw rate [rad/s].
         stand: position of joints at the stand, by names and patterns; others are at zero [rad].
-        feet: names or patterns of the frames that touch the ground, as `effects.Contact` takes them; those with several
-            contact points are one foot.
+        feet: names or patterns of the frames that touch the ground, as `effects.Contact` takes them; a frame is a foot.
         fatal: others that touch it, which ends the episode.
         lowest: height of the base at which the episode ends, in heights of the stand.
         stiffness: kp of the servos, in m g times the height of the base per rad; two feet need 1.5 or more.
@@ -107,6 +105,8 @@ class Walk(EpisodeTask):
             object.__setattr__(self, name, tuple(dict(getattr(self, name)).items()))
         if unknown := dict(self.weights).keys() - WEIGHTS.keys():
             raise ArgumentError(f"weights of Walk must be among {', '.join(WEIGHTS)}, found {', '.join(unknown)}")
+        if not (is_number(self.stiffness) and self.stiffness > 0):
+            raise ArgumentError(f"stiffness of Walk must be a number above 0, found {self.stiffness!r}")
         for name in ("forward", "sideways", "turning"):
             x = getattr(self, name)
             if not (isinstance(x, tuple) and len(x) == 2 and all(map(is_number, x)) and x[0] <= x[1]):

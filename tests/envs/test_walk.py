@@ -219,6 +219,7 @@ def test_what_walks_has_feet_on_a_floating_base():
         lambda: Walk().inputs(12),
         lambda: Walk(weights={"speed": 1.0}),
         lambda: Walk(turning=1.0),
+        lambda: Walk(stiffness=0.0),
         lambda: ArmVectorEnv(1, "walk", effects=(effects.Servo(40.0, 1.0), effects.Contact("F?_foot"))).reset(),
     ):
         with refused(ArgumentError):
