@@ -169,6 +169,38 @@ def _on(normal, turn, height):
     return torchdq.dq.from_pose(turn, height * normal)
 
 
+@STEPS
+def test_friction_of_an_impact_is_mu_times_its_normal_impulse(dt):
+    """Of a ball that slides at 8 m/s and lands, up to a stiffness of 4 m / h^2 and far above it; by its momentum."""
+    speeds, firmness = torch.meshgrid(double(0.5, 1.0, 3.0), double(0.1, 1.0, 4.0, 40.0), indexing="ij")
+    speeds, firmness = speeds.flatten(), firmness.flatten()
+    scene = ground(ball(), dt, stiffness=firmness / dt**2, friction=0.2)
+    V = torch.zeros(12, 6, dtype=F64)
+    V[:, 3], V[:, 5] = 8.0, -speeds
+    end, T = rolled(scene, begin(scene, at(0.1 + 1e-4, 12), V), 12 * dt), 12 * dt
+    linear = torchdq.dq.rotate(torchdq.dq.rotation(end.X_WB), end.V_WB_B[:, 3:])
+    normal, tangential = linear[:, 2] + speeds + G * T, 8.0 - linear[:, 0]
+    ratio = tangential / (0.2 * normal)
+    assert (ratio <= 1.01).all()
+    assert (ratio[firmness <= 4] >= 0.99).all()  # beyond, it may touch for a single step
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.8])
+def test_a_fall_never_gains_height_whatever_the_body_and_the_stiffness(friction):
+    """Bodies of low inertia with their centre of mass off the middle, which turn by up to 0.8 rad in a step."""
+    rng, rows, h = np.random.default_rng(0), 48, 0.01
+    robot, points = box(0.4, 0.1, 0.2, upper=True)
+    robot = robot.replace(base_com=double(0.08, 0.02, -0.03), base_inertia=double(0.008, 0.0, 0.01, 0.0, 0.0, 0.012))
+    stiffness = torch.from_numpy(10 ** rng.uniform(3, 6, rows))
+    scene = ground((robot, points), h, friction=friction, dissipation=0.0, stiffness=stiffness)
+    turn = torch.from_numpy(rng.normal(size=(rows, 4)))
+    X = at(rng.uniform(0.5, 0.8, rows), rows, turn=turn / turn.norm(dim=-1, keepdim=True))
+    state = begin(scene, X, torch.from_numpy(rng.normal(size=(rows, 6)) * [5, 5, 5, 1, 1, 1]))
+    with torch.no_grad():
+        energy = scene.energy(scene.rollout(state, steps=100)).sum(-1)
+    assert ((energy - scene.energy(state).sum(-1)) / G).max() <= 1e-9
+
+
 def test_viscous_friction_creeps_at_the_speed_of_its_width():
     """tan(angle) = mu v / sqrt(v^2 + w^2), w = 10 mm/s."""
     normal, turn = tilted(double([0.5]) * math.atan(MU))
