@@ -61,6 +61,7 @@ TINY = 1e-6  # friction beside which the size of none counts as zero [N]
 SLOWEST = 1e-9  # speed that a point has at least where it lands or leaves within a step [m/s]
 RECOVERY = 0.1  # speed that sets how fast the compression of a point that is deeper recovers [m/s]
 WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
+ANY_DEPTH = 1e3  # compression that no point exceeds [m]
 KEPT = 8  # numbers that a point remembers
 
 
@@ -219,6 +220,10 @@ class Contact(BodyEffect):
     def memory(self, n: int) -> int:
         """What the points remember; nothing without stiction."""
         return KEPT * len(self.points) if self.stiction else 0
+
+    def start(self, q: Row, qd: Row) -> Row:
+        """Memory of points that may be in the ground, with springs as compressed as they are deep."""
+        return (0.0, 0.0, 0.0, ANY_DEPTH, *[0.0] * (KEPT - 4)) * len(self.points) if self.stiction else ()
 
     # --- law ---
 
