@@ -173,6 +173,23 @@ def test_a_wrong_robot_is_named(key):
     require_named(ArgumentError, ["robot.mass", "robot.gravity", "(4,)", "(5,)"], call, key, robot, tensors(key, ()))
 
 
+@pytest.mark.case("P4")
+@every_function
+def test_a_function_is_exported_for_any_batch_with_what_all_rows_share(key):
+    robot, options = torchdq.robots.load("two_link"), FUNCTIONS[key][2]
+    torchdq.clear_caches()  # as of one that was never called
+    options = {name: ("x", "y") if name == "axes" else x for name, x in options.items()}
+    given = {name: x[0] if name in TRAILING else x[:, :2] for name, x in tensors(key).items()}
+    given = {name: x[:2] if name == "f_ext" else x for name, x in given.items()}
+
+    class Traced(torch.nn.Module):
+        def forward(self, *x):
+            return getattr(torchdq, key)(robot, **dict(zip(given, x, strict=True)), **options)
+
+    shapes = [None if name in TRAILING else {0: torch.export.Dim("batch")} for name in given]
+    torch.export.export(Traced(), tuple(given.values()), dynamic_shapes=(tuple(shapes),))  # raises for guarded sizes
+
+
 @every_function
 def test_the_robot_follows_the_device_of_the_inputs(key):
     results = call(key, arm(), {name: x.to("meta") for name, x in tensors(key).items()})

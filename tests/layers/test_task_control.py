@@ -101,6 +101,13 @@ def test_controllers_are_one_graph_of_the_compiler(module):
     assert torch.allclose(compiled(*given), control(*given), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("module", LAWS)
+def test_controllers_are_exported_for_any_number_of_rows_with_one_goal(module):
+    control, batch = module(torchdq.robots.load("two_link"), 100.0, 20.0, axes=("x", "y")), torch.export.Dim("batch")
+    shapes = {"q": {0: batch}, "qd": {0: batch}, "X_des": None}
+    torch.export.export(control, (Q[:, :2], QD[:, :2]), {"X_des": X[0]}, dynamic_shapes=shapes)
+
+
 def test_an_error_of_170_degrees_is_a_scalar_oscillator_in_every_component():
     """By fourth-order Runge-Kutta steps of 4 ms, against e = e_0 (1 + w t) exp(-w t)."""
     w, h, q = 5.0, 4e-3, double(0.1, -0.5, 0.2, -1.9, 0.3, 1.6, 0.4)

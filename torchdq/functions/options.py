@@ -119,16 +119,15 @@ def _components(robot: Robot, name: str, expressed: str, wanted: tuple[str, ...]
     if any(x.isnan().any() for x in (robot.X_PB_home, robot.screw, robot.home) if x is not None):
         return wanted
     found: list[tuple[str, ...]] = []
-    with with_values():
-        rows = tuple([COMPONENTS.index(axis) for axis in wanted])
-        for start in (0.37, 1.13, 2.71):
-            q = [2.0 * np.sin(start * (k + 1.0)) for k in range(robot.n)]
-            J = np.array(Task(*frame(robot, name), expressed == "world", rows).jacobian(posed(robot, q, {}, ())))
-            kept: list[int] = []
-            for r in sorted(range(len(rows)), key=lambda r: rows[r] < 3):
-                # a URDF has angles with five digits, so an arm may be planar up to those only
-                kept += [r] if np.linalg.matrix_rank(J[[*kept, r]], 1e-4) > len(kept) else []
-            found.append(tuple([wanted[r] for r in sorted(kept)]))
+    rows = tuple([COMPONENTS.index(axis) for axis in wanted])
+    for start in (0.37, 1.13, 2.71):
+        q = [2.0 * np.sin(start * (k + 1.0)) for k in range(robot.n)]
+        J = np.array(Task(*frame(robot, name), expressed == "world", rows).jacobian(posed(robot, q, {}, ())))
+        kept: list[int] = []
+        for r in sorted(range(len(rows)), key=lambda r: rows[r] < 3):
+            # a URDF has angles with five digits, so an arm may be planar up to those only
+            kept += [r] if np.linalg.matrix_rank(J[[*kept, r]], 1e-4) > len(kept) else []
+        found.append(tuple([wanted[r] for r in sorted(kept)]))
     return max(found, key=len)
 
 
@@ -173,7 +172,8 @@ def _complete(of: Constants, function: str, *given: str) -> Options:
         if given:
             raise ArgumentError(f"{function!r} has no options, found {given!r}")
         return ()
-    robot = recorded(of)
-    if robot.floating:
-        Function(of, function).require_base()
-    return reader(robot, *given)
+    with with_values():
+        robot = recorded(of)
+        if robot.floating:
+            Function(of, function).require_base()
+        return reader(robot, *given)
