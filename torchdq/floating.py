@@ -30,6 +30,7 @@ __all__ = [
     "Momentum",
     "centre_of_mass",
     "closed_form",
+    "coriolis_matrix",
     "error_growth",
     "forward_dynamics",
     "forward_kinematics",
@@ -188,6 +189,30 @@ def closed_form(
     return FreeClosedForm(
         *function_of("floating.closed_form", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)
     )
+
+
+def coriolis_matrix(
+    robot: Robot, X_WB: Tensor, q: Tensor, V_WB_B: Tensor, qd: Tensor, backend: BackendName | None = None
+) -> Tensor:
+    """Coriolis matrix C [..., 6 + n, 6 + n]: C v = c with v = (V_WB_B, qd), and dM/dt = C + C^T.
+
+        C = 1/2 (dc/dv + M ad),   ad w = [v, w], the bracket (w_v x w_w, w_v x v_w + v_v x w_w) of twists of the base
+
+    These are Christoffel symbols in the frame of the base: C(v) w - C(w) v = M [v, w], as of a connection without
+    torsion. Pinocchio's `computeCoriolisMatrix` has the first two properties, and other entries.
+
+    Args:
+        robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`; the matrix depends on X_WB only through its batch axes.
+
+    >>> import torch, torchdq
+    >>> robot, X_WB = torchdq.robots.load("go2"), torch.eye(8, dtype=torch.float64)[0]
+    >>> q, V, qd = (torch.linspace(-1.0, 1.0, k, dtype=torch.float64) for k in (12, 6, 12))
+    >>> c = closed_form(robot, X_WB, q, V, qd).c
+    >>> torch.allclose(coriolis_matrix(robot, X_WB, q, V, qd) @ torch.cat([V, qd]), c)
+    True
+    """
+    given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}
+    return function_of("floating.coriolis_matrix", robot, given, backend)[0]
 
 
 def error_growth(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> Tensor:
