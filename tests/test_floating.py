@@ -257,6 +257,29 @@ def test_jacobians_of_frames(name, expressed):
         near(found, over(jacobian, c, m)[:, ANGULAR_FIRST][..., c.order], 10.0)
 
 
+@pytest.mark.parametrize("expressed", ["body", "world"])
+@SOME
+def test_wrenches_at_frames_move_the_robot_as_those_of_pinocchio(name, expressed):
+    c, m = case(name), motion(case(name))
+    known = [f for f in c.robot.frame_names if c.model.existFrame(f, pin.FrameType.BODY)]
+    wrenches = dict.fromkeys((known[0], known[len(known) // 2], known[-1]), m["f_base"])
+
+    def accelerations(model, data, q, v, a, row):
+        pin.framesForwardKinematics(model, data, q)
+        forces = [pin.Force.Zero() for _ in range(model.njoints)]
+        for f in wrenches:
+            frame, turn = model.frames[c.frame_id(f)], data.oMf[c.frame_id(f)].rotation
+            turn = turn.T if expressed == "world" else np.eye(3)
+            F = pin.Force(turn @ row["f_base"][:3], turn @ row["f_base"][3:])
+            forces[frame.parentJoint] += frame.placement.act(F)
+        return pin.aba(model, data, q, v, 0 * v, forces)
+
+    expected = over(accelerations, c, m)[:, c.order]
+    held = floating.external_wrenches(c.robot, **m.pick(*PLACE), wrenches=wrenches, expressed=expressed)
+    found = floating.forward_dynamics(c.robot, **m.pick(*TWIST), tau=0 * m["tau"], **held._asdict())
+    near(generalised(found), expected, np.abs(expected).max(), rounding(c, m))
+
+
 # --- derivatives -----------------------------------------------------------------------------------------------------
 
 

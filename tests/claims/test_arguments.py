@@ -57,6 +57,7 @@ FUNCTIONS = {
     "computed_torque": ("q qd q_des qd_des qdd_des f_tip", "f_tip", {"kp": 9.0, "kd": 6.0}),
 }
 NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend", "clear_caches", "recommend_settings"}
+NOT_DYNAMICS |= {"external_wrenches"}  # whose tensors are in a dictionary
 NOT_DYNAMICS |= {"inverse_kinematics", "differential_inverse_kinematics"}  # whose rows have conditions of their own
 every_function = pytest.mark.parametrize("key", FUNCTIONS)
 

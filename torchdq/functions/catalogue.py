@@ -74,6 +74,9 @@ RECIPES: dict[str, Recipe] = {
         each=True,
     ),
     "jacobian": Recipe(joints("q"), (fixed.jacobian,), lambda frame, expressed: ((6, "n"),)),
+    "external_wrenches": Recipe(
+        (*joints("q"), ("wrenches", ("frames", 6), False)), (fixed.external_wrenches,), lambda *frames: (("links", 6),)
+    ),
     "coriolis_matrix": Recipe(joints("q", "qd"), (task.coriolis_matrix,), lambda: (("n", "n"),)),
     "frame_motion": Recipe(
         (*joints("q", "qd"), RATES[1]), (task.frame_motion,), lambda frame, expressed: ((8,), (6,), (6,))
@@ -138,6 +141,7 @@ _FREE: dict[str, Recipe] = {
     "regressor": _free("regressor", results=lambda: (("all", "parameters"),)),
     "forward_kinematics": _free("forward_kinematics", results=lambda *frames: ((len(frames), 8),)),
     "jacobian": _free("jacobian", results=lambda frame, expressed: ((6, "all"),)),
+    "external_wrenches": _free("external_wrenches", results=lambda *frames: (("links", 6), (6,))),
     "kinetic_energy": _free("kinetic_energy", results=lambda: ((),)),
     "potential_energy": _free("potential_energy", results=lambda: ((),)),
     "centre_of_mass": _free("mass_matrix", free.centre_of_mass, results=lambda: ((3,),)),
@@ -188,6 +192,7 @@ class Function(_Call, Computation):
         fields = self.constants.fields
         n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
         axes = {"axes": len(task.rows_of(self.options[2]))} if self.name in _OF_AXES else {}
+        axes["frames"] = len(self.options) - 1  # of "external_wrenches"
         return {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating), **axes}
 
     def axes(self, name: str) -> tuple[int, ...]:

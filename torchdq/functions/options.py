@@ -37,6 +37,12 @@ def _frame_and_axes(robot: Robot, *given: str) -> Options:
     return robot.frame(frame).name, expressed
 
 
+def _axes_and_frames(robot: Robot, *given: str) -> Options:
+    """Axes that wrenches are in, and names of the frames that they are at; none: the tip."""
+    expressed, *names = given or ("world",)
+    return expressed, *[_frame_and_axes(robot, x, expressed)[0] for x in names or [robot.end_effector().name]]
+
+
 def _tip(robot: Robot, *given: str) -> Options:
     """Name of the tip, or "" for none; not given: the robot's."""
     if len(given) > 1:
@@ -136,6 +142,8 @@ _READERS: dict[str, Callable[..., Options]] = {
     "jacobian": _frame_and_axes,
     "floating.forward_kinematics": _frames,
     "floating.jacobian": _frame_and_axes,
+    "external_wrenches": _axes_and_frames,
+    "floating.external_wrenches": _axes_and_frames,
     "closed_form": _tip,
     "computed_torque": _single_gains,
     "frame_motion": lambda robot, *given: _frame_and_axes(robot, *(given or (robot.end_effector().name,))),
