@@ -184,6 +184,8 @@ def differential_inverse_kinematics(
         frame, expressed, axes: as in `torchdq.operational_space`.
         dt: time [s] within which no joint may leave its limits, a number or shape [...]; None: they do not count.
         limits: whether joints keep their limits of velocity.
+    Raises:
+        ArgumentError: the joints cannot move these axes independently; dt is a number that is not positive.
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
@@ -195,7 +197,7 @@ def differential_inverse_kinematics(
     require_choice("limits", limits, (False, True))
     chosen = (frame or require_robot(robot).end_effector().name, expressed, axes_of(axes), *["bounded"] * limits)
     names = options_of(robot, "differential_inverse_kinematics", chosen)
-    step = None if dt is None else gain("dt", dt, q)
+    step = None if dt is None else gain("dt", dt, q, positive=True)
     qd, scale = function_of(
         "differential_inverse_kinematics", robot, {"q": q, "V_des": V_des, "dt": step}, backend, names
     )

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import require_choice, require_number, require_tensor
-from torchdq.errors import ArgumentError
+from torchdq.base.checks import require_choice, require_tensor
 from torchdq.functions.call import function_of, gain, gain_of_axes
 from torchdq.functions.options import axes_of, options_of
 from torchdq.robot import Robot
@@ -239,17 +238,13 @@ def operational_space_control(
     """
     require_tensor("q", q)
     require_tensor("X_des", X_des)
-    if damping is not None and not isinstance(damping, Tensor):
-        require_number("damping", damping)
-        if damping <= 0:
-            raise ArgumentError(f"damping must be positive, or None for none, found {damping!r}")
     require_choice("limits", limits, (False, True))
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des, "A_des": A_des}
     gains = {"kp": gain_of_axes("kp", kp, q, X_des), "kd": gain_of_axes("kd", kd, q, X_des)}
     more = {
         "q_null": q_null,
         "k_null": None if q_null is None else gain("k_null", k_null, q),
-        "damping": None if damping is None else gain("damping", damping, q),
+        "damping": None if damping is None else gain("damping", damping, q, positive=True),
     }
     marks = [name for name, x in gains.items() if not x.ndim] + ["limits"] * limits
     chosen = (frame or "", expressed, axes_of(axes), *marks)

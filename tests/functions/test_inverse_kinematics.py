@@ -264,6 +264,7 @@ MISUSE = {
     "matrices": lambda: torchdq.inverse_kinematics(ARM, torch.eye(4, dtype=F64)),
     "a start of another robot": lambda: torchdq.inverse_kinematics(ARM, X, start=torch.zeros(6, dtype=F64)),
     "meta": lambda: torchdq.inverse_kinematics(ARM, X.to("meta")),
+    "no time": lambda: torchdq.differential_inverse_kinematics(ARM, X[:7], X[:6], dt=0.0),
     "a velocity as limits": lambda: torchdq.differential_inverse_kinematics(ARM, X[:7], X[:6], limits=2.0),
     "a free base": lambda: torchdq.inverse_kinematics(torchdq.robots.load("go2"), X, "base"),
 }

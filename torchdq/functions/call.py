@@ -78,7 +78,7 @@ def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | Non
     return common_batch([*inputs, *parameters], f" for the {robot.n} joints of robot {robot.name!r}")
 
 
-def gain(name: str, value: Tensor | float, q: Tensor) -> Tensor:
+def gain(name: str, value: Tensor | float, q: Tensor, positive: bool = False) -> Tensor:
     """Gain of a controller as a tensor, one number in the dtype of q; entries of a tensor are not checked."""
     if isinstance(value, Tensor) and value.ndim:
         return value
@@ -89,9 +89,7 @@ def gain(name: str, value: Tensor | float, q: Tensor) -> Tensor:
     if not isinstance(value, REAL):
         cure = "; use torch.as_tensor" if isinstance(value, list | tuple | np.ndarray) else ""
         raise ArgumentError(f"{name} must be a number or a tensor, found {type(value).__name__}{cure}")
-    require_number(name, value)
-    if value < 0:
-        raise ArgumentError(f"{name} must not be negative, found {value!r}")
+    require_number(name, value, positive, least=0.0)
     return torch.full((), value, dtype=q.dtype, device=q.device)
 
 
