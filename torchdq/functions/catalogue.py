@@ -100,7 +100,7 @@ RECIPES: dict[str, Recipe] = {
         single=("stiffness", "damping"),
     ),
     "inverse_kinematics_step": Recipe(
-        (*joints("q", "best"), ("state", (5,), False), ("X", (8,), False), ("settings", (3,), False)),
+        (*joints("q", "best"), ("state", (5,), False), ("X", (8,), False), ("settings", (4,), False)),
         (ik.step,),
         lambda *task: (("n",), ("n",), (5,)),
         shared=("settings",),
