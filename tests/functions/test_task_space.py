@@ -316,6 +316,29 @@ def test_a_spring_at_the_tip_pulls_with_its_stiffness_and_damps():
     torch.testing.assert_close(*at, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.parametrize(("robot", "axes"), [(ARM, "pose"), (ARM, "position"), (TWO, ("x", "y"))])
+def test_a_spring_beside_which_gravity_alone_is_held_takes_the_power_that_it_gives(robot, axes):
+    """T' = qd (tau - g) for any motion, which is less the rate of the spring's energy without a damper."""
+    q, qd = random(2, 20, robot.n)
+    stiffness = torch.cat([double(30.0).expand(3), double(600, 500, 400)])[rows_of(axes)]
+    goal = torchdq.forward_kinematics(robot, random(20, robot.n, seed=3), "tip")
+
+    def spring(q):
+        X = torchdq.forward_kinematics(robot, q, "tip")
+        turn = 2 * dq.log_shortest(dq.mul(goal, dq.conj(X)))[..., :3]
+        e = torch.cat([turn, dq.translation(goal) - dq.translation(X)], -1)[..., rows_of(axes)]
+        return 0.5 * (stiffness * e * e).sum(-1)
+
+    def power(stiffness, damping):
+        given = {"stiffness": stiffness, "damping": damping, "axes": axes, "coriolis": False}
+        tau = torchdq.cartesian_impedance(robot, q, qd, goal, **given)
+        return ((tau - torchdq.inverse_dynamics(robot, q)) * qd).sum(-1)
+
+    taken = torch.func.jvp(spring, (q,), (qd,))[1]
+    torch.testing.assert_close(power(stiffness, 0.0), -taken, rtol=1e-11, atol=1e-11 * float(taken.abs().max()))
+    assert (power(0.0, 5.0) < 0).all()
+
+
 # --- goals -----------------------------------------------------------------------------------------------------------
 
 

@@ -19,6 +19,7 @@ CASES = {
     "number": (100.0, 20.0, {}),
     "axes": (10 * SIX, 2 * SIX, {"expressed": "world", "q_null": Q[0], "k_null": 3.0}),
     "position": (100.0, SIX[:3], {"axes": "position", "expressed": "body", "frame": "panda_link5"}),
+    "passive": (100.0, 20.0, {"coriolis": False}),
     "limited": (400.0, 20.0, {"q_null": Q[0], "limits": True, "damping": 0.1}),
 }
 LAWS = {
@@ -34,7 +35,8 @@ def law_of(module, gains, more, robot=PANDA, goal=None):
 
 
 @pytest.mark.parametrize(
-    ("module", "case"), [(x, y) for x in LAWS for y in CASES if y != "limited" or x is nn.OperationalSpaceControl]
+    ("module", "case"),
+    [(x, y) for x in LAWS for y in CASES if y != ("passive" if x is nn.OperationalSpaceControl else "limited")],
 )
 def test_the_module_is_the_function_and_friction_of_the_description(module, case):
     *gains, more = CASES[case]

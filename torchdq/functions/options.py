@@ -149,7 +149,7 @@ _READERS: dict[str, Callable[..., Options]] = {
     "frame_motion": lambda robot, *given: _frame_and_axes(robot, *(given or (robot.end_effector().name,))),
     "operational_space": _task("body"),
     "operational_space_control": _task("body", "limits", "kp", "kd"),
-    "cartesian_impedance": _task("world", "stiffness", "damping"),
+    "cartesian_impedance": _task("world", "gravity", "stiffness", "damping"),
     "manipulability": _task("body"),
     "inverse_kinematics_step": _task("body"),
     "inverse_kinematics_newton": _task("body"),

@@ -87,11 +87,12 @@ def operational_space_control(x: RecipeInputs, name: str, expressed: str, axes: 
     return {"tau": tau, GROWTH: [growth]}
 
 
-def cartesian_impedance(x: RecipeInputs, name: str, expressed: str, axes: str, *single: str) -> Results:
+def cartesian_impedance(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
     """Torques of a spring and a damper at a frame, with those that hold the robot."""
     x.require_inertia()
     task = _task(x, name, expressed, axes)
-    tau, growth = impedance_torques(x.posed(), task, *_law(x, task, single, "stiffness", "damping"), DAMPING)
+    law = _law(x, task, marks, "stiffness", "damping")
+    tau, growth = impedance_torques(x.posed(), task, *law, DAMPING, "gravity" not in marks)
     return {"tau": tau, GROWTH: [growth]}
 
 
