@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from functools import cache
+from functools import cache, wraps
 from operator import attrgetter
 from typing import Any, TypeVar
 
@@ -44,6 +44,9 @@ _levels: Callable[[], list[Any]] = getattr(pyfunctorch, "retrieve_all_functorch_
 _unseen = _private("DisableTorchFunction", nullcontext)
 _jit_state = _private("_get_tracing_state", lambda: None)
 _modes = _private("_len_torch_dispatch_stack", lambda: 1)
+_wrapped = _private("_functorch.is_functorch_wrapped_tensor", lambda x: False)
+_unwrapped = _private("_functorch.get_unwrapped", lambda x: x)
+_batched = _private("_functorch.is_batchedtensor", lambda x: True)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
 
 
@@ -54,6 +57,18 @@ def constant_in_graphs(function: Made) -> Made:
     """
     function._dynamo_marked_constant = True  # type: ignore[attr-defined]
     return function
+
+
+def outside_of_graphs(function: Made) -> Made:
+    """Function that torch.compile calls between two graphs, as `torch.compiler.disable`, which imports the compiler."""
+
+    @wraps(function)
+    def call(*args: Any, **named: Any) -> Any:
+        if torch.compiler.is_dynamo_compiling():
+            return torch.compiler.disable(function)(*args, **named)
+        return function(*args, **named)
+
+    return call  # type: ignore[return-value]
 
 
 @contextmanager
@@ -102,6 +117,15 @@ def transforming() -> bool:
 def reversing() -> bool:
     """Whether a transform of `torch.func` that differentiates in reverse mode is active: grad, vjp, jacrev, hessian."""
     return any(level.key() == pyfunctorch.TransformType.Grad for level in _levels())
+
+
+def mapped(x: Tensor) -> bool:
+    """Whether `torch.func.vmap` maps over a tensor, so that its values cannot be read, as they can in gradients."""
+    while _wrapped(x):
+        if _batched(x):
+            return True
+        x = _unwrapped(x)
+    return False
 
 
 def jit_tracing() -> bool:
