@@ -174,7 +174,8 @@ def test_the_coriolis_matrix_gives_the_bias_and_the_rate_of_the_mass_matrix_and_
     other = floating.coriolis_matrix(c.robot, m["X_WB"], m["q"], W, wd)
     V, cross = m["V_WB_B"], torch.linalg.cross
     bracket = [cross(V[:, :3], W[:, :3]), cross(V[:, :3], W[:, 3:]) + cross(V[:, 3:], W[:, :3]), 0 * wd]
-    swapped = other @ v[..., None] + floating.mass_matrix(c.robot, **m.pick(*PLACE)).M @ torch.cat(bracket, -1)[..., None]
+    M = floating.mass_matrix(c.robot, **m.pick(*PLACE)).M
+    swapped = other @ v[..., None] + M @ torch.cat(bracket, -1)[..., None]
     near(C @ torch.cat([W, wd], -1)[..., None], swapped, 4 * size)
 
 

@@ -274,9 +274,10 @@ def cartesian_impedance(
         tau = J^T (K e + D e') + c + g
 
     e is the error as in `operational_space_control`, so that a force on the frame moves it by force / stiffness. The
-    posture acts where it does not accelerate the frame. To cancel c takes work: the spring is not passive, and without a
-    damper the energy may grow. With `coriolis=False` c is left to the arm, and its kinetic energy with that of the spring
-    never grows: in world axes, to a goal at rest, without a posture, and with one stiffness and damping for all rotations.
+    posture acts where it does not accelerate the frame. To cancel c takes work: the spring is not passive, and without
+    a damper the energy may grow. With `coriolis=False` c is left to the arm, and its kinetic energy with that of the
+    spring never grows: in world axes, to a goal at rest, without a posture, and with one stiffness and damping for all
+    rotations.
 
     Args:
         robot, q, qd, X_des, V_des, frame, expressed, axes, q_null, k_null: as in `operational_space_control`.

@@ -75,7 +75,8 @@ class Inertia(NamedTuple):
         if self.first is None:
             return self.rotational
         h, c = self.first, quat.scale(1.0 / self.mass, self.first)
-        a, b, d = (quat.add(row, quat.cross(h, quat.cross(c, e))) for row, e in zip(self.rotational, quat.UNITS, strict=True))
+        shifts = [quat.cross(h, quat.cross(c, e)) for e in quat.UNITS]
+        a, b, d = (quat.add(row, shift) for row, shift in zip(self.rotational, shifts, strict=True))
         return (a, b, d)
 
     def carried(self, a: Adjoint, p: Pure) -> Inertia:

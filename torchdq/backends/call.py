@@ -336,11 +336,11 @@ def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, do
 
 def _common_batch(given: Sequence[Tensor], forms: Sequence[tuple[Shape, int, bool]]) -> Shape | None:
     """Batch axes of tensors that all have them, without broadcasting; None: they differ, or other axes do not fit."""
-    batch = None
+    batch: Shape | None = None
     for x, (axes, _, uniform) in zip(given, forms, strict=True):
         own, last = x.shape[: x.ndim - len(axes)], x.shape[x.ndim - len(axes) :]
         batch = own if batch is None and not uniform else batch
-        if last != axes or not (uniform or _same(own, batch)):
+        if last != axes or not (uniform or (batch is not None and _same(own, batch))):
             return None
     return None if batch is None else tuple(batch)
 

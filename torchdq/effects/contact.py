@@ -99,9 +99,10 @@ class Contact(BodyEffect):
 
     The force at a depth d is continuous and never attractive; at rest friction holds without creep, and sliding it is
     mu f_n. For `LinearlyImplicit`, which takes the force at the end of the step and holds any stiffness; an impact is
-    of first order in the step. A point remembers eight numbers of a state: bristles of the friction in world axes, and the
-    largest compression of its spring [m]; normal force and size of the friction over the last step [N], acceleration
-    towards the ground by all else [m/s^2], and friction that is left over [N].
+    of first order in the step. No step gives energy, whatever k and the body are, and friction keeps to mu times the
+    normal impulse of an impact. A point remembers eight numbers of a state: bristles of the friction in world axes, and
+    the largest compression of its spring [m]; normal force and size of the friction over the last step [N],
+    acceleration towards the ground by all else [m/s^2], and friction that is left over [N].
 
     Sources: K. H. Hunt and F. R. E. Crossley, "Coefficient of restitution interpreted as damping in vibroimpact",
     Journal of Applied Mechanics, 1975, for the normal force; M. Anitescu and F. A. Potra, "A time-stepping method for
@@ -218,7 +219,7 @@ class Contact(BodyEffect):
         return [p[axis] for axis in (0, 1) for p in found]
 
     def memory(self, n: int) -> int:
-        """What the points remember; nothing without stiction."""
+        """Numbers that all points remember; none without stiction."""
         return KEPT * len(self.points) if self.stiction else 0
 
     def start(self, q: Row, qd: Row) -> Row:
@@ -338,11 +339,11 @@ def _with_masses(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactP
 
     It is 3 / tr(J M^-1 J^T), the mean over all directions, with the joints in the middle of their limits.
     """
-    rows = {}
-    for name in BODIES:
-        if (x := getattr(robot, name)) is not None:
-            x = x.detach().double()
-            rows[name] = x.flatten(-len(SHAPES[name])).unbind(-1) if SHAPES[name] else (x,)
+    rows: dict[str, Any] = {"gravity": None}
+    for name, axes in SHAPES.items():
+        x = getattr(robot, name)
+        if x is not None and (name in (*BODIES, "armature") or x.ndim > len(axes)):
+            rows.setdefault(name, x.detach().double().reshape(*x.shape[: x.ndim - len(axes)], -1).unbind(-1))
     at = posed(robot, start(0, ranges(robot)), rows, (), dq.ONE if robot.floating else None)
     try:
         factors = at.factors(False)
@@ -352,9 +353,10 @@ def _with_masses(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactP
     for point in points:
         link, X_BF = frame_of(robot, point.frame)
         columns = at.jacobian(link, dq.mul(X_BF, dq.from_pose(quat.ONE, point.center)), False)
-        J = tuple([0.0 if c is None else c[1][axis] for c in columns] for axis in range(3))
+        J = tuple(tuple(0.0 if c is None else c[1][axis] for c in columns) for axis in range(3))
         mobility = factors.mobility(J)
-        found.append(point._replace(mass=float(torch.as_tensor(3.0 / sum(mobility[axis][axis] for axis in range(3))).min())))
+        masses = torch.as_tensor(3.0 / (mobility[0][0] + mobility[1][1] + mobility[2][2]))
+        found.append(point._replace(mass=float(masses.min())))
     return tuple(found)
 
 

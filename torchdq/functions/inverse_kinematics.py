@@ -5,9 +5,9 @@
 e is the error of a frame and J its rate -de/dq. A joint at a limit that the gradient J^T e pushes outwards is left out
 of the step, so that the others make up for it. A start is given up where e.e is not below SLOWEST of its running mean.
 
-Where no start has converged, the last steps go on from the best of all, and from LAST of the starts once more, as long as
-e.e falls. There e does not vanish, and J J^T lacks the curvature of its components, which is of the size |e| |J|: damped
-by SPREAD of that, steps are short enough to end at the closest point.
+Where no start has converged, the last steps go on from the best of all, and from LAST of the starts once more, as long
+as e.e falls. There e does not vanish, and J J^T lacks the curvature of its components, which is of the size |e| |J|:
+damped by SPREAD of that, steps are short enough to end at the closest point.
 """
 
 from __future__ import annotations

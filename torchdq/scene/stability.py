@@ -3,9 +3,9 @@
 With mass matrix, damping and stiffness frozen as they are in a state, the joints are a linear system of springs and
 dampers, M a + D v + K x = 0, whose motions never grow. A step of an integrator multiplies them by a matrix; if one of
 its eigenvalues is larger than 1, the integrator makes them grow. That is asked at the start and along a trial run, in
-which all rows must stay within bounds, whatever else acts: controllers, speed, contacts. The run tells how far a floating
-base turns in a step, how deep points sink into the ground and how much of the cone their friction uses, and whether they
-touched it at all. Gains of controllers, whose torques are held over a step, are compared with it.
+which all rows must stay within bounds, whatever else acts: controllers, speed, contacts. The run tells how far a
+floating base turns in a step, how deep points sink into the ground, how much of the cone their friction uses, and
+whether they touched it at all. Gains of controllers, whose torques are held over a step, are compared with it.
 """
 
 from __future__ import annotations
@@ -129,8 +129,8 @@ class Check:
             lines += [] if self.stiffest is None else [str(self.stiffest)]
         if self.turn > FAST:
             lines.append(
-                f"- base: it turns by up to {self.turn:.2g} rad in a step; beyond {FAST:g} rad inertial torques may give "
-                "it energy, take shorter steps"
+                f"- base: it turns by up to {self.turn:.2g} rad in a step; beyond {FAST:g} rad inertial torques may "
+                "give it energy, take shorter steps"
             )
         if not self.stable:
             lines += [f"- stable: {found}" for found in self.alternatives]
@@ -248,8 +248,8 @@ class _Trial:
         slip = torch.where(found.touching[-1], found.slip[-1], 0.0)
         contacts: Sequence[Any] = [scene.effects[i] for i, _ in scene.spec.of(Contact)]
         stiffness = max(float(tensor_of(contact.stiffness).detach().max()) for contact in contacts)
-        mu = [tensor_of(contact.friction).detach().double()[..., None] for contact in contacts]
-        mu = torch.cat([x.expand(*kept.shape, len(y.points)) for x, y in zip(mu, contacts, strict=True)], -1)[kept]
+        each = [(tensor_of(contact.friction).detach().double()[..., None], len(contact.points)) for contact in contacts]
+        mu = torch.cat([x.expand(*kept.shape, points) for x, points in each], -1)[kept]
         friction = (found.force.square().sum(-1) - found.normal_force.square()).clamp(min=0.0).sqrt().sum(0)
         most = (mu * found.normal_force.sum(0)).clamp(min=torch.finfo(mu.dtype).tiny)
         return GroundCheck(
@@ -271,7 +271,8 @@ class _Trial:
         if isinstance(controller, ComputedTorqueController):  # whose gains are accelerations
             inverse = torch.ones_like(inverse)
         there = self.state.finite()
-        gains = [tensor_of(x).detach().double().expand(self.state.q.shape)[there] for x in (controller.kp, controller.kd)]
+        given = (tensor_of(x).detach().double() for x in (controller.kp, controller.kd))
+        gains = [x.expand(self.state.q.shape)[there] for x in given]
         kp, kd = (x * inverse * factor for x, factor in zip(gains, (h * h, h), strict=True))
         row, j = divmod(int((kp + 2.0 * kd).argmax()), n)
         if float(kp[row, j] + 2.0 * kd[row, j]) < HELD:
@@ -302,7 +303,6 @@ class _Trial:
         values, vectors = torch.linalg.eig(found[worst])
         mode = vectors[m:, values.abs().argmax()].abs()
         return float(factors[worst]), self.scene.robot.joint_names[int(mode.argmax()) % self.scene.n]
-
 
     def _frozen(self, states: State) -> _Frozen:
         """Springs and dampers in those of some states that are finite."""
