@@ -55,7 +55,7 @@ class UnphysicalError(DescriptionError):
 
 
 class SingularInertiaError(UnphysicalError):
-    """Accelerations of a robot with a joint that moves no inertia in any position."""
+    """Accelerations of a robot with a joint that moves no inertia in any position, or dynamics of one without mass."""
 
 
 class MissingLibraryError(TorchdqError, ImportError):

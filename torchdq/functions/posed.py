@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Moments
@@ -23,13 +23,17 @@ from torchdq.numbers.functions import cos, sin
 from torchdq.robot.description import JointMap
 from torchdq.robot.fields import BASE_BODY, BODIES, SHAPES
 from torchdq.robot.robot import Robot
-from torchdq.robot.tree import general_tree, plain
+from torchdq.robot.tree import MASSLESS, general_tree, massless, plain
 
 # flat components of tensors that replace those of the robot, by name; None: absent
 Overrides = Mapping[str, Sequence[Number] | None]
 
 GEOMETRY = ("X_PB_home", "screw")
 BASE = 6  # degrees of freedom of a floating base, which come first
+DYNAMICS = {
+    *("composites", "torques", "mass_matrix", "factors", "with_armature", "with_masses", "without_gravity"),
+    *("kinetic_energy", "potential_energy"),
+}  # methods of `Posed`; the regressor does not depend on masses
 
 
 def field(robot: Robot, name: str, overrides: Overrides):
@@ -104,6 +108,19 @@ def general(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: DualQ
     return General.at(found, field(robot, "com", overrides), coordinates(robot, q, overrides, X_WB))
 
 
+class Massless(NamedTuple):
+    """Posed robot that moves no mass: it has kinematics, and an error where its dynamics are asked for."""
+
+    robot: Posed
+    name: str
+
+    def __getattr__(self, name: str) -> Any:
+        """Methods of the robot that do not depend on masses."""
+        if name in DYNAMICS:
+            raise SingularInertiaError(f"robot {self.name!r} has no dynamics: {MASSLESS}", MASSLESS)
+        return getattr(self.robot, name)
+
+
 def posed(
     robot: Robot,
     q: Sequence[Number],
@@ -113,18 +130,20 @@ def posed(
 ) -> Posed:
     """Robot at q, in aligned frames if its geometry is constant, otherwise in the general form.
 
-    `per_sample` are names of its tensors that depend on the sample, X_WB is the pose of a floating base.
+    `per_sample` are names of its tensors that depend on the sample, X_WB is the pose of a floating base. A robot that
+    moves no mass has kinematics only.
     """
     at: Posed
     if any(name in overrides for name in GEOMETRY):
         at = general(robot, q, overrides, X_WB)
     else:
         at = aligned(robot, q, overrides, not any(name in per_sample for name in BODIES), X_WB)
-    if robot.joint_map is None:
-        return at
-    before, rotors = 0 if X_WB is None else BASE, field(robot, "armature", overrides)
-    mapped: Any = Coupled(at, coupling(robot.joint_map).after(before), rotors and (0.0,) * before + tuple(rotors))
-    return mapped
+    if robot.joint_map is not None:
+        before, rotors = 0 if X_WB is None else BASE, field(robot, "armature", overrides)
+        mapped: Any = Coupled(at, coupling(robot.joint_map).after(before), rotors and (0.0,) * before + tuple(rotors))
+        at = mapped
+    without: Any = Massless(at, robot.name)
+    return without if massless(robot, overrides) else at
 
 
 def factors(robot: Robot, at: Posed, linear: bool) -> Factors:

@@ -13,7 +13,7 @@ from torchdq.dynamics.coupling import Coupled
 from torchdq.dynamics.general.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
 from torchdq.errors import SingularInertiaError
-from torchdq.functions.posed import GEOMETRY, Overrides, as_screw, frame, posed
+from torchdq.functions.posed import GEOMETRY, Massless, Overrides, as_screw, frame, posed
 from torchdq.program.program import Value
 from torchdq.robot.fields import BODIES, Axes
 from torchdq.robot.robot import Robot
@@ -50,7 +50,9 @@ class RecipeInputs(NamedTuple):
     def bodies(self) -> Posed:
         """Robot at the same place whose joints are all its coordinates, for functions of the place alone."""
         at = self.posed()
-        return at.robot if isinstance(at, Coupled) else at
+        while isinstance(at, Coupled | Massless):
+            at = at.robot
+        return at
 
     def base(self) -> DualQuaternion | None:
         """Pose of a floating base; None: the base is fixed."""

@@ -17,6 +17,7 @@ from torchdq.robot.check import consistency
 
 Base = Literal["file", "fixed", "floating"]
 NO_TIP = "tip.missing"  # code of a note that goes when a tip is chosen
+NO_MASS = "robot.massless"  # code of a warning that goes when bodies are changed
 UNSIMULATED = "unsimulated."  # beginning of the codes of parts that would act on the motion, and have no field
 
 

@@ -33,6 +33,7 @@ SHAPES: dict[str, Axes] = {
 LINK_BODY = ("mass", "com", "inertia")
 BASE_BODY = ("base_mass", "base_com", "base_inertia")
 BODIES = (*LINK_BODY, *BASE_BODY)
+INERTIAL = ("mass", "inertia", "armature", "base_mass", "base_inertia")  # with all of them zero nothing has dynamics
 OPTIONAL = ("gravity", "home", "armature", *BASE_BODY)
 DESCRIBED = ("limits", "damping", "friction", "frames", "joint_map")  # other fields that hold tensors
 

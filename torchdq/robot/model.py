@@ -21,8 +21,8 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.findings import Finding
 from torchdq.robot.constants import Constants, stored, version
-from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits
-from torchdq.robot.fields import BASE_BODY, DESCRIBED, OPTIONAL, SHAPES, trailing
+from torchdq.robot.description import NO_MASS, NO_TIP, Frame, JointMap, Limits
+from torchdq.robot.fields import BASE_BODY, DESCRIBED, INERTIAL, OPTIONAL, SHAPES, trailing
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +154,8 @@ class RobotModel:
         freed = "base_mass" in changes and not self.floating  # and has other functions
         same = all(name in SHAPES and value is not None for name, value in changes.items()) and not freed
         kept = not any(name in DESCRIBED for name in changes)
+        if not changes.keys().isdisjoint(INERTIAL):
+            changes["notes"] = tuple([x for x in changes.get("notes", self.notes) if x.code != NO_MASS])
         changes |= {"_constants": self._constants if same else None, "_storages": self._storages if kept else ()}
         return dataclasses.replace(self, **changes, _arguments=names)
 

@@ -339,8 +339,10 @@ class Robot(RobotModel):
             if ignored := "\n  ".join(str(x) for x in warned if x not in suspicions):
                 what = f"robot {robot.name!r}: the file contains elements that are ignored but may affect the dynamics"
                 warnings.warn(f"{what}:\n  {ignored}", stacklevel=3)
-        # torques and poses need no inertia; accelerations raise
-        notes = (*wrong, *trees.inert_joints(robot), *suspicions, *robot.notes)
+        inert = trees.inert_joints(robot)  # accelerations raise, and all dynamics where no mass moves
+        if on_unphysical != "ignore" and trees.MASSLESS in inert:
+            warnings.warn(f"robot {robot.name!r}: {trees.MASSLESS}", stacklevel=3)
+        notes = (*wrong, *inert, *suspicions, *robot.notes)
         return dataclasses.replace(robot, notes=tuple(dict.fromkeys(notes)))
 
     to_urdf, to_mjcf = urdf_writer.to_urdf, mjcf_writer.to_mjcf

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -11,8 +11,17 @@ from torchdq.dynamics.joints import KINDS, Free
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.findings import Finding
 from torchdq.robot.check import consistency
-from torchdq.robot.fields import BASE_BODY, SHAPES
-from torchdq.robot.model import RobotModel, factors, require_unchanged
+from torchdq.robot.description import NO_MASS
+from torchdq.robot.fields import BASE_BODY, INERTIAL, SHAPES
+from torchdq.robot.model import RobotModel, factors, present, require_unchanged
+
+MASSLESS = Finding(
+    NO_MASS,
+    "",
+    "something that moves must have mass for dynamics",
+    "none: kinematics only",
+    "give the links mass, by <inertial> in a URDF file, or the joints armature",
+)
 
 
 def general_tree(robot: RobotModel, values: Callable[[str], Any], free: bool = False) -> Tree:
@@ -41,8 +50,18 @@ def tree(robot: RobotModel) -> Tree:
     return general_tree(robot, partial(unbound, robot), robot.floating)
 
 
+def massless(robot: RobotModel, overrides: Mapping[str, Any] | None = None) -> bool:
+    """Whether nothing that moves has mass, inertia or a rotor; `overrides` replace tensors, None an absent one."""
+    replaced = overrides or {}
+    own = [x for name, x in present(robot, INERTIAL).items() if name not in replaced]
+    learned = any(replaced.get(name) is not None for name in INERTIAL)
+    return bool(robot.link_names) and not learned and not any(bool(x.any()) for x in own)
+
+
 def inert_joints(robot: RobotModel) -> list[Finding]:
-    """Faults of coordinates that move no inertia in any position, whatever the base does."""
+    """Faults of coordinates that move no inertia in any position, whatever the base does; one if no mass moves."""
+    if massless(robot):
+        return [MASSLESS]
     known = robot.every_joint
     faults = consistency.inert_joints(known, general_tree(robot, partial(plain, robot)))
     rotors = [0.0] * robot.n if robot.armature is None else robot.armature.tolist()

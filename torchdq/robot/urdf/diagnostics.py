@@ -26,7 +26,7 @@ TAGS = {
     "inertial": {"origin", "mass", "inertia"},
 }
 ATTRIBUTES = {
-    "origin": ("xyz", "rpy"),
+    "origin": ("xyz", "rpy", "quat_xyzw"),
     "mass": ("value",),
     "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
     "axis": ("xyz",),

@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ET
 from typing import NamedTuple
 
 from torchdq.algebra.inertia import Six
-from torchdq.algebra.quaternion import ZERO, Pure
+from torchdq.algebra.quaternion import ZERO, Pure, Quaternion
 from torchdq.algebra.screw import Screw
 from torchdq.findings import Finding
 from torchdq.robot.arrays import MOST
@@ -21,14 +21,15 @@ ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 PLANAR = ("x", "y", "angle")  # ends of the names of the joints that a planar joint is made of
 MOST_CHARACTERS = 1_000  # longest name
 UNLIMITED = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
-_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?((\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|inf(inity)?)", re.ASCII | re.IGNORECASE)
 
 
 class Origin(NamedTuple):
-    """Placement: translation [m], then roll, pitch and yaw about the fixed x, y and z axes [rad]."""
+    """Placement: translation [m], then roll, pitch and yaw about the fixed x, y and z axes [rad], or a quaternion."""
 
     xyz: Pure = ZERO
     rpy: Pure = ZERO
+    turn: Quaternion | None = None  # of unit length; None: `rpy` says it
 
 
 class Inertial(NamedTuple):
@@ -151,9 +152,10 @@ class Part(NamedTuple):
     def numbers(
         self, attribute: str, default: float | None, count: int, signed: bool = True, most: float = MOST
     ) -> tuple[float, ...]:
-        """Finite numbers of an attribute; a plain float() would let 'nan', '1_0' and other digits through.
+        """Numbers of an attribute; a plain float() would let 'nan', '1_0' and other digits through.
 
-        An attribute that is absent has `default` for each number; None: it must not be absent.
+        They are finite unless `most` is infinite. An attribute that is absent has `default` for each number; None: it
+        must not be absent.
         """
         given = {} if self.element is None else self.element.attrib
         if attribute not in given and default is not None:
@@ -164,8 +166,9 @@ class Part(NamedTuple):
         found = reprlib.repr(text)
         if attribute not in given:
             found = f"none, but {', '.join(map(reprlib.repr, given))}" if given else "none"
-        if len(words) != count or len(values) != count or not all(map(math.isfinite, values)):
-            expected = "a finite number" if count == 1 else f"{count} finite numbers"
+        if len(words) != count or len(values) != count or (most < math.inf and not all(map(math.isfinite, values))):
+            kind = "number" if most == math.inf else "finite number"
+            expected = f"a {kind}" if count == 1 else f"{count} {kind}s"
             self.fault("number.invalid", f"{attribute} must be {expected}", found)
         elif not signed and min(values) < 0:
             self.fault("number.negative", f"{attribute} must not be negative", found)
@@ -178,9 +181,17 @@ class Part(NamedTuple):
     def origin(self) -> Origin:
         """Placement of the element."""
         origin = self.child("origin")
-        if origin.element is not None and "quat_xyzw" in origin.element.attrib:
-            self.fault("origin.quaternion", "origin must be given as xyz and rpy", "quat_xyzw")
-        return Origin(origin.numbers("xyz", 0.0, 3), origin.numbers("rpy", 0.0, 3))
+        xyz, rpy = origin.numbers("xyz", 0.0, 3), origin.numbers("rpy", 0.0, 3)
+        if origin.element is None or "quat_xyzw" not in origin.element.attrib:
+            return Origin(xyz, rpy)
+        before = len(self.faults)
+        *v, w = origin.numbers("quat_xyzw", None, 4)
+        length = math.hypot(w, *v)
+        if "rpy" in origin.element.attrib:
+            origin.fault("origin.twice", "must be turned by rpy or by quat_xyzw", "both")
+        elif length < 1e-9 and len(self.faults) == before:
+            origin.fault("origin.zero", "quat_xyzw must not be zero", f"{(*v, w)}")
+        return Origin(xyz, rpy, (w / length, *(x / length for x in v)) if length >= 1e-9 else None)
 
 
 def _inertial(link: ET.Element, faults: list[Finding]) -> Inertial | None:
@@ -249,7 +260,7 @@ def _usable(bounds: dict[str, float]) -> tuple[dict[str, float], tuple[str, ...]
     """Limits without those that no motion can keep, by which files mean that there are none, and these in words."""
     wrong = [key for key in ("velocity", "effort") if bounds[key] < 0]
     shown = [f"{key} {bounds[key]:g}" for key in wrong]
-    if bounds["lower"] > bounds["upper"]:
+    if bounds["lower"] > bounds["upper"] or math.inf in (bounds["lower"], -bounds["upper"]):
         wrong += ["lower", "upper"]
         shown.insert(0, f"lower {bounds['lower']:g} above upper {bounds['upper']:g}")
     return bounds | {key: UNLIMITED[key] for key in wrong}, tuple(shown)

@@ -124,7 +124,9 @@ def body_of(inertial: Inertial | None) -> tuple[RigidBody, DualQuaternion]:
 
 
 def pose(origin: Origin) -> DualQuaternion:
-    """Pose of an origin: roll, pitch and yaw about the fixed x, then y, then z axis."""
+    """Pose of an origin: its quaternion, or roll, pitch and yaw about the fixed x, then y, then z axis."""
+    if origin.turn is not None:
+        return dual_quaternion.from_pose(origin.turn, origin.xyz)
     r = quat.ONE
     for axis, angle in zip(AXES, origin.rpy, strict=True):
         r = quat.mul((math.cos(0.5 * angle), *quat.scale(math.sin(0.5 * angle), axis)), r)
