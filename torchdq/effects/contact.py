@@ -7,8 +7,8 @@ velocity u' (depth d, normal n, bristles z, coefficients as at the start):
     f_t = -s y,   y = k z + k (h + T) u_t',   s = min(1, limit / |y|)
     z'  = (s y / k + (T/h) z) / (1 + T/h)
 
-Both are f - C (u' - u) with a symmetric C >= 0, so the step has one solution for any k. A point that lands or leaves
-within the step is a damper for the part of it in which it touches, since a spring would pull it to the ground. Where
+Both are f - C (u' - u) with a symmetric C >= 0, so the step has one solution for any k. A point that lands within
+the step is a damper for the part of it in which it touches, since a spring would pull it to the ground. Where
 friction sticks, s is 1: it is a spring, and nothing creeps. Where it would leave the cone, it returns to it along the
 secant through the origin, and |y| is extrapolated from the last two steps, which makes the friction of sliding exact
 to second order in h.
@@ -47,7 +47,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functions.inverse_kinematics import ranges, start
 from torchdq.functions.posed import frame as frame_of
 from torchdq.functions.posed import posed
-from torchdq.numbers.functions import absolute, below, clip, maximum, minimum, select, sqrt
+from torchdq.numbers.functions import below, clip, maximum, minimum, select, sqrt
 from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.contact_points import points_of
@@ -301,9 +301,8 @@ class Contact(BodyEffect):
         k, d, u = self.stiffness, place.depth, place.approach
         Z = k * (h + self.dissipation * maximum(d, 0.0))
         force = k * d - Z * u
-        lands, passing = below(d, 0.0), maximum(below(d, 0.0), below(force, 0.0))
-        Z = select(passing, select(lands, force, k * d) / maximum(absolute(u), SLOWEST), Z)
-        return select(lands, force, maximum(force, 0.0)), Z
+        lands = below(d, 0.0)
+        return force, select(lands, force / maximum(-u, SLOWEST), Z)
 
     def _places(self, bodies: Bodies, inputs: Inputs) -> Iterator[_Place]:
         """Places of the points."""
