@@ -57,7 +57,7 @@ def touched(memory, n, depth, u, h, law, mass):
     def after(end):
         bent = s * (z + (h + T) * tangent @ end)
         f = max(f_n - Z_n * (n @ end - along), 0.0)
-        rest = left + mu * f - k * (y @ bent) / size if limit < ahead else 0.0
+        rest = left + mu * f - k * math.sqrt(bent @ bent + 1e-24) if limit < ahead else 0.0
         deepest = math.sqrt(max(max(d, 0.0) ** 2 - 2 * h * (n @ end) * f / k, 0.0) + (0.1 * h) ** 2)
         kept = [deepest, f, size, f / mass - (n @ end - along) / h, rest]
         return [*((bent + T / h * z) / (1 + T / h)), *(kept if active else [0.0] * 5)]

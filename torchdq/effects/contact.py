@@ -57,6 +57,7 @@ SINK = 1e-3  # depth of the points of a robot at rest, where the stiffness follo
 CARRYING = 4  # points that it then rests on at most; others are there for falls
 WEIGHT = 9.81  # acceleration that the weight of a robot at rest is taken with [m/s^2]
 NEAR = 1e-6  # depth from which a point was in contact over the last step, above the rounding of its memory [m]
+NONE = 1e-24  # square of a length beside which that of none counts as zero [m^2]
 TINY = 1e-6  # friction beside which the size of none counts as zero [N]
 SLOWEST = 1e-9  # speed that a point has at least where it lands or leaves within a step [m/s]
 RECOVERY = 0.1  # speed that sets how fast the compression of a point that is deeper recovers [m/s]
@@ -270,7 +271,7 @@ class Contact(BodyEffect):
                 after = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, z)))
                 change = along - place.approach
                 pressing = maximum(force - Z_n * change, 0.0)
-                used = k * quat.dot(trial, acted) / size
+                used = k * sqrt(quat.dot(acted, acted) + NONE)
                 d, worked = maximum(place.depth, 0.0), pressing * (-2.0 * h) * along / k
                 deepest = sqrt(maximum(d * d + worked, 0.0) + (RECOVERY * h) * (RECOVERY * h))
                 rest = select(slides, left + self.friction * pressing - used, 0.0)
