@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import warnings
 import xml.etree.ElementTree as ET
 from itertools import product
 
@@ -49,6 +50,11 @@ def numbers(points):
     return [(*point.center, point.radius) for point in points]
 
 
+def preferred(points):
+    """Points of another library's shapes: round ones alone where one of them is a sphere, which all round ones are."""
+    return [p for p in points if p[3]] or points
+
+
 # --- places ----------------------------------------------------------------------------------------------------------
 
 
@@ -87,9 +93,10 @@ def test_points_of_a_file_are_where_pinocchio_has_its_shapes(name):
     robot, theirs = Robot.from_urdf(text, on_unphysical="ignore", mimic="independent"), of_pinocchio(text)
     assert theirs and {frame.name for frame in robot.frames if frame.shapes} == {*theirs}
     for frame, points in theirs.items():
-        assert near(numbers(robot.contact_points(frame)), points), frame
+        assert near(numbers(robot.contact_points(frame)), preferred(points)), frame
 
 
+@pytest.mark.filterwarnings("ignore:contact points of robot")
 @pytest.mark.parametrize("seed", range(5))
 def test_points_of_a_random_file_are_where_pinocchio_has_its_shapes(seed):
     """Placed in any way, several on a link, on fixed joints too."""
@@ -107,7 +114,7 @@ def test_points_of_a_random_file_are_where_pinocchio_has_its_shapes(seed):
     robot, theirs = Robot.from_urdf(urdf(*elements)), of_pinocchio(urdf(*elements))
     assert len(theirs) > 2
     for frame, points in theirs.items():
-        assert near(numbers(robot.contact_points(frame)), points)
+        assert near(numbers(robot.contact_points(frame)), preferred(points))
 
 
 GEOMS = """<mujoco><compiler angle="degree"/>
@@ -125,7 +132,7 @@ MODELS = {
 
 
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.filterwarnings("ignore:compiler attribute")
+@pytest.mark.filterwarnings("ignore:compiler attribute", "ignore:contact points of robot")
 def test_points_of_geoms_are_where_mujoco_has_them(name):
     source = MODELS[name]
     model = mujoco.MjModel.from_xml_path(str(source)) if name != "geoms" else mujoco.MjModel.from_xml_string(source)
@@ -133,11 +140,12 @@ def test_points_of_geoms_are_where_mujoco_has_them(name):
     mujoco.mj_forward(model, data)
     robot, compared = Robot.from_mjcf(source, on_unphysical="ignore"), 0
     for i in range(1, model.nbody):
-        body, theirs = model.body(i), []
+        body, theirs, touching = model.body(i), [], []
         for g in range(body.geomadr[0], body.geomadr[0] + body.geomnum[0]):
             geom, R = data.geom(g), data.geom(g).xmat.reshape(3, 3)
             a, b, c = model.geom_size[g]
             if model.geom_contype[g] or model.geom_conaffinity[g]:
+                touching.append(g)
                 own, radius = {
                     mujoco.mjtGeom.mjGEOM_SPHERE: ([(0, 0, 0)], a),
                     mujoco.mjtGeom.mjGEOM_CAPSULE: ([(0, 0, -b), (0, 0, b)], a),
@@ -148,7 +156,8 @@ def test_points_of_geoms_are_where_mujoco_has_them(name):
                 theirs += [(*turned @ (geom.xpos + R @ p - data.body(i).xpos), radius) for p in np.array(own, float)]
         if theirs:
             compared += 1
-            assert near(numbers(robot.contact_points(body.name or f"body{i}")), theirs)
+            ball = mujoco.mjtGeom.mjGEOM_SPHERE in {int(model.geom_type[g]) for g in touching}
+            assert near(numbers(robot.contact_points(body.name or f"body{i}")), preferred(theirs) if ball else theirs)
     assert compared > 1
 
 
@@ -188,7 +197,7 @@ def test_names_are_those_of_frames_or_of_collision_elements():
 def test_names_without_shapes_and_shapes_without_points_are_refused_with_a_way_out():
     robot = Robot.from_urdf(legs(BALL, MESH))
     assert len(robot.contact_points("left_*")) == 1
-    for pattern in ("*_foot", "right_toe"):
+    for pattern in ("right_foot", "right_toe"):
         with refused(ArgumentError, frame="right_foot", file="package://legs/foot.stl"):
             robot.contact_points(pattern)
     for pattern in ("leftfoot", "base", "*_hand"):
@@ -211,6 +220,44 @@ def test_shapes_that_cannot_be_read_keep_no_robot_from_being_read(form):
         robot.contact_points("right_foot")
 
 
+BOX, CYLINDER = '<box size="0.1 0.2 0.3"/>', '<cylinder radius="0.1" length="0.4"/>'
+PARTS = {  # shapes on one link: number of its points, and what is left out
+    "a mesh beside a box": ([MESH, BOX], 8, ["mesh"]),
+    "a cone beside a cylinder": ([CYLINDER, "<cone/>"], 8, ["cone"]),
+    "a cylinder beside spheres": ([BALL, CYLINDER, BALL], 2, ["cylinder"]),
+    "a box and a mesh beside a sphere": ([BOX, BALL, MESH], 1, ["box", "mesh"]),
+    "a capsule beside a sphere": ([BALL, '<capsule radius="0.1" length="0.6"/>'], 3, []),
+    "a box beside a cylinder": ([BOX, CYLINDER], 16, []),
+}
+
+
+@pytest.mark.parametrize("case", PARTS)
+@pytest.mark.parametrize("on", ["the same link", "links of their own"])
+def test_what_has_points_serves_and_the_rest_is_named_in_one_warning(case, on):
+    forms, count, left_out = PARTS[case]
+    if on == "the same link":
+        robot = Robot.from_urdf(also(link("foot", more="".join(map(collision, forms))) + fixed("f", "lower", "foot")))
+    else:  # only what has no points is left out
+        elements = (
+            link(f"foot{i}", more=collision(form)) + fixed(f"f{i}", "lower", f"foot{i}") for i, form in enumerate(forms)
+        )
+        robot, left_out = Robot.from_urdf(also("".join(elements))), [x for x in left_out if x in ("mesh", "cone")]
+        count = sum({BALL: 1, BOX: 8, CYLINDER: 8, MESH: 0, "<cone/>": 0}.get(form, 2) for form in forms)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        points = robot.contact_points("foot*")
+    assert len(points) == count and len(said) == bool(left_out)
+    assert all(f"{kind}" in str(said[0].message) for kind in left_out)
+
+
+def test_what_is_left_out_is_said_once_and_in_short():
+    feet = "".join(link(f"m{i}", more=collision(MESH)) + fixed(f"f{i}", "lower", f"m{i}") for i in range(9))
+    robot = Robot.from_urdf(legs(BALL, BALL).replace("</robot>", feet + "</robot>"))
+    with warned(UserWarning) as seen:
+        assert len(robot.contact_points("*")) == 2
+    assert len(seen) == 1 and seen[0].filename == __file__
+
+
 def test_meshes_and_other_geoms_are_refused_by_name():
     text = """<mujoco><asset><mesh name="sole" file="none.stl"/></asset><worldbody><geom type="plane" size="1 1 1"/>
       <body name="foot"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
@@ -218,7 +265,9 @@ def test_meshes_and_other_geoms_are_refused_by_name():
     assert len(Robot.from_mjcf(text.format('contype="0" conaffinity="0"')).contact_points("foot")) == 1
     robot = Robot.from_mjcf(text.format(""))
     assert len(robot.contact_points("toe")) == 1
-    for other, frame in ((robot, "foot"), (robot, "world"), (Robot.from_mjcf(ARM), "rail")):
+    with warned(UserWarning):
+        assert robot.contact_points("foot") == robot.contact_points("toe")
+    for other, frame in ((robot, "world"), (Robot.from_mjcf(ARM), "rail")):
         with refused(ArgumentError):
             other.contact_points(frame)
     assert len(Robot.from_mjcf(FREE).contact_points("*")) == 10  # what stands apart from the base is none of it

@@ -117,8 +117,13 @@ class Massless(NamedTuple):
     def __getattr__(self, name: str) -> Any:
         """Methods of the robot that do not depend on masses."""
         if name in DYNAMICS:
-            raise SingularInertiaError(f"robot {self.name!r} has no dynamics: {MASSLESS}", MASSLESS)
+            raise no_dynamics(self.name)
         return getattr(self.robot, name)
+
+
+def no_dynamics(name: str) -> SingularInertiaError:
+    """Error for dynamics of the robot with a name, which moves no mass."""
+    return SingularInertiaError(f"robot {name!r} has no dynamics: {MASSLESS}", MASSLESS)
 
 
 def posed(

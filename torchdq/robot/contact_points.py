@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from itertools import product
 from typing import Any, NamedTuple
@@ -16,6 +17,8 @@ from torchdq.robot.description import Shape
 from torchdq.robot.model import RobotModel
 
 DIGITS = 12  # of a centre [m]
+MOST_NAMED = 5  # shapes that are left out
+ROUND = ("sphere", "capsule")  # shapes whose points have a radius
 
 
 class ContactPoint(NamedTuple):
@@ -31,7 +34,9 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
     """Contact points of the collision elements of a URDF file, or of the geoms of an MJCF file, on some frames.
 
     A sphere is one point with its radius, a capsule two at its ends, a box its eight corners, and a cylinder four on
-    each of its rims. Only geoms that take part in contacts count. What lies between the points does not touch.
+    each of its rims. Where a frame has spheres, boxes and cylinders beside them are left out: every point costs time.
+    Only geoms that take part in contacts count. What lies between the points does not touch. A warning names what was
+    left out, meshes and other shapes without such points, too.
 
     Args:
         robot: the robot.
@@ -40,7 +45,7 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
 
     Raises:
         UnknownNameError: no frame with collision elements has such a name.
-        ArgumentError: a collision element is a mesh, or another shape that has no such points.
+        ArgumentError: all of these collision elements are meshes, or other shapes that have no such points.
 
     >>> import torchdq
     >>> sphere = '<collision><origin xyz="0 0 -0.1"/><geometry><sphere radius="0.02"/></geometry></collision>'
@@ -52,20 +57,30 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
     known = {frame.name for frame in robot.frames if frame.shapes}
     known |= {shape.name for frame in robot.frames for shape in frame.shapes if shape.name}
     chosen = matching("pattern", pattern, sorted(known), f"frame with collision elements of robot {robot.name!r}")
-    found = []
+    found: list[ContactPoint] = []
+    others: dict[str, str] = {}  # shapes that are left out, and their frames
     for frame in robot.frames:
-        for shape in frame.shapes:
-            if frame.name in chosen or shape.name in chosen:
-                points = _points(shape)
-                if points is None:
-                    raise ArgumentError(
-                        f"collision elements of {frame.name!r} of robot {robot.name!r} must be spheres, capsules, "
-                        f"boxes or cylinders, whose points can touch, found {shape.kind}; give points instead, as in "
-                        f"ContactPoint({frame.name!r}, center=(0.0, 0.0, 0.0), radius=0.02), or put a sphere into the "
-                        "file"
-                    )
-                radius = shape.size[0] if shape.kind in ("sphere", "capsule") else 0.0
-                found += [ContactPoint(frame.name, _placed(shape.X_FS, p), radius) for p in points]
+        own = [x for x in frame.shapes if frame.name in chosen or x.name in chosen]
+        kinds = ROUND if any(x.kind == "sphere" for x in own) else (*ROUND, "box", "cylinder")
+        taken = [x for x in own if x.kind in kinds]
+        others |= {f"{x.kind} on {frame.name!r}": frame.name for x in own if x not in taken}
+        for shape in taken:
+            radius = shape.size[0] if shape.kind in ROUND else 0.0
+            found += [ContactPoint(frame.name, _placed(shape.X_FS, p), radius) for p in _points(shape)]
+    shown = ", ".join([*others][:MOST_NAMED]) + (f" and {more} more" if (more := len(others) - MOST_NAMED) > 0 else "")
+    if not found:
+        raise ArgumentError(
+            f"collision elements of {pattern!r} of robot {robot.name!r} must be spheres, capsules, boxes or cylinders, "
+            f"whose points can touch, found {shown}; give points instead, as in "
+            f"ContactPoint({next(iter(others.values()))!r}, center=(0.0, 0.0, 0.0), radius=0.02), or put a sphere into "
+            "the file"
+        )
+    if others:
+        warnings.warn(
+            f"contact points of robot {robot.name!r}, {len(found)}, leave out {shown}: meshes have no points, and "
+            "spheres serve for boxes and cylinders beside them",
+            stacklevel=2,
+        )
     return tuple(found)
 
 
@@ -86,18 +101,16 @@ def points_of(robot: RobotModel, points: Any) -> tuple[ContactPoint, ...]:
     return tuple(found)
 
 
-def _points(shape: Shape) -> list[Pure] | None:
-    """Points of a shape in its own axes; None: it has none."""
+def _points(shape: Shape) -> list[Pure]:
+    """Points of a shape in its own axes."""
     if shape.kind == "sphere":
         return [quat.ZERO]
     if shape.kind == "capsule":
         return [(0.0, 0.0, z) for z in (-shape.size[1], shape.size[1])]
     if shape.kind == "box":
         return [*product(*((-x, x) for x in shape.size))]
-    if shape.kind == "cylinder":
-        a, h = shape.size
-        return [(x, y, z) for z in (-h, h) for x, y in ((-a, 0.0), (0.0, -a), (0.0, a), (a, 0.0))]
-    return None
+    a, h = shape.size  # of a cylinder
+    return [(x, y, z) for z in (-h, h) for x, y in ((-a, 0.0), (0.0, -a), (0.0, a), (a, 0.0))]
 
 
 def _placed(X: DualQuaternion, p: Pure) -> Pure:

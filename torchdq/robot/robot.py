@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from inspect import signature
 from os import PathLike
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, get_args
@@ -18,7 +19,7 @@ from torchdq.algebra.inertia import six
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import frozen, require_choice
 from torchdq.base.sources import file_name
-from torchdq.errors import ArgumentError, DescriptionError, no_attribute
+from torchdq.errors import ArgumentError, DescriptionError, UnknownNameError, no_attribute
 from torchdq.program.transforms import any_requires_grad
 from torchdq.robot import from_dh as dh
 from torchdq.robot import from_name as named
@@ -210,8 +211,9 @@ class Robot(RobotModel):
         Raises:
             MissingLibraryError: xacrodoc is not installed.
             DescriptionError: the file cannot be expanded, or it expands to no usable URDF.
-            UnknownNameError: the file has no such argument, or as `from_urdf`.
+            UnknownNameError: the file or `from_urdf` has no such argument, or as `from_urdf`.
         """
+        _require_options("from_xacro", options, cls.from_xacro, cls.from_urdf)
         with _named(path):
             return cls.from_urdf(xacro_file.expanded(path, arguments, packages), **options)
 
@@ -228,10 +230,12 @@ class Robot(RobotModel):
 
         Raises:
             MissingLibraryError: robot_descriptions is not installed, or what reads the file.
-            UnknownNameError: there is no description of that name.
+            UnknownNameError: there is no description of that name, or no such argument.
             DescriptionError: the description cannot be fetched, or as the function that reads the file.
         """
         file = named.file_of(name)
+        reader: Callable[..., Robot] = getattr(cls, f"from_{file.format}")
+        _require_options("from_name", options, reader, *([cls.from_urdf] if file.format == "xacro" else []))
         if file.format == "mjcf":
             return cls.from_mjcf(file.path, **options)
         if file.format == "urdf":
@@ -373,6 +377,15 @@ class Robot(RobotModel):
         bodies = [link.inertia for link in self.tree().links if link.inertia is not None]
         numbers = [x for body in bodies for x in (body.mass, *body.first, *six(body.rotational))]
         return torch.stack(torch.broadcast_tensors(*numbers), -1) if numbers else self.mass
+
+
+def _require_options(caller: str, options: Mapping[str, Any], *readers: Callable[..., Robot]) -> None:
+    """Raise, by the name of the function that was called, unless the functions that read the file take the options."""
+    known = [name for reader in readers for name in signature(reader).parameters]
+    known = [name for name in known if name not in ("source", "path", "options")]
+    for name in options:
+        if name not in known:
+            raise UnknownNameError(f"argument of Robot.{caller}", name, known)
 
 
 @contextmanager

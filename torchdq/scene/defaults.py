@@ -12,9 +12,11 @@ from torch import Tensor
 from torchdq import effects as kinds
 from torchdq.effects import Effect
 from torchdq.effects.effect import owned
+from torchdq.functions.posed import no_dynamics
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.model import batches
+from torchdq.robot.tree import massless
 from torchdq.scene.model import SceneModel
 
 ROTOR = 0.1  # where a description has none; common for geared arms [kg m^2 or kg]
@@ -27,7 +29,12 @@ def default_effects(robot: Robot) -> tuple[Effect, ...]:
     Parameters are those of the description. Missing rotor inertia and damping are `ROTOR` and `DAMPING`, because small
     joints without them would exceed realistic speeds. Motors have a torque-speed limit if torque and velocity limits of
     all joints are known; otherwise torques are only saturated. A torque limit of zero, as in many files, is none.
+
+    Raises:
+        SingularInertiaError: nothing of the robot has mass, whose motion would be that of these rotors alone.
     """
+    if massless(robot):
+        raise no_dynamics(robot.name)
     limits, rotors = robot.limits, owned(robot, robot.armature)
     torque = limits.effort.where(limits.effort > 0, math.inf)
     found: list[Effect] = [

@@ -103,10 +103,44 @@ def test_limits_in_degrees_are_suspected(lower, upper):
 
 @pytest.mark.parametrize(
     "lower, upper, kind",
-    [(-6.3, 6.3, "revolute"), (-10, 10, "revolute"), (-1e16, 1e16, "revolute"), (-170, 170, "continuous")],
+    [
+        *((-x, x, "revolute") for x in (6.3, 10, 31.4, 62.83, 99, 100, 314.159, 628.3185, 999, 1e3, 1e16)),
+        (-math.inf, math.inf, "revolute"),
+        (-170, 170, "continuous"),
+    ],
 )
 def test_limits_of_some_turns_and_those_that_stand_for_none_are_not_suspected(lower, upper, kind, silent):
     torchdq.Robot.from_urdf(hinge(lower, upper, kind))
+
+
+def legged(*ends):
+    """Text of a chain of turning joints with these limits on both sides."""
+    rows = [link("l0", None)]
+    for i, end in enumerate(ends):
+        limit = f'<limit lower="-{end}" upper="{end}" velocity="1" effort="1"/>'
+        rows += [
+            link(f"l{i + 1}", 1),
+            joint(f"j{i}", f"l{i}", f"l{i + 1}", xyz=(0.3, 0, 0), axis=(0, 1, 0), more=limit),
+        ]
+    return urdf(*rows)
+
+
+@pytest.mark.parametrize(
+    "ends, suspected",
+    [
+        ((1.57, 3.14, 50), set()),  # the others are in rad
+        ((1.57, 2.0, 3.0, 30, 30, 720), {"j3", "j4", "j5"}),
+        ((170, 120, 170, 5), {"j0", "j1", "j2"}),  # a narrow one in degrees
+        ((170, 100, 120), {"j0", "j2"}),
+        ((170.5, 90, 135, 110), {"j0", "j1", "j2", "j3"}),
+    ],
+)
+def test_wide_limits_mean_none_where_most_are_in_rad(ends, suspected):
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        robot = torchdq.Robot.from_urdf(legged(*ends))
+    assert {subject.split("'")[1] for _, subject in suspicions(robot)} == suspected
+    assert len(said) == bool(suspected)
 
 
 def table(a=0.3, d=0.2, n=2, **bodies):

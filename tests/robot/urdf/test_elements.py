@@ -4,12 +4,16 @@ import math
 import re
 import time
 import tracemalloc
+import warnings
 
+import numpy as np
+import pinocchio as pin
 import pytest
 import torch
 from messages import refused, warned
-from urdf_text import ENTRIES, LIMIT, also, arm, fixed, joint, link, torques, urdf
+from urdf_text import ENTRIES, LIMIT, also, arm, fixed, joint, link, same, states, torques, urdf, words
 
+import torchdq
 from torchdq import DescriptionError, Robot
 
 ENDLESS = 10.0  # seconds of this thread: what is refused at once takes less than one
@@ -45,6 +49,10 @@ WRONG = {  # code of the fault: words of the arm's file, and others in their pla
         *(('mass value="1.0"', f'mass value="{x}"') for x in NOT_NUMBERS),
         *(('xyz="0.02 -0.03 0.1"', f'xyz="{x}"') for x in NOT_THREE),
         *((f'{key}="', f'{key}="nan') for key in (*ENTRIES, "velocity", "effort", "lower", "upper")),
+        *((f'{key}="', f'{key}="inf') for key in (*ENTRIES, "lower")),  # "inf2" is no number
+        ('0.3" rpy="0.0 0.0 0.0"', '0.3" quat_xyzw="0 0 nan 1"'),
+        ('0.3" rpy="0.0 0.0 0.0"', '0.3" quat_xyzw="0 0 inf 1"'),
+        ('0.3" rpy="0.0 0.0 0.0"', '0.3" quat_xyzw="0 0 1"'),
         ("<mass value=", "<mass volume="),
         (' ixy="', ' xyi="'),
         ('0.1" rpy="', '0.1" rpy="nan'),
@@ -63,7 +71,8 @@ WRONG = {  # code of the fault: words of the arm's file, and others in their pla
         ('xyz="0.02 -0.03 0.1"', 'xyz="0 0 -1e60"'),
     ],
     "axis.zero": [('xyz="0.0 1.0 0.0"', f'xyz="{x}"') for x in ("0 0 0", "1e-10 0 0", "-0 0 0", "1e-320 0 0")],
-    "origin.quaternion": [('<origin xyz="0.0 0.0 0.3"', '<origin quat_xyzw="0 0 0 1" xyz="0 0 0.3"')],
+    "origin.zero": [('0.3" rpy="0.0 0.0 0.0"', '0.3" quat_xyzw="0 0 0 0"')],
+    "origin.twice": [('<origin xyz="0.0 0.0 0.3"', '<origin quat_xyzw="0 0 0 1" xyz="0 0 0.3"')],
 }
 
 
@@ -188,6 +197,99 @@ def test_limits_that_no_motion_can_keep_are_none_and_are_warned_of(given):
     assert tuple(x[0].item() for x in robot.limits) == UNUSABLE[given]
     assert ("limits.unusable", "joint 'shoulder'") in {(x.code, x.subject) for x in robot.notes}
     assert torch.equal(torques(robot), torques(arm()))
+
+
+NONE = math.inf
+ENDLESS_LIMITS = {  # words of the limits of a joint, and what they are
+    'lower="-inf" upper="inf" velocity="inf" effort="inf"': (-NONE, NONE, NONE, NONE),
+    'lower="-Infinity" upper="+INF" velocity="1e400" effort="Inf"': (-NONE, NONE, NONE, NONE),
+    'lower="-1e999" upper="2" velocity="3" effort="4"': (-NONE, 2.0, 3.0, 4.0),
+    'lower="-1" upper="infinity" velocity="3" effort="inf"': (-1.0, NONE, 3.0, NONE),
+}
+
+
+@pytest.mark.parametrize("given", ENDLESS_LIMITS)
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_an_infinite_limit_is_none(given, kind):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        text = arm().replace(LIMIT, f"<limit {given}/>", 1).replace('type="revolute"', f'type="{kind}"', 1)
+        robot = Robot.from_urdf(text)
+    assert tuple(x[0].item() for x in robot.limits) == ENDLESS_LIMITS[given]
+    if given.startswith('lower="-inf"'):
+        missing = Robot.from_urdf(text.replace(f"<limit {given}/>", "", 1))
+        assert all(torch.equal(a, b) for a, b in zip(robot.limits, missing.limits, strict=True))
+    assert robot.to_urdf(text) == text
+    # others are written beside it
+    heavier = robot.replace(mass=2 * robot.mass).to_urdf(text)
+    assert tuple(x[0].item() for x in Robot.from_urdf(heavier).limits) == ENDLESS_LIMITS[given]
+
+
+def test_an_infinite_limit_of_a_joint_that_does_not_move_is_nothing():
+    limit = '<limit lower="-inf" upper="inf" velocity="inf" effort="inf"/>'
+    for kind in ("fixed", "continuous", "floating"):
+        extra = link("more") + joint("more_joint", "base", "more", kind, more=limit)
+        assert Robot.from_urdf(also(extra), base="fixed").n == 2 + (kind == "continuous")
+        assert faults(also(extra.replace("inf", "nan")))[0] == ("number.invalid", "joint 'more_joint'")
+
+
+@pytest.mark.parametrize(
+    "given", ['lower="inf" upper="inf"', 'lower="-inf" upper="-inf"', 'lower="-1" upper="2" effort="-inf"']
+)
+def test_an_infinite_limit_that_no_motion_can_keep_is_warned_of_as_a_finite_one(given):
+    with warned(UserWarning):
+        robot = Robot.from_urdf(arm().replace(LIMIT, f"<limit {given}/>", 1))
+    assert ("limits.unusable", "joint 'shoulder'") in {(x.code, x.subject) for x in robot.notes}
+    assert robot.limits.upper[0] > robot.limits.lower[0] and robot.limits.effort[0] == math.inf
+
+
+def test_inverse_kinematics_takes_limits_on_one_side():
+    text = arm().replace('lower="-1" upper="2"', 'lower="-inf" upper="0.5"', 1)
+    robot = Robot.from_urdf(text)
+    X = torchdq.forward_kinematics(robot, torch.tensor([-5.0, 0.5], dtype=torch.float64), "lower")
+    found = torchdq.inverse_kinematics(robot, X, "lower", axes=("x",))
+    assert bool(found.converged) and found.q[0] <= 0.5 and bool(found.q.isfinite().all())
+
+
+# --- origins ---------------------------------------------------------------------------------------------------------
+
+Q = np.random.default_rng(2).normal(size=(3, 4))  # x y z w, of any length
+PLACED = urdf(
+    link("base", None),
+    link("upper").replace('rpy="0.0 0.0 0.0"', f'quat_xyzw="{words(Q[0])}"'),
+    link("lower", 0.5).replace('rpy="0.0 0.0 0.0"', f'quat_xyzw="{words(1e-3 * Q[1])}"'),
+    joint("shoulder", "base", "upper", axis=(0, 1, 0), xyz=(0, 0, 0.3)).replace(
+        'rpy="0.0 0.0 0.0"', f'quat_xyzw="{words(1e3 * Q[2])}"'
+    ),
+    fixed("mount", "upper", "lower", (0.1, 0, 0.4)).replace('rpy="0.0 0.0 0.0"', f'quat_xyzw="{words(Q[0])}"'),
+).replace("<robot", '<robot version="1.1"')
+
+
+def test_origins_turned_by_quaternions_are_those_of_pinocchio():
+    """x y z w of any length, of joints and of bodies; and written back, with another inertia, they stay."""
+    robot, model = Robot.from_urdf(PLACED), pin.buildModelFromXML(PLACED)
+    for q, qd, qdd in zip(*(x.tolist() for x in states(1)), strict=True):
+        theirs = pin.rnea(model, model.createData(), *(np.array(x) for x in (q, qd, qdd)))
+        assert same(
+            torchdq.inverse_dynamics(robot, *(torch.tensor(x, dtype=torch.float64) for x in (q, qd, qdd))), theirs
+        )
+    other = robot.replace(inertia=1.25 * robot.inertia)
+    text = other.to_urdf(PLACED)
+    assert text.count("quat_xyzw") == 4 and "rpy" not in text
+    assert same(torques(Robot.from_urdf(text)), torques(other), 1e-13)
+
+
+def test_shapes_are_placed_by_quaternions():
+    rod = '<collision><origin xyz="1 0 0" {}/><geometry><capsule radius="0.1" length="2"/></geometry></collision>'
+    for turn in ('quat_xyzw="0 3 0 3"', f'rpy="0 {math.pi / 2} 0"'):
+        text = also(link("rod", more=rod.format(turn)) + fixed("f", "lower", "rod"))
+        assert [x.center for x in Robot.from_urdf(text).contact_points("rod")] == [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)]
+
+
+@pytest.mark.parametrize("word", ["quat", "quat_wxyz", "quat_xyz"])
+def test_a_quaternion_in_other_words_is_warned_of(word):
+    with warned(UserWarning):
+        Robot.from_urdf(PLACED.replace("quat_xyzw", word))
 
 
 @pytest.mark.case("U3", "U8")

@@ -1,5 +1,6 @@
 """URDF files that are written back: only the numbers that were changed differ, and read again they are the robot's."""
 
+import warnings
 from functools import partial
 
 import oracles
@@ -167,3 +168,66 @@ def test_a_faulty_original_is_refused_as_by_the_reader():
         read(TEXT).to_urdf("<robot")
     with refused(torchdq.DescriptionError):
         read(TEXT).to_urdf(TEXT.replace('damping="0.1"', 'damping="-1"'))
+
+
+# --- repairs ---------------------------------------------------------------------------------------------------------
+
+FLAT = ("0.1", "0.1", "0.25")  # principal moments that break the triangle inequality
+NEGATIVE = ("0.1", "0.2", "-0.05")
+EDITS = {
+    "as it was read": lambda robot: robot,
+    "with a payload": lambda robot: robot.with_tip("hand").with_payload(0.2, (0, 0, 0.1)),
+    "heavier": lambda robot: robot.replace(mass=1.5 * robot.mass),
+    "in single precision": lambda robot: robot.to(torch.float32),
+    "with other limits": lambda robot: robot.replace(limits=robot.limits._replace(upper=robot.limits.upper + 1)),
+}
+
+
+def unsound(moments, turn="", links=("upper", "tool", "hand")):
+    """An arm some of whose links, among them two on fixed joints, have inertias that no body has."""
+    rows = []
+    for name in ("base", "upper", "tool", "hand"):
+        xx, yy, zz = moments if name in links else ("0.1", "0.1", "0.1")
+        inertia = f'<inertia ixx="{xx}" ixy="0" ixz="0" iyy="{yy}" iyz="0" izz="{zz}"/>'
+        rows.append(
+            f'<link name="{name}"><inertial><origin xyz="0.1 0 0" {turn}/><mass value="1"/>{inertia}</inertial></link>'
+        )
+    ends = '<parent link="{}"/><child link="{}"/><origin xyz="0 0.1 0.2" rpy="1 2 3"/>'
+    rows.append(
+        f'<joint name="j" type="revolute">{ends.format("base", "upper")}<axis xyz="0 1 0"/><limit upper="1"/></joint>'
+    )
+    rows += [
+        f'<joint name="to_{b}" type="fixed">{ends.format(a, b)}</joint>'
+        for a, b in (("upper", "tool"), ("tool", "hand"))
+    ]
+    return urdf(*rows)
+
+
+@pytest.mark.parametrize("edit", EDITS)
+@pytest.mark.parametrize("moments", [FLAT, NEGATIVE], ids=["triangle", "negative"])
+@pytest.mark.parametrize("links", [("tool",), ("upper", "tool", "hand")], ids=len)
+def test_a_repaired_robot_that_is_written_has_nothing_to_repair(moments, edit, links):
+    text = unsound(moments, 'rpy="0.1 0.2 0.3"', links)
+    robot = EDITS[edit](torchdq.Robot.from_urdf(text, on_unphysical="repair"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        again = torchdq.Robot.from_urdf(robot.to_urdf(text))
+    assert not [x for x in again.notes if x.code.startswith("inertia.")]
+    again.check()
+    require_equal(again.to(robot.mass.dtype), robot)
+
+
+def test_a_repaired_floating_base_is_written():
+    text = unsound(FLAT, 'quat_xyzw="0.1 0.2 0.3 0.9"', ("base", "hand"))
+    robot = torchdq.Robot.from_urdf(text, base="floating", on_unphysical="repair")
+    again = torchdq.Robot.from_urdf(robot.to_urdf(text), base="floating", on_unphysical="error")
+    assert not [x for x in again.notes if x.code.startswith("inertia.")]
+    require_equal(again, robot)
+
+
+def test_only_inertias_of_repaired_links_are_written():
+    text = unsound(FLAT, links=("tool",))
+    written = torchdq.Robot.from_urdf(text, on_unphysical="repair").to_urdf(text)
+    before, after = (x.replace(" />", "/>").replace(" >", ">").split("<link ") for x in (text, written))
+    assert [a.split('"')[1] for a, b in zip(before, after, strict=True) if a != b] == ["tool"]
+    assert torchdq.Robot.from_urdf(text, on_unphysical="ignore").to_urdf(text) == text

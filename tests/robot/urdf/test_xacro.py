@@ -88,6 +88,30 @@ def test_files_that_expand_to_no_robot_are_refused(tmp_path, k):
         torchdq.Robot.from_xacro(tmp_path / "robot.xacro")
 
 
+MACRO = '<xacro:macro name="part" params="n"><link name="${n}"/></xacro:macro>'
+ALONE = [
+    f"<robot {HEAD}>{MACRO}</robot>",
+    f'<robot name="r" {HEAD}>{MACRO}<xacro:property name="x" value="1"/><material name="grey"/></robot>',
+    f'<robot {HEAD}><xacro:include filename="more.xacro"/></robot>',
+]
+
+
+@pytest.mark.parametrize("text", ALONE)
+def test_a_file_of_macros_alone_is_refused_with_the_file_to_expand(tmp_path, text):
+    (tmp_path / "more.xacro").write_text(ALONE[0])
+    (tmp_path / "parts.xacro").write_text(text)
+    with refused(torchdq.DescriptionError) as caught:
+        torchdq.Robot.from_xacro(tmp_path / "parts.xacro")
+    assert "expand the file that calls them" in str(caught.value)
+
+
+def test_options_are_refused_by_the_function_that_was_called(folder):
+    for options in ({"args": {"mass": 3}}, {"on_unphysica": "warn"}, {"source": "x"}):
+        with refused(torchdq.UnknownNameError) as caught:
+            torchdq.Robot.from_xacro(folder / "rod.xacro", **options)
+        assert "Robot.from_xacro" in str(caught.value) and "from_urdf" not in str(caught.value)
+
+
 def test_a_path_is_needed(tmp_path):
     for path in ("<robot/>", tmp_path / "none.xacro"):
         with refused((torchdq.ArgumentError, torchdq.errors.MissingFileError)):

@@ -23,6 +23,7 @@ TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about s
 # Moments of inertia that are rounding, of a mass m: a ball as dense as osmium has 1e-3 m^(5/3).
 POINT = 1e-14
 NOTHING = 1e-30  # the same without mass [kg m^2]: a bacterium has a hundred times more
+REPAIRED = "inertia.repaired"
 INDEFINITE, MASSLESS, TRIANGLE = "inertia.indefinite", "inertia.massless", "inertia.triangle"
 MISSHAPEN = (INDEFINITE, TRIANGLE)  # not physically consistent; a repair takes the nearest inertias that are
 EXPECTED = {
@@ -105,7 +106,7 @@ def repaired(links: Sequence[str], mass: Tensor, inertia: Tensor) -> tuple[Tenso
         before, after = (_listed(torch.linalg.eigvalsh(I)) for I in (inertia[i], new[i]))
         part = float((new[i] - inertia[i]).norm() / inertia[i].norm())
         change = f"inertia repaired by {100 * part:.3g} %, principal moments {before} to {after} kg m^2"
-        notes.append(Finding("inertia.repaired", f"link {link!r}", change, severity="note", value=part))
+        notes.append(Finding(REPAIRED, f"link {link!r}", change, severity="note", value=part))
     return new, notes
 
 

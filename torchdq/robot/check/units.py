@@ -23,6 +23,8 @@ from torchdq.robot.model import RobotModel, factors
 # sizes of bodies, where files have placeholders such as 1 kg m^2 in a humanoid, of 1.6.
 TURN = 2 * math.pi + 1e-5  # largest angle of a placement [rad]; degrees are larger
 TURNS = (20.0, 720.0)  # limits of a turning joint [rad] that are suspected; those of 1000 and more stand for none
+WHOLE = 0.05  # distance of a limit from whole turns [rad]: 31.4 are five
+NO_LIMIT = (99.0, 100.0)  # the same on both sides, by which files mean none [rad]
 STEP = 20.0  # distance of a joint from the next [m]
 FAR = 10.0  # distance of a centre of mass from its frame, in lengths of the robot
 SLENDER = 100.0  # the same in radii of gyration, for a bob on a string
@@ -59,15 +61,25 @@ def diagnostics(robot: RobotModel) -> list[Finding]:
             i = int(spread.argmax())
             radius = math.sqrt(float(spread.sum() / mass.sum()))
             bodies.append(_inertia(subjects[i], radius, length, "of all links together", "g m^2 or in kg cm^2"))
+    return [*found, *_degrees(robot), *bodies]
+
+
+def _degrees(robot: RobotModel) -> Iterator[Finding]:
+    """Suspicions about limits of turning joints: wide ones, but for those that mean none.
+
+    These are the same on both sides, and some round number or whole turns; or most limits are below a turn.
+    """
     kinds = dict(zip(robot.every_joint, robot.kinds, strict=True))
-    for name, *ends in zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True):
-        # a coordinate without a joint of its own moves several
-        if name in kinds and KINDS[kinds[name]].turns and any(TURNS[0] < abs(x) <= TURNS[1] for x in ends):
-            shown = f"{ends[0]:g} to {ends[1]:g}"
-            found.append(
-                Finding("units.degrees", f"joint {name!r}", "limits must be in rad", shown, "are they in degrees?")
-            )
-    return [*found, *bodies]
+    rows = zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True)
+    # a coordinate without a joint of its own moves several
+    ends = {name: x for name, *x in rows if name in kinds and KINDS[kinds[name]].turns}
+    wide = {name: x for name, x in ends.items() if any(TURNS[0] < abs(end) <= TURNS[1] for end in x)}
+    narrow = [x for x in ends.values() if 0 < max(map(abs, x)) <= TURN]
+    for name, (lower, upper) in wide.items():
+        turns = abs(math.remainder(upper, 2 * math.pi)) < WHOLE and upper % 1
+        if lower != -upper or not (upper in NO_LIMIT or turns or len(narrow) > len(wide)):
+            shown = f"{lower:g} to {upper:g}"
+            yield Finding("units.degrees", f"joint {name!r}", "limits must be in rad", shown, "are they in degrees?")
 
 
 def of_payload(robot: RobotModel, body: RigidBody) -> list[Finding]:

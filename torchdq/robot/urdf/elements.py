@@ -21,7 +21,7 @@ ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 PLANAR = ("x", "y", "angle")  # ends of the names of the joints that a planar joint is made of
 MOST_CHARACTERS = 1_000  # longest name
 UNLIMITED = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
-_NUMBER = re.compile(r"[+-]?((\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|inf(inity)?)", re.ASCII | re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?((\d++(\.\d*+)?|\.\d++)(e[+-]?\d++)?|inf(inity)?)", re.ASCII | re.IGNORECASE)
 
 
 class Origin(NamedTuple):

@@ -42,7 +42,7 @@ def read(
         lines = "\n  ".join(map(str, faults))
         raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *faults)
     moves, lock_notes = locked(found, still_free, coupled, kept, lock)
-    judged, findings = _physical(found, repair)
+    judged, findings = physical(found, repair)
     shapes = {x.get("name", ""): tuple(map(_shape, x.findall("collision"))) for x in root.findall("link")}
     segments = [x._replace(shapes=shapes.get(x.name, ())) for x in segments_of(judged, tree.root, moves)]
     carried = None if tree.free is None else [segment.name for segment in segments].index(tree.free.child)
@@ -60,7 +60,7 @@ def read(
     return described(found.name, links, moves, floating, (*unphysical, *lock_notes, *notes))
 
 
-def _physical(file: Elements, repair: bool) -> tuple[Elements, dict[str, list[Finding]]]:
+def physical(file: Elements, repair: bool) -> tuple[Elements, dict[str, list[Finding]]]:
     """Bodies whose inertias are not rounding, and are repaired on request; by link, faults and notes of changes."""
     links = {name: body for name, body in file.links.items() if body and name not in file.unreadable}
     names = tuple(links)

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra.inertia import RigidBody
+from torchdq.algebra.inertia import RigidBody, Six
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.bodies import NOTHING, merged
+from torchdq.robot.check import consistency
 from torchdq.robot.description import Base
 from torchdq.robot.edit.changed import (
     ChangedBody,
@@ -24,7 +25,7 @@ from torchdq.robot.edit.changed import (
 from torchdq.robot.model import RobotModel, factors
 from torchdq.robot.urdf.document import text_of
 from torchdq.robot.urdf.elements import ENTRIES, Inertial, elements
-from torchdq.robot.urdf.read import read
+from torchdq.robot.urdf.read import physical, read
 from torchdq.robot.urdf.segments import body_of, pose
 from torchdq.robot.xml_text import add, parsed, written
 
@@ -35,9 +36,10 @@ def to_urdf(robot: RobotModel, original: Any) -> str:
     Only masses, centres of mass, inertias, damping, friction and limits that differ from the file's are written, with
     all their digits; all other elements and the comments stay. If nothing differs, the text is the original. A link
     that carries others on fixed joints takes on all that changed of their common body, so that the others stay as they
-    are: read again, the text gives the robot, with mimic="independent" if it was read so: <mimic> stays in the text;
-    and with the same `joints` if it was read with some of them, links beyond the others being carried as on fixed
-    joints at zero. Gravity and the tip are not part of a URDF file.
+    are; inertias that were repaired are each written on their own link. Read again, the text gives the robot, with
+    mimic="independent" if it was read so: <mimic> stays in the text; and with the same `joints` if it was read with
+    some of them, links beyond the others being carried as on fixed joints at zero. Gravity and the tip are not part of
+    a URDF file.
 
     Args:
         robot: the robot, with all joints of the file, or those that it was read with.
@@ -55,7 +57,7 @@ def to_urdf(robot: RobotModel, original: Any) -> str:
     >>> print(robot.replace(mass=1.5 * robot.mass).to_urdf(text)[33:89])
     <link name="b"><inertial><mass value="3.0" /></inertial>
     """
-    text = text_of(original)
+    text = _with_repairs(robot, text_of(original))
 
     def read_as(text: str, **options: Any) -> RobotModel:
         base: Base = "fixed" if robot.base_mass is None else "floating"
@@ -85,6 +87,20 @@ def to_urdf(robot: RobotModel, original: Any) -> str:
     return result
 
 
+def _with_repairs(robot: RobotModel, text: str) -> str:
+    """Text with the inertias that were repaired when the robot was read, those of links on fixed joints, too."""
+    subjects = {x.subject for x in robot.notes if x.code == consistency.REPAIRED}
+    if not subjects:
+        return text
+    root, file = parsed(text, whole=True), elements(parsed(text))
+    repaired = physical(file, repair=True)[0].links
+    for link in root.findall("link"):
+        name = link.get("name", "")
+        if f"link {name!r}" in subjects and (new := repaired[name]) is not None and new != file.links[name]:
+            _set_inertia(link.find("inertial"), new.inertia)
+    return written(root, text)
+
+
 def _write_body(
     links: Mapping[str, ET.Element], described: Mapping[str, Inertial | None], first: RobotModel, changed: ChangedBody
 ) -> None:
@@ -104,7 +120,7 @@ def _write_body(
         moments = new["inertia"]
         if own is not None and (r := pose(own.origin)[0]) != quat.ONE:  # axes of the inertia
             moments = RigidBody(0.0, quat.ZERO, moments).moved((quat.conj(r), (0.0,) * 4)).inertia
-        _set(inertial, "inertia", dict(zip(ENTRIES, map(repr, moments), strict=True)))
+        _set_inertia(inertial, moments)
     if "mass" in new:
         _set(inertial, "mass", {"value": repr(new["mass"])})
     if "com" in new:
@@ -121,6 +137,11 @@ def _set(parent: ET.Element, tag: str, attributes: Mapping[str, str]) -> None:
     """Write attributes of the first child with a tag, which may be missing."""
     child = parent.find(tag)
     (add(parent, tag) if child is None else child).attrib.update(attributes)
+
+
+def _set_inertia(inertial: Any, moments: Six) -> None:
+    """Write the inertia of an <inertial>, in its axes."""
+    _set(inertial, "inertia", dict(zip(ENTRIES, map(repr, moments), strict=True)))
 
 
 def _write_joint(joint: ET.Element, change: ChangedJoint, shared: bool) -> None:

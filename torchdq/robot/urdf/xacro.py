@@ -41,7 +41,7 @@ def expanded(path: Any, arguments: Any, packages: Any, defaults: Mapping[str, st
     xacro = imported("xacro", "xacro", *ASKED_BY)
     if not isinstance(path, str | PathLike) or fsdecode(path).lstrip().startswith("<"):
         raise ArgumentError(f"path must be the path of a xacro file, with its includes in place, found {path!r:.300}")
-    content("xacro file", path, MOST_BYTES, DescriptionError, MissingFileError)
+    source = content("xacro file", path, MOST_BYTES, DescriptionError, MissingFileError)
     file = Path(located(fsdecode(path), MissingFileError))
     own = {} if arguments is None else _strings("arguments", arguments)
     given = Arguments({**(defaults or {}), **own})
@@ -56,6 +56,8 @@ def expanded(path: Any, arguments: Any, packages: Any, defaults: Mapping[str, st
     for name in own:
         if name not in given.asked:
             raise UnknownNameError(f"argument of {str(file)!r}", name, given.asked, every=True)
+    if not document.getElementsByTagName("link") and b"<xacro:" in source.data:
+        raise DescriptionError(f"{str(file)!r} only defines macros, and no link; expand the file that calls them")
     return document.toxml()
 
 
