@@ -203,12 +203,12 @@ def closed_form(
 def coriolis_matrix(
     robot: Robot, X_WB: Tensor, q: Tensor, V_WB_B: Tensor, qd: Tensor, backend: BackendName | None = None
 ) -> Tensor:
-    """Coriolis matrix C [..., 6 + n, 6 + n]: C v = c with v = (V_WB_B, qd), and dM/dt = C + C^T.
+    """Coriolis matrix C [..., 6 + n, 6 + n]: C v = c for v = (V_WB_B, qd), and dM/dt = C + C^T.
 
-        C = 1/2 (dc/dv + M ad),   ad w = [v, w], the bracket (w_v x w_w, w_v x v_w + v_v x w_w) of twists of the base
+        C = 1/2 (dc/dv + M [v, .])   with the bracket of twists [V, W] = (w_V x w_W, w_V x v_W + v_V x w_W) of the base
 
-    These are Christoffel symbols in the frame of the base: C(v) w - C(w) v = M [v, w], as of a connection without
-    torsion. Pinocchio's `computeCoriolisMatrix` has the first two properties, and other entries.
+    so that C(v) w - C(w) v = M [v, w]. Pinocchio's `computeCoriolisMatrix` has other entries, and the same C v and
+    dM/dt.
 
     Args:
         robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`; the matrix depends on X_WB only through its batch axes.
@@ -216,8 +216,8 @@ def coriolis_matrix(
     >>> import torch, torchdq
     >>> robot, X_WB = torchdq.robots.load("go2"), torch.eye(8, dtype=torch.float64)[0]
     >>> q, V, qd = (torch.linspace(-1.0, 1.0, k, dtype=torch.float64) for k in (12, 6, 12))
-    >>> c = closed_form(robot, X_WB, q, V, qd).c
-    >>> torch.allclose(coriolis_matrix(robot, X_WB, q, V, qd) @ torch.cat([V, qd]), c)
+    >>> C = coriolis_matrix(robot, X_WB, q, V, qd)
+    >>> torch.allclose(C @ torch.cat([V, qd]), closed_form(robot, X_WB, q, V, qd).c)
     True
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}

@@ -65,8 +65,7 @@ def inverse_kinematics(
     they stall, the next start is taken, a point of one sequence that fills the limits evenly and is the same for all
     rows, so that a row has the same result in every batch. A row that cannot be reached has `converged` False, and the
     q whose error has the smallest norm: damped steps lead to it from the best of all starts and from eight of them. Of
-    an X farther than a kilometre only the direction counts, and the error is to scale. X that is not finite gives NaN;
-    none raises.
+    an X farther than a kilometre the direction counts, and the error is to scale. Of an X that is not finite q is NaN.
 
     Gradients in X and in tensors of the robot are those of the solution that was found, by its implicit function: of
     the smallest change of q where it is not unique, which may lead a joint that stands at a limit beyond it. They are

@@ -180,7 +180,8 @@ def test_friction_of_an_impact_is_mu_times_its_normal_impulse(dt):
     normal, tangential = linear[:, 2] + speeds + G * T, 8.0 - linear[:, 0]
     ratio = tangential / (0.2 * normal)
     assert (ratio <= 1.05).all()
-    assert (ratio[firmness <= 1] >= 0.98).all() and (ratio[firmness < 1] <= 1.02).all()  # beyond, it may touch for a step or two
+    # beyond, it may touch for a step or two
+    assert (ratio[firmness <= 1] >= 0.98).all() and (ratio[firmness < 1] <= 1.02).all()
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.8])

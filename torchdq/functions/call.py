@@ -127,14 +127,11 @@ def on_links(
     backend: BackendName | None,
 ) -> list[Tensor]:
     """Results of wrenches [..., 6] at frames, by the name of their frame."""
-    known = require_robot(robot).frame_names
-    if not isinstance(wrenches, Mapping) or not wrenches:
-        found = "none" if isinstance(wrenches, Mapping) else type(wrenches).__name__
-        raise ArgumentError(f"wrenches must be a dictionary of wrenches by the name of their frame, found {found}")
-    names = names_of("wrenches", tuple(wrenches), known, f"frame of robot {robot.name!r}")
+    if not (isinstance(wrenches, Mapping) and wrenches):
+        raise ArgumentError(f"wrenches must be a dictionary of wrenches by the name of their frame, found {wrenches!r}")
+    options = options_of(require_robot(robot), name, (expressed, *wrenches))
     batch = common_batch([(f"wrenches[{x!r}]", F, (6,), False) for x, F in wrenches.items()], "")
     rows = torch.stack([F.expand(*batch, 6) for F in wrenches.values()], -2)
-    options = options_of(robot, name, (expressed, *names))
     return function_of(name, robot, {**given, "wrenches": rows}, backend, options)
 
 

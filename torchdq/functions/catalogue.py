@@ -168,11 +168,7 @@ _OF_AXES = {  # third option: axes of a frame
     *("inverse_kinematics_newton", "differential_inverse_kinematics", "contact_force"),
 }
 # arguments that a result is differentiated by
-DERIVATIVES = {
-    "inverse_dynamics_jacobian": ("q", "qd"),
-    "coriolis_matrix": ("qd",),
-    "floating.coriolis_matrix": ("V_WB_B", "qd"),
-}
+DERIVATIVES = {"inverse_dynamics_jacobian": ("q", "qd"), "coriolis_matrix": ("V_WB_B", "qd")}
 
 
 class _Call(NamedTuple):
@@ -278,12 +274,10 @@ def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
 
     known = recipe.formulas if recipe.each else alternatives_to_record(robot.n, recipe.formulas)
     best = min(map(by, known), key=lambda p: p.count().total)
-    wrt = DERIVATIVES.get(what.name)
-    if wrt is None:
-        return best
-    by_arguments = [k for k, a in enumerate(taken) if a.name in wrt]
-    found = derive.jacobian(best, by_arguments)
-    return _square(found, arguments, sum(taken[k].width for k in by_arguments)) if "coriolis" in what.name else found
+    wrt = [k for k, a in enumerate(taken) if a.name in DERIVATIVES.get(what.name.removeprefix(FLOATING), ())]
+    if what.name.endswith("coriolis_matrix"):
+        return _square(derive.jacobian(best, wrt), arguments, sum(taken[k].width for k in wrt))
+    return derive.jacobian(best, wrt) if wrt else best
 
 
 def _square(blocks: Program, arguments: tuple[Argument, ...], n: int) -> Program:

@@ -130,10 +130,8 @@ def step(x: RecipeInputs, *options: str) -> Results:
     change = _least_norm(free, _factors(free, DAMPING * total + LEAST + curved), wanted)
     moved = [clip(a + d, *bounds) for a, d, bounds in zip(q, change, limits, strict=True)]
     after = k + again
-    once_more = at_least(after, settings[2])
-    number = after - once_more * settings[2]
-    from_best = once_more * at_least(0.0, number)
-    fresh = [select(from_best, b, a) for a, b in zip(start(number, limits), best, strict=True)]
+    number = select(at_least(after, settings[2]), after - settings[2], after)  # 0 after the first: the best
+    fresh = [select(at_least(0.0, number), b, a) for a, b in zip(start(number, limits), best, strict=True)]
     mean = select(at_least(mean, math.inf), FIRST * total, select(last, total, 0.5 * (mean + total)))
     return {
         "q": [select(again, s, select(goes, b, a)) for s, b, a in zip(fresh, moved, q, strict=True)],

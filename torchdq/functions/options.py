@@ -37,9 +37,8 @@ def _frame_and_axes(robot: Robot, *given: str) -> Options:
     return robot.frame(frame).name, expressed
 
 
-def _axes_and_frames(robot: Robot, *given: str) -> Options:
+def _axes_and_frames(robot: Robot, expressed: str = "world", *names: str) -> Options:
     """Axes that wrenches are in, and names of the frames that they are at; none: the tip."""
-    expressed, *names = given or ("world",)
     return expressed, *[_frame_and_axes(robot, x, expressed)[0] for x in names or [robot.end_effector().name]]
 
 

@@ -44,9 +44,6 @@ _levels: Callable[[], list[Any]] = getattr(pyfunctorch, "retrieve_all_functorch_
 _unseen = _private("DisableTorchFunction", nullcontext)
 _jit_state = _private("_get_tracing_state", lambda: None)
 _modes = _private("_len_torch_dispatch_stack", lambda: 1)
-_wrapped = _private("_functorch.is_functorch_wrapped_tensor", lambda x: False)
-_unwrapped = _private("_functorch.get_unwrapped", lambda x: x)
-_batched = _private("_functorch.is_batchedtensor", lambda x: True)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
 
 
@@ -120,12 +117,11 @@ def reversing() -> bool:
 
 
 def mapped(x: Tensor) -> bool:
-    """Whether `torch.func.vmap` maps over a tensor, so that its values cannot be read, as they can in gradients."""
-    while _wrapped(x):
-        if _batched(x):
-            return True
-        x = _unwrapped(x)
-    return False
+    """Whether `torch.func.vmap` maps over a tensor; values can be read under the other transforms."""
+    try:
+        return x.detach().sum().item() is None
+    except RuntimeError:
+        return True
 
 
 def jit_tracing() -> bool:
