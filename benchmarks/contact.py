@@ -266,10 +266,20 @@ def accuracy(files: dict[str, Path], quick: bool) -> list[dict[str, Any]]:
             ("speed of a ball that slid and rolls, over 5/7", "1", _rolled),
             ("depth at rest, over m g / (4 k)", "1", _sunk),
             ("restitution of a ball, c = 0.5 s/m, k = 20 kN/m, 1 m/s", f"{_bounce():.3f}", _bounced),
+            (
+                "friction impulse of a ball that lands at 1 m/s and slides at 8 m/s, over mu times the normal impulse",
+                f"1 ({_impact_of_mujoco():.2f} MuJoCo)",
+                _impact,
+            ),
+            ("the same at a stiffness of 4 m / h^2", "1", lambda h: _impact(h, 4 / h**2)),
+            ("height gained by 64 boxes that tumble down, without friction and damping [mm]", "0", _gained),
             ("friction of a wiping Panda, over mu f_n", "1", _wiped),
             ("height of a jump of Go2 [m]", f"{_jump_of_mujoco(files):.2f} (MuJoCo)", lambda h: _jumped(files, h)),
         )
     ]
+
+
+_CORNERS = [(x, y, z) for x in (-0.2, 0.2) for y in (-0.05, 0.05) for z in (-0.1, 0.1)]
 
 
 def _slope(dt: float, share: float) -> tuple[float, float]:
@@ -316,6 +326,43 @@ def _bounced(dt: float) -> float:
     start = begun(scene, above(0.1001, 1), [0, 0, 0, 0, 0, -1.0])
     after(scene, start, 0.06, lambda state: tops.append(float(state.V_WB_B[0, 5])))
     return max(tops)
+
+
+def _impact(dt: float, k: float = K) -> float:
+    """Momentum that friction took over the first 60 ms, over mu times what the ground gave upwards."""
+    scene = ground(BALL, dt, stiffness=k, friction=0.2)
+    end = after(scene, begun(scene, above(0.1001, 1), [0, 0, 0, 8.0, 0, -1.0]), 0.06)
+    v = dq.rotate(dq.rotation(end.X_WB), end.V_WB_B[:, 3:])[0]
+    return float((8.0 - v[0]) / (0.2 * (v[2] + 1.0 + G * 0.06)))
+
+
+def _impact_of_mujoco() -> float:
+    """The same in MuJoCo, with its default ground, at steps of 2 ms."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="plane" size="0 0 1" friction="0.2"/><body pos="0 0 0.1001"><freejoint/>'
+        '<geom type="sphere" size="0.1" mass="1" friction="0.2"/></body></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    data.qvel[:3] = 8.0, 0.0, -1.0
+    mujoco.mj_step(model, data, 30)
+    return float((8.0 - data.qvel[0]) / (0.2 * (data.qvel[2] + 1.0 + G * 0.06)))
+
+
+def _gained(dt: float) -> float:
+    """Largest height above the start of 64 boxes of low inertia over a second [mm], by their energy."""
+    random, (robot, points) = torch.Generator().manual_seed(0), BOX
+    corners = tuple(ContactPoint(point.frame, (x, y, z)) for point in points[:1] for x, y, z in _CORNERS)
+    light = robot.replace(base_inertia=tensor([0.004, 0.0, 0.006, 0.0, 0.0, 0.008]))
+    scene = ground((light, corners), dt, friction=0.0, dissipation=0.0)
+    turn = torch.nn.functional.normalize(torch.randn(64, 4, generator=random, dtype=F64), dim=-1)
+    state = scene.start(
+        turn.new_zeros(64, 0),
+        X_WB=above(0.6, 64, turn=turn),
+        V_WB_B=torch.randn(64, 6, generator=random, dtype=F64) * tensor([5.0, 5, 5, 1, 1, 1]),
+    )
+    energies: list[Tensor] = []
+    after(scene, state, 1.0, lambda state: energies.append(scene.energy(state).sum(-1)))
+    return max(0.0, 1e3 / G * float((torch.stack(energies) - scene.energy(state).sum(-1)).max()))
 
 
 def _wiped(dt: float) -> float:

@@ -18,7 +18,7 @@ from torchdq.dq.components import form
 from torchdq.dynamics.posed import Row
 from torchdq.envs.actions import Kind
 from torchdq.envs.pose_actions import PoseActions
-from torchdq.envs.pushes import Pushes
+from torchdq.envs.pushes import recorded
 from torchdq.envs.reset import KEPT
 from torchdq.envs.tasks import STATE
 from torchdq.errors import ArgumentError
@@ -44,7 +44,7 @@ class _BlockFields(NamedTuple):
     kind: Kind  # meaning of the actions
     joints: tuple[int, ...]  # that they move
     pose: PoseActions | None  # that they displace instead
-    pushes: tuple[tuple[str, Pushes], ...]
+    pushes: tuple[str, ...]  # inputs that are pushes
     carried: tuple[str, ...]  # rows that a new episode replaces
     asked: tuple[str, ...]  # arguments of the step, in its order
     own: tuple[tuple[str, Shape], ...]  # trailing axes of all arguments but the scene's parameters
@@ -100,8 +100,8 @@ class Block(_BlockFields, Computation):
         before, after = (maximum(k * dt, 0.0) for k in (rows["steps"][0], rows["steps"][0] + 1.0))
         found |= {GIVEN + name: row for name, row in meant.items()}
         found |= {GIVEN + "action": action, GIVEN + "time": [after], "over": []}
-        for name, pushes in self.pushes:
-            found[GIVEN + name], found[AFTER + name], over = pushes.recorded(before, rows[name], rows[SPARE + name])
+        for name in self.pushes:
+            found[GIVEN + name], found[AFTER + name], over = recorded(before, rows[name], rows[SPARE + name])
             found["over"] = [*found["over"], over]
         return found
 

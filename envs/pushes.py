@@ -11,12 +11,13 @@ from torch import Tensor
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import is_number
 from torchdq.dynamics.posed import Row
-from torchdq.envs.rng import Streams
+from torchdq.envs.rng import Streams, ranged
 from torchdq.envs.row_selection import SomeRows
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import at_least, select
 
-WIDTH = 7  # numbers of a push: its wrench, and the time at which it begins, or after which it does
+DRAWS = 7  # random numbers of a push
+WIDTH = 8  # numbers of a push: its wrench, and the times at which it begins and ends, or after which it does
 
 
 @dataclass(frozen=True)
@@ -47,27 +48,27 @@ class Pushes:
             raise ArgumentError(f"every of Pushes must be (shortest, longest), and duration above 0, found {self}")
 
     def drawn(self, u: Tensor) -> Tensor:
-        """Wrench and waiting time of a push [k, 7], of random numbers [k, 7]."""
-        first, last = self.every
-        wrench = [size * (2.0 * x - 1.0) for size, x in zip(self.wrench, u[:, :6].unbind(1), strict=True)]
-        return torch.stack([*wrench, first + (last - first) * u[:, 6]], 1)
+        """Wrench of a push, and times to its begin and end [k, 8], of random numbers [k, 7]."""
+        push = ranged(u, [*((-size, size) for size in self.wrench), self.every])
+        return torch.cat([push, push[:, 6:] + self.duration], 1)
 
     def at(
         self, time: Tensor, push: Tensor, streams: Streams, some: Callable[[Tensor], SomeRows]
     ) -> tuple[Tensor, Tensor, Streams]:
-        """Wrench [N, 6] at a time [N], the next push [N, 7], drawn again where one is over, and the streams."""
-        rows = some(time >= push[:, 6] + self.duration)
-        u, after = streams.rows(rows).uniform(WIDTH, push.dtype)
+        """Wrench [N, 6] at a time [N], the next push [N, 8], drawn again where one is over, and the streams."""
+        rows = some(time >= push[:, 7])
+        u, after = streams.rows(rows).uniform(DRAWS, push.dtype)
         drawn = self.drawn(u)
-        drawn[:, 6] += rows.of(time)
+        drawn[:, 6:] += rows.of(time)[:, None]
         push = rows.replaced(push, drawn)
         acts = time >= push[:, 6]
         return torch.where(acts[:, None], push[:, :6], 0.0), push, streams.with_rows(rows, after)
 
-    def recorded(self, time: Number, push: Row, following: Row) -> tuple[Row, Row, Number]:
-        """Wrench, next push, and whether that is `following`, of recorded numbers."""
-        over = at_least(time, push[6] + self.duration)
-        taken = [*following[:6], following[6] + time]
-        push = [select(over, a, b) for a, b in zip(taken, push, strict=True)]
-        acts = at_least(time, push[6])
-        return [select(acts, x, 0.0) for x in push[:6]], push, over
+
+def recorded(time: Number, push: Row, following: Row) -> tuple[Row, Row, Number]:
+    """Wrench at a time, next push, and whether that is `following`, of recorded numbers."""
+    over = at_least(time, push[7])
+    taken = [*following[:6], *(x + time for x in following[6:])]
+    push = [select(over, a, b) for a, b in zip(taken, push, strict=True)]
+    acts = at_least(time, push[6])
+    return [select(acts, x, 0.0) for x in push[:6]], push, over

@@ -95,17 +95,17 @@ class Span(NamedTuple):
         return self.distribution.icdf(u).to(u)
 
 
+Drawn = tuple["Randomised", ...]  # all that is drawn
 Owned = tuple[int, str]  # a parameter: ROBOT, CONTROLLER, or position among the scene's effects; and its name
 
 
 class Randomised(NamedTuple):
     """Parameters of a scene, of equal shapes, that are drawn together for every episode: one draw per number."""
 
+    name: str  # in `randomise`
     bases: dict[Owned, Tensor]  # [N, ...]
-    span: Span
-    how: Literal[
-        "factor", "shift", "absolute"
-    ]  # what is drawn multiplies the bases, is added to them, or replaces them
+    span: Span = Span(torch.ones(()), torch.ones(()))
+    how: Literal["factor", "shift", "absolute"] = "factor"  # what is drawn multiplies the bases, is added, or replaces
 
     @property
     def width(self) -> int:
@@ -172,8 +172,8 @@ KINDS: dict[str, tuple[type[Effect], str]] = {
 SHORT = ("com", "friction", "gains", *KINDS)
 
 
-def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) -> tuple[Scene, tuple[Randomised, ...]]:
-    """Scene with a row of parameters per environment, its sensors last, and the parameters to draw.
+def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) -> tuple[Scene, Scene, Drawn]:
+    """Scene with all that carries what is drawn, the same with a row of it per environment, and the parameters to draw.
 
     Args:
         scene: effects that are missing are added for "mass", "payload" and "delay".
@@ -181,35 +181,59 @@ def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) 
         num_envs: number of environments.
         like: a tensor whose dtype and device the parameters have.
     """
-    if not isinstance(randomise, Mapping):
-        raise ArgumentError(f"randomise must be a dict such as {{'mass': 0.1}}, found {randomise!r}")
+    _require_mapping(randomise)
     for name in randomise:
         if name not in (known := (*SHORT, *_parameters(_parts(scene)))):
             raise UnknownNameError("parameter to randomise", name, known, every=True)
-    spans = {name: _span(name, randomise[name], like) for name in sorted(randomise)}
-    scene, own = _with_effects(scene, spans)
+    scene, own = _with_effects(scene, {name: _span(name, randomise[name], like) for name in sorted(randomise)})
     drawn: list[Randomised] = []
     taken: dict[Owned, str] = {}
-    for name, span in spans.items():
-        absolute = isinstance(randomise[name], Absolute) or name in ADDED
-        how: Literal["factor", "shift", "absolute"] = "shift" if name == "com" else "absolute" if absolute else "factor"
-        found = []
+    for name in sorted(randomise):
         for parameters in _targets(scene, own, name):
             for parameter in parameters:
                 if (other := taken.setdefault(parameter, name)) != name:
                     raise ArgumentError(f"randomise: {other!r} and {name!r} both change {parameter[1]}; leave one out")
-            found.append(Randomised({p: _base(scene, p, num_envs, like) for p in parameters}, span, how))
-        if how == "factor" and not any(bool(x.any()) for r in found for x in r.bases.values()):
-            raise ArgumentError(f"randomise[{name!r}] is a factor of zeros and would change nothing; leave it out")
-        for r in found:
+            drawn.append(Randomised(name, {p: _base(scene, p, num_envs, like) for p in parameters}))
+    rows = {f"{owner}.{name}": x.clone() for r in drawn for (owner, name), x in r.bases.items()}
+    simulated = scene.with_parameters(rows) if rows else scene
+    return scene, simulated, with_ranges(scene, drawn, randomise, like)
+
+
+def with_ranges(scene: Scene, drawn: Sequence[Randomised], randomise: Randomise, like: Tensor) -> Drawn:
+    """Parameters to draw in a scene without them, with the ranges of `randomise`; others keep theirs."""
+    _require_mapping(randomise)
+    found = list(drawn)
+    for name, given in randomise.items():
+        at = [k for k, r in enumerate(drawn) if r.name == name]
+        if not at:
+            raise ArgumentError(
+                f"randomise[{name!r}] needs another program, since these environments draw "
+                f"{', '.join(dict.fromkeys(r.name for r in drawn)) or 'nothing'}; make them with it, at first with a "
+                "range of a single value, such as (1.0, 1.0)"
+            )
+        span, absolute = _span(name, given, like), name in ADDED or isinstance(given, Absolute)
+        how: Any = "shift" if name == "com" else "absolute" if absolute else "factor"
+        for k in at:
+            found[k] = r = drawn[k]._replace(span=span, how=how)
             if r.span.shape not in ((), (1,), (r.width,)):
                 raise ArgumentError(
                     f"randomise[{name!r}] must have one range, or {r.width} of them, found the shape {r.span.shape}"
                 )
-        drawn += found
-    _require_allowed(scene, drawn, taken, num_envs)
-    rows = {f"{owner}.{name}": x.clone() for r in drawn for (owner, name), x in r.bases.items()}
-    return (scene.with_parameters(rows) if rows else scene), tuple(drawn)
+        most = [effect.steps for effect in scene.effects if isinstance(effect, DrawnDelay)]
+        if name == "delay" and span.upper > most[0]:
+            raise ArgumentError(
+                f"randomise['delay'] needs another program above {most[0]} steps, found {span.upper:g}; begin with more"
+            )
+        if how == "factor" and not any(bool(x.any()) for k in at for x in drawn[k].bases.values()):
+            raise ArgumentError(f"randomise[{name!r}] is a factor of zeros and would change nothing; leave it out")
+    _require_allowed(scene, found)
+    return tuple(found)
+
+
+def _require_mapping(randomise: Any) -> None:
+    """Raise unless what is drawn is given by name."""
+    if not isinstance(randomise, Mapping):
+        raise ArgumentError(f"randomise must be a dict such as {{'mass': 0.1}}, found {randomise!r}")
 
 
 # --- names -----------------------------------------------------------------------------------------------------------
@@ -326,25 +350,25 @@ def _absolute(what: str, x: Absolute, like: Tensor) -> Span:
     return Span(like.new_tensor(ends[0]), like.new_tensor(ends[1]))
 
 
-def _require_allowed(scene: Scene, drawn: Sequence[Randomised], names: Mapping[Owned, str], num_envs: int) -> None:
+def _require_allowed(scene: Scene, drawn: Sequence[Randomised]) -> None:
     """Raise if an effect or the controller refuses some of what may be drawn together.
 
     Args:
         scene: the scene without what is drawn.
-        drawn: what is drawn.
-        names: names in `randomise` of the parameters that are drawn.
-        num_envs: number of environments; samples are tried in all of them if their other numbers differ.
+        drawn: what is drawn; samples are tried in all environments if their other numbers differ.
     """
     if not drawn:
         return
     bases = {parameter: x for r in drawn for parameter, x in r.bases.items()}
+    names = {parameter: r.name for r in drawn for parameter in r.bases}
     parts = {i: part for i, part in _parts(scene).items() if any(i == owner for owner, _ in bases)}
     batched = {
         i: {name: x for name, x in part.tensors().items() if x.ndim > len(part.SHAPES[name]) and len(x) > 1}
         for i, part in parts.items()
     }
     differ = any(batched.values()) or any(x.stride(0) for x in bases.values())
-    number, like = num_envs if differ else 1, next(iter(bases.values()))
+    like = next(iter(bases.values()))
+    number = len(like) if differ else 1
     for u in _samples(drawn, like).split(max(1, TRIED // number)):
         rows = Indexed(torch.arange(number, device=like.device).repeat(len(u)))
         columns = u.repeat_interleave(number, 0).split([r.width for r in drawn], 1)

@@ -12,9 +12,9 @@ from torch import Tensor
 from torchdq.backends.choice import choose
 from torchdq.backends.precision import run
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.envs.pushes import WIDTH, Pushes
+from torchdq.envs.pushes import DRAWS, WIDTH, Pushes
 from torchdq.envs.randomization import Randomised
-from torchdq.envs.rng import Streams, seeded
+from torchdq.envs.rng import Streams, ranged, seeded
 from torchdq.envs.row_selection import Masked, SomeRows
 from torchdq.envs.tasks import Checked
 from torchdq.envs.torch_task import Functions, require_finite_start
@@ -64,9 +64,11 @@ class Reset:
         """
         task, own, looks = self.checked.task, self.functions, not isinstance(rows, Masked)
         draws = [task.draws(self.robot), 0 if own is None else own.task.draws]
-        widths = [*draws, *[r.width for r in self.randomised], *[WIDTH] * len(self.pushes), self.scene.noises]
+        widths = [*draws, *[r.width for r in self.randomised], *[DRAWS] * len(self.pushes), self.scene.noises]
         u, after = streams.column(STARTS).uniform(sum(widths), dtype)
         u, u_own, *drawn, noise = u.split(widths, 1)
+        if spans := task.spans():
+            u = torch.cat([u[:, : -len(spans)], ranged(u[:, -len(spans) :], spans)], 1)
         begun, drawn = drawn[len(self.randomised) :], drawn[: len(self.randomised)]
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)

@@ -77,6 +77,11 @@ class Streams(NamedTuple):
         return Streams(*(rows.replaced(own, new) for own, new in zip(self, streams, strict=True)))
 
 
+def ranged(u: Tensor, ranges: Sequence[tuple[float, float]]) -> Tensor:
+    """Random numbers [k, n] in (0, 1) as numbers in ranges, one for each column."""
+    return torch.stack([a + (b - a) * x for (a, b), x in zip(ranges, u.unbind(1), strict=True)], 1)
+
+
 def seeds_of(seed: Any, rows: int) -> list[int | None]:
     """Seed of every row, from one number s, which is s + i in row i, or from one or None for each row."""
     each = isinstance(seed, Sequence) and not isinstance(seed, str | bytes)

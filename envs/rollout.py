@@ -12,7 +12,7 @@ from torchdq.backends.loop_call import repeat
 from torchdq.base.checks import require_tensor
 from torchdq.envs.actions import Actions
 from torchdq.envs.block import FLAGS, INFO, NEXT, SPARE, WEIGHT, Block
-from torchdq.envs.pushes import WIDTH
+from torchdq.envs.pushes import DRAWS
 from torchdq.envs.reset import KEPT, NOISE, PUSHED, STARTS, Reset
 from torchdq.envs.rng import Streams
 from torchdq.envs.row_selection import Indexed
@@ -113,7 +113,7 @@ class Blocks:
         streams, following = Streams(buffers["key"], buffers["counter"]), self._following(buffers)
         names = (*STATE, "goal", *KEPT, *pushes, *self.reset.drawn)
         given = {name: buffers[name] for name in names if name in buffers}
-        spare = [streams.column(k).uniform(WIDTH, like.dtype) for k, _ in enumerate(pushes, PUSHED)]
+        spare = [streams.column(k).uniform(DRAWS, like.dtype) for k, _ in enumerate(pushes, PUSHED)]
         own = {NEXT + name: following[name] for name in given}
         own |= {SPARE + name: push.drawn(u) for (name, push), (u, _) in zip(pushes.items(), spare, strict=True)}
         shared = {"limit": like.new_tensor([self.limit]), "unit": like.new_tensor([unit]), "scale": self.actions.scale}
@@ -150,7 +150,7 @@ class Blocks:
         inputs += meant.get(kind, [kind])
         state = [name for name in STATE if name in scene.spec.state]
         asked = (*state, *inputs, *self.reset.pushes, *(["noise"] if scene.noises else []), *scene.parameters)
-        pushes, stage = tuple(self.reset.pushes.items()), Stage(scene.spec, "step", checked)
+        pushes, stage = tuple(self.reset.pushes), Stage(scene.spec, "step", checked)
         return Block(stage, policy.form, kind, self.actions.joints, self.actions.pose, pushes, carried, asked, own)
 
     def _following(self, buffers: Mapping[str, Tensor]) -> dict[str, Tensor]:

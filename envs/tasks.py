@@ -64,7 +64,8 @@ class EpisodeTask(Task, Protocol):
 
     A task is recorded once, when its first environment is reset, and its numbers are part of the program from then on.
     Its class and its fields tell programs apart: make a number that may change a field. A change of anything else, such
-    as a global or an attribute of the class, has no effect until `torchdq.clear_caches()`.
+    as a global or an attribute of the class, has no effect until `torchdq.clear_caches()`. A field that only `spans`
+    reads is no part of the program: `field(compare=False)` says so, and `ArmVectorEnv.set` changes it.
     """
 
     POINT: ClassVar[bool] = True
@@ -77,11 +78,19 @@ class EpisodeTask(Task, Protocol):
         """
         return {}
 
+    def described(self, robot: Robot) -> EpisodeTask:
+        """The task with what it takes from a robot, such as the number of its feet."""
+        return self
+
     def draws(self, robot: Robot) -> int:
         """Number of random numbers that an episode starts from."""
 
+    def spans(self) -> Sequence[tuple[float, float]]:
+        """Ranges (least, largest) of the last of these numbers, such as commands; others are in (0, 1)."""
+        return ()
+
     def start(self, robot: Robot, u: Row) -> Rows:
-        """Rows "q", "qd" and "goal" of random numbers in (0, 1), and of a floating base "X_WB" and "V_WB_B".
+        """Rows "q", "qd" and "goal" of these random numbers, and of a floating base "X_WB" and "V_WB_B".
 
         A base whose pose and twist are left out starts at the origin and at rest.
         """

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal
@@ -44,7 +45,7 @@ from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of, pose_of_actions, with_controller
 from torchdq.envs.block import WORST
 from torchdq.envs.pushes import Pushes
-from torchdq.envs.randomization import Randomise, randomised
+from torchdq.envs.randomization import Randomise, randomised, with_ranges
 from torchdq.envs.reset import KEPT, NOISE, PUSHED, Reset, task_inputs
 from torchdq.envs.rng import Streams, seeds_of
 from torchdq.envs.rollout import Blocks, Rollout, rollout_of, stepped
@@ -65,7 +66,7 @@ from torchdq.scene.policies import Network
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
-_HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
+_HELD = ("observation", "finished")  # buffers that callers may hold, and that are never written into
 _RESTORED = (*STATE, *KEPT)  # buffers set back after a failed step
 
 
@@ -81,7 +82,8 @@ class ArmVectorEnv(VectorEnv):
 
     Args:
         num_envs: number of environments.
-        task: "reach", "track", "wipe", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
+        task: "reach", "track", "walk" or "wipe", an object like those of `torchdq.envs.tasks`, or a
+            `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed or a floating base; it needs an
             end effector to reach. None: a Panda, or a Go2 to walk.
         effects: effects of the scene; None: those of the task, or `torchdq.scene.defaults.default_effects(robot)`.
@@ -166,10 +168,9 @@ class ArmVectorEnv(VectorEnv):
         require_choice("output", output, ("torch", "numpy"))
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
-        functions = task if isinstance(task, TorchTask) else None
         own = ROBOT if isinstance(task, TorchTask) else getattr(task_of(task), "ROBOT", ROBOT)
         self.robot = _robot_of(own if robot is None else robot)
-        self.task = task_of(task.recorded_for(self.robot) if isinstance(task, TorchTask) else task)
+        self.task = _described(task, self.robot)
         given = {"effects": effects, "scale": scale, "substeps": substeps, "randomise": randomise, "pushes": pushes}
         chosen = dict(self.task.defaults(mean_robot(self.robot))) if effects is None else {}
         chosen |= {name: x for name, x in given.items() if x is not None}
@@ -197,19 +198,16 @@ class ArmVectorEnv(VectorEnv):
         }
         scene = with_controller(scene, kind, controller)
         pose = pose_of_actions(scene.controller, leash)
-        self._pushes: Mapping[str, Pushes] = chosen.get("pushes", {})
-        _check_scene(scene, num_envs, self._pushes)
-        self.scene, self._randomised = randomised(scene.to(self.device), chosen.get("randomise", {}), num_envs, like)
+        pushed: Mapping[str, Pushes] = chosen.get("pushes", {})
+        _check_scene(scene, num_envs, pushed)
+        drawn = chosen.get("randomise", {})
+        self._nominal, self._scene, drawn = randomised(scene.to(self.device), drawn, num_envs, like)
         if kind == kind_of(None, self.robot, joints, scene.effects):
             scale = chosen.get("scale")  # of the actions that the task is made for
         size = torch.as_tensor(full(self.robot, kind, scale, joints, pose)).to(like)
         self._actions = Actions(kind, self.robot, joints, size, pose)
-        self._checked = Checked(self.task, pose)
-        self._functions = None if functions is None else Functions.of(functions, self.robot, self.scene, self.device)
-        self._reset = Reset(self.scene, self._checked, self._randomised, self._pushes, self._functions)
-        bounds = functions.bounds if functions and functions.bounds is not None else self.task.bounds(self.robot)
-        low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
-        self.single_observation_space = Box(low, high, dtype=low.dtype.type)
+        self._reset = Reset(self._scene, Checked(self.task, pose), drawn, pushed, self._functions(task))
+        self.single_observation_space = self._observed(task)
         self.single_action_space = Box(-1.0, 1.0, (len(self._actions.names),), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -390,7 +388,7 @@ class ArmVectorEnv(VectorEnv):
     def _recorded(self, policy: Any) -> Network | None:
         """Policy that can be part of a program together with the steps; None: it cannot."""
         same = self.autoreset_mode == AutoresetMode.SAME_STEP and self.render_mode != "human"
-        simple = same and self._looks and self._functions is None and loops(self.scene, self.state)
+        simple = same and self._looks and self._reset.functions is None and loops(self._scene, self._state)
         try:
             return Network(policy, ("observation",)) if simple and isinstance(policy, torch.nn.Sequential) else None
         except ArgumentError:  # other layers
@@ -415,7 +413,7 @@ class ArmVectorEnv(VectorEnv):
 
         if self._painter is None:
             kind = Painter if self.render_mode == "rgb_array" else Viewer
-            self._painter = kind(self.scene)
+            self._painter = kind(self._scene)
         none, q, goal = [None] * self.num_envs, self._buffers["q"].cpu(), self._buffers["goal"].cpu()
         target = goal if goal.shape[1] == 3 and self.task.POINT else none
         X_WB = self._buffers["X_WB"].cpu() if self.robot.floating else none
@@ -424,12 +422,65 @@ class ArmVectorEnv(VectorEnv):
             return None
         return tuple(self._painter.frame(q[i], target[i], X_WB=X_WB[i]) for i in range(self.num_envs))
 
+    def set(
+        self,
+        *,
+        task: str | EpisodeTask | TorchTask | None = None,
+        randomise: Randomise | None = None,
+        pushes: Mapping[str, Pushes] | None = None,
+    ) -> None:
+        """Change what episodes are drawn from, as a curriculum does, without a new program.
+
+        Functions of a `TorchTask` for reward, observation and end act from the next step, pushes from the next one on,
+        and all else from the next episode of a row. `get_state` has none of it; a captured CUDA graph does not change.
+
+        Args:
+            task: the same task with other commands, which its `spans` reads, or functions of tensors; None: no change.
+            randomise: ranges of parameters that these environments draw; those that are not named keep theirs.
+            pushes: likewise.
+
+        Raises:
+            ArgumentError: it would need another program, such as one for a parameter that was not drawn before.
+
+        >>> from torchdq.envs.walk import Walk
+        >>> envs = ArmVectorEnv(64, Walk(forward=(0.0, 0.3)), "go2")
+        >>> envs.set(task=Walk(forward=(0.0, 1.0)), randomise={"mass": 0.2})
+        """
+        self._open()
+        reset = self._reset
+        if task is not None:
+            described = _described(task, self.robot)
+            if described != self.task or self._observed(task) != self.single_observation_space:
+                other = "observation" if described == self.task else f"program, of {described}"
+                raise ArgumentError(
+                    f"task must have the program and the observation of {self.task}, found another {other}; change its "
+                    "commands or functions of a TorchTask alone, or make other environments"
+                )
+            reset = replace(reset, checked=replace(reset.checked, task=described), functions=self._functions(task))
+        if randomise is not None:
+            reset = replace(reset, randomised=with_ranges(self._nominal, reset.randomised, randomise, self._valid))
+        if pushes is not None:
+            reset = replace(reset, pushes={**reset.pushes, **pushes})
+            _check_scene(self._scene, self.num_envs, reset.pushes)
+        self._reset, self._blocks, self.task = reset, None, reset.checked.task
+
     # --- state ---
 
     @property
+    def scene(self) -> Scene:
+        """Copy of the scene, with the parameters that were drawn for the present episodes."""
+        drawn = {name: x.clone() for name, x in self._reset.drawn.items()}
+        return self._scene.with_parameters(drawn) if drawn else self._scene
+
+    @property
     def state(self) -> State:
-        """State of the environments' scenes, of which `scene` tells more, as `scene.contacts(state)` does."""
+        """Copy of the state of the environments' scenes, of which `scene` tells more: `scene.contacts(state)`."""
         self._started("state")
+        return State(**{name: x.clone() for name, x in self._state.rows().items()})
+
+    @property
+    def _state(self) -> State:
+        """State that is in the buffers."""
         return State(**{name: self._buffers[name] for name in STATE if name in self._buffers})
 
     def get_state(self) -> dict[str, Tensor]:
@@ -472,7 +523,7 @@ class ArmVectorEnv(VectorEnv):
 
     def _saved(self, name: str) -> str:
         """Name of a buffer in a saved state; that of a memory says whose it is, so that no other effect takes it."""
-        owners = ", ".join(type(effect).__name__ for effect in self.scene.effects if effect.memory(self.scene.n))
+        owners = ", ".join(type(effect).__name__ for effect in self._scene.effects if effect.memory(self._scene.n))
         return f"{name} of {owners}" if name == "memory" else name
 
     # --- internals ---
@@ -480,6 +531,16 @@ class ArmVectorEnv(VectorEnv):
     def _open(self) -> None:
         if self.closed:
             raise ClosedEnvironmentError("the environment was closed; make another one")
+
+    def _functions(self, task: str | EpisodeTask | TorchTask) -> Functions | None:
+        """Functions of tensors of a task; None: it has none."""
+        return Functions.of(task, self.robot, self._scene, self.device) if isinstance(task, TorchTask) else None
+
+    def _observed(self, task: str | EpisodeTask | TorchTask) -> Box:
+        """Space of the observations of a task."""
+        bounds = (task.bounds if isinstance(task, TorchTask) else None) or self.task.bounds(self.robot)
+        low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
+        return Box(low, high, dtype=low.dtype.type)
 
     def _started(self, method: str) -> None:
         self._open()
@@ -496,20 +557,20 @@ class ArmVectorEnv(VectorEnv):
         """The task's rows after a step, and the buffers."""
         buffers = dict(self._buffers)
         buffers["steps"] = buffers["steps"] + self._one
-        given = task_inputs(self.task, buffers, self.scene, actions)
+        given = task_inputs(self.task, buffers, self._scene, actions)
         given |= self._actions.inputs(actions, buffers["reference"])
         streams, noise = self._streams(buffers), None
-        for k, (name, pushes) in enumerate(self._pushes.items(), PUSHED):
-            time = self._buffers["steps"].to(self.dtype) * self.scene.dt
+        for k, (name, pushes) in enumerate(self._reset.pushes.items(), PUSHED):
+            time = self._buffers["steps"].to(self.dtype) * self._scene.dt
             given[name], buffers[name], after = pushes.at(time, buffers[name], streams.column(k), self._some)
             streams = streams.with_column(k, after)
-        if self.scene.noises:
-            noise, after = streams.column(NOISE).uniform(self.scene.noises, self.dtype)
+        if self._scene.noises:
+            noise, after = streams.column(NOISE).uniform(self._scene.noises, self.dtype)
             streams = streams.with_column(NOISE, after)
         buffers |= streams._asdict()
-        state, rows = self.scene.advance(self.state, given, noise, self._checked)
-        if self._functions is not None:
-            rows = self._functions.after(self._functions.now(state, buffers["goal"], buffers["steps"], rows, actions))
+        state, rows = self._scene.advance(self._state, given, noise, self._reset.checked)
+        if (functions := self._reset.functions) is not None:
+            rows = functions.after(functions.now(state, buffers["goal"].clone(), buffers["steps"], rows, actions))
         buffers.update(state.rows(), **{name: rows.pop(name) for name in KEPT if name in buffers})
         return rows, buffers
 
@@ -526,8 +587,9 @@ class ArmVectorEnv(VectorEnv):
         """Buffers with new episodes in some rows, and the task's rows at their start."""
         found = dict(buffers)
         fresh, seen = self._reset(rows, self._streams(buffers).rows(rows), self.dtype)
+        held = _HELD if self._reset.functions is None else fresh  # functions see everything
         for name, x in fresh.items():
-            if name in _HANDED_OUT or isinstance(rows, Masked):
+            if name in held or isinstance(rows, Masked):
                 found[name] = rows.replaced(buffers[name], x)
             else:
                 rows.write(buffers[name], x)
@@ -566,6 +628,11 @@ def _robot_of(robot: str | Path | Robot) -> Robot:
                 f"robot.replace({name}=...), or make environments for each robot"
             )
     return found
+
+
+def _described(task: str | EpisodeTask | TorchTask, robot: Robot) -> EpisodeTask:
+    """Recorded task for a robot."""
+    return task_of(task.recorded_for(robot) if isinstance(task, TorchTask) else task).described(robot)
 
 
 def _within_limits(scene: Scene) -> Robot:

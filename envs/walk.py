@@ -1,10 +1,10 @@
-"""Task of a quadruped that walks: it follows commanded velocities on a ground that differs from episode to episode."""
+"""Task of a robot that walks: it follows commanded velocities on a ground that differs from episode to episode."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any, ClassVar
 
@@ -28,9 +28,9 @@ from torchdq.scene.spec import Rows, View
 
 __all__ = ["Walk"]
 
-FULL = 1.5  # full action, an offset of a servo's target [rad]
+FULL = 0.9  # full action, an offset of a servo's target, in m g times the height of the base of its torque
 STAND = {"?L_hip_joint": 0.1, "?R_hip_joint": -0.1, "F?_thigh_joint": 0.8, "R?_thigh_joint": 1.0, "*_calf_joint": -1.5}
-SOFT, LAG = 0.6, 40.0  # gains of the servos: kp in m g times the height of the base per rad, and kp / kd [1/s]
+SOFT, LAG = 0.6, 40.0  # gains of the servos: default stiffness, and kp / kd [1/s]
 ROTOR = 0.01  # rotor inertia where the description has none [kg m^2]
 STEEPEST = 0.6  # cosine of the largest tilt, 53 degrees
 CROUCH = 0.88  # desired height of the base, in heights of the start
@@ -57,14 +57,14 @@ WEIGHTS = {
 
 @dataclass(frozen=True)
 class Walk(EpisodeTask):
-    """Follow a commanded velocity of the base on four feet, from a stand.
+    """Follow a commanded velocity of the base on feet, from a stand.
 
     Goal: forward and sideways velocity [m/s] and yaw rate [rad/s] of the base. Actions: offsets of the targets of the
-    joints' servos from the stand, full ones 1.5 rad. Observation, in the order and with the factors of `SEEN`: velocity
-    of the base and of the goal, angular velocity and yaw rate of the goal, and the direction of gravity, in axes of the
-    base; offsets of the joints from the stand, their velocities, and the last action. Reward: the sum of the terms in
-    `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends where the base tilts by
-    more than 53 degrees or sinks below `lowest`, or where another point of the scene's contacts than a foot touches.
+    servos from the stand, full ones 0.9 / `stiffness` = 1.5 rad. Observation, in the order and with the factors of
+    `SEEN`: velocity of the base and of the goal, angular velocity and yaw rate of the goal, and the direction of
+    gravity, in axes of the base; offsets of the joints from the stand, their velocities, and the last action. Reward:
+    the sum of the terms in `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends
+    where the base tilts by more than 53 degrees or sinks below `lowest`, or where any other contact point touches.
 
     By default the ground's friction is 0.36 to 1.24 and its stiffness differs by a factor of ten, masses differ by up
     to 10 %, and the base is pushed.
@@ -73,9 +73,10 @@ class Walk(EpisodeTask):
         forward, sideways: least and largest commanded velocity [m/s].
         turning: least and largest commanded yaw rate [rad/s].
         stand: position of joints at the stand, by names and patterns; others are at zero [rad].
-        feet: names or patterns of the frames that touch the ground, as `effects.Contact` takes them.
+        feet: names or patterns of the frames that touch the ground, as `effects.Contact` takes them; a frame is a foot.
         fatal: others that touch it, which ends the episode.
         lowest: height of the base at which the episode ends, in heights of the stand.
+        stiffness: kp of the servos, in m g times the height of the base per rad; two feet need 1.5 or more.
         weights: weights that replace those of `WEIGHTS`.
 
     >>> from torchdq.envs import ArmVectorEnv
@@ -89,13 +90,14 @@ class Walk(EpisodeTask):
         **{"velocity": 2.0, "rate": 0.25, "down": 1.0},
         **{"offset": 1.0, "speed": 0.05, "action": 6.0},
     }
-    forward: tuple[float, float] = (0.4, 1.1)
-    sideways: tuple[float, float] = (0.0, 0.0)
-    turning: tuple[float, float] = (-1.0, 1.0)
+    forward: tuple[float, float] = field(default=(0.4, 1.1), compare=False)
+    sideways: tuple[float, float] = field(default=(0.0, 0.0), compare=False)
+    turning: tuple[float, float] = field(default=(-1.0, 1.0), compare=False)
     stand: Any = tuple(STAND.items())
     feet: Any = "*_foot"
     fatal: tuple[Any, ...] = ()
     lowest: float = 0.5
+    stiffness: float = SOFT
     weights: Any = ()
 
     def __post_init__(self) -> None:
@@ -103,6 +105,8 @@ class Walk(EpisodeTask):
             object.__setattr__(self, name, tuple(dict(getattr(self, name)).items()))
         if unknown := dict(self.weights).keys() - WEIGHTS.keys():
             raise ArgumentError(f"weights of Walk must be among {', '.join(WEIGHTS)}, found {', '.join(unknown)}")
+        if not (is_number(self.stiffness) and self.stiffness > 0):
+            raise ArgumentError(f"stiffness of Walk must be a number above 0, found {self.stiffness!r}")
         for name in ("forward", "sideways", "turning"):
             x = getattr(self, name)
             if not (isinstance(x, tuple) and len(x) == 2 and all(map(is_number, x)) and x[0] <= x[1]):
@@ -113,17 +117,17 @@ class Walk(EpisodeTask):
         if not robot.floating:
             raise ArgumentError(f"robot {robot.name!r} must have a floating base to walk; load it with base='floating'")
         weight, effort = WEIGHT * moving_mass(robot), robot.limits.effort
-        kp = SOFT * weight * self.height(robot, self.joints(robot))
+        kp = self.stiffness * weight * self.height(robot, self.joints(robot))
         push = effects.Push(next(frame.name for frame in robot.frames if frame.link == BASE))
         return {
             "effects": (
                 effects.Gravity(),
                 effects.RotorInertia(ROTOR if robot.armature is None else None),
                 effects.Servo(kp, kp / LAG, limit=effort.where(effort > 0, math.inf).tolist()),
-                effects.Contact((self.feet, *self.fatal)),
+                effects.Contact((*self._feet(robot), *self.fatal)),
                 push,
             ),
-            "scale": FULL,
+            "scale": FULL / self.stiffness,
             "substeps": 4,
             "randomise": {"Contact.friction": (0.45, 1.55), "Contact.stiffness": (0.2, 2.0), "mass": 0.1},
             "pushes": {push.name: Pushes((0.3 * weight, 0.3 * weight, 0.0, 0.0, 0.0, 0.0))},
@@ -145,24 +149,35 @@ class Walk(EpisodeTask):
             depths.append(foot.radius - at.position(link, center)[2])
         return reduce(maximum, depths)
 
+    def described(self, robot: Robot) -> Walk:
+        """The task with the contact points of the feet."""
+        return replace(self, feet=self._feet(robot))
+
     def inputs(self, n: int) -> dict[str, int]:
         """Names and widths of the inputs: command and action; last action and velocities, and times in the air."""
-        return {"goal": 3, "action": n, "carry": 2 * n + 4}
+        frames = {point.frame for point in self.feet if isinstance(point, ContactPoint)}
+        if not frames:
+            raise ArgumentError("feet of Walk must be those of a robot; give Walk(...).described(robot)")
+        return {"goal": 3, "action": n, "carry": 2 * n + len(frames)}
 
     def draws(self, robot: Robot) -> int:
         """Number of random numbers that an episode starts from."""
         return robot.n + 9
 
+    def spans(self) -> Sequence[tuple[float, float]]:
+        """Ranges of the command."""
+        return self.forward, self.sideways, self.turning
+
     def start(self, robot: Robot, u: Row) -> Rows:
         """Start near the stand, a foot on the ground, in slow motion, and a command."""
-        n, ranges = robot.n, (self.forward, self.sideways, self.turning)
+        n = robot.n
         q = [x + AROUND * (2.0 * y - 1.0) for x, y in zip(self.joints(robot), u[:n], strict=True)]
         return {
             "q": q,
             "qd": [0.0] * n,
             "X_WB": [*START[:4], 0.0, 0.0, 0.0, 0.5 * self.height(robot, q)],
             "V_WB_B": [SLOW * (2.0 * y - 1.0) for y in u[n : n + 6]],
-            "goal": [a + (b - a) * y for (a, b), y in zip(ranges, u[n + 6 :], strict=True)],
+            "goal": [*u[n + 6 :]],
         }
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
@@ -173,7 +188,7 @@ class Walk(EpisodeTask):
         """Rows as the class states them."""
         robot, n, dt, goal = view.scene.spec.robot, len(view.q), view.scene.spec.dt, view.inputs["goal"]
         X_WB, w, v = (tuple(view.X_WB[:4]), tuple(view.X_WB[4:])), view.V_WB_B[:3], view.V_WB_B[3:]
-        action, carry = view.inputs.get("action", [0.0] * n), view.inputs.get("carry", [0.0] * (2 * n + 4))
+        action, carry = (view.inputs.get(name, [0.0] * self.inputs(n)[name]) for name in ("action", "carry"))
         last, before, air = carry[:n], carry[n : 2 * n], carry[2 * n :]
         passed = dt if "carry" in view.inputs else 0.0
         stand = self.joints(robot)
@@ -219,18 +234,15 @@ class Walk(EpisodeTask):
         }
 
     def _feet(self, robot: Robot) -> tuple[ContactPoint, ...]:
-        """Contact points of the feet; raises unless there are four feet."""
-        found = effects.Contact(self.feet).described(robot).points
-        if (number := len({point.frame for point in found})) != 4:
-            raise ArgumentError(f"feet of Walk must be four frames of robot {robot.name!r}, found {number}")
-        return found
+        """Contact points of the feet."""
+        return effects.Contact(self.feet).described(robot).points
 
     def _touching(self, view: View) -> tuple[list[Number], list[Number]]:
         """Whether each foot touches the ground, 1 or 0, and whether each other point of the contacts does."""
         feet, others = {point.frame: 0.0 for point in self._feet(view.scene.spec.robot)}, []
         points = [point for _, effect in view.scene.spec.of(effects.Contact) for point in effect.points]
         if missing := sorted(feet.keys() - {point.frame for point in points}):
-            found = f"found none of {', '.join(missing)}; add effects.Contact({self.feet!r})"
+            found = f"found none of {', '.join(missing)}; add effects.Contact({missing!r})"
             raise ArgumentError(f"effects of Walk must hold a Contact of every foot, {found}")
         for point, contact in zip(points, view.contacts, strict=True):
             if point.frame in feet:

@@ -1,4 +1,4 @@
-"""Walking, learned on one thread: a quadruped follows commanded velocities after a minute of PPO.
+"""Walking, learned on one thread: a robot with feet follows commanded velocities after a minute of PPO.
 
     python examples/21_walk_ppo.py [--seconds 90] [--seed 0] [--turning 1] [--robot FILE] [--device cuda] [--out FOLDER]
     torchrun --nproc-per-node 4 examples/21_walk_ppo.py
@@ -44,19 +44,41 @@ SPEEDS, EACH = (0.5, 0.75, 1.0), 16  # commands of the test [m/s], and robots wi
 
 
 @dataclass
-class Args(OnDevice):
+class Walker:
+    """Robot that walks, of this and other examples."""
+
+    robot: str = "go2"
+    """Name of a shipped robot, or a URDF or MJCF file of a robot with feet."""
+    stand: tuple[str, ...] = ()
+    """Positions of joints at the stand [rad], by names or patterns: `--stand "*_HAA=0" "?F_HFE=0.7"`."""
+    feet: tuple[str, ...] = ("*_foot",)
+    """Names of the feet."""
+    stiffness: float = 0.6
+    """Stiffness of the servos, in weights times the height of the base per rad."""
+    joints: tuple[str, ...] = ("*",)
+    """Names or patterns of the joints that move; others are locked at zero."""
+
+    def load(self) -> Robot:
+        """The robot, with a floating base; what its file has that no rigid body can have is warned of."""
+        if self.robot in torchdq.robots.names():
+            return torchdq.robots.load(self.robot)
+        read = Robot.from_mjcf if Path(self.robot).suffix == ".xml" else Robot.from_urdf
+        return read(self.robot, base="floating", joints=self.joints, on_unphysical="warn")
+
+    def task(self, **commands: tuple[float, float]) -> Walk:
+        """The task, with its commands."""
+        stand = {name: float(x) for name, x in (pair.split("=") for pair in self.stand)}
+        return Walk(feet=self.feet, stiffness=self.stiffness, **({"stand": stand} if stand else {}), **commands)
+
+
+@dataclass
+class Args(Walker, OnDevice):
     seconds: float = 90.0
     """Processor time to learn in."""
     seed: int = 0
     """Seed of policy and robots."""
     robots: int = 1024
     """Robots of all processes, a multiple of 32 in each."""
-    robot: str = "go2"
-    """Name of a shipped robot, or the file of a quadruped."""
-    stand: tuple[str, ...] = ()
-    """Positions of joints at the stand [rad], by names or patterns: `--stand "*_HAA=0" "?F_HFE=0.7"`."""
-    feet: str = "*_foot"
-    """Names of the feet."""
     forward: tuple[float, float] = (0.4, 1.1)
     """Commanded velocities [m/s]."""
     turning: float = 0.0
@@ -210,9 +232,9 @@ class Test:
         self, task: Walk, robot: Robot, turning: float, device: torch.device | str = "cpu", friction: float = 1.0
     ) -> None:
         # the same parameters as in training, so that the program is the same
+        self.envs = ArmVectorEnv(EACH * len(SPEEDS), task, robot, device=device, max_episode_steps=None)
         same = {"Contact.friction": (friction, friction), "Contact.stiffness": (1.0, 1.0), "mass": (1.0, 1.0)}
-        options = {"randomise": same, "pushes": {"push": Pushes((0.0,) * 6)}, "max_episode_steps": None}
-        self.envs = ArmVectorEnv(EACH * len(SPEEDS), task, robot, device=device, **options)
+        self.envs.set(randomise=same, pushes=dict.fromkeys(task.defaults(robot)["pushes"], Pushes((0.0,) * 6)))
         self.commands = torch.zeros(self.envs.num_envs, 3, device=device)
         self.commands[:, 0] = torch.tensor(SPEEDS).repeat_interleave(EACH)
         self.commands[:, 2] = turning * torch.linspace(-1, 1, EACH).repeat(len(SPEEDS))
@@ -240,10 +262,7 @@ def main(args: Args) -> float | None:
     if "RANK" in os.environ:
         dist.init_process_group("nccl" if args.place.type == "cuda" else "gloo")
     processes, first = (dist.get_world_size(), dist.get_rank() == 0) if dist.is_initialized() else (1, True)
-    shipped = args.robot in torchdq.robots.names()
-    robot = torchdq.robots.load(args.robot) if shipped else Robot.from_urdf(args.robot, base="floating")
-    stand = {"stand": {name: float(x) for name, x in (pair.split("=") for pair in args.stand)}} if args.stand else {}
-    task = Walk(args.forward, turning=(-args.turning, args.turning), feet=args.feet, **stand)
+    robot, task = args.load(), args.task(forward=args.forward, turning=(-args.turning, args.turning))
     robots = args.robots // processes
     learner = PPO(ArmVectorEnv(robots, task, robot, max_episode_steps=1000, device=args.place), args.seed)
     test = Test(task, robot, args.turning, args.place)

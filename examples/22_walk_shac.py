@@ -1,6 +1,6 @@
 """Walking, learned from gradients through contact: short-horizon actor-critic on the compiled steps of a scene.
 
-    python examples/22_walk_shac.py [--seconds 120] [--seed 0] [--stiffness 5000] [--out FOLDER]
+    python examples/22_walk_shac.py [--seconds 120] [--seed 0] [--stiffness 5000] [--robot FILE] [--out FOLDER]
 
 SHAC (J. Xu et al., "Accelerated Policy Learning with Parallel Differentiable Simulation", 2022): rewards of 16 control
 steps, and the value of the state after them, are one function of the policy, differentiated through 64 physical steps.
@@ -16,6 +16,7 @@ import time
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -23,7 +24,6 @@ import torch
 import tyro
 from torch import Tensor, nn
 
-import torchdq
 from torchdq import Scene, dq, effects
 from torchdq.envs.walk import Walk
 
@@ -34,7 +34,7 @@ STD, STEP, SUBSTEPS = 0.74, 0.005, 4  # first standard deviation, and step of th
 
 
 @dataclass
-class Args:
+class Args(ppo.Walker):
     seconds: float = 120.0
     """Processor time to learn in."""
     seed: int = 0
@@ -52,11 +52,11 @@ class Args:
 class Walkers:
     """Robots of the task, differentiable: their state, and what is remembered of it."""
 
-    def __init__(self, robots: int, stiffness: float) -> None:
-        self.task, self.robot = Walk(turning=(0.0, 0.0)), torchdq.robots.load("go2")
+    def __init__(self, robots: int, stiffness: float, walker: Any) -> None:
+        self.task, self.robot = walker.task(turning=(0.0, 0.0)), walker.load()
         chosen = self.task.defaults(self.robot)
         parts = {type(effect): effect for effect in chosen["effects"]}
-        ground = effects.Contact(self.task.feet, stiffness=stiffness)
+        ground = effects.Contact(self.task.described(self.robot).feet, stiffness=stiffness)
         acting = (*(parts[kind] for kind in (effects.Gravity, effects.RotorInertia, effects.Servo)), ground)
         self.scene, self.full = Scene(self.robot, acting, dt=STEP), chosen["scale"]
         self.kp, self.kd = parts[effects.Servo].kp, parts[effects.Servo].kd
@@ -161,7 +161,7 @@ def main(args: Args) -> float | None:
     """Processor time until the policy walks [s]; None: it does not."""
     torch.set_num_threads(1)
     torch.manual_seed(args.seed)
-    walkers = Walkers(args.robots, args.stiffness)
+    walkers = Walkers(args.robots, args.stiffness, args)
     policy = ppo.Policy(walkers.observation().shape[1], walkers.robot.n)
     torch.nn.init.constant_(policy.log_std, torch.tensor(STD).log())
     slow = copy.deepcopy(policy)

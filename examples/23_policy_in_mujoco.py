@@ -1,13 +1,15 @@
-"""A policy that learned to walk here walks in MuJoCo: the same URDF and servos, spheres as feet, another simulator.
+"""A policy that learned to walk here walks in MuJoCo: the same file, servos and feet, another simulator.
 
-    python examples/23_policy_in_mujoco.py [out/walk.pt] [--turning 0.5] [--urdf FILE]
+    python examples/23_policy_in_mujoco.py [out/walk.pt] [--turning 0.5] [--robot FILE]
 
-Nothing of this package simulates or observes: the observation is built from MuJoCo's state, torques are cut at the
-limits of the file, the step is 2 ms. Each line has four runs of 10 s from different starts.
+Nothing of this package simulates or observes: MuJoCo reads the file, the observation is built from MuJoCo's state,
+torques are cut at the limits of the file, the step is 2 ms. The mass matrix must be that of the robot that learned.
+Each line has four runs of 10 s from different starts.
 """
 
 import sys
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -19,12 +21,13 @@ import tyro
 from numpy.typing import NDArray
 from torch import nn
 
-from torchdq import Robot, effects
+from torchdq import Robot, effects, floating
 from torchdq.envs.walk import Walk
 from torchdq.robot.shipped import go2
 
+ppo = import_module("21_walk_ppo")
 STEP, PERIOD = 0.002, 0.02  # of MuJoCo, and between actions [s]
-UNIT = 1 / 6  # output of the policy as an action
+UNIT = ppo.UNIT  # output of the policy as an action
 
 
 class Run(NamedTuple):
@@ -34,38 +37,108 @@ class Run(NamedTuple):
     velocity: NDArray
 
 
+def read(walker: ppo.Walker, robot: Robot) -> mujoco.MjSpec:
+    """Description of a robot whose other joints are locked, of its file.
+
+    Of an MJCF file without actuators. Of a URDF file without meshes, and links on fixed joints are added to those that
+    carry them, as readers of URDF do. Left alone, MuJoCo gives a link without `<inertial>` the mass of its geoms, and
+    refuses one whose inertia no rigid body can have, such as a placeholder, although the sum is sound.
+    """
+    if walker.robot.endswith(".xml"):
+        spec = mujoco.MjSpec.from_file(walker.robot)
+        for part in (*spec.sensors, *spec.keys, *spec.actuators, *locked(spec, robot)):
+            spec.delete(part)
+        return spec
+    urdf = go2.urdf() if walker.robot == "go2" else Path(walker.robot).read_text()
+    compiler = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="true"/></mujoco></robot>'
+    spec = mujoco.MjSpec.from_string(urdf.replace("</robot>", compiler))
+    meshes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
+    for part in (*meshes, *spec.meshes, *locked(spec, robot)):
+        spec.delete(part)
+    for geom in spec.geoms:
+        geom.mass = 0.0
+    for body in reversed(spec.bodies[1:]):  # children before their parents
+        parts = [(body, np.zeros(3), np.eye(3))]
+        parts += [(child, child.pos, rotation(child.quat)) for child in body.bodies if not child.joints]
+        parts = [(part, p, R) for part, p, R in parts if part.mass > 0]
+        if parts:
+            masses, centers = [part.mass for part, _, _ in parts], [p + R @ part.ipos for part, p, R in parts]
+            center = np.average(centers, 0, masses)
+            total = sum(inertia(*part, center) for part in parts)
+            for part, _, _ in parts:
+                part.mass, part.explicitinertial, part.fullinertia[0] = 0.0, False, np.nan
+            body.mass, body.explicitinertial, body.ipos, body.iquat = sum(masses), True, center, [1, 0, 0, 0]
+            body.fullinertia = total[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return spec
+
+
+def locked(spec: mujoco.MjSpec, robot: Robot) -> list[mujoco.MjsJoint]:
+    """Joints that the robot does not have."""
+    known = (*robot.joint_names, *(joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE))
+    return [joint for joint in spec.joints if joint.name not in known]
+
+
+def rotation(quat: NDArray) -> NDArray:
+    """Matrix of a quaternion."""
+    R = np.empty(9)
+    mujoco.mju_quat2Mat(R, quat)
+    return R.reshape(3, 3)
+
+
+def inertia(body: mujoco.MjsBody, p: NDArray, R: NDArray, center: NDArray) -> NDArray:
+    """Rotational inertia of a body at a place, about a point."""
+    xx, yy, zz, xy, xz, yz = body.fullinertia
+    turned, d = R @ rotation(body.iquat), p + R @ body.ipos - center
+    own = turned @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turned.T
+    return own + body.mass * (d @ d * np.eye(3) - np.outer(d, d))
+
+
 class Player:
-    """A quadruped in MuJoCo, on a plane.
+    """A robot with feet in MuJoCo, on a plane, which only the feet touch.
 
     Args:
-        urdf: text of its description; of its collision elements only spheres touch the ground.
-        task: the task that the policy learned.
+        walker: the robot's file, and its stand and feet.
         friction: of the ground.
         elliptic: whether cones of friction are elliptic, as in nature, or pyramids, as MuJoCo has them by default.
     """
 
-    def __init__(self, urdf: str, task: Walk, friction: float = 0.8, elliptic: bool = False) -> None:
-        robot = Robot.from_urdf(urdf, base="floating")
+    def __init__(self, walker: ppo.Walker, friction: float = 0.8, elliptic: bool = False) -> None:
+        robot, task = walker.load(), walker.task()
+        task = task.described(robot)
         chosen = task.defaults(robot)
         parts, self.full = {type(effect): effect for effect in chosen["effects"]}, chosen["scale"]
-        compiler = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="true"/></mujoco></robot>'
-        spec = mujoco.MjSpec.from_string(urdf.replace("</robot>", compiler))
-        spec.worldbody.first_body().add_freejoint()
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1])
+        spec = read(walker, robot)
+        if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.worldbody.first_body().joints):
+            spec.worldbody.first_body().add_freejoint()
+        feet = {point.frame for point in task.feet}
         for geom in spec.geoms:
+            geom.contype = geom.conaffinity = int(geom.parent.name in feet and bool(geom.contype or geom.conaffinity))
             geom.friction[0] = friction
-            touches = geom.type in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE)
-            geom.contype = geom.conaffinity = int(touches)
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], friction=[friction, 0.005, 1e-4])
         self.model = model = spec.compile()
         model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if elliptic else mujoco.mjtCone.mjCONE_PYRAMIDAL
-        joints = [model.joint(name) for name in robot.joint_names]
+        joints, servo = [model.joint(name) for name in robot.joint_names], parts[effects.Servo]
         self.at, self.moving = [int(x.qposadr[0]) for x in joints], [int(x.dofadr[0]) for x in joints]
-        self.kp, self.limit = parts[effects.Servo].kp, robot.limits.effort.numpy()
-        model.dof_damping[self.moving] = parts[effects.Servo].kd
-        model.dof_armature[self.moving] = parts[effects.RotorInertia].inertia
         self.stand, self.lowest = np.array(task.joints(robot)), task.lowest
         self.height = float(task.height(robot, task.joints(robot)))
+        self.require_the_same(robot)
+        self.kp, self.limit = servo.kp, np.array(servo.limit)
+        model.dof_damping[self.moving] = servo.kd
+        rotors = parts[effects.RotorInertia].inertia
+        model.dof_armature[self.moving] = robot.armature if rotors is None else rotors
+
+    def require_the_same(self, robot: Robot) -> None:
+        """Raise unless MuJoCo has the mass matrix of the robot, and so its masses, centres of mass and inertias."""
+        model, data = self.model, mujoco.MjData(self.model)
+        data.qpos[3], data.qpos[self.at] = 1.0, self.stand
+        mujoco.mj_forward(model, data)
+        found, order = np.empty((model.nv, model.nv)), [3, 4, 5, 0, 1, 2, *self.moving]
+        mujoco.mj_fullM(model, data, found)
+        expected = floating.mass_matrix(robot, torch.eye(8)[0].double(), torch.tensor(self.stand)).M.numpy()
+        error = np.abs(found[np.ix_(order, order)] - expected).max() / expected.max()
+        if error > 1e-6:
+            raise ValueError(f"MuJoCo reads another robot: its mass matrix differs by {error:.2g} of the largest entry")
 
     def run(self, policy: nn.Module, command: tuple[float, float, float], seed: int = 0, seconds: float = 10.0) -> Run:
         """Run of a policy from a start near the stand."""
@@ -109,15 +182,9 @@ def policy_of(path: Path) -> nn.Module:
 
 
 @dataclass
-class Args:
+class Args(ppo.Walker):
     policy: tyro.conf.Positional[Path] = Path("out/walk.pt")
     """File of `21_walk_ppo.py`."""
-    urdf: Path | None = None
-    """File of the robot; without one, Go2."""
-    stand: tuple[str, ...] = ()
-    """Positions of joints at the stand [rad], as `21_walk_ppo.py` had them."""
-    feet: str = "*_foot"
-    """Names of the feet."""
     speeds: tuple[float, ...] = (0.5, 0.75, 1.0)
     """Commanded velocities [m/s]."""
     turning: float = 0.0
@@ -127,14 +194,12 @@ class Args:
 def main(args: Args) -> bool:
     """Whether every run stayed up."""
     torch.set_num_threads(1)
-    policy, urdf = policy_of(args.policy), go2.urdf() if args.urdf is None else args.urdf.read_text()
-    stand = {"stand": {name: float(x) for name, x in (pair.split("=") for pair in args.stand)}} if args.stand else {}
-    task = Walk(feet=args.feet, **stand)
+    policy = policy_of(args.policy)
     print("friction, cones, command [m/s]: runs that stay up, largest errors of speed [m/s] and yaw rate [rad/s]")
     all_up = True
     for friction in (0.8, 0.4):
         for elliptic in (False, True):
-            player = Player(urdf, task, friction, elliptic)
+            player = Player(args, friction, elliptic)
             for speed in args.speeds:
                 command = (speed, 0.0, args.turning)
                 runs = [player.run(policy, command, seed) for seed in range(4)]

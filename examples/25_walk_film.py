@@ -100,7 +100,9 @@ def main(args: Args) -> tuple[Path, int]:
     panel.add_collection(rules, autolim=False)
     panel.add_collection(strokes, autolim=False)
     figure.text(0.025, 0.93, f"{len(at)} quadrupeds, one program", size=15, weight="bold", color=arms.INK, va="center")
-    figure.text(0.025, 0.865, "a policy learned in three minutes on one thread", color=arms.QUIET, va="center")
+    figure.text(
+        0.025, 0.865, f"a policy learned in {ppo.Args.seconds:.0f} s on one thread", color=arms.QUIET, va="center"
+    )
     corners = Image.new("L", (4 * WIDTH, 4 * HEIGHT))
     ImageDraw.Draw(corners).rounded_rectangle((0, 0, 4 * WIDTH - 1, 4 * HEIGHT - 1), 64, fill=255)
     corners = corners.resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)

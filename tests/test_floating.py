@@ -32,7 +32,7 @@ PLACE, TWIST, CHANGE = ("X_WB", "q"), ("X_WB", "q", "V_WB_B", "qd"), ("X_WB", "q
 WRENCHES = ("f_tip", "f_ext", "f_base")
 FUNCTIONS = {
     **dict.fromkeys(("inverse_dynamics", "regressor", "momentum_rate"), CHANGE),
-    **dict.fromkeys(("closed_form", "kinetic_energy", "momentum"), TWIST),
+    **dict.fromkeys(("closed_form", "coriolis_matrix", "kinetic_energy", "momentum"), TWIST),
     **dict.fromkeys(("mass_matrix", "potential_energy", "centre_of_mass", "forward_kinematics", "jacobian"), PLACE),
     "forward_dynamics": (*TWIST, "tau"),
 }  # with their arguments
@@ -160,6 +160,26 @@ def test_closed_form_is_the_bias_and_its_parts(name):
 
 
 @EVERY
+def test_the_coriolis_matrix_gives_the_bias_and_the_rate_of_the_mass_matrix_and_swaps_by_the_bracket(name):
+    c, m = case(name), motion(case(name))
+    C, v = floating.coriolis_matrix(c.robot, **m.pick(*TWIST)), torch.cat([m["V_WB_B"], m["qd"]], -1)
+    bias = over(lambda model, data, q, v, a, row: pin.nonLinearEffects(model, data, q, v), c, m)
+    gravity = over(lambda model, data, q, v, a, row: pin.computeGeneralizedGravity(model, data, q), c, m)
+    size = size_of(c, m)
+    near((C @ v[..., None])[..., 0], (bias - gravity)[:, c.order], size)
+    theirs = over(lambda model, data, q, v, a, row: pin.computeCoriolisMatrix(model, data, q, v).copy(), c, m)
+    rate = theirs + theirs.swapaxes(-1, -2)  # Pinocchio's has another skew part
+    near(C + C.mT, rate[:, c.order][..., c.order], size)
+    W, wd = m["A_WB_B"], m["qdd"]
+    other = floating.coriolis_matrix(c.robot, m["X_WB"], m["q"], W, wd)
+    V, cross = m["V_WB_B"], torch.linalg.cross
+    bracket = [cross(V[:, :3], W[:, :3]), cross(V[:, :3], W[:, 3:]) + cross(V[:, 3:], W[:, :3]), 0 * wd]
+    M = floating.mass_matrix(c.robot, **m.pick(*PLACE)).M
+    swapped = other @ v[..., None] + M @ torch.cat(bracket, -1)[..., None]
+    near(C @ torch.cat([W, wd], -1)[..., None], swapped, 4 * size)
+
+
+@EVERY
 def test_regressor(name):
     c, m = case(name), motion(case(name))
     expected = over(lambda model, data, q, v, a, row: pin.computeJointTorqueRegressor(model, data, q, v, a), c, m)
@@ -236,6 +256,29 @@ def test_jacobians_of_frames(name, expressed):
 
         found = floating.jacobian(c.robot, **m.pick(*PLACE), frame=f, expressed=expressed)
         near(found, over(jacobian, c, m)[:, ANGULAR_FIRST][..., c.order], 10.0)
+
+
+@pytest.mark.parametrize("expressed", ["body", "world"])
+@SOME
+def test_wrenches_at_frames_move_the_robot_as_those_of_pinocchio(name, expressed):
+    c, m = case(name), motion(case(name))
+    known = [f for f in c.robot.frame_names if c.model.existFrame(f, pin.FrameType.BODY)]
+    wrenches = dict.fromkeys((known[0], known[len(known) // 2], known[-1]), m["f_base"])
+
+    def accelerations(model, data, q, v, a, row):
+        pin.framesForwardKinematics(model, data, q)
+        forces = [pin.Force.Zero() for _ in range(model.njoints)]
+        for f in wrenches:
+            frame, turn = model.frames[c.frame_id(f)], data.oMf[c.frame_id(f)].rotation
+            turn = turn.T if expressed == "world" else np.eye(3)
+            F = pin.Force(turn @ row["f_base"][:3], turn @ row["f_base"][3:])
+            forces[frame.parentJoint] += frame.placement.act(F)
+        return pin.aba(model, data, q, v, 0 * v, forces)
+
+    expected = over(accelerations, c, m)[:, c.order]
+    held = floating.external_wrenches(c.robot, **m.pick(*PLACE), wrenches=wrenches, expressed=expressed)
+    found = floating.forward_dynamics(c.robot, **m.pick(*TWIST), tau=0 * m["tau"], **held._asdict())
+    near(generalised(found), expected, np.abs(expected).max(), rounding(c, m))
 
 
 # --- derivatives -----------------------------------------------------------------------------------------------------

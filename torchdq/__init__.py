@@ -25,6 +25,7 @@ Functions of a robot, batched and differentiable to any order:
     kinetic_energy, potential_energy
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
     jacobian                twist of a frame from joint velocities
+    external_wrenches       wrenches on the links, of wrenches at frames
     computed_torque         torques of a tracking controller
     frame_motion            pose, twist and acceleration of a frame
     operational_space       dynamics of a frame; manipulability says how near it is to a singular posture
@@ -84,6 +85,7 @@ from torchdq.functional import (
     computed_torque,
     dynamics_jacobian,
     error_growth,
+    external_wrenches,
     forward_dynamics,
     forward_kinematics,
     inverse_dynamics,
@@ -145,6 +147,7 @@ __all__ = [
     "dynamics_jacobian",
     "envs",
     "error_growth",
+    "external_wrenches",
     "floating",
     "forward_dynamics",
     "forward_kinematics",

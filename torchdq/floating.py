@@ -13,24 +13,27 @@ one in its eight numbers; the derivative in a displacement X_WB exp(xi/2) is its
 X_WB xi / 2. `torchdq.convert` has converters from and to the configurations of Pinocchio, MuJoCo and Isaac.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.functions.call import Precision, function_of, of_one_frame, poses
+from torchdq.functions.call import Precision, function_of, of_one_frame, on_links, poses
 from torchdq.robot import Robot
 
 __all__ = [
     "Accelerations",
+    "ExternalWrenches",
     "Forces",
     "FreeClosedForm",
     "MassMatrix",
     "Momentum",
     "centre_of_mass",
     "closed_form",
+    "coriolis_matrix",
     "error_growth",
+    "external_wrenches",
     "forward_dynamics",
     "forward_kinematics",
     "inverse_dynamics",
@@ -80,6 +83,13 @@ class Momentum(NamedTuple):
 
     linear: Tensor  # [..., 3] [N s], or [N] for the rate
     angular: Tensor  # [..., 3] [N m s], or [N m] for the rate
+
+
+class ExternalWrenches(NamedTuple):
+    """Wrenches (force, moment) that the environment exerts on links and base, each in its frame."""
+
+    f_ext: Tensor  # [..., links, 6] on the links [N, N m]
+    f_base: Tensor  # [..., 6] on the base [N, N m]
 
 
 def inverse_dynamics(
@@ -188,6 +198,30 @@ def closed_form(
     return FreeClosedForm(
         *function_of("floating.closed_form", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)
     )
+
+
+def coriolis_matrix(
+    robot: Robot, X_WB: Tensor, q: Tensor, V_WB_B: Tensor, qd: Tensor, backend: BackendName | None = None
+) -> Tensor:
+    """Coriolis matrix C [..., 6 + n, 6 + n]: C v = c for v = (V_WB_B, qd), and dM/dt = C + C^T.
+
+        C = 1/2 (dc/dv + M [v, .])   with the bracket of twists [V, W] = (w_V x w_W, w_V x v_W + v_V x w_W) of the base
+
+    so that C(v) w - C(w) v = M [v, w]. Pinocchio's `computeCoriolisMatrix` has other entries, and the same C v and
+    dM/dt.
+
+    Args:
+        robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`; the matrix depends on X_WB only through its batch axes.
+
+    >>> import torch, torchdq
+    >>> robot, X_WB = torchdq.robots.load("go2"), torch.eye(8, dtype=torch.float64)[0]
+    >>> q, V, qd = (torch.linspace(-1.0, 1.0, k, dtype=torch.float64) for k in (12, 6, 12))
+    >>> C = coriolis_matrix(robot, X_WB, q, V, qd)
+    >>> torch.allclose(C @ torch.cat([V, qd]), closed_form(robot, X_WB, q, V, qd).c)
+    True
+    """
+    given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}
+    return function_of("floating.coriolis_matrix", robot, given, backend)[0]
 
 
 def error_growth(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> Tensor:
@@ -371,3 +405,28 @@ def jacobian(
     torch.Size([6, 18])
     """
     return of_one_frame("floating.jacobian", robot, {"X_WB": X_WB, "q": q}, (frame, expressed), backend)
+
+
+def external_wrenches(
+    robot: Robot,
+    X_WB: Tensor,
+    q: Tensor,
+    wrenches: Mapping[str, Tensor],
+    expressed: Literal["body", "world"] = "world",
+    backend: BackendName | None = None,
+) -> ExternalWrenches:
+    """Wrenches f_ext [..., links, 6] and f_base [..., 6] of wrenches that the environment exerts at frames.
+
+    Args:
+        robot, X_WB, q: as in `inverse_dynamics`.
+        wrenches, expressed: as in `torchdq.external_wrenches`; "world" are the axes of the world.
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("go2"), torch.zeros(12)
+    >>> feet = {f"{leg}_foot": torch.tensor([0.0, 0, 40, 0, 0, 0]) for leg in ("FL", "FR", "RL", "RR")}
+    >>> held = external_wrenches(robot, torch.eye(8)[0], q, feet)  # 40 N upwards at every foot
+    >>> forward_dynamics(robot, torch.eye(8)[0], q, None, None, q, **held._asdict()).A_WB_B[5] > -9.81
+    tensor(True)
+    """
+    given = {"X_WB": X_WB, "q": q}
+    return ExternalWrenches(*on_links("floating.external_wrenches", robot, given, wrenches, expressed, backend))

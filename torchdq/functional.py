@@ -13,14 +13,14 @@ Functions of robots with a floating base are those of `torchdq.floating`, with t
 each with that of the base before it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_finite, require_tensor
-from torchdq.functions.call import Precision, function_of, gain, of_one_frame, poses
+from torchdq.functions.call import Precision, function_of, gain, of_one_frame, on_links, poses
 from torchdq.functions.options import options_of
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
@@ -31,6 +31,7 @@ __all__ = [
     "computed_torque",
     "dynamics_jacobian",
     "error_growth",
+    "external_wrenches",
     "forward_dynamics",
     "forward_kinematics",
     "inverse_dynamics",
@@ -315,6 +316,32 @@ def jacobian(
     tensor([2., 1.])
     """
     return of_one_frame("jacobian", robot, {"q": q}, (frame, expressed), backend)
+
+
+def external_wrenches(
+    robot: Robot,
+    q: Tensor,
+    wrenches: Mapping[str, Tensor],
+    expressed: Literal["body", "world"] = "world",
+    backend: BackendName | None = None,
+) -> Tensor:
+    """Wrenches f_ext [..., n, 6] on the links, in link frames, of wrenches that the environment exerts at frames.
+
+        sum of J_i^T f_ext_i = sum over the frames of J_F^T F   (J^T as in `jacobian`: of swapped wrenches)
+
+    Args:
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
+        wrenches: wrench (force, moment) [N, N m], shape [..., 6], by the name of the frame about whose origin it is;
+            those on one link add up, and one on the base, which moves no joint, is not among the results.
+        expressed: "world", all in axes of the base frame, or "body", each in those of its frame.
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.zeros(2)
+    >>> f_ext = external_wrenches(robot, q, {"tip": torch.tensor([0.0, -10, 0, 0, 0, 0])})  # 10 N downwards
+    >>> (inverse_dynamics(robot, q, f_ext=f_ext) - inverse_dynamics(robot, q)).round()
+    tensor([20., 10.])
+    """
+    return on_links("external_wrenches", robot, {"q": q}, wrenches, expressed, backend)[0]
 
 
 # --- control ---------------------------------------------------------------------------------------------------------

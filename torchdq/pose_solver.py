@@ -25,7 +25,7 @@ from torchdq.functions.catalogue import Function
 from torchdq.functions.options import axes_of, options_of
 from torchdq.program.autograd import in_a_graph
 from torchdq.program.program import Program
-from torchdq.program.transforms import transforming, without_values
+from torchdq.program.transforms import mapped, outside_of_graphs, transforming, without_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import constants
@@ -34,6 +34,7 @@ __all__ = ["InverseKinematics", "differential_inverse_kinematics", "inverse_kine
 
 TOLERANCES = {torch.float32: 1e-5, torch.float64: 1e-8}
 LANES, STEPS = 2048, 8  # rows of a processor's core that take some steps together, before others take their places
+FAR = 1e3  # [m] distance beyond which the direction of a goal decides, and its square does not overflow
 FEW = 64  # rows from which a call is cheaper than their steps
 
 
@@ -46,11 +47,13 @@ class InverseKinematics(NamedTuple):
     starts: Tensor  # number of starts that were taken, [...]
 
 
+@outside_of_graphs
 def inverse_kinematics(
     robot: Robot,
     X: Tensor,
     frame: str | None = None,
     start: Tensor | None = None,
+    expressed: Literal["body", "world"] = "body",
     axes: str | Sequence[str] = "pose",
     tolerance: float | tuple[float, float] | None = None,
     starts: int = 128,
@@ -58,10 +61,11 @@ def inverse_kinematics(
 ) -> InverseKinematics:
     """Joint positions q [..., n] within the limits at which a frame has the pose X, from several starts.
 
-    Levenberg-Marquardt steps on the error (rotation vector to X, displacement to X) in axes of the frame, with joints
-    held at limits. Where they stall, the next start is taken, a point of one sequence that fills the limits evenly and
-    is the same for all rows, so that a row has the same result in every batch. A row that cannot be reached has
-    `converged` False, and the best q of all starts, NaN if X is; none raises.
+    Levenberg-Marquardt steps on the error (rotation vector to X, displacement to X), with joints held at limits. Where
+    they stall, the next start is taken, a point of one sequence that fills the limits evenly and is the same for all
+    rows, so that a row has the same result in every batch. A row that cannot be reached has `converged` False, and the
+    q whose error has the smallest norm: damped steps lead to it from the best of all starts and from eight of them. Of
+    an X farther than a kilometre the direction counts, and the error is to scale. Of an X that is not finite q is NaN.
 
     Gradients in X and in tensors of the robot are those of the solution that was found, by its implicit function: of
     the smallest change of q where it is not unique, which may lead a joint that stands at a limit beyond it. They are
@@ -72,8 +76,9 @@ def inverse_kinematics(
         X: desired pose of the frame in the base frame, a dual quaternion [-, m], shape [..., 8].
         frame: name of the frame; None: the tip.
         start: positions to begin with [rad or m], shape [..., n]; None: the middle of the limits.
-        axes: the components that count, "pose", "position", "orientation" or names among rx ry rz x y z in axes of the
-            frame; without "rz" it may turn about its z axis. At most as many as the joints move independently.
+        expressed: axes of the error, "body", those of the frame, or "world", those of the base.
+        axes: the components that count, "pose", "position", "orientation" or names among rx ry rz x y z; in axes of the
+            frame without "rz" it may turn about its z axis. At most as many as the joints move independently.
         tolerance: largest error [rad] and [m], a number for both or one each; None: 1e-8, in float32 1e-5.
         starts: largest number of starts.
     Raises:
@@ -86,8 +91,8 @@ def inverse_kinematics(
     >>> bool(found.converged), bool((torchdq.forward_kinematics(robot, found.q, robot.tip) - X).abs().max() < 1e-8)
     (True, True)
     """
-    chosen = (frame or require_robot(robot).end_effector().name, "body", axes_of(axes))
-    names = options_of(require_robot(robot), "inverse_kinematics_step", chosen)
+    chosen = (frame or require_robot(robot).end_effector().name, expressed, axes_of(axes))
+    names = options_of(robot, "inverse_kinematics_step", chosen)
     given = {"X": (X, 8), **({} if start is None else {"start": (start, robot.n)})}
     common_batch([(name, x, (width,), False) for name, (x, width) in given.items()], f" for robot {robot.name!r}")
     require_count("starts", starts)
@@ -95,16 +100,29 @@ def inverse_kinematics(
     angle, distance = tolerance if isinstance(tolerance, Sequence) and len(tolerance) == 2 else (tolerance, tolerance)
     for value in (angle, distance):
         require_number("tolerance", value, positive=True)
-    if without_values((X,)) and not transforming():
-        raise ArgumentError("X must have values, since rows take different numbers of steps; call it outside of traces")
+    tensors = [x for x in with_tensors(robot, {"X": X, "start": start}).values() if x is not None]
+    if (without_values((X,)) and not transforming()) or any(map(mapped, tensors)):
+        raise ArgumentError(
+            "X must have values, since rows take different numbers of steps; call it outside of traces, and instead of "
+            "in torch.func.vmap with batch axes"
+        )
+    X, share = _nearby(X)
+    settings = (angle, distance, starts, starts + min(formulas.LAST, starts - 1))
     with torch.no_grad():
-        found = _search(robot, names, X.detach(), start, (angle, distance, starts), backend)
-    tensors = [x for name, x in with_tensors(robot, {"X": X}).items() if x is not None]
+        found = _search(robot, names, X.detach(), start, settings, backend)
+    found = found._replace(error=torch.stack([found.error[..., 0], found.error[..., 1] / share], -1))
     if not in_a_graph(tensors):
         return found
     e, P = function_of("inverse_kinematics_newton", robot, {"q": found.q, "X": X}, backend, names)
     e = torch.where(found.converged[..., None], e - e.detach(), 0.0)
     return found._replace(q=found.q + (P.detach() @ e[..., None])[..., 0])
+
+
+def _nearby(X: Tensor) -> tuple[Tensor, Tensor]:
+    """Pose with its translation shortened to about `FAR`, and the share [...] of it that is left."""
+    r, d = X.split(4, -1)
+    share = (FAR * r.detach().abs().amax(-1) / d.detach().abs().amax(-1)).nan_to_num(1.0).clamp(max=1.0)
+    return torch.cat([r, share[..., None] * d], -1), share
 
 
 def _search(
@@ -135,7 +153,7 @@ def _search(
     while True:
         fixed = [x.index_select(0, at) if several else x for x, several in zip(rows[3:], kept, strict=True)]
         carried = list(run([*carried, *fixed], len(at), STEPS if len(at) > FEW else 4 * STEPS))
-        goes = (carried[2][:, 1] == 0) & (carried[2][:, 0] < settings[2])
+        goes = (carried[2][:, 1] == 0) & (carried[2][:, 0] <= settings[3])
         on, off = (x.nonzero()[:, 0] for x in (goes, ~goes))
         done.append([x.index_select(0, off) for x in (at, *carried[1:])])
         more = torch.arange(following, min(following + len(off), count), device=X.device)
@@ -184,6 +202,8 @@ def differential_inverse_kinematics(
         frame, expressed, axes: as in `torchdq.operational_space`.
         dt: time [s] within which no joint may leave its limits, a number or shape [...]; None: they do not count.
         limits: whether joints keep their limits of velocity.
+    Raises:
+        ArgumentError: the joints cannot move these axes independently; dt is a number that is not positive.
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
@@ -195,7 +215,7 @@ def differential_inverse_kinematics(
     require_choice("limits", limits, (False, True))
     chosen = (frame or require_robot(robot).end_effector().name, expressed, axes_of(axes), *["bounded"] * limits)
     names = options_of(robot, "differential_inverse_kinematics", chosen)
-    step = None if dt is None else gain("dt", dt, q)
+    step = None if dt is None else gain("dt", dt, q, positive=True)
     qd, scale = function_of(
         "differential_inverse_kinematics", robot, {"q": q, "V_des": V_des, "dt": step}, backend, names
     )

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import require_choice, require_number, require_tensor
-from torchdq.errors import ArgumentError
+from torchdq.base.checks import require_choice, require_tensor
 from torchdq.functions.call import function_of, gain, gain_of_axes
 from torchdq.functions.options import axes_of, options_of
 from torchdq.robot import Robot
@@ -239,17 +238,13 @@ def operational_space_control(
     """
     require_tensor("q", q)
     require_tensor("X_des", X_des)
-    if damping is not None and not isinstance(damping, Tensor):
-        require_number("damping", damping)
-        if damping <= 0:
-            raise ArgumentError(f"damping must be positive, or None for none, found {damping!r}")
     require_choice("limits", limits, (False, True))
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des, "A_des": A_des}
     gains = {"kp": gain_of_axes("kp", kp, q, X_des), "kd": gain_of_axes("kd", kd, q, X_des)}
     more = {
         "q_null": q_null,
         "k_null": None if q_null is None else gain("k_null", k_null, q),
-        "damping": None if damping is None else gain("damping", damping, q),
+        "damping": None if damping is None else gain("damping", damping, q, positive=True),
     }
     marks = [name for name, x in gains.items() if not x.ndim] + ["limits"] * limits
     chosen = (frame or "", expressed, axes_of(axes), *marks)
@@ -271,6 +266,7 @@ def cartesian_impedance(
     axes: str | Sequence[str] = "pose",
     q_null: Tensor | None = None,
     k_null: Tensor | float = 10.0,
+    coriolis: bool = True,
     backend: BackendName | None = None,
 ) -> Tensor:
     """Torques tau [..., n] of a spring and a damper between a frame and its desired pose, without inertia shaping.
@@ -278,12 +274,16 @@ def cartesian_impedance(
         tau = J^T (K e + D e') + c + g
 
     e is the error as in `operational_space_control`, so that a force on the frame moves it by force / stiffness. The
-    posture acts where it does not accelerate the frame.
+    posture acts where it does not accelerate the frame. To cancel c takes work: the spring is not passive, and without
+    a damper the energy may grow. With `coriolis=False` c is left to the arm, and its kinetic energy with that of the
+    spring never grows: in world axes, to a goal at rest, without a posture, and with one stiffness and damping for all
+    rotations.
 
     Args:
         robot, q, qd, X_des, V_des, frame, expressed, axes, q_null, k_null: as in `operational_space_control`.
         stiffness: K, a number or one for each of the axes [N m/rad, N/m], shape [..., m]; matrices are not taken.
         damping: D, likewise [N m s/rad, N s/m].
+        coriolis: whether the torques contain c; False: tau = J^T (K e + D e') + g.
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("ur10e"), torch.tensor([0.1, -1.0, 1.2, 0.3, 0.8, 0.0], dtype=torch.float64)
@@ -294,12 +294,13 @@ def cartesian_impedance(
     """
     require_tensor("q", q)
     require_tensor("X_des", X_des)
+    require_choice("coriolis", coriolis, (False, True))
     given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des}
     gains = {
         "stiffness": gain_of_axes("stiffness", stiffness, q, X_des),
         "damping": gain_of_axes("damping", damping, q, X_des),
     }
     more = {"q_null": q_null, "k_null": None if q_null is None else gain("k_null", k_null, q)}
-    marks = [name for name, x in gains.items() if not x.ndim]
+    marks = [*["gravity"] * (not coriolis), *[name for name, x in gains.items() if not x.ndim]]
     names = options_of(require_robot(robot), "cartesian_impedance", (frame or "", expressed, axes_of(axes), *marks))
     return function_of("cartesian_impedance", robot, {**given, **gains, **more}, backend, names)[0]

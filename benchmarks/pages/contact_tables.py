@@ -101,15 +101,16 @@ SECTIONS = {  # of the page of an effect: title, text and tables
     "Contact": {
         "What one gains or loses by the step": (
             "Impacts are of the first order in the step, and plastic in long ones: take 1 to 2 ms for jumps and "
-            "bounces, 5 ms for walking, 10 ms for standing and wiping. The expected values are those of analysis; the "
-            "height of the jump is MuJoCo's, with steps of 0.2 ms.",
+            "bounces, 5 ms for walking, 10 ms for standing and wiping. Friction of impacts and the energy of falls are "
+            "right at every step and stiffness. The expected values are those of analysis; the height of the jump is "
+            "MuJoCo's, with steps of 0.2 ms, its friction impulse that of steps of 2 ms.",
             ("accuracy", "standing"),
         ),
         "Stability": (
             "Go2 with 20 points is dropped in 64 random states, passive and with servos at random targets. The last "
-            "row of every step has the largest stiffness that it allows. Energy is kinetic, potential, and of servos. "
-            "The gains are of explicit inertial forces: at 20 ms an impact at 6 m/s turns a joint by half a radian in "
-            "a step.",
+            "row of every step has the stiffness 4 m / h^2. Energy is kinetic, potential, and of servos. Gains are of "
+            "inertial forces of the joints, which are explicit: at 20 ms an impact at 6 m/s turns a joint by half a "
+            "radian in a step.",
             ("stability",),
         ),
         "Price beside MuJoCo": (

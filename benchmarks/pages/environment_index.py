@@ -83,7 +83,8 @@ RANDOMISE = """\
 ## Domain randomisation
 
 `randomise` draws parameters in every episode. Values are a number, a pair (lower, upper), or a torch distribution with
-`icdf`, such as `Normal`. They are factors; an `Absolute` range is of the numbers of a parameter themselves.
+`icdf`, such as `Normal`. They are factors; an `Absolute` range is of the numbers of a parameter themselves. `envs.set`
+changes ranges, pushes and commands while a policy learns, as a [curriculum](../guides/legs.md#a-curriculum).
 
 ```python
 from torchdq.envs import Absolute

@@ -57,6 +57,7 @@ FUNCTIONS = {
     "computed_torque": ("q qd q_des qd_des qdd_des f_tip", "f_tip", {"kp": 9.0, "kd": 6.0}),
 }
 NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend", "clear_caches", "recommend_settings"}
+NOT_DYNAMICS |= {"external_wrenches"}  # whose tensors are in a dictionary
 NOT_DYNAMICS |= {"inverse_kinematics", "differential_inverse_kinematics"}  # whose rows have conditions of their own
 every_function = pytest.mark.parametrize("key", FUNCTIONS)
 
@@ -171,6 +172,23 @@ def test_a_wrong_robot_is_named(key):
         require_named(ArgumentError, parts, call, key, batch, tensors(key))
     robot = arm().replace(mass=arm().mass.expand(4, N), gravity=arm().gravity.expand(5, 3))
     require_named(ArgumentError, ["robot.mass", "robot.gravity", "(4,)", "(5,)"], call, key, robot, tensors(key, ()))
+
+
+@pytest.mark.case("P4")
+@every_function
+def test_a_function_is_exported_for_any_batch_with_what_all_rows_share(key):
+    robot, options = torchdq.robots.load("two_link"), FUNCTIONS[key][2]
+    torchdq.clear_caches()  # as of one that was never called
+    options = {name: ("x", "y") if name == "axes" else x for name, x in options.items()}
+    given = {name: x[0] if name in TRAILING else x[:, :2] for name, x in tensors(key).items()}
+    given = {name: x[:2] if name == "f_ext" else x for name, x in given.items()}
+
+    class Traced(torch.nn.Module):
+        def forward(self, *x):
+            return getattr(torchdq, key)(robot, **dict(zip(given, x, strict=True)), **options)
+
+    shapes = [None if name in TRAILING else {0: torch.export.Dim("batch")} for name in given]
+    torch.export.export(Traced(), tuple(given.values()), dynamic_shapes=(tuple(shapes),))  # raises for guarded sizes
 
 
 @every_function

@@ -207,7 +207,7 @@ def test_a_film_of_walking_robots(tmp_path):
 
 def test_walk_shac(tmp_path):
     module = import_module("22_walk_shac")
-    walkers = module.Walkers(8, 5e3)
+    walkers = module.Walkers(8, 5e3, module.ppo.Walker())
     policy = module.ppo.Policy(48, 12)
     before = [x.clone() for x in policy.actor.parameters()]
     optimizer = torch.optim.Adam(policy.actor.parameters(), lr=1e-3)

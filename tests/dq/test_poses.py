@@ -101,9 +101,23 @@ def test_six_numbers_are_two_columns_of_a_rotation():
     assert gradcheck(dq.from_rotation_6d, random(3, 6).requires_grad_())
 
 
-def test_nearly_parallel_columns_give_a_rotation_and_parallel_ones_none():
+def test_columns_of_any_length_give_the_same_rotation():
+    columns = random(20, 6)
+    for size in (2.0**-660, 2.0**660):  # whose squares underflow and overflow
+        lengths = torch.tensor([size] * 3 + [1 / size] * 3, dtype=F64)
+        assert torch.equal(dq.from_rotation_6d(columns * lengths), dq.from_rotation_6d(columns))
+
+
+def test_parallel_columns_give_a_rotation_that_keeps_the_first_with_a_finite_gradient():
     close = torch.tensor([1.0, 0, 0, 1, 1e-6, 0], dtype=F32)
     assert torch.allclose(dq.from_rotation_6d(close), torch.eye(4)[0])
-    found = dq.from_rotation_6d(torch.tensor([[1.0, 0, 0, 2, 0, 0], [1.0, 0, 0, 0, 1, 0]]))
-    assert found[0].isnan().all()
-    assert torch.equal(found[1], torch.eye(4)[0])
+    first = torch.cat([random(20, 3), torch.eye(3, dtype=F64), -torch.eye(3, dtype=F64)])
+    for dtype, eps in ((F32, 2.0**-23), (F64, 2.0**-52)):
+        columns = torch.cat([first, -3.3 * first], -1).to(dtype).requires_grad_()
+        found = dq.from_rotation_6d(columns)
+        expected = torch.nn.functional.normalize(columns[:, :3], dim=-1)
+        assert (dq.to_rotation_matrix(found)[..., 0] - expected).abs().max() <= 8 * eps
+        (slope,) = torch.autograd.grad(found.sum(), columns)
+        assert slope.isfinite().all() and slope[:, 3:].eq(0).all() and slope[:, :3].ne(0).any()
+    none = torch.tensor([[0.0, 0, 0, 1, 2, 3], [1, 2, 3, 0, 0, 0], [1, 2, math.nan, 0, 1, 0], [1, 0, 0, 0, 1, 0]])
+    assert dq.from_rotation_6d(none).isnan().all(-1).tolist() == [True, True, True, False]

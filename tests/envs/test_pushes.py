@@ -35,9 +35,9 @@ def test_pushes_that_are_over_have_given_a_free_robot_the_momentum_of_their_forc
 
 def test_wrenches_and_times_are_drawn_evenly_within_their_ranges():
     envs = started(2000, **FLYING, pushes={"push": Pushes((8.0, 0.0, 2.0, 0.0, 0.5, 0.0), (1.0, 3.0))})
-    drawn, size = envs.get_state()["push"], torch.tensor([8.0, 0.0, 2.0, 0.0, 0.5, 0.0, 1.0])
+    (drawn, end), size = envs.get_state()["push"].split((7, 1), 1), torch.tensor([8.0, 0.0, 2.0, 0.0, 0.5, 0.0, 1.0])
     share = (drawn - torch.tensor([0.0] * 6 + [2.0])) / size.where(size > 0, 1.0)
-    assert share.abs().max() <= 1
+    assert share.abs().max() <= 1 and torch.allclose(end, drawn[:, 6:] + 0.1)
     varied = share[:, size > 0].double()
     assert (varied.mean(0).abs() < 5 / math.sqrt(3 * 2000)).all()  # five standard errors
     assert (varied.square().mean(0) - 1 / 3).abs().max() < 0.05

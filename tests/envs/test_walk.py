@@ -1,8 +1,9 @@
-"""Walking: starts, what is observed and rewarded, ends, quadrupeds of other files, and a policy that walks in MuJoCo.
+"""Walking: starts, what is observed and rewarded, ends, other robots, and a policy that walks in MuJoCo.
 
 The observation that the policy gets in MuJoCo is built by the example from MuJoCo's state alone.
 """
 
+import xml.etree.ElementTree as ET
 from functools import cache
 from importlib import import_module
 
@@ -25,6 +26,18 @@ BACKEND = "auto"
 NOMINAL = {"Contact.friction": (1.0, 1.0), "Contact.stiffness": (1.0, 1.0), "mass": (1.0, 1.0)}
 STILL = {"push": Pushes((0.0,) * 6)}
 POLICY = EXAMPLES / "go2_walk.pt"
+ANYMAL = ("*_HAA=0", "?F_HFE=0.4", "?H_HFE=-0.4", "?F_KFE=-0.8", "?H_KFE=0.8")
+BENT = ("*_pitch=-0.3", "*_knee=0.6", "*_tilt=-0.3")
+LEG = """<body name="{0}_hip" pos="0 {1} 0"><joint name="{0}_yaw" axis="0 0 1"/><joint name="{0}_roll" axis="1 0 0"/>
+<geom type="sphere" size="0.05" mass="1"/><body name="{0}_thigh"><joint name="{0}_pitch"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.04" mass="2"/><body name="{0}_shank" pos="0 0 -0.3">
+<joint name="{0}_knee"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03" mass="1"/>
+<body name="{0}_foot" pos="0 0 -0.3"><joint name="{0}_tilt"/><joint name="{0}_lean" axis="1 0 0"/>
+<geom type="box" pos="0 0 -0.04" size="0.1 0.05 0.01" mass="0.5"/></body></body></body></body>"""
+BIPED = f"""<mujoco model="biped"><compiler angle="radian"/><default><joint axis="0 1 0" armature="0.01"/></default>
+<worldbody><body name="pelvis" pos="0 0 1"><freejoint/><geom type="box" pos="0 0 0.15" size="0.08 0.12 0.15" mass="10"/>
+{LEG.format("left", 0.1)}{LEG.format("right", -0.1)}</body></worldbody>
+<actuator><position joint="left_knee" kp="1000"/></actuator></mujoco>"""
 
 
 def walkers(num_envs, task=None, robot="go2", **arguments):
@@ -37,7 +50,8 @@ def walkers(num_envs, task=None, robot="go2", **arguments):
 
 @cache
 def player(friction=0.8, elliptic=False):
-    return import_module("23_policy_in_mujoco").Player(go2.urdf(), Walk(), friction, elliptic)
+    module = import_module("23_policy_in_mujoco")
+    return module.Player(module.ppo.Walker(), friction, elliptic)
 
 
 @cache
@@ -151,8 +165,7 @@ def test_an_episode_ends_when_another_point_touches():
 @pytest.mark.parametrize("name", ["a1", "anymal_c_simple-anymal"])
 def test_the_quadruped_of_another_file_stands(name):
     robot = Robot.from_urdf(urdf_paths()[name], base="floating", on_unphysical="ignore")
-    anymal = {"?F_HFE": 0.4, "?H_HFE": -0.4, "?F_KFE": -0.8, "?H_KFE": 0.8}
-    task = Walk() if name == "a1" else Walk(stand=anymal, feet="*_FOOT")
+    task = Walk() if name == "a1" else examples_walker("", ANYMAL, "*_FOOT")[1].task()
     envs = walkers(8, task, robot, randomise={}, substeps=1, dt=0.005)
     start = envs.get_state()
     for _ in range(400):
@@ -165,12 +178,48 @@ def test_the_quadruped_of_another_file_stands(name):
     assert float(moved.max()) < 0.2
 
 
-def test_what_walks_is_a_quadruped_on_a_floating_base():
+def examples_walker(path, stand, feet, **options):
+    module = import_module("23_policy_in_mujoco")
+    return module, module.ppo.Walker(str(path), stand, (feet,), **options)
+
+
+def test_a_biped_with_flat_feet_stands_and_is_pushed_and_does_so_in_mujoco(tmp_path):
+    path = tmp_path / "biped.xml"
+    path.write_text(BIPED)
+    module, walker = examples_walker(path, BENT, "*_foot", stiffness=2.0)
+    robot, task = walker.load(), walker.task()
+    pushes = {"push": Pushes((40.0, 40.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.5))}
+    envs = walkers(16, task, robot, randomise={}, pushes=pushes, substeps=2)
+    assert len(envs.task.feet) == 16 and envs.get_state()["carry"].shape == (16, 2 * robot.n + 2)
+    q, X = torch.tensor(task.joints(robot)), envs.get_state()["X_WB"]
+    X[:, 7] = 0.5 * float(task.height(robot, q.tolist()))
+    envs.set_state({**envs.get_state(), "q": q.expand(16, -1), "X_WB": X, "V_WB_B": torch.zeros(16, 6)})
+    for _ in range(100):
+        terminated, info = envs.step(torch.zeros(16, robot.n))[2::2]
+        assert not terminated.any() and info["touching"].shape == (16, 2)
+    run = module.Player(walker).run(lambda x: torch.zeros(robot.n), (0.0, 0.0, 0.0), seconds=3.0)
+    assert run.up and np.abs(run.velocity).max() < 0.02
+
+
+def test_mujoco_has_the_bodies_of_a_published_file():
+    """Some of its links have no inertia, and others one that no rigid body can have."""
+    path = urdf_paths()["anymal_c_simple-anymal"]
+    module, walker = examples_walker(path, ANYMAL, "*_FOOT")
+    with pytest.warns(UserWarning, match="unphysical"):
+        mass = module.Player(walker).model.body_mass.sum()
+    assert abs(mass - sum(float(x.get("value")) for x in ET.parse(path).iter("mass"))) < 1e-9
+    other = torchdq.robots.load("go2")
+    with pytest.raises(ValueError, match="another robot"):
+        player().require_the_same(other.replace(com=other.com + 1e-4))
+
+
+def test_what_walks_has_feet_on_a_floating_base():
     for cause in (
         lambda: ArmVectorEnv(1, "walk", go2.urdf()),
-        lambda: ArmVectorEnv(1, Walk(feet="F?_foot"), "go2"),
+        lambda: Walk().inputs(12),
         lambda: Walk(weights={"speed": 1.0}),
         lambda: Walk(turning=1.0),
+        lambda: Walk(stiffness=0.0),
         lambda: ArmVectorEnv(1, "walk", effects=(effects.Servo(40.0, 1.0), effects.Contact("F?_foot"))).reset(),
     ):
         with refused(ArgumentError):

@@ -62,7 +62,11 @@ def test_an_episode_ends_far_from_the_path_and_where_the_force_is_large():
     now = envs.get_state()
     goal = now["goal"].clone()
     goal[1, 0] += 0.2
-    envs.set_state({**now, "goal": goal, "5.height": now["5.height"] + torch.tensor([0.0, 0.0, 0.05])})
+    memory = next(name for name in now if name.startswith("memory"))
+    pressed = now[memory].clone()
+    pressed[2, 3] = 1.0  # a spring that the table may compress as far as it rises
+    height = now["5.height"] + torch.tensor([0.0, 0.0, 0.1])
+    envs.set_state({**now, "goal": goal, "5.height": height, memory: pressed})
     _, _, terminated, _, info = envs.step(torch.zeros(3, 7))
     assert terminated.tolist() == [False, True, True] and info["nonfinite"].tolist() == [False] * 3
 

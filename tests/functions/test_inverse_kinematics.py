@@ -1,4 +1,4 @@
-"""Inverse kinematics: solutions against Pinocchio, limits, rows by themselves, gradients by differences."""
+"""Inverse kinematics: solutions against Pinocchio, closest points against SciPy, limits, rows, gradients."""
 
 import math
 
@@ -8,6 +8,7 @@ import pytest
 import torch
 from helpers import double, random
 from messages import refused
+from scipy.optimize import minimize
 
 import torchdq
 from torchdq import ArgumentError, dq
@@ -88,11 +89,15 @@ SOME = {
 
 
 @pytest.mark.usefixtures("by_torch")
+@pytest.mark.parametrize("expressed", ["body", "world"])
 @pytest.mark.parametrize(("robot", "axes"), SOME.values(), ids=SOME)
-def test_the_axes_that_count_are_served(robot, axes):
+def test_the_axes_that_count_are_served(robot, axes, expressed):
     X = poses(robot, within(robot, 200, seed=2))
-    found = torchdq.inverse_kinematics(robot, X, axes=axes)
+    found = torchdq.inverse_kinematics(robot, X, expressed=expressed, axes=axes)
     off = left(robot, found.q, X)
+    if expressed == "world":
+        turn = poses(robot, found.q)[:, None, :4]
+        off = dq.rotate(turn, off.unflatten(-1, (2, 3))).flatten(-2)
     names = {"position": (3, 4, 5), "orientation": (0, 1, 2)}
     rows = names[axes] if isinstance(axes, str) else [("rx", "ry", "rz", "x", "y", "z").index(a) for a in axes]
     assert found.converged.double().mean() >= 0.99
@@ -115,17 +120,67 @@ def test_goals_at_limits_at_singular_postures_and_half_a_turn_away_are_reached()
     assert again.converged.all()  # the same poses
 
 
-def test_goals_beyond_reach_leave_the_nearest_that_was_found():
+def closest(robot, X, axes, starts):
+    """Smallest norm of an error that a minimiser of SciPy finds from some starts within the limits."""
+    rows = slice(3, 6) if axes == "position" else slice(0, 6)
+
+    def squared(x):
+        q = torch.tensor(x, requires_grad=True)
+        e = left(robot, q, X)[rows].square().sum()
+        return e.item(), torch.autograd.grad(e, q)[0].numpy()
+
+    limits, stop = list(zip(*[x.tolist() for x in bounds(robot)], strict=True)), {"ftol": 1e-14, "gtol": 1e-9}
+    return math.sqrt(min(minimize(squared, x, jac=True, bounds=limits, options=stop).fun for x in starts.numpy()))
+
+
+@pytest.mark.parametrize(("robot", "axes"), [(ARM, "position"), (UR, "position"), (ARM, "pose")])
+def test_goals_beyond_reach_leave_the_closest_point(robot, axes):
+    far = double(2.0, 0.0, 0.5, 0.5, 0.0, 2.0, -1.5, 0.3, 0.2).view(3, 3)
+    X = dq.from_pose(double(0.5, 0.5, -0.5, 0.5).expand(3, 4), far)
+    found = torchdq.inverse_kinematics(robot, X, axes=axes)
+    assert not found.converged.any() and found.starts.eq(128).all()
+    off = left(robot, found.q, X).view(3, 2, 3).norm(dim=-1)
+    torch.testing.assert_close(found.error[:, 1], off[:, 1], rtol=1e-12, atol=0)  # of this q, and not of the last
+    assert ((found.q >= robot.limits.lower) & (found.q <= robot.limits.upper)).all()
+    for k in range(3):
+        starts = torch.cat([found.q[k : k + 1], within(robot, 4, seed=k)])
+        assert found.error[k].norm() <= closest(robot, X[k], axes, starts) + 1e-6
+
+
+def test_goals_beyond_reach_of_two_joints_are_faced():
     reach = double(2 + 1e-3, 12, 2 - 1e-3)
     X = dq.from_pose(double(1, 0, 0, 0).expand(3, 4), torch.stack([reach, 0 * reach, 0 * reach], -1))
     found = torchdq.inverse_kinematics(TWO, X, start=double(0.4, -0.3), axes=("x", "y"))
     assert found.converged.tolist() == [False, False, True] and found.starts.tolist()[:2] == [128, 128]
-    torch.testing.assert_close(found.error[:, 1], double(1e-3, 10, 0), rtol=2e-3, atol=1e-8)
-    assert found.q.isfinite().all()
-    far = dq.from_pose(double(1, 0, 0, 0), double(10, 0, 0))
-    best = torchdq.inverse_kinematics(ARM, far)
-    off = left(ARM, best.q, far).view(2, 3).norm(dim=-1)
-    torch.testing.assert_close(best.error, off, rtol=1e-12, atol=0)  # of this q, and not of the last
+    torch.testing.assert_close(found.error[:, 1], double(1e-3, 10, 0), rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize(("dtype", "size"), [(F64, 1e200), (F64, 1e9), (torch.float32, 1e30)])
+def test_goals_at_any_distance_turn_the_arm_towards_them_and_leave_other_rows_alone(dtype, size):
+    toward = double(0.6, 0.0, 0.8).to(dtype)
+    near = poses(ARM, within(ARM, 1)).to(dtype)
+    far = dq.from_pose(double(1, 0, 0, 0).to(dtype), size * toward)
+    found = torchdq.inverse_kinematics(ARM, torch.stack([far, near[0], far * math.nan]), axes="position")
+    assert found.converged.tolist() == [False, True, False]
+    assert found.q.isnan().any(-1).tolist() == [False, False, True]
+    reached = dq.translation(poses(ARM, found.q[0])) @ toward
+    best = torchdq.inverse_kinematics(ARM, dq.from_pose(double(1, 0, 0, 0), 100 * toward.double()), axes="position")
+    assert reached > dq.translation(poses(ARM, best.q)) @ toward.double() - 0.05
+    assert abs(found.error[0, 1] / size - 1) < 2e-3
+    alone = torchdq.inverse_kinematics(ARM, near, axes="position")
+    assert torch.equal(alone.q[0], found.q[1])
+
+
+def test_a_compiled_function_calls_it_between_its_graphs():
+    torch._dynamo.reset()
+
+    def twice(X):
+        return 2 * torchdq.inverse_kinematics(TWO, 1.0 * X, axes=("x", "y")).q
+
+    X = poses(TWO, within(TWO, 3)).requires_grad_()
+    expected, found = twice(X), torch.compile(twice, backend="eager")(X)
+    assert torch.equal(found, expected)
+    assert torch.equal(*[torch.autograd.grad(q.sum(), X)[0] for q in (found, expected)])
 
 
 def test_single_precision_converges_to_its_own_tolerance():
@@ -196,7 +251,8 @@ def test_gradients_reach_the_robot_and_vanish_where_there_is_no_solution():
     lengths = TWO.X_PB_home.clone().requires_grad_()
     X = poses(TWO, q, "tip").repeat(2, 1)
     X[1] = dq.from_pose(double(1, 0, 0, 0), double(9, 0, 0))
-    found = torchdq.inverse_kinematics(TWO.replace(X_PB_home=lengths), X.requires_grad_(), start=q, axes=("x", "y"))
+    robot = TWO.replace(X_PB_home=lengths)
+    found = torchdq.inverse_kinematics(robot, X.requires_grad_(), start=q, axes=("x", "y"), starts=2)
     (slope,) = torch.autograd.grad(found.q[0, 0], lengths, retain_graph=True)
     longer = TWO.X_PB_home.clone()
     longer[1] = dq.from_pose(double(1, 0, 0, 0), dq.translation(longer[1]) * (1 + 1e-6))
@@ -263,7 +319,11 @@ MISUSE = {
     "no start": lambda: torchdq.inverse_kinematics(ARM, X, starts=0),
     "matrices": lambda: torchdq.inverse_kinematics(ARM, torch.eye(4, dtype=F64)),
     "a start of another robot": lambda: torchdq.inverse_kinematics(ARM, X, start=torch.zeros(6, dtype=F64)),
+    "a mapped pose": lambda: torch.func.vmap(lambda x: torchdq.inverse_kinematics(ARM, x).q)(X[None]),
+    "a mapped start": lambda: torch.func.vmap(lambda q: torchdq.inverse_kinematics(ARM, X, start=q).q)(X[None, :7]),
+    "axes of nothing": lambda: torchdq.inverse_kinematics(ARM, X, expressed="up"),
     "meta": lambda: torchdq.inverse_kinematics(ARM, X.to("meta")),
+    "no time": lambda: torchdq.differential_inverse_kinematics(ARM, X[:7], X[:6], dt=0.0),
     "a velocity as limits": lambda: torchdq.differential_inverse_kinematics(ARM, X[:7], X[:6], limits=2.0),
     "a free base": lambda: torchdq.inverse_kinematics(torchdq.robots.load("go2"), X, "base"),
 }

@@ -118,6 +118,25 @@ def test_frames_of_coupled_joints_move_as_those_of_joints_that_are_moved_so(expr
         torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)
 
 
+@in_axes
+@pytest.mark.parametrize("name", ["shipped-panda", TREES[1]])
+def test_wrenches_at_frames_are_the_torques_of_pinocchios_jacobians(name, expressed):
+    case, axes = oracles.case(name), {"body": pin.LOCAL, "world": pin.LOCAL_WORLD_ALIGNED}[expressed]
+    s, robot = oracles.states(case.robot), case.robot
+    frames = [robot.link_names[-1], robot.link_names[0], robot.link_names[robot.n // 2], robot.frame_names[0]]
+    wrenches = {f: random(*[3] * (k % 2), 6, seed=k) for k, f in enumerate(frames)}  # some for all rows
+
+    def torques(model, data, q, *_):
+        found = [pin.computeFrameJacobian(model, data, q, case.frame_id(f), axes).copy() for f in wrenches]
+        return [J[:, case.order] for J in found]
+
+    J = torch.from_numpy(over(torques, case, s))
+    expected = sum((J[:, k].mT @ F[..., None])[..., 0] for k, F in enumerate(wrenches.values()))
+    f_ext = torchdq.external_wrenches(robot, s.q, wrenches, expressed)
+    found = torchdq.inverse_dynamics(robot, s.q) - torchdq.inverse_dynamics(robot, s.q, f_ext=f_ext)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-12 * float(1 + expected.abs().max()))
+
+
 # --- dynamics --------------------------------------------------------------------------------------------------------
 
 
@@ -297,6 +316,29 @@ def test_a_spring_at_the_tip_pulls_with_its_stiffness_and_damps():
     torch.testing.assert_close(*at, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.parametrize(("robot", "axes"), [(ARM, "pose"), (ARM, "position"), (TWO, ("x", "y"))])
+def test_a_spring_beside_which_gravity_alone_is_held_takes_the_power_that_it_gives(robot, axes):
+    """T' = qd (tau - g) for any motion, which is less the rate of the spring's energy without a damper."""
+    q, qd = random(2, 20, robot.n)
+    stiffness = torch.cat([double(30.0).expand(3), double(600, 500, 400)])[rows_of(axes)]
+    goal = torchdq.forward_kinematics(robot, random(20, robot.n, seed=3), "tip")
+
+    def spring(q):
+        X = torchdq.forward_kinematics(robot, q, "tip")
+        turn = 2 * dq.log_shortest(dq.mul(goal, dq.conj(X)))[..., :3]
+        e = torch.cat([turn, dq.translation(goal) - dq.translation(X)], -1)[..., rows_of(axes)]
+        return 0.5 * (stiffness * e * e).sum(-1)
+
+    def power(stiffness, damping):
+        given = {"stiffness": stiffness, "damping": damping, "axes": axes, "coriolis": False}
+        tau = torchdq.cartesian_impedance(robot, q, qd, goal, **given)
+        return ((tau - torchdq.inverse_dynamics(robot, q)) * qd).sum(-1)
+
+    taken = torch.func.jvp(spring, (q,), (qd,))[1]
+    torch.testing.assert_close(power(stiffness, 0.0), -taken, rtol=1e-11, atol=1e-11 * float(taken.abs().max()))
+    assert (power(0.0, 5.0) < 0).all()
+
+
 # --- goals -----------------------------------------------------------------------------------------------------------
 
 
@@ -470,6 +512,21 @@ def test_what_joints_cannot_serve_is_refused_with_what_they_can():
             control(**({"q": ELBOW, "qd": ELBOW, "X": goal} | more))
 
 
+WRENCHES = {
+    "none": {},
+    "a list": [random(6)],
+    "a number": {"tip": 1.0},
+    "no such frame": {"hand": random(6)},
+    "five numbers": {"tip": random(5)},
+}
+
+
+@pytest.mark.parametrize("wrenches", WRENCHES.values(), ids=WRENCHES)
+def test_wrenches_are_refused_with_their_frame(wrenches):
+    with refused(torchdq.TorchdqError):
+        torchdq.external_wrenches(TWO, torch.zeros(2, dtype=F64), wrenches)
+
+
 def test_axes_of_a_compiled_function_are_names_in_a_row_or_in_one_string():
     found = [torchdq.compile(ARM, "operational_space", options=("tip", "world", x)) for x in (("x", "y"), "x y")]
     assert str(found[0].program) == str(found[1].program)
@@ -477,7 +534,7 @@ def test_axes_of_a_compiled_function_are_names_in_a_row_or_in_one_string():
 
 @pytest.mark.parametrize(
     "name",
-    ["coriolis_matrix", "frame_motion", "manipulability", "operational_space", "operational_space_control"],
+    ["frame_motion", "manipulability", "operational_space", "operational_space_control"],
 )
 def test_floating_bases_are_refused_with_the_reason(name):
     inertia = double(1, 0, 1, 0, 0, 1)

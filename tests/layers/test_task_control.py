@@ -19,6 +19,7 @@ CASES = {
     "number": (100.0, 20.0, {}),
     "axes": (10 * SIX, 2 * SIX, {"expressed": "world", "q_null": Q[0], "k_null": 3.0}),
     "position": (100.0, SIX[:3], {"axes": "position", "expressed": "body", "frame": "panda_link5"}),
+    "passive": (100.0, 20.0, {"coriolis": False}),
     "limited": (400.0, 20.0, {"q_null": Q[0], "limits": True, "damping": 0.1}),
 }
 LAWS = {
@@ -34,7 +35,8 @@ def law_of(module, gains, more, robot=PANDA, goal=None):
 
 
 @pytest.mark.parametrize(
-    ("module", "case"), [(x, y) for x in LAWS for y in CASES if y != "limited" or x is nn.OperationalSpaceControl]
+    ("module", "case"),
+    [(x, y) for x in LAWS for y in CASES if y != ("passive" if x is nn.OperationalSpaceControl else "limited")],
 )
 def test_the_module_is_the_function_and_friction_of_the_description(module, case):
     *gains, more = CASES[case]
@@ -99,6 +101,13 @@ def test_controllers_are_one_graph_of_the_compiler(module):
     given = (Q, QD, X) if module in LAWS else (Q, QD, Q, QD, Q)
     compiled = torch.compile(control, backend="eager", fullgraph=True)
     assert torch.allclose(compiled(*given), control(*given), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("module", LAWS)
+def test_controllers_are_exported_for_any_number_of_rows_with_one_goal(module):
+    control, batch = module(torchdq.robots.load("two_link"), 100.0, 20.0, axes=("x", "y")), torch.export.Dim("batch")
+    shapes = {"q": {0: batch}, "qd": {0: batch}, "X_des": None}
+    torch.export.export(control, (Q[:, :2], QD[:, :2]), {"X_des": X[0]}, dynamic_shapes=shapes)
 
 
 def test_an_error_of_170_degrees_is_a_scalar_oscillator_in_every_component():

@@ -145,6 +145,7 @@ LAWS = {
     "limits": (OperationalSpace, ("kp", "kd"), (90.0, 9.0), {"axes": ("x", "z"), "limits": True, "damping": 0.1}),
     "spring": (CartesianImpedance, ("stiffness", "damping"), (300.0, 30.0), {"axes": "position", "q_null": 0.3}),
     "body": (CartesianImpedance, ("stiffness", "damping"), (90 * SIX, SIX), {"expressed": "body"}),
+    "passive": (CartesianImpedance, ("stiffness", "damping"), (90 * SIX, SIX), {"coriolis": False}),
 }
 
 
@@ -206,6 +207,20 @@ def test_gains_of_a_frame_and_a_posture_may_be_learned(kind):
     assert torch.autograd.gradcheck(end, [x.requires_grad_() for x in gains])
 
 
+def test_kinetic_and_spring_energy_never_grow_where_gravity_alone_is_compensated():
+    """With a damper for the torques that are held over a step; that of c drives the same arm."""
+    q, qd = double(0.3, 1.2, 1.0, -2.0).view(2, 2), double(3.0, -6.0, -4.0, 3.0).view(2, 2)
+    X, energies = torchdq.forward_kinematics(ARM, double(0.6, 0.9), ARM.tip), {}
+    for coriolis in (True, False):
+        control = CartesianImpedance(200.0, 1.0, axes=("x", "y"), coriolis=coriolis)
+        scene = Scene(ARM, (effects.Gravity(),), control, RungeKutta4(), 5e-4)
+        reference = torch.nn.functional.pad(X, (0, 12)).expand(600, 2, 20)
+        states = scene.rollout(scene.start(q, qd), reference=reference)
+        away = dq.translation(torchdq.forward_kinematics(ARM, states.q, ARM.tip)) - dq.translation(X)
+        energies[coriolis] = torchdq.kinetic_energy(ARM, states.q, states.qd) + 100.0 * away.square().sum(-1)
+    assert (energies[False].diff(dim=0) < 0).all() and (energies[True][-1] > 1.5 * energies[True][0]).any()
+
+
 def test_a_check_of_steps_holds_the_frame():
     start = torch.tensor([0.4, 0.9], dtype=torch.float64)
     control = OperationalSpace(100.0, 20.0, frame=ARM.tip, axes=("x", "y"), expressed="world")
@@ -220,6 +235,7 @@ WRONG_TASKS = {
     "a gain too few": lambda: Scene(UR, controller=OperationalSpace((1.0, 1.0), 1.0)),
     "no damping": lambda: Scene(UR, controller=OperationalSpace(1.0, 1.0, damping=0.0)),
     "a negative stiffness": lambda: Scene(UR, controller=CartesianImpedance(-1.0, 1.0)),
+    "coriolis as a number": lambda: Scene(UR, controller=CartesianImpedance(1.0, 1.0, coriolis=0)),
     "a learned model": lambda: Scene(ARM, controller=OperationalSpace(1.0, 1.0, axes=("x", "y"), model=LEARNED)),
 }
 

@@ -83,7 +83,7 @@ def test_states_are_named_tuples_with_what_is_needed():
     for found in (state, after):
         assert isinstance(found, tuple)
         assert found._fields == ("q", "qd", "memory", "reading", "X_WB", "V_WB_B")
-        assert [tuple(x.shape) for x in found.rows().values()] == [(4, 2), (4, 2), (4, 2 + 5 + 8), (4, 4)]
+        assert [tuple(x.shape) for x in found.rows().values()] == [(4, 2), (4, 2), (4, 2 + 8 + 8), (4, 4)]
     assert equal(after.measured, after.reading.split(2, -1))
     bare = Scene(ARM).start(random(4, 2))
     assert bare.memory is None and bare.reading is None

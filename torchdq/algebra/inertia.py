@@ -69,6 +69,16 @@ class Inertia(NamedTuple):
             return (force, moment)  # (30), erratum 30
         return (quat.sub(force, quat.cross(self.first, w)), quat.add(moment, quat.cross(self.first, v)))
 
+    @property
+    def about_com(self) -> Symmetric:
+        """Rotational inertia about the centre of mass, of a body that has mass: I + h x (c x)."""
+        if self.first is None:
+            return self.rotational
+        h, c = self.first, quat.scale(1.0 / self.mass, self.first)
+        shifts = [quat.cross(h, quat.cross(c, e)) for e in quat.UNITS]
+        a, b, d = (quat.add(row, shift) for row, shift in zip(self.rotational, shifts, strict=True))
+        return (a, b, d)
+
     def carried(self, a: Adjoint, p: Pure) -> Inertia:
         """Inertia in frame A of a body given in frame B, where the pose X_AB has the columns a and the position p."""
         rotation = rotated(a[0], self.rotational)
@@ -152,6 +162,11 @@ class Moments(NamedTuple):
     def inertia(self) -> Inertia:
         """Conversion to the other form."""
         return Inertia(self.mass, self.first, self.rotational)
+
+    @property
+    def about_com(self) -> Symmetric:
+        """Rotational inertia about the centre of mass."""
+        return self.inertia.about_com
 
     def momentum(self, V: Screw) -> Screw:
         """Momentum G(V) of the body with twist V."""

@@ -12,6 +12,7 @@ I: Quaternion = (0.0, 1.0, 0.0, 0.0)
 J: Quaternion = (0.0, 0.0, 1.0, 0.0)
 K: Quaternion = (0.0, 0.0, 0.0, 1.0)
 ZERO: Pure = (0.0, 0.0, 0.0)
+UNITS: tuple[Pure, Pure, Pure] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def add(a, b):

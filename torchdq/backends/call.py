@@ -181,7 +181,7 @@ def common_batch(given: Sequence[tuple[str, Tensor, Shape, bool]], subject: str)
             )
         batches[label] = tuple(x.shape[: x.ndim - len(axes)])
     found_axes = [batch for batch in batches.values() if batch]
-    if all(batch == found_axes[0] for batch in found_axes):
+    if all(_same(batch, found_axes[0]) for batch in found_axes):
         return found_axes[0] if found_axes else ()
     try:
         return tuple(torch.broadcast_shapes(*batches.values()))  # whose first call takes a second: it imports sympy
@@ -325,24 +325,29 @@ def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, do
     for x, (axes, width, uniform) in zip(given, forms, strict=True):
         shape, flat = (axes, (width,)) if uniform else (batch + axes, (samples, width))
         x = x if x.dtype == dtype and x.device == given[0].device else x.to(dtype=dtype, device=given[0].device)
-        x = x if x.shape == shape else x.expand(shape)
-        inputs.append(x if shape == flat else x.reshape(flat))
+        x = x if _same(x.shape, shape) else x.expand(shape)
+        inputs.append(x if _same(shape, flat) else x.reshape(flat))
     found = run(program, inputs, EAGER) if program is not None else operator(name, inputs)
     shapes = [axes if summed else batch + axes for _, summed, axes in results]
     narrow = [y if dtype == given[0].dtype else y.to(given[0].dtype) for y in found]
-    shaped = [y if y.shape == shape else y.reshape(shape) for y, shape in zip(narrow, shapes, strict=True)]
+    shaped = [y if _same(y.shape, shape) else y.reshape(shape) for y, shape in zip(narrow, shapes, strict=True)]
     return {result: y for (result, _, _), y in zip(results, shaped, strict=True)}
 
 
 def _common_batch(given: Sequence[Tensor], forms: Sequence[tuple[Shape, int, bool]]) -> Shape | None:
     """Batch axes of tensors that all have them, without broadcasting; None: they differ, or other axes do not fit."""
-    batch = None
+    batch: Shape | None = None
     for x, (axes, _, uniform) in zip(given, forms, strict=True):
         own, last = x.shape[: x.ndim - len(axes)], x.shape[x.ndim - len(axes) :]
         batch = own if batch is None and not uniform else batch
-        if last != axes or not (uniform or own == batch):
+        if last != axes or not (uniform or (batch is not None and _same(own, batch))):
             return None
     return None if batch is None else tuple(batch)
+
+
+def _same(a: Shape, b: Shape) -> bool:
+    """Whether shapes are equal, without a comparison of sizes, which an exported graph keeps, where ranks differ."""
+    return len(a) == len(b) and a == b
 
 
 @constant_in_graphs

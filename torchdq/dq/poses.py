@@ -276,16 +276,24 @@ def to_rotation_6d(r: Tensor) -> Tensor:
 def from_rotation_6d(columns: Tensor) -> Tensor:
     """Unit quaternion [..., 4] with w >= 0 of two columns [..., 6] of any lengths, the second made orthogonal.
 
-    Rows whose columns are parallel are NaN, since they have no rotation.
+    Where both are parallel, up to rounding, the second is the axis in which the first is shortest instead, and the
+    gradient in the second is zero. Rows of which a column is zero are NaN, since it has no direction.
 
     >>> from_rotation_6d(torch.tensor([-2.0, 0, 0, 1, -3, 0]))
     tensor([0., 0., 0., 1.])
     """
-    a, b = checked("columns", columns, 6).split(3, -1)
-    x = a / torch.linalg.vector_norm(a, dim=-1, keepdim=True)
-    z = torch.linalg.cross(x, b, dim=-1)
-    z = z / torch.linalg.vector_norm(z, dim=-1, keepdim=True)
+    x, y = (_direction(v) for v in checked("columns", columns, 6).split(3, -1))
+    others = (x.detach().abs().argmin(-1, keepdim=True) == torch.arange(3, device=x.device)).to(x)
+    apart = torch.linalg.cross(x, y, dim=-1).detach().abs().amax(-1, keepdim=True)
+    y = torch.where(apart <= 4 * torch.finfo(x.dtype).eps, others, y)
+    z = _direction(torch.linalg.cross(x, y, dim=-1))
     return from_rotation_matrix(torch.stack([x, torch.linalg.cross(z, x, dim=-1), z], -1))
+
+
+def _direction(v: Tensor) -> Tensor:
+    """Unit vector [..., 3] along a vector of any length, whose square may overflow or underflow."""
+    v = v / v.detach().abs().amax(-1, keepdim=True)
+    return v / torch.linalg.vector_norm(v, dim=-1, keepdim=True)
 
 
 def to_matrix(x: Tensor) -> Tensor:

@@ -4,14 +4,23 @@ A step h takes the normal force of Hunt and Crossley and the friction of bristle
 velocity u' (depth d, normal n, bristles z, coefficients as at the start):
 
     f_n = k d - k (h + c max(d, 0)) n.u'
-    f_t = -s y,   y = k z + k (h + T) u_t',   s = min(1, mu f_n / |y|)
+    f_t = -s y,   y = k z + k (h + T) u_t',   s = min(1, limit / |y|)
     z'  = (s y / k + (T/h) z) / (1 + T/h)
 
-Both are f - C (u' - u) with a symmetric C >= 0, so the step has one solution for any k. Where friction sticks, s is 1:
-it is a spring, and nothing creeps. Where it would leave the cone, it returns to it along the secant through the origin.
-Bristles never give more energy than they hold, whatever s in [0, 1] is: a cone that is not right costs accuracy only.
-So the cone is that of the last step's normal force (of the predicted one at first touch), and |y| is extrapolated from
-the last two steps, which makes the friction of sliding exact to second order in h.
+Both are f - C (u' - u) with a symmetric C >= 0, so the step has one solution for any k. A point that lands within
+the step is a damper for the part of it in which it touches, since a spring would pull it to the ground. Where
+friction sticks, s is 1: it is a spring, and nothing creeps. Where it would leave the cone, it returns to it along the
+secant through the origin, and |y| is extrapolated from the last two steps, which makes the friction of sliding exact
+to second order in h.
+
+No step gives energy, whatever k, h and the body are. Bristles never return more than they hold, for any s in [0, 1].
+The spring along the normal neither: a point may be deeper than the step foresaw, as where a blow on one corner turns
+another into the ground; it then is compressed by no more than the work done on it allows, and recovers slowly.
+
+Friction keeps to mu times the normal impulse. The normal force that limits it is that of the last step, and its change
+since: f_n = (k d - Z n.u + h Z a) / (1 + h Z / m) with Z = k (h + c d), the effective mass m of the point, and the
+acceleration a towards the ground that all else gave it over the last step, a = f_n / m - n.(u' - u) / h. What a step
+uses too much or too little of it, the next one makes up for.
 """
 
 from __future__ import annotations
@@ -24,32 +33,41 @@ from typing import Any, ClassVar, NamedTuple, Self
 import torch
 from torch import Tensor
 
+from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.checks import tensor_of
+from torchdq.dynamics.error_growth import NoInertiaError
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
 from torchdq.effects.effect import TENSOR, Inputs, Parameter, Shapes
 from torchdq.effects.surface import HeightMap, tangent
 from torchdq.errors import ArgumentError
-from torchdq.numbers.functions import below, clip, maximum, select, sqrt
+from torchdq.functions.inverse_kinematics import ranges, start
+from torchdq.functions.posed import frame as frame_of
+from torchdq.functions.posed import posed
+from torchdq.numbers.functions import below, clip, maximum, minimum, select, sqrt
 from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.contact_points import points_of
+from torchdq.robot.fields import BODIES, SHAPES
 
 SINK = 1e-3  # depth of the points of a robot at rest, where the stiffness follows from it [m]
 CARRYING = 4  # points that it then rests on at most; others are there for falls
-FIRMEST = 4.0  # largest stiffness, in masses of the robot over the square of a step
 WEIGHT = 9.81  # acceleration that the weight of a robot at rest is taken with [m/s^2]
 NEAR = 1e-6  # depth from which a point was in contact over the last step, above the rounding of its memory [m]
+NONE = 1e-24  # square of a length beside which that of none counts as zero [m^2]
 TINY = 1e-6  # friction beside which the size of none counts as zero [N]
+SLOWEST = 1e-9  # speed that a point has at least where it lands or leaves within a step [m/s]
+RECOVERY = 0.1  # speed that sets how fast the compression of a point that is deeper recovers [m/s]
 WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
-KEPT = 5  # numbers that a point remembers
+ANY_DEPTH = 1e3  # compression that no point exceeds [m]
+KEPT = 8  # numbers that a point remembers
 
 
 class _Chosen(float):
-    """Stiffness that was not given: another scene, with other steps or another robot, has its own."""
+    """Stiffness that was not given: another robot has its own."""
 
 
 class Contacts(NamedTuple):
@@ -71,6 +89,7 @@ class _Place(NamedTuple):
     depth: Number
     approach: Number  # velocity along the normal, negative towards the ground [m/s]
     slip: Pure  # velocity along the surface [m/s]
+    mass: float  # effective one [kg]
 
 
 @dataclass(frozen=True)
@@ -81,8 +100,10 @@ class Contact(BodyEffect):
 
     The force at a depth d is continuous and never attractive; at rest friction holds without creep, and sliding it is
     mu f_n. For `LinearlyImplicit`, which takes the force at the end of the step and holds any stiffness; an impact is
-    of first order in the step. A point remembers five numbers of a state: bristles of the friction in world axes [m],
-    normal force and size of the friction over the last step [N].
+    of first order in the step. No step gives energy, whatever k and the body are, and friction keeps to mu times the
+    normal impulse of an impact. A point remembers eight numbers of a state: bristles of the friction in world axes, and
+    the largest compression of its spring [m]; normal force and size of the friction over the last step [N],
+    acceleration towards the ground by all else [m/s^2], and friction that is left over [N].
 
     Sources: K. H. Hunt and F. R. E. Crossley, "Coefficient of restitution interpreted as damping in vibroimpact",
     Journal of Applied Mechanics, 1975, for the normal force; M. Anitescu and F. A. Potra, "A time-stepping method for
@@ -98,8 +119,7 @@ class Contact(BodyEffect):
             below every point before each step. On either a sphere of radius r touches with its lowest point, and so
             sinks by r (1 - cos) where the ground slopes. None: the plane.
         stiffness: k of every point, of the normal force and of the friction that sticks [N/m], a number or [...]; None:
-            so that a robot at rest sinks 1 mm on four points, or on all where there are fewer. At most 4 m / h^2, for a
-            robot of mass m and a step h.
+            so that a robot at rest sinks 1 mm on four points, or on all where there are fewer. Any is stable.
         dissipation: c [s/m], a number or [...].
         friction: mu, a number or [...].
         stiction: False: no memory, and friction that is viscous below 10 mm/s, which has a smooth gradient and creeps.
@@ -132,6 +152,10 @@ class Contact(BodyEffect):
 
     # --- parameters ---
 
+    def __post_init__(self) -> None:
+        if isinstance(self.points, list):  # which could change after it was recorded
+            object.__setattr__(self, "points", tuple(self.points))
+
     def described(self, robot: Robot) -> Self:
         """Copy with its contact points, on links that move, and a stiffness."""
         points = points_of(robot, ContactPoint(robot.end_effector().name) if self.points is None else self.points)
@@ -143,15 +167,15 @@ class Contact(BodyEffect):
         if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
         stiffness = self.stiffness
-        if stiffness is None:
+        if stiffness is None or isinstance(stiffness, _Chosen):
             stiffness = max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING)))
-        return replace(self, points=points, stiffness=stiffness)
+        return replace(self, points=_with_masses(robot, points), stiffness=stiffness)
 
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
         whole = super().resolved(robot)
-        if isinstance(self.stiffness, _Chosen):
-            whole = replace(whole, stiffness=self.stiffness)
+        if self.stiffness is None or isinstance(self.stiffness, _Chosen):
+            whole = replace(whole, stiffness=_Chosen(whole.stiffness))
         normal = tensor_of(whole.normal).double()
         if without_values((normal,)):
             return whole
@@ -160,21 +184,6 @@ class Contact(BodyEffect):
             found = ", ".join(f"{x:.4g}" for x in normal[wrong][0].tolist())
             raise ArgumentError(f"normal of Contact must be a unit vector, found ({found})")
         return whole
-
-    def stepped(self, robot: Robot, h: float) -> Self:
-        """Copy for steps h: the stiffness is at most 4 m / h^2; raises if one that is given is above."""
-        most = firmest(robot, h)
-        if self.stiffness is None or isinstance(self.stiffness, _Chosen):
-            own = replace(self, stiffness=None).described(robot)
-            return replace(own, stiffness=_Chosen(min(own.stiffness, most)))
-        stiffness = tensor_of(self.stiffness)
-        if not without_values((stiffness,)) and stiffness.numel() and (found := float(stiffness.detach().max())) > most:
-            raise ArgumentError(
-                f"stiffness of Contact must be at most 4 m / h^2 = {most:.4g} N/m for robot {robot.name!r} and steps "
-                f"of {h:g} s, found {found:.4g}: a point would leave the ground faster than it came; take softer "
-                "ground or shorter steps"
-            )
-        return self
 
     def template(self) -> Self:
         """Copy without the heights of a map, because programs do not depend on them."""
@@ -211,8 +220,12 @@ class Contact(BodyEffect):
         return [p[axis] for axis in (0, 1) for p in found]
 
     def memory(self, n: int) -> int:
-        """Bristles, normal force and size of the friction of every point; none without stiction."""
+        """Numbers that all points remember; none without stiction."""
         return KEPT * len(self.points) if self.stiction else 0
+
+    def start(self, q: Row, qd: Row) -> Row:
+        """Memory of points that may be in the ground, with springs as compressed as they are deep."""
+        return (0.0, 0.0, 0.0, ANY_DEPTH, *[0.0] * (KEPT - 4)) * len(self.points) if self.stiction else ()
 
     # --- law ---
 
@@ -222,28 +235,33 @@ class Contact(BodyEffect):
         return [self._impedance(bodies, place, memory[KEPT * i : KEPT * (i + 1)], h) for i, place in places]
 
     def _impedance(self, bodies: Bodies, place: _Place, memory: Row, h: Number) -> PointImpedance:
-        """Force of a point over a step h; with stiction, `kept` has its bristles, normal force and size of friction."""
+        """Force of a point over a step h, and what it remembers then."""
         k, n, kept = self.stiffness, place.normal, None
-        force, Z_n = self._pressing(place, h)
         if not self.stiction:
+            force, Z_n = self._pressing(place, h)
             active, trial, Z_t = below(0.0, force), place.slip, 1.0
             share = self.friction * select(active, force, 0.0) / sqrt(quat.dot(trial, trial) + WIDTH * WIDTH)
         else:
             # in less than half of the step the extrapolated friction of slow sliding would alternate
             T = maximum(self.settling, 0.5 * h)
             Z_t = k * (h + T)
-            *bent, pressed, last = memory
+            *bent, compression, pressed, last, pushed, left = memory
             z = bodies.posed.to_link(place.link, tuple(bent))
             if self.surface is not None:  # whose normal turns
                 z = quat.sub(z, quat.scale(quat.dot(n, z), n))
+            place = place._replace(depth=minimum(place.depth, compression))
+            force, Z_n = self._pressing(place, h)
             was = below(k * NEAR, pressed)
             # the prediction alone would let a point chatter that lands, and the depth alone hold one that leaves
             active = maximum(below(0.0, force), was * below(0.0, place.depth))
-            limit = self.friction * select(active, select(was, pressed, maximum(force, 0.0)), 0.0)
+            Z_h, mobility = h * Z_n, 1.0 / place.mass
+            normal_force = maximum((force + Z_h * pushed) / (1.0 + Z_h * mobility), 0.0)
+            limit = select(active, maximum(self.friction * normal_force + left, 0.0), 0.0)
             trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
             size = sqrt(quat.dot(trial, trial) + TINY * TINY)
-            ahead = select(was, clip(size + (size - last), 0.5 * size, 2.0 * size), size)
-            share = select(below(limit, ahead), limit / ahead, 1.0)
+            ahead = select(was, clip(size + (size - last), size, 2.0 * size), size)
+            slides = below(limit, ahead)
+            share = select(slides, limit / ahead, 1.0)
 
             def kept(end: Pure) -> Row:
                 lag, along = T / h, quat.dot(n, end)
@@ -251,8 +269,14 @@ class Contact(BodyEffect):
                 # s y / k = s (z + (h + T) u_t')
                 acted = quat.scale(share, quat.add(z, quat.scale(h + T, slip)))
                 after = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, z)))
-                pressing = maximum(k * place.depth - Z_n * along, 0.0)
-                return [*bodies.posed.to_world(place.link, after), select(active, pressing, 0.0), size]
+                change = along - place.approach
+                pressing = maximum(force - Z_n * change, 0.0)
+                used = k * sqrt(quat.dot(acted, acted) + NONE)
+                d, worked = maximum(place.depth, 0.0), pressing * (-2.0 * h) * along / k
+                deepest = sqrt(maximum(d * d + worked, 0.0) + (RECOVERY * h) * (RECOVERY * h))
+                rest = select(slides, left + self.friction * pressing - used, 0.0)
+                row = [deepest, pressing, size, pressing * mobility - change / h, rest]
+                return [*bodies.posed.to_world(place.link, after), *(select(active, x, 0.0) for x in row)]
 
         normal, D = select(active, force, 0.0), share * Z_t
         acting = quat.sub(quat.scale(normal, n), quat.scale(share, trial))
@@ -264,7 +288,7 @@ class Contact(BodyEffect):
         for i, place in enumerate(self._places(bodies, inputs)):
             to_world, speed = partial(bodies.posed.to_world, place.link), sqrt(quat.dot(place.slip, place.slip))
             if self.stiction:
-                *z, f_n, _ = memory[KEPT * i : KEPT * (i + 1)]
+                *z, _, f_n, _, _, _ = memory[KEPT * i : KEPT * (i + 1)]
                 bent = select(below(0.0, f_n), self.stiffness, 0.0)  # those of a point that left relax without a force
                 force = quat.sub(quat.scale(f_n, to_world(place.normal)), quat.scale(bent, tuple(z)))
             else:
@@ -274,9 +298,12 @@ class Contact(BodyEffect):
         return found
 
     def _pressing(self, place: _Place, h: Number) -> tuple[Number, Number]:
-        """Normal force at the velocity now, negative where the point would be held, and its impedance over a step h."""
-        Z = self.stiffness * (h + self.dissipation * maximum(place.depth, 0.0))
-        return self.stiffness * place.depth - Z * place.approach, Z
+        """Normal force at the velocity now, and its impedance over a step h; no force: it does not touch."""
+        k, d, u = self.stiffness, place.depth, place.approach
+        Z = k * (h + self.dissipation * maximum(d, 0.0))
+        force = k * d - Z * u
+        lands = below(d, 0.0)
+        return force, select(lands, force / maximum(-u, SLOWEST), Z)
 
     def _places(self, bodies: Bodies, inputs: Inputs) -> Iterator[_Place]:
         """Places of the points."""
@@ -289,7 +316,8 @@ class Contact(BodyEffect):
             lowest = quat.sub(c, quat.scale(point.radius, normal)) if point.radius else c
             u = bodies.velocity(link, lowest)
             along = quat.dot(normal, u)
-            yield _Place(link, normal, lowest, depth, along, quat.sub(u, quat.scale(along, normal)))
+            slip = quat.sub(u, quat.scale(along, normal))
+            yield _Place(link, normal, lowest, depth, along, slip, point.mass)
 
     def _ground(self, p: Pure, radius: float, plane: Row = ()) -> tuple[Pure, Number]:
         """Normal of the ground below a sphere at p, in the world, and the sphere's depth; `plane`: that of a map."""
@@ -306,9 +334,30 @@ class Contact(BodyEffect):
         return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w
 
 
-def firmest(robot: Robot, h: float) -> float:
-    """Largest stiffness of contacts for steps h [N/m]."""
-    return FIRMEST * max(moving_mass(robot), 1e-9) / h**2
+def _with_masses(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:
+    """Points with the effective mass that the robot has there, the least of several robots.
+
+    It is 3 / tr(J M^-1 J^T), the mean over all directions, with the joints in the middle of their limits.
+    """
+    rows: dict[str, Any] = {"gravity": None}
+    for name, axes in SHAPES.items():
+        x = getattr(robot, name)
+        if x is not None and (name in (*BODIES, "armature") or x.ndim > len(axes)):
+            rows.setdefault(name, x.detach().double().reshape(*x.shape[: x.ndim - len(axes)], -1).unbind(-1))
+    at = posed(robot, start(0, ranges(robot)), rows, (), dq.ONE if robot.floating else None)
+    try:
+        factors = at.factors(False)
+    except NoInertiaError:  # which a solution names
+        return tuple(point._replace(mass=1.0) for point in points)
+    found = []
+    for point in points:
+        link, X_BF = frame_of(robot, point.frame)
+        columns = at.jacobian(link, dq.mul(X_BF, dq.from_pose(quat.ONE, point.center)), False)
+        J = tuple(tuple(0.0 if c is None else c[1][axis] for c in columns) for axis in range(3))
+        mobility = factors.mobility(J)
+        masses = torch.as_tensor(3.0 / (mobility[0][0] + mobility[1][1] + mobility[2][2]))
+        found.append(point._replace(mass=float(masses.min())))
+    return tuple(found)
 
 
 def moving_mass(robot: Robot) -> float:

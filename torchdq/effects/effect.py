@@ -188,10 +188,6 @@ class Effect(Parametric):
         """Positions [n] below and above which it acts as a limit; None: it is not a limit."""
         return None
 
-    def stepped(self, robot: Robot, h: float) -> Self:
-        """Copy for steps h [s], where its parameters depend on them."""
-        return self
-
     def start(self, q: Row, qd: Row) -> Row:
         """Memory in the initial state."""
         return (0.0,) * self.memory(len(q))

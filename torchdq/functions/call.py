@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -78,7 +78,7 @@ def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | Non
     return common_batch([*inputs, *parameters], f" for the {robot.n} joints of robot {robot.name!r}")
 
 
-def gain(name: str, value: Tensor | float, q: Tensor) -> Tensor:
+def gain(name: str, value: Tensor | float, q: Tensor, positive: bool = False) -> Tensor:
     """Gain of a controller as a tensor, one number in the dtype of q; entries of a tensor are not checked."""
     if isinstance(value, Tensor) and value.ndim:
         return value
@@ -89,9 +89,7 @@ def gain(name: str, value: Tensor | float, q: Tensor) -> Tensor:
     if not isinstance(value, REAL):
         cure = "; use torch.as_tensor" if isinstance(value, list | tuple | np.ndarray) else ""
         raise ArgumentError(f"{name} must be a number or a tensor, found {type(value).__name__}{cure}")
-    require_number(name, value)
-    if value < 0:
-        raise ArgumentError(f"{name} must not be negative, found {value!r}")
+    require_number(name, value, positive, least=0.0)
     return torch.full((), value, dtype=q.dtype, device=q.device)
 
 
@@ -118,6 +116,23 @@ def poses(
     if not names:
         raise ArgumentError(f"frame must name one frame at least, found none; known: {', '.join(known)}")
     return function_of(name, robot, given, backend, names)[0]
+
+
+def on_links(
+    name: str,
+    robot: Robot,
+    given: Tensors,
+    wrenches: Mapping[str, Tensor],
+    expressed: str,
+    backend: BackendName | None,
+) -> list[Tensor]:
+    """Results of wrenches [..., 6] at frames, by the name of their frame."""
+    if not (isinstance(wrenches, Mapping) and wrenches):
+        raise ArgumentError(f"wrenches must be a dictionary of wrenches by the name of their frame, found {wrenches!r}")
+    options = options_of(require_robot(robot), name, (expressed, *wrenches))
+    batch = common_batch([(f"wrenches[{x!r}]", F, (6,), False) for x, F in wrenches.items()], "")
+    rows = torch.stack([F.expand(*batch, 6) for F in wrenches.values()], -2)
+    return function_of(name, robot, {**given, "wrenches": rows}, backend, options)
 
 
 def of_one_frame(

@@ -8,7 +8,6 @@ arguments are present.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 from torchdq.algebra.quaternion import Number
@@ -75,6 +74,9 @@ RECIPES: dict[str, Recipe] = {
         each=True,
     ),
     "jacobian": Recipe(joints("q"), (fixed.jacobian,), lambda frame, expressed: ((6, "n"),)),
+    "external_wrenches": Recipe(
+        (*joints("q"), ("wrenches", ("frames", 6), False)), (fixed.external_wrenches,), lambda *frames: (("links", 6),)
+    ),
     "coriolis_matrix": Recipe(joints("q", "qd"), (task.coriolis_matrix,), lambda: (("n", "n"),)),
     "frame_motion": Recipe(
         (*joints("q", "qd"), RATES[1]), (task.frame_motion,), lambda frame, expressed: ((8,), (6,), (6,))
@@ -98,7 +100,7 @@ RECIPES: dict[str, Recipe] = {
         single=("stiffness", "damping"),
     ),
     "inverse_kinematics_step": Recipe(
-        (*joints("q", "best"), ("state", (5,), False), ("X", (8,), False), ("settings", (3,), False)),
+        (*joints("q", "best"), ("state", (5,), False), ("X", (8,), False), ("settings", (4,), False)),
         (ik.step,),
         lambda *task: (("n",), ("n",), (5,)),
         shared=("settings",),
@@ -133,11 +135,13 @@ _FREE: dict[str, Recipe] = {
         "forward_dynamics", free.forward_dynamics, free.forward_dynamics_articulated, results=lambda: ((6,), ("n",))
     ),
     "mass_matrix": _free("mass_matrix", results=lambda: (("all", "all"),)),
+    "coriolis_matrix": _free("coriolis_matrix", results=lambda: (("all", "all"),)),
     "closed_form": _free("closed_form", free.closed_form, results=lambda: (("all", "all"), ("all",), ("all",))),
     "error_growth": _free("error_growth", results=lambda: ((),)),
     "regressor": _free("regressor", results=lambda: (("all", "parameters"),)),
     "forward_kinematics": _free("forward_kinematics", results=lambda *frames: ((len(frames), 8),)),
     "jacobian": _free("jacobian", results=lambda frame, expressed: ((6, "all"),)),
+    "external_wrenches": _free("external_wrenches", results=lambda *frames: (("links", 6), (6,))),
     "kinetic_energy": _free("kinetic_energy", results=lambda: ((),)),
     "potential_energy": _free("potential_energy", results=lambda: ((),)),
     "centre_of_mass": _free("mass_matrix", free.centre_of_mass, results=lambda: ((3,),)),
@@ -148,7 +152,6 @@ FLOATING = "floating."  # names of functions of robots with a floating base begi
 RECIPES |= {FLOATING + name: recipe for name, recipe in _FREE.items()}
 _NO_MOTOR = "no motor moves its base, so torques of the joints alone cannot give a frame every acceleration"
 _FIXED_ONLY = {  # why a function has no form for robots with a floating base
-    "coriolis_matrix": "a twist is not the rate of coordinates, so that C = 1/2 dc/dqd does not give Mdot = C + C^T",
     "frame_motion": "floating.forward_kinematics and floating.jacobian give the pose and the twist of a frame",
     "joint_momentum": "what acts on its base is not measured",
     "contact_force": "what acts on its base is not measured",
@@ -164,8 +167,8 @@ _OF_AXES = {  # third option: axes of a frame
     *("operational_space", "operational_space_control", "cartesian_impedance"),
     *("inverse_kinematics_newton", "differential_inverse_kinematics", "contact_force"),
 }
-# positions of the arguments that a result is differentiated by
-DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1), "coriolis_matrix": (1,)}
+# arguments that a result is differentiated by
+DERIVATIVES = {"inverse_dynamics_jacobian": ("q", "qd"), "coriolis_matrix": ("V_WB_B", "qd")}
 
 
 class _Call(NamedTuple):
@@ -185,6 +188,7 @@ class Function(_Call, Computation):
         fields = self.constants.fields
         n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
         axes = {"axes": len(task.rows_of(self.options[2]))} if self.name in _OF_AXES else {}
+        axes["frames"] = len(self.options) - 1  # of "external_wrenches"
         return {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating), **axes}
 
     def axes(self, name: str) -> tuple[int, ...]:
@@ -258,23 +262,34 @@ def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
         return _momentum(what, arguments)
     robot, recipe = recorded(what.constants), RECIPES[what.name]
     per_sample = tuple(a.name for a in arguments if a.name in SHAPES and not a.uniform)
+    taken = (*arguments, task.HELD) if what.name == "floating.coriolis_matrix" else arguments
 
     def by(formula: Callable[..., Results]) -> Program:
         def algorithm(*rows: Sequence[Number]) -> Results:
-            named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
+            named = {a.name: row for a, row in zip(taken, rows, strict=True)}
             overrides = {name: named.pop(name) for name in SHAPES if name in named}
             return formula(RecipeInputs(robot, named, overrides, per_sample), *what.options)
 
-        return record(f"{formula.__name__}_{robot.name}", arguments, algorithm)
+        return record(f"{formula.__name__}_{robot.name}", taken, algorithm)
 
     known = recipe.formulas if recipe.each else alternatives_to_record(robot.n, recipe.formulas)
     best = min(map(by, known), key=lambda p: p.count().total)
-    wrt = DERIVATIVES.get(what.name)
-    if wrt is None:
-        return best
-    found = derive.jacobian(best, wrt)
-    named = (found.results[0]._replace(name="C"),) if what.name == "coriolis_matrix" else found.results
-    return replace(found, results=named)
+    wrt = [k for k, a in enumerate(taken) if a.name in DERIVATIVES.get(what.name.removeprefix(FLOATING), ())]
+    if what.name.endswith("coriolis_matrix"):
+        return _square(derive.jacobian(best, wrt), arguments, sum(taken[k].width for k in wrt))
+    return derive.jacobian(best, wrt) if wrt else best
+
+
+def _square(blocks: Program, arguments: tuple[Argument, ...], n: int) -> Program:
+    """Matrix C [n, n] of blocks of columns side by side, in which the twist that was held is that of the base."""
+
+    def algorithm(*rows: Sequence[Number]) -> Results:
+        named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
+        values = replay(blocks, [named["V_WB_B" if a == task.HELD else a.name] for a in blocks.arguments])
+        found = [(len(block) // n, block) for block in results(blocks, values).values()] if n else []
+        return {"C": [x for i in range(n) for width, block in found for x in block[i * width : (i + 1) * width]]}
+
+    return record(blocks.name, arguments, algorithm)
 
 
 def _with_mass_matrix(what: Function, arguments: tuple[Argument, ...]) -> Program:

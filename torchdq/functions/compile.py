@@ -319,7 +319,7 @@ def compile(
             "world" for "jacobian"; the tip or "" for "closed_form", by default the robot's; "kp" and "kd" for
             "computed_torque" if they are one number for all joints. Of a frame's control: its name, "body" or "world",
             and axes such as "pose" or "x y rz", as far as they differ from the defaults; the gains that are one number
-            for all axes; "limits".
+            for all axes; "limits"; "gravity" for an impedance with coriolis=False.
     Raises:
         UnknownNameError: there is no such function, argument or frame.
         ArgumentError: an option means nothing to the function.

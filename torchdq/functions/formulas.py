@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from torchdq.algebra import dual_quaternion, screw
+from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.tracking import commanded
-from torchdq.functions.posed import factors, frame, general, solve
+from torchdq.functions.posed import as_screw, factors, frame, general, solve
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.program.program import GROWTH, Value
 
@@ -131,6 +131,19 @@ def jacobian(x: RecipeInputs, name: str, expressed: str) -> Results:
     """Jacobian J, row-major, twist components by joints."""
     columns = x.posed().jacobian(*frame(x.robot, name), world=expressed == "world")
     return {"J": [_six(c)[i] for i in range(6) for c in columns]}
+
+
+def external_wrenches(x: RecipeInputs, expressed: str, *names: str) -> Results:
+    """Wrenches f_ext on the links, and f_base on a floating base, in their frames, of wrenches at frames."""
+    links, found = x.bodies().poses(), [screw.ZERO] * (1 + x.robot.sizes["links"])
+    for k, name in enumerate(names):
+        link, X_BF = frame(x.robot, name)
+        turn = quaternion.conj(links[link][0]) if expressed == "world" else X_BF[0]
+        X = dual_quaternion.from_pose(turn, dual_quaternion.translation(X_BF))
+        F = screw.ad(screw.columns(X), as_screw(x.arguments["wrenches"][6 * k : 6 * k + 6]))
+        found[link] = screw.add(found[link], F)
+    base = {} if x.base() is None else {"f_base": _six(found[0])}
+    return {"f_ext": [entry for F in found[1:] for entry in _six(F)], **base}
 
 
 def _six(s: Screw | None) -> tuple[Number | None, ...]:

@@ -4,6 +4,10 @@
 
 e is the error of a frame and J its rate -de/dq. A joint at a limit that the gradient J^T e pushes outwards is left out
 of the step, so that the others make up for it. A start is given up where e.e is not below SLOWEST of its running mean.
+
+Where no start has converged, the last steps go on from the best of all, and from LAST of the starts once more, as long
+as e.e falls. There e does not vanish, and J J^T lacks the curvature of its components, which is of the size |e| |J|:
+damped by SPREAD of that, steps are short enough to end at the closest point.
 """
 
 from __future__ import annotations
@@ -25,28 +29,34 @@ from torchdq.functions.posed import frame
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.functions.task_space import pose_of, pose_of_any_norm
 from torchdq.functions.task_space_formulas import rows_of
-from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select
+from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select, sqrt
 from torchdq.robot.robot import Robot
 
 DAMPING, LEAST = 0.03, 1e-9
 SLOWEST, FIRST = 0.9, 2.0  # below 1, so that every start ends; the mean at a start is FIRST times its e.e
+PATIENT, SPREAD, LAST = 1.0 - 2.0**-30, 0.5, 8  # of the last steps
 SINGULAR = 1e-10  # pivots of J J^T are at least this share of its diagonal where it is not damped
 GIVEN = 1e-3  # share of a twist that may be missing
 
 
 def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Screw, Task, Matrix]:
-    """Error of a frame, (rotation vector, displacement) to the desired pose in its axes, its task, and rates -de/dq."""
+    """Error of a frame, (rotation vector, displacement) to the desired pose, its task, and rates -de/dq."""
     at, task = x.posed(), Task(*frame(x.robot, name), expressed == "world", rows_of(axes))
-    to_goal = dq.mul(dq.conj(pose_of(at, task)), pose_of_any_norm(x.arguments["X"]))
-    turn, p = pose_error.error((to_goal[0], dq.ZERO))[0], dq.translation(to_goal)
+    X, goal = pose_of(at, task), pose_of_any_norm(x.arguments["X"])
+    if task.world:  # the other way round, since the axes do not turn with the frame
+        back, p = quat.mul(X[0], quat.conj(goal[0])), quat.sub(dq.translation(goal), dq.translation(X))
+    else:
+        to_goal = dq.mul(dq.conj(X), goal)
+        back, p = to_goal[0], dq.translation(to_goal)
+    turn = pose_error.error((back, dq.ZERO))[0]
     turns, moves = (sum(r // 3 == kind for r in task.rows) for kind in (0, 1))
     columns = []
     for c in at.jacobian(task.link, task.X_BF, task.world):
         w, v = c or screw.ZERO
         # components that are left out do not vanish at a solution, and count in the rates of the others
         rate = pose_error.error_rate((turn, quat.ZERO), (w, quat.ZERO))[0] if 0 < turns < 3 else w
-        columns.append(task.of((rate, quat.add(v, quat.cross(w, p)) if 0 < moves < 3 else v)))
-    return (turn, p), task, tuple(zip(*columns, strict=True))
+        columns.append(task.of((rate, quat.add(v, quat.cross(w, p)) if 0 < moves < 3 and not task.world else v)))
+    return (quat.neg(turn) if task.world else turn, p), task, tuple(zip(*columns, strict=True))
 
 
 def ranges(robot: Robot) -> list[tuple[float, float]]:
@@ -95,7 +105,7 @@ def step(x: RecipeInputs, *options: str) -> Results:
     """Next q of a row, its best so far, and its state; where it has converged or has no starts left, the same again.
 
     The state is the number of the start, whether it has converged, the mean of e.e, and of the best the squares of
-    both parts of e; the settings are the largest of both parts, and the number of starts.
+    both parts of e; the settings are the largest of both parts, the number of starts, and that with the last steps.
     """
     q, best, state, settings = (x.arguments[name] for name in ("q", "best", "state", "settings"))
     k, converged, mean, *least = state
@@ -104,8 +114,10 @@ def step(x: RecipeInputs, *options: str) -> Results:
     squares, wanted = [dot(kind, kind) for kind in kinds], task.of(e)
     total = squares[0] + squares[1]
     close = at_least(settings[0] * settings[0], squares[0]) * at_least(settings[1] * settings[1], squares[1])
-    active = below(k, settings[2]) * (1.0 - converged)
-    better, runs = active * below(total, least[0] + least[1]), below(total, SLOWEST * mean)
+    active, last = at_least(settings[3], k) * (1.0 - converged), at_least(k, settings[2])
+    better = active * below(total, least[0] + least[1])
+    best = [select(better, a, b) for a, b in zip(q, best, strict=True)]
+    runs = below(total, select(last, PATIENT, SLOWEST) * mean)
     again, goes = (active * (1.0 - close) * share for share in (1.0 - runs, runs))
 
     push = [dot(column, wanted) for column in zip(*J, strict=True)]
@@ -114,15 +126,18 @@ def step(x: RecipeInputs, *options: str) -> Results:
         for a, p, (lower, upper) in zip(q, push, limits, strict=True)
     ]
     free = _free(J, held)
-    change = _least_norm(free, _factors(free, DAMPING * total + LEAST), wanted)
+    curved = select(last, SPREAD * sqrt(total * sum(dot(row, row) for row in free)), 0.0)
+    change = _least_norm(free, _factors(free, DAMPING * total + LEAST + curved), wanted)
     moved = [clip(a + d, *bounds) for a, d, bounds in zip(q, change, limits, strict=True)]
-    fresh = start(k + again, limits)
-    mean = select(at_least(mean, math.inf), FIRST * total, 0.5 * (mean + total))
+    after = k + again
+    number = select(at_least(after, settings[2]), after - settings[2], after)  # 0 after the first: the best
+    fresh = [select(at_least(0.0, number), b, a) for a, b in zip(start(number, limits), best, strict=True)]
+    mean = select(at_least(mean, math.inf), FIRST * total, select(last, total, 0.5 * (mean + total)))
     return {
         "q": [select(again, s, select(goes, b, a)) for s, b, a in zip(fresh, moved, q, strict=True)],
-        "best": [select(better, a, b) for a, b in zip(q, best, strict=True)],
+        "best": best,
         "state": [
-            k + again,
+            after,
             maximum(converged, active * close),
             select(again, math.inf, mean),
             *[select(better, a, b) for a, b in zip(squares, least, strict=True)],

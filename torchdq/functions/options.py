@@ -37,6 +37,11 @@ def _frame_and_axes(robot: Robot, *given: str) -> Options:
     return robot.frame(frame).name, expressed
 
 
+def _axes_and_frames(robot: Robot, expressed: str = "world", *names: str) -> Options:
+    """Axes that wrenches are in, and names of the frames that they are at; none: the tip."""
+    return expressed, *[_frame_and_axes(robot, x, expressed)[0] for x in names or [robot.end_effector().name]]
+
+
 def _tip(robot: Robot, *given: str) -> Options:
     """Name of the tip, or "" for none; not given: the robot's."""
     if len(given) > 1:
@@ -119,16 +124,15 @@ def _components(robot: Robot, name: str, expressed: str, wanted: tuple[str, ...]
     if any(x.isnan().any() for x in (robot.X_PB_home, robot.screw, robot.home) if x is not None):
         return wanted
     found: list[tuple[str, ...]] = []
-    with with_values():
-        rows = tuple([COMPONENTS.index(axis) for axis in wanted])
-        for start in (0.37, 1.13, 2.71):
-            q = [2.0 * np.sin(start * (k + 1.0)) for k in range(robot.n)]
-            J = np.array(Task(*frame(robot, name), expressed == "world", rows).jacobian(posed(robot, q, {}, ())))
-            kept: list[int] = []
-            for r in sorted(range(len(rows)), key=lambda r: rows[r] < 3):
-                # a URDF has angles with five digits, so an arm may be planar up to those only
-                kept += [r] if np.linalg.matrix_rank(J[[*kept, r]], 1e-4) > len(kept) else []
-            found.append(tuple([wanted[r] for r in sorted(kept)]))
+    rows = tuple([COMPONENTS.index(axis) for axis in wanted])
+    for start in (0.37, 1.13, 2.71):
+        q = [2.0 * np.sin(start * (k + 1.0)) for k in range(robot.n)]
+        J = np.array(Task(*frame(robot, name), expressed == "world", rows).jacobian(posed(robot, q, {}, ())))
+        kept: list[int] = []
+        for r in sorted(range(len(rows)), key=lambda r: rows[r] < 3):
+            # a URDF has angles with five digits, so an arm may be planar up to those only
+            kept += [r] if np.linalg.matrix_rank(J[[*kept, r]], 1e-4) > len(kept) else []
+        found.append(tuple([wanted[r] for r in sorted(kept)]))
     return max(found, key=len)
 
 
@@ -137,12 +141,14 @@ _READERS: dict[str, Callable[..., Options]] = {
     "jacobian": _frame_and_axes,
     "floating.forward_kinematics": _frames,
     "floating.jacobian": _frame_and_axes,
+    "external_wrenches": _axes_and_frames,
+    "floating.external_wrenches": _axes_and_frames,
     "closed_form": _tip,
     "computed_torque": _single_gains,
     "frame_motion": lambda robot, *given: _frame_and_axes(robot, *(given or (robot.end_effector().name,))),
     "operational_space": _task("body"),
     "operational_space_control": _task("body", "limits", "kp", "kd"),
-    "cartesian_impedance": _task("world", "stiffness", "damping"),
+    "cartesian_impedance": _task("world", "gravity", "stiffness", "damping"),
     "manipulability": _task("body"),
     "inverse_kinematics_step": _task("body"),
     "inverse_kinematics_newton": _task("body"),
@@ -173,7 +179,8 @@ def _complete(of: Constants, function: str, *given: str) -> Options:
         if given:
             raise ArgumentError(f"{function!r} has no options, found {given!r}")
         return ()
-    robot = recorded(of)
-    if robot.floating:
-        Function(of, function).require_base()
-    return reader(robot, *given)
+    with with_values():
+        robot = recorded(of)
+        if robot.floating:
+            Function(of, function).require_base()
+        return reader(robot, *given)

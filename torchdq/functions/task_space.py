@@ -153,18 +153,18 @@ def operational_space_torques(
 
 
 def impedance_torques(
-    at: Posed, task: Task, q: Row, qd: Row, goal: Goal, gains: Gains, damping: Number
+    at: Posed, task: Task, q: Row, qd: Row, goal: Goal, gains: Gains, damping: Number, coriolis: bool
 ) -> tuple[list[Number], Number]:
-    """Torques of a spring and a damper at the frame, and the factor by which rounding errors grow."""
+    """Torques of a spring and a damper at the frame, with c or not, and the factor by which rounding errors grow."""
     X, V = pose_of(at, task), task.twist(at, qd)
     found, u = deviation(task, X, V, goal), gains.posture(q, qd)
     F, growth, J = gains.feedback(task, found.e, found.rate), 1.0, task.jacobian(at)
     if u is not None:
         inertia = task_space.inertia(at, task, damping)
         growth = inertia.growth
-        held = inertia.force([dot(row, u) for row in J])
-        F = [f - h for f, h in zip(F, held, strict=True)]
-    return [b + t for b, t in zip(numbers(at.torques(qd, u, None)), task_space.torques(J, F), strict=True)], growth
+        F = [f - h for f, h in zip(F, inertia.force([dot(row, u) for row in J]), strict=True)]
+    held = numbers(at.torques(qd if coriolis else None, u, None))
+    return [b + t for b, t in zip(held, task_space.torques(J, F), strict=True)], growth
 
 
 def _share(own: Row, others: Row, effort: Sequence[float]) -> Number:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics import observer, task_space
 from torchdq.dynamics import posed as mechanics
@@ -21,8 +22,9 @@ from torchdq.functions.task_space import (
     pose_of,
     pose_of_any_norm,
 )
-from torchdq.program.program import GROWTH
+from torchdq.program.program import GROWTH, Argument
 
+HELD = Argument("held", 6)  # the twist of a floating base, where derivatives by it are wanted elsewhere
 DAMPING = 2.0**-8  # of a posture beside a spring, where the inertia of the frame serves the projection alone
 
 
@@ -85,17 +87,26 @@ def operational_space_control(x: RecipeInputs, name: str, expressed: str, axes: 
     return {"tau": tau, GROWTH: [growth]}
 
 
-def cartesian_impedance(x: RecipeInputs, name: str, expressed: str, axes: str, *single: str) -> Results:
+def cartesian_impedance(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
     """Torques of a spring and a damper at a frame, with those that hold the robot."""
     x.require_inertia()
     task = _task(x, name, expressed, axes)
-    tau, growth = impedance_torques(x.posed(), task, *_law(x, task, single, "stiffness", "damping"), DAMPING)
+    law = _law(x, task, marks, "stiffness", "damping")
+    tau, growth = impedance_torques(x.posed(), task, *law, DAMPING, "gravity" not in marks)
     return {"tau": tau, GROWTH: [growth]}
 
 
 def coriolis_matrix(x: RecipeInputs) -> Results:
-    """Half of the Coriolis torques c, whose derivatives by the velocities are C."""
-    c: list[Number] = numbers(x.posed().without_gravity().torques(x.arguments["qd"], None, None))
+    """Torques whose derivatives by the velocities are C: half of those of c, and of the acceleration [V, V_WB_B].
+
+    V is the twist of a floating base, held where they are differentiated: twists are not rates of coordinates, and the
+    bracket of two of them is left when they change places.
+    """
+    v, held, bracket = x.velocities() or (), x.arguments.get(HELD.name), None
+    if held is not None:
+        V = screw.cross(as_screw(held), as_screw(v[:6]))
+        bracket = (*V[0], *V[1], *[0.0] * x.robot.n)
+    c: list[Number] = numbers(x.posed().without_gravity().torques(v, bracket, None))
     return {"c": [0.5 * x for x in c]}
 
 

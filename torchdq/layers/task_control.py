@@ -109,7 +109,7 @@ class CartesianImpedance(_TaskControl):
     Args:
         robot, layer: as in `OperationalSpaceControl`.
         stiffness, damping: K and D, numbers or one for each of the axes, shape [m].
-        frame, expressed, axes, q_null, k_null: as in the function.
+        frame, expressed, axes, q_null, k_null, coriolis: as in the function; `coriolis=False` makes it passive.
     """
 
     _function = "cartesian_impedance"
@@ -124,10 +124,13 @@ class CartesianImpedance(_TaskControl):
         axes: str | Sequence[str] = "pose",
         q_null: Tensor | None = None,
         k_null: float = 10.0,
+        coriolis: bool = True,
         **layer: Any,
     ):
+        require_choice("coriolis", coriolis, (False, True))
         fixed = {"q_null": q_null, "k_null": None if q_null is None else k_null}
-        super().__init__(robot, {"stiffness": stiffness, "damping": damping}, (frame, expressed, axes), fixed, **layer)
+        options = (frame, expressed, axes, *["gravity"] * (not coriolis))
+        super().__init__(robot, {"stiffness": stiffness, "damping": damping}, options, fixed, **layer)
 
     def forward(self, q: Tensor, qd: Tensor, X_des: Tensor, V_des: Tensor | None = None) -> Tensor:
         """Joint torques [..., n]; see `torchdq.cartesian_impedance`."""

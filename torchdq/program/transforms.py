@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from functools import cache
+from functools import cache, wraps
 from operator import attrgetter
 from typing import Any, TypeVar
 
@@ -54,6 +54,18 @@ def constant_in_graphs(function: Made) -> Made:
     """
     function._dynamo_marked_constant = True  # type: ignore[attr-defined]
     return function
+
+
+def outside_of_graphs(function: Made) -> Made:
+    """Function that torch.compile calls between two graphs, as `torch.compiler.disable`, which imports the compiler."""
+
+    @wraps(function)
+    def call(*args: Any, **named: Any) -> Any:
+        if torch.compiler.is_dynamo_compiling():
+            return torch.compiler.disable(function)(*args, **named)
+        return function(*args, **named)
+
+    return call  # type: ignore[return-value]
 
 
 @contextmanager
@@ -102,6 +114,14 @@ def transforming() -> bool:
 def reversing() -> bool:
     """Whether a transform of `torch.func` that differentiates in reverse mode is active: grad, vjp, jacrev, hessian."""
     return any(level.key() == pyfunctorch.TransformType.Grad for level in _levels())
+
+
+def mapped(x: Tensor) -> bool:
+    """Whether `torch.func.vmap` maps over a tensor; values can be read under the other transforms."""
+    try:
+        return x.detach().sum().item() is None
+    except RuntimeError:
+        return True
 
 
 def jit_tracing() -> bool:

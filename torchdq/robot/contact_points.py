@@ -27,6 +27,7 @@ class ContactPoint(NamedTuple):
     frame: str  # name
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in the frame [m]
     radius: float = 0.0  # [m]
+    mass: float = 0.0  # effective mass of the robot there, which scenes compute [kg]
 
 
 def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[ContactPoint, ...]:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import is_number
+from torchdq.base.checks import is_number, require_choice
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.task_space import Task
 from torchdq.dynamics.tracking import commanded
@@ -313,6 +313,7 @@ class CartesianImpedance(TaskController):
         axes: "pose", "position", "orientation" or names among rx ry rz x y z.
         q_null: posture of the joints where the task leaves them free [rad or m], shape [..., n]; None: none.
         k_null: gain of the posture [1/s^2], shape [...].
+        coriolis: whether c is compensated; False: the spring is passive, up to the torque being held over a step.
         model: the robot as the controller believes it to be, copied when a scene is made; None: as it is in the scene.
 
     >>> import torchdq
@@ -326,7 +327,13 @@ class CartesianImpedance(TaskController):
     stiffness: Parameter
     damping: Parameter
     expressed: Literal["body", "world"] = field(default="world", kw_only=True)
+    coriolis: bool = field(default=True, kw_only=True)
+
+    def described(self, robot: Robot) -> Self:
+        """Copy with the numbers of the frame; raises unless `coriolis` is True or False."""
+        require_choice("coriolis", self.coriolis, (False, True))
+        return super().described(robot)
 
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
         """Torques of the law."""
-        return impedance_torques(*self._case(at, reference, q, qd), DAMPING)[0]
+        return impedance_torques(*self._case(at, reference, q, qd), DAMPING, self.coriolis)[0]

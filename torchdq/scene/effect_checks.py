@@ -31,8 +31,8 @@ OWN = ("q", "qd", "X_WB", "V_WB_B", "memory", "reading", "torque", "reference", 
 _warned: Bounded[tuple[str, type[Effect]], bool] = Bounded(PROGRAMS)  # idle effects that a warning has named
 
 
-def resolved_effects(effects: Sequence[Effect], robot: Robot, integrator: Integrator, h: float) -> tuple[Effect, ...]:
-    """Effects with the numbers of a robot, for steps h; raises if they cannot be those of one scene."""
+def resolved_effects(effects: Sequence[Effect], robot: Robot, integrator: Integrator) -> tuple[Effect, ...]:
+    """Effects with the numbers of a robot; raises if they cannot be those of one scene."""
     _require_compatible(effects)
     within = integrator.integrator if isinstance(integrator, Repeated) else integrator
     for effect in effects:
@@ -41,9 +41,7 @@ def resolved_effects(effects: Sequence[Effect], robot: Robot, integrator: Integr
                 f"integrator must be LinearlyImplicit in a scene with {type(effect).__name__}, found {integrator}: "
                 f"{effect.IMPLICIT}"
             )
-    if isinstance(integrator, Repeated):
-        h = h / integrator.times
-    resolved = tuple(effect.stepped(robot, h).resolved(robot) for effect in effects)
+    resolved = tuple(effect.resolved(robot) for effect in effects)
     for given, effect in zip(effects, resolved, strict=True):
         _warn_if_idle(given, effect, robot)
         for name in effect.inputs(robot.n):

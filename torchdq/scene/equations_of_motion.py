@@ -22,12 +22,13 @@ from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
 from torchdq.effects.effect import Effect
 from torchdq.effects.joint import Impedance, JointEffect, load_size, total
 from torchdq.effects.transmission import Transmission
+from torchdq.functions.inverse_kinematics import ranges, start
 from torchdq.functions.posed import posed, solve
 from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
 from torchdq.scene import effect_checks, free_base
-from torchdq.scene.free_base import POSE, TWIST
+from torchdq.scene.free_base import POSE, START, TWIST
 from torchdq.scene.integrators import RecordedSystem, System
 from torchdq.scene.spec import RecordedScene, Rows, SceneSpec
 
@@ -119,6 +120,19 @@ class SceneSystem(RecordedSystem):
     def _net(self, at: Posed, forces: Row, x: Row, v: Row, exerted: list[Screw | None] | None) -> list[Number]:
         """Forces on a floating base and on the joints, less those of velocities, gravity and wrenches."""
         return difference([*self._free, *forces], at.torques(self._still(x, v), None, exerted))
+
+    def _midway(self, v: Row, net: Row, h: Number) -> Row:
+        """Net forces with the inertial torque on a floating base as it is in the middle of a step.
+
+        The inertia is that of the whole robot with its joints in the middle of their limits: constants, which are near
+        enough to take the greater part of the error of explicit inertial torques away.
+        """
+        if not self._free:
+            return net
+        robot = self.scene.spec.robot
+        whole = self.scene.posed(start(0, ranges(robot)), (START[:4], START[4:])).composites()[0]
+        change = free_base.torque_midway(tuple(v[-TWIST:-3]), whole.about_com, h)
+        return [*quat.sub(net[:3], change), *net[3:]]
 
     # --- forces at the joints ---
 
@@ -220,7 +234,7 @@ class SceneSystem(RecordedSystem):
         heavy, acting = at.with_armature([*self._free, *inertia]), self._acting(at, x, v, h)
         if acting.points:
             heavy = heavy.with_masses([point.mass(h) for point in acting.points])
-        net = self._net(at, forces.torques, x, v, acting.exerted)
+        net = self._midway(v, self._net(at, forces.torques, x, v, acting.exerted), h)
         solution = self._solved(heavy, net)
         qdd, base = self._parts(x, solution)
         ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]

@@ -20,12 +20,13 @@ G. Wanner, Geometric Numerical Integration, 2006, section IV.7). A method of hig
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import Symmetric
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.dq.explog import entire
 from torchdq.dynamics.joints import Free
@@ -55,6 +56,52 @@ def rate(displacement: Row, v: Row, series: Sequence[float] = ORDER_4) -> tuple[
     factor = polynomial(series, quat.norm2(theta))
     more = quat.scale(factor, quat.cross(theta, once))
     return (*quat.add(w, quat.add(quat.scale(0.5, once), more)), *u)
+
+
+def torque_midway(w: Pure, inertia: Symmetric, h: Number) -> Pure:
+    """Inertial torque w x I w in the middle of a step of a body without other torques, less that at its start.
+
+    The angular velocity is w + y there, I y + h/2 (w + y) x I (w + y) = 0, by two iterations of Newton's method. That
+    torque changes neither the energy nor the size of the angular momentum. As both iterations take the matrix of the
+    first, what remains of an error takes some away, for any inertia and up to 1.5 rad in a step.
+    """
+    half, momentum = 0.5 * h, tuple(quat.dot(row, w) for row in inertia)
+    v, turned = quat.scale(half, w), quat.scale(half, momentum)
+    a, b, c = zip(
+        *(
+            quat.add(row, quat.sub(quat.cross(v, row), quat.cross(turned, e)))
+            for row, e in zip(inertia, quat.UNITS, strict=True)
+        ),
+        strict=True,
+    )  # rows of I + [v] I - [I v], v = h/2 w
+    solved = _elimination(a, b, c)
+    now = quat.cross(v, momentum)
+    y = quat.neg(solved(now))
+    own = quat.cross(y, tuple(quat.dot(row, y) for row in inertia))
+    torque = quat.add(now, quat.scale(half, own))
+    y = quat.neg(solved(torque))
+    along = tuple(quat.dot(row, y) for row in inertia)
+    # (w + y) x I (w + y) - w x I w, of which the equation has all but y x I y
+    return quat.sub(quat.cross(y, along), quat.scale(1.0 / half, quat.add(along, torque)))
+
+
+def _elimination(a: Pure, b: Pure, c: Pure) -> Callable[[Pure], Pure]:
+    """Solution of linear equations with three rows, of which the diagonal dominates."""
+    p = 1.0 / a[0]
+    f, g = p * b[0], p * c[0]
+    b1, b2 = b[1] - f * a[1], b[2] - f * a[2]
+    c1, c2 = c[1] - g * a[1], c[2] - g * a[2]
+    q = 1.0 / b1
+    k = q * c1
+    r = 1.0 / (c2 - k * b2)
+
+    def solved(x: Pure) -> Pure:
+        second = x[1] - f * x[0]
+        z = r * (x[2] - g * x[0] - k * second)
+        y = q * (second - b2 * z)
+        return p * (x[0] - a[1] * y - a[2] * z), y, z
+
+    return solved
 
 
 # --- between the frames ----------------------------------------------------------------------------------------------

@@ -118,7 +118,11 @@ class ExplicitEuler(Integrator):
 
 @dataclass(frozen=True)
 class SemiImplicitEuler(Integrator):
-    """Semi-implicit Euler method, v' = v + h a(x, v), x' = x + h v'. The cheapest; most simulators call it Euler."""
+    """Semi-implicit Euler method, v' = v + h a(x, v), x' = x + h v'. The cheapest; most simulators call it Euler.
+
+    Its inertial torques are those at the start of a step, so that a floating base that spins gains energy, by a factor
+    exp(h w^2 t) at most; `LinearlyImplicit` takes them in the middle.
+    """
 
     order = 1
 
@@ -134,7 +138,8 @@ class LinearlyImplicit(Integrator):
 
     D and K are the damping and stiffness of the joint effects, on the diagonal, where they cost an addition each, and
     those of points of bodies, such as contacts, as masses on their links. For stiff friction, servos, limits and
-    ground; other wrenches on bodies, and actuators, stay explicit.
+    ground; other wrenches on bodies, and actuators, stay explicit. Inertial torques of a floating base are those in the
+    middle of the step: a free body keeps the size of its angular momentum, and gains no energy.
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators

@@ -45,9 +45,11 @@ def linearize(
 ) -> Linearization:
     """Derivatives of the state after a step, with respect to the state before it and the torques: `A, B`.
 
-    `2 * dq.log_shortest(dq.mul(dq.conj(X), X_WB))` is the displacement xi of a floating base from a pose X. The first
-    call compiles a program of all columns of A and B, or of one where that would take longer than 20 s; where torch
-    computes a part of a step (`HeightMap`, `Residual`, `Repeated`, `DormandPrince`), there are gradients instead.
+    A is larger than [2 n, 2 n] if effects have memory, as elastic joints, or there are sensors, whose numbers are part
+    of the state: see `Linearization`. `2 * dq.log_shortest(dq.mul(dq.conj(X), X_WB))` is the displacement xi of a
+    floating base from a pose X. The first call compiles a program of all columns of A and B, or of one where that would
+    take longer than 20 s; where torch computes a part of a step (`HeightMap`, `Residual`, `Repeated`, `DormandPrince`),
+    there are gradients instead.
 
     Args:
         state: states, shape [..., n]; derivatives are those of every row by itself.

@@ -73,7 +73,7 @@ class SceneModel:
                 f"give them to Repeated, DormandPrince chooses its own"
             )
         require_supported_base(self.robot, self.controller, self.integrator)
-        resolved = resolved_effects(self.effects, self.robot, self.integrator, self.dt / self.substeps)
+        resolved = resolved_effects(self.effects, self.robot, self.integrator)
         controller = None if self.controller is None else self.controller.resolved(self.robot)
         spec = SceneSpec(
             recorded(constants(self.robot)),

@@ -3,8 +3,9 @@
 With mass matrix, damping and stiffness frozen as they are in a state, the joints are a linear system of springs and
 dampers, M a + D v + K x = 0, whose motions never grow. A step of an integrator multiplies them by a matrix; if one of
 its eigenvalues is larger than 1, the integrator makes them grow. That is asked at the start and along a trial run, in
-which all rows must stay within bounds, whatever else acts: controllers, speed, contacts. The run tells how deep points
-sink into the ground, and whether they touched it at all.
+which all rows must stay within bounds, whatever else acts: controllers, speed, contacts. The run tells how far a
+floating base turns in a step, how deep points sink into the ground, how much of the cone their friction uses, and
+whether they touched it at all. Gains of controllers, whose torques are held over a step, are compared with it.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ from torch import Tensor
 from torchdq.base.checks import require_number, tensor_of
 from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
-from torchdq.effects.contact import Contact, Contacts, firmest
+from torchdq.effects.contact import Contact, Contacts
 from torchdq.errors import ArgumentError
+from torchdq.scene.controllers import ComputedTorqueController, Feedback
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RecordedSystem, Repeated
 from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
@@ -35,6 +37,8 @@ FEW = 2**13  # steps of a trial run of shorter steps where rows diverge for anot
 SHORTEST = 2**12  # shorter steps that are tried, in one of the scene's
 FAR = 1e6  # positions and velocities beyond which a row has diverged, though it may stay finite [rad, m, s]
 STATES = 16  # states of a trial run that are looked at
+HELD = 4.0  # kp h^2 / I + 2 kd h / I from which a controller that is held over a step makes motions grow
+FAST = 1.5  # turn of a floating base in a step up to which inertial torques give no energy [rad]
 DEEP = 0.01  # depth from which points that sink into the ground are pointed out [m]
 
 
@@ -55,17 +59,18 @@ class GroundCheck(NamedTuple):
 
     deepest: float  # largest depth of a point in it [m]
     slip: float  # largest speed along the ground of a point that touches at its end [m/s]
+    cone: float  # largest impulse of the friction of a point over the run, over mu times that of its normal force
     aloft: int  # rows that never touched
     rows: int
     stiffness: float  # of the firmest contact [N/m]
-    firmest: float  # stiffness that the step allows, 4 m / h^2 [N/m]
 
     def __str__(self) -> str:
         lines = []
         if self.aloft < self.rows:
             lines.append(
                 f"- contact: points sink up to {1e3 * self.deepest:.2g} mm and slip at {self.slip:.2g} m/s at the end; "
-                f"stiffness {self.stiffness:.3g} N/m, of at most 4 m / h^2 = {self.firmest:.3g} N/m"
+                f"friction is up to {self.cone:.3g} of mu times the normal impulse; "
+                f"stiffness {self.stiffness:.3g} N/m"
             )
         if self.deepest > DEEP:
             lines.append(
@@ -74,6 +79,21 @@ class GroundCheck(NamedTuple):
         if self.aloft:
             lines.append(f"- contact: not checked in {self.aloft} of {self.rows} rows, which did not touch the ground")
         return "\n".join(lines)
+
+
+class HeldGains(NamedTuple):
+    """Gains of a joint's controller over a step, for which motions grow from kp h^2 + 2 kd h = 4 on."""
+
+    joint: str
+    kp: float  # kp h^2 / I, with the inertia I that the joint moves
+    kd: float  # kd h / I
+
+    def __str__(self) -> str:
+        return (
+            f"- controller: torques held over a step are too stiff for {self.joint}: kp dt^2 / I = {self.kp:.3g} and "
+            f"kd dt / I = {self.kd:.3g}, where kp dt^2 / I + 2 kd dt / I must be below {HELD:g}; take smaller gains, a "
+            "shorter dt, or effects.Servo, which acts at the end of a step"
+        )
 
 
 @dataclass(frozen=True)
@@ -88,6 +108,8 @@ class Check:
     diverged: Tensor  # [...] rows that are beyond 1e6 rad, m or rad/s at the end of the trial run, or not finite
     alternatives: tuple[Steps, ...] = ()  # stable ones, where these are not
     ground: GroundCheck | None = None  # None: the scene has no `effects.Contact`
+    stiffest: HeldGains | None = None  # of a controller that corrects too much in a step; None: it does not
+    turn: float = 0.0  # largest turn of a floating base in a step [rad]
 
     @property
     def stable(self) -> bool:
@@ -104,9 +126,15 @@ class Check:
         if bool(self.diverged.any()):
             rows = f"{int(self.diverged.sum())} of {self.diverged.numel()} rows"
             lines.append(f"- {rows} are out of bounds after {self.seconds:g} s")
+            lines += [] if self.stiffest is None else [str(self.stiffest)]
+        if self.turn > FAST:
+            lines.append(
+                f"- base: it turns by up to {self.turn:.2g} rad in a step; beyond {FAST:g} rad inertial torques may "
+                "give it energy, take shorter steps"
+            )
         if not self.stable:
             lines += [f"- stable: {found}" for found in self.alternatives]
-        if not (self.stable or self.alternatives):
+        if not (self.stable or self.alternatives or self.stiffest):
             lines.append("- none of the shorter steps that were tried is stable; is the motion itself?")
         return "\n".join([*lines, *([] if self.ground is None else [str(self.ground)])])
 
@@ -204,7 +232,10 @@ class _Trial:
             for x, first in zip(path, self.state, strict=True)
         )
         ground = self._ground(scene, path, step) if scene.spec.of(Contact) else None
-        return Check(integrator, step, seconds, *self._growth(integrator, times, seen), diverged, ground=ground)
+        growth, turn = self._growth(integrator, times, seen), 0.0
+        if path.V_WB_B is not None and bool(ends.any()):
+            turn = step * float(path.V_WB_B[ends][..., :3].norm(dim=-1).max())
+        return Check(integrator, step, seconds, *growth, diverged, (), ground, self._held(), turn)
 
     def _ground(self, scene: SceneModel, path: State, step: float) -> GroundCheck | None:
         """Contact along a trial run."""
@@ -215,16 +246,38 @@ class _Trial:
             found = Contacts._make(x[:, kept] for x in scene.contacts(path))
         aloft = ~found.touching.any(-1).any(0)
         slip = torch.where(found.touching[-1], found.slip[-1], 0.0)
-        effects: Sequence[Any] = scene.effects
-        stiffness = max(float(tensor_of(effects[i].stiffness).detach().max()) for i, _ in scene.spec.of(Contact))
+        contacts: Sequence[Any] = [scene.effects[i] for i, _ in scene.spec.of(Contact)]
+        stiffness = max(float(tensor_of(contact.stiffness).detach().max()) for contact in contacts)
+        each = [(tensor_of(contact.friction).detach().double()[..., None], len(contact.points)) for contact in contacts]
+        mu = torch.cat([x.expand(*kept.shape, points) for x, points in each], -1)[kept]
+        friction = (found.force.square().sum(-1) - found.normal_force.square()).clamp(min=0.0).sqrt().sum(0)
+        most = (mu * found.normal_force.sum(0)).clamp(min=torch.finfo(mu.dtype).tiny)
         return GroundCheck(
             max(0.0, float(found.depth.max())),
             float(slip.max()),
+            float((friction / most).max()),
             int(aloft.sum()),
             aloft.numel(),
             stiffness,
-            firmest(scene.robot, step),
         )
+
+    def _held(self) -> HeldGains | None:
+        """Gains over a step of the joint whose controller corrects most, where that is too much."""
+        controller = self.scene.controller
+        if not isinstance(controller, Feedback) or not self.scene.n:
+            return None
+        n, h = self.scene.n, self.scene.dt
+        inverse = torch.linalg.inv(self._frozen(self.state).M).diagonal(dim1=-2, dim2=-1)[:, :n]
+        if isinstance(controller, ComputedTorqueController):  # whose gains are accelerations
+            inverse = torch.ones_like(inverse)
+        there = self.state.finite()
+        given = (tensor_of(x).detach().double() for x in (controller.kp, controller.kd))
+        gains = [x.expand(self.state.q.shape)[there] for x in given]
+        kp, kd = (x * inverse * factor for x, factor in zip(gains, (h * h, h), strict=True))
+        row, j = divmod(int((kp + 2.0 * kd).argmax()), n)
+        if float(kp[row, j] + 2.0 * kd[row, j]) < HELD:
+            return None
+        return HeldGains(self.scene.robot.joint_names[j], float(kp[row, j]), float(kd[row, j]))
 
     def _inputs(self) -> dict[str, Tensor]:
         """Inputs of a step; where nothing else is given, sensors read without noise and controllers hold the start."""
@@ -239,14 +292,10 @@ class _Trial:
         """Largest factor by which a step magnifies a motion of frozen springs and dampers, and the joint that moves."""
         if not self.scene.n:
             return 1.0, ""
-        inputs = {name: x for name, x in self._inputs().items() if name != "noise"}
-        with torch.no_grad():
-            system, x, v, _ = self.scene.drive(states, inputs)
-            rows = self.scene.evaluate("frozen", {"x": x, "v": v, **system.inputs})
-        there = states.finite().expand(rows["D"].shape[:-1])
-        if not bool(there.any()):
+        frozen = self._frozen(states)
+        if not len(frozen.M):
             return 0.0, ""
-        found = _Frozen.of({name: x[there] for name, x in rows.items()}).transition(integrator, self.scene.dt / times)
+        found = frozen.transition(integrator, self.scene.dt / times)
         if not bool(found.isfinite().all()):
             return math.inf, self.scene.robot.joint_names[0]
         factors = torch.linalg.eigvals(found).abs().amax(-1)
@@ -254,6 +303,15 @@ class _Trial:
         values, vectors = torch.linalg.eig(found[worst])
         mode = vectors[m:, values.abs().argmax()].abs()
         return float(factors[worst]), self.scene.robot.joint_names[int(mode.argmax()) % self.scene.n]
+
+    def _frozen(self, states: State) -> _Frozen:
+        """Springs and dampers in those of some states that are finite."""
+        inputs = {name: x for name, x in self._inputs().items() if name != "noise"}
+        with torch.no_grad():
+            system, x, v, _ = self.scene.drive(states, inputs)
+            rows = self.scene.evaluate("frozen", {"x": x, "v": v, **system.inputs})
+        there = states.finite().expand(rows["D"].shape[:-1])
+        return _Frozen.of({name: x[there] for name, x in rows.items()})
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,6 @@ from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.posed import Point
 from torchdq.dynamics.tree import Tree, freedoms, path
 
-UNITS: tuple[Pure, Pure, Pure] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
 
 def position(tree: Tree, steps: Steps, i: int, r: Pure) -> Pure:
     """Position in the base frame of a point r of link i."""
@@ -60,7 +58,7 @@ def joint_screws_in_base(tree: Tree, steps: Steps, i: int, r: Pure) -> dict[int,
     axes: dict[int, Sequence[Pure]] = {}  # axes of the base, in the link's frame
     for j in reversed(list(path(tree.links, i))):
         step = steps[j]
-        axes[j] = UNITS if step is None else tuple(step.vector_to_link(e) for e in axes[tree.links[j].parent])
+        axes[j] = quat.UNITS if step is None else tuple(step.vector_to_link(e) for e in axes[tree.links[j].parent])
     # from the origin of the link to the point: no difference of positions, which are large far from the base
     arm = tuple(quat.dot(e, r) for e in axes[i])
     found: dict[int, Screw] = {}

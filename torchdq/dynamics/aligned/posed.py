@@ -192,7 +192,7 @@ class Aligned(NamedTuple):
         base, *motion = rnea.outward(self.tree, self.steps, self.X_WB, qd, qdd)
         screws, u, d = [], [], []
         if self.X_WB is not None:
-            screws.append(kinematics.joint_screws(self.tree, self.steps, 0, Point(quat.ZERO, kinematics.UNITS)))
+            screws.append(kinematics.joint_screws(self.tree, self.steps, 0, Point(quat.ZERO, quat.UNITS)))
             u.append(base.u)
             d.append(base.A[1])
         for i, (at, m) in enumerate(zip(self.alignments, motion, strict=True), 1):
