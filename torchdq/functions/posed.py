@@ -135,8 +135,7 @@ def posed(
 ) -> Posed:
     """Robot at q, in aligned frames if its geometry is constant, otherwise in the general form.
 
-    `per_sample` are names of its tensors that depend on the sample, X_WB is the pose of a floating base. A robot that
-    moves no mass has kinematics only.
+    `per_sample` are names of its tensors that depend on the sample, X_WB is the pose of a floating base.
     """
     at: Posed
     if any(name in overrides for name in GEOMETRY):

@@ -71,9 +71,8 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
     if not found:
         raise ArgumentError(
             f"collision elements of {pattern!r} of robot {robot.name!r} must be spheres, capsules, boxes or cylinders, "
-            f"whose points can touch, found {shown}; give points instead, as in "
-            f"ContactPoint({next(iter(others.values()))!r}, center=(0.0, 0.0, 0.0), radius=0.02), or put a sphere into "
-            "the file"
+            f"whose points can touch, found {shown}; put a sphere into the file, or give points instead, as in "
+            f"ContactPoint({next(iter(others.values()))!r}, center=(0.0, 0.0, 0.0), radius=0.02)"
         )
     if others:
         warnings.warn(

@@ -381,11 +381,9 @@ class Robot(RobotModel):
 
 def _require_options(caller: str, options: Mapping[str, Any], *readers: Callable[..., Robot]) -> None:
     """Raise, by the name of the function that was called, unless the functions that read the file take the options."""
-    known = [name for reader in readers for name in signature(reader).parameters]
-    known = [name for name in known if name not in ("source", "path", "options")]
-    for name in options:
-        if name not in known:
-            raise UnknownNameError(f"argument of Robot.{caller}", name, known)
+    known = [x for reader in readers for x in signature(reader).parameters if x not in ("source", "path", "options")]
+    for name in [name for name in options if name not in known]:
+        raise UnknownNameError(f"argument of Robot.{caller}", name, known)
 
 
 @contextmanager

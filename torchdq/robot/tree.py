@@ -16,11 +16,7 @@ from torchdq.robot.fields import BASE_BODY, INERTIAL, SHAPES
 from torchdq.robot.model import RobotModel, factors, present, require_unchanged
 
 MASSLESS = Finding(
-    NO_MASS,
-    "",
-    "something that moves must have mass for dynamics",
-    "none: kinematics only",
-    "give the links mass, by <inertial> in a URDF file, or the joints armature",
+    NO_MASS, "", "something that moves must have mass", "none: kinematics only", "give links mass, or joints armature"
 )
 
 
@@ -52,10 +48,9 @@ def tree(robot: RobotModel) -> Tree:
 
 def massless(robot: RobotModel, overrides: Mapping[str, Any] | None = None) -> bool:
     """Whether nothing that moves has mass, inertia or a rotor; `overrides` replace tensors, None an absent one."""
-    replaced = overrides or {}
-    own = [x for name, x in present(robot, INERTIAL).items() if name not in replaced]
-    learned = any(replaced.get(name) is not None for name in INERTIAL)
-    return bool(robot.link_names) and not learned and not any(bool(x.any()) for x in own)
+    numbers = {name: bool(x.any()) for name, x in present(robot, INERTIAL).items()}
+    numbers |= {name: row is not None for name, row in (overrides or {}).items() if name in INERTIAL}
+    return bool(robot.link_names) and not any(numbers.values())
 
 
 def inert_joints(robot: RobotModel) -> list[Finding]:

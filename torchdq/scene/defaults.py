@@ -29,9 +29,7 @@ def default_effects(robot: Robot) -> tuple[Effect, ...]:
     Parameters are those of the description. Missing rotor inertia and damping are `ROTOR` and `DAMPING`, because small
     joints without them would exceed realistic speeds. Motors have a torque-speed limit if torque and velocity limits of
     all joints are known; otherwise torques are only saturated. A torque limit of zero, as in many files, is none.
-
-    Raises:
-        SingularInertiaError: nothing of the robot has mass, whose motion would be that of these rotors alone.
+    Raises `SingularInertiaError` for a robot without mass, whose motion would be that of these rotors alone.
     """
     if massless(robot):
         raise no_dynamics(robot.name)

@@ -65,10 +65,7 @@ def diagnostics(robot: RobotModel) -> list[Finding]:
 
 
 def _degrees(robot: RobotModel) -> Iterator[Finding]:
-    """Suspicions about limits of turning joints: wide ones, but for those that mean none.
-
-    These are the same on both sides, and some round number or whole turns; or most limits are below a turn.
-    """
+    """Suspicions about wide limits; of equal ones on both sides only if they are not round, and most others wide."""
     kinds = dict(zip(robot.every_joint, robot.kinds, strict=True))
     rows = zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True)
     # a coordinate without a joint of its own moves several
