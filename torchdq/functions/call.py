@@ -128,7 +128,8 @@ def on_links(
 ) -> list[Tensor]:
     """Results of wrenches [..., 6] at frames, by the name of their frame."""
     if not (isinstance(wrenches, Mapping) and wrenches):
-        raise ArgumentError(f"wrenches must be a dictionary of wrenches by the name of their frame, found {wrenches!r}")
+        found = "none" if isinstance(wrenches, Mapping) else type(wrenches).__name__
+        raise ArgumentError(f"wrenches must be a dictionary of wrenches by the name of their frame, found {found}")
     options = options_of(require_robot(robot), name, (expressed, *wrenches))
     batch = common_batch([(f"wrenches[{x!r}]", F, (6,), False) for x, F in wrenches.items()], "")
     rows = torch.stack([F.expand(*batch, 6) for F in wrenches.values()], -2)
