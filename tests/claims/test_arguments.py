@@ -52,7 +52,7 @@ FUNCTIONS = {
     "cartesian_impedance": (
         "q qd X_des V_des q_null",
         "V_des q_null",
-        {**FRAME, "axes": "pose", "stiffness": 9.0, "damping": 6.0, "k_null": 1.0},
+        {**FRAME, "axes": "pose", "stiffness": 9.0, "damping": 6.0, "k_null": 1.0, "coriolis": False},
     ),
     "computed_torque": ("q qd q_des qd_des qdd_des f_tip", "f_tip", {"kp": 9.0, "kd": 6.0}),
 }

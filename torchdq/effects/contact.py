@@ -355,8 +355,8 @@ def _with_masses(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactP
         columns = at.jacobian(link, dq.mul(X_BF, dq.from_pose(quat.ONE, point.center)), False)
         J = tuple(tuple(0.0 if c is None else c[1][axis] for c in columns) for axis in range(3))
         mobility = factors.mobility(J)
-        masses = torch.as_tensor(3.0 / (mobility[0][0] + mobility[1][1] + mobility[2][2]))
-        found.append(point._replace(mass=float(masses.min())))
+        masses = 3.0 / (mobility[0][0] + mobility[1][1] + mobility[2][2])
+        found.append(point._replace(mass=float(tensor_of(masses).min())))
     return tuple(found)
 
 

@@ -154,7 +154,7 @@ class RobotModel:
         freed = "base_mass" in changes and not self.floating  # and has other functions
         same = all(name in SHAPES and value is not None for name, value in changes.items()) and not freed
         kept = not any(name in DESCRIBED for name in changes)
-        if not changes.keys().isdisjoint(INERTIAL):
+        if any(name in INERTIAL for name in changes):
             changes["notes"] = tuple([x for x in changes.get("notes", self.notes) if x.code != NO_MASS])
         changes |= {"_constants": self._constants if same else None, "_storages": self._storages if kept else ()}
         return dataclasses.replace(self, **changes, _arguments=names)
