@@ -99,4 +99,4 @@ def draw(tips: torch.Tensor, forces: torch.Tensor, goal: torch.Tensor, path: Pat
 
 if __name__ == "__main__":
     wiped = main(tyro.cli(Args))
-    sys.exit(0 if float(wiped.error.max()) < 0.1 and float((wiped.friction - 1).abs().max()) < 0.015 else 1)
+    sys.exit(0 if float(wiped.error.max()) < 0.1 and float((wiped.friction - 1).abs().max()) < 0.01 else 1)

@@ -48,7 +48,7 @@ def test_many_arms_reach_and_are_filmed(tmp_path):
 def test_arms_wipe_with_the_force_that_is_commanded_and_the_friction_of_the_table(tmp_path, capsys):
     main = import_module("26_wipe")
     found = main.main(main.Args(arms=96, steps=300, out=tmp_path))
-    assert found.error.max() < 0.1 and (found.friction - 1).abs().max() < 0.015
+    assert found.error.max() < 0.1 and (found.friction - 1).abs().max() < 0.01
     assert found.distance.median() < 1e-3 and found.distance.max() < 5e-3
     assert imread(tmp_path / "wipe.png")[..., :3].std() > 0.03
 

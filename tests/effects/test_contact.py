@@ -46,12 +46,16 @@ def touched(memory, n, depth, u, h, law, mass):
     d, z = min(depth, compression), np.array(z)
     Z_n, Z_t = k * (h + c * max(d, 0.0)), k * (h + T)
     f_n, y = k * d - Z_n * along, k * z + Z_t * tangent @ u
-    active = f_n > 0 or (pressed > k * 1e-6 and d > 0)
+    if f_n < 0 < d:
+        f_n = k * d * d * max(1 - c * along, 0.0) / (2 * h * along)
+        Z_n = f_n / along
+    active = f_n > 0
     if d < 0 < f_n:
         Z_n = f_n / -along
     size = math.sqrt(y @ y + 1e-12)
     ahead = np.clip(2 * size - last, size, 2 * size) if pressed > k * 1e-6 else size
-    limit = active * max(mu * max((f_n + h * Z_n * pushed) / (1 + h * Z_n / mass), 0.0) + left, 0.0)
+    cone = mu * max((f_n + h * Z_n * pushed) / (1 + h * Z_n / mass), 0.0)
+    limit = active * max(cone + left * abs(left) / (abs(left) + 0.03 * cone + 1e-6), 0.0)
     s = min(1.0, limit / ahead)
 
     def after(end):
@@ -179,9 +183,8 @@ def test_friction_of_an_impact_is_mu_times_its_normal_impulse(dt):
     linear = torchdq.dq.rotate(torchdq.dq.rotation(end.X_WB), end.V_WB_B[:, 3:])
     normal, tangential = linear[:, 2] + speeds + G * T, 8.0 - linear[:, 0]
     ratio = tangential / (0.2 * normal)
-    assert (ratio <= 1.05).all()
-    # beyond, it may touch for a step or two
-    assert (ratio[firmness <= 1] >= 0.98).all() and (ratio[firmness < 1] <= 1.02).all()
+    assert (ratio <= 1.01).all()
+    assert (ratio[firmness <= 4] >= 0.99).all()  # beyond, it may touch for a step or two
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.8])
@@ -538,7 +541,7 @@ def test_a_quadruped_stands_as_in_mujoco():
     found = scene.contacts(state)
     assert np.allclose(found.normal_force[0].numpy(), theirs, rtol=0.02)
     order = [model.joint(name).qposadr[0] for name in go2().joint_names]
-    assert np.abs(state.q[0].numpy() - data.qpos[order]).max() < 5e-3
+    assert np.abs(state.q[0].numpy() - data.qpos[order]).max() < 8e-3  # where dry friction left them
     assert abs(float(place(state)[0, 2]) - data.qpos[2]) < 2e-3
 
 

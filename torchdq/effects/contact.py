@@ -7,9 +7,10 @@ velocity u' (depth d, normal n, bristles z, coefficients as at the start):
     f_t = -s y,   y = k z + k (h + T) u_t',   s = min(1, limit / |y|)
     z'  = (s y / k + (T/h) z) / (1 + T/h)
 
-Both are f - C (u' - u) with a symmetric C >= 0, so the step has one solution for any k. A point that lands within
-the step is a damper for the part of it in which it touches, since a spring would pull it to the ground. Where
-friction sticks, s is 1: it is a spring, and nothing creeps. Where it would leave the cone, it returns to it along the
+Both are f - C (u' - u) with a symmetric C >= 0, so the step has one solution for any k. A spring would pull points
+that land or leave within the step: one that lands is a damper for the part of the step in which it touches, and one
+that leaves is pushed by what its spring still holds, k d^2 / 2 = h f_n u'. Where friction sticks, s is 1: it is a
+spring, and nothing creeps. Where it would leave the cone, it returns to it along the
 secant through the origin, and |y| is extrapolated from the last two steps, which makes the friction of sliding exact
 to second order in h.
 
@@ -20,7 +21,7 @@ another into the ground; it then is compressed by no more than the work done on 
 Friction keeps to mu times the normal impulse. The normal force that limits it is that of the last step, and its change
 since: f_n = (k d - Z n.u + h Z a) / (1 + h Z / m) with Z = k (h + c d), the effective mass m of the point, and the
 acceleration a towards the ground that all else gave it over the last step, a = f_n / m - n.(u' - u) / h. What a step
-uses too much or too little of it, the next one makes up for.
+uses too much or too little of it, the next ones make up for.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functions.inverse_kinematics import ranges, start
 from torchdq.functions.posed import frame as frame_of
 from torchdq.functions.posed import posed
-from torchdq.numbers.functions import below, clip, maximum, minimum, select, sqrt
+from torchdq.numbers.functions import absolute, below, clip, maximum, minimum, select, sqrt
 from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.contact_points import points_of
@@ -59,6 +60,7 @@ WEIGHT = 9.81  # acceleration that the weight of a robot at rest is taken with [
 NEAR = 1e-6  # depth from which a point was in contact over the last step, above the rounding of its memory [m]
 NONE = 1e-24  # square of a length beside which that of none counts as zero [m^2]
 TINY = 1e-6  # friction beside which the size of none counts as zero [N]
+OWED = 0.03  # share of the cone from which friction that is left over is made up for at once
 SLOWEST = 1e-9  # speed that a point has at least where it lands or leaves within a step [m/s]
 RECOVERY = 0.1  # speed that sets how fast the compression of a point that is deeper recovers [m/s]
 WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
@@ -251,12 +253,13 @@ class Contact(BodyEffect):
                 z = quat.sub(z, quat.scale(quat.dot(n, z), n))
             place = place._replace(depth=minimum(place.depth, compression))
             force, Z_n = self._pressing(place, h)
-            was = below(k * NEAR, pressed)
-            # the prediction alone would let a point chatter that lands, and the depth alone hold one that leaves
-            active = maximum(below(0.0, force), was * below(0.0, place.depth))
+            was, active = below(k * NEAR, pressed), below(0.0, force)
             Z_h, mobility = h * Z_n, 1.0 / place.mass
             normal_force = maximum((force + Z_h * pushed) / (1.0 + Z_h * mobility), 0.0)
-            limit = select(active, maximum(self.friction * normal_force + left, 0.0), 0.0)
+            cone = self.friction * normal_force
+            # slowly where it is small, or it would double errors that alternate
+            owed = left * absolute(left) / (absolute(left) + OWED * cone + TINY)
+            limit = select(active, maximum(cone + owed, 0.0), 0.0)
             trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
             size = sqrt(quat.dot(trial, trial) + TINY * TINY)
             ahead = select(was, clip(size + (size - last), size, 2.0 * size), size)
@@ -298,12 +301,14 @@ class Contact(BodyEffect):
         return found
 
     def _pressing(self, place: _Place, h: Number) -> tuple[Number, Number]:
-        """Normal force at the velocity now, and its impedance over a step h; no force: it does not touch."""
-        k, d, u = self.stiffness, place.depth, place.approach
-        Z = k * (h + self.dissipation * maximum(d, 0.0))
-        force = k * d - Z * u
-        lands = below(d, 0.0)
-        return force, select(lands, force / maximum(-u, SLOWEST), Z)
+        """Normal force at the velocity now, not positive where none acts, and its impedance over a step h."""
+        k, c, d, u = self.stiffness, self.dissipation, place.depth, place.approach
+        Z = k * (h + c * maximum(d, 0.0))
+        force, speed = k * d - Z * u, maximum(absolute(u), SLOWEST)
+        lands, leaves = below(d, 0.0), below(force, 0.0) * below(0.0, d)
+        left = k * d * d * maximum(1.0 - c * u, 0.0) / (2.0 * h * speed + NONE)
+        force = select(leaves, left, force)
+        return force, select(maximum(lands, leaves), force / speed, Z)
 
     def _places(self, bodies: Bodies, inputs: Inputs) -> Iterator[_Place]:
         """Places of the points."""
