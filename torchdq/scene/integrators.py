@@ -121,7 +121,7 @@ class SemiImplicitEuler(Integrator):
     """Semi-implicit Euler method, v' = v + h a(x, v), x' = x + h v'. The cheapest; most simulators call it Euler.
 
     Its inertial torques are those at the start of a step, so that a floating base that spins gains energy, by a factor
-    exp(h w^2 t) at most; `LinearlyImplicit` takes them in the middle.
+    of about exp(h w^2 t); `LinearlyImplicit` takes them in the middle.
     """
 
     order = 1
