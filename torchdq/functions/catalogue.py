@@ -130,13 +130,11 @@ def _free(name: str, *formulas: Callable[..., Results], results: Callable[..., t
 
 
 _FREE: dict[str, Recipe] = {
-    "inverse_dynamics": _free("inverse_dynamics", free.inverse_dynamics, results=lambda: ((6,), ("n",))),
-    "forward_dynamics": _free(
-        "forward_dynamics", free.forward_dynamics, free.forward_dynamics_articulated, results=lambda: ((6,), ("n",))
-    ),
+    "inverse_dynamics": _free("inverse_dynamics", results=lambda: ((6,), ("n",))),
+    "forward_dynamics": _free("forward_dynamics", results=lambda: ((6,), ("n",))),
     "mass_matrix": _free("mass_matrix", results=lambda: (("all", "all"),)),
     "coriolis_matrix": _free("coriolis_matrix", results=lambda: (("all", "all"),)),
-    "closed_form": _free("closed_form", free.closed_form, results=lambda: (("all", "all"), ("all",), ("all",))),
+    "closed_form": _free("closed_form", results=lambda: (("all", "all"), ("all",), ("all",))),
     "error_growth": _free("error_growth", results=lambda: ((),)),
     "regressor": _free("regressor", results=lambda: (("all", "parameters"),)),
     "forward_kinematics": _free("forward_kinematics", results=lambda *frames: ((len(frames), 8),)),
