@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import choose
-from torchdq.export import batch, c99, rollout
+from torchdq.export import c99, rollout
 from torchdq.export.c99 import Array
 from torchdq.program.autograd import per_sample
 from torchdq.program.loop import Loop
