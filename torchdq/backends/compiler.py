@@ -57,7 +57,7 @@ class Compiled(Backend):
         return self._instead(found, InterpretedLoop, loop) if isinstance(found, BuildError) else found
 
     def _instead(self, error: BuildError, by_torch: Any, what: Program | Loop) -> Any:
-        """What torch runs where a build failed, of which this process is warned once; or raises."""
+        """Program or loop for torch to run where a build failed, of which this process is warned once; or raises."""
         if not self.or_torch:
             raise BuildError(f"{error}\n(torchdq.clear_caches() makes this process try again)")
         warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {error}")

@@ -132,15 +132,18 @@ def _free(
 
 
 _FREE: dict[str, Recipe] = {
-    **{name: _free(name) for name in ("error_growth", "forward_kinematics", "kinetic_energy", "potential_energy")},
     "inverse_dynamics": _free("inverse_dynamics", results=lambda: ((6,), ("n",))),
     "forward_dynamics": _free("forward_dynamics", results=lambda: ((6,), ("n",))),
     "mass_matrix": _free("mass_matrix", results=lambda: (("all", "all"),)),
     "coriolis_matrix": _free("coriolis_matrix", results=lambda: (("all", "all"),)),
     "closed_form": _free("closed_form", results=lambda: (("all", "all"), ("all",), ("all",))),
+    "error_growth": _free("error_growth"),
     "regressor": _free("regressor", results=lambda: (("all", "parameters"),)),
+    "forward_kinematics": _free("forward_kinematics"),
     "jacobian": _free("jacobian", results=lambda frame, expressed: ((6, "all"),)),
     "external_wrenches": _free("external_wrenches", results=lambda *frames: (("links", 6), (6,))),
+    "kinetic_energy": _free("kinetic_energy"),
+    "potential_energy": _free("potential_energy"),
     "centre_of_mass": _free("mass_matrix", free.centre_of_mass, results=lambda: ((3,),)),
     "momentum": _free("kinetic_energy", free.momentum, results=lambda: ((3,), (3,))),
     "momentum_rate": _free("regressor", free.momentum_rate, results=lambda: ((3,), (3,))),

@@ -11,7 +11,10 @@ class _AboutLog(Exception):
         super().__init__(*found)
         self.where = str(where)
 
-    findings = TorchdqError.findings  # that it is about
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings that it is about."""
+        return tuple(x for x in self.args if isinstance(x, Finding))
 
     def text(self, command_line: bool = False) -> str:
         """Text of the findings, with cures in Python's words or in options of the command line."""
