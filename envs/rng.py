@@ -8,7 +8,7 @@ purpose, so that the numbers of a start do not depend on the steps before it, an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Integral
 from typing import Any, NamedTuple
 
@@ -31,6 +31,11 @@ class Streams(NamedTuple):
 
     key: Tensor  # [N] int64
     counter: Tensor  # [N] int64
+
+    @classmethod
+    def of(cls, buffers: Mapping[str, Tensor]) -> Streams:
+        """Streams that are among the buffers of environments."""
+        return cls(buffers["key"], buffers["counter"])
 
     def split(self, number: int) -> Streams:
         """A number of other streams for each of these, in columns [N, number], from their beginnings."""

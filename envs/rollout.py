@@ -110,7 +110,7 @@ class Blocks:
     ) -> tuple[dict[str, Tensor], dict[str, Tensor], int]:
         """Rows of every step, what has changed after the last, and the number of steps for which enough was drawn."""
         scene, pushes, like = self.reset.scene, self.reset.pushes, buffers["observation"]
-        streams, following = Streams(buffers["key"], buffers["counter"]), self._following(buffers)
+        streams, following = Streams.of(buffers), self._following(buffers)
         names = (*STATE, "goal", *KEPT, *pushes, *self.reset.drawn)
         given = {name: buffers[name] for name in names if name in buffers}
         spare = [streams.column(k).uniform(DRAWS, like.dtype) for k, _ in enumerate(pushes, PUSHED)]
@@ -155,7 +155,7 @@ class Blocks:
 
     def _following(self, buffers: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Buffers and parameters of every row's next episode, drawn where those at hand were taken."""
-        streams = Streams(buffers["key"], buffers["counter"])
+        streams = Streams.of(buffers)
         now, before = streams.column(STARTS), self.drawn_at
         taken = torch.ones_like(now.key, dtype=torch.bool)
         if before is not None:

@@ -254,7 +254,7 @@ class ArmVectorEnv(VectorEnv):
                 super().reset(seed=int(seed))
             given = mask & torch.tensor([s is not None for s in seeds], device=self.device)
             fresh = self._reset.streams([s or 0 for s in seeds], self.num_envs, self.device)
-            buffers |= self._streams(buffers).with_rows(Masked(given), fresh)._asdict()
+            buffers |= Streams.of(buffers).with_rows(Masked(given), fresh)._asdict()
         buffers, _ = self._begun(buffers, self._some(mask))
         self._keep(buffers)
         self._unreset = self._any(buffers["finished"])
@@ -559,7 +559,7 @@ class ArmVectorEnv(VectorEnv):
         buffers["steps"] = buffers["steps"] + self._one
         given = task_inputs(self.task, buffers, self._scene, actions)
         given |= self._actions.inputs(actions, buffers["reference"])
-        streams, noise = self._streams(buffers), None
+        streams, noise = Streams.of(buffers), None
         for k, (name, pushes) in enumerate(self._reset.pushes.items(), PUSHED):
             time = self._buffers["steps"].to(self.dtype) * self._scene.dt
             given[name], buffers[name], after = pushes.at(time, buffers[name], streams.column(k), self._some)
@@ -586,7 +586,7 @@ class ArmVectorEnv(VectorEnv):
     def _begun(self, buffers: Mapping[str, Tensor], rows: SomeRows) -> tuple[dict[str, Tensor], Mapping[str, Tensor]]:
         """Buffers with new episodes in some rows, and the task's rows at their start."""
         found = dict(buffers)
-        fresh, seen = self._reset(rows, self._streams(buffers).rows(rows), self.dtype)
+        fresh, seen = self._reset(rows, Streams.of(buffers).rows(rows), self.dtype)
         held = _HELD if self._reset.functions is None else fresh  # functions see everything
         for name, x in fresh.items():
             if name in held or isinstance(rows, Masked):
@@ -609,9 +609,6 @@ class ArmVectorEnv(VectorEnv):
         """Buffers before a first episode."""
         width, seed = self.single_observation_space.shape[0], int(self.np_random.integers(2**62))  # type: ignore[index]
         return self._reset.blank(self.num_envs, width, seed, self.dtype, self.device)
-
-    def _streams(self, buffers: Mapping[str, Tensor]) -> Streams:
-        return Streams(buffers["key"], buffers["counter"])
 
 
 def _robot_of(robot: str | Path | Robot) -> Robot:

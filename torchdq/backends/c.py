@@ -9,11 +9,10 @@ import torch
 from torch import Tensor
 
 from torchdq.backends import c_library, threads
-from torchdq.backends.backend import Backend, DirectKernel, Form, LoopKernel, contiguous, dense
+from torchdq.backends.backend import Form, contiguous, dense
 from torchdq.backends.c_loop import loop_source
 from torchdq.backends.c_source import source
-from torchdq.backends.compiler import BuildError, built, compiler, failed, no_compiler
-from torchdq.backends.torch import InterpretedKernel, InterpretedLoop
+from torchdq.backends.compiler import BuildError, Compiled, compiler, no_compiler
 from torchdq.base.caches import LAYOUTS, PROGRAMS, remembered
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError, TorchdqError
@@ -22,11 +21,10 @@ from torchdq.program.program import Program, outputs
 from torchdq.program.transforms import empty_on_cpu
 
 
-class C(Backend):
+class C(Compiled):
     """Backend that compiles programs for the CPU."""
 
     name = "c"
-    differentiable = False
 
     def refusal(self, device: torch.device) -> TorchdqError | None:
         """Error that says why programs cannot run on a device; None: they can."""
@@ -34,27 +32,15 @@ class C(Backend):
             return ArgumentError(f"backend 'c' runs on the CPU, and the arguments are on the device {device.type!r}")
         return None if compiler() is not None else no_compiler()
 
-    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
-        """Compiled program in one precision, built unless the cache on disk has it."""
-        return built(_compiled(program, dtype))
-
-    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device, samples: int) -> LoopKernel:
-        """Compiled loop in one precision, likewise, for few samples or any number."""
-        return built(_compiled(loop, dtype, _few(samples, dtype)))
+    def compiled(self, what: Program | Loop, dtype: torch.dtype, device: torch.device, samples: int) -> Any:
+        """Kernel of a program or a loop, for few samples or any number, or the error of its build."""
+        return _compiled(what, dtype, isinstance(what, Loop) and _few(samples, dtype))
 
 
 class COrTorch(C):
     """Backend that compiles programs for the CPU, and runs as torch operations those that cannot be compiled."""
 
-    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
-        """Compiled program in one precision, or its torch operations."""
-        found = _compiled(program, dtype)
-        return InterpretedKernel(program) if failed(found) else found
-
-    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device, samples: int) -> LoopKernel:
-        """Compiled loop in one precision, or its torch operations."""
-        found = _compiled(loop, dtype, _few(samples, dtype))
-        return InterpretedLoop(loop) if failed(found) else found
+    or_torch = True
 
 
 LARGEST_KEPT = 2**25 - 2**16  # bytes of a block below the 32 MiB from which glibc keeps none

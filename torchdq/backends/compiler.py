@@ -1,4 +1,4 @@
-"""C compiler of this machine: its choice, and runs of it with a time limit."""
+"""Backends that compile programs, and the C compiler of this machine: its choice, and runs of it with a time limit."""
 
 from __future__ import annotations
 
@@ -11,11 +11,17 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
+import torch
+
+from torchdq.backends.backend import Backend, DirectKernel, LoopKernel
+from torchdq.backends.torch import InterpretedKernel, InterpretedLoop
 from torchdq.base.caches import remembered
 from torchdq.base.progress import warn_once
 from torchdq.errors import TorchdqError
+from torchdq.program.loop import Loop
+from torchdq.program.program import Program
 
 ASKED = 5.0  # time in which a compiler must state its version [s]
 
@@ -29,18 +35,33 @@ def no_compiler() -> BuildError:
     return BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
 
 
-def built(found: Any) -> Any:
-    """Kernel that was built; raises if it is the error of its build."""
-    if isinstance(found, BuildError):
-        raise BuildError(f"{found}\n(torchdq.clear_caches() makes this process try again)")
-    return found
+class Compiled(Backend):
+    """Backend that compiles programs and loops, or runs as torch operations those that cannot be compiled."""
 
+    differentiable = False
+    or_torch: ClassVar[bool] = False  # whether torch runs what cannot be compiled; otherwise that is an error
+    by_torch: ClassVar[type[InterpretedKernel]] = InterpretedKernel  # program that torch runs
 
-def failed(found: Any) -> bool:
-    """Whether a build failed, of which this process is warned once."""
-    if isinstance(found, BuildError):
-        warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {found}")
-    return isinstance(found, BuildError)
+    def compiled(self, what: Program | Loop, dtype: torch.dtype, device: torch.device, samples: int) -> Any:
+        """Kernel of a program, or of a loop for about so many samples, or the error of its build."""
+        raise NotImplementedError
+
+    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
+        """Compiled program in one precision, built unless the cache on disk has it, or its torch operations."""
+        found = self.compiled(program, dtype, device, 0)
+        return self._instead(found, self.by_torch, program) if isinstance(found, BuildError) else found
+
+    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device, samples: int) -> LoopKernel:
+        """Compiled loop in one precision, likewise."""
+        found = self.compiled(loop, dtype, device, samples)
+        return self._instead(found, InterpretedLoop, loop) if isinstance(found, BuildError) else found
+
+    def _instead(self, error: BuildError, by_torch: Any, what: Program | Loop) -> Any:
+        """Program or loop for torch to run where a build failed, of which this process is warned once; or raises."""
+        if not self.or_torch:
+            raise BuildError(f"{error}\n(torchdq.clear_caches() makes this process try again)")
+        warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {error}")
+        return by_torch(what)
 
 
 class Compiler(NamedTuple):

@@ -10,22 +10,20 @@ import torch
 from torch import Tensor
 
 from torchdq.backends import cuda_driver, nvrtc
-from torchdq.backends.backend import Backend, DirectKernel, LoopKernel
-from torchdq.backends.compiler import BuildError, built, failed
+from torchdq.backends.compiler import BuildError, Compiled
 from torchdq.backends.cuda_kernel import CudaKernel, CudaLoop, Launcher
 from torchdq.backends.precision import guarded
-from torchdq.backends.torch import EAGER, InterpretedKernel, InterpretedLoop
+from torchdq.backends.torch import EAGER, InterpretedKernel
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.program.loop import Loop
 from torchdq.program.program import Program
 
 
-class Cuda(Backend):
+class Cuda(Compiled):
     """Backend that compiles programs for GPUs."""
 
     name = "cuda"
-    differentiable = False
     guards = True
 
     def refusal(self, device: torch.device) -> TorchdqError | None:
@@ -37,13 +35,9 @@ class Cuda(Backend):
             )
         return _refusal(device.index or 0)
 
-    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
-        """Compiled program in one precision, built unless the cache on disk has it."""
-        return built(_compiled(program, dtype, _architecture(device.index or 0)))
-
-    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device, samples: int) -> LoopKernel:
-        """Compiled loop in one precision, likewise, one for any number of samples."""
-        return built(_compiled(loop, dtype, _architecture(device.index or 0)))
+    def compiled(self, what: Program | Loop, dtype: torch.dtype, device: torch.device, samples: int) -> Any:
+        """Kernel of a program, or of a loop for any number of samples, or the error of its build."""
+        return _compiled(what, dtype, _architecture(device.index or 0))
 
 
 class _GuardedByTorch(InterpretedKernel):
@@ -57,15 +51,7 @@ class _GuardedByTorch(InterpretedKernel):
 class CudaOrTorch(Cuda):
     """Backend that compiles programs for GPUs, and runs as torch operations those that cannot be compiled."""
 
-    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
-        """Compiled program in one precision, or its torch operations."""
-        found = _compiled(program, dtype, _architecture(device.index or 0))
-        return _GuardedByTorch(program) if failed(found) else found
-
-    def loop(self, loop: Loop, dtype: torch.dtype, device: torch.device, samples: int) -> LoopKernel:
-        """Compiled loop in one precision, or its torch operations."""
-        found = _compiled(loop, dtype, _architecture(device.index or 0))
-        return InterpretedLoop(loop) if failed(found) else found
+    or_torch, by_torch = True, _GuardedByTorch
 
 
 CUDA, CUDA_OR_EAGER = Cuda(), CudaOrTorch()

@@ -7,7 +7,6 @@ that step on.
 
 from __future__ import annotations
 
-from torchdq.backends import cuda_prelude
 from torchdq.backends.cuda_source import KernelPrinter, Staged, marks
 from torchdq.program.loop import Loop
 
@@ -41,7 +40,7 @@ class _LoopPrinter(KernelPrinter):
         return f"in{k}[at*{self.arguments[k].width}+{j}]" if k in self.loop.stepped else super().input(k, j)
 
     def text(self) -> str:
-        loop, results, number = self.loop, self.program.results, self.number
+        loop, results = self.loop, self.program.results
         states = {r: k for k, r in loop.carried}
         totals = [r for r in range(len(results)) if r not in (*states, *loop.kept)]
         marked = marks(self.program, self.single)
@@ -71,14 +70,8 @@ class _LoopPrinter(KernelPrinter):
             *(self.row(r, f"out{r}[b*@+#]=sum{r}_#;") for r in totals),
             "lost[b]=gone;" if marked else "",
         ]
-        pointers = [f"const {number}*__restrict__ in{k}" for k in range(len(loop.arguments))]
-        pointers += [f"{number}*__restrict__ out{r}" for r in range(len(results))]
-        if marks(self.program, self.single or self.recomputing):
-            pointers.append(f"{'const ' if self.recomputing else ''}unsigned char*__restrict__ lost")
         lines = [
-            cuda_prelude.text(self.single, BLOCK),
-            f"KERNEL({','.join(['long long steps', *pointers])})",
-            "const long long first=block*BLOCK;const int here=samples-first<BLOCK?(int)(samples-first):BLOCK;",
+            *self.opening(BLOCK, len(loop.arguments), "long long steps"),
             *self.shared(),
             f"EACH{{const long long b=first+t;if(t<here{'&&lost[b]' if self.recomputing else ''}){{",
             *begin,

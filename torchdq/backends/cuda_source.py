@@ -194,6 +194,18 @@ class KernelPrinter:
 
     # --- the whole ---
 
+    def opening(self, block: int, arguments: int, *numbers: str) -> list[str]:
+        """Lines in front of the statements: the prelude, and what the kernel takes, beginning with `numbers`."""
+        pointers = [f"const {self.number}*__restrict__ in{k}" for k in range(arguments)]
+        pointers += [f"{self.number}*__restrict__ out{k}" for k in range(len(self.program.results))]
+        if marks(self.program, self.single or self.recomputing):
+            pointers.append(f"{'const ' if self.recomputing else ''}unsigned char*__restrict__ lost")
+        return [
+            cuda_prelude.text(self.single, block),
+            f"KERNEL({','.join([*numbers, *pointers])})",
+            "const long long first=block*BLOCK;const int here=samples-first<BLOCK?(int)(samples-first):BLOCK;",
+        ]
+
     def text(self) -> str:
         """Text of the kernel."""
         p, stage, number = self.program, self.stage, self.number
@@ -212,18 +224,12 @@ class KernelPrinter:
                 stores.append(f"EACH{{for(int j=t;j<{w};j+=BLOCK){{{total}}}}}")
             else:
                 stores.append(_moved(w, f"out{k}[first*{w}+i]=o{k}[{{0}}]"))
-        pointers = [f"const {number}*__restrict__ in{k}" for k in range(len(self.arguments))]
-        pointers += [f"{number}*__restrict__ out{k}" for k in range(len(p.results))]
-        if marks(p, self.single or self.recomputing):
-            pointers.append(f"{'const ' if self.recomputing else ''}unsigned char*__restrict__ lost")
         body = ["{", *self.values.statements(), *self.results(), "}"]
         if self.recomputing:
             sums = [(k, j) for k in sorted(stage.results) for j in range(len(p.results[k].values))]
             body = ["if(lost[b])", *body, "else{", *(f"{self.place(k, j)}=0;" for k, j in sums), "}"]
         lines = [
-            cuda_prelude.text(self.single, stage.block),
-            f"KERNEL({','.join(pointers)})",
-            "const long long first=block*BLOCK;const int here=samples-first<BLOCK?(int)(samples-first):BLOCK;",
+            *self.opening(stage.block, len(self.arguments)),
             *([f"STAGE {number} stage[{size}];"] if size else []),
             *names,
             *loads,

@@ -210,9 +210,6 @@ class JointLimits(JointEffect):
 
 def _out_of_order(lower: Parameter, upper: Parameter, robot: Robot) -> str:
     """Text for the first joint with a lower value above the upper one; "" if there is none, or values are unknown."""
-    if isinstance(lower, tuple) and isinstance(upper, tuple):
-        pairs = zip(robot.joint_names, lower, upper, strict=True)
-        return next((f"{a:g} and {b:g} at joint {joint!r}" for joint, a, b in pairs if a > b), "")
     low, high = (tensor_of(x).detach() for x in (lower, upper))
     if without_values((low,)) or without_values((high,)):
         return ""

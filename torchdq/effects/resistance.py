@@ -62,6 +62,14 @@ class Templates:
     effects: tuple[Friction, ...]
     n: int
 
+    def bound(self, rows: Mapping[str, Row]) -> list[Friction]:
+        """Effects with rows of numbers instead of their tensors, those of effect k named "k.parameter"."""
+
+        def own(k: int) -> dict[str, Row]:
+            return {name.partition(".")[2]: row for name, row in rows.items() if name.startswith(f"{k}.")}
+
+        return [effect.bound(own(k)) for k, effect in enumerate(self.effects)]
+
 
 class Parts(NamedTuple):
     """Effects without their tensors, and the tensors by position and name."""
@@ -143,12 +151,10 @@ def _followed(effect: Friction, q: Tensor, time: Tensor, backend: BackendName | 
     if not bool((h > 0).all()):
         raise ArgumentError("time must increase from row to row of one motion")
     qd = q.diff(dim=0) / h
-    given = {"q": q[:-1], "qd": qd, "h": h, "memory": q.new_zeros(len(h), effect.memory(q.shape[-1]))}
-    (bent,) = _evaluated("rates", parts([effect], q.shape[-1]), given, backend).values()
-    (slope,) = _evaluated(
-        "rates", parts([effect], q.shape[-1]), {**given, "memory": given["memory"] + 1.0}, backend
-    ).values()
-    memory = [given["memory"].new_zeros(given["memory"].shape[-1])]
+    given, of = {"q": q[:-1], "qd": qd, "h": h}, parts([effect], q.shape[-1])
+    still = q.new_zeros(len(h), effect.memory(q.shape[-1]))
+    bent, slope = (_evaluated("rates", of, {**given, "memory": z}, backend)["0"] for z in (still, still + 1.0))
+    memory = [still.new_zeros(still.shape[-1])]
     for kept, added in zip((1.0 + h * (slope - bent)).unbind(), (h * bent).unbind(), strict=True):
         memory.append(kept * memory[-1] + added)
     return torch.stack(memory)
@@ -206,10 +212,7 @@ def _program(what: _Along, arguments: tuple[Argument, ...]) -> Program:
     def algorithm(*rows: Row) -> dict[str, Row]:
         given = {a.name: row for a, row in zip(arguments, rows, strict=True)}
         q, qd, load, memory = given["q"], given["qd"], given.get("load"), given.get("memory", ())
-        effects = []
-        for k, template in enumerate(what.of.effects):
-            own = {name.partition(".")[2]: row for name, row in given.items() if name.startswith(f"{k}.")}
-            effects.append(template.bound(own))
+        effects = what.of.bound(given)
         match what.what:
             case "columns":
                 return {str(k): torques([effect], q, qd, load, given, memory) for k, effect in enumerate(effects)}

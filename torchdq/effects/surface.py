@@ -12,7 +12,7 @@ from torchdq.base.checks import floating, require_finite, require_number
 from torchdq.errors import ArgumentError
 from torchdq.numbers.ops import Value
 from torchdq.numbers.record import Recorded
-from torchdq.program.autodiff import cotangents
+from torchdq.program.autodiff import gradient
 from torchdq.program.program import Argument, record, replay, results
 from torchdq.program.transforms import without_values
 
@@ -104,6 +104,5 @@ def tangent(surface: Callable[[Value, Value], Value], x: Value, y: Value) -> tup
     program = record("surface", [Argument("x", 1), Argument("y", 1)], height)
     values = replay(program, [[x], [y]])
     (z,) = results(program, values)["z"]
-    (output,) = program.results[0].values
-    found = {} if isinstance(output, float) else cotangents(program, values, {output[0]: -1.0 if output[1] else 1.0})
+    found = gradient(program, values, program.results[0].values[0])
     return z, found.get((0, 0), 0.0), found.get((1, 0), 0.0)

@@ -9,7 +9,6 @@ last block repeats its last sample, so that the result of a sample does not depe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from torchdq.export import c99, parts
 from torchdq.export.c99 import Array, Library
@@ -52,34 +51,10 @@ static void added(const S *lanes, size_t width, size_t here, S *sums)
 """
 
 
-class BatchRow(NamedTuple):
-    """Argument or output of the function for batches."""
-
-    name: str
-    size: int
-    shared: bool  # whether it is one row for all samples: a uniform argument, or a sum
-
-    @property
-    def lanes(self) -> str:
-        """Array of a block."""
-        return f"lanes_of_{self.name}"
-
-
-def rows(program: Program) -> tuple[list[BatchRow], list[BatchRow]]:
-    """Arguments and outputs of the function for batches, in their order."""
-    taken, given = c99.arrays(program)
-    uniform = [a.uniform for a in program.arguments if a.width]
-    summed = [r.summed for r in outputs(program) if r.values]
-    return (
-        [BatchRow(*a, shared) for a, shared in zip(taken, uniform, strict=True)],
-        [BatchRow(*a, shared) for a, shared in zip(given, summed, strict=True)],
-    )
-
-
 def declaration(program: Program, name: str, single: bool) -> str:
     """Declaration of the function for batches, without the semicolon."""
     scalar = "float" if single else "double"
-    taken, given = rows(program)
+    taken, given = c99.arrays(program)
     parameters = [f"const {scalar} *{a.name}" for a in taken] + [f"{scalar} *{a.name}" for a in given]
     return f"int {name}_batch({', '.join(['size_t samples', *parameters])})"
 
@@ -91,7 +66,7 @@ def lanes(single: bool) -> int:
 
 def stack(program: Program, single: bool) -> int:
     """Memory of the blocks [bytes]."""
-    taken, given = rows(program)
+    taken, given = c99.arrays(program)
     numbers = sum(a.size for a in taken if not a.shared) + sum(a.size * (2 if a.shared else 1) for a in given)
     numbers += sum(a.size for a in parts.parts(program, "", single, "own", _in_lanes(single, "own")).own)
     return numbers * lanes(single) * (4 if single else 8)
@@ -128,24 +103,24 @@ def function(
 
     `linkage`: words before its declaration; `finite`: whether its status reports results that are not.
     """
-    taken, given = rows(program)
+    taken, given = c99.arrays(program)
     several = [a for a in taken if not a.shared]
     block = parts.parts(program, f"{name}_block", single, "own", _in_lanes(single, library))
-    local = {a.name: a.lanes for a in (*several, *given)}  # names in the function for batches
+    local = {a.name: f"lanes_of_{a.name}" for a in (*several, *given)}  # names in the function for batches
     sums = [a for a in given if a.shared]
-    declared = [f"S {a.lanes}[{a.size}][LANES];" for a in (*several, *given)]
+    declared = [f"S lanes_of_{a.name}[{a.size}][LANES];" for a in (*several, *given)]
     declared += [f"S {a.name}[{a.size}][LANES];" for a in block.own]
     declared += [f"S sum_of_{a.name}[{a.size}][LANES] = {{{{0}}}};" for a in sums]
-    steps = [f"rows_to_lanes({a.name} + {a.size} * first, {a.size}, here, {a.lanes}[0]);" for a in several]
+    steps = [f"rows_to_lanes({a.name} + {a.size} * first, {a.size}, here, lanes_of_{a.name}[0]);" for a in several]
     steps += [f"{part}({', '.join(local.get(a.name, a.name) for a in arrays)});" for part, arrays in block.calls]
     for a in given:
         steps.append(
-            f"added({a.lanes}[0], {a.size}, here, sum_of_{a.name}[0]);"
+            f"added(lanes_of_{a.name}[0], {a.size}, here, sum_of_{a.name}[0]);"
             if a.shared
-            else f"lanes_to_rows({a.lanes}[0], {a.size}, here, {a.name} + {a.size} * first);"
+            else f"lanes_to_rows(lanes_of_{a.name}[0], {a.size}, here, {a.name} + {a.size} * first);"
         )
     sines = any(a.name == "angles" for a in block.own)
-    growth = f"{given[-1].lanes}[0][lane]" if program.growth is not None else ""
+    growth = f"lanes_of_{given[-1].name}[0][lane]" if program.growth is not None else ""
     if growth or sines:
         good = c99.status(single, growth, "angles[0][lane]" if sines else "")
         steps.append(f"for (lane = 0; lane < here; lane++) status |= {good};")
@@ -153,7 +128,7 @@ def function(
     steps += [
         f"for (place = 0; place < {a.size}; place++)\n"
         f"            for (lane = 0; lane < here; lane++)\n"
-        f"                status |= {a.lanes}[place][lane] - {a.lanes}[place][lane] == 0 ? 0 : 1;"
+        f"                status |= lanes_of_{a.name}[place][lane] - lanes_of_{a.name}[place][lane] == 0 ? 0 : 1;"
         for a in results
     ]
     end = [

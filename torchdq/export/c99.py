@@ -94,10 +94,17 @@ static {inline}S root(S x)
     return x > 0 && x <= {largest} ? y * back : x < 0 ? none : x;
 }}
 """
+_NEWTON = "    r = r * ((S)1.5 - ((S)0.5 * z * r) * r);\n"
 # by precision: integer, guess, upper half of the digits, scaling of numbers that are far from one, Newton's steps
 _ROOT_CONSTANTS = {
-    False: ("uint64_t", "UINT64_C(0x5fe6eb50c7b537a9)", "~UINT64_C(0x7ffffff)", "700", "400", "200", "DBL_MAX", 4),
-    True: ("uint32_t", "UINT32_C(0x5f375a86)", "~UINT32_C(0xfff)", "90", "60", "30", "FLT_MAX", 3),
+    False: {
+        **{"bits": "uint64_t", "guess": "UINT64_C(0x5fe6eb50c7b537a9)", "mask": "~UINT64_C(0x7ffffff)"},
+        **{"far": 700, "scale": 400, "half": 200, "largest": "DBL_MAX", "steps": 4 * _NEWTON},
+    },
+    True: {
+        **{"bits": "uint32_t", "guess": "UINT32_C(0x5f375a86)", "mask": "~UINT32_C(0xfff)"},
+        **{"far": 90, "scale": 60, "half": 30, "largest": "FLT_MAX", "steps": 3 * _NEWTON},
+    },
 }
 
 
@@ -106,6 +113,7 @@ class Array(NamedTuple):
 
     name: str
     size: int
+    shared: bool = False  # whether it is one row for all samples: a uniform argument, or a sum
 
 
 def arrays(program: Program) -> tuple[list[Array], list[Array]]:
@@ -113,8 +121,8 @@ def arrays(program: Program) -> tuple[list[Array], list[Array]]:
     wide = [a for a in program.arguments if a.width]
     results = [r for r in outputs(program) if r.values]
     names = distinct([*(a.name for a in wide), *(f"{r.name}" for r in results)])
-    sizes = [*(a.width for a in wide), *(len(r.values) for r in results)]
-    found = [Array(name, size) for name, size in zip(names, sizes, strict=True)]
+    rest = [*((a.width, a.uniform) for a in wide), *((len(r.values), r.summed) for r in results)]
+    found = [Array(name, size, shared) for name, (size, shared) in zip(names, rest, strict=True)]
     return found[: len(wide)], found[len(wide) :]
 
 
@@ -173,23 +181,8 @@ def preamble(program: Program, single: bool, library: Library, batch: bool = Fal
     # gcc makes vectors of a loop only if nothing in it is called
     function = _SINE_AND_COSINE.replace("static", "static inline") if batch else _SINE_AND_COSINE
     functions = f"{constants.strip()}\n{function}" if sines else ""
-    return f"{included}{kind}{functions}{_root_text(single, batch) if root else ''}"
-
-
-def _root_text(single: bool, inline: bool) -> str:
-    """Function `root` of the type S; `inline`: for loops."""
-    bits, guess, mask, far, scale, half, largest, steps = _ROOT_CONSTANTS[single]
-    return _ROOT.format(
-        inline="inline " if inline else "",
-        bits=bits,
-        guess=guess,
-        mask=mask,
-        far=far,
-        scale=scale,
-        half=half,
-        largest=largest,
-        steps="    r = r * ((S)1.5 - ((S)0.5 * z * r) * r);\n" * steps,
-    )
+    own = _ROOT.format(inline="inline " * batch, **_ROOT_CONSTANTS[single]) if root else ""
+    return f"{included}{kind}{functions}{own}"
 
 
 # which values of a program stand where: array, component, and whether it is the same for all samples

@@ -237,11 +237,8 @@ def _jacobians(function: Interface, derived: Program) -> Interface:
     matrices, results = [], []
     for i, result in enumerate(function.outputs):
         for j, argument in enumerate(function.inputs):
-            name, rows, columns = (
-                f"jac_{result.name}_{argument.name}",
-                len(result.stored),
-                argument.rows * argument.columns,
-            )
+            name = f"jac_{result.name}_{argument.name}"
+            rows, columns = len(result.stored), argument.rows * argument.columns
             kept: list[int] = []
             if argument.stored:
                 whole = _by_columns(derived.results[read.index(j) * len(function.outputs) + i], rows, columns)

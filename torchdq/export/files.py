@@ -124,7 +124,7 @@ class Export(NamedTuple):
 
     def _about_batches(self) -> list[str]:
         """Lines about the function for batches."""
-        taken, given = batch.rows(self.program)
+        taken, given = c99.arrays(self.program)
         shared = [a.name for a in taken if a.shared]
         sums = [a.name for a in given if a.shared]
         return [
@@ -153,7 +153,7 @@ class Export(NamedTuple):
     def spans(self) -> str:
         """Header in C++20 whose functions take spans."""
         scalar = "float" if self.single else "double"
-        taken, given = batch.rows(self.program)
+        taken, given = c99.arrays(self.program)
         every = (*taken, *given)
         passed = ", ".join(f"{a.name}.data()" for a in every)
 

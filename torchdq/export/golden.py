@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import choose
-from torchdq.export import batch, c99, rollout
-from torchdq.export.batch import BatchRow
+from torchdq.export import c99, rollout
+from torchdq.export.c99 import Array
 from torchdq.program.autograd import per_sample
 from torchdq.program.loop import Loop
 from torchdq.program.program import Program
@@ -48,7 +48,7 @@ def test(program: Program, name: str, single: bool, batches: bool, examples: Map
 
     `examples` are values of some of the arguments; the others are random.
     """
-    taken, given = batch.rows(program)
+    taken, given = c99.arrays(program)
     scalar, f = ("float", "f") if single else ("double", "")
     bound = "1e-5f" if single else "1e-12"
     dtype = torch.float32 if single else torch.float64
@@ -73,7 +73,7 @@ def test(program: Program, name: str, single: bool, batches: bool, examples: Map
     )
 
 
-def _batch(name: str, scalar: str, taken: Sequence[BatchRow], given: Sequence[BatchRow]) -> str:
+def _batch(name: str, scalar: str, taken: Sequence[Array], given: Sequence[Array]) -> str:
     """Function that compares a batch, in which the golden vectors come again and again, with these."""
     arrays = [f"static {scalar} found_{a.name}[{1 if a.shared else SAMPLES}][{a.size}];" for a in (*taken, *given)]
     arrays += [f"{scalar} sum_of_{a.name}[{a.size}] = {{0}};" for a in given if a.shared]
@@ -97,7 +97,7 @@ def _batch(name: str, scalar: str, taken: Sequence[BatchRow], given: Sequence[Ba
     )
 
 
-def _rollout(name: str, scalar: str, taken: Sequence[BatchRow], given: Sequence[BatchRow]) -> str:
+def _rollout(name: str, scalar: str, taken: Sequence[Array], given: Sequence[Array]) -> str:
     """Function that compares a rollout, whose inputs are the golden vectors, with what follows from them."""
     arrays = [f"{scalar} found_{a.name}[{STEPS}][{a.size}];" for a in given]
     passed = ", ".join([str(STEPS), *(f"in_{a.name}[0]" for a in taken), *(f"found_{a.name}[0]" for a in given)])
@@ -121,7 +121,7 @@ def _rolled(over: Loop, inputs: Sequence[Tensor]) -> list[Tensor]:
     return [torch.cat(rows) for rows in zip(*steps, strict=True)]
 
 
-def _tables(kind: str, arrays: Sequence[BatchRow], rows: Sequence[Tensor], scalar: str) -> list[str]:
+def _tables(kind: str, arrays: Sequence[Array], rows: Sequence[Tensor], scalar: str) -> list[str]:
     """Tables of the rows that have numbers."""
     return [_table(f"{kind}_{a.name}", scalar, x) for a, x in zip(arrays, [x for x in rows if x.shape[1]], strict=True)]
 

@@ -119,31 +119,31 @@ RECIPES: dict[str, Recipe] = {
 _BEFORE = {"q": ("X_WB", (8,)), "qd": ("V_WB_B", (6,)), "qdd": ("A_WB_B", (6,))}  # what the base has before the joints
 
 
-def _free(name: str, *formulas: Callable[..., Results], results: Callable[..., tuple[Axes, ...]]) -> Recipe:
-    """Recipe of a function with a floating base: the arguments of `name`, each of the base before that of joints."""
+def _free(
+    name: str, *formulas: Callable[..., Results], results: Callable[..., tuple[Axes, ...]] | None = None
+) -> Recipe:
+    """Recipe of a function with a floating base: that of `name`, each argument of the base before that of joints."""
     found: list[ArgumentSpec] = []
     for argument, axes, optional in (like := RECIPES[name]).arguments:
         found += [(*_BEFORE[argument], optional)] if argument in _BEFORE else []
         found.append((argument, axes, optional))
     wrench = BASE_WRENCH if WRENCHES[1] in found else ()
-    return Recipe((*found, *wrench), formulas or like.formulas, results, like.each)
+    return Recipe((*found, *wrench), formulas or like.formulas, results or like.results, like.each)
 
 
 _FREE: dict[str, Recipe] = {
-    "inverse_dynamics": _free("inverse_dynamics", free.inverse_dynamics, results=lambda: ((6,), ("n",))),
-    "forward_dynamics": _free(
-        "forward_dynamics", free.forward_dynamics, free.forward_dynamics_articulated, results=lambda: ((6,), ("n",))
-    ),
+    "inverse_dynamics": _free("inverse_dynamics", results=lambda: ((6,), ("n",))),
+    "forward_dynamics": _free("forward_dynamics", results=lambda: ((6,), ("n",))),
     "mass_matrix": _free("mass_matrix", results=lambda: (("all", "all"),)),
     "coriolis_matrix": _free("coriolis_matrix", results=lambda: (("all", "all"),)),
-    "closed_form": _free("closed_form", free.closed_form, results=lambda: (("all", "all"), ("all",), ("all",))),
-    "error_growth": _free("error_growth", results=lambda: ((),)),
+    "closed_form": _free("closed_form", results=lambda: (("all", "all"), ("all",), ("all",))),
+    "error_growth": _free("error_growth"),
     "regressor": _free("regressor", results=lambda: (("all", "parameters"),)),
-    "forward_kinematics": _free("forward_kinematics", results=lambda *frames: ((len(frames), 8),)),
+    "forward_kinematics": _free("forward_kinematics"),
     "jacobian": _free("jacobian", results=lambda frame, expressed: ((6, "all"),)),
     "external_wrenches": _free("external_wrenches", results=lambda *frames: (("links", 6), (6,))),
-    "kinetic_energy": _free("kinetic_energy", results=lambda: ((),)),
-    "potential_energy": _free("potential_energy", results=lambda: ((),)),
+    "kinetic_energy": _free("kinetic_energy"),
+    "potential_energy": _free("potential_energy"),
     "centre_of_mass": _free("mass_matrix", free.centre_of_mass, results=lambda: ((3,),)),
     "momentum": _free("kinetic_energy", free.momentum, results=lambda: ((3,), (3,))),
     "momentum_rate": _free("regressor", free.momentum_rate, results=lambda: ((3,), (3,))),

@@ -1,4 +1,4 @@
-"""Formulas of the functions of robots with a floating base.
+"""Formulas of the functions that only robots with a floating base have.
 
 The velocities are those of the base, its twist V_WB_B (angular, linear), and then those of the coordinates. Generalised
 forces have the same order: moment and force on the base, then torques.
@@ -12,36 +12,8 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import posed as mechanics
-from torchdq.functions.formulas import accelerations
 from torchdq.functions.posed import BASE, as_screw
 from torchdq.functions.recipe import RecipeInputs, Results
-from torchdq.program.program import GROWTH
-
-
-def inverse_dynamics(x: RecipeInputs) -> Results:
-    """Wrench on the base, and torques."""
-    at = x.posed()
-    forces = at.torques(x.velocities(), x.accelerations(), x.exerted(at))
-    return {"F_B": [*forces[3:BASE], *forces[:3]], "tau": forces[BASE:]}
-
-
-def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
-    """Rate of the twist of the base, and accelerations, with no other wrench on the base than that of `f_base`."""
-    forces = (*[0.0] * BASE, *x.arguments.get("tau", [0.0] * x.robot.n))
-    a, growth = accelerations(x, forces, linear)
-    return {"A_WB_B": a[:BASE], "qdd": a[BASE:], GROWTH: [growth]}
-
-
-def forward_dynamics_articulated(x: RecipeInputs) -> Results:
-    """Rate of the twist of the base, and accelerations, by articulated bodies."""
-    return forward_dynamics(x, linear=True)
-
-
-def closed_form(x: RecipeInputs) -> Results:
-    """Mass matrix M, Coriolis forces c and gravity forces g."""
-    M, c, g = mechanics.closed_form(x.posed(), x.velocities() or ())
-    return {"M": [entry for row in M for entry in row], "c": c, "g": g}
 
 
 def _centre(x: RecipeInputs) -> tuple[Number, Pure]:

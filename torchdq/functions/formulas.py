@@ -1,4 +1,4 @@
-"""Formulas of the functions of robots with a fixed base; those of their place alone serve floating bases too."""
+"""Formulas of the functions of robots, on a fixed and on a floating base; `floating` has those of the latter alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.tracking import commanded
-from torchdq.functions.posed import as_screw, factors, frame, general, solve
+from torchdq.functions.posed import BASE, as_screw, factors, frame, general, solve
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.program.program import GROWTH, Value
 
@@ -19,9 +19,12 @@ TRACKING = ("q", "qd", "q_des", "qd_des", "qdd_des", "kp", "kd")  # arguments of
 
 
 def inverse_dynamics(x: RecipeInputs) -> Results:
-    """Torques tau."""
+    """Torques tau, and before them the wrench on a floating base."""
     at = x.posed()
-    return {"tau": at.torques(x.velocities(), x.accelerations(), x.exerted(at))}
+    forces = at.torques(x.velocities(), x.accelerations(), x.exerted(at))
+    if x.base() is None:
+        return {"tau": forces}
+    return {"F_B": [*forces[3:BASE], *forces[:3]], "tau": forces[BASE:]}
 
 
 def computed_torque(x: RecipeInputs, *single: str) -> Results:
@@ -37,19 +40,18 @@ def mass_matrix(x: RecipeInputs) -> Results:
     return {"M": [entry for row in x.posed().mass_matrix() for entry in row]}
 
 
-def accelerations(x: RecipeInputs, forces: Sequence[Number], linear: bool) -> tuple[Sequence[Number], Number]:
-    """Accelerations that generalised forces produce, and the factor by which rounding errors grow in them."""
-    x.require_inertia()
-    at = x.posed()
-    bias = at.torques(x.velocities(), None, x.exerted(at))
-    net = [f if b is None else f - b for f, b in zip(forces, bias, strict=True)]
-    return solve(x.robot, at, net, linear)  # (63) solved for qdd
-
-
 def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
-    """Accelerations qdd, by the factors of the mass matrix or, if `linear`, by articulated bodies."""
-    qdd, growth = accelerations(x, x.arguments["tau"], linear)
-    return {"qdd": qdd, GROWTH: [growth]}
+    """Accelerations qdd, by the factors of the mass matrix or, if `linear`, by articulated bodies.
+
+    Before them comes the rate of the twist of a floating base, on which no other wrench acts than that of `f_base`.
+    """
+    x.require_inertia()
+    at, free = x.posed(), () if x.base() is None else (0.0,) * BASE
+    bias = at.torques(x.velocities(), None, x.exerted(at))
+    forces = (*free, *x.arguments["tau"])
+    a, growth = solve(x.robot, at, [f if b is None else f - b for f, b in zip(forces, bias, strict=True)], linear)
+    rows = {"A_WB_B": a[:BASE], "qdd": a[BASE:]} if free else {"qdd": a}
+    return {**rows, GROWTH: [growth]}  # (63) solved for qdd
 
 
 def forward_dynamics_articulated(x: RecipeInputs) -> Results:
@@ -68,10 +70,10 @@ def error_growth_articulated(x: RecipeInputs) -> Results:
     return error_growth(x, linear=True)
 
 
-def closed_form(x: RecipeInputs, tip_name: str) -> Results:
+def closed_form(x: RecipeInputs, tip_name: str = "") -> Results:
     """Mass matrix M, Coriolis torques c, gravity torques g, and the Jacobian Jt if there is a tip."""
     at = x.posed()
-    M, c, g = mechanics.closed_form(at, x.arguments["qd"])
+    M, c, g = mechanics.closed_form(at, x.velocities() or ())
     rows: Results = {"M": [entry for row in M for entry in row], "c": c, "g": g}
     if tip_name:
         columns = at.jacobian(*frame(x.robot, tip_name), world=False)

@@ -25,10 +25,9 @@ from torchdq.dq import pose_error
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.posed import Row, dot
 from torchdq.dynamics.task_space import Task
-from torchdq.functions.posed import frame
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.functions.task_space import pose_of, pose_of_any_norm
-from torchdq.functions.task_space_formulas import rows_of
+from torchdq.functions.task_space_formulas import task_of
 from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select, sqrt
 from torchdq.robot.robot import Robot
 
@@ -41,7 +40,7 @@ GIVEN = 1e-3  # share of a twist that may be missing
 
 def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Screw, Task, Matrix]:
     """Error of a frame, (rotation vector, displacement) to the desired pose, its task, and rates -de/dq."""
-    at, task = x.posed(), Task(*frame(x.robot, name), expressed == "world", rows_of(axes))
+    at, task = x.posed(), task_of(x, name, expressed, axes)
     X, goal = pose_of(at, task), pose_of_any_norm(x.arguments["X"])
     if task.world:  # the other way round, since the axes do not turn with the frame
         back, p = quat.mul(X[0], quat.conj(goal[0])), quat.sub(dq.translation(goal), dq.translation(X))
@@ -159,7 +158,7 @@ def differential(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: 
     Joints that stand at a limit and would leave it are held, twice, and the others take over.
     """
     q, V, dt = x.arguments["q"], x.arguments["V_des"], x.arguments.get("dt")
-    J = Task(*frame(x.robot, name), expressed == "world", rows_of(axes)).jacobian(x.posed())
+    J = task_of(x, name, expressed, axes).jacobian(x.posed())
     rooms: list[tuple[Number, Number]] = []
     for a, (lower, upper), v in zip(q, ranges(x.robot), x.robot.limits.velocity.tolist(), strict=True):
         fastest = v if v > 0 and "bounded" in marks else math.inf

@@ -57,8 +57,11 @@ def _single_gains(robot: Robot, *given: str) -> Options:
     return given
 
 
-def _task(default: str, *marks: str) -> Callable[..., Options]:
-    """Reader of a frame, the axes that its twist is in, and its components, followed by those of some marks."""
+def _task(default: str, *marks: str, served: bool = True) -> Callable[..., Options]:
+    """Reader of a frame, the axes that its twist is in, and its components, followed by those of some marks.
+
+    `served`: whether the joints must move all of these components.
+    """
 
     def read(robot: Robot, *given: str) -> Options:
         named = [name for name in given if name not in marks]
@@ -69,7 +72,10 @@ def _task(default: str, *marks: str) -> Callable[..., Options]:
             )
         tip, expressed, axes = (*named, *("", default, "pose")[len(named) :])
         name, expressed = _frame_and_axes(robot, tip or robot.end_effector().name, expressed)
-        require_served(robot, name, expressed, axes)
+        if served:
+            require_served(robot, name, expressed, axes)
+        else:
+            _distinct(axes)
         if "limits" in given and not any(0 < most < math.inf for most in robot.limits.effort.tolist()):
             raise ArgumentError(f"limits must be False for robot {robot.name!r}, which has no torque limits")
         return (name, expressed, axes, *[mark for mark in marks if mark in given])
@@ -95,13 +101,6 @@ def _distinct(axes: str) -> tuple[str, ...]:
             f"found {axes!r}"
         )
     return wanted
-
-
-def _contact(robot: Robot, *given: str) -> Options:
-    """A frame, the axes that a force is in, and its components, which the joints need not move."""
-    tip, expressed, axes = (*given, *("", "body", "pose")[len(given) :])
-    _distinct(axes)
-    return (*_frame_and_axes(robot, tip or robot.end_effector().name, expressed), axes)
 
 
 def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
@@ -153,7 +152,7 @@ _READERS: dict[str, Callable[..., Options]] = {
     "inverse_kinematics_step": _task("body"),
     "inverse_kinematics_newton": _task("body"),
     "differential_inverse_kinematics": _task("body", "bounded"),
-    "contact_force": _contact,
+    "contact_force": _task("body", served=False),
 }
 
 

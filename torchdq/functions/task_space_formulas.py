@@ -33,13 +33,14 @@ def rows_of(axes: str) -> tuple[int, ...]:
     return tuple(COMPONENTS.index(axis) for axis in AXES.get(axes, axes.split()))
 
 
-def _task(x: RecipeInputs, name: str, expressed: str, axes: str = "pose") -> Task:
+def task_of(x: RecipeInputs, name: str, expressed: str, axes: str = "pose") -> Task:
+    """Frame of a robot and its components."""
     return Task(*frame(x.robot, name), expressed == "world", rows_of(axes))
 
 
 def frame_motion(x: RecipeInputs, name: str, expressed: str) -> Results:
     """Pose X of a frame, its twist V, and the rate A of the components of that."""
-    at, task, qd = x.posed(), _task(x, name, expressed), x.arguments["qd"]
+    at, task, qd = x.posed(), task_of(x, name, expressed), x.arguments["qd"]
     X, V, A = pose_of(at, task), task.twist(at, qd), task.twist_rate(at, qd, x.arguments.get("qdd"))
     return {name: [*pair[0], *pair[1]] for name, pair in (("X", X), ("V", V), ("A", A))}
 
@@ -47,7 +48,7 @@ def frame_motion(x: RecipeInputs, name: str, expressed: str) -> Results:
 def operational_space(x: RecipeInputs, name: str, expressed: str, axes: str) -> Results:
     """Terms of F = Lambda a + mu + p, and the Jacobians J and Jbar."""
     x.require_inertia()
-    at, task, qd = x.posed(), _task(x, name, expressed, axes), x.arguments["qd"]
+    at, task, qd = x.posed(), task_of(x, name, expressed, axes), x.arguments["qd"]
     found, solve = task_space.inertia(at, task, None), factors(x.robot, at, False).solve
     _, c, g = mechanics.closed_form(at, qd)
     Lambda, moved = found.matrix(), [solve(row) for row in found.J]
@@ -80,7 +81,7 @@ def _law(x: RecipeInputs, task: Task, single: Sequence[str], *names: str) -> tup
 def operational_space_control(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
     """Torques under which the error of a frame obeys e'' + kd e' + kp e = 0."""
     x.require_inertia()
-    task, damping = _task(x, name, expressed, axes), x.arguments.get("damping")
+    task, damping = task_of(x, name, expressed, axes), x.arguments.get("damping")
     effort = [e if e > 0 else math.inf for e in x.robot.limits.effort.tolist()] if "limits" in marks else None
     law = _law(x, task, marks, "kp", "kd")
     tau, growth = operational_space_torques(x.posed(), task, *law, damping and damping[0], effort)
@@ -90,7 +91,7 @@ def operational_space_control(x: RecipeInputs, name: str, expressed: str, axes: 
 def cartesian_impedance(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
     """Torques of a spring and a damper at a frame, with those that hold the robot."""
     x.require_inertia()
-    task = _task(x, name, expressed, axes)
+    task = task_of(x, name, expressed, axes)
     law = _law(x, task, marks, "stiffness", "damping")
     tau, growth = impedance_torques(x.posed(), task, *law, DAMPING, "gravity" not in marks)
     return {"tau": tau, GROWTH: [growth]}
@@ -112,12 +113,12 @@ def coriolis_matrix(x: RecipeInputs) -> Results:
 
 def manipulability(x: RecipeInputs, name: str, expressed: str, axes: str) -> Results:
     """Square root of det J J^T."""
-    return {"w": [task_space.manipulability(x.posed(), _task(x, name, expressed, axes))]}
+    return {"w": [task_space.manipulability(x.posed(), task_of(x, name, expressed, axes))]}
 
 
 def contact_force(x: RecipeInputs, name: str, expressed: str, axes: str) -> Results:
     """Force F at a frame that exerts the torques r, and how much of each of its components these show."""
-    task = _task(x, name, expressed, axes)
+    task = task_of(x, name, expressed, axes)
     J = task._replace(rows=tuple(range(6))).jacobian(x.posed())
     F, part, growth = observer.force(J, task.rows, x.arguments["r"], x.arguments["damping"][0])
     return {"F": F, "part": part, GROWTH: [growth]}

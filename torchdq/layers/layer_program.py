@@ -81,11 +81,7 @@ def _program(what: LayerFunction, arguments: tuple[Argument, ...]) -> Program:
 
     def algorithm(*rows: Sequence[Number]) -> Mapping[str, Sequence[Number]]:
         named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
-        effects = []
-        for k, template in enumerate(what.friction.effects):
-            own = {name.partition(".")[2]: row for name, row in named.items() if name.startswith(f"{k}.")}
-            effects.append(template.bound(own))
-        return with_motors(rigid, named, effects)
+        return with_motors(rigid, named, what.friction.bound(named))
 
     return record(rigid.name, arguments, algorithm)
 

@@ -29,6 +29,11 @@ def cotangents(program: Program, values: Sequence[Value], seeds: dict[int, Value
     return found
 
 
+def gradient(program: Program, values: Sequence[Value], of: tuple[int, bool] | float) -> dict[tuple[int, int], Value]:
+    """Gradient of one number of a result in the argument components; others are zero."""
+    return {} if isinstance(of, float) else cotangents(program, values, {of[0]: -1.0 if of[1] else 1.0})
+
+
 def vjp(program: Program, wrt: Sequence[int]) -> Program:
     """Vector-Jacobian product by reverse mode: takes the arguments and a cotangent per result, returns the gradients.
 
@@ -166,8 +171,7 @@ def _by_rows(program: Program, values: Sequence[Value], wrt: Sequence[int]) -> d
     outputs: dict[str, list[Value]] = {_name(r.name, program.arguments[k]): [] for k in wrt for r in program.results}
     for r in program.results:
         for v in r.values:
-            seeds: dict[int, Value] = {} if isinstance(v, float) else {v[0]: -1.0 if v[1] else 1.0}
-            found = cotangents(program, values, seeds)
+            found = gradient(program, values, v)
             for k in wrt:
                 argument = program.arguments[k]
                 outputs[_name(r.name, argument)] += [found.get((k, j), 0.0) for j in range(argument.width)]

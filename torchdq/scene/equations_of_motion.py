@@ -294,12 +294,8 @@ def lagrangian_gradient(scene: RecordedScene, q: Row, qd: Row) -> list[Number]:
         return {"L": [at.kinetic_energy(qd) - at.potential_energy()]}
 
     program = record("lagrangian", arguments, lagrangian)
-    (value,) = program.results[0].values
-    if isinstance(value, float):
-        return [0.0] * robot.n
-    rows = [q, qd, [given[name][k] for name, k in known]]
-    values = replay(program, rows)
-    found = derive.cotangents(program, values, {value[0]: -1.0 if value[1] else 1.0})
+    values = replay(program, [q, qd, [given[name][k] for name, k in known]])
+    found = derive.gradient(program, values, program.results[0].values[0])
     return [found.get((0, i), 0.0) for i in range(robot.n)]
 
 

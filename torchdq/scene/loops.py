@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -38,6 +38,15 @@ class Plan(NamedTuple):
     def recorded(self) -> Linear | Network | None:
         """Policy that is recorded with the steps."""
         return self.policy if isinstance(self.policy, Linear | Network) else None
+
+    def joined(self, parts: Sequence[Mapping[str, Tensor]], join: Callable[..., Tensor]) -> dict[str, Tensor]:
+        """Rows of parts as one: totals, the last of what is carried if that is wanted alone, and the others joined."""
+        found = {name: [rows[name] for rows in parts] for name in parts[-1]}
+        ends = {CARRY, *State._fields} if self.ends else set()
+        return {
+            name: sum(x[1:], x[0]) if name in self.total else x[-1] if name in ends else join(x)
+            for name, x in found.items()
+        }
 
 
 def loops(scene: SceneModel, state: State, policy: Linear | Network | None = None) -> bool:

@@ -286,12 +286,7 @@ class SceneModel:
             name = type(self.integrator).__name__
             raise ArgumentError(f"a step of {name} is not one program, and has no count of operations")
         stage = Stage(self.spec, "step", task, wrt)
-        wanted = [
-            *self.spec.state,
-            *(present or self.inputs),
-            *self.computed,
-            *(["noise"] if self.noises else []),
-        ]
+        wanted = [*self.spec.state, *(present or self.inputs), *self.computed, *["noise"] * bool(self.noises)]
         taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
         if self.controller is not None and "reference" not in wanted:
             raise ArgumentError("reference must be among the inputs of a scene with a controller")

@@ -138,12 +138,7 @@ def _again(
             rows, start = checkpointed(checked, first, start, use_reentrant=False)
         found.append(rows)
 
-    def joined(name: str, parts: list[Tensor]) -> Tensor:
-        if name in plan.total:
-            return sum(parts[1:], parts[0])
-        return parts[-1] if plan.ends and name in start else torch.cat(parts)
-
-    return {name: joined(name, [rows[name] for rows in found]) for name in found[0]}
+    return plan.joined(found, torch.cat)
 
 
 def _stepped(
@@ -161,12 +156,7 @@ def _stepped(
             found.append(after)
         if not found:
             return {name: x if plan.ends else x[None][:0] for name, x in start.items()}
-        return {name: joined(name, [rows[name] for rows in found]) for name in after}
-
-    def joined(name: str, rows: list[Tensor]) -> Tensor:
-        if name in plan.total:
-            return sum(rows[1:], rows[0])
-        return rows[-1] if plan.ends and (name == CARRY or name in State._fields) else torch.stack(rows)
+        return plan.joined(found, torch.stack)
 
     return part
 

@@ -252,14 +252,8 @@ class _Trial:
         mu = torch.cat([x.expand(*kept.shape, points) for x, points in each], -1)[kept]
         friction = (found.force.square().sum(-1) - found.normal_force.square()).clamp(min=0.0).sqrt().sum(0)
         most = (mu * found.normal_force.sum(0)).clamp(min=torch.finfo(mu.dtype).tiny)
-        return GroundCheck(
-            max(0.0, float(found.depth.max())),
-            float(slip.max()),
-            float((friction / most).max()),
-            int(aloft.sum()),
-            aloft.numel(),
-            stiffness,
-        )
+        deepest, fastest, cone = (float(x.max()) for x in (found.depth, slip, friction / most))
+        return GroundCheck(max(0.0, deepest), fastest, cone, int(aloft.sum()), aloft.numel(), stiffness)
 
     def _held(self) -> HeldGains | None:
         """Gains over a step of the joint whose controller corrects most, where that is too much."""
@@ -275,9 +269,8 @@ class _Trial:
         gains = [x.expand(self.state.q.shape)[there] for x in given]
         kp, kd = (x * inverse * factor for x, factor in zip(gains, (h * h, h), strict=True))
         row, j = divmod(int((kp + 2.0 * kd).argmax()), n)
-        if float(kp[row, j] + 2.0 * kd[row, j]) < HELD:
-            return None
-        return HeldGains(self.scene.robot.joint_names[j], float(kp[row, j]), float(kd[row, j]))
+        found = HeldGains(self.scene.robot.joint_names[j], float(kp[row, j]), float(kd[row, j]))
+        return None if found.kp + 2.0 * found.kd < HELD else found
 
     def _inputs(self) -> dict[str, Tensor]:
         """Inputs of a step; where nothing else is given, sensors read without noise and controllers hold the start."""
