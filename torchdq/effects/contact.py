@@ -244,7 +244,7 @@ class Contact(BodyEffect):
             active, trial, Z_t = below(0.0, force), place.slip, 1.0
             share = self.friction * select(active, force, 0.0) / sqrt(quat.dot(trial, trial) + WIDTH * WIDTH)
         else:
-            # in less than half of the step the extrapolated friction of slow sliding would alternate
+            # bristles that relax in less than half of the step would double what differs between steps
             T = maximum(self.settling, 0.5 * h)
             Z_t = k * (h + T)
             *bent, compression, pressed, last, pushed, left = memory
@@ -302,11 +302,11 @@ class Contact(BodyEffect):
 
     def _pressing(self, place: _Place, h: Number) -> tuple[Number, Number]:
         """Normal force at the velocity now, not positive where none acts, and its impedance over a step h."""
-        k, c, d, u = self.stiffness, self.dissipation, place.depth, place.approach
-        Z = k * (h + c * maximum(d, 0.0))
-        force, speed = k * d - Z * u, maximum(absolute(u), SLOWEST)
-        lands, leaves = below(d, 0.0), below(force, 0.0) * below(0.0, d)
-        left = k * d * d * maximum(1.0 - c * u, 0.0) / (2.0 * h * speed + NONE)
+        k, c, u, deep = self.stiffness, self.dissipation, place.approach, maximum(place.depth, 0.0)
+        Z = k * (h + c * deep)
+        force, speed = k * place.depth - Z * u, maximum(absolute(u), SLOWEST)
+        lands, leaves = below(place.depth, 0.0), below(force, 0.0)
+        left = k * deep * deep * maximum(1.0 - c * u, 0.0) / (2.0 * h * speed + NONE)
         force = select(leaves, left, force)
         return force, select(maximum(lands, leaves), force / speed, Z)
 
