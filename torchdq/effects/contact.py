@@ -18,10 +18,10 @@ No step gives energy, whatever k, h and the body are. Bristles never return more
 The spring along the normal neither: a point may be deeper than the step foresaw, as where a blow on one corner turns
 another into the ground; it then is compressed by no more than the work done on it allows, and recovers slowly.
 
-Friction keeps to mu times the normal impulse. The normal force that limits it is that of the last step, and its change
-since: f_n = (k d - Z n.u + h Z a) / (1 + h Z / m) with Z = k (h + c d), the effective mass m of the point, and the
-acceleration a towards the ground that all else gave it over the last step, a = f_n / m - n.(u' - u) / h. What a step
-uses too much or too little of it, the next ones make up for.
+Friction keeps to mu times the normal impulse. The normal force that limits it is foreseen: with the mobility W of the
+point, of the robot in the middle of its limits, and the acceleration a towards the ground that all else gave it over
+the last step, a = n.W f - n.(u' - u) / h, it is f_n = (k d - Z v) / (1 + h Z n.W (n - mu y / |y|)), Z = k (h + c d),
+where v = n.u - h a is the velocity without it. What a step uses too much or too little, the next ones make up for.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from torch import Tensor
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra.inertia import rotated
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.checks import tensor_of
 from torchdq.dynamics.error_growth import NoInertiaError
@@ -89,9 +90,13 @@ class _Place(NamedTuple):
     normal: Pure
     point: Pure  # of the link, that is lowest
     depth: Number
-    approach: Number  # velocity along the normal, negative towards the ground [m/s]
+    along: Number  # velocity along the normal, negative towards the ground [m/s]
     slip: Pure  # velocity along the surface [m/s]
-    mass: float  # effective one [kg]
+    mobility: Pure  # W n [1/kg]
+    compression: Number  # of its spring [m]
+    free: Number  # velocity along the normal that all else gives it at the end of the step [m/s]
+    force: Number  # along the normal at that velocity, not positive where none acts [N]
+    Z: Number  # impedance of the force over the step [N s/m]
 
 
 @dataclass(frozen=True)
@@ -171,7 +176,7 @@ class Contact(BodyEffect):
         stiffness = self.stiffness
         if stiffness is None or isinstance(stiffness, _Chosen):
             stiffness = max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING)))
-        return replace(self, points=_with_masses(robot, points), stiffness=stiffness)
+        return replace(self, points=_with_mobilities(robot, points), stiffness=stiffness)
 
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
@@ -233,36 +238,33 @@ class Contact(BodyEffect):
 
     def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
         """Forces of the points, and what these remember."""
-        places = enumerate(self._places(bodies, inputs))
-        return [self._impedance(bodies, place, memory[KEPT * i : KEPT * (i + 1)], h) for i, place in places]
+        places = list(self._places(bodies, inputs, memory, h))
+        found = []
+        for i, place in enumerate(places):
+            others = [x for x in places if x.link == place.link and x is not place]
+            Z_others = sum([select(below(0.0, x.force), x.Z, 0.0) for x in others], 0.0)
+            found.append(self._impedance(bodies, place, memory[KEPT * i : KEPT * (i + 1)], Z_others, h))
+        return found
 
-    def _impedance(self, bodies: Bodies, place: _Place, memory: Row, h: Number) -> PointImpedance:
-        """Force of a point over a step h, and what it remembers then."""
-        k, n, kept = self.stiffness, place.normal, None
+    def _impedance(self, bodies: Bodies, place: _Place, memory: Row, Z_others: Number, h: Number) -> PointImpedance:
+        """Force of a point over a step h, and what it remembers then; Z_others: of others that press on its link."""
+        k, n, kept, force, Z_n = self.stiffness, place.normal, None, place.force, place.Z
+        active = below(0.0, force)
         if not self.stiction:
-            force, Z_n = self._pressing(place, h)
-            active, trial, Z_t = below(0.0, force), place.slip, 1.0
-            share = self.friction * select(active, force, 0.0) / sqrt(quat.dot(trial, trial) + WIDTH * WIDTH)
+            trial, Z_t = place.slip, 1.0
+            normal = select(active, force, 0.0)
+            share = self.friction * normal / sqrt(quat.dot(trial, trial) + WIDTH * WIDTH)
         else:
             # bristles that relax in less than half of the step would double what differs between steps
             T = maximum(self.settling, 0.5 * h)
             Z_t = k * (h + T)
-            *bent, compression, pressed, last, pushed, left = memory
+            *bent, _, _, _, pushed, left = memory
             z = bodies.posed.to_link(place.link, tuple(bent))
             if self.surface is not None:  # whose normal turns
                 z = quat.sub(z, quat.scale(quat.dot(n, z), n))
-            place = place._replace(depth=minimum(place.depth, compression))
-            force, Z_n = self._pressing(place, h)
-            was, active = below(k * NEAR, pressed), below(0.0, force)
-            Z_h, mobility = h * Z_n, 1.0 / place.mass
-            normal_force = maximum((force + Z_h * pushed) / (1.0 + Z_h * mobility), 0.0)
-            cone = self.friction * normal_force
-            # slowly where it is small, or it would double errors that alternate
-            owed = left * absolute(left) / (absolute(left) + OWED * cone + TINY)
-            limit = select(active, maximum(cone + owed, 0.0), 0.0)
             trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
             size = sqrt(quat.dot(trial, trial) + TINY * TINY)
-            ahead = select(was, clip(size + (size - last), size, 2.0 * size), size)
+            limit, ahead = self._cone(place, memory, trial, size, Z_others, h)
             slides = below(limit, ahead)
             share = select(slides, limit / ahead, 1.0)
 
@@ -272,18 +274,38 @@ class Contact(BodyEffect):
                 # s y / k = s (z + (h + T) u_t')
                 acted = quat.scale(share, quat.add(z, quat.scale(h + T, slip)))
                 after = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, z)))
-                change = along - place.approach
-                pressing = maximum(force - Z_n * change, 0.0)
+                pressing = maximum(force - Z_n * (along - place.free), 0.0)
                 used = k * sqrt(quat.dot(acted, acted) + NONE)
-                d, worked = maximum(place.depth, 0.0), pressing * (-2.0 * h) * along / k
+                d, worked = maximum(place.compression, 0.0), pressing * (-2.0 * h) * along / k
                 deepest = sqrt(maximum(d * d + worked, 0.0) + (RECOVERY * h) * (RECOVERY * h))
                 rest = select(slides, left + self.friction * pressing - used, 0.0)
-                row = [deepest, pressing, size, pressing * mobility - change / h, rest]
+                moved = quat.dot(place.mobility, quat.sub(quat.scale(pressing, n), quat.scale(k, acted)))
+                row = [deepest, pressing, size, moved - (along - place.along) / h, rest]
                 return [*bodies.posed.to_world(place.link, after), *(select(active, x, 0.0) for x in row)]
 
-        normal, D = select(active, force, 0.0), share * Z_t
+            normal = select(active, force - h * Z_n * pushed, 0.0)
+
+        D = share * Z_t
         acting = quat.sub(quat.scale(normal, n), quat.scale(share, trial))
         return PointImpedance(place.link, place.point, acting, D, n, select(active, Z_n, 0.0) - D, kept=kept)
+
+    def _cone(
+        self, place: _Place, memory: Row, trial: Pure, size: Number, Z_others: Number, h: Number
+    ) -> tuple[Number, Number]:
+        """Largest friction of a step, and that of the bristles as they would be at its end, which it returns to it."""
+        *_, pressed, last, _, left = memory
+        k, W_n = self.stiffness, place.mobility
+        was, W_nn = below(k * NEAR, pressed), quat.dot(W_n, place.normal)
+        lift = maximum(W_nn - self.friction / size * quat.dot(W_n, trial), 0.0)
+        f_n = place.force / (1.0 + h * lift * (place.Z + select(was, 0.0, Z_others)))
+        cone = self.friction * f_n
+        # slowly where it is small, or it would double errors that alternate
+        owed = left * absolute(left) / (absolute(left) + OWED * cone + TINY)
+        # where the normal force grows, it turns the link, whose slip may grow as well
+        kick = maximum(f_n - pressed, 0.0) * sqrt(maximum(quat.dot(W_n, W_n) - W_nn * W_nn, NONE))
+        kick = k * h * (h + maximum(self.settling, 0.5 * h)) * kick * (1.0 + Z_others / maximum(place.Z, NONE))
+        ahead = select(was, clip(size + (size - last), size, 2.0 * size), size) + kick
+        return select(below(0.0, place.force), maximum(cone + owed, 0.0), 0.0), ahead
 
     def readings(self, bodies: Bodies, inputs: Inputs, memory: Row) -> list[Contacts]:
         """Contact of every point in a state."""
@@ -295,26 +317,25 @@ class Contact(BodyEffect):
                 bent = select(below(0.0, f_n), self.stiffness, 0.0)  # those of a point that left relax without a force
                 force = quat.sub(quat.scale(f_n, to_world(place.normal)), quat.scale(bent, tuple(z)))
             else:
-                f_n, _ = self._pressing(place, 0.0)
-                f_n, force = maximum(f_n, 0.0), to_world(self._impedance(bodies, place, (), 0.0).force)
+                f_n, force = maximum(place.force, 0.0), to_world(self._impedance(bodies, place, (), 0.0, 0.0).force)
             found.append(Contacts(force, f_n, below(0.0, f_n), place.depth, speed))
         return found
 
-    def _pressing(self, place: _Place, h: Number) -> tuple[Number, Number]:
-        """Normal force at the velocity now, not positive where none acts, and its impedance over a step h."""
-        k, c, u, deep = self.stiffness, self.dissipation, place.approach, maximum(place.depth, 0.0)
+    def _pressing(self, depth: Number, u: Number, h: Number) -> tuple[Number, Number]:
+        """Normal force at a velocity u, not positive where none acts, and its impedance over a step h."""
+        k, c, deep = self.stiffness, self.dissipation, maximum(depth, 0.0)
         Z = k * (h + c * deep)
-        force, speed = k * place.depth - Z * u, maximum(absolute(u), SLOWEST)
-        lands, leaves = below(place.depth, 0.0), below(force, 0.0)
+        force, speed = k * depth - Z * u, maximum(absolute(u), SLOWEST)
+        lands, leaves = below(depth, 0.0), below(force, 0.0)
         left = k * deep * deep * maximum(1.0 - c * u, 0.0) / (2.0 * h * speed + NONE)
         force = select(leaves, left, force)
         return force, select(maximum(lands, leaves), force / speed, Z)
 
-    def _places(self, bodies: Bodies, inputs: Inputs) -> Iterator[_Place]:
-        """Places of the points."""
+    def _places(self, bodies: Bodies, inputs: Inputs, memory: Row = (), h: Number = 0.0) -> Iterator[_Place]:
+        """Places of the points, before a step h."""
         planes = [inputs[name] for name in self.computed(0)]
         for k, point in enumerate(self.points):
-            link, c = bodies.point(point.frame, point.center)
+            (link, c), (_, at) = bodies.point(point.frame, point.center), bodies.frame(point.frame)
             p = bodies.posed.position(link, c)
             n, depth = self._ground(p, point.radius, *(row[k :: len(self.points)] for row in planes))
             normal = bodies.posed.to_link(link, n)
@@ -322,7 +343,12 @@ class Contact(BodyEffect):
             u = bodies.velocity(link, lowest)
             along = quat.dot(normal, u)
             slip = quat.sub(u, quat.scale(along, normal))
-            yield _Place(link, normal, lowest, depth, along, slip, point.mass)
+            compression, free = depth, along
+            if memory:
+                compression, free = minimum(depth, memory[KEPT * k + 3]), along - h * memory[KEPT * k + 6]
+            pressing = self._pressing(compression, free, h)
+            W_n = tuple(quat.dot(row, normal) for row in rotated(at.axes, point.mobility))
+            yield _Place(link, normal, lowest, depth, along, slip, W_n, compression, free, *pressing)
 
     def _ground(self, p: Pure, radius: float, plane: Row = ()) -> tuple[Pure, Number]:
         """Normal of the ground below a sphere at p, in the world, and the sphere's depth; `plane`: that of a map."""
@@ -339,10 +365,10 @@ class Contact(BodyEffect):
         return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w
 
 
-def _with_masses(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:
-    """Points with the effective mass that the robot has there, the least of several robots.
+def _with_mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:
+    """Points with the mobility J M^-1 J^T that the robot has there, in axes of their frames; of several the largest.
 
-    It is 3 / tr(J M^-1 J^T), the mean over all directions, with the joints in the middle of their limits.
+    Joints are in the middle of their limits.
     """
     rows: dict[str, Any] = {"gravity": None}
     for name, axes in SHAPES.items():
@@ -353,15 +379,16 @@ def _with_masses(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactP
     try:
         factors = at.factors(False)
     except NoInertiaError:  # which a solution names
-        return tuple(point._replace(mass=1.0) for point in points)
+        return tuple(point._replace(mobility=quat.UNITS) for point in points)
     found = []
     for point in points:
         link, X_BF = frame_of(robot, point.frame)
         columns = at.jacobian(link, dq.mul(X_BF, dq.from_pose(quat.ONE, point.center)), False)
         J = tuple(tuple(0.0 if c is None else c[1][axis] for c in columns) for axis in range(3))
-        mobility = factors.mobility(J)
-        masses = 3.0 / (mobility[0][0] + mobility[1][1] + mobility[2][2])
-        found.append(point._replace(mass=float(tensor_of(masses).min())))
+        W = [tensor_of(x).double() for row in factors.mobility(J) for x in row]
+        every = torch.stack(torch.broadcast_tensors(*W)).reshape(3, 3, -1)
+        largest = every[:, :, int(every.diagonal().sum(-1).argmax())]
+        found.append(point._replace(mobility=tuple(map(tuple, largest.tolist()))))
     return tuple(found)
 
 

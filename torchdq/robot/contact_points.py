@@ -27,7 +27,7 @@ class ContactPoint(NamedTuple):
     frame: str  # name
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in the frame [m]
     radius: float = 0.0  # [m]
-    mass: float = 0.0  # effective mass of the robot there, which scenes compute [kg]
+    mobility: Any = ()  # of the robot there, 3 rows in axes of the frame, which scenes compute [1/kg]
 
 
 def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[ContactPoint, ...]:
@@ -52,7 +52,7 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
     >>> ends = '<joint name="j" type="prismatic"><parent link="base"/><child link="foot"/></joint>'
     >>> text = f'<robot name="leg"><link name="base"/><link name="foot">{sphere}</link>{ends}</robot>'
     >>> torchdq.Robot.from_urdf(text).contact_points("foot")
-    (ContactPoint(frame='foot', center=(0.0, 0.0, -0.1), radius=0.02, mass=0.0),)
+    (ContactPoint(frame='foot', center=(0.0, 0.0, -0.1), radius=0.02, mobility=()),)
     """
     known = {frame.name for frame in robot.frames if frame.shapes}
     known |= {shape.name for frame in robot.frames for shape in frame.shapes if shape.name}
