@@ -60,9 +60,9 @@ def test_friction_of_a_sliding_body_opposes_its_slip(stiction):
 
 def test_forces_are_those_of_the_world_and_points_count_in_the_order_of_the_effects():
     gravity, robot = effects.Gravity((0.0, 0.0, -G)), torchdq.Robot.from_urdf(BOX, base="floating")
-    floors = [effects.Contact(part, stiffness=1e4) for part in (CORNERS[:1], CORNERS[1:])]
-    two = Scene(robot, (gravity, *floors), dt=0.005)
-    one = scene(*CORNERS)
+    parts = (CORNERS[:1], CORNERS[1:], CORNERS)
+    *floors, whole = (effects.Contact(part, stiffness=1e4, stiction=False) for part in parts)
+    two, one = Scene(robot, (gravity, *floors), dt=0.005), Scene(robot, (gravity, whole), dt=0.005)
     tilted = pose(0.07, 0.4)
     for a, b in zip(two.contacts(after(two, 30, tilted)), one.contacts(after(one, 30, tilted)), strict=True):
         torch.testing.assert_close(a, b)

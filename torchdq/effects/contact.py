@@ -10,18 +10,19 @@ velocity u' (depth d, normal n, bristles z, coefficients as at the start):
 Both are f - C (u' - u) with a symmetric C >= 0, so the step has one solution for any k. A spring would pull points
 that land or leave within the step: one that lands is a damper for the part of the step in which it touches, and one
 that leaves is pushed by what its spring still holds, k d^2 / 2 = h f_n u'. Where friction sticks, s is 1: it is a
-spring, and nothing creeps. Where it would leave the cone, it returns to it along the
-secant through the origin, and |y| is extrapolated from the last two steps, which makes the friction of sliding exact
-to second order in h.
+spring, and nothing creeps. Where it would leave the cone, it returns to it along the secant through the origin, and |y|
+is extrapolated from the last two steps, which makes the friction of sliding exact to second order in h.
 
-No step gives energy, whatever k, h and the body are. Bristles never return more than they hold, for any s in [0, 1].
+No force gives energy, whatever k, h and the body are. Bristles never return more than they hold, for any s in [0, 1].
 The spring along the normal neither: a point may be deeper than the step foresaw, as where a blow on one corner turns
 another into the ground; it then is compressed by no more than the work done on it allows, and recovers slowly.
 
 Friction keeps to mu times the normal impulse. The normal force that limits it is foreseen: with the mobility W of the
 point, of the robot in the middle of its limits, and the acceleration a towards the ground that all else gave it over
 the last step, a = n.W f - n.(u' - u) / h, it is f_n = (k d - Z v) / (1 + h Z n.W (n - mu y / |y|)), Z = k (h + c d),
-where v = n.u - h a is the velocity without it. What a step uses too much or too little, the next ones make up for.
+where v = n.u - h a is the velocity without it. Where it grows, as in an impact, |y| grows by what it may add to the
+slip, and points of a link that land together share it. What a step uses too much or too little, the next ones make up
+for.
 """
 
 from __future__ import annotations
@@ -107,8 +108,9 @@ class Contact(BodyEffect):
 
     The force at a depth d is continuous and never attractive; at rest friction holds without creep, and sliding it is
     mu f_n. For `LinearlyImplicit`, which takes the force at the end of the step and holds any stiffness; an impact is
-    of first order in the step. No step gives energy, whatever k and the body are, and friction keeps to mu times the
-    normal impulse of an impact. A point remembers eight numbers of a state: bristles of the friction in world axes, and
+    of first order in the step. No step in which a base turns by less than 1.5 rad gives energy, whatever k and the body
+    are, and friction keeps to mu times the normal impulse of an impact. A point that another one lifts within a step is
+    held back until its end. A point remembers eight numbers of a state: bristles of the friction in world axes, and
     the largest compression of its spring [m]; normal force and size of the friction over the last step [N],
     acceleration towards the ground by all else [m/s^2], and friction that is left over [N].
 
