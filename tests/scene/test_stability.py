@@ -228,10 +228,43 @@ def test_a_controller_too_stiff_for_the_step_is_named_with_the_joint(make):
     for share, stiff in ((0.98, False), (1.02, True)):
         kp, kd = 0.5 * inertia / 0.01**2, share * 0.5 * 3.5 * inertia / 0.01
         scene = Scene(WHEEL, controller=make(kp, kd), dt=0.01)
-        check = scene.check(scene.start(double(0.1), double(0.1)), seconds=12.0)
-        assert bool(check) is not stiff and (check.stiffest is not None) is stiff
+        check = scene.check(scene.start(double(0.1)), seconds=0.01)  # at rest: the run shows nothing
+        assert bool(check) is not stiff and not bool(check.diverged)
+        moving = scene.check(scene.start(double(0.1), double(0.1)), seconds=12.0)
+        assert bool(moving) is not stiff and bool(moving.diverged) is stiff
     assert WHEEL.joint_names[0] in str(check) and "effects.Servo" in str(check) and "motion itself" not in str(check)
-    assert check.stiffest.kp == pytest.approx(0.5) and check.stiffest.kd == pytest.approx(kd * 0.01 / inertia)
+
+
+@pytest.mark.parametrize("integrator", [RungeKutta4(), DormandPrince()], ids=called)
+def test_torques_held_over_an_exact_step_are_judged_by_the_sampled_double_integrator(integrator):
+    """Its poles are within the circle for kd h < 2 and kp h < 2 kd: kp h^2 + 2 kd h may exceed 4."""
+    for kp, kd, settles in ((0.3, 1.9, True), (0.3, 2.1, False), (1.0, 0.6, True), (1.4, 0.6, False)):
+        scene = Scene(WHEEL, controller=PD(kp * INERTIA / 0.01**2, kd * INERTIA / 0.01), integrator=integrator, dt=0.01)
+        assert bool(scene.check(scene.start(double(0.1)), seconds=0.01)) is settles
+
+
+def test_friction_lets_a_controller_be_stiffer():
+    """With a damper d in the step, the edge is kp h^2 / I + 2 kd h / I = 4 + 2 h d / I."""
+    for kd, settles in ((5.4, True), (5.6, False)):
+        scene = Scene(
+            WHEEL, (effects.Viscous(4 * INERTIA / 0.01),), PD(INERTIA / 0.01**2, kd * INERTIA / 0.01), dt=0.01
+        )
+        assert bool(scene.check(scene.start(double(0.1)), seconds=0.01)) is settles
+        moving = scene.check(scene.start(double(0.1), double(0.1)), seconds=8.0)
+        assert bool(moving.diverged) is not settles
+
+
+def test_rotors_take_the_torques_of_a_controller_that_sees_the_links():
+    """Gains that let a rigid joint settle make an elastic one swing up, in the matrix and in a run."""
+    for kd, settles in ((0.0, False), (0.5, True)):
+        elastic = effects.Elastic(INERTIA * 50.0**2, 0.2 * INERTIA * 50.0, INERTIA)
+        scene = Scene(WHEEL, (elastic,), PD(INERTIA * 10.0**2, kd * INERTIA * 20.0), integrator=RungeKutta4(), dt=0.01)
+        check = scene.check(scene.start(double(0.1)), seconds=0.01)
+        assert bool(check) is settles and check.growth <= 1
+        path = scene.rollout(
+            scene.start(double(0.1), double(0.1)), steps=2000, reference=double(0.1, 0.0, 0.0).expand(2000, 3)
+        )
+        assert bool((path.q[-100:] - 0.1).abs().max() < 1e-3) is settles
 
 
 def test_rows_that_are_not_finite_leave_the_others_their_own_ground():
