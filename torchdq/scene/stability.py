@@ -115,9 +115,9 @@ class Check:
             lines.append(f"- {rows} are out of bounds after {self.seconds:g} s")
         if self.held > GROWTH:
             lines.append(
-                f"- controller: its torques, held over a step, magnify a motion {self.held:.3g} times, of {self.joint}; "
-                "take smaller gains (kp dt^2 / I + 2 kd dt / I below 4, of the inertia I that a joint moves), a shorter "
-                "dt, or effects.Servo, which acts at the end of a step"
+                f"- controller: its torques, held over a step, magnify a motion {self.held:.3g} times, of "
+                f"{self.joint}; take smaller gains (kp dt^2 / I + 2 kd dt / I below 4, of the inertia I that a joint "
+                "moves), a shorter dt, or effects.Servo, which acts at the end of a step"
             )
         if self.turn > FAST:
             lines.append(
