@@ -9,7 +9,7 @@ from small_envs import PUSHES, policy_of, same, started, steps
 
 from torchdq.envs import Absolute, ArmVectorEnv, Pushes, TorchTask, effects
 from torchdq.envs.walk import Walk
-from torchdq.errors import TorchdqError
+from torchdq.errors import TorchdqError, UnknownNameError
 from torchdq.program import program
 
 BACKEND = "auto"
@@ -74,6 +74,7 @@ def test_functions_of_tensors_act_at_once():
 REFUSED = {
     "a parameter that was not drawn": {"randomise": {"friction": 0.1}},
     "a delay that is not remembered": {"randomise": {"delay": (0.0, 3.0)}},
+    "a name that is not there": {"randomise": {"masss": 0.1}},
     "what an effect refuses": {"randomise": {"mass": (-1.0, 1.0)}},
     "no names": {"randomise": 0.1},
     "an unknown push": {"pushes": {"pull": FIRM}},
@@ -85,6 +86,7 @@ REFUSED = {
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_needs_another_program_is_refused_and_changes_nothing(what):
     envs, twin = (started(randomise=DRAWN, **PARTS) for _ in range(2))
-    with refused(TorchdqError):
+    with refused(TorchdqError) as caught:
         envs.set(**REFUSED[what])
+    assert isinstance(caught.value, UnknownNameError) == (what in ("a name that is not there", "an unknown push"))
     assert same(steps(envs, 5), steps(twin, 5))

@@ -8,6 +8,7 @@ import torch
 from helpers import INERTIA, WHEEL, called, double, thinned
 from messages import refused, warned
 from scenes import ARM, PANDA
+from urdf_text import joint, link, urdf
 
 import torchdq
 from torchdq import dq
@@ -219,6 +220,24 @@ def test_a_base_that_turns_far_in_a_step_is_pointed_out():
         start = scene.start(NONE, X_WB=double(1.0, *[0.0] * 7), V_WB_B=double(speed, *[0.0] * 5))
         check = scene.check(start, seconds=0.1)
         assert check.turn == pytest.approx(speed * 0.01) and ("turns by up to" in str(check)) is far
+
+
+def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta():
+    """Inertial torques of links at the start of a step give energy, which a method of order 4 does not."""
+    arm = (link(name, 1.0, (0.01, 0, 0.02, 0, 0, 0.02), (0.2, 0, 0)) for name in "ab")
+    joints = (
+        joint("j", "base", "a", "continuous", axis=(0, 1, 0)),
+        joint("k", "a", "b", "continuous", xyz=(0.3, 0, 0)),
+    )
+    text = urdf(link("base", 4.0, (0.2, 0, 0.3, 0, 0, 0.1), (0, 0, 0)), *arm, *joints)
+    robot = torchdq.Robot.from_urdf(text, base="floating")
+    scene = Scene(robot, dt=0.02)
+    start = scene.start(double(0.3, 0.3), V_WB_B=double(2.0, 6.0, 5.0, 0.0, 0.0, 0.0))
+    check = scene.check(start, seconds=80.0)
+    assert not check and bool(check.diverged) and str(check).endswith("integrator=RungeKutta4(), steps of 0.02 s")
+    path = scene.replace(integrator=RungeKutta4()).rollout(start, steps=500)
+    energy = torchdq.floating.kinetic_energy(robot, path.X_WB, path.q, path.V_WB_B, path.qd)
+    assert float((energy / energy[0] - 1).abs().max()) < 1e-2
 
 
 @pytest.mark.parametrize("make", [PD, ComputedTorqueController], ids=["PD", "computed torque"])

@@ -43,7 +43,8 @@ HARMLESS = {
     "place of a link and of its body": (f"{ORIGIN}<inertial>{ORIGIN}<mass value='1'/></inertial>", "", "revolute"),
     "axes of a fixed joint": ("", "<axis xyz='0 0 1'/><axis xzy='0 1 0'/><axes/>", "fixed"),
     "two of what is not read": ("", "<calibration/><calibration/>", "revolute"),
-    "limits left out": ("", "<limit effort='1' velocity='1'/>", "revolute"),
+    "limits left out": ("", "<limit effort='1' velocity='1'/>", "continuous"),
+    "a limit left out": ("", "<limit upper='1' effort='1' velocity='1'/>", "revolute"),
 }
 
 
