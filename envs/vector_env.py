@@ -452,9 +452,9 @@ class ArmVectorEnv(VectorEnv):
             described = _described(task, self.robot)
             if described != self.task or self._observed(task) != self.single_observation_space:
                 own, other = type(self.task).__name__, type(described).__name__
-                if own == other:
-                    compared = [x.name for x in fields(described) if x.compare] if is_dataclass(described) else []
-                    names = [x for x in compared if getattr(described, x) != getattr(self.task, x)]
+                if own == other and is_dataclass(described):
+                    names = [x.name for x in fields(described) if x.compare]
+                    names = [x for x in names if getattr(described, x) != getattr(self.task, x)]
                     other = f"one with another {' and '.join(names) or 'observation'}"
                 raise ArgumentError(
                     f"task must have the program and the observation of the {own} that is there, found {other}; change "

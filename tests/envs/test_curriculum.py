@@ -9,7 +9,7 @@ from small_envs import PUSHES, policy_of, same, started, steps
 
 from torchdq.envs import Absolute, ArmVectorEnv, Pushes, TorchTask, effects
 from torchdq.envs.walk import Walk
-from torchdq.errors import TorchdqError, UnknownNameError
+from torchdq.errors import ArgumentError, TorchdqError, UnknownNameError
 from torchdq.program import program
 
 BACKEND = "auto"
@@ -81,6 +81,13 @@ REFUSED = {
     "another task": {"task": "track"},
     "another observation": {"task": TorchTask("reach", observation=lambda now: now.q, bounds=[(-9, 9)] * 2)},
 }
+
+
+def test_a_task_with_other_fields_is_refused_by_their_names():
+    envs = ArmVectorEnv(2, Walk(forward=(0.0, 0.1)), "go2")
+    with refused(ArgumentError) as caught:
+        envs.set(task=Walk(forward=(0.0, 1.0), stiffness=1.5, feet="F*_foot"))
+    assert "another feet and stiffness;" in str(caught.value)
 
 
 @pytest.mark.parametrize("what", REFUSED)
