@@ -222,8 +222,9 @@ def test_a_base_that_turns_far_in_a_step_is_pointed_out():
         assert check.turn == pytest.approx(speed * 0.01) and ("turns by up to" in str(check)) is far
 
 
-def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta():
+def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta(monkeypatch):
     """Inertial torques of links at the start of a step give energy, which a method of order 4 does not."""
+    monkeypatch.setattr(stability, "FEW", 512)  # of trials of shorter steps
     arm = (link(name, 1.0, (0.01, 0, 0.02, 0, 0, 0.02), (0.2, 0, 0)) for name in "ab")
     joints = (
         joint("j", "base", "a", "continuous", axis=(0, 1, 0)),
@@ -233,11 +234,11 @@ def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta():
     robot = torchdq.Robot.from_urdf(text, base="floating")
     scene = Scene(robot, dt=0.02)
     start = scene.start(double(0.3, 0.3), V_WB_B=double(2.0, 6.0, 5.0, 0.0, 0.0, 0.0))
-    check = scene.check(start, seconds=80.0)
+    check = scene.check(start, seconds=7.0)
     assert not check and bool(check.diverged) and str(check).endswith("integrator=RungeKutta4(), steps of 0.02 s")
-    path = scene.replace(integrator=RungeKutta4()).rollout(start, steps=500)
+    path = scene.replace(integrator=RungeKutta4()).rollout(start, steps=350)
     energy = torchdq.floating.kinetic_energy(robot, path.X_WB, path.q, path.V_WB_B, path.qd)
-    assert float((energy / energy[0] - 1).abs().max()) < 1e-2
+    assert float((energy / energy[0] - 1).abs().max()) < 1e-4
 
 
 @pytest.mark.parametrize("make", [PD, ComputedTorqueController], ids=["PD", "computed torque"])
@@ -274,10 +275,10 @@ def test_friction_lets_a_controller_be_stiffer():
 
 
 def test_rotors_take_the_torques_of_a_controller_that_sees_the_links():
-    """Gains that let a rigid joint settle make an elastic one swing up, in the matrix and in a run."""
-    for kd, settles in ((0.0, False), (0.5, True)):
-        elastic = effects.Elastic(INERTIA * 50.0**2, 0.2 * INERTIA * 50.0, INERTIA)
-        scene = Scene(WHEEL, (elastic,), PD(INERTIA * 10.0**2, kd * INERTIA * 20.0), integrator=RungeKutta4(), dt=0.01)
+    """Gains that let a rigid joint settle make a springy one swing up, in the matrix and in a run."""
+    for damping, settles in ((1e-3, False), (0.2, True)):
+        elastic = effects.Elastic(INERTIA * 50.0**2, damping * INERTIA * 50.0, INERTIA)
+        scene = Scene(WHEEL, (elastic,), PD(INERTIA * 10.0**2, INERTIA * 10.0), integrator=RungeKutta4(), dt=0.01)
         check = scene.check(scene.start(double(0.1)), seconds=0.01)
         assert bool(check) is settles and check.growth <= 1
         path = scene.rollout(
