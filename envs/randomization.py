@@ -181,10 +181,7 @@ def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) 
         num_envs: number of environments.
         like: a tensor whose dtype and device the parameters have.
     """
-    _require_mapping(randomise)
-    for name in randomise:
-        if name not in (known := (*SHORT, *_parameters(_parts(scene)))):
-            raise UnknownNameError("parameter to randomise", name, known, every=True)
+    _require_known(scene, randomise)
     scene, own = _with_effects(scene, {name: _span(name, randomise[name], like) for name in sorted(randomise)})
     drawn: list[Randomised] = []
     taken: dict[Owned, str] = {}
@@ -201,7 +198,7 @@ def randomised(scene: Scene, randomise: Randomise, num_envs: int, like: Tensor) 
 
 def with_ranges(scene: Scene, drawn: Sequence[Randomised], randomise: Randomise, like: Tensor) -> Drawn:
     """Parameters to draw in a scene without them, with the ranges of `randomise`; others keep theirs."""
-    _require_mapping(randomise)
+    _require_known(scene, randomise)
     found = list(drawn)
     for name, given in randomise.items():
         at = [k for k, r in enumerate(drawn) if r.name == name]
@@ -230,10 +227,13 @@ def with_ranges(scene: Scene, drawn: Sequence[Randomised], randomise: Randomise,
     return tuple(found)
 
 
-def _require_mapping(randomise: Any) -> None:
-    """Raise unless what is drawn is given by name."""
+def _require_known(scene: Scene, randomise: Any) -> None:
+    """Raise unless what is drawn is given by names of parameters."""
     if not isinstance(randomise, Mapping):
         raise ArgumentError(f"randomise must be a dict such as {{'mass': 0.1}}, found {randomise!r}")
+    for name in randomise:
+        if name not in (known := (*SHORT, *_parameters(_parts(scene)))):
+            raise UnknownNameError("parameter to randomise", name, known, every=True)
 
 
 # --- names -----------------------------------------------------------------------------------------------------------

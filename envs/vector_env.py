@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal
@@ -451,10 +451,14 @@ class ArmVectorEnv(VectorEnv):
         if task is not None:
             described = _described(task, self.robot)
             if described != self.task or self._observed(task) != self.single_observation_space:
-                other = "observation" if described == self.task else f"program, of {described}"
+                own, other = type(self.task).__name__, type(described).__name__
+                if own == other and is_dataclass(described):
+                    names = [x.name for x in fields(described) if x.compare]
+                    names = [x for x in names if getattr(described, x) != getattr(self.task, x)]
+                    other = f"one with another {' and '.join(names) or 'observation'}"
                 raise ArgumentError(
-                    f"task must have the program and the observation of {self.task}, found another {other}; change its "
-                    "commands or functions of a TorchTask alone, or make other environments"
+                    f"task must have the program and the observation of the {own} that is there, found {other}; change "
+                    "its commands or functions of a TorchTask alone, or make other environments"
                 )
             reset = replace(reset, checked=replace(reset.checked, task=described), functions=self._functions(task))
         if randomise is not None:

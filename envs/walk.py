@@ -76,7 +76,7 @@ class Walk(EpisodeTask):
         feet: names or patterns of the frames that touch the ground, as `effects.Contact` takes them; a frame is a foot.
         fatal: others that touch it, which ends the episode.
         lowest: height of the base at which the episode ends, in heights of the stand.
-        stiffness: kp of the servos, in m g times the height of the base per rad; two feet need 1.5 or more.
+        stiffness: kp of the servos, in m g times the height of the base per rad; fewer than four feet need 1.5 or more.
         weights: weights that replace those of `WEIGHTS`.
 
     >>> from torchdq.envs import ArmVectorEnv

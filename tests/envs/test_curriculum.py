@@ -9,7 +9,7 @@ from small_envs import PUSHES, policy_of, same, started, steps
 
 from torchdq.envs import Absolute, ArmVectorEnv, Pushes, TorchTask, effects
 from torchdq.envs.walk import Walk
-from torchdq.errors import TorchdqError
+from torchdq.errors import ArgumentError, TorchdqError, UnknownNameError
 from torchdq.program import program
 
 BACKEND = "auto"
@@ -74,6 +74,7 @@ def test_functions_of_tensors_act_at_once():
 REFUSED = {
     "a parameter that was not drawn": {"randomise": {"friction": 0.1}},
     "a delay that is not remembered": {"randomise": {"delay": (0.0, 3.0)}},
+    "a name that is not there": {"randomise": {"masss": 0.1}},
     "what an effect refuses": {"randomise": {"mass": (-1.0, 1.0)}},
     "no names": {"randomise": 0.1},
     "an unknown push": {"pushes": {"pull": FIRM}},
@@ -82,9 +83,17 @@ REFUSED = {
 }
 
 
+def test_a_task_with_other_fields_is_refused_by_their_names():
+    envs = ArmVectorEnv(2, Walk(forward=(0.0, 0.1)), "go2")
+    with refused(ArgumentError) as caught:
+        envs.set(task=Walk(forward=(0.0, 1.0), stiffness=1.5, feet="F*_foot"))
+    assert "another feet and stiffness;" in str(caught.value)
+
+
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_needs_another_program_is_refused_and_changes_nothing(what):
     envs, twin = (started(randomise=DRAWN, **PARTS) for _ in range(2))
-    with refused(TorchdqError):
+    with refused(TorchdqError) as caught:
         envs.set(**REFUSED[what])
+    assert isinstance(caught.value, UnknownNameError) == (what in ("a name that is not there", "an unknown push"))
     assert same(steps(envs, 5), steps(twin, 5))

@@ -185,6 +185,7 @@ def test_the_coriolis_matrix_gives_the_torques_and_the_rate_of_the_mass_matrix(n
     robot = mechanism()[1] if name == "coupled" else oracles.case(name).robot
     q, qd = random(2, 3, robot.n)
     C = torchdq.coriolis_matrix(robot, q, qd)
+    assert torchdq.compile(robot, "coriolis_matrix").program.name == f"coriolis_matrix_{robot.name}"
     c = torchdq.closed_form(robot, q, qd).c
     _, rate = torch.func.jvp(lambda q: torchdq.mass_matrix(robot, q), (q,), (qd,))
     size = 1 + C.abs().max()

@@ -256,6 +256,10 @@ def test_what_is_left_out_is_said_once_and_in_short():
     with warned(UserWarning) as seen:
         assert len(robot.contact_points("*")) == 2
     assert len(seen) == 1 and seen[0].filename == __file__
+    assert "m0, m1, m2, m3, m4 and 4 more cannot touch" in str(seen[0].message)
+    with warned(UserWarning) as seen:
+        assert {x.frame for x in robot.contact_points(("*_foot", "m8"))} == {"left_foot", "right_foot"}
+    assert "m8 cannot touch" in str(seen[0].message) and "ContactPoint('m8'" in str(seen[0].message)
 
 
 def test_meshes_and_other_geoms_are_refused_by_name():

@@ -8,6 +8,7 @@ import torch
 from helpers import INERTIA, WHEEL, called, double, thinned
 from messages import refused, warned
 from scenes import ARM, PANDA
+from urdf_text import joint, link, urdf
 
 import torchdq
 from torchdq import dq
@@ -221,6 +222,25 @@ def test_a_base_that_turns_far_in_a_step_is_pointed_out():
         assert check.turn == pytest.approx(speed * 0.01) and ("turns by up to" in str(check)) is far
 
 
+def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta(monkeypatch):
+    """Inertial torques of links at the start of a step give energy, which a method of order 4 does not."""
+    monkeypatch.setattr(stability, "FEW", 512)  # of trials of shorter steps
+    arm = (link(name, 1.0, (0.01, 0, 0.02, 0, 0, 0.02), (0.2, 0, 0)) for name in "ab")
+    joints = (
+        joint("j", "base", "a", "continuous", axis=(0, 1, 0)),
+        joint("k", "a", "b", "continuous", xyz=(0.3, 0, 0)),
+    )
+    text = urdf(link("base", 4.0, (0.2, 0, 0.3, 0, 0, 0.1), (0, 0, 0)), *arm, *joints)
+    robot = torchdq.Robot.from_urdf(text, base="floating")
+    scene = Scene(robot, dt=0.02, backend="auto")
+    start = scene.start(double(0.3, 0.3), V_WB_B=double(2.0, 6.0, 5.0, 0.0, 0.0, 0.0))
+    check = scene.check(start, seconds=7.0)
+    assert not check and bool(check.diverged) and str(check).endswith("integrator=RungeKutta4(), steps of 0.02 s")
+    path = scene.replace(integrator=RungeKutta4()).rollout(start, steps=350)
+    energy = torchdq.floating.kinetic_energy(robot, path.X_WB, path.q, path.V_WB_B, path.qd)
+    assert float((energy / energy[0] - 1).abs().max()) < 1e-4
+
+
 @pytest.mark.parametrize("make", [PD, ComputedTorqueController], ids=["PD", "computed torque"])
 def test_a_controller_too_stiff_for_the_step_is_named_with_the_joint(make):
     """Torques held over a step: kp h^2 / I + 2 kd h / I = 4 is the edge (Jury's criterion)."""
@@ -228,10 +248,43 @@ def test_a_controller_too_stiff_for_the_step_is_named_with_the_joint(make):
     for share, stiff in ((0.98, False), (1.02, True)):
         kp, kd = 0.5 * inertia / 0.01**2, share * 0.5 * 3.5 * inertia / 0.01
         scene = Scene(WHEEL, controller=make(kp, kd), dt=0.01)
-        check = scene.check(scene.start(double(0.1), double(0.1)), seconds=12.0)
-        assert bool(check) is not stiff and (check.stiffest is not None) is stiff
+        check = scene.check(scene.start(double(0.1)), seconds=0.01)  # at rest: the run shows nothing
+        assert bool(check) is not stiff and not bool(check.diverged)
+        moving = scene.check(scene.start(double(0.1), double(0.1)), seconds=12.0)
+        assert bool(moving) is not stiff and bool(moving.diverged) is stiff
     assert WHEEL.joint_names[0] in str(check) and "effects.Servo" in str(check) and "motion itself" not in str(check)
-    assert check.stiffest.kp == pytest.approx(0.5) and check.stiffest.kd == pytest.approx(kd * 0.01 / inertia)
+
+
+@pytest.mark.parametrize("integrator", [RungeKutta4(), DormandPrince()], ids=called)
+def test_torques_held_over_an_exact_step_are_judged_by_the_sampled_double_integrator(integrator):
+    """Its poles are within the circle for kd h < 2 and kp h < 2 kd: kp h^2 + 2 kd h may exceed 4."""
+    for kp, kd, settles in ((0.3, 1.9, True), (0.3, 2.1, False), (1.0, 0.6, True), (1.4, 0.6, False)):
+        scene = Scene(WHEEL, controller=PD(kp * INERTIA / 0.01**2, kd * INERTIA / 0.01), integrator=integrator, dt=0.01)
+        assert bool(scene.check(scene.start(double(0.1)), seconds=0.01)) is settles
+
+
+def test_friction_lets_a_controller_be_stiffer():
+    """With a damper d in the step, the edge is kp h^2 / I + 2 kd h / I = 4 + 2 h d / I."""
+    for kd, settles in ((5.4, True), (5.6, False)):
+        scene = Scene(
+            WHEEL, (effects.Viscous(4 * INERTIA / 0.01),), PD(INERTIA / 0.01**2, kd * INERTIA / 0.01), dt=0.01
+        )
+        assert bool(scene.check(scene.start(double(0.1)), seconds=0.01)) is settles
+        moving = scene.check(scene.start(double(0.1), double(0.1)), seconds=8.0)
+        assert bool(moving.diverged) is not settles
+
+
+def test_rotors_take_the_torques_of_a_controller_that_sees_the_links():
+    """Gains that let a rigid joint settle make a springy one swing up, in the matrix and in a run."""
+    for damping, settles in ((1e-3, False), (0.2, True)):
+        elastic = effects.Elastic(INERTIA * 50.0**2, damping * INERTIA * 50.0, INERTIA)
+        scene = Scene(WHEEL, (elastic,), PD(INERTIA * 10.0**2, INERTIA * 10.0), integrator=RungeKutta4(), dt=0.01)
+        check = scene.check(scene.start(double(0.1)), seconds=0.01)
+        assert bool(check) is settles and check.growth <= stability.GROWTH
+        path = scene.rollout(
+            scene.start(double(0.1), double(0.1)), steps=2000, reference=double(0.1, 0.0, 0.0).expand(2000, 3)
+        )
+        assert bool((path.q[-100:] - 0.1).abs().max() < 1e-3) is settles
 
 
 def test_rows_that_are_not_finite_leave_the_others_their_own_ground():

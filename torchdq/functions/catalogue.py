@@ -289,7 +289,7 @@ def _square(blocks: Program, arguments: tuple[Argument, ...], n: int) -> Program
         found = [(len(block) // n, block) for block in results(blocks, values).values()] if n else []
         return {"C": [x for i in range(n) for width, block in found for x in block[i * width : (i + 1) * width]]}
 
-    return record(blocks.name, arguments, algorithm)
+    return record(blocks.name.removesuffix("_jacobian"), arguments, algorithm)
 
 
 def _with_mass_matrix(what: Function, arguments: tuple[Argument, ...]) -> Program:

@@ -17,7 +17,7 @@ from torchdq.robot.description import Shape
 from torchdq.robot.model import RobotModel
 
 DIGITS = 12  # of a centre [m]
-MOST_NAMED = 5  # shapes that are left out
+MOST_NAMED = 5  # shapes that are left out, and frames
 ROUND = ("sphere", "capsule")  # shapes whose points have a radius
 
 
@@ -36,7 +36,7 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
     A sphere is one point with its radius, a capsule two at its ends, a box its eight corners, and a cylinder four on
     each of its rims. Where a frame has spheres, boxes and cylinders beside them are left out: every point costs time.
     Only geoms that take part in contacts count. What lies between the points does not touch. A warning names what was
-    left out, meshes and other shapes without such points, too.
+    left out, meshes and other shapes without such points, too, and the frames that have no point then.
 
     Args:
         robot: the robot.
@@ -67,20 +67,27 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
         for shape in taken:
             radius = shape.size[0] if shape.kind in ROUND else 0.0
             found += [ContactPoint(frame.name, _placed(shape.X_FS, p), radius) for p in _points(shape)]
-    shown = ", ".join([*others][:MOST_NAMED]) + (f" and {more} more" if (more := len(others) - MOST_NAMED) > 0 else "")
+    shown, bare = _listed([*others]), [*dict.fromkeys(others.values())]
+    bare = [name for name in bare if name not in {point.frame for point in found}]
+    points = f"points instead, as in ContactPoint({bare[0]!r}, center=(0.0, 0.0, 0.0), radius=0.02)" if bare else ""
     if not found:
         raise ArgumentError(
             f"collision elements of {pattern!r} of robot {robot.name!r} must be spheres, capsules, boxes or cylinders, "
-            f"whose points can touch, found {shown}; put a sphere into the file, or give points instead, as in "
-            f"ContactPoint({next(iter(others.values()))!r}, center=(0.0, 0.0, 0.0), radius=0.02)"
+            f"whose points can touch, found {shown}; put a sphere into the file, or give {points}"
         )
     if others:
         warnings.warn(
             f"contact points of robot {robot.name!r} ({len(found)}) leave out {shown}: meshes have no points, and "
-            "spheres serve for boxes and cylinders beside them",
+            "spheres serve for boxes and cylinders beside them"
+            + (f"; {_listed(bare)} cannot touch without a sphere in the file, or {points}" if bare else ""),
             stacklevel=2,
         )
     return tuple(found)
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def points_of(robot: RobotModel, points: Any) -> tuple[ContactPoint, ...]:

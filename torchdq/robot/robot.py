@@ -127,9 +127,9 @@ class Robot(RobotModel):
                 definite give wrong numbers: "error" raises, "warn" warns. An inertia that only breaks the triangle
                 inequality gives the numbers of the file, as from every other reader: both warn. "ignore" only notes
                 either. "repair" takes the nearest inertia that a body has: that of the second moments without negative
-                principal values. Learning and identification need inertias that bodies have. `Robot.check` refuses all
-                others. A body far too large for the robot, as of numbers in mm, can exist, and words that seem misspelt
-                can be meant: "ignore" notes either, the others warn.
+                principal values, and none without mass. It changes no mass. Learning and identification need inertias
+                that bodies have. `Robot.check` refuses all others. A body far too large for the robot, as of numbers in
+                mm, can exist, and words that seem misspelt can be meant: "ignore" notes either, the others warn.
             joints: names or patterns of the joints to keep, at least one; the others are locked, at 0 or as in `lock`.
             mimic: treatment of joints that follow others by <mimic>: "coupled", they follow and have no coordinates of
                 their own, or "independent".

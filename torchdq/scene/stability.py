@@ -5,7 +5,8 @@ dampers, M a + D v + K x = 0, whose motions never grow. A step of an integrator 
 its eigenvalues is larger than 1, the integrator makes them grow. That is asked at the start and along a trial run, in
 which all rows must stay within bounds, whatever else acts: controllers, speed, contacts. The run tells how far a
 floating base turns in a step, how deep points sink into the ground, how much of the cone their friction uses, and
-whether they touched it at all. Gains of controllers, whose torques are held over a step, are compared with it.
+whether they touched it at all. Controllers, whose torques are held over a step, are part of that matrix once more: a
+run that holds the start, where they have nothing to correct, does not show how they correct.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchdq.base.checks import require_number, tensor_of
 from torchdq.base.progress import Progress
@@ -25,7 +27,7 @@ from torchdq.dynamics.posed import Row
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.errors import ArgumentError
 from torchdq.scene.controllers import ComputedTorqueController, Feedback
-from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RecordedSystem, Repeated
+from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RecordedSystem, Repeated, RungeKutta4
 from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
 from torchdq.scene.state import State, nonfinite_rows, require_state
@@ -37,7 +39,7 @@ FEW = 2**13  # steps of a trial run of shorter steps where rows diverge for anot
 SHORTEST = 2**12  # shorter steps that are tried, in one of the scene's
 FAR = 1e6  # positions and velocities beyond which a row has diverged, though it may stay finite [rad, m, s]
 STATES = 16  # states of a trial run that are looked at
-HELD = 4.0  # kp h^2 / I + 2 kd h / I from which a controller that is held over a step makes motions grow
+FINE = 64  # parts of a step that stand for steps that adapt
 FAST = 1.5  # turn of a floating base in a step up to which inertial torques give no energy [rad]
 DEEP = 0.01  # depth from which points that sink into the ground are pointed out [m]
 
@@ -81,21 +83,6 @@ class GroundCheck(NamedTuple):
         return "\n".join(lines)
 
 
-class HeldGains(NamedTuple):
-    """Gains of a joint's controller over a step, for which motions grow from kp h^2 + 2 kd h = 4 on."""
-
-    joint: str
-    kp: float  # kp h^2 / I, with the inertia I that the joint moves
-    kd: float  # kd h / I
-
-    def __str__(self) -> str:
-        return (
-            f"- controller: torques held over a step are too stiff for {self.joint}: kp dt^2 / I = {self.kp:.3g} and "
-            f"kd dt / I = {self.kd:.3g}, where kp dt^2 / I + 2 kd dt / I must be below {HELD:g}; take smaller gains, a "
-            "shorter dt, or effects.Servo, which acts at the end of a step"
-        )
-
-
 @dataclass(frozen=True)
 class Check:
     """Whether the steps of a scene are stable; true if they are. `print` it."""
@@ -108,13 +95,13 @@ class Check:
     diverged: Tensor  # [...] rows that are beyond 1e6 rad, m or rad/s at the end of the trial run, or not finite
     alternatives: tuple[Steps, ...] = ()  # stable ones, where these are not
     ground: GroundCheck | None = None  # None: the scene has no `effects.Contact`
-    stiffest: HeldGains | None = None  # of a controller that corrects too much in a step; None: it does not
+    held: float = 1.0  # the same factor with the torques of the controller, held over a step of the scene
     turn: float = 0.0  # largest turn of a floating base in a step [rad]
 
     @property
     def stable(self) -> bool:
-        """True if springs and dampers settle, and no row diverges."""
-        return self.growth <= GROWTH and not bool(self.diverged.any())
+        """True if springs, dampers and the controller settle, and no row diverges."""
+        return max(self.growth, self.held) <= GROWTH and not bool(self.diverged.any())
 
     def __bool__(self) -> bool:
         return self.stable
@@ -126,7 +113,12 @@ class Check:
         if bool(self.diverged.any()):
             rows = f"{int(self.diverged.sum())} of {self.diverged.numel()} rows"
             lines.append(f"- {rows} are out of bounds after {self.seconds:g} s")
-            lines += [] if self.stiffest is None else [str(self.stiffest)]
+        if self.held > GROWTH:
+            lines.append(
+                f"- controller: its torques, held over a step, magnify a motion {self.held:.3g} times, of "
+                f"{self.joint}; take smaller gains (kp dt^2 / I + 2 kd dt / I below 4, of the inertia I that a joint "
+                "moves), a shorter dt, or effects.Servo, which acts at the end of a step"
+            )
         if self.turn > FAST:
             lines.append(
                 f"- base: it turns by up to {self.turn:.2g} rad in a step; beyond {FAST:g} rad inertial torques may "
@@ -134,7 +126,7 @@ class Check:
             )
         if not self.stable:
             lines += [f"- stable: {found}" for found in self.alternatives]
-        if not (self.stable or self.alternatives or self.stiffest):
+        if not (self.stable or self.alternatives or self.held > GROWTH):
             lines.append("- none of the shorter steps that were tried is stable; is the motion itself?")
         return "\n".join([*lines, *([] if self.ground is None else [str(self.ground)])])
 
@@ -143,9 +135,10 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
     """Whether the steps are stable under the stiffness and damping that is there; if not, which are.
 
     A step must let the springs and dampers at the joints settle, as they are at the state and along a trial run
-    from it; and all rows of that run must stay below 1e6 rad or m, and 1e6 rad/s or m/s. Computed in float64.
-    Stable steps need not be accurate: compare with steps half as long. Contacts are checked where points touch the
-    ground during the run, and the result says how many rows did not.
+    from it, with the torques of `PD` and `ComputedTorqueController` held over it, too; and all rows of that run must
+    stay below 1e6 rad or m, and 1e6 rad/s or m/s. Computed in float64. Stable steps need not be accurate: compare with
+    steps half as long. Contacts are checked where points touch the ground during the run, and the result says how many
+    rows did not.
 
     Args:
         state: states to start from.
@@ -177,12 +170,15 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
         integrator, times = scene.integrator.integrator, scene.integrator.times
     with Progress(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
         found = trial.run(scene, integrator, times)
-        if found.stable:
+        if found.stable or found.held > GROWTH:  # which no shorter steps of the integrator mend
             return found
         candidates: list[tuple[Integrator, int]] = []
         if not isinstance(integrator, DormandPrince):
-            implicit = isinstance(integrator, LinearlyImplicit)
-            candidates = [*([] if implicit else [(LinearlyImplicit(), times)]), (integrator, 2 * times)]
+            candidates.append((integrator, 2 * times))
+            if not isinstance(integrator, LinearlyImplicit):
+                candidates.insert(0, (LinearlyImplicit(), times))
+            elif scene.robot.floating and found.ground is None:  # whose joints may give it energy
+                candidates.append((RungeKutta4(), times))
         stable: list[Steps] = []
         for other, first in candidates:
             notice.at(f"trying shorter steps of {other}")
@@ -206,7 +202,7 @@ class _Trial:
             if not stiff and times * intervals > FEW:
                 break
             # a look at the start alone saves most trial runs
-            well = self._growth(integrator, times, self.state)[0] <= GROWTH
+            well = all(self._growth(integrator, times, self.state, held)[0] <= GROWTH for held in (False, True))
             scene = self.scene.replace(substeps=1, integrator=Repeated(integrator, times))
             if well and replace(self, intervals=intervals).run(scene, integrator, times):
                 return [Steps(integrator, times, self.scene.dt / times)]
@@ -224,7 +220,8 @@ class _Trial:
         ends = path.finite() & (torch.cat(moving, -1).abs() < FAR).all(-1)
         diverged = begins & ~ends[-1]
         if isinstance(integrator, DormandPrince):
-            return Check(integrator, step, seconds, 1.0, "", diverged)
+            held, joint = self._growth(LinearlyImplicit(), FINE, self.state, held=True)
+            return Check(integrator, step, seconds, 1.0, joint, diverged, held=held)
         at = torch.linspace(0, self.intervals - 1, min(STATES, self.intervals)).long()
         kept = ends[at][..., None]
         seen = State._make(
@@ -232,10 +229,12 @@ class _Trial:
             for x, first in zip(path, self.state, strict=True)
         )
         ground = self._ground(scene, path, step) if scene.spec.of(Contact) else None
-        growth, turn = self._growth(integrator, times, seen), 0.0
+        (growth, joint), held, turn = self._growth(integrator, times, seen), 1.0, 0.0
+        if growth <= GROWTH and isinstance(scene.controller, Feedback):
+            held, joint = self._growth(integrator, times, seen, held=True)
         if path.V_WB_B is not None and bool(ends.any()):
             turn = step * float(path.V_WB_B[ends][..., :3].norm(dim=-1).max())
-        return Check(integrator, step, seconds, *growth, diverged, (), ground, self._held(), turn)
+        return Check(integrator, step, seconds, growth, joint, diverged, (), ground, held, turn)
 
     def _ground(self, scene: SceneModel, path: State, step: float) -> GroundCheck | None:
         """Contact along a trial run."""
@@ -255,23 +254,6 @@ class _Trial:
         deepest, fastest, cone = (float(x.max()) for x in (found.depth, slip, friction / most))
         return GroundCheck(max(0.0, deepest), fastest, cone, int(aloft.sum()), aloft.numel(), stiffness)
 
-    def _held(self) -> HeldGains | None:
-        """Gains over a step of the joint whose controller corrects most, where that is too much."""
-        controller = self.scene.controller
-        if not isinstance(controller, Feedback) or not self.scene.n:
-            return None
-        n, h = self.scene.n, self.scene.dt
-        inverse = torch.linalg.inv(self._frozen(self.state).M).diagonal(dim1=-2, dim2=-1)[:, :n]
-        if isinstance(controller, ComputedTorqueController):  # whose gains are accelerations
-            inverse = torch.ones_like(inverse)
-        there = self.state.finite()
-        given = (tensor_of(x).detach().double() for x in (controller.kp, controller.kd))
-        gains = [x.expand(self.state.q.shape)[there] for x in given]
-        kp, kd = (x * inverse * factor for x, factor in zip(gains, (h * h, h), strict=True))
-        row, j = divmod(int((kp + 2.0 * kd).argmax()), n)
-        found = HeldGains(self.scene.robot.joint_names[j], float(kp[row, j]), float(kd[row, j]))
-        return None if found.kp + 2.0 * found.kd < HELD else found
-
     def _inputs(self) -> dict[str, Tensor]:
         """Inputs of a step; where nothing else is given, sensors read without noise and controllers hold the start."""
         found = dict(self.inputs)
@@ -281,14 +263,17 @@ class _Trial:
             found.setdefault("noise", self.state.q.new_full((self.scene.noises,), 0.5))
         return found
 
-    def _growth(self, integrator: Integrator, times: int, states: State) -> tuple[float, str]:
-        """Largest factor by which a step magnifies a motion of frozen springs and dampers, and the joint that moves."""
+    def _growth(self, integrator: Integrator, times: int, states: State, held: bool = False) -> tuple[float, str]:
+        """Largest factor by which a step magnifies a motion of frozen springs and dampers, and the joint that moves.
+
+        `held`: by which a step of the scene does, with the torques of its controller.
+        """
         if not self.scene.n:
             return 1.0, ""
         frozen = self._frozen(states)
         if not len(frozen.M):
             return 0.0, ""
-        found = frozen.transition(integrator, self.scene.dt / times)
+        found = frozen.transition(integrator, self.scene.dt / times, times if held else 0)
         if not bool(found.isfinite().all()):
             return math.inf, self.scene.robot.joint_names[0]
         factors = torch.linalg.eigvals(found).abs().amax(-1)
@@ -303,6 +288,12 @@ class _Trial:
         with torch.no_grad():
             system, x, v, _ = self.scene.drive(states, inputs)
             rows = self.scene.evaluate("frozen", {"x": x, "v": v, **system.inputs})
+        control, n = self.scene.controller, self.scene.n
+        if isinstance(control, Feedback):
+            accelerates = isinstance(control, ComputedTorqueController)  # the others' gains are torques
+            weight = rows["M"].unflatten(-1, (n, n)) if accelerates else torch.eye(n).to(rows["M"])
+            gains = {name: tensor_of(getattr(control, name)).detach().to(rows["D"]) for name in ("kp", "kd")}
+            rows |= {name: (weight * x.expand_as(rows["D"])[..., None, :]).flatten(-2) for name, x in gains.items()}
         there = states.finite().expand(rows["D"].shape[:-1])
         return _Frozen.of({name: x[there] for name, x in rows.items()})
 
@@ -314,6 +305,9 @@ class _Frozen(RecordedSystem):
     M: Tensor  # [samples, m, m]
     D: Tensor
     K: Tensor
+    kp: Tensor | None = None  # gains of the torques of a controller
+    kd: Tensor | None = None
+    held: Tensor | float = 0.0  # torques [samples, m, states] that stay over a step
 
     @classmethod
     def of(cls, rows: Mapping[str, Tensor]) -> _Frozen:
@@ -324,6 +318,7 @@ class _Frozen(RecordedSystem):
         if free:  # a base that may move takes inertia off its joints
             M = M - whole[:, free:, :free] @ torch.linalg.solve(whole[:, :free, :free], whole[:, :free, free:])
         D, K = (torch.diag_embed(rows[name].reshape(-1, n)) for name in "DK")
+        gains = [rows[name].reshape(-1, n, n) for name in ("kp", "kd") if name in rows]
         if "inertia" in rows:
             d, k, J = (torch.diag_embed(rows[name].reshape(-1, n)) for name in ("damping", "stiffness", "inertia"))
             none = torch.zeros_like(M)
@@ -331,17 +326,22 @@ class _Frozen(RecordedSystem):
             D, K = (
                 torch.cat([torch.cat([own + c, -c], -1), torch.cat([-c, c], -1)], -2) for own, c in ((D, d), (K, k))
             )
-        return cls(M, D, K)
+            gains = [pad(x, (0, n, n, 0)) for x in gains]  # of the links, by the rotors
+        return cls(M, D, K, *gains)
 
-    def transition(self, integrator: Integrator, h: float) -> Tensor:
-        """Matrix [samples, 2 m, 2 m] that takes (x, v) over a step h."""
+    def transition(self, integrator: Integrator, h: float, held: int = 0) -> Tensor:
+        """Matrix [samples, 2 m, 2 m] that takes (x, v) over a step h, or a number of them with the torques held."""
         units = torch.eye(2 * self.M.shape[-1], dtype=self.M.dtype, device=self.M.device)
         x, v = units.expand(len(self.M), *units.shape).chunk(2, -1)
-        (to,), (w,) = integrator.step(self, [x], [v], h)
-        return torch.cat([to, w], -1).mT
+        system = self
+        if held and self.kp is not None and self.kd is not None:
+            system = replace(self, held=-(self.kp @ x.mT + self.kd @ v.mT))
+        for _ in range(max(1, held)):
+            (x,), (v,) = integrator.step(system, [x], [v], h)
+        return torch.cat([x, v], -1).mT
 
     def _solved(self, M: Tensor, D: Tensor, x: Tensor, v: Tensor) -> list[Tensor]:
-        return [-torch.linalg.solve(M, self.K @ x.mT + D @ v.mT).mT]
+        return [torch.linalg.solve(M, self.held - self.K @ x.mT - D @ v.mT).mT]
 
     def accelerations(self, x: Row, v: Row) -> list[Tensor]:
         return self._solved(self.M, self.D, x[0], v[0])

@@ -145,9 +145,15 @@ def test_a_joint_without_limits_is_unlimited(kind):
 
 @pytest.mark.case("U7")
 def test_positions_that_a_limit_does_not_state_are_zero():
-    robot = Robot.from_urdf(arm().replace(LIMIT, '<limit velocity="3" effort="4"/>'))
+    """Which is warned of where it leaves a joint no room, with the way out."""
+    with warned(UserWarning):
+        robot = Robot.from_urdf(arm().replace(LIMIT, '<limit velocity="3" effort="4"/>'))
     assert robot.limits.lower.tolist() == robot.limits.upper.tolist() == [0.0, 0.0]
-    assert ("limits.partial", "shoulder (lower and upper), elbow (lower and upper)") in codes(robot)
+    unstated = {x.subject: x.cure for x in robot.notes if x.code == "limits.unstated"}
+    assert set(unstated) == {"joint 'shoulder'", "joint 'elbow'"} and "continuous" in unstated["joint 'elbow'"]
+    half = Robot.from_urdf(arm().replace(LIMIT, '<limit velocity="3" effort="4" upper="1"/>'))
+    assert half.limits.lower.tolist() == [0.0, 0.0] and half.limits.upper.tolist() == [1.0, 1.0]
+    assert ("limits.partial", "shoulder (lower), elbow (lower)") in codes(half)
 
 
 NAMES = {"universe": "universe", "root_joint": "root_joint", "lower": "lower", "Gelenk ä": "Gelenk ä"}
@@ -360,16 +366,11 @@ UNPHYSICAL = {  # file, options, and faults by code and subject
         {"base": "floating"},
         [("mass.negative", "link 'base'")],
     ),
-    # no repair gives a mass to a body that has none, or another sign to a mass
+    # no repair gives another sign to a mass
     "no repair": (
         arm(mass=-1.0, inertia=BROKEN["negative moment"]),
         {"on_unphysical": "repair"},
         [("mass.negative", "link 'upper'")],
-    ),
-    "no repair without mass": (
-        arm(mass=0.0, inertia=BROKEN["negative moment"]),
-        {"on_unphysical": "repair"},
-        [("inertia.indefinite", "link 'upper'")],
     ),
 }
 
@@ -604,6 +605,19 @@ def test_a_repair_names_every_link_and_leaves_what_is_physical_to_the_bit():
     robot = Robot.from_urdf(also(tool, arm(inertia=BROKEN["triangle"])), on_unphysical="repair")
     assert [x.subject for x in robot.notes if x.code == "inertia.repaired"] == ["link 'upper'", "link 'tool'"]
     assert min(np.linalg.eigvalsh(second(I)).min() for I in robot.inertia.tolist()) > -8 * EPS
+
+
+@pytest.mark.parametrize("inertia", [ORDINARY, BROKEN["negative moment"]], ids=["ordinary", "negative"])
+def test_a_link_without_mass_is_repaired_to_one_without_inertia(inertia):
+    """Also in the file that is written, and in a robot that was read as it is."""
+    text = arm(mass=0.0, inertia=inertia)
+    robot = Robot.from_urdf(text, on_unphysical="repair")
+    again = Robot.from_urdf(text, on_unphysical="ignore").replace(on_unphysical="repair")
+    for one in (robot, again, Robot.from_urdf(robot.to_urdf(text))):
+        one.check()
+        assert not one.inertia[0].any()
+        assert not any(code in ("inertia.massless", "inertia.indefinite") for code, _ in codes(one))
+    assert ("inertia.repaired", "link 'upper'") in codes(robot)
 
 
 def test_a_batch_is_not_repaired():

@@ -36,6 +36,7 @@ ATTRIBUTES = {
 }
 USED = {"link", "joint", "inertial", "parent", "child", *ATTRIBUTES}  # tags with numbers of the dynamics
 USED_IF_FIXED = {"origin", "parent", "child"}
+BOUNDED = ("revolute", "prismatic")
 MOST_NAMED = 20  # ignored elements, and as many that may matter
 
 
@@ -60,7 +61,14 @@ def diagnostics(
     """
     joints = _joints(root, file, links, coupled)
     rows = [*_bodies(root, file, tree, links), *joints, *_standing(file, free, moves)]
-    found = [*_ignored(root), *_orphans(file, coupled), *_unusable(file), *_world(file, tree), *_degrees(file)]
+    found = [
+        *_ignored(root),
+        *_orphans(file, coupled),
+        *_unusable(file),
+        *_unstated(root),
+        *_world(file, tree),
+        *_degrees(file),
+    ]
     # a note about joints, not about names, may be about all of them
     among = {code: len(links.links) for code, about, _ in joints if about and not isinstance(about[0], str)}
     return [*found, *(note(*row, among.get(row[0], 0)) for row in rows if row[1])]
@@ -149,6 +157,16 @@ def _unusable(file: Elements) -> Iterator[Finding]:
             yield Finding("limits.unusable", f"joint {name!r}", what)
 
 
+def _unstated(root: ET.Element) -> Iterator[Finding]:
+    """Limits that state no positions, so that the format's defaults hold the joint at zero."""
+    for element in root.findall("joint"):
+        limit, kind = element.find("limit"), element.get("type")
+        if kind in BOUNDED and limit is not None and not {"lower", "upper"} & limit.attrib.keys():
+            cure = "give both" + (", or make it continuous" if kind == "revolute" else "")
+            what = "lower and upper are left out of <limit>, taken as 0, as the format has it"
+            yield Finding("limits.unstated", f"joint {element.get('name', '')!r}", what, cure=cure)
+
+
 def _world(file: Elements, tree: Rooted) -> Iterator[Finding]:
     """Mass of the links that a floating base leaves behind."""
     for name in sorted(tree.still):
@@ -198,12 +216,11 @@ def _bodies(root: ET.Element, file: Elements, tree: Rooted, links: Links) -> lis
 def _joints(root: ET.Element, file: Elements, links: Links, coupled: bool) -> list[NoteArguments]:
     """Properties of joints that rigid-body dynamics do not include."""
     joints = [file.joints[link.joint.name] for link in links.links]
-    kinds = ("revolute", "prismatic")
-    bounds = {x.get("name", ""): x.find("limit") for x in root.findall("joint") if x.get("type") in kinds}
+    bounds = {x.get("name", ""): x.find("limit") for x in root.findall("joint") if x.get("type") in BOUNDED}
     partial = [
-        f"{name} ({' and '.join(absent)})"
+        f"{name} ({absent[0]})"
         for name, limit in bounds.items()
-        if limit is not None and (absent := [key for key in ("lower", "upper") if key not in limit.attrib])
+        if limit is not None and len(absent := [key for key in ("lower", "upper") if key not in limit.attrib]) == 1
     ]
     planar = [x.get("name", "") for x in root.findall("joint") if x.get("type") == "planar"]
     rooms = ((x.name, {"position": x.upper - x.lower, "velocity": x.velocity, "effort": x.effort}) for x in joints)
