@@ -54,7 +54,7 @@ def test_every_case_and_method_of_the_study_is_on_record():
 
 
 @pytest.mark.parametrize(
-    ("integrator", "effect", "most"), [("semi", "Push", 96), ("semi", "Drag", 326), ("implicit", "Contact", 610)]
+    ("integrator", "effect", "most"), [("semi", "Push", 96), ("semi", "Drag", 326), ("implicit", "Contact", 670)]
 )
 def test_wrenches_on_links_take_the_kinematics_of_the_dynamics(integrator, effect, most):
     """They add the operations of their own formulas, and no second set of poses and twists."""
