@@ -95,7 +95,7 @@ def test_a_step_solves_the_law_with_the_mobilities_of_its_points(n, by, monkeypa
     q, qd, tau, memory = _pressed_states(case, points, normal, law[0], rng)
     contact = effects.Contact(points, 0.1, tuple(normal), None, *law[:3], settling=law[3])
     scene = Scene(robot, (effects.Gravity(), contact), dt=h)
-    mobilities = [np.array(point.mobility) for point in scene.effects[1].points]
+    mobilities = [m * np.eye(3) if isinstance(m := p.mobility, float) else m for p in scene.effects[1].points]
     links = [robot.frame(name).link for name in frames]
     found = scene.step(State(*(torch.from_numpy(x) for x in (q, qd, memory))), torch.from_numpy(tau))
     kinds = set()

@@ -93,7 +93,8 @@ class _Place(NamedTuple):
     depth: Number
     along: Number  # velocity along the normal, negative towards the ground [m/s]
     slip: Pure  # velocity along the surface [m/s]
-    mobility: Pure  # W n [1/kg]
+    lift: Number  # n.W n [1/kg]
+    mobility: Pure | None  # W n [1/kg]; None: it is the same in all directions
     compression: Number  # of its spring [m]
     free: Number  # velocity along the normal that all else gives it at the end of the step [m/s]
     force: Number  # along the normal at that velocity, not positive where none acts [N]
@@ -281,7 +282,9 @@ class Contact(BodyEffect):
                 d, worked = maximum(place.compression, 0.0), pressing * (-2.0 * h) * along / k
                 deepest = sqrt(maximum(d * d + worked, 0.0) + (RECOVERY * h) * (RECOVERY * h))
                 rest = select(slides, left + self.friction * pressing - used, 0.0)
-                moved = quat.dot(place.mobility, quat.sub(quat.scale(pressing, n), quat.scale(k, acted)))
+                moved = place.lift * pressing
+                if place.mobility is not None:
+                    moved = moved - k * quat.dot(place.mobility, acted)
                 row = [deepest, pressing, size, moved - (along - place.along) / h, rest]
                 return [*bodies.posed.to_world(place.link, after), *(select(active, x, 0.0) for x in row)]
 
@@ -296,17 +299,18 @@ class Contact(BodyEffect):
     ) -> tuple[Number, Number]:
         """Largest friction of a step, and that of the bristles as they would be at its end, which it returns to it."""
         *_, pressed, last, _, left = memory
-        k, W_n = self.stiffness, place.mobility
-        was, W_nn = below(k * NEAR, pressed), quat.dot(W_n, place.normal)
-        lift = maximum(W_nn - self.friction / size * quat.dot(W_n, trial), 0.0)
+        k, W_n, lift, kick = self.stiffness, place.mobility, place.lift, 0.0
+        was = below(k * NEAR, pressed)
+        if W_n is not None:
+            kick = sqrt(maximum(quat.dot(W_n, W_n) - lift * lift, NONE)) * (1.0 + Z_others / maximum(place.Z, NONE))
+            lift = maximum(lift - self.friction / size * quat.dot(W_n, trial), 0.0)
         f_n = place.force / (1.0 + h * lift * (place.Z + select(was, 0.0, Z_others)))
         cone = self.friction * f_n
         # slowly where it is small, or it would double errors that alternate
         owed = left * absolute(left) / (absolute(left) + OWED * cone + TINY)
-        # where the normal force grows, it turns the link, whose slip may grow as well
-        kick = maximum(f_n - pressed, 0.0) * sqrt(maximum(quat.dot(W_n, W_n) - W_nn * W_nn, NONE))
-        kick = k * h * (h + maximum(self.settling, 0.5 * h)) * kick * (1.0 + Z_others / maximum(place.Z, NONE))
-        ahead = select(was, clip(size + (size - last), size, 2.0 * size), size) + kick
+        ahead = select(was, clip(size + (size - last), size, 2.0 * size), size)
+        if W_n is not None:  # the slip may grow where the normal force does
+            ahead = ahead + kick * (k * h * (h + maximum(self.settling, 0.5 * h))) * maximum(f_n - pressed, 0.0)
         return select(below(0.0, place.force), maximum(cone + owed, 0.0), 0.0), ahead
 
     def readings(self, bodies: Bodies, inputs: Inputs, memory: Row) -> list[Contacts]:
@@ -349,8 +353,11 @@ class Contact(BodyEffect):
             if memory:
                 compression, free = minimum(depth, memory[KEPT * k + 3]), along - h * memory[KEPT * k + 6]
             pressing = self._pressing(compression, free, h)
-            W_n = tuple(quat.dot(row, normal) for row in rotated(at.axes, point.mobility))
-            yield _Place(link, normal, lowest, depth, along, slip, W_n, compression, free, *pressing)
+            lift, W_n = point.mobility, None
+            if not isinstance(lift, float):
+                W_n = tuple(quat.dot(row, normal) for row in rotated(at.axes, point.mobility))
+                lift = quat.dot(W_n, normal)
+            yield _Place(link, normal, lowest, depth, along, slip, lift, W_n, compression, free, *pressing)
 
     def _ground(self, p: Pure, radius: float, plane: Row = ()) -> tuple[Pure, Number]:
         """Normal of the ground below a sphere at p, in the world, and the sphere's depth; `plane`: that of a map."""
@@ -368,9 +375,10 @@ class Contact(BodyEffect):
 
 
 def _with_mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:
-    """Points with the mobility J M^-1 J^T that the robot has there, in axes of their frames; of several the largest.
+    """Points with the mobility W = J M^-1 J^T that the robot has there, in axes of their frames.
 
-    Joints are in the middle of their limits.
+    It is the largest of several robots, with joints in the middle of their limits. A point that is alone on its link
+    takes the mean of all directions, a number.
     """
     rows: dict[str, Any] = {"gravity": None}
     for name, axes in SHAPES.items():
@@ -381,8 +389,8 @@ def _with_mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[Cont
     try:
         factors = at.factors(False)
     except NoInertiaError:  # which a solution names
-        return tuple(point._replace(mobility=quat.UNITS) for point in points)
-    found = []
+        return tuple(point._replace(mobility=1.0) for point in points)
+    found, links = [], [frame_of(robot, point.frame)[0] for point in points]
     for point in points:
         link, X_BF = frame_of(robot, point.frame)
         columns = at.jacobian(link, dq.mul(X_BF, dq.from_pose(quat.ONE, point.center)), False)
@@ -390,7 +398,8 @@ def _with_mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[Cont
         W = [tensor_of(x).double() for row in factors.mobility(J) for x in row]
         every = torch.stack(torch.broadcast_tensors(*W)).reshape(3, 3, -1)
         largest = every[:, :, int(every.diagonal().sum(-1).argmax())]
-        found.append(point._replace(mobility=tuple(map(tuple, largest.tolist()))))
+        every_way = tuple(map(tuple, largest.tolist()))
+        found.append(point._replace(mobility=every_way if links.count(link) > 1 else float(largest.trace()) / 3.0))
     return tuple(found)
 
 

@@ -27,7 +27,7 @@ class ContactPoint(NamedTuple):
     frame: str  # name
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in the frame [m]
     radius: float = 0.0  # [m]
-    mobility: Any = ()  # of the robot there, 3 rows in axes of the frame, which scenes compute [1/kg]
+    mobility: Any = ()  # of the robot there, 3 rows in axes of the frame or a number, which scenes compute [1/kg]
 
 
 def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[ContactPoint, ...]:
