@@ -127,7 +127,7 @@ class Robot(RobotModel):
                 definite give wrong numbers: "error" raises, "warn" warns. An inertia that only breaks the triangle
                 inequality gives the numbers of the file, as from every other reader: both warn. "ignore" only notes
                 either. "repair" takes the nearest inertia that a body has: that of the second moments without negative
-                principal values, and none without mass. It changes no mass. Learning and identification need inertias
+                principal values. It changes no mass and no link without one. Learning and identification need inertias
                 that bodies have. `Robot.check` refuses all others. A body far too large for the robot, as of numbers in
                 mm, can exist, and words that seem misspelt can be meant: "ignore" notes either, the others warn.
             joints: names or patterns of the joints to keep, at least one; the others are locked, at 0 or as in `lock`.

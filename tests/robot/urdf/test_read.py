@@ -366,11 +366,16 @@ UNPHYSICAL = {  # file, options, and faults by code and subject
         {"base": "floating"},
         [("mass.negative", "link 'base'")],
     ),
-    # no repair gives another sign to a mass
+    # no repair gives a mass to a body that has none, or another sign to a mass
     "no repair": (
         arm(mass=-1.0, inertia=BROKEN["negative moment"]),
         {"on_unphysical": "repair"},
         [("mass.negative", "link 'upper'")],
+    ),
+    "no repair without mass": (
+        arm(mass=0.0, inertia=BROKEN["negative moment"]),
+        {"on_unphysical": "repair"},
+        [("inertia.indefinite", "link 'upper'")],
     ),
 }
 
@@ -605,19 +610,6 @@ def test_a_repair_names_every_link_and_leaves_what_is_physical_to_the_bit():
     robot = Robot.from_urdf(also(tool, arm(inertia=BROKEN["triangle"])), on_unphysical="repair")
     assert [x.subject for x in robot.notes if x.code == "inertia.repaired"] == ["link 'upper'", "link 'tool'"]
     assert min(np.linalg.eigvalsh(second(I)).min() for I in robot.inertia.tolist()) > -8 * EPS
-
-
-@pytest.mark.parametrize("inertia", [ORDINARY, BROKEN["negative moment"]], ids=["ordinary", "negative"])
-def test_a_link_without_mass_is_repaired_to_one_without_inertia(inertia):
-    """Also in the file that is written, and in a robot that was read as it is."""
-    text = arm(mass=0.0, inertia=inertia)
-    robot = Robot.from_urdf(text, on_unphysical="repair")
-    again = Robot.from_urdf(text, on_unphysical="ignore").replace(on_unphysical="repair")
-    for one in (robot, again, Robot.from_urdf(robot.to_urdf(text))):
-        one.check()
-        assert not one.inertia[0].any()
-        assert not any(code in ("inertia.massless", "inertia.indefinite") for code, _ in codes(one))
-    assert ("inertia.repaired", "link 'upper'") in codes(robot)
 
 
 def test_a_batch_is_not_repaired():

@@ -25,7 +25,7 @@ POINT = 1e-14
 NOTHING = 1e-30  # the same without mass [kg m^2]: a bacterium has a hundred times more
 REPAIRED = "inertia.repaired"
 INDEFINITE, MASSLESS, TRIANGLE = "inertia.indefinite", "inertia.massless", "inertia.triangle"
-MISSHAPEN = (INDEFINITE, MASSLESS, TRIANGLE)  # not physically consistent; a repair takes the nearest inertias that are
+MISSHAPEN = (INDEFINITE, TRIANGLE)  # not physically consistent; a repair takes the nearest inertias that are
 EXPECTED = {
     "body.finite": "mass and inertia must be finite",
     "mass.negative": "mass must not be negative",
@@ -87,21 +87,21 @@ def rounding(mass: Tensor) -> Tensor:
 def repaired(links: Sequence[str], mass: Tensor, inertia: Tensor) -> tuple[Tensor, list[Finding]]:
     """Inertias [n, 3, 3] with inconsistent ones replaced by the nearest consistent ones, and notes of the changes.
 
-    Nearest is meant for the second moments E = tr(I)/2 1 - I, in the Frobenius norm: negative eigenvalues become zero,
-    and all of them without mass. Masses [n] of the links stay; a negative one is left to the faults of `bodies`.
+    Nearest is meant for the second moments E = tr(I)/2 1 - I, in the Frobenius norm: negative eigenvalues become zero.
+    Masses [n] are those of the links; one that cannot be is left to the faults of `bodies`.
     """
     one = torch.eye(3, dtype=torch.float64)
     new, notes = inertia.clone(), list[Finding]()
     for i, link in enumerate(links):
         if (
             not bool(inertia[i].isfinite().all())
-            or not float(mass[i]) >= 0
+            or not float(mass[i]) > 0
             or not bodies((link,), mass[[i]], inertia[[i]])
         ):
             continue
         E = inertia[i].trace() / 2 * one - inertia[i]
         values, axes = torch.linalg.eigh(E)
-        E = axes @ torch.diag(values.clamp(min=0) * (mass[i] > 0)) @ axes.T
+        E = axes @ torch.diag(values.clamp(min=0)) @ axes.T
         new[i] = E.trace() * one - E
         before, after = (_listed(torch.linalg.eigvalsh(I)) for I in (inertia[i], new[i]))
         part = float((new[i] - inertia[i]).norm() / inertia[i].norm())
@@ -169,7 +169,7 @@ def complain(robot: str, faults: Sequence[Finding], on_unphysical: OnUnphysical)
 def refuse(robot: str, faults: Sequence[Finding], repaired: bool = False) -> NoReturn:
     """Raise for faults, with what can be done about them; `repaired`: whether inertias have been repaired."""
     if repaired:
-        cure = "inertias can be repaired, masses cannot"
+        cure = "only inertias of bodies with mass can be repaired"
     else:
         cure = "on_unphysical='warn' computes with these numbers all the same"
         cure += f", and {NEAREST}" if any(fault.code in MISSHAPEN for fault in faults) else ""
