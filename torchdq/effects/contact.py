@@ -267,7 +267,7 @@ class Contact(BodyEffect):
                 z = quat.sub(z, quat.scale(quat.dot(n, z), n))
             trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
             size = sqrt(quat.dot(trial, trial) + TINY * TINY)
-            limit, ahead = self._cone(place, memory, trial, size, Z_others, h)
+            limit, ahead = self._cone(place, memory, trial, size, Z_others, h * Z_t, h)
             slides = below(limit, ahead)
             share = select(slides, limit / ahead, 1.0)
 
@@ -295,12 +295,11 @@ class Contact(BodyEffect):
         return PointImpedance(place.link, place.point, acting, D, n, select(active, Z_n, 0.0) - D, kept=kept)
 
     def _cone(
-        self, place: _Place, memory: Row, trial: Pure, size: Number, Z_others: Number, h: Number
+        self, place: _Place, memory: Row, trial: Pure, size: Number, Z_others: Number, heavy: Number, h: Number
     ) -> tuple[Number, Number]:
-        """Largest friction of a step, and that of the bristles as they would be at its end, which it returns to it."""
+        """Largest friction of a step, and that of the bristles at its end, which returns to it; heavy: their mass."""
         *_, pressed, last, _, left = memory
-        k, W_n, lift, kick = self.stiffness, place.mobility, place.lift, 0.0
-        was = below(k * NEAR, pressed)
+        W_n, lift, kick, was = place.mobility, place.lift, 0.0, below(self.stiffness * NEAR, pressed)
         if W_n is not None:
             kick = sqrt(maximum(quat.dot(W_n, W_n) - lift * lift, NONE)) * (1.0 + Z_others / maximum(place.Z, NONE))
             lift = maximum(lift - self.friction / size * quat.dot(W_n, trial), 0.0)
@@ -310,7 +309,7 @@ class Contact(BodyEffect):
         owed = left * absolute(left) / (absolute(left) + OWED * cone + TINY)
         ahead = select(was, clip(size + (size - last), size, 2.0 * size), size)
         if W_n is not None:  # the slip may grow where the normal force does
-            ahead = ahead + kick * (k * h * (h + maximum(self.settling, 0.5 * h))) * maximum(f_n - pressed, 0.0)
+            ahead = ahead + kick * heavy * maximum(f_n - pressed, 0.0)
         return select(below(0.0, place.force), maximum(cone + owed, 0.0), 0.0), ahead
 
     def readings(self, bodies: Bodies, inputs: Inputs, memory: Row) -> list[Contacts]:
@@ -341,7 +340,7 @@ class Contact(BodyEffect):
         """Places of the points, before a step h."""
         planes = [inputs[name] for name in self.computed(0)]
         for k, point in enumerate(self.points):
-            (link, c), (_, at) = bodies.point(point.frame, point.center), bodies.frame(point.frame)
+            link, c = bodies.point(point.frame, point.center)
             p = bodies.posed.position(link, c)
             n, depth = self._ground(p, point.radius, *(row[k :: len(self.points)] for row in planes))
             normal = bodies.posed.to_link(link, n)
@@ -351,11 +350,13 @@ class Contact(BodyEffect):
             slip = quat.sub(u, quat.scale(along, normal))
             compression, free = depth, along
             if memory:
-                compression, free = minimum(depth, memory[KEPT * k + 3]), along - h * memory[KEPT * k + 6]
+                *_, compression, _, _, pushed, _ = memory[KEPT * k : KEPT * (k + 1)]
+                compression, free = minimum(depth, compression), along - h * pushed
             pressing = self._pressing(compression, free, h)
             lift, W_n = point.mobility, None
             if not isinstance(lift, float):
-                W_n = tuple(quat.dot(row, normal) for row in rotated(at.axes, point.mobility))
+                axes = bodies.frame(point.frame)[1].axes
+                W_n = tuple(quat.dot(row, normal) for row in rotated(axes, point.mobility))
                 lift = quat.dot(W_n, normal)
             yield _Place(link, normal, lowest, depth, along, slip, lift, W_n, compression, free, *pressing)
 
@@ -390,9 +391,9 @@ def _with_mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[Cont
         factors = at.factors(False)
     except NoInertiaError:  # which a solution names
         return tuple(point._replace(mobility=1.0) for point in points)
-    found, links = [], [frame_of(robot, point.frame)[0] for point in points]
-    for point in points:
-        link, X_BF = frame_of(robot, point.frame)
+    found, frames = [], [frame_of(robot, point.frame) for point in points]
+    links = [link for link, _ in frames]
+    for point, (link, X_BF) in zip(points, frames, strict=True):
         columns = at.jacobian(link, dq.mul(X_BF, dq.from_pose(quat.ONE, point.center)), False)
         J = tuple(tuple(0.0 if c is None else c[1][axis] for c in columns) for axis in range(3))
         W = [tensor_of(x).double() for row in factors.mobility(J) for x in row]
