@@ -66,7 +66,7 @@ class Walk(EpisodeTask):
     the sum of the terms in `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends
     where the base tilts by more than 53 degrees or sinks below `lowest`, or where any other contact point touches.
 
-    By default the ground's friction is 0.36 to 1.24 and its stiffness differs by a factor of ten, masses differ by up
+    By default the ground's friction is 0.24 to 1.2 and its stiffness differs by a factor of ten, masses differ by up
     to 10 %, and the base is pushed.
 
     Args:
@@ -129,7 +129,7 @@ class Walk(EpisodeTask):
             ),
             "scale": FULL / self.stiffness,
             "substeps": 4,
-            "randomise": {"Contact.friction": (0.45, 1.55), "Contact.stiffness": (0.2, 2.0), "mass": 0.1},
+            "randomise": {"Contact.friction": (0.3, 1.5), "Contact.stiffness": (0.2, 2.0), "mass": 0.1},
             "pushes": {push.name: Pushes((0.3 * weight, 0.3 * weight, 0.0, 0.0, 0.0, 0.0))},
         }
 
