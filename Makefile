@@ -1,10 +1,13 @@
 # make demo     the main job on a real robot; plots go to out/
-# make test     all claims, in parallel, on representative robots where a claim is about many; prints the slowest twenty
-# make test-all all claims on all robots and random trees, chains of any length and whole examples
-# make mutants  plants faults in a copy of the sources, one at a time; the suite must notice each
-# make docs     the documentation as static pages, in out/site; open out/site/index.html
-# make dist     wheel and source archive, in dist/, as an index takes them
-# make clean    removes the virtual environment and everything that was built
+# make test        every claim, on representative robots where a claim is about many; prints the slowest twenty tests
+# make test-docs   code in docstrings and pages, notebooks, examples, site, packaging, types
+# make test-all    both, on all robots and random trees, recordings and sizes
+# make test-for    the tests that hold some files: make test-for FILES="torchdq/scene/state.py envs/walk.py"
+# make regenerate  writes everything anew that is generated: indices, messages, records of operations, pages
+# make mutants     plants faults in a copy of the sources, one at a time; the suite must notice each
+# make docs        the documentation as static pages, in out/site; open out/site/index.html
+# make dist        wheel and source archive, in dist/, as an index takes them
+# make clean       removes the virtual environment and everything that was built
 #
 # All but the last make their own virtual environment in .venv, once; they run again without installing anything.
 # Variables: PYTHON (3.11 or newer), TORCH (pip's arguments for torch), JOBS (test processes), ARGS (of the demo, of pytest
@@ -20,8 +23,9 @@ RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 # a process takes neighbouring tests, which share robots, programs and fixtures
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(RUN) -m pytest -n $(JOBS) --dist worksteal --durations=20
+DOCS := tests/docs torchdq
 
-.PHONY: demo test test-all mutants docs dist clean
+.PHONY: demo test test-docs test-all test-for regenerate mutants docs dist clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/examples.installed
@@ -30,8 +34,14 @@ demo: $(VENV)/examples.installed
 test: $(VENV)/test.installed
 	$(PYTEST) $(ARGS)
 
+test-docs: $(VENV)/test.installed
+	$(PYTEST) $(or $(ARGS),$(DOCS))
+
 test-all: $(VENV)/test.installed
-	TORCHDQ_CFLAGS= $(PYTEST) -m '' $(ARGS)
+	TORCHDQ_TESTS=all TORCHDQ_CFLAGS= $(PYTEST) $(or $(ARGS),tests $(DOCS))
+
+test-for: $(VENV)/test.installed
+	$(PYTEST) $$($(RUN) tests/tools/concerned.py $(FILES))
 
 mutants: $(VENV)/test.installed
 	$(RUN) tests/mutants/mutants.py $(ARGS)

@@ -72,7 +72,7 @@ def margin(request, record_property):
 
 def pytest_addoption(parser):
     parser.addoption("--margins", metavar="FILE", help="write observed and allowed of every criterion to a JSON file")
-    parser.addoption("--update-messages", action="store_true", help="write what tests say to tests/messages.json")
+    parser.addoption("--update-messages", action="store_true", help="write what tests say to messages.json of a room")
 
 
 def pytest_configure(config):

@@ -14,7 +14,7 @@ import numpy as np
 import programs
 import pytest
 import torch
-from helpers import eager, random
+from helpers import EVERYTHING, eager, random
 from host_gpu import host_backends  # noqa: F401
 from kinds_of_programs import free
 from messages import refused
@@ -59,7 +59,7 @@ every_kernel = pytest.mark.parametrize("backend", ["c", "host"])
 
 
 @pytest.mark.parametrize("dtype", [F64, F32], ids=str)
-@pytest.mark.parametrize("robot", [pytest.param(TWO, marks=pytest.mark.exhaustive), TREE], ids=lambda r: r.name)
+@pytest.mark.parametrize("robot", [TWO, TREE] if EVERYTHING else [TREE], ids=lambda r: r.name)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_compiled_functions_equal_torch_operations(name, robot, dtype):
     s = states(robot, 19, dtype=dtype)

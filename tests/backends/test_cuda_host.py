@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from helpers import random, rods
+from helpers import EVERYTHING, random, rods
 from host_gpu import BACKWARDS, HOST, function, host_backends  # noqa: F401
 from oracles import EPS, states
 from programs import FUNCTIONS, MIXED, PANDA, TREE, TWO, agree, condition, mixed, on, same
@@ -30,7 +30,7 @@ F32, F64 = torch.float32, torch.float64
 
 
 @pytest.mark.parametrize("dtype", [F64, F32], ids=str)
-@pytest.mark.parametrize("robot", [pytest.param(TWO, marks=pytest.mark.exhaustive), TREE], ids=lambda r: r.name)
+@pytest.mark.parametrize("robot", [TWO, TREE] if EVERYTHING else [TREE], ids=lambda r: r.name)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_equal_those_of_the_c_backend(name, robot, dtype):
     s = states(robot, 150, dtype=dtype)
@@ -140,7 +140,7 @@ def test_sums_contain_the_recomputed_rows(batch):
 
 @pytest.mark.parametrize(
     ("robot", "dtype"),
-    [(TREE, F64), (PANDA, F32), *(pytest.param(*x, marks=pytest.mark.exhaustive) for x in ((TREE, F32), (PANDA, F64)))],
+    [(TREE, F64), (PANDA, F32), *([(TREE, F32), (PANDA, F64)] if EVERYTHING else [])],
     ids=lambda x: getattr(x, "name", str(x)),
 )
 def test_gradients_equal_those_of_the_c_backend(robot, dtype):

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from helpers import thinned
 
 import torchdq
 from torchdq.backends.c_loop import loop_source
@@ -127,9 +128,7 @@ def harness(what, scalar):
 
 @pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-@pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.exhaustive) for name in PROGRAMS]
-)
+@pytest.mark.parametrize("name", thinned(PROGRAMS, QUICK))
 def test_a_kernel_stays_within_its_arrays(name, dtype, tmp_path):
     program, single = PROGRAMS[name](), dtype == torch.float32
     printed = loop_source if isinstance(program, Loop) else source

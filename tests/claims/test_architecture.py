@@ -9,19 +9,16 @@ import importlib
 import inspect
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
 
 import pytest
 from helpers import all_in_one
-from places import ROOT, TESTS
+from places import ENVS, PACKAGE, ROOT, TESTS
 
 import torchdq
 from torchdq import functional
-
-PACKAGE, ENVS = ROOT / "torchdq", ROOT / "envs"
 
 FLOORS = {
     "torchdq.findings": -1,
@@ -532,10 +529,10 @@ def test_every_package_is_installed():
     assert {path.parent / "__init__.py" for path in FILES.values()} <= set(FILES.values())
 
 
-def checked(*command, at=ROOT):
+def checked(*command):
     """Output of a checker on the project; empty when it has nothing to say."""
     environment = os.environ | {"NO_COLOR": "1"}
-    run = subprocess.run([sys.executable, "-m", *command], cwd=at, capture_output=True, text=True, env=environment)
+    run = subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, env=environment)
     return "" if run.returncode == 0 else run.stdout + run.stderr
 
 
@@ -543,18 +540,6 @@ def test_ruff_has_nothing_to_say():
     pytest.importorskip("ruff")
     assert checked("ruff", "check", "--no-cache") == ""
     assert checked("ruff", "format", "--check", "--no-cache") == ""
-
-
-def test_mypy_has_nothing_to_say():
-    """On the package as it installs: with `envs` in it, which lies beside it here."""
-    pytest.importorskip("mypy")
-    cache = ROOT / ".mypy_cache"
-    tree = cache / "installed"  # always the same place, for which the cache holds
-    shutil.rmtree(tree, ignore_errors=True)
-    for folder, place in ((PACKAGE, tree / "torchdq"), (ENVS, tree / "torchdq" / "envs")):
-        shutil.copytree(folder, place, ignore=shutil.ignore_patterns("__pycache__"))
-    options = ("mypy", "--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", str(cache))
-    assert checked(*options, at=tree) == ""
 
 
 # --- the front of the package ----------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from helpers import EVERYTHING
 from places import ROOT
 from recorded_logs import STEP, states, written
 
@@ -336,10 +337,7 @@ QUICK = ("talos_full_v2.urdf", "romeo.urdf", "hextilt_flying_arm_5.urdf")
 UNEXPLAINED = re.compile(r"\bnan\b|tensor\(|<[a-z_.]+ object|\bnull\b|Traceback|\btensor\b")
 
 
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(path, marks=[] if path.name in QUICK else [pytest.mark.exhaustive], id=path.name) for path in FILES],
-)
+@pytest.mark.parametrize("path", [x for x in FILES if EVERYTHING or x.name in QUICK], ids=lambda x: x.name)
 @pytest.mark.parametrize("base", ["fixed", "floating"])
 def test_a_report_of_every_robot_has_no_unexplained_line(here, capsys, path, base):
     out, errors = told(capsys, "report", path, "--base", base)

@@ -22,7 +22,7 @@ BACKEND = "auto"
 
 
 def test_an_episode_starts_within_limits_and_its_goal_is_within_reach():
-    """Observation and reward are held by claims/test_environment_pages.py."""
+    """Observation and reward are held by docs/test_environment_pages.py."""
     envs = ArmVectorEnv(200, robot="panda", dtype=torch.float64)
     envs.reset(seed=0)
     found, (lower, upper, *_) = envs.get_state(), envs.robot.limits

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 import torch
-from helpers import random, thinned
+from helpers import exhaustive, random, thinned
 from messages import refused
 from torch import library as operators
 from torch import nn
@@ -205,7 +205,7 @@ def test_saved_graphs_run_in_a_process_without_the_package(tmp_path):
     assert distance(torch.load(tmp_path / "found.pt"), expected) < 1e-12
 
 
-@pytest.mark.exhaustive
+@exhaustive
 @pytest.mark.skipif(shutil.which("g++") is None, reason="AOTInductor needs a C++ compiler")
 @pytest.mark.parametrize("name", ["learned inverse dynamics", "residual network", "step"])
 def test_a_package_of_machine_code_runs_in_a_process_without_the_package(name, tmp_path):

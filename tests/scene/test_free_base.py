@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from free_flyers import case, motion
-from helpers import called
+from helpers import called, exhaustive
 from messages import refused
 from scipy.integrate import solve_ivp
 
@@ -153,7 +153,7 @@ def test_the_centre_of_mass_of_a_spinning_body_falls_on_a_parabola(integrator):
     assert (c - c0 - p0 / m * T - 0.5 * g * T * (T + late * dt)).abs().max() <= 1e-12
 
 
-@pytest.mark.exhaustive
+@exhaustive
 def test_momentum_and_energy_over_ten_thousand_steps():
     """The order of a short run is that of a long one."""
     coarse, fine = drift(RungeKutta4(), 2e-3, 5_000), drift(RungeKutta4(), 1e-3, 10_000)

@@ -1,5 +1,6 @@
 """Tensors, integrators of fixed steps, a wheel, chains of rods, and threads, for several test files."""
 
+import os
 from functools import cache, partial
 
 import numpy as np
@@ -12,6 +13,9 @@ from torchdq.backends.c import COMPILED
 from torchdq.backends.precision import run
 from torchdq.backends.torch import EAGER
 from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta4, SemiImplicitEuler, StoermerVerlet
+
+EVERYTHING = os.environ.get("TORCHDQ_TESTS") == "all"  # as in `make test-all`
+exhaustive = pytest.mark.skipif(not EVERYTHING, reason="takes long: make test-all")
 
 DOWN = (0.0, -9.81, 0.0)  # gravity in the plane in which rods with axes along z move
 
@@ -45,12 +49,8 @@ def called(integrator):
 
 
 def thinned(values, kept):
-    """Parameters of a test, several in a tuple; those that are not kept are left to `make test-all`."""
-
-    def exhaustive(value):
-        return pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.exhaustive)
-
-    return [value if value in kept else exhaustive(value) for value in values]
+    """Parameters of a test; those that are not kept are left to `make test-all`."""
+    return [value for value in values if EVERYTHING or value in kept]
 
 
 def all_in_one(values):

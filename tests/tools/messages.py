@@ -1,4 +1,4 @@
-"""What errors and warnings say, in one reviewed snapshot: tests/messages.json.
+"""What errors and warnings say, in a reviewed snapshot of each room: tests/<room>/messages.json.
 
     with refused(ArgumentError):  # raises it, and says what the snapshot holds for this test
         robot.replace(mass=-1)
@@ -21,7 +21,7 @@ from pathlib import Path
 import pytest
 from places import DATA, ROOT, TESTS
 
-FILE = TESTS / "messages.json"
+NAME = "messages.json"
 _SAME_EVERYWHERE = [
     (r"/[^\s'\"]*?/pytest-of-[^/]+/pytest-\d+/(popen-gw\d+/)?[^/\s'\":;,)]+", "<tmp>"),
     (r"/[^\s'\":;,)]*/(site|dist)-packages", "<packages>"),
@@ -67,7 +67,8 @@ class Snapshot:
 
     def __init__(self, config):
         self.updating = config.getoption("--update-messages")
-        self.held = json.loads(FILE.read_text()) if FILE.exists() else {}
+        rooms = {path.parent: json.loads(path.read_text(encoding="utf-8")) for path in sorted(TESTS.glob(f"*/{NAME}"))}
+        self.held = {_path(room / file): tests for room, files in rooms.items() for file, tests in files.items()}
         self.said: dict[str, dict[str, list[str]]] = {}
         self.file = self.test = ""
         self.of_workers = []
@@ -85,7 +86,7 @@ class Snapshot:
         if not self.updating and message not in self.expected():
             expected = "\n          ".join(self.expected()) or "nothing in the snapshot"
             pytest.fail(
-                f"a message differs from tests/messages.json; if it is meant so: pytest --update-messages {self.file}\n"
+                f"a message differs from {NAME} of its room; if it is meant so: pytest --update-messages {self.file}\n"
                 f"expected: {expected}\nfound:    {message}"
             )
 
@@ -100,7 +101,7 @@ class Snapshot:
             said.pop(self.test)  # it has not said all
             raise
         if not self.updating and (missing := set(self.expected()) - set(said[self.test])):
-            pytest.fail(f"tests/messages.json holds messages that this test has not said: {sorted(missing)}")
+            pytest.fail(f"{NAME} of its room holds messages that this test has not said: {sorted(missing)}")
         return result
 
     @pytest.hookimpl(optionalhook=True)
@@ -127,18 +128,22 @@ class Snapshot:
                 if _function(test) not in ran and f"def {_function(test)}(" in text
             }
             self.held[file] = {**kept, **tests}
-        rows = {
-            file: _shared(tests)
-            for file, tests in sorted(self.held.items())
-            if any(tests.values()) and (ROOT / file).exists()
-        }
-        files = [
-            f" {json.dumps(file)}: {{\n"
-            + ",\n".join(f"  {json.dumps(test)}: {_lines(says)}" for test, says in sorted(tests.items()))
-            + "\n }"
-            for file, tests in rows.items()
-        ]
-        FILE.write_text("{\n" + ",\n".join(files) + "\n}\n")
+        rooms: dict[Path, list[str]] = {}
+        for file, tests in sorted(self.held.items()):
+            if any(tests.values()) and (ROOT / file).exists():
+                room, _, name = (ROOT / file).relative_to(TESTS).as_posix().partition("/")
+                rows = [f"  {json.dumps(test)}: {_lines(said)}" for test, said in sorted(_shared(tests).items())]
+                rooms.setdefault(TESTS / room, []).append(f" {json.dumps(name)}: {{\n" + ",\n".join(rows) + "\n }")
+        for path in TESTS.glob(f"*/{NAME}"):
+            if path.parent not in rooms:
+                path.unlink()
+        for room, files in rooms.items():
+            (room / NAME).write_text("{\n" + ",\n".join(files) + "\n}\n", encoding="utf-8")
+
+
+def _path(file: Path) -> str:
+    """Path of a file as tests are named after."""
+    return file.relative_to(ROOT).as_posix()
 
 
 def _function(test: str) -> str:

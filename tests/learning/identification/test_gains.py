@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from helpers import PAIR
+from helpers import PAIR, thinned
 from recorded_logs import COULOMB, ROBOT, STEP, VISCOUS, dry, fitted, noise, sign, states, with_findings
 
 import torchdq
@@ -94,7 +94,7 @@ def real_arm(described, seed, size=0.1):
     return described.replace(mass=mass, com=com, inertia=inertia)
 
 
-@pytest.mark.parametrize("runs", [5, pytest.param(200, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("runs", thinned([5, 200], [5]))
 @pytest.mark.parametrize("known", [True, False, (True, False)])
 def test_errors_hold_those_of_the_gains(known, runs):
     """Over arms, gains and noise: squares of what parameters are off by over the stated errors are about one."""

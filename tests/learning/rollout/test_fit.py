@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from helpers import double, random
+from helpers import double, exhaustive, random
 from messages import refused, warned
 from scipy import optimize, signal, stats
 
@@ -182,7 +182,7 @@ def test_the_errors_are_as_large_as_they_are_said_to_be(motion, guess):
     assert stats.chi2(72).ppf(1e-3) < total < stats.chi2(72).ppf(1 - 1e-3)
 
 
-@pytest.mark.exhaustive
+@exhaustive
 @pytest.mark.parametrize("segment", [None, 1.0])
 def test_the_errors_of_two_hundred_runs_are_chi_square(motion, guess, segment):
     found = list(chi_squares(motion, guess, 200, segment))

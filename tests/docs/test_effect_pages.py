@@ -10,6 +10,7 @@ import re
 import effects as benchmark
 import pytest
 import torch
+from helpers import thinned
 from pages import contact_tables, formulas
 from pages.cases import CASES, START, built
 from pages.characteristics import CHARACTERISTICS
@@ -84,9 +85,7 @@ def test_a_picture_is_small_and_fetches_nothing(name):
     assert all(x.startswith("#") for x in addresses)
 
 
-@pytest.mark.parametrize(
-    "name", [n if n in DRAWN else pytest.param(n, marks=pytest.mark.exhaustive) for n in CHARACTERISTICS]
-)
+@pytest.mark.parametrize("name", thinned(CHARACTERISTICS, DRAWN))
 def test_a_picture_shows_what_the_effect_does(name):
     """Its data are compared, up to how processors round."""
     kept = curves_of((FOLDER / address(name).replace(".md", ".svg")).read_text(encoding="utf-8"))

@@ -4,6 +4,7 @@ from importlib import import_module
 
 import oracles
 import pytest
+from helpers import thinned
 
 for needed in ("matplotlib", "rich", "tyro"):
     pytest.importorskip(needed, reason="the examples need the extra 'examples'")
@@ -21,7 +22,7 @@ SOME = ("Gravity", "Viscous", "Coulomb", "Contact", "Noise")  # those in the pic
 ALL = (*SOME, "RotorInertia", "Payload", "JointLimits", "Drag", "Saturation", "FirstOrderLag")
 
 
-@pytest.mark.parametrize("kept", [SOME, pytest.param(ALL, marks=pytest.mark.exhaustive)], ids=len)
+@pytest.mark.parametrize("kept", thinned([SOME, ALL], [SOME]), ids=len)
 def test_a_scene_is_built_effect_by_effect(kept, tmp_path, capsys, monkeypatch):
     """Every scene on the way is a program of its own, which takes seconds to compile."""
     main = import_module("04_scene")

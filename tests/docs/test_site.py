@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers import exhaustive
 from places import ROOT
 
 import torchdq
@@ -232,7 +233,7 @@ OVERFLOW = """<body><script>
 </script></body>"""
 
 
-@pytest.mark.exhaustive
+@exhaustive
 def test_no_page_is_wider_than_the_screen(site, tmp_path):
     """Wide tables, code and formulas scroll by themselves, on a desk and on a telephone."""
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -11,6 +11,7 @@ from shutil import copy
 import helpers
 import pytest
 import torch
+from helpers import EVERYTHING
 from places import ROOT
 
 import torchdq
@@ -29,17 +30,10 @@ BODY = """<link name="{0}"><inertial><mass value="2"/><origin xyz="0 0.02 0.15"/
 one_thread = helpers.one_thread
 
 
-LONG = "aoti_compile_and_package"  # takes a minute, so that a page with it ends there unless the test is exhaustive
+LONG = "aoti_compile_and_package"  # takes a minute, so that a page with it ends there but in `make test-all`
 PAGES = sorted(DOCS.rglob("*.md"))
 SHOWN = {"sh", "text", "xml", "c", "json", "csv", "yaml"}  # languages of blocks that a page only shows
 PRINTED = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-
-
-def page(path, whole):
-    """Parameter of a test: a page, or the whole of a long one."""
-    name = path.relative_to(DOCS).as_posix()
-    marks = [pytest.mark.exhaustive] if whole else []
-    return pytest.param(path, whole, marks=marks, id=f"all of {name}" if whole else name)
 
 
 @pytest.fixture
@@ -50,20 +44,14 @@ def at_home(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("path", "whole"),
-    [
-        *(page(path, False) for path in PAGES),
-        *(page(path, True) for path in PAGES if LONG in path.read_text(encoding="utf-8")),
-    ],
-)
-def test_every_block_of_a_document_runs_after_the_ones_before_it(path, whole, at_home):
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
+def test_every_block_of_a_document_runs_after_the_ones_before_it(path, at_home):
     """Blocks of python run; those with prompts, pycon, print what stands below them."""
     text, known = path.read_text(encoding="utf-8"), {"__name__": "document"}
     printed = doctest.DocTestRunner(optionflags=PRINTED)
     for match in FENCE.finditer(text):
         language, code = match.groups()
-        if LONG in code and not whole:
+        if LONG in code and not EVERYTHING:
             break
         if "onnxruntime" in code:
             pytest.importorskip("onnxruntime")
