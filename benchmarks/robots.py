@@ -2,9 +2,9 @@
 
     python benchmarks/robots.py [--quick] [--json FILE] [--page]
 
-`--page` writes ROBOTS.md. Errors are the largest of 20 random states, relative to the largest torque or force; those
-of accelerations are divided by the amplification of rounding errors (`torchdq.error_growth`), which is common to all
-methods. Mimic joints follow their drivers, and the reference is reduced to the same coordinates. Times are on one
+`--page` writes docs/tested-robots.md. Errors are the largest of 20 random states, relative to the largest torque or
+force; those of accelerations are divided by the amplification of rounding errors (`torchdq.error_growth`), which is
+common to all methods. Mimic joints follow their drivers, and the reference is reduced to the same coordinates. Times are on one
 thread.
 """
 
@@ -37,7 +37,7 @@ from torchdq.errors import TorchdqError, UnphysicalError
 STATES = 20
 BATCH = 4096
 CALLS = 100  # calls of Pinocchio in a row
-PAGE = Path(__file__).resolve().parents[1] / "ROBOTS.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "tested-robots.md"
 USUAL = (
     "joint.fixed",
     "damping.unused",
@@ -204,11 +204,11 @@ def _accelerations(robot, X, q, V, qd, forces, A, qdd) -> float:
 
 
 def page(rows: list[Row], refused: list[tuple[str, str]], facts: dict[str, str]) -> str:
-    """Text of ROBOTS.md."""
+    """Text of the page."""
     lines = [
         "# Tested robots",
         "",
-        "Made by `python benchmarks/robots.py --page`: " + " ".join((__doc__ or "").split("ROBOTS.md. ")[1].split()),
+        "Made by `python benchmarks/robots.py --page`: " + " ".join((__doc__ or "").split(".md. ")[1].split()),
         "A dash means undefined accelerations: a joint has zero effective inertia, or bodies are unphysical. For a "
         "floating base, the last column lists only additional defects.",
         "",

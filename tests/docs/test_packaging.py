@@ -199,5 +199,5 @@ def test_the_source_archive_holds_all_that_is_tracked(archives):
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts and not path.name.startswith(".")
     }
-    files |= {"README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "Makefile", "PAPER.md", "ROBOTS.md", "mkdocs.yml"}
+    files |= {"README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "Makefile", "mkdocs.yml"}
     assert sorted(files - held) == []

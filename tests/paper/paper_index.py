@@ -1,7 +1,7 @@
 """The paper, equation by equation: what each says, where it is computed and which test holds it.
 
 `equations.txt` holds what nothing else knows, `errata.txt` the errata, and `torchdq.paper.tables` verdicts on the
-paper's costs. `PAPER.md` is written from all three:
+paper's costs. `docs/equations.md` is written from all three:
 
     python tests/paper/paper_index.py [--write]
 
@@ -23,7 +23,7 @@ from errata_table import COMPONENT, ERRATA, IDS, Erratum, cells
 from torchdq.paper import cost, tables
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "PAPER.md"
+PAGE = ROOT / "docs" / "equations.md"
 OURS = "paper/test_paper_errata.py::test_ours_agrees_with_an_independent_reference"
 SHORT = {
     "algebra": "algebra/test_algebra.py",
@@ -228,7 +228,7 @@ with structural zeros and ones removed, the matrices cost less than the algorith
 
 
 def page() -> str:
-    """PAPER.md."""
+    """Text of the page."""
     parts = ["# The paper, equation by equation", INTRODUCTION]
     for heading, rows in SECTIONS.items():
         parts += [heading, IN_USE, table(rows)] if heading.endswith("Algorithm 1") else [heading, table(rows)]
@@ -236,13 +236,13 @@ def page() -> str:
         own = [id for id in IDS if id[0] == letter] if letter else {str(row.number) for row in rows} & IDS
         parts += [corrected(own)] if own else []
         parts += [VERDICTS.format(verdicts(), laws())] if "Costs" in heading else []
-    return "\n\n".join([*parts, FOOT]) + "\n"
+    return re.sub(r"\]\((?=\w)", "](../", "\n\n".join([*parts, FOOT])) + "\n"
 
 
 def main() -> None:
     """Page of the paper, printed or written to its file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="write PAPER.md instead of printing it")
+    parser.add_argument("--write", action="store_true", help="write docs/equations.md instead of printing it")
     if parser.parse_args().write:
         PAGE.write_text(page(), encoding="utf-8")
     else:

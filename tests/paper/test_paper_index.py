@@ -1,4 +1,4 @@
-"""PAPER.md is complete and true: every equation once, at code and tests that exist and cite it, with every erratum."""
+"""The page of equations is complete: every equation once, at code and tests that exist and cite it, with its errata."""
 
 import ast
 import io
@@ -21,7 +21,7 @@ TABLE_1 = [row for row in ROWS if row.id.startswith("row")]
 
 @cache
 def page():
-    """What PAPER.md should be."""
+    """What the page should be."""
     return paper_index.page()
 
 
@@ -72,7 +72,7 @@ def cited(place):
 
 
 def test_the_page_is_what_the_index_says():
-    assert PAGE.read_text(encoding="utf-8") == page(), f"PAPER.md is old; {REMEDY}"
+    assert PAGE.read_text(encoding="utf-8") == page(), f"{PAGE.name} is old; {REMEDY}"
 
 
 def test_every_equation_table_row_line_and_figure_is_there_once():
@@ -99,7 +99,7 @@ def test_every_erratum_is_named_by_a_row():
 
 
 def test_links_lead_to_files():
-    assert [link for link in re.findall(r"\]\(([^)]*)\)", page()) if not (ROOT / link).is_file()] == []
+    assert [link for link in re.findall(r"\]\(([^)]*)\)", page()) if not (PAGE.parent / link).is_file()] == []
 
 
 def test_a_table_of_errata_says_how_wrong_the_print_is():

@@ -75,7 +75,11 @@ class _Chosen(float):
 
 
 class Contacts(NamedTuple):
-    """Contact of the points of a scene's `Contact` effects, in their order; while it is recorded, of one point."""
+    """Contact of the points of a scene's `Contact` effects, in their order; while it is recorded, of one point.
+
+    Forces are those at the end of the last step. In an impact the mean of the step differs from them, and with it the
+    impulse that acted, which is the change of `floating.momentum`.
+    """
 
     force: Any  # [..., points, 3] on the robot, in world axes, or base axes if the base is fixed [N]
     normal_force: Any  # [..., points] [N]
@@ -110,10 +114,11 @@ class Contact(BodyEffect):
     The force at a depth d is continuous and never attractive; at rest friction holds without creep, and sliding it is
     mu f_n. For `LinearlyImplicit`, which takes the force at the end of the step and holds any stiffness; an impact is
     of first order in the step. No step in which a base turns by less than 1.5 rad gives energy, whatever k and the body
-    are, and friction keeps to mu times the normal impulse of an impact. A point that another one lifts within a step is
-    held back until its end. A point remembers eight numbers of a state: bristles of the friction in world axes, and
-    the largest compression of its spring [m]; normal force and size of the friction over the last step [N],
-    acceleration towards the ground by all else [m/s^2], and friction that is left over [N].
+    are, and friction keeps to mu times the normal impulse, summed over an impact: in single steps it may be above. The
+    ground pulls at a point that another one lifts within a step, until its end. A point remembers eight numbers of a
+    state: bristles of the friction in world axes, and the largest compression of its spring [m]; normal force and size
+    of the friction over the last step [N], acceleration towards the ground by all else [m/s^2], and friction that is
+    left over [N].
 
     Sources: K. H. Hunt and F. R. E. Crossley, "Coefficient of restitution interpreted as damping in vibroimpact",
     Journal of Applied Mechanics, 1975, for the normal force; M. Anitescu and F. A. Potra, "A time-stepping method for

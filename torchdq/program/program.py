@@ -138,7 +138,7 @@ def record(
         try:
             found = dict(algorithm(*inputs(tape, arguments)))
         except TypeError as error:
-            if Recorded.__name__ not in str(error):
+            if Recorded.__name__ not in str(error) or isinstance(error, NumberError):
                 raise
             raise NumberError(f"a recorded number is not accepted by this function: {error}; {FUNCTIONS}") from error
         factors = found.pop(GROWTH, ())

@@ -138,8 +138,9 @@ class RobotModel:
         """Frame of the end effector; raises `ArgumentError` if none was chosen or if it does not move."""
         if self.tip is None:
             raise ArgumentError(
-                f"tip of robot {self.name!r} must be chosen for an end effector, which f_tip and reaching tasks need; "
-                f"found None; load it with tip=, or use robot.with_tip(name) with one of {', '.join(self.frame_names)}"
+                f"tip of robot {self.name!r} must be chosen for an end effector, which f_tip, reaching tasks and "
+                "Contact without points need; found None; load it with tip=, or use robot.with_tip(name) with one of "
+                + ", ".join(self.frame_names)
             )
         frame = self.frame(self.tip)
         if frame.link == BASE and not self.floating:

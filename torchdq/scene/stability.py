@@ -71,7 +71,7 @@ class GroundCheck(NamedTuple):
         if self.aloft < self.rows:
             lines.append(
                 f"- contact: points sink up to {1e3 * self.deepest:.2g} mm and slip at {self.slip:.2g} m/s at the end; "
-                f"friction is up to {self.cone:.3g} of mu times the normal impulse; "
+                f"over the run friction uses up to {self.cone:.3g} of mu times the normal impulse of a point; "
                 f"stiffness {self.stiffness:.3g} N/m"
             )
         if self.deepest > DEEP:
@@ -250,8 +250,9 @@ class _Trial:
         each = [(tensor_of(contact.friction).detach().double()[..., None], len(contact.points)) for contact in contacts]
         mu = torch.cat([x.expand(*kept.shape, points) for x, points in each], -1)[kept]
         friction = (found.force.square().sum(-1) - found.normal_force.square()).clamp(min=0.0).sqrt().sum(0)
-        most = (mu * found.normal_force.sum(0)).clamp(min=torch.finfo(mu.dtype).tiny)
-        deepest, fastest, cone = (float(x.max()) for x in (found.depth, slip, friction / most))
+        most = mu * found.normal_force.sum(0)
+        shares = torch.where(most > 0, friction / most, 0.0)
+        deepest, fastest, cone = (float(x.max()) for x in (found.depth, slip, shares))
         return GroundCheck(max(0.0, deepest), fastest, cone, int(aloft.sum()), aloft.numel(), stiffness)
 
     def _inputs(self) -> dict[str, Tensor]:
