@@ -4,8 +4,8 @@
 
 `--page` writes docs/tested-robots.md. Errors are the largest of 20 random states, relative to the largest torque or
 force; those of accelerations are divided by the amplification of rounding errors (`torchdq.error_growth`), which is
-common to all methods. Mimic joints follow their drivers, and the reference is reduced to the same coordinates. Times are
-on one thread.
+common to all methods. Mimic joints follow their drivers, and the reference is reduced to the same coordinates. Times
+are on one thread.
 """
 
 from __future__ import annotations
