@@ -43,6 +43,18 @@ test-all: $(VENV)/test.installed
 test-for: $(VENV)/test.installed
 	$(PYTEST) $$($(RUN) tests/tools/concerned.py $(FILES))
 
+# messages last: they are those of the whole suite
+regenerate: export PYTHONPATH := tests/tools:tests:tests/paper
+regenerate: $(VENV)/test.installed
+	$(RUN) tests/claims/test_operation_counts.py --write
+	$(RUN) tests/claims/hard_cases/catalogue.py
+	$(RUN) tests/backends/test_cuda_compile.py --write
+	$(RUN) tests/paper/paper_index.py --write
+	$(RUN) benchmarks/effects.py --write
+	$(RUN) benchmarks/environments.py --write
+	$(RUN) benchmarks/front_page.py --page
+	$(PYTEST) --update-messages
+
 mutants: $(VENV)/test.installed
 	$(RUN) tests/mutants/mutants.py $(ARGS)
 
