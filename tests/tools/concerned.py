@@ -1,6 +1,7 @@
-"""Tests that concern some files: those that hold them, by name, by planted faults, or by the table of allowances.
+"""Tests that concern some files: `python tests/tools/concerned.py FILE...` prints them, for pytest.
 
-    python tests/tools/concerned.py FILE...    prints the files and folders of tests, for pytest
+A module is held by the test file of its name, by those that notice faults planted in it, or as allowances.toml says;
+where there is none of these, by its room.
 """
 
 import re
@@ -11,7 +12,7 @@ from pathlib import Path
 from places import ENVS, PACKAGE, ROOT, TESTS
 
 sys.path.append(str(TESTS / "mutants"))
-import mutants  # noqa: E402
+import mutants
 
 
 def mirrored(module: str) -> list[Path]:
