@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from helpers import PAIR
+from helpers import PAIR, exhaustive
 from places import DATA
 
 import torchdq
@@ -56,6 +56,7 @@ def test_every_model_explains_what_it_can(main, tmp_path):
     assert (tmp_path / "r.json").is_file() and imread(tmp_path / "real_arm.png")[..., :3].std() > 0.03
 
 
+@exhaustive
 @pytest.mark.skipif(not (DATA / "panda_gaz2019").is_dir(), reason="the recordings are not here")
 def test_a_real_panda_is_explained_best_by_physics(main, tmp_path):
     folder = DATA / "panda_gaz2019"

@@ -20,7 +20,7 @@ BACKEND = "auto"
 SHARED = """
 import sys
 sys.path[:] = {paths}
-from claims.test_through_the_simulation import found, learned
+from test_through_the_simulation import found, learned
 from processes import team
 import torch
 with team(torch.device("cpu")) as share:
@@ -72,7 +72,7 @@ def test_two_processes_learn_what_one_does(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    paths = [*filter(None, sys.path), str(ROOT / "tests"), str(ROOT / "examples")]
+    paths = [*filter(None, sys.path), str(ROOT / "tests" / "docs"), str(ROOT / "examples")]
     code = SHARED.format(paths=paths, folder=str(tmp_path))
     common = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
     started = []
