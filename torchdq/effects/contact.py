@@ -39,6 +39,7 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.inertia import rotated
 from torchdq.algebra.quaternion import Number, Pure
+from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import tensor_of
 from torchdq.dynamics.error_growth import NoInertiaError
 from torchdq.dynamics.posed import Row
@@ -53,8 +54,10 @@ from torchdq.functions.posed import posed
 from torchdq.numbers.functions import absolute, below, clip, maximum, minimum, select, sqrt
 from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
+from torchdq.robot.constants import Constants
 from torchdq.robot.contact_points import points_of
-from torchdq.robot.fields import BODIES, SHAPES
+from torchdq.robot.fields import SHAPES
+from torchdq.robot.robot import arguments, constants, recorded
 
 SINK = 1e-3  # depth of the points of a robot at rest, where the stiffness follows from it [m]
 CARRYING = 4  # points that it then rests on at most; others are there for falls
@@ -182,7 +185,7 @@ class Contact(BodyEffect):
         if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
         stiffness = self.stiffness
-        if stiffness is None or isinstance(stiffness, _Chosen):
+        if stiffness is None or (isinstance(stiffness, _Chosen) and not _by_tensors(robot)):
             stiffness = max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING)))
         return replace(self, points=_with_mobilities(robot, points), stiffness=stiffness)
 
@@ -380,18 +383,36 @@ class Contact(BodyEffect):
         return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w
 
 
+def _by_tensors(robot: Robot) -> bool:
+    """Whether programs take tensors of a robot, so that what they are recorded with must not depend on their values."""
+    return any(name != "gravity" for name in arguments(robot))
+
+
 def _with_mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:
+    """Points with the mobility of the robot; where its tensors are arguments, that which they had at first."""
+    if not _by_tensors(robot):
+        return _of_constants(constants(robot), tuple(point._replace(mobility=()) for point in points))
+    return tuple(points) if all(point.mobility != () for point in points) else _mobilities(robot, points)
+
+
+@remembered(PROGRAMS)
+def _of_constants(known: Constants, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:
+    """Points with the mobility of a robot of these constants."""
+    return _mobilities(recorded(known), points)
+
+
+def _mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:
     """Points with the mobility W = J M^-1 J^T that the robot has there, in axes of their frames.
 
     It is the largest of several robots, with joints in the middle of their limits. A point that is alone on its link
     takes the mean of all directions, a number.
     """
+    own = [name for name in arguments(robot) if name != "gravity"]
     rows: dict[str, Any] = {"gravity": None}
-    for name, axes in SHAPES.items():
-        x = getattr(robot, name)
-        if x is not None and (name in (*BODIES, "armature") or x.ndim > len(axes)):
-            rows.setdefault(name, x.detach().double().reshape(*x.shape[: x.ndim - len(axes)], -1).unbind(-1))
-    at = posed(robot, start(0, ranges(robot)), rows, (), dq.ONE if robot.floating else None)
+    for name in (*own, "armature") if robot.armature is not None else own:
+        x = getattr(robot, name).detach().double()
+        rows[name] = x.reshape(*x.shape[: x.ndim - len(SHAPES[name])], -1).unbind(-1)
+    at = posed(recorded(constants(robot)), start(0, ranges(robot)), rows, own, dq.ONE if robot.floating else None)
     try:
         factors = at.factors(False)
     except NoInertiaError:  # which a solution names
