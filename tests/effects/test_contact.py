@@ -647,3 +647,16 @@ def test_a_stiffness_that_was_not_given_follows_the_robot():
     scene = Scene(robot, (effects.Contact(list(points)),), dt=5e-3)
     twice = scene.replace(robot=robot.replace(base_mass=2 * robot.base_mass))
     assert twice.effects[0].stiffness == 2 * scene.effects[0].stiffness
+
+
+def test_other_masses_beside_contact_need_no_other_program():
+    """Neither those that are learned, nor those of several robots, whose rows are those of each alone."""
+    robot, points = box()
+    scene = Scene(robot, (effects.Gravity(), effects.Contact(list(points), stiffness=1e4)), dt=5e-3)
+    first, second = (scene.replace(robot=robot.replace(base_mass=k * robot.base_mass)) for k in (1.0, 1.5))
+    assert first.spec is second.spec
+    both = scene.replace(robot=robot.replace(base_mass=torch.stack([robot.base_mass, 1.5 * robot.base_mass])))
+    begun = both.start(torch.zeros(2, 0, dtype=torch.float64))
+    for row, alone in enumerate((first, second)):
+        one = alone.step(alone.start(torch.zeros(0, dtype=torch.float64)))
+        assert torch.equal(both.step(begun).V_WB_B[row], one.V_WB_B)

@@ -185,7 +185,7 @@ class Contact(BodyEffect):
         if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
         stiffness = self.stiffness
-        if stiffness is None or (isinstance(stiffness, _Chosen) and not _by_tensors(robot)):
+        if stiffness is None or isinstance(stiffness, _Chosen):
             stiffness = max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING)))
         return replace(self, points=_with_mobilities(robot, points), stiffness=stiffness)
 
@@ -383,14 +383,12 @@ class Contact(BodyEffect):
         return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w
 
 
-def _by_tensors(robot: Robot) -> bool:
-    """Whether programs take tensors of a robot, so that what they are recorded with must not depend on their values."""
-    return any(name != "gravity" for name in arguments(robot))
-
-
 def _with_mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:
-    """Points with the mobility of the robot; where its tensors are arguments, that which they had at first."""
-    if not _by_tensors(robot):
+    """Points with the mobility of the robot; where its tensors are arguments, that which they had at first.
+
+    It is a constant of programs, which must not depend on the values of arguments.
+    """
+    if not {*arguments(robot)} - {"gravity"}:
         return _of_constants(constants(robot), tuple(point._replace(mobility=()) for point in points))
     return tuple(points) if all(point.mobility != () for point in points) else _mobilities(robot, points)
 
