@@ -11,17 +11,11 @@ import torch
 from helpers import double, random
 from messages import refused
 from oracles import EPS, pinocchio_model, random_tree, states
+from precisions import F32, F64, compiler, every_backend, every_backend_and_dtype, every_dtype
 
 import torchdq
 from torchdq import dq
-from torchdq.backends import c_library as build
 from torchdq.errors import SingularInertiaError
-
-F32, F64 = torch.float32, torch.float64
-
-compiler = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
-every_backend = pytest.mark.parametrize("backend", ["eager", pytest.param("c", marks=compiler)])
-every_dtype = pytest.mark.parametrize("dtype", [F32, F64], ids=str)
 
 HEAVY = 1e8
 ONE = [1.0, 0, 0, 0]
@@ -74,8 +68,7 @@ THIN = {"point": (0, 0, 0), "rod": (0, 0.1, 0.1), "plate": (0.1, 0.2, 0.3)}
 
 
 @pytest.mark.case("I1", "I2")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 @pytest.mark.parametrize("kind", THIN)
 def test_a_massless_cross_carries_a_heavy_thin_body(kind, dtype, backend, margin):
     """A universal joint: forward dynamics equals Pinocchio's, and undoes inverse dynamics."""
@@ -129,8 +122,7 @@ def test_accelerations_of_a_joint_that_moves_nothing_are_refused_by_name(kind, n
 
 
 @pytest.mark.case("I1", "I8")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 def test_a_rotor_is_all_the_inertia_that_a_joint_needs(dtype, backend, margin):
     robot = with_finger(2, **EMPTY["a link without mass"], rotor=0.25)
     q = torch.tensor([[0.3, -0.7]], dtype=dtype)
@@ -142,8 +134,7 @@ def test_a_rotor_is_all_the_inertia_that_a_joint_needs(dtype, backend, margin):
 
 
 @pytest.mark.case("I4")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 def test_any_free_numbers_have_a_positive_definite_mass_matrix_and_finite_derivatives(dtype, backend):
     """From free numbers at random, of which those that are usual for arms are a small part."""
     robot = rods([1.0, 1.0, 1.0])
@@ -273,8 +264,7 @@ def test_a_stretched_arm_without_inertia_has_no_acceleration(mass, far, dtype):
 
 
 @pytest.mark.case("I6")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 @pytest.mark.parametrize("mass", [1e-9, 1e9])
 def test_a_nearly_stretched_arm_has_its_digits_or_none(mass, dtype, backend, margin):
     """M_11 / D_1 is 1 / sin^2 q_2 and more: what remains of sixteen digits is right, down to six bits of them."""
@@ -341,8 +331,7 @@ def of_size(robot, s):
 
 
 @pytest.mark.case("I7")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 @pytest.mark.parametrize("size", [1e-3, 1e3], ids=["a millimetre", "a kilometre"])
 def test_a_robot_of_any_size_moves_alike(size, dtype, backend, margin):
     robot = random_tree(4, seed=7, armature=True).robot
@@ -366,8 +355,7 @@ def test_a_robot_of_any_size_moves_alike(size, dtype, backend, margin):
 
 
 @pytest.mark.case("I8")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 @pytest.mark.parametrize("n", [3, 16], ids=["by entries", "by articulated bodies"])
 def test_rotors_are_in_every_form_of_the_dynamics(n, dtype, backend, margin):
     """They add armature qdd to the torques and themselves to the diagonal of M, and nothing to anything else."""

@@ -7,9 +7,9 @@ import pytest
 import torch
 from helpers import called, double
 from oracles import EPS
+from precisions import compiled
 from scenes import ARM, swinging, trace
 
-from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
 from torchdq.scene.integrators import (
     DormandPrince,
@@ -21,8 +21,6 @@ from torchdq.scene.integrators import (
 )
 
 AS_SHIPPED = True  # rounding decides where chaotic motions go: slopes are those of the shipped flags
-C = pytest.param("c", marks=pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"))
-compiled = pytest.mark.parametrize("backend", [C])
 
 
 def drift(integrator, backend, h, steps, dtype=torch.float64, substeps=10):
