@@ -168,10 +168,7 @@ def is_public(module, name):
     return name in getattr(of, "__all__", ()) or name.startswith("__") or is_module(f"{module}.{name}")
 
 
-PAGES = sorted({path for path, _ in sources() if path.name not in INSIDE})
-
-
 def test_names_in_docs_and_examples_are_public():
-    used = {(path, *name) for path, text in sources() for name in names_used(text)}
+    used = {(path, *name) for path, text in sources() if path.name not in INSIDE for name in names_used(text)}
     hidden = [x for x in used if not is_public(*x[1:]) and x[2] not in GAPS]
     assert sorted(f"{path.relative_to(ROOT)}: {module}.{name}" for path, module, name in hidden) == []

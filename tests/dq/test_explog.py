@@ -239,7 +239,7 @@ def test_exp_has_its_derivatives(angle):
 
 
 @pytest.mark.case("G1", "G4", "G5")
-@all_in_one(thinned(SWITCHES, [0.0, LOG_SWITCH - 1e-6, LOG_SWITCH + 1e-6, PI + 1e-6]))
+@all_in_one(thinned(SWITCHES, [0.0, LOG_SWITCH + 1e-6, PI + 1e-6]))
 def test_log_and_log_of_exp_have_their_derivatives(angle):
     a = halves(angle, F64, rows=2)[1]
     for f, x in ((dq.log, dq.exp(a)), (round_trip, a)):

@@ -107,11 +107,14 @@ def relative(a, b):
 # --- finite differences ----------------------------------------------------------------------------------------------
 
 
+THOROUGH = ("inverse_dynamics", "inertial_parameters", "jacobian")  # with every parameter, in the default run
+
+
 @all_in_one(
     [
         (key, name, where)
         for key, (_, names) in FUNCTIONS.items()
-        for name in [*names.split(), *PARAMETERS]
+        for name in [*names.split(), *thinned(PARAMETERS, PARAMETERS if key in THOROUGH else ("com", "X_PB_home"))]
         for where in thinned(STATES, STATES if name in ("q", "qd") else ("random",))
     ]
 )

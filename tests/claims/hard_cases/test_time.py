@@ -93,7 +93,7 @@ def test_the_error_falls_with_the_order_over_two_quarterings(integrator, backend
 
 
 @pytest.mark.case("T1")
-@every_backend
+@pytest.mark.parametrize("backend", [*thinned(["eager"], []), C])
 @pytest.mark.parametrize("integrator", FIXED, ids=called)
 def test_single_precision_follows_to_its_rounding(integrator, backend, margin):
     starts, _ = ends_by_scipy()
