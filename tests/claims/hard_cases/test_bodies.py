@@ -364,6 +364,7 @@ ROTORS = [*itertools.product([3, 16], [F64, F32])]  # by entries, and by articul
         *itertools.product([3, 16], ["eager"], thinned((F64, F32), (F64,))),
         *(pytest.param(n, "c", dtype, marks=compiler) for n, dtype in thinned(ROTORS, [(3, F32)])),
     ],
+    ids=str,
 )
 def test_rotors_are_in_every_form_of_the_dynamics(n, dtype, backend, margin):
     """They add armature qdd to the torques and themselves to the diagonal of M, and nothing to anything else."""

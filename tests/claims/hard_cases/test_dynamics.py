@@ -259,6 +259,7 @@ UNTRACED = [route for route in ROUTES if route != "torch.compile"]
             for dtype in thinned((F64, F32), (F32,))
         ),
     ],
+    ids=str,
 )
 def test_a_good_row_is_bitwise_what_it_is_alone_beside_singular_ones(route, backend, dtype):
     x = rows(dtype)
