@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from helpers import rods
+from helpers import rods, thinned
 from messages import refused
 
 import torchdq
@@ -32,6 +32,13 @@ def inputs(robot, batch, dtype=torch.float32, seed=0):
 
 # some of its samples are beyond what float32 may magnify, all are far from singular
 MIXED = rods(6, tip=1000.0)
+# two links of a metre with a heavy point at the end, of which joint 1 feels next to nothing where it is straight ahead
+TIPPED = torchdq.Robot.from_screws(
+    [[0, 0, 1.0, 0, 0, 0], [0, 0, 1.0, 0, -1.0, 0]],
+    [1.0, 1e9],
+    [[0.5, 0, 0], [2.0, 0, 0]],
+    [np.diag([0.1] * 3), np.zeros((3, 3))],
+)
 
 
 def split(robot, q):
@@ -68,10 +75,16 @@ def test_a_single_joint_magnifies_nothing():
 
 
 @every_backend
-@pytest.mark.parametrize("scale", [-1.0, -1e-6, -1e5])
 @pytest.mark.parametrize("joints", [1, 2, 5])
-def test_a_mass_matrix_that_is_negative_has_no_accelerations(backend, joints, scale):
-    robot = rods(joints)
+def test_a_mass_matrix_that_is_negative_has_no_accelerations(backend, joints):
+    for scale in (-1.0, -1e-6, -1e5):
+        require_no_accelerations(rods(joints), scale, backend)
+    robot = rods(joints).replace(armature=torch.full((joints,), -1e3, dtype=torch.float64), on_unphysical="ignore")
+    assert torchdq.forward_dynamics(robot, *inputs(robot, 3, torch.float64), backend=backend).isnan().all()
+
+
+def require_no_accelerations(robot, scale, backend):
+    """Those of a robot whose masses are negative by that factor are no numbers, and those beside them are."""
     q, qd, tau = inputs(robot, 3, torch.float64)
     factor = torch.tensor([[scale], [1.0], [scale]], dtype=torch.float64)
     mixed = robot.replace(mass=factor * robot.mass, inertia=factor.unsqueeze(-1) * robot.inertia)
@@ -80,8 +93,6 @@ def test_a_mass_matrix_that_is_negative_has_no_accelerations(backend, joints, sc
     torch.testing.assert_close(growth[1], torchdq.error_growth(robot, q[1], backend=backend), rtol=1e-9, atol=0)
     qdd = torchdq.forward_dynamics(mixed, q, qd, tau, backend=backend)
     assert qdd[[0, 2]].isnan().all() and qdd[1].isfinite().all()
-    negative = robot.replace(armature=torch.full((joints,), -1e3, dtype=torch.float64), on_unphysical="ignore")
-    assert torchdq.forward_dynamics(negative, q, qd, tau, backend=backend).isnan().all()
 
 
 # --- what follows -----------------------------------------------------------------------------------------------------
@@ -199,7 +210,11 @@ def test_an_unknown_precision_is_named(make):
 
 @every_backend
 @pytest.mark.parametrize(
-    "integrator", [integrators.SemiImplicitEuler(), integrators.RungeKutta4(), integrators.LinearlyImplicit()]
+    "integrator",
+    thinned(
+        [integrators.SemiImplicitEuler(), integrators.RungeKutta4(), integrators.LinearlyImplicit()],
+        [integrators.LinearlyImplicit()],
+    ),
 )
 def test_scenes_are_watched(backend, integrator):
     """A step's growth is the largest of its stages, so of the samples that take it in float64 more are found here."""
@@ -219,11 +234,12 @@ def test_scenes_are_watched(backend, integrator):
 @every_backend
 def test_transforms_mend_the_same_samples(backend):
     """As torch operations, which then cannot be asked for the samples, they compute all of them in float64."""
-    x = inputs(MIXED, 30)
-    split(MIXED, x[0])
+    robot, x = TIPPED, inputs(TIPPED, 30)
+    x[0][::3, 1] *= 1e-4  # nearly straight
+    split(robot, x[0])
 
     def accelerations(q, qd, tau):
-        return torchdq.forward_dynamics(MIXED, q, qd, tau, backend=backend)
+        return torchdq.forward_dynamics(robot, q, qd, tau, backend=backend)
 
     expected = accelerations(*x) if backend == "c" else accelerations(*[y.double() for y in x]).float()
     assert torch.equal(torch.func.vmap(accelerations)(*x), expected)

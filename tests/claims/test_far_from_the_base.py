@@ -4,11 +4,12 @@ The independent evidence is the same robot near the base: its mass matrix, its t
 and its poses differ by the offset.
 """
 
+import itertools
 from functools import partial
 
 import pytest
 import torch
-from helpers import double
+from helpers import all_in_one, double, thinned
 from oracles import EPS, random_tree, states
 
 import torchdq
@@ -26,6 +27,14 @@ DISTANCES = {
     "beyond the moon": (6e9, 6.4e9, 4.8e9),
     "beyond Neptune": (6e12, 6.4e12, 4.8e12),
 }
+# every distance of one robot, and one of the others
+some = pytest.mark.parametrize(
+    ("name", "distance"),
+    thinned(
+        [*itertools.product(ROBOTS, DISTANCES)],
+        [*zip([*ROBOTS][:1] * len(DISTANCES), DISTANCES, strict=True), *((name, [*DISTANCES][-1]) for name in ROBOTS)],
+    ),
+)
 FUNCTIONS = {
     "M": lambda robot, s: torchdq.mass_matrix(robot, s.q),
     "c": lambda robot, s: torchdq.closed_form(robot, s.q, s.qd).c,
@@ -45,8 +54,7 @@ def moved(robot, offset):
 
 
 @pytest.mark.case("G13")
-@pytest.mark.parametrize("distance", DISTANCES)
-@pytest.mark.parametrize("name", ROBOTS)
+@some
 def test_far_robots_move_as_near_ones(name, distance):
     near = ROBOTS[name]()
     far, s = moved(near, DISTANCES[distance]), states(near, 5)
@@ -56,8 +64,7 @@ def test_far_robots_move_as_near_ones(name, distance):
             assert (found - expected).abs().max() <= 64 * EPS[F64] * expected.abs().max(), function
 
 
-@pytest.mark.parametrize("distance", DISTANCES)
-@pytest.mark.parametrize("name", ROBOTS)
+@some
 def test_poses_of_far_robots_differ_by_the_offset(name, distance):
     near, offset = ROBOTS[name](), DISTANCES[distance]
     far, q = moved(near, offset), states(near, 5).q
@@ -117,10 +124,10 @@ def test_a_pitch_that_is_taken_for_rounding_is_noted(pitch):
     assert f"its pitch of {pitch:.3g} m/rad is rounding" in str(robot.notes[0])
 
 
-@pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("distance", [1.0, 37e3, 5e6])
-def test_a_line_far_from_the_base_has_no_pitch(seed, distance):
+@all_in_one([*itertools.product(range(20), [1.0, 37e3, 5e6])])
+def test_a_line_far_from_the_base_has_no_pitch(of_what):
     """Its moment p x l is perpendicular to l up to rounding only."""
+    seed, distance = of_what
     generator = torch.Generator().manual_seed(seed)
     axis, point = torch.randn(2, 3, generator=generator, dtype=F64)
     axis = axis / axis.norm()

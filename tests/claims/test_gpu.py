@@ -4,9 +4,11 @@ Values and gradients against the C backend, streams, captured graphs, traced lay
 devices, and environments.
 """
 
+import itertools
+
 import pytest
 import torch
-from helpers import random
+from helpers import all_in_one, random
 from oracles import states
 from programs import FUNCTIONS, MIXED, PANDA, TREE, TWO, agree, condition, mixed, same
 from torch.autograd import gradcheck, gradgradcheck
@@ -42,10 +44,9 @@ def test_tensors_on_a_gpu_take_its_backend():
 # --- values and derivatives ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
-@pytest.mark.parametrize("robot", [TWO, TREE, PANDA], ids=lambda r: r.name)
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_equal_those_of_the_c_backend(name, robot, dtype):
+@all_in_one([*itertools.product(FUNCTIONS, [TWO, TREE, PANDA], [F64, F32])])
+def test_functions_equal_those_of_the_c_backend(of_what):
+    name, robot, dtype = of_what
     s = states(robot, 1000, dtype=dtype)
     worst = condition(name, robot, s)
     expected = FUNCTIONS[name](robot, s)

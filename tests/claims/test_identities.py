@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from helpers import all_in_one
 from oracles import random_tree, shipped, states
 from robots import ARMS
 
@@ -195,10 +196,9 @@ IDENTITIES = (
 
 
 @pytest.mark.case("D6", "D7", "D8", "D10")
-@pytest.mark.parametrize("identity", IDENTITIES, ids=lambda identity: identity.__name__)
 @every_robot
-def test_both_sides_agree(robot, identity):
-    agree(*identity(robot, states(robot)))
+def test_both_sides_agree(robot):
+    all_in_one(IDENTITIES)(lambda identity: agree(*identity(robot, states(robot))))()
 
 
 @pytest.mark.case("D6")

@@ -6,6 +6,7 @@ import pickle
 import oracles
 import pytest
 import torch
+from helpers import all_in_one, exhaustive
 from messages import refused
 from oracles import random_tree
 
@@ -192,7 +193,7 @@ def test_copies_and_batches_are_the_robot():
         Robot.stack([robot, other])
 
 
-@pytest.mark.parametrize("name", ["X_PB_home", "screw", "home", "com", "inertia", "gravity", "armature"])
+@all_in_one(["X_PB_home", "screw", "home", "com", "inertia", "gravity", "armature"])
 def test_tensors_that_are_replaced_are_those_of_the_robot(name):
     robot, (q, qd, qdd) = geared(), rows(3)
     same = robot.replace(**{name: getattr(robot, name).clone()})
@@ -215,7 +216,7 @@ def test_a_batch_of_robots_is_each_of_them(backend):
         found = function(batch, q, qd, qdd, backend=backend)
         for i in range(4):
             alone = robot.replace(**{name: x[i] for name, x in changes.items()}).bake()
-            expected = function(alone, q[i], qd[i], qdd[i], backend=backend)
+            expected = function(alone, q[i], qd[i], qdd[i], backend="eager")
             assert torch.allclose(found[i], expected, rtol=1e-9, atol=1e-10 * float(expected.abs().max()))
 
 
@@ -317,7 +318,7 @@ def test_gears_do_not_push_a_free_body():
     [
         (integrators.RungeKutta4(), 1e-8),
         (integrators.StoermerVerlet(), 1e-3),
-        (integrators.DormandPrince(), 1e-8),
+        pytest.param(integrators.DormandPrince(), 1e-8, marks=exhaustive),
         (integrators.SemiImplicitEuler(), 0.1),
     ],
     ids=lambda x: type(x).__name__,
@@ -446,7 +447,7 @@ def test_fingers_are_drawn_where_they_are():
 
 
 def test_recommendations_are_made():
-    assert recommend_settings(geared(), 1e-2, 0.1).error <= 1e-2
+    assert recommend_settings(described(3).couple({"j2": {"j0": -1.5}}).bake(), 1e-2, 0.1).error <= 1e-2
 
 
 def test_a_coupling_by_hand_is_that_of_the_file():

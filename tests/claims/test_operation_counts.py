@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from helpers import thinned
 from kinds_of_programs import PROGRAMS, STUDIED, recipes, step, study
 
 from torchdq.functions.catalogue import RECIPES
@@ -32,11 +33,14 @@ def write() -> None:
     TABLE.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
 
 
-@pytest.mark.parametrize("key", PROGRAMS)
-def test_a_program_has_no_more_operations_than_on_record(key):
-    found, recorded = PROGRAMS[key]().count(), table()[key]
-    assert found.total <= sum(recorded), f"{list(found)} instead of {recorded}"
-    if found.total < sum(recorded):
+KINDS = [key for key in PROGRAMS if key.split("/")[0] not in ("ur10e", "puma560", "study")]  # arms like the panda
+KINDS += [key for key in PROGRAMS if key.startswith("study/")][::4]
+
+
+def test_no_program_has_more_operations_than_on_record():
+    found = {key: list(PROGRAMS[key]().count()) for key in thinned(PROGRAMS, KINDS)}
+    assert {key: count for key, count in found.items() if sum(count) > sum(table()[key])} == {}
+    if any(sum(count) < sum(table()[key]) for key, count in found.items()):
         warnings.warn(AGAIN, stacklevel=1)
 
 

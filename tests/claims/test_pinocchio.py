@@ -1,7 +1,7 @@
 """Dynamics and kinematics agree with pinocchio, on every robot of example-robot-data, the shipped ones and 200 trees.
 
-A robot of every folder and every eleventh tree are in the default run, the largest ones with fewer quantities;
-`make test-all` takes all.
+A robot of every folder and some trees are in the default run, most of them with torques, masses and poses alone, and
+those with joints of every kind with all quantities; `make test-all` takes all of all.
 
 Joint order, joint frames and unbounded joints differ between the two, so everything is mapped by name. The trees have
 skew axes, prismatic and helical joints, full inertia tensors, random homes, random gravity and, every second one,
@@ -284,11 +284,12 @@ QUANTITIES = (
     potential_energy,
 )
 IN_SINGLE = (torques, torques_under_f_ext, mass_matrix, world_jacobians, poses)
-# of robots with many joints, which are of no other kinds, these alone are in the default run
+# in the default run these alone are of all robots, and the other quantities of a few with joints of every kind:
+# hinges, slides, screws and unbounded joints, in chains and branches, with and without rotors, one, two and more
 BASIC = (torques, mass_matrix, poses)
-LARGE = (
-    *("human", "tiago_pro", "pr2", "icub_reduced", "romeo_small", "alexander_v1.lowerBodyOnly", "centauro"),
-    *("simple_humanoid_classical", "g1_29dof_rev_1_0", "tree99", "tree124"),
+THOROUGH = (
+    *("TwoDofs", "double_pendulum_continuous", "hextilt_flying_arm_5", "kinova", "panda", "bolt", "shipped-puma560"),
+    *("tree0", "tree121", "tree110", "tree77", "tree66", "tree55"),
 )
 
 
@@ -334,13 +335,15 @@ def test_agrees_with_pinocchio(name):
     for dtype, quantities in ((torch.float64, QUANTITIES), (torch.float32, IN_SINGLE)):
         states = oracles.states(case.robot, dtype=dtype)
         for quantity in quantities:
-            if EVERYTHING or name not in LARGE or quantity in BASIC:
+            if EVERYTHING or name in THOROUGH or quantity in BASIC:
                 found[f"{quantity.__name__} in {dtype}"] = quantity(case, states) / TOLERANCE[dtype]
     assert {what: error for what, error in found.items() if not error <= 1.0} == {}
 
 
 @pytest.mark.case("D11")
-@pytest.mark.parametrize("name", thinned(DIFFERENTIATED, oracles.REPRESENTATIVES))
+@pytest.mark.parametrize(
+    "name", thinned(DIFFERENTIATED, ("hextilt_flying_arm_5", "kinova", "shipped-puma560", "tree77"))
+)
 def test_derivatives_agree_with_pinocchio(name, margin):
     case = oracles.case(name)
     margin(derivatives(case, oracles.states(case.robot)), TOLERANCE[torch.float64])
@@ -348,7 +351,7 @@ def test_derivatives_agree_with_pinocchio(name, margin):
 
 @pytest.mark.case("D2")
 @pytest.mark.parametrize(
-    "name", thinned([name for name in NAMES if name not in oracles.SINGULAR], oracles.REPRESENTATIVES)
+    "name", thinned([name for name in NAMES if name not in oracles.SINGULAR], (*THOROUGH, "go2", "tree33"))
 )
 def test_accelerations_agree_with_pinocchio(name, margin):
     case = oracles.case(name)
@@ -356,7 +359,7 @@ def test_accelerations_agree_with_pinocchio(name, margin):
 
 
 @pytest.mark.case("D2")
-@pytest.mark.parametrize("name", oracles.SHIPPED_NAMES)
+@pytest.mark.parametrize("name", thinned(oracles.SHIPPED_NAMES, ("shipped-puma560", "shipped-two_link")))
 def test_accelerations_agree_in_single_precision(name, margin):
     case = oracles.case(name)
     margin(acceleration_error(case, oracles.states(case.robot, dtype=torch.float32)), 32)
@@ -376,7 +379,7 @@ def test_a_file_without_a_robot_is_refused(name):
         torchdq.Robot.from_urdf(oracles.urdf_paths()[name], on_unphysical="ignore")
 
 
-@all_in_one(oracles.example_robots())
+@all_in_one(thinned(oracles.example_robots(), (*oracles.UNPHYSICAL, *oracles.ODD, *THOROUGH)))
 def test_a_robot_is_read_by_default_unless_it_is_unphysical(name):
     """Files with inertias that break the triangle inequality give a warning."""
     with contextlib.ExitStack() as expected:
@@ -394,7 +397,14 @@ def test_a_robot_left_out_of_the_accelerations_has_a_singular_mass_matrix(name):
     assert np.linalg.svd(mass_matrices(case, oracles.states(case.robot)), compute_uv=False)[:, -1].max() < 1e-15
 
 
-@pytest.mark.parametrize("trees, number", [(oracles.TREE_NAMES, 100), (oracles.REPRESENTATIVE_TREES, 20)])
+@pytest.mark.parametrize(
+    "trees, number",
+    [
+        *([(oracles.TREE_NAMES, 100)] if EVERYTHING else []),
+        (oracles.REPRESENTATIVE_TREES, 20),
+        ([name for name in THOROUGH if name in oracles.TREE_NAMES], 3),
+    ],
+)
 def test_the_trees_hold_every_kind_of_joint_many_times(trees, number):
     kinds = [found for name in trees for found in oracles.case(name).robot.kinds]
     assert all(kinds.count(kind) >= number for kind in ("revolute", "prismatic", "helical"))

@@ -6,6 +6,7 @@ import inspect
 import re
 
 import pytest
+from helpers import all_in_one
 from places import ROOT
 
 import torchdq
@@ -49,7 +50,7 @@ def test_every_function_of_the_catalogue_is_in_a_face():
     assert set(FUNCTIONS) == set(RECIPES) - programs_only
 
 
-@pytest.mark.parametrize("key", FUNCTIONS)
+@all_in_one(FUNCTIONS)
 def test_a_signature_is_that_of_the_catalogue(key):
     parameters = dict(inspect.signature(FUNCTIONS[key]).parameters)
     assert next(iter(parameters)) == "robot" and parameters["backend"].default is None
@@ -73,7 +74,7 @@ def test_a_signature_is_that_of_the_catalogue(key):
         assert (tensors[name].default is None) == (optional and k > max(required))
 
 
-@pytest.mark.parametrize("name", [key for key in FUNCTIONS if FLOATING + key in FUNCTIONS])
+@all_in_one([key for key in FUNCTIONS if FLOATING + key in FUNCTIONS])
 def test_a_free_base_adds_an_argument_before_that_of_the_joints(name):
     before = {"X_WB": "q", "V_WB_B": "qd", "A_WB_B": "qdd", "f_base": None}
     fixed, free = (list(inspect.signature(FUNCTIONS[key]).parameters) for key in (name, FLOATING + name))
@@ -83,7 +84,7 @@ def test_a_free_base_adds_an_argument_before_that_of_the_joints(name):
         assert base not in free or free[free.index(base) + 1] == (joints or "backend")
 
 
-@pytest.mark.parametrize("key", FUNCTIONS)
+@all_in_one(FUNCTIONS)
 def test_every_argument_is_documented_with_its_unit_or_by_the_function_that_has_it(key):
     text = inspect.getdoc(FUNCTIONS[key]).split("Args:\n")[1].split("\n\n")[0]
     entries = re.findall(r"^ {4}(\w+(?:, \w+)*): ((?:.|\n {8})*)", text, re.MULTILINE)
@@ -167,13 +168,7 @@ def is_public(module, name):
     return name in getattr(of, "__all__", ()) or name.startswith("__") or is_module(f"{module}.{name}")
 
 
-PAGES = sorted({path for path, _ in sources() if path.name not in INSIDE})
-
-
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_names_in_docs_and_examples_are_public(path):
-    hidden = set()
-    for at, text in sources():
-        if at == path:
-            hidden |= {(module, name) for module, name in names_used(text) if not is_public(module, name)}
-    assert sorted(f"{module}.{name}" for module, name in hidden if name not in GAPS) == []
+def test_names_in_docs_and_examples_are_public():
+    used = {(path, *name) for path, text in sources() if path.name not in INSIDE for name in names_used(text)}
+    hidden = [x for x in used if not is_public(*x[1:]) and x[2] not in GAPS]
+    assert sorted(f"{path.relative_to(ROOT)}: {module}.{name}" for path, module, name in hidden) == []

@@ -5,6 +5,7 @@ quaternion products with scaling and squaring, the logarithm the geometry of a s
 evaluated on the rounded inputs. Errors are norm-wise over the 8 or 6 components, in units of eps = 2.2e-16 or 1.2e-7.
 """
 
+import itertools
 import math
 from functools import cache
 
@@ -12,6 +13,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import torch
+from helpers import all_in_one, thinned
 from mpmath import mpf
 from torch.autograd import gradcheck, gradgradcheck
 from torch.autograd.functional import hessian, jacobian
@@ -44,9 +46,8 @@ UP_TO_FULL = [PI + 1e-6, 4.5, 2 * PI - 1e-3, 2 * PI - 1e-6]
 BEYOND = [7.0, 13.0, 1e3, 1e6]
 
 
-def with_dtype(angles, *also_in_f64):
-    """Pairs (dtype, angle); angles whose square is not even a subnormal float32 are for float64 only."""
-    return [(F32, a) for a in angles] + [(F64, a) for a in [*also_in_f64, *angles]]
+TINY = [1e-300, 1e-160]  # whose square is not even a subnormal float32
+every_dtype = pytest.mark.parametrize("dtype, tiny", [(F32, []), (F64, TINY)], ids=["f32", "f64"])
 
 
 def halves(angle, dtype, rows=6, seed=0):
@@ -149,12 +150,12 @@ def test_the_reference_logarithm_inverts_the_reference_exponential():
 
 
 @pytest.mark.case("G2", "G3", "G5", "G6", "G7")
-@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_PI + UP_TO_FULL + BEYOND, 1e-300, 1e-160))
-def test_exp_is_within_4_ulp(dtype, angle, margin):
-    a = halves(angle, dtype)
-    # over many turns the pitch, a difference of products as long as the angle, takes its digits
-    condition = angle if angle > 13.0 else 1.0
-    margin(ulps(dq.exp(a), exact_exps(angle, dtype)), 4 * condition)
+@every_dtype
+def test_exp_is_within_4_ulp(dtype, tiny, margin):
+    for angle in tiny + UP_TO_PI + UP_TO_FULL + BEYOND:
+        # over many turns the pitch, a difference of products as long as the angle, takes its digits
+        condition = angle if angle > 13.0 else 1.0
+        margin(ulps(dq.exp(halves(angle, dtype)), exact_exps(angle, dtype)), 4 * condition, f"at {angle:g}")
 
 
 def conditioned(angle):
@@ -163,22 +164,24 @@ def conditioned(angle):
 
 
 @pytest.mark.case("G2", "G3", "G5", "G6")
-@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_PI + UP_TO_FULL, 1e-300, 1e-160))
-def test_log_is_within_8_ulp_and_loses_only_what_its_condition_takes(dtype, angle, margin):
-    found, reference = dq.log(rounded_exps(angle, dtype)), exact_logs(angle, dtype)
-    margin(ulps(found[:, :3], [row[:3] for row in reference]), 8, "angle")
-    margin(ulps(found, reference), conditioned(angle), "line")
+@every_dtype
+def test_log_is_within_8_ulp_and_loses_only_what_its_condition_takes(dtype, tiny, margin):
+    for angle in tiny + UP_TO_PI + UP_TO_FULL:
+        found, reference = dq.log(rounded_exps(angle, dtype)), exact_logs(angle, dtype)
+        margin(ulps(found[:, :3], [row[:3] for row in reference]), 8, f"angle at {angle:g}")
+        margin(ulps(found, reference), conditioned(angle), f"line at {angle:g}")
 
 
 @pytest.mark.case("G2", "G3", "G5", "G6")
-@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_PI + UP_TO_FULL, 1e-300, 1e-160))
-def test_log_of_exp_returns_the_screw_to_its_condition(dtype, angle, margin):
-    a = halves(angle, dtype)
-    margin(ulps(dq.log(dq.exp(a)), [exact(row) for row in a]), conditioned(angle))
+@every_dtype
+def test_log_of_exp_returns_the_screw_to_its_condition(dtype, tiny, margin):
+    for angle in tiny + UP_TO_PI + UP_TO_FULL:
+        a = halves(angle, dtype)
+        margin(ulps(dq.log(dq.exp(a)), [exact(row) for row in a]), conditioned(angle), f"at {angle:g}")
 
 
 @pytest.mark.case("G7")
-@pytest.mark.parametrize("angle", BEYOND)
+@all_in_one(BEYOND)
 def test_log_of_a_longer_turn_is_a_logarithm_within_a_full_turn(angle):
     x = dq.exp(halves(angle, F64))
     a = dq.log(x)
@@ -228,7 +231,7 @@ def round_trip(a):
 
 
 @pytest.mark.case("G1", "G4", "G5", "G6", "G7")
-@pytest.mark.parametrize("angle", [*SWITCHES, 2 * PI - 1e-6, 7.0, 13.0])
+@all_in_one(thinned([*SWITCHES, 2 * PI - 1e-6, 7.0, 13.0], [0.0, 2.0 - 1e-7, 2.0 + 1e-7, 13.0]))
 def test_exp_has_its_derivatives(angle):
     a = halves(angle, F64, rows=2)[1].requires_grad_()
     assert gradcheck(dq.exp, a, eps=1e-6, atol=1e-8, rtol=1e-6)
@@ -236,7 +239,7 @@ def test_exp_has_its_derivatives(angle):
 
 
 @pytest.mark.case("G1", "G4", "G5")
-@pytest.mark.parametrize("angle", SWITCHES)
+@all_in_one(thinned(SWITCHES, [0.0, LOG_SWITCH + 1e-6, PI + 1e-6]))
 def test_log_and_log_of_exp_have_their_derivatives(angle):
     a = halves(angle, F64, rows=2)[1]
     for f, x in ((dq.log, dq.exp(a)), (round_trip, a)):
@@ -283,9 +286,9 @@ def test_nothing_jumps_where_a_series_changes_to_a_closed_form(f, switch, row, b
 
 
 @pytest.mark.case("G1", "G2", "G6")
-@pytest.mark.parametrize("dtype", [F32, F64])
-def test_values_gradients_and_hessians_are_finite(dtype):
-    angles = [angle for d, angle in with_dtype(UP_TO_PI + UP_TO_FULL + BEYOND, 1e-300, 1e-160) if d == dtype]
+@every_dtype
+def test_values_gradients_and_hessians_are_finite(dtype, tiny):
+    angles = tiny + UP_TO_PI + UP_TO_FULL + BEYOND
     a = torch.stack([halves(angle, dtype, rows=2)[1] for angle in angles])
     x = dq.exp(a).detach()
     # two float32 steps from a full turn the second derivatives pass through sin(angle/2)^-7 > 1e38
@@ -318,7 +321,7 @@ def test_translations_and_full_turns_have_finite_derivatives(dtype):
 
 
 @pytest.mark.case("G9")
-@pytest.mark.parametrize("angle", [0.0, 1e-8, 1.0, PI - 1e-6, PI + 1e-6, 5.0, 2 * PI - 1e-6])
+@all_in_one([0.0, 1e-8, 1.0, PI - 1e-6, PI + 1e-6, 5.0, 2 * PI - 1e-6])
 def test_both_signs_of_a_pose_have_the_same_shortest_logarithm_that_of_positive_w(angle):
     x = dq.exp(halves(angle, F64))
     assert dq.log_shortest(x).equal(dq.log_shortest(-x))
@@ -379,7 +382,7 @@ def test_sclerp_meets_both_ends_and_stays_on_unit_dual_quaternions(case, margin)
 
 
 @pytest.mark.case("G12")
-@pytest.mark.parametrize("case", PAIRS)
+@all_in_one(PAIRS)
 def test_sclerp_moves_with_a_constant_twist_also_outside_the_ends(case):
     x, y = PAIRS[case]
     whole = dq.log_shortest(dq.mul(dq.conj(x), y))
@@ -392,12 +395,11 @@ def test_sclerp_moves_with_a_constant_twist_also_outside_the_ends(case):
 
 @pytest.mark.case("G12")
 @pytest.mark.parametrize("dtype", [F32, F64])
-@pytest.mark.parametrize("case", PAIRS)
-def test_sclerp_has_finite_derivatives(case, dtype):
-    """At the start, half way and at the end, the rows of one batch."""
-    x, y = (v[0].to(dtype) for v in PAIRS[case])
-    rows = [torch.cat([x, y, torch.tensor([t], dtype=dtype)]) for t in (0.0, 0.5, 1.0)]
-    inputs = torch.stack(rows).requires_grad_()
+def test_sclerp_has_finite_derivatives(dtype):
+    """Of all pairs, at the start, half way and at the end, the rows of one batch."""
+    times = (torch.tensor([t], dtype=F64) for t in (0.0, 0.5, 1.0))
+    rows = [torch.cat([x[0], y[0], t]) for (x, y), t in itertools.product(PAIRS.values(), times)]
+    inputs = torch.stack(rows).to(dtype).requires_grad_()
     values = dq.sclerp(inputs[:, :8], inputs[:, 8:16], inputs[:, 16])
     (first,) = torch.autograd.grad((values * torch.arange(1.0, 9.0, dtype=dtype)).sum(), inputs, create_graph=True)
     second = [torch.autograd.grad(slope, inputs, retain_graph=True)[0] for slope in first.sum(0)]
@@ -475,9 +477,9 @@ def test_a_row_without_a_direction_is_nan_and_leaves_the_others_alone(dtype):
 # --- screw parameters ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dtype", [F32, F64])
-@pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, PI - 1e-3])
-def test_screw_parameters_are_those_the_motion_was_made_of(angle, dtype):
+@all_in_one([*itertools.product([1e-3, 0.1, 1.0, PI - 1e-3], [F32, F64])])
+def test_screw_parameters_are_those_the_motion_was_made_of(of_what):
+    angle, dtype = of_what
     axis, point = torch.randn(2, 8, 3, generator=torch.Generator().manual_seed(1), dtype=F64)
     axis = axis / axis.norm(dim=-1, keepdim=True)
     moment = torch.linalg.cross(point, axis)

@@ -9,6 +9,7 @@ from math import pi
 
 import pytest
 import torch
+from helpers import all_in_one
 
 import torchdq
 from torchdq.dynamics.general import rnea
@@ -132,9 +133,8 @@ inertias = pytest.mark.parametrize("transverse", [0.0, ROD], ids=["no-inertia", 
 
 @ways
 @inertias
-@pytest.mark.parametrize("row", range(len(TWO_LINK)))
-def test_two_link_torques(row, transverse, way):
-    q, qd, qdd, f_tip, point_mass, rod = (x[row] for x in states())
+def test_two_link_torques(transverse, way):
+    q, qd, qdd, f_tip, point_mass, rod = states()
     close(way(two_link(transverse), q, qd, qdd, f_tip), rod if transverse else point_mass, TOLERANCE)
 
 
@@ -213,15 +213,12 @@ def formulas(transverse, q, qd):
 
 
 @inertias
-@pytest.mark.parametrize("term", range(4), ids=["M", "c", "g", "Jt"])
-def test_two_link_terms_follow_the_formulas(term, transverse):
+def test_two_link_terms_follow_the_formulas(transverse):
     generator = torch.Generator().manual_seed(4)
     q, qd = 6.0 * torch.rand(2, 50, 2, generator=generator, dtype=torch.float64) - 3.0
-    found = torchdq.closed_form(two_link(transverse), q, qd)[term]
-    if term == 3:
-        found = found[..., [0, 1, 5]]
-    expected = formulas(transverse, q, qd)[term]
-    close(found, expected, ROUNDING * expected.abs().max().item())
+    M, c, g, Jt = torchdq.closed_form(two_link(transverse), q, qd)
+    for found, expected in zip((M, c, g, Jt[..., [0, 1, 5]]), formulas(transverse, q, qd), strict=True):
+        close(found, expected, ROUNDING * expected.abs().max().item())
 
 
 # --- a spatial chain of revolute, prismatic and helical joints -------------------------------------------------------
@@ -266,14 +263,14 @@ def spatial_chain():
 
 
 @ways
-@pytest.mark.parametrize("load", WRENCHES)
-def test_spatial_torques(load, way):
-    wrench, expected = (double(x) for x in WRENCHES[load])
+def test_spatial_torques(way):
     assert spatial_chain().kinds == ("revolute", "prismatic", "helical", "revolute")
-    close(way(spatial_chain(), double(Q), double(QD), double(QDD), wrench), expected, TOLERANCE)
+    for wrench, expected in WRENCHES.values():
+        found = way(spatial_chain(), double(Q), double(QD), double(QDD), double(wrench))
+        close(found, double(expected), TOLERANCE)
 
 
-@pytest.mark.parametrize("load", WRENCHES)
+@all_in_one(WRENCHES)
 def test_spatial_accelerations_from_the_recorded_torques(load):
     wrench, tau = (double(x) for x in WRENCHES[load])
     robot = spatial_chain()

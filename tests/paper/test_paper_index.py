@@ -8,8 +8,8 @@ import tokenize
 from functools import cache
 
 import paper_index
-import pytest
 from errata_table import ERRATA, IDS
+from helpers import all_in_one
 from paper_index import IN_USE, OURS, PAGE, ROOT, ROWS, corrected, numbers, path_of, plain
 
 from torchdq.paper import tables
@@ -113,15 +113,15 @@ def test_a_table_of_errata_says_how_wrong_the_print_is():
 PLACES = sorted({place for row in ROWS for place in row.places})
 
 
-@pytest.mark.parametrize("place", PLACES)
+@all_in_one(PLACES)
 def test_code_that_is_named_exists(place):
     assert path_of(place).is_file()
     assert ":" not in place or found(path_of(place), place.partition(":")[2]) is not None
 
 
-@pytest.mark.parametrize("row", [row for row in EQUATIONS if not row.instead], ids=lambda row: row.id)
-def test_code_cites_the_equation_it_computes(row):
-    assert [place for place in row.places if row.number not in cited(place)] == []
+def test_code_cites_the_equation_it_computes():
+    rows = [row for row in EQUATIONS if not row.instead]
+    assert [(row.id, place) for row in rows for place in row.places if row.number not in cited(place)] == []
 
 
 def test_code_cites_the_row_of_table_1_that_it_computes():
@@ -132,7 +132,7 @@ def test_code_cites_the_row_of_table_1_that_it_computes():
 TESTS = sorted({*re.findall(r"[\w/]+\.py::\w+", IN_USE), *(test for row in ROWS for test in row.tests)})
 
 
-@pytest.mark.parametrize("test", TESTS)
+@all_in_one(TESTS)
 def test_tests_that_are_named_exist(test):
     file, _, name = test.partition("::")
     path = ROOT / "tests" / file

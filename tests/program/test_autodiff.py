@@ -9,6 +9,7 @@ from itertools import count
 
 import pytest
 import torch
+from helpers import all_in_one, thinned
 from oracles import random_tree
 from torch.autograd import gradcheck, gradgradcheck
 from torch.func import jacfwd, jacrev
@@ -79,7 +80,6 @@ FUNCTIONS = {
         "q qd qdd tau f_tip",
     ),
 }
-CASES = [(key, name) for key, (_, names) in FUNCTIONS.items() for name in [*names.split(), *PARAMETERS]]
 
 
 def outputs(robot, key, inputs):
@@ -107,10 +107,19 @@ def relative(a, b):
 # --- finite differences ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("where", STATES)
-@pytest.mark.parametrize(("key", "name"), CASES)
-def test_first_derivatives_are_those_of_finite_differences(key, name, where):
-    robot = tree()
+THOROUGH = ("inverse_dynamics", "inertial_parameters", "jacobian")  # with every parameter, in the default run
+
+
+@all_in_one(
+    [
+        (key, name, where)
+        for key, (_, names) in FUNCTIONS.items()
+        for name in [*names.split(), *thinned(PARAMETERS, PARAMETERS if key in THOROUGH else ("com", "X_PB_home"))]
+        for where in thinned(STATES, STATES if name in ("q", "qd") else ("random",))
+    ]
+)
+def test_first_derivatives_are_those_of_finite_differences(of_what):
+    (key, name, where), robot = of_what, tree()
     f, x = in_one(robot, key, name, state(robot, where))
     x = x.clone().requires_grad_()
     reached = [i for i, y in enumerate(f(x)) if y.requires_grad]
@@ -188,8 +197,14 @@ def test_the_derivative_of_torque_in_the_parameters_is_the_regressor():
 
 
 @pytest.mark.case("D11")
-@pytest.mark.parametrize("where", STATES)
-@pytest.mark.parametrize("key", FUNCTIONS)
+@pytest.mark.parametrize(
+    "key, where",
+    [
+        (key, where)
+        for key in FUNCTIONS
+        for where in thinned(STATES, STATES if key in ("inverse_dynamics", "forward_dynamics") else ("random",))
+    ],
+)
 def test_forward_and_reverse_mode_agree(key, where, margin):
     robot = tree()
     inputs = state(robot, where)

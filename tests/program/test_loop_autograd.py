@@ -26,14 +26,14 @@ def derivatives(call, wrt, steps: int, order: int) -> list[torch.Tensor]:
 
 
 @every_loop
-@pytest.mark.parametrize("wrt", [NAMES, ("x",), ("u",), ("p", "m")], ids="-".join)
 @pytest.mark.parametrize(("steps", "order"), [(0, 2), (1, 2), (4, 1), (4, 2), (3, 3)])
-def test_derivatives_of_any_order_are_those_of_torch(over, wrt, steps, order):
+def test_derivatives_of_any_order_are_those_of_torch(over, steps, order):
     def recorded(given, steps):
         return differentiable(interpreted, over, given, SAMPLES, steps)
 
-    expected = derivatives(lambda given, steps: interpreted(over, given, SAMPLES, steps), wrt, steps, order)
-    agree(derivatives(recorded, wrt, steps, order), expected, 1e3)
+    for wrt in (NAMES, ("x",), ("u",), ("p", "m")):
+        expected = derivatives(lambda given, steps: interpreted(over, given, SAMPLES, steps), wrt, steps, order)
+        agree(derivatives(recorded, wrt, steps, order), expected, 1e3)
 
 
 @every_loop

@@ -36,3 +36,8 @@ MUJOCO_REFUSES = {
     "tiago_no_hand": EIGENVALUES,
 }
 READ_BY_MUJOCO = [name for name in oracles.example_robots() if name not in MUJOCO_REFUSES]
+# arms and legged robots with joints of every kind, for which other readers' answers are compared in the default run
+FEW = (
+    *("TwoDofs", "bolt", "borinot_flying_arm_2", "double_pendulum_continuous", "hextilt_flying_arm_5", "kinova"),
+    *("panda", "so101", "solo12", "tiago_no_hand", "ur10_robot", "z1"),
+)

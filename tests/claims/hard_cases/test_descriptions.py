@@ -15,17 +15,12 @@ import torch
 from helpers import double
 from messages import refused
 from oracles import EPS, Case, over, size_of_torques, states, worst
+from precisions import F64, every_backend, every_backend_and_dtype
 from urdf_text import LIMIT, also, arm, fixed, joint, link, mimic, urdf
 
 import torchdq
 from torchdq import Robot, SingularInertiaError, dq
-from torchdq.backends import c_library as build
 from torchdq.envs import Scene, effects
-
-F32, F64 = torch.float32, torch.float64
-C = pytest.param("c", marks=pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"))
-every_backend = pytest.mark.parametrize("backend", ["eager", C])
-every_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=["f64", "f32"])
 
 # --- U1, U5, U9, U10: what pinocchio reads in the same text ----------------------------------------------------------
 
@@ -58,8 +53,7 @@ def reading(id):
     return Case(Robot.from_urdf(TEXTS[id]), pin.buildModelFromXML(TEXTS[id]))
 
 
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 @every_text
 def test_dynamics_are_those_of_pinocchios_own_reading(id, dtype, backend, margin):
     """A cross without mass, links on fixed joints, a grain of dust beyond a gimbal, and a tree of all of them."""
@@ -77,8 +71,7 @@ def test_dynamics_are_those_of_pinocchios_own_reading(id, dtype, backend, margin
 
 
 @pytest.mark.case("U1")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 def test_no_inertial_is_one_of_nothing_to_the_bit(dtype, backend):
     robots = [Robot.from_urdf(arm(mass=mass, inertia=(0,) * 6, xyz=(0, 0, 0))) for mass in (None, 0)]
     s = states(robots[0], 5, dtype=dtype)
@@ -116,8 +109,7 @@ def test_links_on_fixed_joints_are_lumped_as_pinocchio_lumps_them(margin):
 
 
 @pytest.mark.case("U10")
-@every_dtype
-@every_backend
+@every_backend_and_dtype
 def test_branches_of_a_tree_do_not_feel_each_other_to_the_bit(dtype, backend):
     """The mass matrix is zero between them, and no torque depends on what another branch does."""
     robot = Robot.from_urdf(TEXTS["U10"])

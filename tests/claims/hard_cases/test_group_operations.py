@@ -12,22 +12,16 @@ import mpmath as mp
 import numpy as np
 import pytest
 import torch
-from helpers import random
+from helpers import random, thinned
 from oracles import EPS, random_tree, states
+from precisions import F32, F64, compiler, every_backend_and_dtype, every_dtype
 from torch.autograd.functional import hessian, jacobian
 
 import torchdq
 from torchdq import dq
 from torchdq.algebra import dual_quaternion
-from torchdq.backends import c_library as build
 from torchdq.backends.c import COMPILED
 from torchdq.program.program import Argument, record
-
-F32, F64 = torch.float32, torch.float64
-
-compiler = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
-every_backend = pytest.mark.parametrize("backend", ["eager", pytest.param("c", marks=compiler)])
-every_dtype = pytest.mark.parametrize("dtype", [F32, F64], ids=str)
 
 IDENTITY = [1.0, 0, 0, 0, 0, 0, 0, 0]
 DIRECTION = np.array([2.0, -3.0, 6.0]) / 7.0
@@ -82,8 +76,7 @@ def test_derivatives_of_exp_at_the_identity_are_exact(dtype):
 
 
 @pytest.mark.case("G1")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 def test_a_joint_at_home_has_the_derivatives_of_its_exponential(dtype, backend, margin):
     """X = exp(q a / 2), so that X'' = a a / 4, whatever the kind of joint."""
     slide = np.concatenate([np.zeros(3), DIRECTION])
@@ -117,8 +110,7 @@ TURNS = (2 * math.pi - 1e-3, 2 * math.pi - 1e-6, 7.0, 13.0, 1e3, 1e5)
 
 
 @pytest.mark.case("G2", "G3", "G7")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 def test_a_joint_turns_by_its_angle_within_an_ulp_at_every_angle(dtype, backend, margin):
     """The angle is taken as it was rounded, so that nothing grows with it."""
     robot = one_joint([0, 0, 1, 0, 0, 0])
@@ -190,8 +182,11 @@ def multiplied(x, step):
 
 @pytest.mark.case("G10")
 @compiler
-@every_dtype
-@pytest.mark.parametrize("normalised", [True, False], ids=["normalised", "left alone"])
+@pytest.mark.parametrize(
+    "dtype, normalised",
+    thinned([*itertools.product((F32, F64), (True, False))], ((F32, True), (F64, False))),
+    ids=lambda x: {True: "normalised", False: "left alone"}.get(x, str(x)),
+)
 def test_a_million_products_stay_a_pose_if_normalised_now_and_then(dtype, normalised, margin):
     program = record("million", [Argument("x", 8), Argument("step", 8, True)], multiplied)
     kernel = COMPILED.kernel(program, dtype, torch.device("cpu"))
@@ -304,8 +299,7 @@ def moved(robot, by):
 
 
 @pytest.mark.case("G13")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 def test_a_base_ten_kilometres_away_changes_no_torque(dtype, backend, margin):
     """Frames hold only what is near them, so that in single precision nothing at all is to be seen."""
     robot = random_tree(3, seed=2).robot

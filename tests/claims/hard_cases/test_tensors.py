@@ -5,29 +5,26 @@ double precision because single would lose them; operation by operation, and the
 """
 
 import copy
+import itertools
 import pickle
+from functools import partial
 
 import helpers
 import numpy as np
 import pytest
 import torch
-from helpers import double, one_thread, random  # noqa: F401
+from helpers import EVERYTHING, double, one_thread, random, thinned  # noqa: F401
 from messages import refused
 from oracles import EPS, random_tree
+from precisions import F32, F64, C, every_backend, every_backend_and_dtype, every_dtype
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 import torchdq
-from torchdq.backends import c_library as build
 from torchdq.envs import ArmVectorEnv, Scene, State, effects
 from torchdq.envs.render import Skeleton
 from torchdq.errors import ArgumentError
 from torchdq.scene.defaults import default_effects
 from torchdq.scene.integrators import LinearlyImplicit
-
-F32, F64 = torch.float32, torch.float64
-C = pytest.param("c", marks=pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"))
-every_backend = pytest.mark.parametrize("backend", ["eager", C])
-every_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=["f64", "f32"])
 
 ARM = torchdq.robots.load("two_link")
 TREE = random_tree(3, seed=6, armature=True).robot  # joints of all kinds
@@ -72,9 +69,18 @@ FUNCTIONS = {
     "computed_torque": lambda r, q, qd, x: torchdq.computed_torque(r, q, qd, x, qd, x, 9.0, 6.0, wrench(q, qd, x)),
     "wrenches": lambda r, q, qd, x: pushed(r, q, qd, x),
 }
+SOME = list(FUNCTIONS)[:4]  # of which the rest are parts
 every_function = pytest.mark.parametrize(
-    ("key", "backend"),
-    [*((key, "eager") for key in FUNCTIONS), *(pytest.param(key, "c", marks=C.marks) for key in list(FUNCTIONS)[:4])],
+    ("keys", "backend"), [(FUNCTIONS, "eager"), pytest.param(SOME, "c", marks=C.marks)], ids=["eager", "c"]
+)
+every_function_and_dtype = pytest.mark.parametrize(
+    ("keys", "backend", "dtype"),
+    [
+        (FUNCTIONS, "eager", F64),
+        (FUNCTIONS if EVERYTHING else SOME, "eager", F32),
+        *(pytest.param(SOME, "c", dtype, marks=C.marks) for dtype in thinned((F64, F32), (F32,))),
+    ],
+    ids=lambda x: "" if isinstance(x, (list, dict)) else str(x),
 )
 
 
@@ -138,16 +144,15 @@ def distance(found, expected):
 
 
 @pytest.mark.case("P1")
-@every_dtype
-@every_function
-def test_nothing_has_the_shapes_and_derivatives_of_nothing(key, dtype, backend):
+@every_function_and_dtype
+def test_nothing_has_the_shapes_and_derivatives_of_nothing(keys, backend, dtype):
     """Empty batches, and a robot without joints."""
     with torchdq.backend(backend):
-        one = FUNCTIONS[key](ARM, *states(2, dtype=dtype))
-        for batch in ((0,), (3, 0), (0, 2)):
-            found = slopes(lambda *x: FUNCTIONS[key](ARM, *x), states(2, *batch, dtype=dtype))
-            assert found[0].shape == (*batch, *one.shape) and found[0].dtype == dtype
-            assert all(g.shape == (*batch, 2) for g in found[1:])
+        for key, batch in itertools.product(keys, ((0,), (3, 0), (0, 2))):
+            one = FUNCTIONS[key](ARM, *states(2, dtype=dtype))
+            found = slopes(partial(FUNCTIONS[key], ARM), states(2, *batch, dtype=dtype))
+            assert found[0].shape == (*batch, *one.shape) and found[0].dtype == dtype, key
+            assert all(g.shape == (*batch, 2) for g in found[1:]), key
 
 
 @pytest.mark.case("P1")
@@ -182,27 +187,25 @@ LAYOUTS = {
 
 @pytest.mark.case("P2")
 @every_backend
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics", "wrenches", "step"])
-def test_how_inputs_lie_in_memory_changes_no_bit_of_values_and_derivatives(key, layout, backend):
-    for dtype in (F64, F32):
+def test_how_inputs_lie_in_memory_changes_no_bit_of_values_and_derivatives(backend):
+    keys = ("inverse_dynamics", "forward_dynamics", "wrenches", "step")
+    for key, layout, dtype in itertools.product(keys, LAYOUTS, (F64, F32)):
         x = [LAYOUTS[layout](v) for v in states(2, 9, dtype=dtype)]
         plain = [v.clone(memory_format=torch.contiguous_format) for v in x]
         with torchdq.backend(backend):
             y, z = FUNCTIONS[key](ARM, *x), FUNCTIONS[key](ARM, *plain)
-            assert same([y], [z])
+            assert same([y], [z]), (key, layout, dtype)
             found = []
             for args in (x, plain):
                 leaves = [v.detach().requires_grad_() for v in args]  # which lie as they did
                 made = FUNCTIONS[key](ARM, *leaves)
                 found.append(torch.autograd.grad(made.sum(), leaves, allow_unused=True, materialize_grads=True))
-            assert same(*found)
+            assert same(*found), (key, layout, dtype)
 
 
 @pytest.mark.case("P2")
-@every_backend
-@every_dtype
-@pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics", "step"])
+@every_backend_and_dtype
+@pytest.mark.parametrize("key", thinned(["inverse_dynamics", "forward_dynamics", "step"], ["forward_dynamics", "step"]))
 def test_inputs_of_different_batches_broadcast_and_so_do_their_derivatives(key, dtype, backend, margin):
     """q [5, 1, n], qd [n], x [4, n] are [5, 4, n] each; a gradient is the sum over what was broadcast."""
     q, qd, x = (random(*shape, seed=k, dtype=dtype) for k, shape in enumerate([(5, 1, 2), (2,), (4, 2)]))
@@ -243,7 +246,7 @@ THREE = ("inverse_dynamics", "forward_dynamics", "step")
 @pytest.mark.parametrize(
     "key, backend, dtype",
     [
-        *((key, "eager", dtype) for key in THREE for dtype in (F64, F32)),
+        *((key, "eager", dtype) for key in THREE for dtype in thinned((F64, F32), (F64,))),
         *(pytest.param(*x, marks=C.marks) for x in zip(THREE, "ccc", (F32, F64, F32), strict=True)),
     ],
     ids=str,
@@ -314,7 +317,9 @@ def fresh():
 
 @pytest.mark.case("P4")
 @pytest.mark.parametrize(
-    "key, dtype", [(key, dtype) for key in ("forward_dynamics", "step") for dtype in (F64, F32)], ids=str
+    "key, dtype",
+    thinned([*itertools.product(("forward_dynamics", "step"), (F64, F32))], (("forward_dynamics", F32), ("step", F64))),
+    ids=str,
 )
 @pytest.mark.parametrize("backend", [C])
 def test_a_traced_graph_of_any_batch_has_the_same_values_and_gradients(key, dtype, backend, margin, fresh):
@@ -336,8 +341,12 @@ def test_a_traced_graph_of_any_batch_has_the_same_values_and_gradients(key, dtyp
 
 @pytest.mark.case("P4")
 @pytest.mark.parametrize("backend", [C])
-@pytest.mark.parametrize("row", [False, True], ids=["rows", "a row for all"])
-@pytest.mark.parametrize("key", ["forward_dynamics", "step"])
+@pytest.mark.parametrize(
+    "key, row",
+    thinned(
+        [*itertools.product(("forward_dynamics", "step"), (False, True))], (("forward_dynamics", False), ("step", True))
+    ),
+)
 def test_a_graph_may_be_traced_with_every_size_unknown(key, row, backend, margin, fresh):
     traced = torch.compile(lambda *x: FUNCTIONS[key](ARM, *x), fullgraph=True, backend="aot_eager", dynamic=True)
     with torchdq.backend(backend):
@@ -366,13 +375,14 @@ def test_a_traced_graph_mends_rows_beyond_single_precision(backend, margin, fres
 
 @pytest.mark.case("P5")
 @every_function
-def test_under_autocast_values_and_derivatives_are_the_same_bits(key, backend):
+def test_under_autocast_values_and_derivatives_are_the_same_bits(keys, backend):
     x = states(2, 4, dtype=F32)
     with torchdq.backend(backend):
-        expected = slopes(lambda *x: FUNCTIONS[key](ARM, *x), x)
-        for half in (torch.bfloat16, torch.float16):
-            with torch.autocast("cpu", dtype=half):
-                assert same(slopes(lambda *x: FUNCTIONS[key](ARM, *x), x), expected)
+        for key in keys:
+            expected = slopes(partial(FUNCTIONS[key], ARM), x)
+            for half in (torch.bfloat16, torch.float16):
+                with torch.autocast("cpu", dtype=half):
+                    assert same(slopes(partial(FUNCTIONS[key], ARM), x), expected), key
 
 
 @pytest.mark.case("P7")
@@ -397,25 +407,24 @@ def test_integers_of_a_description_are_the_numbers_that_they_are():
 
 
 @pytest.mark.case("P9")
-@every_dtype
-@every_function
-def test_a_bad_row_changes_no_bit_of_another_to_the_second_derivative(key, dtype, backend):
+@every_function_and_dtype
+def test_a_bad_row_changes_no_bit_of_another_to_the_second_derivative(keys, backend, dtype):
     """Not a number, infinite, and so large that squares overflow, in every argument, one after the other."""
     x, good = states(2, 21, dtype=dtype), [k for k in range(21) if k not in (0, 9, 20)]
     with torchdq.backend(backend):
-        before = slopes(lambda *x: FUNCTIONS[key](ARM, *x), x)
-        for bad in (torch.nan, -torch.inf, 1e30):
-            spoiled = [v.clone() for v in x]
-            for v in spoiled:
-                v[[0, 9, 20]] = bad
-            after = slopes(lambda *x: FUNCTIONS[key](ARM, *x), spoiled)
-            assert same([v[good] for v in after], [v[good] for v in before])
-            assert not after[0][[0, 9, 20]].isfinite().all() or bad == 1e30 or key == "forward_kinematics"
+        for key in keys:
+            before = slopes(partial(FUNCTIONS[key], ARM), x)
+            for bad in (torch.nan, -torch.inf, 1e30):
+                spoiled = [v.clone() for v in x]
+                for v in spoiled:
+                    v[[0, 9, 20]] = bad
+                after = slopes(partial(FUNCTIONS[key], ARM), spoiled)
+                assert same([v[good] for v in after], [v[good] for v in before]), (key, bad)
+                assert not after[0][[0, 9, 20]].isfinite().all() or bad == 1e30 or key == "forward_kinematics"
 
 
 @pytest.mark.case("P9")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 def test_a_singular_row_is_not_a_number_and_changes_no_bit_of_another(dtype, backend):
     """A tip so heavy that at full stretch joint 1 feels nothing of it, in double precision either."""
     robot, x = tipped(1e15), endangered(dtype)
@@ -433,27 +442,27 @@ def test_a_singular_row_is_not_a_number_and_changes_no_bit_of_another(dtype, bac
 
 
 @pytest.mark.case("P10")
-@every_dtype
-@every_function
-def test_flushing_subnormal_numbers_changes_nothing_that_counts(key, dtype, backend, margin):
+@every_function_and_dtype
+def test_flushing_subnormal_numbers_changes_nothing_that_counts(keys, backend, dtype, margin):
     tiny = 1e-40 if dtype == F32 else 1e-310
     x = states(2, 5, dtype=dtype)
     for k, v in enumerate(x):
         v[k] = tiny
         v[3, k % 2] = -tiny
     x[0][4], x[1][4] = tiny, tiny
-    with torchdq.backend(backend):
-        kept = slopes(lambda *x: FUNCTIONS[key](ARM, *x), x)
-        try:
-            assert torch.set_flush_denormal(True)
-            flushed = slopes(lambda *x: FUNCTIONS[key](ARM, *x), x)
-        finally:
-            torch.set_flush_denormal(False)
-    assert all(v.isfinite().all() for v in kept)
     # What is flushed is as small as it was, but for friction, which is steep at rest. A sum may still round to its
     # other neighbour, as sums of poses do.
     allowed = {"step": 1e6 * tiny, "forward_kinematics": 4 * EPS[dtype]}
-    margin(distance(flushed, kept), allowed.get(key, 100 * tiny), f"{key}, {dtype}")
+    for key in keys:
+        with torchdq.backend(backend):
+            kept = slopes(partial(FUNCTIONS[key], ARM), x)
+            try:
+                assert torch.set_flush_denormal(True)
+                flushed = slopes(partial(FUNCTIONS[key], ARM), x)
+            finally:
+                torch.set_flush_denormal(False)
+        assert all(v.isfinite().all() for v in kept)
+        margin(distance(flushed, kept), allowed.get(key, 100 * tiny), f"{key}, {dtype}")
 
 
 # --- P11: at home ----------------------------------------------------------------------------------------------------
@@ -461,17 +470,18 @@ def test_flushing_subnormal_numbers_changes_nothing_that_counts(key, dtype, back
 
 @pytest.mark.case("P11")
 @every_function
-def test_at_home_derivatives_are_finite_and_in_both_precisions_alike(key, backend, margin):
+def test_at_home_derivatives_are_finite_and_in_both_precisions_alike(keys, backend, margin):
     """Zero positions, velocities and torques; operation by operation of a tree with joints of all kinds."""
     found, robot = {}, TREE if backend == "eager" else ARM
-    with torchdq.backend(backend):
-        for dtype in (F64, F32):
-            home = [torch.zeros(2, robot.n, dtype=dtype)] * 3
-            found[dtype] = slopes(lambda *x: FUNCTIONS[key](robot, *x), home)
-            assert all(v.isfinite().all() for v in found[dtype])
-    scale = max(float(v.abs().max()) for v in found[F64])
-    gap = max(float((a - b).abs().max()) for a, b in zip(found[F32], found[F64], strict=True))
-    margin(gap / scale, 64 * EPS[F32], key)
+    for key in keys:
+        with torchdq.backend(backend):
+            for dtype in (F64, F32):
+                home = [torch.zeros(2, robot.n, dtype=dtype)] * 3
+                found[dtype] = slopes(partial(FUNCTIONS[key], robot), home)
+                assert all(v.isfinite().all() for v in found[dtype]), key
+        scale = max(float(v.abs().max()) for v in found[F64])
+        gap = max(float((a - b).abs().max()) for a, b in zip(found[F32], found[F64], strict=True))
+        margin(gap / scale, 64 * EPS[F32], key)
 
 
 @pytest.mark.case("P11")
@@ -517,8 +527,7 @@ def test_copies_of_robots_modules_and_scenes_compute_the_same_bits(how, backend)
 
 
 @pytest.mark.case("P12")
-@every_backend
-@every_dtype
+@every_backend_and_dtype
 @pytest.mark.parametrize("module", [torchdq.DQRNEA, torchdq.ForwardDynamics], ids=lambda m: m.__name__)
 def test_a_state_dict_carries_everything_that_is_learned(module, dtype, backend):
     learn = ("mass", "com", "inertia", "gravity", "armature", "home", "X_PB_home", "screw")
