@@ -165,14 +165,14 @@ def wanting_the_impossible(module, k):
 @pytest.mark.case("I4")
 @pytest.mark.parametrize("gradients", [adversarial, wanting_the_impossible], ids=lambda f: f.__name__)
 @pytest.mark.parametrize("kind", ["adam", "sgd"])
-@pytest.mark.parametrize("name", thinned(ROBOTS, ["puma560", "tree"]))
+@pytest.mark.parametrize("name", thinned(ROBOTS, ["tree"]))
 def test_a_robot_stays_physical_at_every_step(name, kind, gradients):
     module = torchdq.DQRNEA(ROBOTS[name], learn=EVERYTHING)
     if kind == "adam":
         optimiser = torch.optim.Adam(module.parameters(), lr=0.5)
     else:
         optimiser = torch.optim.SGD(module.parameters(), lr=1e-3)
-    for k in range(60):
+    for k in range(40):
         optimiser.zero_grad()
         gradients(module, k)
         optimiser.step()

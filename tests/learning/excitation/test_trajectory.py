@@ -37,6 +37,7 @@ from torchdq.learning.excitation.fourier import Family, grid
 from torchdq.learning.excitation.information import BaseParameters
 
 LIMITS = MotionLimits(lower=-1.0, upper=[1.5, 0.5], velocity=[2.0, 3.0], effort=60.0)
+BACKEND = "auto"  # a search calls the same programs hundreds of times
 ROUNDING = 1 + 1e-12
 DRAWS = 12  # of noise, whose errors are held to their predicted variances
 

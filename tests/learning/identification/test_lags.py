@@ -9,6 +9,9 @@ from recorded_logs import COULOMB, REAL, ROBOT, STEP, codes, fitted, late_log, s
 from torchdq.learning import identify, smooth
 
 
+BACKEND = "auto"  # one arm, whose programs all tests share
+
+
 @pytest.mark.parametrize("late", [0.03, -0.03])
 def test_a_lag_is_found_with_friction_that_was_chosen_for_it(late):
     """Friction of other shapes takes a half of the lag, were it not moved with the model."""
