@@ -94,7 +94,7 @@ def test_motion_of_frames_is_that_of_pinocchio(name, expressed):
         torch.testing.assert_close(*poses, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("name", READ_BY_MUJOCO[:3])
+@all_in_one(READ_BY_MUJOCO[:3])
 def test_accelerations_of_velocities_are_those_of_mujoco(name):
     robot, model = oracles.example_case(name).robot, mujoco.MjModel.from_xml_string(oracles.rigid_bodies(name))
     s, data, frame = oracles.states(robot), mujoco.MjData(model), robot.link_names[-1]

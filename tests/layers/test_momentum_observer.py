@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 import torch
 from exporting import needs, passes_its_test
-from helpers import random, thinned
+from helpers import all_in_one, random, thinned
 from messages import refused
 from oracles import EPS, random_tree, shipped
 
@@ -167,7 +167,7 @@ def test_exported_c_computes_what_the_layer_does(tmp_path):
 # --- the force -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("expressed", ["body", "world"])
+@all_in_one(["body", "world"])
 def test_the_force_is_the_one_that_exerts_the_torques(expressed):
     q, F = random(5, 7, seed=8), random(5, 6, seed=9)
     tip = PANDA.end_effector().name
@@ -234,7 +234,7 @@ MISUSE = REFUSED | {
 }
 
 
-@pytest.mark.parametrize("call", MISUSE.values(), ids=MISUSE)
+@all_in_one(MISUSE.values())
 def test_misuse_is_refused_with_the_argument_and_what_was_found(call):
     with refused(ArgumentError):
         call()

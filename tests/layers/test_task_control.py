@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from helpers import double, random
+from helpers import all_in_one, double, random
 from messages import refused
 from torch.autograd import gradcheck
 
@@ -61,7 +61,7 @@ def test_learned_gains_are_those_of_the_function(module):
     assert gradcheck(lambda q: layer(q, QD[0], X[0], V[0]), Q[0].clone().requires_grad_(), atol=1e-4)
 
 
-@pytest.mark.parametrize("module", LAWS)
+@all_in_one(LAWS)
 def test_a_trained_layer_brings_its_masses_friction_and_offset(module):
     trained = nn.InverseDynamics(PANDA, learn=("mass", "friction", "offset"))
     trained.mass = 1.1 * PANDA.mass
@@ -84,7 +84,7 @@ class Learned(torch.nn.Module):
         return torchdq.inverse_dynamics(PANDA, q, qd, qdd) + 3 * q.sin() - qd
 
 
-@pytest.mark.parametrize("module", LAWS)
+@all_in_one(LAWS)
 def test_a_module_adds_what_it_found_beyond_the_rigid_bodies(module):
     layer, goal = module(Learned(), 100.0, 20.0, learn=LAWS[module][1]), LAWS[module][2]
     expected = law_of(module, (100.0, 20.0), {}) + 3 * Q.sin() - QD
@@ -151,7 +151,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
+@all_in_one(WRONG)
 def test_what_cannot_be_is_refused(case):
     with refused(ArgumentError):
         WRONG[case]()

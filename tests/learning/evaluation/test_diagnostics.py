@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 import torch
-from helpers import thinned
+from helpers import all_in_one, thinned
 from messages import refused
 from recorded_logs import codes, fitted, plain, recorded, with_findings
 from urdf_text import joint, link, urdf
@@ -88,7 +88,7 @@ def test_torques_without_gravity_have_a_finding(name, seed):
         assert "torque.weightless" not in codes(found(robot, data._replace(tau=factor * data.tau)))
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@all_in_one(ROBOTS)
 def test_currents_without_a_gain_have_findings(name):
     robot, data = recorded(name, seed=1)
     gain = torch.linspace(6.0, 14.0, robot.n).double()  # torque per ampere at the joints
@@ -198,7 +198,7 @@ def test_a_fit_of_a_model_that_holds_a_robot_has_them_too(residual):
     assert codes(with_findings(fit, model, small, steps=1)[1]) == ["torque.unit"]
 
 
-@pytest.mark.parametrize("name", thinned(ROBOTS, ("two_link", "ur10e")))
+@all_in_one(thinned(ROBOTS, ("two_link", "ur10e")))
 def test_small_motions_in_degrees_have_a_finding(name):
     """A few degrees look like radians, and keep all limits of an arm whose joints turn far."""
     robot, data = recorded(name, seed=1)
@@ -248,7 +248,7 @@ def test_rows_that_leap_away_have_a_finding_and_are_not_dropped():
     assert "torque.outliers" in codes(warned(robot, data._replace(tau=tau)))
 
 
-@pytest.mark.parametrize("options", [{"friction": "yes"}, {"friction": True}, {"offset": "yes"}])
+@all_in_one([{"friction": "yes"}, {"friction": True}, {"offset": "yes"}])
 def test_a_model_is_one(options):
     with refused(torchdq.ArgumentError):
         Model(**options)

@@ -165,7 +165,7 @@ def test_without_a_prior_it_is_numpys_least_squares_on_pinocchios_regressor():
     assert oracles.worst(found.predict(t.q, t.qd, t.qdd).error, error, error) < 1e-4
 
 
-@pytest.mark.parametrize("rows", thinned([1, 3, 12, 40], [1, 12]))
+@all_in_one(thinned([1, 3, 12, 40], [1, 12]))
 def test_what_is_found_can_exist_where_least_squares_cannot(rows):
     robot = torchdq.robots.load("panda")
     q, qd, qdd = moving(7, rows)
@@ -250,7 +250,7 @@ def hardly_moving(noise=0.05):
     return ROBOT, *states, torchdq.inverse_dynamics(ROBOT, *states) + noise * white
 
 
-@pytest.mark.parametrize("noise", [0.05, 1e-9])
+@all_in_one([0.05, 1e-9])
 def test_joints_that_do_not_move_are_named(noise):
     """However little noise there is, since so small a motion is that of the sensors."""
     found, (one,) = with_findings(fitted, *hardly_moving(noise), armature=True)

@@ -220,7 +220,7 @@ def test_errors_hold_for_noise_that_is_correlated(memory):
     q, qd, qdd = states(2, 1000, seed=7)
     truth = torch.cat([REAL.inertial_parameters, VISCOUS, COULOMB])
     far, plain = [], []
-    for seed in range(10):
+    for seed in range(20):
         tau = torques(REAL, q, qd, qdd, size=0.3, memory=memory, seed=seed)
         found = fitted(ROBOT, q, qd, qdd, tau, prior=1e-2)
         off = (found.base @ (found.parameters - truth)) / found.base_errors

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from helpers import thinned
+from helpers import all_in_one, thinned
 from recorded_logs import codes, fitted, noisy_log, with_findings
 
 import torchdq
@@ -32,7 +32,7 @@ def errors(found, *truths):
     return (found.parameters[friction] - torch.cat(truths)) / found.errors[friction]
 
 
-@pytest.mark.parametrize("width", [0.03, 0.1])
+@all_in_one([0.03, 0.1])
 def test_friction_of_another_shape_has_a_finding_and_its_width_is_the_cure(width):
     """Friction as simulated, which is viscous below a width, with the sign of a sharp step."""
     robot = torchdq.robots.load("two_link")

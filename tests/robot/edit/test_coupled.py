@@ -5,7 +5,7 @@ Evidence: the full robot, which other tests compare with Pinocchio, reduced by S
 
 import pytest
 import torch
-from helpers import random, thinned
+from helpers import all_in_one, random, thinned
 from messages import refused
 from oracles import random_tree
 
@@ -136,7 +136,7 @@ def test_functions_on_a_free_base_are_those_of_the_reduced_system(kind, seed):
     assert close(Y, T.T @ floating.regressor(full, X, q, V, qd, A, qdd))
 
 
-@pytest.mark.parametrize("kind", ["gears", "dense"])
+@all_in_one(["gears", "dense"])
 def test_gradients_on_a_free_base(kind):
     robot = reduced(3, kind, free=True)[0]
     X, (V, _) = dq.exp(random(6)), random(2, 6, seed=1)
