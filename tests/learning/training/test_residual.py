@@ -53,7 +53,7 @@ def error(model, part):
 @pytest.mark.parametrize("rest", [stribeck, cable])
 def test_a_residual_that_helps_is_kept_and_brings_the_error_of_unseen_motions_down(rest):
     model = layer(inputs="all" if rest is cable else "joint")
-    history = fit(model, [motion(k, rest) for k in range(4)], steps=200, **OPTIONS)
+    history = fit(model, [motion(k, rest) for k in range(6)], steps=200, **OPTIONS)
     gain = history.residual
     assert (gain.weight > 0.8).all() and (gain.error < 0.6 * gain.without).all()
     test = motion(99, rest)
