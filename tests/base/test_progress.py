@@ -13,6 +13,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused, warned
 
 import torchdq
@@ -274,7 +275,7 @@ def test_several_frames_come_from_one_program():
     assert torchdq.forward_kinematics(robot, q, ["tip"]).shape == (3, 1, 8)
 
 
-@pytest.mark.parametrize("frames", [[], 5, ["tip", "hand"], [1]], ids=repr)
+@all_in_one([[], 5, ["tip", "hand"], [1]])
 def test_frames_that_are_none_are_refused(frames):
     robot = torchdq.robots.load("panda")
     with refused(torchdq.TorchdqError):

@@ -20,7 +20,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
-from helpers import EVERYTHING
+from helpers import EVERYTHING, thinned
 from places import ROOT
 from recorded_logs import STEP, states, written
 
@@ -153,7 +153,7 @@ MISTAKES = [
     (("scene", "arm.urdf", "--q", "1"), "q must be 2 numbers"),
     (("scene", "arm.urdf", "--dt", "0"), "dt must be"),
     (("scene", "arm.urdf", "--integrator", "Euler"), "ExplicitEuler"),
-    (("scene", "arm.urdf", "--price", "0", "--csv", "nowhere/a.csv"), "'nowhere/a.csv' cannot be used"),
+    (("scene", "arm.urdf", "--price", "0", "--seconds", "0.1", "--csv", "nowhere/a.csv"), "'nowhere/a.csv' cannot be"),
     (("accuracy", "arm.urdf", "--error", "0"), "error must be"),
     (("export", "arm.urdf", "inverse_dynamic"), "did you mean 'inverse_dynamics'"),
     (("export", "arm.urdf", "jacobian"), "the frames are base"),
@@ -185,20 +185,20 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "found"), MISTAKES, ids=[" ".join(arguments) for arguments, _ in MISTAKES])
-def test_a_mistake_of_a_user_is_one_message(here, capsys, arguments, found):
+def test_a_mistake_of_a_user_is_one_message(here, capsys):
     here.joinpath("folder").mkdir()
     here.joinpath("broken.urdf").write_text("<robot name='r'>")
     here.joinpath("still.urdf").write_text("<robot name='still'><link name='base'/></robot>")
     here.joinpath("garbage.urdf").write_bytes(bytes(range(255, 0, -1)) * 9)
     log("log.csv", rows=200)
     here.joinpath("bare.csv").write_text(here.joinpath("log.csv").read_text().partition("\n")[2])
-    out, errors = told(capsys, *arguments, code=MISTAKE)
-    assert not out
-    errors = "".join(line for line in errors.splitlines(True) if not line.endswith(" s ...\n"))  # without progress
-    assert errors.startswith("torchdq: error: ") and "Traceback" not in errors
-    assert found in " ".join(errors.split())
-    assert max(map(len, errors.splitlines())) <= WIDE
+    for arguments, found in MISTAKES:
+        out, errors = told(capsys, *arguments, code=MISTAKE)
+        assert not out, arguments
+        errors = "".join(line for line in errors.splitlines(True) if not line.endswith(" s ...\n"))  # without progress
+        assert errors.startswith("torchdq: error: ") and "Traceback" not in errors, arguments
+        assert found in " ".join(errors.split()), arguments
+        assert max(map(len, errors.splitlines())) <= WIDE, arguments
 
 
 def test_a_mistake_is_a_json_object_too(here, capsys):
@@ -306,7 +306,10 @@ def test_a_file_is_read_by_what_is_in_it(here, capsys):
     )
 
 
-@pytest.mark.parametrize("mark", ["&#x9b;31m", "&#x85;", "&#x202e;", "&#10;j9  revolute  l9  99 kg", "&#13;", "&#9;"])
+MARKS = ["&#x9b;31m", "&#x85;", "&#x202e;", "&#10;j9  revolute  l9  99 kg", "&#13;", "&#9;"]
+
+
+@pytest.mark.parametrize("mark", thinned(MARKS, MARKS[2:4]))
 def test_names_that_a_terminal_would_obey_are_escaped(here, capsys, mark):
     text = ARM.replace("elbow", f"elbow{mark}").replace('lower="-2.5"', 'lower="5"').replace("lower", f"l{mark}")
     here.joinpath("marked.urdf").write_text(text.replace(f'l{mark}="', 'lower="'), encoding="utf-8")
@@ -314,7 +317,7 @@ def test_names_that_a_terminal_would_obey_are_escaped(here, capsys, mark):
     assert name.startswith("elbow") and not name.isprintable()
     for arguments, code in (
         (("report",), WELL),
-        (("scene", "--price", "0"), WELL),
+        (("scene", "--price", "0", "--seconds", "0.1"), WELL),
         (("report", "--tip", "x"), MISTAKE),
     ):
         out, errors = told(capsys, arguments[0], "marked.urdf", *arguments[1:], code=code)
@@ -332,7 +335,7 @@ def test_a_body_that_cannot_exist_is_reported_and_is_not_simulated_unless_asked(
 
 
 FILES = [path for name, path in oracles.urdf_paths().items() if name not in oracles.UNREADABLE]
-QUICK = ("talos_full_v2.urdf", "romeo.urdf", "hextilt_flying_arm_5.urdf")
+QUICK = ("romeo.urdf", "hextilt_flying_arm_5.urdf")
 # what no line of a report may be: a number that is none, an object, or a name of Python's
 UNEXPLAINED = re.compile(r"\bnan\b|tensor\(|<[a-z_.]+ object|\bnull\b|Traceback|\btensor\b")
 
@@ -491,13 +494,14 @@ def test_columns_are_named_by_patterns_by_joints_and_one_by_one(here):
 
 def test_a_scene_keeps_its_energy_and_writes_a_log(here, capsys):
     pytest.importorskip("scipy")
-    arguments = ("--effects", "gravity", "--seconds", "1", "--dt", "0.001", "--q", "0.3", "-0.2", "--price", "0")
-    found = data(capsys, "scene", "arm.urdf", *arguments, "--integrator", "RungeKutta4", "--csv", "fall.csv")
+    arguments = ("--effects", "gravity", "--seconds", "0.3", "--dt", "0.001", "--q", "0.3", "-0.2", "--price", "0")
+    with torchdq.backend("auto"):  # hundreds of steps
+        found = data(capsys, "scene", "arm.urdf", *arguments, "--integrator", "RungeKutta4", "--csv", "fall.csv")
     start, end = (sum(found["energies"][k]) for k in ("start", "end"))
     assert abs(end - start) < 1e-8 and found["energies"]["end"][0] > 0.1
-    assert found["steps"] == 1000 and found["operations"] == sum(cost["operations"] for cost in found["costs"])
+    assert found["steps"] == 300 and found["operations"] == sum(cost["operations"] for cost in found["costs"])
     table = read_log("fall.csv", torchdq.learning.Layout(columns={"tau": None}))
-    assert table.q.shape == (1001, 2) and abs(table.time[-1] - 1) < 1e-9
+    assert table.q.shape == (301, 2) and abs(table.time[-1] - 0.3) < 1e-9
     assert table.q[0].tolist() == [0.3, -0.2] and plain(table.q[-1]) == pytest.approx(found["end"]["q"], abs=1e-9)
 
 
@@ -511,7 +515,8 @@ def test_a_scene_of_a_free_body_has_its_motion_and_the_error_of_its_steps(here, 
     table = {row[0]: row[1:] for line in told(capsys, *arguments)[0].splitlines() if (row := line.split())}
     assert [float(x) for x in table["height"][1:]] == pytest.approx([0, -g / 2 - off, -g, off], rel=0.05)
     assert [float(x) for x in table["sum"]] == pytest.approx([0, 0, -2 * g * off, 2 * g * off], rel=0.05)
-    found = data(capsys, *arguments, "--integrator", "RungeKutta4", "--csv", "fall.csv")
+    with torchdq.backend("auto"):
+        found = data(capsys, *arguments, "--integrator", "RungeKutta4", "--csv", "fall.csv")
     assert found["errors"]["energy"] < 1e-10 and found["end"]["V_WB_B"][5] == pytest.approx(-g)
     assert here.joinpath("fall.csv").read_text().startswith("time,X_WB1,")
 

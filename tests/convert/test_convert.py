@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import random
+from helpers import all_in_one, random
 from messages import refused
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -43,7 +43,7 @@ def test_orders_there_and_back_are_exact():
     assert not convert.to_xyzw(convert.to_xyzw(r)).equal(r)
 
 
-@pytest.mark.parametrize("batch", [(), (4,), (2, 3), (0,)])
+@all_in_one([(), (4,), (2, 3), (0,)])
 def test_mujoco_and_scipy_there_and_back(batch):
     x = poses(*batch)
     position, rotation = convert.to_mujoco(x)
@@ -60,7 +60,7 @@ def test_pinocchio_there_and_back():
         assert convert.from_pinocchio(convert.to_pinocchio(x))[0] >= 0
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@all_in_one([torch.float32, torch.float64])
 def test_the_dtype_is_the_one_asked_for(dtype):
     x = poses(3)
     for found in (

@@ -6,6 +6,7 @@ import pinocchio as pin
 import pytest
 import torch
 from free_flyers import B, case, motion
+from helpers import all_in_one
 from messages import refused
 
 import torchdq
@@ -184,7 +185,7 @@ QUATERNIONS = {
 }
 
 
-@pytest.mark.parametrize("name", QUATERNIONS)
+@all_in_one(QUATERNIONS)
 def test_quaternions_that_are_not_unit_are_named(name):
     convert_row, width = QUATERNIONS[name]
     rows = torch.zeros(3, width, dtype=torch.float64)

@@ -1,8 +1,7 @@
 """The catalogue of public functions, and the checks of what is given to them."""
 
-import pytest
 import torch
-from helpers import random
+from helpers import all_in_one, random
 from messages import refused
 
 import torchdq
@@ -13,7 +12,7 @@ from torchdq.functions.catalogue import RECIPES
 PANDA = torchdq.robots.load("panda")
 
 
-@pytest.mark.parametrize("replaced", [{}, {"mass": PANDA.mass, "gravity": PANDA.gravity}], ids=["constant", "replaced"])
+@all_in_one([{}, {"mass": PANDA.mass, "gravity": PANDA.gravity}])
 def test_derivatives_and_mass_matrix_are_one_program_that_shares_what_depends_on_q_alone(replaced):
     robot, q, qd, qdd = PANDA.replace(**replaced), *random(3, 4, 7)
     slopes, inertia, both = (

@@ -4,7 +4,7 @@ import warnings
 
 import pytest
 import torch
-from helpers import random
+from helpers import all_in_one, random
 from messages import refused, warned
 from urdf_text import also, arm, codes, fixed, joint, link, same, tree, urdf
 
@@ -69,7 +69,7 @@ def needs(robot):
     }
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@all_in_one(ROBOTS)
 def test_dynamics_of_a_robot_without_mass_are_refused_by_name(name):
     robot = ROBOTS[name]
     for what, ask in needs(robot).items():
@@ -96,9 +96,7 @@ def test_a_robot_without_mass_is_told_of_once_at_load_and_in_its_report():
     assert ("robot.massless", "") not in codes(heavier) | codes(robot.with_payload(1.0, (0, 0, 0.1)))
 
 
-@pytest.mark.parametrize(
-    "text", [arm(), tree().replace('child link="left2"/>', 'child link="left2"/><mimic joint="waist"/>')]
-)
+@all_in_one([arm(), tree().replace('child link="left2"/>', 'child link="left2"/><mimic joint="waist"/>')])
 def test_kinematics_and_the_regressor_are_those_of_the_robot_with_mass(text):
     robot, heavy = loaded(bare(text)), Robot.from_urdf(text)
     q, qd, qdd = (random(5, robot.n, seed=k, dtype=F64) for k in range(3))

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import double, random
+from helpers import all_in_one, double, random
 from messages import refused
 from oracles import EPS, random_tree, shipped, states
 from robots import ARMS
@@ -56,7 +56,7 @@ GIVEN = {
 }
 
 
-@pytest.mark.parametrize("gains", GIVEN.values(), ids=GIVEN)
+@all_in_one(GIVEN.values())
 def test_it_is_the_closed_form_with_the_commanded_acceleration(gains):
     robot, (q, qd, q_des, qd_des, qdd_des) = ARMS["panda"], random(5, 4, 7)
     f_tip = random(4, 6, seed=1)
@@ -87,7 +87,7 @@ def test_learnt_gains_are_parameters():
     assert shapes == {"kp": (), "kd": (2,), "parametrizations.mass.original": (2,)}
 
 
-@pytest.mark.parametrize("gain", ["kp", "kd"])
+@all_in_one(["kp", "kd"])
 def test_the_gradient_of_a_gain_is_the_mass_matrix_times_its_error(gain):
     """The torque is M (.. + kp e + kd e'), so its derivative in kp is M e."""
     robot, (q, qd, q_des, qd_des, qdd_des) = ARMS["two_link"], random(5, 2)
@@ -122,7 +122,7 @@ def test_what_is_no_gain_is_refused_by_name_everywhere(gain, bad):
             made()
 
 
-@pytest.mark.parametrize("gain", [[25, 16], (25.0, 16.0), np.array([25.0, 16.0], np.float32), torch.tensor([25, 16])])
+@all_in_one([[25, 16], (25.0, 16.0), np.array([25.0, 16.0], np.float32), torch.tensor([25, 16])])
 def test_gains_may_be_any_row_of_real_numbers(gain):
     assert torchdq.ComputedTorque(ARMS["two_link"], gain, np.float32(10)).kp.tolist() == [25.0, 16.0]
 
@@ -351,7 +351,7 @@ MISUSE = [
 ]
 
 
-@pytest.mark.parametrize("call", MISUSE)
+@all_in_one(MISUSE)
 def test_models_without_torques_and_arguments_that_do_not_fit_one_are_refused(call):
     with refused(torchdq.ArgumentError):
         call(torchdq.DQRNEA(ARMS["two_link"]))

@@ -1,9 +1,8 @@
 """Layers of robots with a floating base: those of the functions, friction, learned bodies, programs."""
 
-import pytest
 import torch
 from free_flyers import body, case, motion, random_body
-from helpers import random
+from helpers import all_in_one, random
 from messages import refused
 
 import torchdq
@@ -17,7 +16,7 @@ WRENCHES = M.pick("f_tip", "f_ext", "f_base")
 FRICTION = (effects.Viscous(0.3), effects.Coulomb(0.2, sign_width=0.1))
 
 
-@pytest.mark.parametrize("friction", [(), FRICTION], ids=["rigid", "friction"])
+@all_in_one([(), FRICTION])
 def test_layers_are_the_functions_with_the_friction_of_the_motors(friction):
     inverse, forward = (kind(C.robot, friction=friction) for kind in (FloatingInverseDynamics, FloatingForwardDynamics))
     F_B, tau = floating.inverse_dynamics(C.robot, **MOTION, **WRENCHES)
@@ -30,7 +29,7 @@ def test_layers_are_the_functions_with_the_friction_of_the_motors(friction):
     assert torch.allclose(back.A_WB_B, M["A_WB_B"], atol=1e-9) and torch.allclose(back.qdd, M["qdd"], atol=1e-9)
 
 
-@pytest.mark.parametrize("learn", ["base_mass", "base_com", "base_inertia", "mass", "friction", "offset"])
+@all_in_one(["base_mass", "base_com", "base_inertia", "mass", "friction", "offset"])
 def test_every_quantity_has_the_gradient_of_differences(learn):
     layer = FloatingInverseDynamics(C.robot, learn=learn)
     weights = random(3, 6 + C.robot.n, seed=4)
@@ -105,7 +104,7 @@ MISUSE = {
 }
 
 
-@pytest.mark.parametrize("key", MISUSE)
+@all_in_one(MISUSE)
 def test_misuse_is_refused(key):
     with refused((torchdq.ArgumentError, torchdq.DtypeError)):
         MISUSE[key]()

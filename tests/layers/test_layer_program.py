@@ -4,6 +4,7 @@ import inspect
 
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 
 import torchdq
@@ -115,20 +116,19 @@ MISUSE = [
 ]
 
 
-@pytest.mark.parametrize("call", MISUSE)
+@all_in_one(MISUSE)
 def test_what_has_no_program_is_refused_with_the_way_to_export_it(call):
     with refused((ArgumentError, UnknownNameError)):
         call(torchdq.ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("two_link"))))
 
 
-@pytest.mark.parametrize(
-    "make",
+@all_in_one(
     [
         lambda robot: controllers.ComputedTorqueController(30.0, (9.0, 8.0)),
         lambda robot: controllers.ComputedTorqueController(30.0, 9.0, model=robot.replace(mass=1.5 * robot.mass)),
         lambda robot: controllers.PD(30.0, torch.tensor([9.0, 8.0])),
         lambda robot: controllers.PD(30.0, 9.0, model=robot),
-    ],
+    ]
 )
 def test_the_program_of_a_controller_is_its_part_of_a_scene(make):
     robot = torchdq.robots.load("two_link")

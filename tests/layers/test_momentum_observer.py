@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 import torch
 from exporting import needs, passes_its_test
-from helpers import random
+from helpers import all_in_one, random, thinned
 from messages import refused
 from oracles import EPS, random_tree, shipped
 
@@ -60,11 +60,11 @@ def recorded(layout=None, **signals):
 # --- the estimate ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("push", [0.0, 3.0], ids=["free", "pushed"])
-@pytest.mark.parametrize("name", ROBOTS)
-def test_the_error_falls_with_the_square_of_the_step(name, push):
-    coarse, fine = (error(ROBOTS[name], dt, push, FRICTION) for dt in (1e-3, 5e-4))
-    assert 0.95 * 4 < coarse / fine < 1.05 * 4 and fine < 1e-3
+@pytest.mark.parametrize("name", thinned(ROBOTS, ("mimic",)))
+def test_the_error_falls_with_the_square_of_the_step(name):
+    for push in (0.0, 3.0):
+        coarse, fine = (error(ROBOTS[name], dt, push, FRICTION) for dt in (1e-3, 5e-4))
+        assert 0.95 * 4 < coarse / fine < 1.05 * 4 and fine < 1e-3, push
 
 
 def test_momentum_is_mass_times_velocity_and_its_rate_that_of_pinocchio():
@@ -82,9 +82,9 @@ def test_momentum_is_mass_times_velocity_and_its_rate_that_of_pinocchio():
 
 def test_a_series_is_the_steps_one_after_the_other():
     """With steps of any lengths, and with gains by joint."""
-    gain, dt = torch.linspace(5.0, 50.0, 7, dtype=F64), 1e-3 * (1.0 + random(100, seed=3).abs())
-    q, qd, tau = pushed(PANDA, 1e-3, 2.0)
-    observer = MomentumObserver(PANDA, gain, 1e-3)
+    gain, dt = torch.linspace(5.0, 50.0, 5, dtype=F64), 1e-3 * (1.0 + random(100, seed=3).abs())
+    q, qd, tau = pushed(TREE, 1e-3, 2.0)
+    observer = MomentumObserver(TREE, gain, 1e-3)
     for steps in (None, dt):
         state, found = observer.start(q[0], qd[0]), []
         for k in range(len(tau)):
@@ -94,8 +94,8 @@ def test_a_series_is_the_steps_one_after_the_other():
 
 
 def test_one_robot_without_numbers_does_not_disturb_others():
-    q, qd, tau = pushed(PANDA, 1e-2, 2.0)
-    observer = MomentumObserver(PANDA, GAIN, 1e-2)
+    q, qd, tau = pushed(TREE, 1e-2, 2.0)
+    observer = MomentumObserver(TREE, GAIN, 1e-2)
     expected = observer.series(q, qd, tau)
     q[4, 1, 2] = torch.nan
     found = observer.series(q, qd, tau)
@@ -167,7 +167,7 @@ def test_exported_c_computes_what_the_layer_does(tmp_path):
 # --- the force -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("expressed", ["body", "world"])
+@all_in_one(["body", "world"])
 def test_the_force_is_the_one_that_exerts_the_torques(expressed):
     q, F = random(5, 7, seed=8), random(5, 6, seed=9)
     tip = PANDA.end_effector().name
@@ -234,7 +234,7 @@ MISUSE = REFUSED | {
 }
 
 
-@pytest.mark.parametrize("call", MISUSE.values(), ids=MISUSE)
+@all_in_one(MISUSE.values())
 def test_misuse_is_refused_with_the_argument_and_what_was_found(call):
     with refused(ArgumentError):
         call()

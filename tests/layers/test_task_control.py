@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from helpers import double, random
+from helpers import all_in_one, double, random
 from messages import refused
 from torch.autograd import gradcheck
 
@@ -61,7 +61,7 @@ def test_learned_gains_are_those_of_the_function(module):
     assert gradcheck(lambda q: layer(q, QD[0], X[0], V[0]), Q[0].clone().requires_grad_(), atol=1e-4)
 
 
-@pytest.mark.parametrize("module", LAWS)
+@all_in_one(LAWS)
 def test_a_trained_layer_brings_its_masses_friction_and_offset(module):
     trained = nn.InverseDynamics(PANDA, learn=("mass", "friction", "offset"))
     trained.mass = 1.1 * PANDA.mass
@@ -84,7 +84,7 @@ class Learned(torch.nn.Module):
         return torchdq.inverse_dynamics(PANDA, q, qd, qdd) + 3 * q.sin() - qd
 
 
-@pytest.mark.parametrize("module", LAWS)
+@all_in_one(LAWS)
 def test_a_module_adds_what_it_found_beyond_the_rigid_bodies(module):
     layer, goal = module(Learned(), 100.0, 20.0, learn=LAWS[module][1]), LAWS[module][2]
     expected = law_of(module, (100.0, 20.0), {}) + 3 * Q.sin() - QD
@@ -97,8 +97,10 @@ def test_a_module_adds_what_it_found_beyond_the_rigid_bodies(module):
 @pytest.mark.parametrize("module", [*LAWS, nn.ComputedTorque])
 def test_controllers_are_one_graph_of_the_compiler(module):
     torch._dynamo.reset()
-    control = module(PANDA, 100.0, 20.0, friction=True).double()
-    given = (Q, QD, X) if module in LAWS else (Q, QD, Q, QD, Q)
+    more = {"axes": ("x", "y")} if module in LAWS else {}
+    control = module(torchdq.robots.load("two_link"), 100.0, 20.0, friction=True, **more).double()
+    q, qd = Q[:, :2], QD[:, :2]
+    given = (q, qd, X) if module in LAWS else (q, qd, q, qd, q)
     compiled = torch.compile(control, backend="eager", fullgraph=True)
     assert torch.allclose(compiled(*given), control(*given), rtol=1e-12, atol=1e-12)
 
@@ -149,7 +151,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
+@all_in_one(WRONG)
 def test_what_cannot_be_is_refused(case):
     with refused(ArgumentError):
         WRONG[case]()

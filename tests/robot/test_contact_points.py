@@ -12,6 +12,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused, warned
 from mjcf_text import ARM, ASSETS, FREE
 from urdf_text import also, arm, fixed, link, random_elements, urdf
@@ -85,9 +86,7 @@ def without_meshes(path):
     return ET.tostring(root, encoding="unicode")
 
 
-@pytest.mark.parametrize(
-    "name", ["a1", "anymal_b_simple-anymal", "go1", "laikago", "g1_29dof_rev_1_0", "hyq_no_sensors", "pr2"]
-)
+@all_in_one(["a1", "anymal_b_simple-anymal", "go1", "laikago", "g1_29dof_rev_1_0", "hyq_no_sensors", "pr2"])
 def test_points_of_a_file_are_where_pinocchio_has_its_shapes(name):
     text = without_meshes(oracles.urdf_paths()[name])
     robot, theirs = Robot.from_urdf(text, on_unphysical="ignore", mimic="independent"), of_pinocchio(text)
@@ -209,9 +208,8 @@ def test_names_without_shapes_and_shapes_without_points_are_refused_with_a_way_o
         robot.contact_points(3)
 
 
-@pytest.mark.parametrize(
-    "form",
-    ["", "<cone/>", '<sphere radius="-1"/>', "<sphere/>", '<box size="1 2"/>', '<cylinder radius="1" length="nan"/>'],
+@all_in_one(
+    ["", "<cone/>", '<sphere radius="-1"/>', "<sphere/>", '<box size="1 2"/>', '<cylinder radius="1" length="nan"/>']
 )
 def test_shapes_that_cannot_be_read_keep_no_robot_from_being_read(form):
     robot = Robot.from_urdf(legs(BALL, form))
@@ -316,8 +314,7 @@ def test_shapes_cost_no_program_an_operation():
 # --- given points ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "point",
+@all_in_one(
     [
         ContactPoint("tp"),
         ContactPoint("tip", (1.0, 2.0)),
@@ -328,8 +325,7 @@ def test_shapes_cost_no_program_an_operation():
         ContactPoint("tip", radius=None),
         ("tip", (0.0, 0.0, 0.0), 0.1),
         ContactPoint,
-    ],
-    ids=str,
+    ]
 )
 def test_a_point_that_is_none_is_refused(point):
     robot = torchdq.robots.load("panda")

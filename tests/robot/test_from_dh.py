@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from robots import BALL, F64, homogeneous, matrices, pose, rotation, same, states, torques
 
@@ -62,7 +63,7 @@ def test_by_default_all_joints_are_revolute_and_the_convention_is_standard():
     assert same(matrices(robot, [0.1] * 5)[1:6], dh_frames("standard", robot.kinds, [0.1] * 5))
 
 
-@pytest.mark.parametrize("convention", ["standard", "modified"])
+@all_in_one(["standard", "modified"])
 def test_a_table_is_the_same_robot_as_its_screws(convention):
     at_home = dh_frames(convention, KINDS, [0.0] * 5)
     # the joint's axis is the z axis of the frame before in the standard convention, of its own in the modified
@@ -101,7 +102,7 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize("broken", BROKEN)
+@all_in_one(BROKEN)
 def test_a_column_that_does_not_fit_is_named(broken):
     table = {"a": A, "alpha": ALPHA, "d": D, "theta": THETA} | dh_bodies() | broken
     with refused(DescriptionError):

@@ -10,6 +10,7 @@ import messages
 import numpy as np
 import pytest
 import torch
+from helpers import all_in_one
 from robots import (
     BALL,
     DIRECTION,
@@ -41,7 +42,7 @@ def test_the_screw_tells_the_kind_of_joint(screw, kind):
     assert one_joint(screw).kinds == (kind,)
 
 
-@pytest.mark.parametrize("q", [0.0, 0.7, -2.5])
+@all_in_one([0.0, 0.7, -2.5])
 def test_a_revolute_joint_turns_about_its_line(q):
     T = matrices(one_joint(LINE), [q], "link1").numpy()
     assert same(T[:3, :3] @ DIRECTION, DIRECTION)
@@ -99,7 +100,7 @@ BROKEN = [
 
 
 @pytest.mark.case("G14")
-@pytest.mark.parametrize("k", range(len(BROKEN)))
+@all_in_one(range(len(BROKEN)))
 def test_an_argument_that_does_not_fit_is_named(k):
     arguments = {"joint_screws": [LINE], "mass": [2.0], "com": [[0.1, 0.2, 0.3]], "inertia": [BALL]} | BROKEN[k]
     with messages.refused(DescriptionError):
@@ -165,7 +166,7 @@ def random_chain(frames="base", home=None, n=4, seed=1):
     )
 
 
-@pytest.mark.parametrize("frames", ["joint", "centre of mass"])
+@all_in_one(["joint", "centre of mass"])
 def test_torques_with_a_wrench_at_the_tip_do_not_depend_on_the_link_frames(frames):
     f = torch.randn(5, 6, generator=torch.Generator().manual_seed(7), dtype=F64)
     for tip in (None, f):

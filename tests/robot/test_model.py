@@ -6,6 +6,7 @@ import pickle
 
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from robots import ARMS, BALL, F64, LINE, one_joint, panda, same, states, torques, two
 
@@ -22,7 +23,7 @@ def tensors(robot):
     return found | {f"frame {frame.name}": frame.X_BF for frame in robot.frames}
 
 
-@pytest.mark.parametrize("name", ARMS)
+@all_in_one(ARMS)
 def test_no_function_modifies_a_robot(name):
     robot = torchdq.robots.load(name)
     before = {key: x.clone() for key, x in tensors(robot).items()}
@@ -65,7 +66,7 @@ def test_a_robot_is_in_double_precision_and_converted_as_tensors_of_torch_are():
         robot.to(torch.float16)
 
 
-@pytest.mark.parametrize("device", ["cuda:99", "gpu", 3.5], ids=repr)
+@all_in_one(["cuda:99", "gpu", 3.5])
 def test_a_device_that_is_not_there_is_named(device):
     with refused(ArgumentError):
         two().to(device=device)
@@ -79,7 +80,7 @@ def test_a_robot_without_values_takes_no_arguments_with_values():
         assert function(robot, torch.zeros(2, device="meta")).is_meta
 
 
-@pytest.mark.parametrize("field", ["mass", "com", "gravity"])
+@all_in_one(["mass", "com", "gravity"])
 def test_tensors_without_values_make_results_without_values_or_are_named(field):
     robot = two()
     robot = robot.replace(**{field: getattr(robot, field).to("meta")})
@@ -161,7 +162,7 @@ def uses(robot):
 USES = list(uses(two()))
 
 
-@pytest.mark.parametrize("use", USES)
+@all_in_one(USES)
 def test_a_constant_that_was_changed_in_place_is_told_at_the_next_use(use):
     robot = two()
     uses(robot)[use]()
@@ -170,7 +171,7 @@ def test_a_constant_that_was_changed_in_place_is_told_at_the_next_use(use):
         uses(robot)[use]()
 
 
-@pytest.mark.parametrize("name", CONSTANTS)
+@all_in_one(CONSTANTS)
 def test_every_constant_is_watched(name):
     robot = two()
     tensors(robot)[name].fill_(3)
@@ -222,7 +223,7 @@ def test_a_replaced_tensor_may_be_changed_in_place():
         torchdq.inverse_dynamics(robot, q)
 
 
-@pytest.mark.parametrize("field", ["damping", "friction", "limits", "frames"])
+@all_in_one(["damping", "friction", "limits", "frames"])
 def test_other_replaced_tensors_are_copied(field):
     """Writing into the given tensor changes neither the robot nor a scene; into the robot's own it is refused."""
     robot = two()
@@ -246,7 +247,7 @@ def test_robots_of_inference_mode_are_watched():
         torques(robot)
 
 
-@pytest.mark.parametrize("use", USES)
+@all_in_one(USES)
 def test_a_constant_that_requires_grad_is_told_at_the_next_use(use):
     robot = two()
     robot.mass.requires_grad_()
@@ -259,14 +260,14 @@ def test_a_constant_that_requires_grad_is_told_at_the_next_use(use):
     uses(robot)[use]()
 
 
-@pytest.mark.parametrize("backend", ["auto", "eager"])
+@all_in_one(["auto", "eager"])
 def test_a_robot_made_of_a_tensor_that_requires_grad_is_told(backend):
     robot = one_joint(LINE, mass=torch.ones(1, dtype=F64, requires_grad=True))
     with refused(ArgumentError):
         torchdq.inverse_dynamics(robot, torch.ones(1, dtype=F64), backend=backend)
 
 
-@pytest.mark.parametrize("way", ["data", "numpy"])
+@all_in_one(["data", "numpy"])
 def test_writes_that_torch_does_not_count_change_nothing(way):
     """`Robot.replace` says so; `x[...] = ` is counted, and refused."""
     robot, q = two(), torch.ones(2, dtype=F64)

@@ -5,13 +5,14 @@ import pickle
 
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from robots import ARMS, F64, LINE, forked, one_joint, panda, same, states
 
 import torchdq
 
 
-@pytest.mark.parametrize("name", ARMS)
+@all_in_one(ARMS)
 def test_the_regressor_times_the_parameters_is_the_torque(name):
     robot = torchdq.robots.load(name).replace(armature=None)
     q, qd, qdd = states(robot.n)
@@ -70,7 +71,7 @@ def test_batches_of_robots_and_of_states_broadcast():
     assert torchdq.mass_matrix(randomised("mass"), torch.zeros(6, dtype=F64)).shape == (3, 6, 6)
 
 
-@pytest.mark.parametrize("field", ["mass", "com", "inertia"])
+@all_in_one(["mass", "com", "inertia"])
 def test_a_batch_of_robots_has_a_batch_of_parameters(field):
     robots = randomised(field)
     q, qd, qdd = states(6, rows=3)

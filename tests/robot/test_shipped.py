@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from oracles import urdf_paths
 from places import DATA
@@ -26,18 +27,18 @@ def test_an_unknown_robot_names_the_closest():
         torchdq.robots.load("pumas")
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@all_in_one(SHIPPED)
 def test_a_shipped_robot_has_its_name(name):
     assert torchdq.robots.load(name).name == name
 
 
-@pytest.mark.parametrize("name", ARMS)
+@all_in_one(ARMS)
 def test_a_shipped_arm_has_an_invertible_mass_matrix(name):
     robot = torchdq.robots.load(name)
     assert bool((torch.linalg.eigvalsh(torchdq.mass_matrix(robot, states(robot.n)[0])) > 0).all())
 
 
-@pytest.mark.parametrize("name", sorted(set(SHIPPED) - {"puma560"}))
+@all_in_one(sorted(set(SHIPPED) - {"puma560"}))
 def test_a_shipped_robot_is_physical(name):
     robot = torchdq.robots.load(name)
     assert robot.floating or robot.notes == ()

@@ -1,5 +1,6 @@
 """Tensors, integrators of fixed steps, a wheel, chains of rods, and threads, for several test files."""
 
+import inspect
 import os
 from functools import cache, partial
 
@@ -54,17 +55,22 @@ def thinned(values, kept):
 
 
 def all_in_one(values):
-    """Makes a test of one value the test of all, which names the first that fails: for a thousand that take no time."""
+    """Makes a test of one value the test of all, which names the first that fails: for a thousand that take no time.
+
+    The value is the first argument of the test; others are fixtures.
+    """
 
     def decorated(test):
-        def of_all():
+        def of_all(**fixtures):
             for value in values:
                 try:
-                    test(value)
+                    test(value, **fixtures)
                 except BaseException as error:
                     error.add_note(f"{test.__name__} with {value!r}")
                     raise
 
+        _, *fixtures = inspect.signature(test).parameters.values()
+        of_all.__signature__ = inspect.Signature(fixtures)
         of_all.__name__, of_all.__doc__, of_all.__module__ = test.__name__, test.__doc__, test.__module__
         return of_all
 

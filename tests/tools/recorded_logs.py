@@ -8,6 +8,7 @@ import math
 import re
 import warnings
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -147,6 +148,7 @@ def late_log(late, seed, rate=100.0, seconds=30.0):
 # --- any robot -------------------------------------------------------------------------------------------------------
 
 
+@cache
 def recorded(name, seed=0, rows=600, noise=0.05):
     """Description, and samples of a robot whose masses are off by 30 %, with dry friction of 30 % of the torque."""
     robot = torchdq.robots.load(name).replace(on_unphysical="repair")  # one of them breaks the triangle inequality

@@ -2,9 +2,8 @@
 
 import pickle
 
-import pytest
 import torch
-from helpers import double, random
+from helpers import all_in_one, double, random
 from oracles import shipped
 
 import torchdq
@@ -42,7 +41,7 @@ def test_a_domain_is_one_on_its_rows_zero_far_away_and_falls_between():
     assert not domain(1e30 * rows.abs()).any() and domain(1e30 * rows.abs()).isfinite().all()
 
 
-@pytest.mark.parametrize("rows", [1, 2, 10])
+@all_in_one([1, 2, 10])
 def test_a_domain_of_few_rows_is_about_them(rows):
     domain, x = Domain(1, 2), random(rows, 1, 2)
     domain.cover(x)
@@ -89,7 +88,7 @@ def test_a_network_of_all_joints_is_trusted_where_all_of_them_were_trained():
 # --- the bound -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [1e3, 1e12])
+@all_in_one([1e3, 1e12])
 def test_no_weights_take_a_residual_beyond_its_bound(size):
     layer, (q, qd, _) = acting(PANDA, size)
     found = layer.residual(2 * q, 2 * qd)

@@ -6,7 +6,7 @@ import pickle
 import helpers
 import pytest
 import torch
-from helpers import random
+from helpers import all_in_one, random
 from messages import refused
 from oracles import shipped, tree
 
@@ -76,7 +76,7 @@ def test_a_joint_that_slides_is_seen_where_it_is_and_metres_are_no_angles():
     assert "turns" not in layer.state_dict()
 
 
-@pytest.mark.parametrize("inputs", ["joint", "all"])
+@all_in_one(["joint", "all"])
 def test_torques_of_every_joint_depend_on_itself_or_on_all(inputs):
     layer = ResidualDynamics(torchdq.DQRNEA(PANDA), inputs=inputs, hidden=(8, 5)).double()
     with torch.no_grad():
@@ -134,7 +134,7 @@ def test_standardised_features_have_no_mean_and_spread_one():
 # --- as a module -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("trip", [copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))], ids=["deepcopy", "pickle"])
+@all_in_one([copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])
 def test_a_layer_survives_a_round_trip(trip):
     layer, x = trained(PANDA, learn=("mass", "friction")), random(3, 5, 7)
     assert torch.equal(trip(layer)(*x), layer(*x))
@@ -163,7 +163,7 @@ MISUSE = {
 }
 
 
-@pytest.mark.parametrize("call", MISUSE)
+@all_in_one(MISUSE)
 def test_wrong_arguments_are_refused_by_name(call):
     with refused(torchdq.ArgumentError):
         MISUSE[call](torchdq.DQRNEA(PANDA))

@@ -9,7 +9,7 @@ import math
 import oracles
 import pytest
 import torch
-from helpers import random
+from helpers import all_in_one, random
 from messages import refused
 from recorded_logs import fitted
 from scenes import rolled
@@ -101,7 +101,7 @@ def test_unidentifiable_bodies_have_the_width_of_the_prior(found, drawn):
     assert 0.05 < float(mass.log().std()) == pytest.approx(width, rel=0.15)
 
 
-@pytest.mark.parametrize("name", ["two_link", "ur10e"])
+@all_in_one(["two_link", "ur10e"])
 def test_every_robot_can_exist_however_few_the_samples(name):
     found = found_on(name, 40, 0.5, prior=0.05)
     drawn = posterior_samples(found, 60, seed=3)

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from helpers import double
+from helpers import all_in_one, double
 from recorded_logs import ROBOT as TWO
 from recorded_logs import fitted, states
 
@@ -21,7 +21,7 @@ def held(factors, ratios):
     return float(torch.stack([(ratio.abs() <= factors).double().mean() for ratio in ratios]).mean())
 
 
-@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+@all_in_one([0.5, 1.0, 2.0])
 def test_blocks_alike_have_the_quantile_of_all_rows(power):
     """Powers of normal numbers: from tails that are lighter than theirs to far heavier ones."""
     normal = torch.randn(8, 5000, 1, generator=generator(), dtype=F64)

@@ -14,7 +14,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
-from helpers import double
+from helpers import all_in_one, double
 from messages import refused, warned
 
 import torchdq
@@ -37,6 +37,7 @@ from torchdq.learning.excitation.fourier import Family, grid
 from torchdq.learning.excitation.information import BaseParameters
 
 LIMITS = MotionLimits(lower=-1.0, upper=[1.5, 0.5], velocity=[2.0, 3.0], effort=60.0)
+BACKEND = "auto"  # a search calls the same programs hundreds of times
 ROUNDING = 1 + 1e-12
 DRAWS = 12  # of noise, whose errors are held to their predicted variances
 
@@ -64,7 +65,7 @@ def exciting(panda):
     limits = MotionLimits(
         workspace=(HalfSpace("tip", (0, 0, 2), 0.3), Box("panda_link5", (-0.4,) * 3, (math.inf,) * 3))
     )
-    return excitation_trajectory(panda, 10.0, limits, restarts=4), limits
+    return excitation_trajectory(panda, 10.0, limits, restarts=2), limits
 
 
 # --- series ----------------------------------------------------------------------------------------------------------
@@ -160,7 +161,7 @@ def test_own_functions_keep_the_arm_where_they_say():
     limits = MotionLimits(
         lower=-1.0, upper=1.0, velocity=2.0, effort=60.0, workspace=[lambda _, q: -0.6 - q[..., :1] - q[..., 1:]]
     )
-    found = excitation_trajectory(robot, 5.0, limits, restarts=4)
+    found = excitation_trajectory(robot, 5.0, limits, restarts=2)
     q, *_ = found.series.at(found.series.rate * random_times(found))
     assert -0.8 < float(q.sum(-1).max()) <= -0.6
 
@@ -169,8 +170,7 @@ def excited(limits=LIMITS, seconds=5.0, **options):
     return excitation_trajectory(torchdq.robots.load("two_link"), seconds, limits, restarts=1, **options)
 
 
-@pytest.mark.parametrize(
-    "call",
+@all_in_one(
     [
         # limits that are missing
         lambda: excited(MotionLimits(velocity=1.0, effort=1.0)),
@@ -192,7 +192,7 @@ def excited(limits=LIMITS, seconds=5.0, **options):
         lambda: Box("tip", (0, 0, 0), (1, 0, 1)),
         lambda: MotionLimits(share=1.2),
         lambda: MotionLimits(workspace=HalfSpace("tip", (0, 0, 1), 0.0)),
-    ],
+    ]
 )
 def test_arguments_are_checked_and_limits_that_cannot_be_kept_are_named(call):
     with refused(ArgumentError):
@@ -240,7 +240,7 @@ def test_errors_are_those_of_least_squares_on_pinocchios_regressor(panda, exciti
 def test_identification_from_the_motion_errs_as_predicted():
     """Mean square over the base parameters and draws of the noise, in predicted variances."""
     robot = torchdq.robots.load("two_link")
-    found = excitation_trajectory(robot, 5.0, LIMITS, restarts=8, noise=[0.5, 0.2], rate=50.0)
+    found = excitation_trajectory(robot, 5.0, LIMITS, restarts=1, noise=[0.5, 0.2], rate=50.0)
     friction = found.qd + 2 * found.qd / (found.qd**2 + 1e-4).sqrt()
     rigid = torchdq.inverse_dynamics(robot, found.q, found.qd, found.qdd)
     rng, base = np.random.default_rng(0), found.parameters.base
@@ -304,19 +304,17 @@ def test_printed_it_is_the_table_of_errors(exciting):
     assert re.search(r"panda_joint7 coulomb +\d", str(found)) and "velocity" in str(found)
 
 
-def test_a_plot_shows_every_joint(exciting, tmp_path, monkeypatch):
+def test_a_plot_shows_every_joint(exciting, monkeypatch):
     pytest.importorskip("matplotlib")
     found, _ = exciting
     figure = found.plot()
-    assert len(figure.axes) == 21
-    figure.savefig(tmp_path / "motion.png")
-    assert (tmp_path / "motion.png").stat().st_size > 10_000
+    assert len(figure.axes) == 21 and all(axes.lines for axes in figure.axes)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with refused(MissingLibraryError):
         found.plot()
 
 
-def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_path):
+def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting):
     pytest.importorskip("matplotlib")
     motion = exciting[0].sampled(50.0)
     found = identify(panda, motion, PLAIN, prior=1.0)
@@ -327,7 +325,6 @@ def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_p
     measured, predicted = (line.get_ydata() for line in figure.axes[1].lines)
     assert np.isnan(measured).sum() == 2 and len(measured) == 2 * 501 + 2
     assert np.nanmax(abs(measured - predicted)) < 0.02 * np.nanmax(abs(measured))
-    figure.savefig(tmp_path / "torques.png")
     with refused(ArgumentError):
         plot_torques(found, Motion(motion.time, *(x[:, :2] for x in motion[1:5])))
     with refused(ArgumentError):

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from helpers import all_in_one
 from recorded_logs import codes, fitted, recorded, with_findings
 
 import torchdq
@@ -36,7 +37,7 @@ def test_faults_are_named_with_their_size(kind, j, size):
     assert one.value == pytest.approx(size, rel=0.05) and one in found.findings
 
 
-@pytest.mark.parametrize("payload", [0.0, 2.0])
+@all_in_one([0.0, 2.0])
 def test_there_are_none_of_an_arm_that_is_only_heavier(payload):
     robot, data = recorded("ur10e", noise=0.005)
     held = robot.with_payload(payload, (0.0, 0.0, 0.05)) if payload else robot

@@ -40,19 +40,19 @@ def test_gains_of_drives_are_found_within_their_errors(known):
 
 
 def test_negative_gains_are_found_and_named():
-    robot = torchdq.robots.load("ur10e")
-    q, qd, qdd = states(3, 300, joints=6)
+    robot = ROBOT
+    q, qd, qdd = states(3, 300)
     clean = torchdq.inverse_dynamics(robot, q, qd, qdd)
     clean = clean + (0.1 * clean.std((0, 1))).clamp_min(0.2) * (qd + sign(qd))
     tau = clean + 0.02 * clean.std((0, 1)) * noise(q.shape, 0.5)
-    gains = torch.tensor([8, -8.7, 9, -7, 8, 10], dtype=torch.float64)
+    gains = torch.tensor([8, -8.7], dtype=torch.float64)
     motions = [
         Motion(np.arange(300) * STEP, *(x[k].numpy() for x in (q, qd, qdd, tau / gains)), known_gains=False)
         for k in range(3)
     ]
     found, findings = with_findings(fitted, robot, motions, gains=True)
-    assert float((found.gains.value / gains - 1)[:5].abs().max()) < 0.1
-    assert [(x.code, x.subject) for x in findings] == [("gain.negative", robot.joint_names[j]) for j in (1, 3)]
+    assert float((found.gains.value / gains - 1).abs().max()) < 0.1
+    assert [(x.code, x.subject) for x in findings] == [("gain.negative", robot.joint_names[1])]
 
 
 def test_a_given_gain_of_the_wrong_sign_is_found_and_named():
@@ -94,7 +94,7 @@ def real_arm(described, seed, size=0.1):
     return described.replace(mass=mass, com=com, inertia=inertia)
 
 
-@pytest.mark.parametrize("runs", thinned([5, 200], [5]))
+@pytest.mark.parametrize("runs", thinned([3, 200], [3]))
 @pytest.mark.parametrize("known", [True, False, (True, False)])
 def test_errors_hold_those_of_the_gains(known, runs):
     """Over arms, gains and noise: squares of what parameters are off by over the stated errors are about one."""

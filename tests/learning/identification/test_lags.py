@@ -4,9 +4,12 @@ import math
 
 import pytest
 import torch
+from helpers import all_in_one
 from recorded_logs import COULOMB, REAL, ROBOT, STEP, codes, fitted, late_log, states, torques, with_findings
 
 from torchdq.learning import identify, smooth
+
+BACKEND = "auto"  # one arm, whose programs all tests share
 
 
 @pytest.mark.parametrize("late", [0.03, -0.03])
@@ -20,7 +23,7 @@ def test_a_lag_is_found_with_friction_that_was_chosen_for_it(late):
         assert not findings and not any(term.bristles for term in mended.terms)
 
 
-@pytest.mark.parametrize("late", [0.05, -0.03])
+@all_in_one([0.05, -0.03])
 def test_a_lag_of_the_torques_has_a_finding_with_its_size_and_its_cure(late):
     logs = [late_log(late, seed) for seed in (1, 2, 3)]
     found, (lag,) = with_findings(fitted, ROBOT, [smooth(log) for log in logs])
@@ -38,7 +41,7 @@ def test_each_log_has_a_lag_of_its_own():
     assert (lag.code, lag.subject) == ("torque.lag", "log2")
 
 
-@pytest.mark.parametrize("period", [0.3, 0.7, 1.5])
+@all_in_one([0.3, 0.7, 1.5])
 def test_ripple_is_no_lag(period):
     q, qd, qdd = states(3, 500, seed=1)
     tau = torques(REAL, q, qd, qdd) + 2.0 * (2 * math.pi * q / period).sin()

@@ -28,6 +28,7 @@ from torchdq import effects
 from torchdq.envs import Scene
 from torchdq.learning import Model, Samples, identify, posterior_samples, stack_samples
 
+BACKEND = "auto"  # one arm, whose programs all tests share
 CONSTANT = torch.tensor([1.5, -0.8], dtype=torch.float64)
 
 

@@ -34,6 +34,8 @@ from torchdq.learning import Model, Motion, Samples, identify, posterior_samples
 from torchdq.learning.evaluation.blocks import of_tensors
 from torchdq.learning.identification import model_selection, terms
 
+BACKEND = "auto"  # one arm, whose programs all tests share
+
 # --- candidates ------------------------------------------------------------------------------------------------------
 
 

@@ -14,7 +14,7 @@ from torchdq.envs import Scene
 from torchdq.learning import Model, Motion, Samples, evaluate, fit, identify, plot_torques
 
 pytestmark = pytest.mark.filterwarnings("ignore::torchdq.learning.LogWarning")  # of friction that no term has
-F64 = torch.float64
+F64, BACKEND = torch.float64, "auto"  # one arm, whose programs all tests share
 BRISTLES = 0.05
 REMEMBERS = (effects.Viscous(), effects.LuGre(deflection=BRISTLES))
 OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2}

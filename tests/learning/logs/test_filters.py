@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from helpers import all_in_one
 
 pytest.importorskip("scipy", reason="filters need scipy")
 
@@ -64,7 +65,7 @@ def test_a_sine_at_the_cutoff_is_halved_and_nothing_lags():
         np.testing.assert_allclose(found, gain * sine(time, frequency)[500:-500], atol=6e-3)
 
 
-@pytest.mark.parametrize("rate", [8.0, 37.0, 100.0])
+@all_in_one([8.0, 37.0, 100.0])
 def test_fewer_rows_keep_what_is_slow_and_nothing_of_what_is_fast(rate):
     stamps = uneven(1000, 20)
     slow, fast = 0.25 * rate, 0.9 * rate  # without the filter, the fast one would look like 0.1 of the rate

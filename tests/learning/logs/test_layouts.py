@@ -10,6 +10,7 @@ import re
 
 import numpy as np
 import pytest
+from helpers import all_in_one
 from messages import refused
 from recorded_logs import arrays, log_refused, names, sines, table, written
 
@@ -32,8 +33,7 @@ def blocks(path, **signals):
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "options",
+@all_in_one(
     [
         *({"columns": x} for x in ("q", {"velocity": "v{1}"}, {"q": None}, {"time": ["a", "b"]})),
         *({"columns": {"q": x}} for x in (3, ["a", 3], [])),
@@ -46,20 +46,19 @@ def blocks(path, **signals):
         {"zero": (1.0,)},
         {"zero": (np.inf,), "transmission": (1.0,)},
         {"at_motors": ("time",)},
-    ],
+    ]
 )
 def test_arguments_are_checked(options):
     with refused(TorchdqError):
         Layout(**options)
 
 
-@pytest.mark.parametrize(
-    "options",
+@all_in_one(
     [
         {"transmission": (0.1, 0.1)},
         {"transmission": ((1.0, 0.0), (0.0, 1.0))},
         {"transmission": (1, 1, 1), "zero": (0.1,)},
-    ],
+    ]
 )
 def test_they_are_checked_against_the_log(options):
     with refused(ArgumentError):
@@ -232,7 +231,7 @@ def test_efforts_of_unknown_gains_are_never_taken_for_torques(tmp_path):
     np.testing.assert_allclose(stack_samples(known).tau, 7 * motion.tau)
 
 
-@pytest.mark.parametrize("transmission", [(0.01, -0.0125, 0.02), COUPLED])
+@all_in_one([(0.01, -0.0125, 0.02), COUPLED])
 def test_motors_are_taken_to_the_scale_of_their_joints(transmission):
     x, zero = {name: KNOWN[name] for name in ("time", "q", "qd", "tau")}, np.array([0.1, -0.2, 0.3])
     S = np.diag(transmission) if np.ndim(transmission) == 1 else np.array(transmission)

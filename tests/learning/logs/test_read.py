@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from recorded_logs import arrays, codes, log_refused, names, recordings, sines, table, with_findings, written
 from recordings import LAYOUTS, layout_of
@@ -107,7 +108,7 @@ def test_a_log_may_be_an_address_an_open_file_or_bytes_packed_and_encoded(log, k
         source.close()
 
 
-@pytest.mark.parametrize("wrong", [0.0, -1.0, "50", 5000.0, 1.0, float("nan")])
+@all_in_one([0.0, -1.0, "50", 5000.0, 1.0, float("nan")])
 def test_logs_are_read_at_a_rate(wrong):
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.4, 1.6, 10_000)) / 2000
     found = read_log(arrays(time=stamps), rate=50.0)
@@ -495,8 +496,8 @@ def test_the_example_prints_what_it_recognised(tmp_path, capsys):
 # --- anything at all -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_any_columns_are_read_or_refused_by_an_error_of_this_package(tmp_path, seed):
+@all_in_one(range(60))
+def test_any_columns_are_read_or_refused_by_an_error_of_this_package(seed, tmp_path):
     """Columns left out, doubled, renamed, in another order, in another unit, with layouts of all kinds."""
     rng = np.random.default_rng(seed)
     time = np.linspace(0.0, 6.0, 1201)[:60]

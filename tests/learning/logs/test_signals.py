@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+from helpers import all_in_one
 from recorded_logs import HEADS, TABLE, TIME, assert_holds, log_refused, sines, with_findings
 
 from torchdq.learning import Layout, read_log
@@ -35,7 +36,7 @@ def test_files_of_the_same_rows_are_joined_without_a_change(tmp_path):
         read_log([q, tau], Layout(columns=names | {"q": ["positions:1", "torques:1"], "tau": None}, rate=500.0))
 
 
-@pytest.mark.parametrize("fast", ["q", "tau"])
+@all_in_one(["q", "tau"])
 def test_files_of_different_rates_are_joined_at_the_times_of_the_slower_one(fast):
     """Where both run; noise above what the slower one can hold is filtered out, and commands are never interpolated."""
     quick, slow = np.arange(0.5, 6, 0.001), np.arange(0, 5.004, 0.01) + 0.0003

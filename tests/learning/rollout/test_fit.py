@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from helpers import double, exhaustive, random
+from helpers import all_in_one, double, exhaustive, random
 from messages import refused, warned
 from scipy import optimize, signal, stats
 
@@ -25,6 +25,7 @@ from torchdq.learning.rollout.recordings import Commands
 from torchdq.scene import controllers, integrators
 from torchdq.scene.recording import Stage
 
+BACKEND = "auto"  # thousands of steps one after the other
 ROBOT = torchdq.robots.load("two_link")
 DT, ROWS = 0.01, 301
 TIME = DT * torch.arange(ROWS, dtype=torch.float64)
@@ -84,20 +85,19 @@ def guess():
 
 
 def test_derivatives_of_a_step_are_finite_differences():
-    robot = torchdq.robots.load("puma560")
-    parts = (effects.Gravity(), effects.FirstOrderLag(double(*[0.02] * 6)), effects.Servo(double(*[60.0] * 6), 5.0))
-    scene = Scene(robot, (*parts, effects.Coulomb(double(*[0.3] * 6), 0.1)), dt=0.01)
-    s, torque, target = random(3, 30).split((18, 6, 6), -1)
+    parts = (effects.Gravity(), effects.FirstOrderLag(double(0.02, 0.02)), effects.Servo(double(60.0, 60.0), 5.0))
+    scene = Scene(ROBOT, (*parts, effects.Coulomb(double(0.3, 0.3), 0.1)), dt=0.01)
+    s, torque, target = random(3, 10).split((6, 2, 2), -1)
 
     def evaluated(state, lag, target, wrt=None):
-        rows = dict(zip(scene.spec.state, state.split(6, -1), strict=True))
+        rows = dict(zip(scene.spec.state, state.split(2, -1), strict=True))
         given = {**rows, "target": target, "torque": torque, **scene.parameters, "1.time": lag}
         return evaluate(Stage(scene.spec, "step", wrt=wrt), given)
 
     def after(**changed):
         return torch.cat(list(evaluated(**{**at, **changed}).values()), -1)
 
-    at = {"state": s, "lag": double(*[0.02] * 6), "target": target}
+    at = {"state": s, "lag": double(0.02, 0.02), "target": target}
     reached, *slopes = evaluated(**at, wrt=("1.time", "target")).values()
     torch.testing.assert_close(reached, after(), rtol=0, atol=1e-13)
     for slope, (name, x) in zip(slopes, at.items(), strict=True):
@@ -121,8 +121,9 @@ def test_means_and_slopes_of_commands_are_those_of_a_fine_sum():
     np.testing.assert_array_equal(commands.mean(time[:-1], 1e-3), commands.values[:-1])
 
 
-@pytest.mark.parametrize(("rows", "window"), [(99, 21), (9, 9), (30, 5), (4, 3), (2, 1)])
-def test_slopes_at_the_first_nodes_are_those_of_savitzky_and_golay(rows, window):
+@all_in_one([(99, 21), (9, 9), (30, 5), (4, 3), (2, 1)])
+def test_slopes_at_the_first_nodes_are_those_of_savitzky_and_golay(case):
+    rows, window = case
     x = np.random.default_rng(0).normal(size=(rows, 3))
     expected = signal.savgol_filter(x, window, min(3, window - 1), deriv=1, axis=0)
     np.testing.assert_allclose(shooting.slopes(x, window), expected, atol=1e-12)
@@ -291,12 +292,12 @@ def test_errors_that_shorter_steps_contradict_are_wider(monkeypatch):
 def test_stiff_friction():
     """Friction that stops a joint within a step, over many reversals."""
     dt = 0.005
-    time = dt * torch.arange(601, dtype=torch.float64)
+    time = dt * torch.arange(301, dtype=torch.float64)
     both = ((effects.Viscous(0.2), effects.Coulomb(level, 0.005)) for level in ((1.5, 1.0), 0.2))
     fine = integrators.Repeated(RULE, 64)
     real, wrong = (Scene(ROBOT, parts, integrator=fine, dt=dt) for parts in both)
     inputs = {"torque": driving(time)}
-    log = Recording(time, noisy(moved(real, inputs, rows=601), 1, 1e-4), inputs)
+    log = Recording(time, noisy(moved(real, inputs), 1, 1e-4), inputs)
     found = fit_rollout(wrong, log, ("Coulomb.coulomb", "Viscous.coefficient"))
     assert worst_z(found, 1.5, 1.0, 0.2, 0.2) < 4
     assert float(found.rms.max()) < 1.1e-4
@@ -477,7 +478,7 @@ MISUSE = {
 }
 
 
-@pytest.mark.parametrize("misuse", MISUSE)
+@all_in_one(MISUSE)
 def test_misuse_is_refused(misuse):
     with refused((ArgumentError, UnknownNameError, LogError)):
         MISUSE[misuse]()

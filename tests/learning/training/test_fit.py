@@ -7,6 +7,7 @@ import time
 import helpers
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from torch import nn
 
@@ -186,8 +187,7 @@ def spoilt(value: float) -> Samples:
     return samples
 
 
-@pytest.mark.parametrize(
-    "options",
+@all_in_one(
     [
         {"steps": 0},
         *({name: x} for name, x in (("batch", 0), ("rate", math.nan), ("prior", -1), ("decay", -0.1), ("seed", 0.5))),
@@ -198,7 +198,7 @@ def spoilt(value: float) -> Samples:
         {"train": Samples(*(x.new_ones(9, 6) for x in data()))},
         *({"valid": x} for x in (spoilt(math.inf), data()._replace(tau=data().tau.tolist()), data()._asdict())),
         {"valid": Samples(*(x[:, :1] for x in data()))},
-    ],
+    ]
 )
 def test_arguments_are_checked(options):
     arguments = {"model": Network(), "train": data(), "steps": 3, **options}
@@ -206,7 +206,7 @@ def test_arguments_are_checked(options):
         fit(arguments.pop("model"), arguments.pop("train"), **arguments)
 
 
-@pytest.mark.parametrize("change", [lambda tau: tau[..., :1], lambda tau: tau.detach()])
+@all_in_one([lambda tau: tau[..., :1], lambda tau: tau.detach()])
 def test_a_model_of_other_torques_is_refused(change):
     class Wrong(Network):
         def forward(self, q, qd, qdd):
@@ -232,7 +232,7 @@ class Breaking(Network):
         return tau + (torch.sqrt(0 * bias).sum() if self.gradient else torch.nan * bias.sum())
 
 
-@pytest.mark.parametrize("gradient", [False, True])
+@all_in_one([False, True])
 def test_numbers_that_are_not_finite_end_the_run_before_they_reach_the_weights(gradient):
     model = Breaking(18, gradient)
     with refused(TrainingError):

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from helpers import double
+from helpers import double, thinned
 from messages import refused, warned
 from recorded_logs import ROBOT as TWO
 from recorded_logs import waves
@@ -11,7 +11,7 @@ import torchdq
 from torchdq.learning import LogWarning, Samples, fit
 from torchdq.learning.training.validation_gain import HeldOut, validation_gain
 
-F64 = torch.float64
+F64, BACKEND = torch.float64, "auto"  # one arm, whose programs all tests share
 OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2}
 
 
@@ -53,7 +53,7 @@ def error(model, part):
 @pytest.mark.parametrize("rest", [stribeck, cable])
 def test_a_residual_that_helps_is_kept_and_brings_the_error_of_unseen_motions_down(rest):
     model = layer(inputs="all" if rest is cable else "joint")
-    history = fit(model, [motion(k, rest) for k in range(6)], steps=300, **OPTIONS)
+    history = fit(model, [motion(k, rest) for k in range(6)], steps=200, **OPTIONS)
     gain = history.residual
     assert (gain.weight > 0.8).all() and (gain.error < 0.6 * gain.without).all()
     test = motion(99, rest)
@@ -75,7 +75,7 @@ def test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight():
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seconds", [2.0, 20.0])
+@pytest.mark.parametrize("seconds", thinned([2.0, 20.0], [2.0]))
 def test_other_motions_are_never_worse_with_it(seconds):
     """Trained on little and tested slower and faster; a percent is what chance may do."""
     model = layer()

@@ -6,6 +6,7 @@ import warnings
 import oracles
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused, warned
 from urdf_text import codes, joint, link, urdf
 
@@ -223,7 +224,7 @@ def clear(robot):
         return units.diagnostics(robot) == []
 
 
-@pytest.mark.parametrize("name", EXISTING)
+@all_in_one(EXISTING)
 def test_no_robot_that_exists_is_suspected(name):
     assert clear(torchdq.Robot.from_urdf(oracles.urdf_paths()[name], on_unphysical="ignore"))
 

@@ -6,6 +6,7 @@ import math
 import messages
 import pytest
 import torch
+from helpers import all_in_one
 from robots import ARMS, F64, panda, row, same, torques, two
 
 import torchdq
@@ -42,7 +43,7 @@ UNPHYSICAL = {  # changed fields, and code and subject of the fault
 }
 
 
-@pytest.mark.parametrize("case", UNPHYSICAL)
+@all_in_one(UNPHYSICAL)
 def test_replace_checks_values_as_a_file_is_checked(case):
     changes, *expected = UNPHYSICAL[case]
     with messages.refused(UnphysicalError) as refused:
@@ -113,13 +114,13 @@ BROKEN = [
 
 
 @pytest.mark.case("P7")
-@pytest.mark.parametrize("k", range(len(BROKEN)))
+@all_in_one(range(len(BROKEN)))
 def test_replace_checks_names_shapes_and_structure(k):
     with messages.refused((ArgumentError, DtypeError, UnknownNameError)):
         two().replace(**BROKEN[k])
 
 
-@pytest.mark.parametrize("name", ARMS)
+@all_in_one(ARMS)
 def test_every_field_can_be_replaced_by_itself(name):
     robot = torchdq.robots.load(name)
     single = robot.to(torch.float32)

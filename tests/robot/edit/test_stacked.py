@@ -2,8 +2,8 @@
 
 import math
 
-import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from robots import panda, row, same, states, two
 
@@ -32,7 +32,7 @@ def unlimited():
     return two().replace(limits=two().limits._replace(effort=row(math.inf, math.inf)))
 
 
-@pytest.mark.parametrize("robots", [lambda: [two()] * 3, lambda: [two(), two(), unlimited()], lambda: [two()]])
+@all_in_one([lambda: [two()] * 3, lambda: [two(), two(), unlimited()], lambda: [two()]])
 def test_a_stack_has_an_axis_of_its_robots_even_if_they_are_equal(robots):
     robots = robots()
     batch = Robot.stack(robots)
@@ -60,7 +60,7 @@ APART = {
 }
 
 
-@pytest.mark.parametrize("case", APART)
+@all_in_one(APART)
 def test_robots_that_differ_in_more_than_numbers_are_not_stacked(case):
     robots = APART[case]
     with refused(ArgumentError):

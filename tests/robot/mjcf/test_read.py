@@ -11,6 +11,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from mjcf_text import ARM, COUPLED, FREE, fixed_assets, model_of, random_mjcf
 from urdf_text import codes
@@ -42,7 +43,7 @@ def xpose(data) -> np.ndarray:
     return X
 
 
-@pytest.mark.parametrize("name", CASES)
+@all_in_one(CASES)
 def test_dynamics_agree_with_mujoco(name):
     source = CASES[name]
     model, robot = model_of(source), torchdq.Robot.from_mjcf(source, on_unphysical="ignore")
@@ -60,7 +61,7 @@ def test_dynamics_agree_with_mujoco(name):
         near(tau[k], reference @ s.qdd[k].numpy() + data.qfrc_bias)
 
 
-@pytest.mark.parametrize("name", ["arm", "random0", "random1"])
+@all_in_one(["arm", "random0", "random1"])
 def test_frames_and_jacobians_agree_with_mujoco(name):
     source = CASES[name]
     model, robot = model_of(source), torchdq.Robot.from_mjcf(source)
@@ -81,7 +82,7 @@ def test_frames_and_jacobians_agree_with_mujoco(name):
         near(transform(poses[name]), xpose(data.site(i)))
 
 
-@pytest.mark.parametrize("name", ["panda", "simple_humanoid", "talos_left_arm", "ur5_gripper"])
+@all_in_one(["panda", "simple_humanoid", "talos_left_arm", "ur5_gripper"])
 def test_a_robot_from_urdf_is_that_from_mujocos_reading_of_the_urdf(name):
     text = oracles.rigid_bodies(name)
     with messages.warned(UserWarning):
@@ -167,7 +168,7 @@ OPEN = {  # constraint: its subject, and what a warning of it names
 }
 
 
-@pytest.mark.parametrize("constraint", OPEN)
+@all_in_one(OPEN)
 def test_an_equality_constraint_that_is_left_open_is_warned_of_by_name(constraint):
     subject, ends = OPEN[constraint]
     with messages.warned(UserWarning) as caught:
@@ -317,7 +318,7 @@ def test_joints_that_couplings_hold_are_told_from_locked_ones():
     assert "lock" not in found
 
 
-@pytest.mark.parametrize("flag", ["equality", "constraint"])
+@all_in_one(["equality", "constraint"])
 def test_couplings_that_a_flag_disables_are_noted_and_not_used(flag):
     text = COUPLED.replace("<worldbody>", f"<option><flag {flag}='disable'/></option><worldbody>", 1)
     robot = torchdq.Robot.from_mjcf(text)
@@ -416,7 +417,7 @@ FAULTY = [
 ]
 
 
-@pytest.mark.parametrize("k", range(len(FAULTY) + len(OPTIONS)))
+@all_in_one(range(len(FAULTY) + len(OPTIONS)))
 def test_files_and_arguments_that_make_no_robot_are_refused(k):
     text, arguments = [*OPTIONS, *((text, {}) for text in FAULTY)][k]
     with refused(torchdq.TorchdqError):

@@ -8,6 +8,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused, warned
 
 import torchdq
@@ -45,7 +46,7 @@ def changed_in_mjcf(robot: torchdq.Robot) -> torchdq.Robot:
     )
 
 
-@pytest.mark.parametrize("name", MODELS)
+@all_in_one(MODELS)
 def test_a_robot_is_read_back_as_it_was_written(name):
     text = MODELS[name]
     robot = read(text)
@@ -78,7 +79,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("name", CHANGES)
+@all_in_one(CHANGES)
 def test_only_what_changed_is_written(name):
     field, rows, expected = CHANGES[name]
     assert differences(MJCF, with_rows(read(MJCF), field, rows).to_mjcf(MJCF)) == expected
@@ -127,7 +128,7 @@ MJCF_REFUSED = {
 }
 
 
-@pytest.mark.parametrize("name", MJCF_REFUSED)
+@all_in_one(MJCF_REFUSED)
 def test_a_robot_that_has_no_place_in_mjcf_is_refused(name):
     change = MJCF_REFUSED[name]
     with refused(torchdq.ArgumentError):

@@ -5,6 +5,7 @@ import warnings
 import oracles
 import pytest
 import torch
+from helpers import all_in_one
 from messages import warned
 from urdf_text import LIMIT, also, arm, codes, fixed, joint, link, mimic, torques
 
@@ -55,7 +56,7 @@ def with_link(body, more, kind="revolute"):
     return also(f"<link name='x'>{body}</link><joint name='j' type='{kind}{attribute}'>{ends}{more}</joint>")
 
 
-@pytest.mark.parametrize("case", MATTER)
+@all_in_one(MATTER)
 def test_what_may_change_the_dynamics_is_one_warning(case):
     body, more = MATTER[case]
     with warned(UserWarning) as seen:
@@ -70,7 +71,7 @@ def test_what_may_change_the_dynamics_is_one_warning(case):
         assert set(found) <= set(Robot.from_urdf(with_link(body, more), on_unphysical="ignore").notes)
 
 
-@pytest.mark.parametrize("case", HARMLESS)
+@all_in_one(HARMLESS)
 def test_what_changes_no_dynamics_is_no_warning(case):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -104,35 +105,33 @@ def test_what_is_not_read_has_no_effect_and_is_named_once():
     }
 
 
-@pytest.mark.parametrize(
-    "text",
+@all_in_one(
     [
         LIMIT.replace("<limit", "<limit acceleration='3' soft:lower='1'"),
         LIMIT + "<dynamics damping='0' friction='0' spring_stiffness='1'/>",
         LIMIT + mimic("shoulder").replace("/>", " of='x'/>"),
-    ],
+    ]
 )
 def test_attributes_in_addition_to_all_of_urdf_are_extensions_and_silent(text):
     found = codes(Robot.from_urdf(also(link("x") + joint("j", "lower", "x", more=text))))
     assert "element.ignored" not in {code for code, _ in found}
 
 
-@pytest.mark.parametrize(
-    "more",
+@all_in_one(
     [
         "<transmission><joint name='x'><hardwareInterface/></joint><actuator/></transmission>",
         "<gazebo reference='x'><link><inertial><mass value='x'/></inertial></link></gazebo>",
         "<ros2_control><joint name='elbow'/></ros2_control>",
         "<material name='m'/>",
         '<drake:x gz:y="1"/>',
-    ],
+    ]
 )
 def test_what_others_read_is_nothing_to_note(more):
     robot = Robot.from_urdf(also(more))
     assert torch.equal(torques(robot), torques(arm())) and robot.notes == Robot.from_urdf(arm()).notes
 
 
-@pytest.mark.parametrize("zero", ["effort", "velocity", "lower and upper"])
+@all_in_one(["effort", "velocity", "lower and upper"])
 def test_limits_of_zero_are_noted(zero):
     limits = {"lower": -1, "upper": 2, "effort": 3, "velocity": 4} | dict.fromkeys(zero.split(" and "), 0)
     more = "<limit " + " ".join(f'{key}="{x}"' for key, x in limits.items()) + "/>"
@@ -153,7 +152,7 @@ def test_the_report_says_all_that_was_found():
 IGNORED = {"alex_psyonic_hands", "centauro", "quadruped"}
 
 
-@pytest.mark.parametrize("name", oracles.example_robots())
+@all_in_one(oracles.example_robots())
 def test_robots_of_others_have_no_ignored_elements_but_three(name):
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")

@@ -7,6 +7,7 @@ import time
 
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused, warned
 from urdf_text import also, arm, fixed, joint, link, torques, urdf
 
@@ -95,7 +96,7 @@ UNREADABLE = (
 UNREADABLE += ("a\0b", "a/../" * 2000, "a" * 100_000, ".", io.StringIO(""))
 
 
-@pytest.mark.parametrize("source", UNREADABLE, ids=range(len(UNREADABLE)))
+@all_in_one(UNREADABLE)
 def test_a_source_that_cannot_be_read_says_what_to_do(source):
     refuse(source)
 
@@ -108,7 +109,7 @@ def test_a_missing_file_is_what_a_caller_expects():
     refuse(file)
 
 
-@pytest.mark.parametrize("source", [None, 5, True, ["arm.urdf"], {"path": "arm.urdf"}], ids=repr)
+@all_in_one([None, 5, True, ["arm.urdf"], {"path": "arm.urdf"}])
 def test_what_is_no_source_is_refused_by_kind(source):
     refuse(source, ArgumentError)
 
@@ -152,7 +153,7 @@ HEADS += [
 ]  # text is decoded
 
 
-@pytest.mark.parametrize("before", HEADS)
+@all_in_one(HEADS)
 def test_text_may_begin_as_xml_may(before):
     assert is_arm(before + arm())
 
@@ -178,7 +179,7 @@ UNREAD = {
 
 
 @pytest.mark.case("U8")
-@pytest.mark.parametrize("case", UNREAD)
+@all_in_one(UNREAD)
 def test_what_dynamics_do_not_need_may_be_wrong_and_prefixes_need_no_declaration(case):
     assert is_arm(UNREAD[case])
 
@@ -210,7 +211,7 @@ HOSTILE = {
 
 
 @pytest.mark.case("U8")
-@pytest.mark.parametrize("case", HOSTILE)
+@all_in_one(HOSTILE)
 def test_a_hostile_text_is_refused(case):
     refuse(HOSTILE[case])
 
@@ -241,7 +242,7 @@ STARTS = ("version https://git-lfs x", "PXR-USDC", "{}", "xml: 1", "404: not", "
 ROOTS = ("sdf", "mujoco", "srdf", "launch", "COLLADA", "html", "Robot", "arm")
 
 
-@pytest.mark.parametrize("start", (*STARTS, *ROOTS))
+@all_in_one((*STARTS, *ROOTS))
 def test_other_formats_are_told_by_their_beginning_or_their_root(start):
     refuse(start.encode() if start in STARTS else f"<{start}>{link('base')}</{start}>")
 
@@ -301,12 +302,12 @@ def test_a_body_alone_may_have_forces_and_frames_of_drake():
     assert robot.base_mass == 1.0 and [x.severity for x in robot.notes if x.code == "element.ignored"] == ["note"] * 2
 
 
-@pytest.mark.parametrize("more", ['<group name="hand"/>', "<robot><link name='c'/></robot>", '<Joint name="j"/>'])
+@all_in_one(['<group name="hand"/>', "<robot><link name='c'/></robot>", '<Joint name="j"/>'])
 def test_a_file_of_other_things_is_no_robot_without_joints(more):
     refuse(urdf(link("base", None), more))
 
 
-@pytest.mark.parametrize("more", ["", '<material name="m"/>', "<gazebo/>", '<drake:x value="1"/>', "<ros2_control/>"])
+@all_in_one(["", '<material name="m"/>', "<gazebo/>", '<drake:x value="1"/>', "<ros2_control/>"])
 def test_a_body_alone_may_have_what_robots_have(more):
     robot = Robot.from_urdf(urdf(link("base"), more))
     assert robot.n == 0 and "0 joints, chain, 0 kg" in repr(robot)

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused, warned
 from urdf_text import ENTRIES, LIMIT, also, arm, fixed, joint, link, same, states, torques, urdf, words
 
@@ -29,13 +30,13 @@ def faults(text, **options):
     return [(x.code, x.subject) for x in caught.value.findings]
 
 
-@pytest.mark.parametrize("text", ["1.5 ", " 1.5", "\t1.5\n", "+1.5", "1.50", "15e-1", "15E-1", "&#49;.5"])
+@all_in_one(["1.5 ", " 1.5", "\t1.5\n", "+1.5", "1.50", "15e-1", "15E-1", "&#49;.5"])
 def test_a_number_may_be_written_in_any_way_that_is_a_number(text):
     # pinocchio takes the link of '1.5 ' for one without inertia, and says nothing
     assert Robot.from_urdf(arm(mass=text)).mass[0] == 1.5
 
 
-@pytest.mark.parametrize("text", ["0.02 -0.03 0.1", "0.02  -0.03\t0.1", "\n0.02\n-0.03 0.1 "])
+@all_in_one(["0.02 -0.03 0.1", "0.02  -0.03\t0.1", "\n0.02\n-0.03 0.1 "])
 def test_numbers_may_be_separated_by_any_blanks(text):
     assert torch.equal(torques(arm(xyz=text)), torques(arm()))
 
@@ -77,7 +78,7 @@ WRONG = {  # code of the fault: words of the arm's file, and others in their pla
 
 
 @pytest.mark.case("U2", "U6", "U7")
-@pytest.mark.parametrize("code", WRONG)
+@all_in_one(WRONG)
 def test_every_number_that_is_read_is_checked(code):
     """Products of numbers must not overflow, and what only resists is not negative."""
     for before, after in WRONG[code]:
@@ -107,7 +108,7 @@ def test_millions_of_numbers_or_digits_are_refused_at_once_and_not_repeated(fiel
 
 
 @pytest.mark.case("U8")
-@pytest.mark.parametrize("old", ['"arm"', '"upper"', '"elbow"'])
+@all_in_one(['"arm"', '"upper"', '"elbow"'])
 def test_a_name_is_not_a_book(old):
     assert {code for code, _ in faults(arm().replace(old, '"' + "n" * 50_000 + '"'))} == {"name.long"}
 
@@ -151,7 +152,7 @@ MALFORMED = {
 
 
 @pytest.mark.case("U3", "U5")
-@pytest.mark.parametrize("case", MALFORMED)
+@all_in_one(MALFORMED)
 def test_a_malformed_file_is_refused_by_name_and_a_fault_brings_no_others(case):
     more, code, subject = MALFORMED[case]
     found = faults(also(more))
@@ -189,7 +190,7 @@ UNUSABLE = {  # words of the limits of a joint: what they are taken for
 }
 
 
-@pytest.mark.parametrize("given", UNUSABLE)
+@all_in_one(UNUSABLE)
 def test_limits_that_no_motion_can_keep_are_none_and_are_warned_of(given):
     text = arm().replace(LIMIT, f"<limit {given}/>", 1)
     with warned(UserWarning):
@@ -233,9 +234,7 @@ def test_an_infinite_limit_of_a_joint_that_does_not_move_is_nothing():
         assert faults(also(extra.replace("inf", "nan")))[0] == ("number.invalid", "joint 'more_joint'")
 
 
-@pytest.mark.parametrize(
-    "given", ['lower="inf" upper="inf"', 'lower="-inf" upper="-inf"', 'lower="-1" upper="2" effort="-inf"']
-)
+@all_in_one(['lower="inf" upper="inf"', 'lower="-inf" upper="-inf"', 'lower="-1" upper="2" effort="-inf"'])
 def test_an_infinite_limit_that_no_motion_can_keep_is_warned_of_as_a_finite_one(given):
     with warned(UserWarning):
         robot = Robot.from_urdf(arm().replace(LIMIT, f"<limit {given}/>", 1))
@@ -286,7 +285,7 @@ def test_shapes_are_placed_by_quaternions():
         assert [x.center for x in Robot.from_urdf(text).contact_points("rod")] == [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)]
 
 
-@pytest.mark.parametrize("word", ["quat", "quat_wxyz", "quat_xyz"])
+@all_in_one(["quat", "quat_wxyz", "quat_xyz"])
 def test_a_quaternion_in_other_words_is_warned_of(word):
     with warned(UserWarning):
         Robot.from_urdf(PLACED.replace("quat_xyzw", word))
@@ -306,7 +305,7 @@ def test_links_without_bodies_that_hang_on_nothing_are_left_out():
     assert robot.frame_names == ("base", "upper", "lower") and torch.equal(torques(robot), torques(arm()))
 
 
-@pytest.mark.parametrize("broken", [{"mass": "x"}, {"inertia": ("nan", 0, 0, 0, 0, 0)}, {"xyz": "a b c"}], ids=repr)
+@all_in_one([{"mass": "x"}, {"inertia": ("nan", 0, 0, 0, 0, 0)}, {"xyz": "a b c"}])
 def test_an_inertial_of_a_link_that_never_moves_may_be_unreadable(broken):
     text = arm().replace(link("base", None), link("base", **broken) + link("stand", **broken))
     text = also(fixed("bolt", "base", "stand"), text)

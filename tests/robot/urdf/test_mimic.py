@@ -12,6 +12,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused, warned
 from robots import noted
 from urdf_text import (
@@ -75,7 +76,7 @@ def test_displacements_are_the_map_of_the_coordinates():
     assert torch.equal(found.X_PB_home, whole.X_PB_home) and torch.equal(found.screw, whole.screw)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@all_in_one(range(6))
 def test_a_random_file_of_followers_is_the_reduced_system(seed):
     """Torques S^T tau and mass matrix S^T M S of the joints at S q - home, whatever computes them."""
     text, rng = urdf(*random_elements(seed, n=7, kinds=("revolute", "prismatic"))), random.Random(seed)
@@ -95,7 +96,7 @@ def test_a_random_file_of_followers_is_the_reduced_system(seed):
     assert same(torchdq.mass_matrix(found, q, backend="eager"), S.T @ M @ S, 1e-12)
 
 
-@pytest.mark.parametrize("name", ["baxter", "tiago_pro", "panda"])
+@all_in_one(["baxter", "tiago_pro", "panda"])
 def test_mass_matrices_of_mimic_robots_are_those_of_pinocchio(name):
     path = oracles.urdf_paths()[name]
     found = Robot.from_urdf(path)
@@ -142,7 +143,7 @@ ENDLESS = [
 ]
 
 
-@pytest.mark.parametrize("k", range(len(ENDLESS)))
+@all_in_one(range(len(ENDLESS)))
 def test_followers_that_end_nowhere_are_refused_and_bring_no_other_faults(k):
     mimics, *fault = ENDLESS[k]
     with refused(DescriptionError) as caught:
@@ -153,7 +154,7 @@ def test_followers_that_end_nowhere_are_refused_and_bring_no_other_faults(k):
 
 
 @pytest.mark.case("U4")
-@pytest.mark.parametrize("more", ['<mimic joint="nobody"/>', "<mimic/>"])
+@all_in_one(['<mimic joint="nobody"/>', "<mimic/>"])
 def test_a_follower_of_nobody_is_independent(more):
     text = hand("", more, mimic("index"))
     with warned(UserWarning):
@@ -166,7 +167,7 @@ def test_a_follower_of_nobody_is_independent(more):
     assert found.n == 4 and ("unsimulated.mimic", "index, ring") in codes(found)
 
 
-@pytest.mark.parametrize("multiplier", ["0", "-0.0"])
+@all_in_one(["0", "-0.0"])
 def test_a_follower_at_no_multiple_or_of_a_fixed_joint_stays_at_its_offset(multiplier):
     found = Robot.from_urdf(hand("", mimic("thumb", multiplier, 0.5), mimic("index", 2)))
     assert found.joint_names == ("little", "thumb") and found.joint_map is None
@@ -244,7 +245,7 @@ def test_a_locked_joint_is_a_fixed_joint_at_that_position(kind, length):
     assert locked(robot) == "elbow at 0.7"
 
 
-@pytest.mark.parametrize("lock", ["elbow", ["elbow"], ("elb*",), {"elbow"}, {"e*": 0}])
+@all_in_one(["elbow", ["elbow"], ("elb*",), {"elbow"}, {"e*": 0}])
 def test_joints_are_locked_by_names_and_patterns_at_zero(lock):
     robot = Robot.from_urdf(arm(), lock=lock)
     assert torch.equal(torques(robot), torques(Robot.from_urdf(arm(), lock={"elbow": 0.0})))
@@ -344,12 +345,12 @@ def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them(opt
 FOLLOWERS_ALONE = [arguments for text, arguments in REFUSED if text is BESIDE]
 
 
-@pytest.mark.parametrize("arguments", FOLLOWERS_ALONE, ids=repr)
+@all_in_one(FOLLOWERS_ALONE)
 def test_independent_followers_are_locked_or_kept_alone(arguments):
     assert Robot.from_urdf(BESIDE, mimic="independent", **arguments).joint_names
 
 
-@pytest.mark.parametrize("circle", [["index", "thumb"], ["thumb"], ["index", "ring", "thumb"]], ids=repr)
+@all_in_one([["index", "thumb"], ["thumb"], ["index", "ring", "thumb"]])
 def test_joints_that_mimic_each_other_are_locked_once(circle):
     text = accompanied(hand(*(mimic(name, 1, 1) for name in circle)))
     assert Robot.from_urdf(text, lock=["thumb"], mimic="independent").n == 5 - len(circle)

@@ -7,6 +7,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused, warned
 from urdf_text import (
     EPS,
@@ -59,7 +60,7 @@ def test_a_random_file_is_the_robot_that_pinocchio_reads(seed):
         assert same(X, data.oMf[model.getFrameId(name)].homogeneous, 1e-12)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@all_in_one(range(6))
 def test_locked_joints_are_those_of_a_reduced_model(seed):
     text = urdf(*random_elements(seed, n=8, kinds=("revolute", "prismatic", "fixed")))
     whole, model = Robot.from_urdf(text, on_unphysical="ignore"), pin.buildModelFromXML(text)
@@ -73,7 +74,7 @@ def test_locked_joints_are_those_of_a_reduced_model(seed):
     assert same(torchdq.inverse_dynamics(robot, *map(torch.from_numpy, (q, qd, qdd))), tau, 1e-12)
 
 
-@pytest.mark.parametrize("name", ["talos_full_v2", "solo12", "romeo", "quadrotor_base"])
+@all_in_one(["talos_full_v2", "solo12", "romeo", "quadrotor_base"])
 def test_free_bases_of_real_robots_are_those_of_pinocchio(name):
     path = oracles.urdf_paths()[name]
     found = Robot.from_urdf(path, base="floating", mimic="independent", on_unphysical="ignore")
@@ -87,7 +88,7 @@ def test_free_bases_of_real_robots_are_those_of_pinocchio(name):
 
 
 @pytest.mark.case("U5")
-@pytest.mark.parametrize("on", ["base", "upper", "lower"])
+@all_in_one(["base", "upper", "lower"])
 def test_a_massless_link_on_a_fixed_joint_changes_no_torque_and_is_a_frame(on):
     robot = Robot.from_urdf(also(link("tool", None) + fixed("mount", on, "tool", (0.3, -0.2, 0.1), (0.4, 0.5, 0.6))))
     assert torch.equal(torques(robot), torques(arm()))
@@ -116,7 +117,7 @@ def test_a_joint_may_be_turned_and_point_anywhere(kind, rpy):
 
 
 @pytest.mark.case("U6")
-@pytest.mark.parametrize("length", [3.0, 1e-6, 1e40])
+@all_in_one([3.0, 1e-6, 1e40])
 def test_an_axis_may_have_any_length(length):
     axis = np.array([2.0, -3.0, 6.0]) / 7.0
     unit, scaled = (
@@ -136,7 +137,7 @@ def test_an_axis_that_is_not_given_is_x_and_that_of_a_fixed_joint_does_not_matte
     )
 
 
-@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@all_in_one(["revolute", "prismatic"])
 def test_a_joint_without_limits_is_unlimited(kind):
     robot = Robot.from_urdf(also(link("x") + joint("j", "lower", "x", kind, more="")))
     assert robot.limits.lower[2] == -math.inf and robot.limits.effort[2] == math.inf
@@ -160,7 +161,7 @@ NAMES = {"universe": "universe", "root_joint": "root_joint", "lower": "lower", "
 NAMES |= {"a &amp; b": "a & b", "a&#10;b&#13;&#9;": "a\nb\r\t"}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@all_in_one(NAMES)
 def test_a_joint_may_have_any_name(name):
     """Pinocchio's own first joint, which carries the base, is called universe."""
     robot = Robot.from_urdf(arm().replace('"elbow"', f'"{name}"'))
@@ -180,7 +181,7 @@ def test_a_link_may_have_any_name(old, name):
 
 
 @pytest.mark.case("U10")
-@pytest.mark.parametrize("order", range(4))
+@all_in_one(range(4))
 def test_the_order_of_the_file_does_not_matter(order):
     plain, shuffled = Robot.from_urdf(tree()), Robot.from_urdf(tree(order))
     assert shuffled.joint_names == plain.joint_names and torch.equal(torques(shuffled), torques(plain))
@@ -381,7 +382,7 @@ UNPHYSICAL = {  # file, options, and faults by code and subject
 
 
 @pytest.mark.case("I3", "U2")
-@pytest.mark.parametrize("case", UNPHYSICAL)
+@all_in_one(UNPHYSICAL)
 def test_a_body_that_cannot_exist_is_refused_by_name_and_number(case):
     """With all others, and with a cure that helps."""
     text, options, faults = UNPHYSICAL[case]
@@ -426,7 +427,7 @@ CROSS = urdf(
 
 
 @pytest.mark.case("I1", "I2", "U1")
-@pytest.mark.parametrize("text", [*(arm(inertia=x) for x in THIN.values()), CROSS], ids=[*THIN, "universal joint"])
+@all_in_one([*(arm(inertia=x) for x in THIN.values()), CROSS])
 def test_points_rods_plates_and_massless_links_between_can_exist(text):
     robot = Robot.from_urdf(text)
     assert not any(code == "inertia.triangle" for code, _ in codes(robot))
@@ -486,7 +487,7 @@ NO_INERTIA = {
 
 @pytest.mark.case("I1")
 @pytest.mark.case("U1")
-@pytest.mark.parametrize("case", NO_INERTIA)
+@all_in_one(NO_INERTIA)
 def test_a_joint_that_moves_nothing_has_torques_and_poses_but_no_accelerations(case):
     finger, how = NO_INERTIA[case]
     robot = Robot.from_urdf(also(finger + joint("knuckle", "lower", "finger", **how)))
@@ -528,7 +529,7 @@ def test_a_warning_or_the_report_can_take_the_place_of_the_error(recwarn):
 # --- inertias that are points or rounding ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("inertia", ["", "<inertia/>"])
+@all_in_one(["", "<inertia/>"])
 def test_a_mass_without_inertia_is_a_point(inertia):
     text = arm()[: arm().index("<inertia ")] + inertia + arm()[arm().index("</inertial>") :]
     robot = Robot.from_urdf(text)
@@ -539,9 +540,7 @@ def test_a_mass_without_inertia_is_a_point(inertia):
 
 
 @pytest.mark.case("U1")
-@pytest.mark.parametrize(
-    "inertial", ["", "<inertial/>", '<inertial><origin xyz="1 2 3"/><inertia ixx="1"/></inertial>']
-)
+@all_in_one(["", "<inertial/>", '<inertial><origin xyz="1 2 3"/><inertia ixx="1"/></inertial>'])
 def test_a_link_without_inertial_or_mass_has_no_mass(inertial):
     robot = Robot.from_urdf(also(f'<link name="tool">{inertial}</link>' + fixed("mount", "lower", "tool")))
     assert torch.equal(torques(robot), torques(arm())) and ("link.massless", "tool") in codes(robot)
@@ -584,7 +583,7 @@ def second(I):
     return I.trace() / 2 * np.eye(3) - I
 
 
-@pytest.mark.parametrize("case", BROKEN)
+@all_in_one(BROKEN)
 def test_a_repaired_inertia_is_the_nearest_that_a_body_has(case):
     robot = Robot.from_urdf(arm(inertia=BROKEN[case]), on_unphysical="repair")
     E, found = second(BROKEN[case]), second(robot.inertia[0].tolist())

@@ -6,6 +6,7 @@ from functools import partial
 import oracles
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from urdf_text import mimic, random_elements, urdf
 from written_files import TOLERANCE, changed, differences, require_equal, with_limit, with_rows
@@ -104,7 +105,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("name", CHANGES)
+@all_in_one(CHANGES)
 def test_only_what_changed_is_written(name):
     field, rows, expected = CHANGES[name]
     assert differences(TEXT, with_rows(read(TEXT), field, rows).to_urdf(TEXT)) == expected
@@ -156,7 +157,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@all_in_one(REFUSED)
 def test_a_robot_that_has_no_place_in_the_file_is_refused(name):
     change = REFUSED[name]
     with refused(torchdq.ArgumentError):
