@@ -6,7 +6,7 @@ import torch
 from helpers import random
 from host_gpu import host_backends  # noqa: F401
 from messages import refused
-from programs import TWO, tree
+from programs import TWO
 from torch.fx.experimental.proxy_tensor import make_fx
 
 import torchdq
@@ -18,8 +18,6 @@ from torchdq.program.program import LARGEST_GROWTH
 F64 = torch.float64
 BACKEND = "auto"
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
-
-RPH = tree(3).bake()
 
 
 def agree(found, expected, factor: float = 256.0) -> None:
@@ -34,17 +32,17 @@ def traced(function):
 
 def test_a_compiled_graph_is_not_served_the_program_of_another_robot():
     f = traced(lambda robot, q: torchdq.inverse_dynamics(robot, q, backend="c"))
-    q = random(9, 3)
-    for robot in (RPH, RPH.replace(mass=2 * RPH.mass).bake(), RPH.replace(gravity=None), RPH):
+    q = random(9, 2)
+    for robot in (TWO, TWO.replace(mass=2 * TWO.mass).bake(), TWO):
         agree([f(robot, q)], [torchdq.inverse_dynamics(robot, q, backend="eager")])
 
 
 def test_compiled_graphs_of_one_robot_and_of_a_batch_of_robots_do_not_mix():
     """Their programs differ in nothing but whether an argument is uniform."""
-    q, gravity = random(9, 3), RPH.gravity * (1 + random(9, 1).abs())
+    q, gravity = random(9, 2), TWO.gravity * (1 + random(9, 1).abs())
 
     def f(q, g, backend="c"):
-        return torchdq.inverse_dynamics(RPH.replace(gravity=g), q, backend=backend)
+        return torchdq.inverse_dynamics(TWO.replace(gravity=g), q, backend=backend)
 
     one = traced(f)
     before = one(q, gravity[0])
@@ -55,8 +53,8 @@ def test_compiled_graphs_of_one_robot_and_of_a_batch_of_robots_do_not_mix():
 
 def test_a_graph_finds_a_derivative_that_this_process_has_not_recorded():
     """As when torch takes the graph from its cache, where another process put it."""
-    f = traced(lambda q: torchdq.inverse_dynamics(RPH, q, backend="c"))
-    q = random(9, 3).requires_grad_()
+    f = traced(lambda q: torchdq.inverse_dynamics(TWO, q, backend="c"))
+    q = random(9, 2).requires_grad_()
     (before,) = torch.autograd.grad(f(q).sum(), q)
     derived = [name for name in autograd._named if ":" in name]
     for name in derived:
@@ -70,11 +68,11 @@ def test_a_graph_of_a_program_that_was_never_recorded_says_so():
 
 
 TRACED = {
-    "a layer": lambda backend: torchdq.DQRNEA(RPH, backend=backend),
-    "a layer that learns": lambda backend: torchdq.DQRNEA(RPH, learn=("mass",), backend=backend),
-    "accelerations": lambda backend: lambda q: torchdq.forward_dynamics(RPH, q, q, q, backend=backend),
-    "a gradient": lambda backend: torch.func.grad(lambda q: torchdq.kinetic_energy(RPH, q, q, backend=backend).sum()),
-    "a batch by vmap": lambda backend: torch.func.vmap(lambda q: torchdq.mass_matrix(RPH, q, backend=backend)),
+    "a layer": lambda backend: torchdq.DQRNEA(TWO, backend=backend),
+    "a layer that learns": lambda backend: torchdq.DQRNEA(TWO, learn=("mass",), backend=backend),
+    "accelerations": lambda backend: lambda q: torchdq.forward_dynamics(TWO, q, q, q, backend=backend),
+    "a gradient": lambda backend: torch.func.grad(lambda q: torchdq.kinetic_energy(TWO, q, q, backend=backend).sum()),
+    "a batch by vmap": lambda backend: torch.func.vmap(lambda q: torchdq.mass_matrix(TWO, q, backend=backend)),
 }
 
 
@@ -82,7 +80,7 @@ TRACED = {
 def test_torch_jit_trace_refuses_compiled_programs(name):
     """In transforms of torch.func, torch.jit.trace fails by itself."""
     poses = name == "a function of poses"
-    x = random(9, 6 if poses else 3)
+    x = random(9, 6 if poses else 2)
     for backend in (None, "c"):
         f = torchdq.dq.exp if poses else TRACED[name](backend)
         f(x)  # a call that is known already is refused as well
@@ -107,7 +105,7 @@ TRACES = {
     ],
 )
 def test_a_trace_records_what_a_function_computes_and_not_its_result(name, backend, trace):
-    x, f = random(9, 3), TRACED[name](backend)
+    x, f = random(9, 2), TRACED[name](backend)
     f(x)
     agree([TRACES[trace](f, x)(2 * x)], [f(2 * x)])
 
