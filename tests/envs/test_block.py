@@ -23,7 +23,7 @@ ONE_CALL = {
         "max_episode_steps": 14,
     },
     "some joints": {"actuated": "*2", "max_episode_steps": 6},
-    "walk": {**SHIPPED, "task": ON_FOUR, "robot": stool(), "randomise": GROUND, "max_episode_steps": 20},
+    "walk": {**SHIPPED, "task": ON_FOUR, "robot": stool(), "randomise": GROUND, "substeps": 1, "max_episode_steps": 20},
     "wipe": {"task": "wipe", "max_episode_steps": 16, **SHIPPED},
 }
 
