@@ -151,7 +151,9 @@ def test_a_load_that_drives_meets_less_friction_than_one_that_is_driven(torque):
 @pytest.mark.parametrize("integrator", FIXED[1:], ids=called)
 def test_friction_of_the_load_never_gives_energy(integrator):
     """Arms under constant torques, which lift them and are driven backwards as they swing; half start at rest."""
-    scene = Scene(ARM, (effects.Gravity(), effects.LoadDependent(0.6, 0.05)), integrator=integrator, dt=4e-4, backend="auto")
+    scene = Scene(
+        ARM, (effects.Gravity(), effects.LoadDependent(0.6, 0.05)), integrator=integrator, dt=4e-4, backend="auto"
+    )
     (q, qd), u = random(2, 20, 2, seed=7), double(6.0, -2.0)
     qd[10:] = 0
     state = scene.start(q, qd)
@@ -211,7 +213,9 @@ def test_the_stiffness_of_a_ripple_is_its_slope_where_it_holds():
 
 
 def test_a_ripple_keeps_the_energy():
-    scene = Scene(WHEEL, (effects.Ripple(0.7, 0.3, -0.5),), integrator=DormandPrince(1e-10, 1e-12), dt=0.02, backend="auto")
+    scene = Scene(
+        WHEEL, (effects.Ripple(0.7, 0.3, -0.5),), integrator=DormandPrince(1e-10, 1e-12), dt=0.02, backend="auto"
+    )
     state, k = scene.start(double(0.1), double(3.0)), 2 * math.pi / 0.7
 
     def energy(state):
