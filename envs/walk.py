@@ -23,6 +23,7 @@ from torchdq.functions.posed import frame as frame_of
 from torchdq.functions.posed import posed
 from torchdq.numbers.functions import at_least, below, exp, maximum, sqrt
 from torchdq.robot import ContactPoint, Robot
+from torchdq.robot.contact_points import points_of
 from torchdq.scene.free_base import START
 from torchdq.scene.spec import Rows, View
 
@@ -235,7 +236,7 @@ class Walk(EpisodeTask):
 
     def _feet(self, robot: Robot) -> tuple[ContactPoint, ...]:
         """Contact points of the feet."""
-        return effects.Contact(self.feet).described(robot).points
+        return points_of(robot, self.feet)
 
     def _touching(self, view: View) -> tuple[list[Number], list[Number]]:
         """Whether each foot touches the ground, 1 or 0, and whether each other point of the contacts does."""

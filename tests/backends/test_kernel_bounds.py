@@ -19,7 +19,7 @@ from torchdq.numbers.functions import cos, exp, floor, log, maximum, sin, sqrt
 from torchdq.program.loop import Loop, adjoint, with_states
 from torchdq.program.program import Argument, outputs, record
 
-SANITIZED = ("-O1", "-g", "-march=native", "-w", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SANITIZED = ("-O0", "-g", "-march=native", "-w", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 BATCHES = (0, 1, 2, 3, 5, 7, 8, 9, 15, 16, 17, 31, 33, 63, 64, 65, 100)
 OFFSETS = (0, 1, 3)
 STEPS = (3, 0, 1)  # of a loop, with each offset

@@ -87,10 +87,11 @@ def made(kind, **values):
     return dataclasses.replace(EVERY[kind]()[0], **values).resolved(CASES["two_link"].robot)
 
 
-@pytest.mark.parametrize("kind, name", [at for at in PARAMETERS if at != ("Payload", "inertia")])  # one body as a whole
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 0.0])
-def test_a_parameter_that_is_a_tensor_is_checked_like_numbers(kind, name, bad):
+# the inertia of a payload is one body as a whole
+@all_in_one([(*at, x) for at in PARAMETERS if at != ("Payload", "inertia") for x in (math.nan, math.inf, -1.0, 0.0)])
+def test_a_parameter_that_is_a_tensor_is_checked_like_numbers(case):
     """One bad entry among good ones, in a batch, in both precisions."""
+    kind, name, bad = case
     effect, easy = getattr(effects, kind), {k: x for k, x in EASY.get(kind, {}).items() if k != name}
     good = getattr(EVERY[kind]()[0], name).detach()
     numbers = good.clone()
@@ -148,15 +149,18 @@ def differentiable(effect, inputs, integrator, steps):
     return end, [*point, *(getattr(effect, name) for name in names), *(inputs[name] for name in learned)]
 
 
-@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), LinearlyImplicit()], ids=["semi-implicit", "implicit"])
-@pytest.mark.parametrize("kind", sorted(set(EVERY) - set(STEPPED)))
-def test_gradients_of_a_step_are_right(kind, integrator):
-    if not integrates(kind, integrator):
-        return
+def integrated(*integrators):
+    """Kinds of effects, each with the integrators that take it."""
+    return [(kind, integrator) for kind in EVERY for integrator in integrators if integrates(kind, integrator)]
+
+
+@all_in_one([x for x in integrated(SemiImplicitEuler(), LinearlyImplicit()) if x[0] not in STEPPED])
+def test_gradients_of_a_step_are_right(given):
+    kind, integrator = given
     assert torch.autograd.gradcheck(*differentiable(*EVERY[kind](), integrator, 1), atol=1e-7, fast_mode=True)
 
 
-@pytest.mark.parametrize("kind", sorted(set(EVERY) - set(STEPPED)))
+@all_in_one(sorted(set(EVERY) - set(STEPPED)))
 def test_gradients_of_a_rollout_are_right(kind):
     integrator = LinearlyImplicit() if kind in ("Elastic", "JointLimits", "Contact") else SemiImplicitEuler()
     assert torch.autograd.gradcheck(*differentiable(*EVERY[kind](), integrator, 4), atol=1e-7, fast_mode=True)
@@ -175,20 +179,20 @@ def test_gradients_through_rounding_are_those_of_a_staircase(kind):
 
 @pytest.mark.case("T10", "T11", "P11")
 @pytest.mark.parametrize("where", ["rest", "limit", "home"])
-@pytest.mark.parametrize(
-    "integrator", [SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4()], ids=lambda i: type(i).__name__
-)
-@pytest.mark.parametrize("kind", EVERY)
-def test_gradients_are_finite_where_formulas_have_corners(kind, integrator, where):
+def test_gradients_are_finite_where_formulas_have_corners(where):
     """At rest without a torque; at the limits exactly; and with both, at home."""
-    if not integrates(kind, integrator):
-        return
+    for kind, integrator in integrated(SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4()):
+        finite_gradients(kind, integrator, where)
+
+
+def finite_gradients(kind, integrator, where):
+    """Assert that gradients of two steps are finite."""
     end, (_, _, _, *rest) = differentiable(*EVERY[kind](), integrator, 2)
     q = {"rest": p(0.4, -0.7), "limit": p(0.2, -0.6), "home": p(0.0, 0.0)}[where]
     qd, torque = (p(0.9, -1.2), p(2.0, -0.7)) if where == "limit" else (p(0.0, 0.0), p(0.0, 0.0))
     found = torch.autograd.grad(end(q, qd, torque, *rest).square().sum(), [q, qd, torque, *rest], allow_unused=True)
-    assert all(x is None or bool(x.isfinite().all()) for x in found)
-    assert found[0] is not None
+    assert all(x is None or bool(x.isfinite().all()) for x in found), (kind, integrator)
+    assert found[0] is not None, (kind, integrator)
 
 
 @pytest.mark.parametrize(
@@ -226,8 +230,9 @@ def test_parameters_that_are_no_numbers_are_refused(given):
         made(name, **{parameter: wrong})
 
 
-@pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
-def test_parameters_without_values_are_named(name, parameter):
+@all_in_one(PARAMETERS)
+def test_parameters_without_values_are_named(given):
+    name, parameter = given
     own, inputs = EVERY[name]()
     wrong = getattr(own, parameter).detach().to("meta")
     scene = Scene(CASES["two_link"].robot, (dataclasses.replace(own, **{parameter: wrong}),))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from effect_harness import FRICTION, forms_of, over_width
-from helpers import FIXED, INERTIA, WHEEL, called, double, random
+from helpers import FIXED, INERTIA, WHEEL, called, double, random, thinned
 from messages import refused
 from oracles import random_tree, shipped
 from scipy.integrate import solve_ivp
@@ -23,7 +23,7 @@ from torchdq.scene.integrators import DormandPrince, ExplicitEuler, LinearlyImpl
 
 F64 = torch.float64
 ARM = shipped("two_link").robot
-TREE = random_tree(6, seed=3, armature=True).robot
+TREE = random_tree(3, seed=3, armature=True).robot
 n = TREE.n
 
 
@@ -151,7 +151,9 @@ def test_a_load_that_drives_meets_less_friction_than_one_that_is_driven(torque):
 @pytest.mark.parametrize("integrator", FIXED[1:], ids=called)
 def test_friction_of_the_load_never_gives_energy(integrator):
     """Arms under constant torques, which lift them and are driven backwards as they swing; half start at rest."""
-    scene = Scene(ARM, (effects.Gravity(), effects.LoadDependent(0.6, 0.05)), integrator=integrator, dt=4e-4)
+    scene = Scene(
+        ARM, (effects.Gravity(), effects.LoadDependent(0.6, 0.05)), integrator=integrator, dt=4e-4, backend="auto"
+    )
     (q, qd), u = random(2, 20, 2, seed=7), double(6.0, -2.0)
     qd[10:] = 0
     state = scene.start(q, qd)
@@ -211,7 +213,9 @@ def test_the_stiffness_of_a_ripple_is_its_slope_where_it_holds():
 
 
 def test_a_ripple_keeps_the_energy():
-    scene = Scene(WHEEL, (effects.Ripple(0.7, 0.3, -0.5),), integrator=DormandPrince(1e-10, 1e-12), dt=0.02)
+    scene = Scene(
+        WHEEL, (effects.Ripple(0.7, 0.3, -0.5),), integrator=DormandPrince(1e-10, 1e-12), dt=0.02, backend="auto"
+    )
     state, k = scene.start(double(0.1), double(3.0)), 2 * math.pi / 0.7
 
     def energy(state):
@@ -274,7 +278,8 @@ def torque_at(t):
 
 def followed(integrator, dt, seconds=0.6):
     """Position, velocity and deflection over time, of a scene and of scipy."""
-    scene = Scene(WHEEL, (effects.LuGre(LEVEL, BEND, RATIO, SLOW, SETTLING),), integrator=integrator, dt=dt)
+    lugre = effects.LuGre(LEVEL, BEND, RATIO, SLOW, SETTLING)
+    scene = Scene(WHEEL, (lugre,), integrator=integrator, dt=dt, backend="auto")
     state, x = scene.start(double(0.0)), np.zeros(3)
     rows = []
     for k in range(round(seconds / dt)):
@@ -344,7 +349,7 @@ def test_bristles_take_power_but_for_what_they_store():
 
 @pytest.mark.parametrize("dt", [1e-3, 0.05])
 def test_implicit_bristles_never_give_energy(dt):
-    scene = Scene(WHEEL, (effects.LuGre(LEVEL, 1e-4, 1.5, 0.1, 0.003),), dt=dt)
+    scene = Scene(WHEEL, (effects.LuGre(LEVEL, 1e-4, 1.5, 0.1, 0.003),), dt=dt, backend="auto")
     state = scene.start(torch.zeros(9, 1, dtype=F64), torch.linspace(-5, 5, 9, dtype=F64)[:, None])
 
     def energy(state):
@@ -361,7 +366,7 @@ def test_implicit_bristles_never_give_energy(dt):
 
 def test_bristles_along_a_log_are_those_of_the_simulation():
     effect = effects.LuGre(0.4, 5e-4, 1.5, 0.3, 0.005)
-    scene = Scene(WHEEL, (effect,), integrator=RungeKutta4(), dt=2e-4)
+    scene = Scene(WHEEL, (effect,), integrator=RungeKutta4(), dt=2e-4, backend="auto")
     state, states = scene.start(double(0.0)), []
     for k in range(1500):
         states.append(state)
@@ -384,7 +389,11 @@ def test_bristles_are_rows_of_a_batch_and_are_remembered():
     assert torch.allclose(state.memory[:, n : 2 * n], q, atol=0.05)
 
 
-@pytest.mark.parametrize("integrator", [RungeKutta4(), LinearlyImplicit(), DormandPrince(1e-9)], ids=called)
+@pytest.mark.parametrize(
+    "integrator",
+    thinned([LinearlyImplicit(), RungeKutta4(), DormandPrince(1e-9)], [LinearlyImplicit(), RungeKutta4()]),
+    ids=called,
+)
 def test_bristles_move_with_a_free_base(integrator):
     """A base of a million tons is a fixed one."""
     zero, body = torch.zeros(3, dtype=F64), torch.tensor([1e9, 0, 1e9, 0, 0, 1e9], dtype=F64)
@@ -420,7 +429,7 @@ def test_layers_learn_what_friction_is_linear_in():
     truth = torchdq.DQRNEA(ARM, friction=(effects.Viscous(0.7), *parts[1:3], effects.LoadDependent(0.2), parts[4]))
     tau = truth(q, qd, qdd)
     optimiser = torch.optim.LBFGS(
-        layer.parameters(), max_iter=500, history_size=100, line_search_fn="strong_wolfe", tolerance_change=1e-15
+        layer.parameters(), max_iter=200, history_size=100, line_search_fn="strong_wolfe", tolerance_change=1e-15
     )
 
     def loss():

@@ -14,6 +14,7 @@ from torchdq.errors import DtypeError
 from torchdq.robot import ContactPoint
 from torchdq.scene import Scene, integrators
 
+BACKEND = "auto"
 F64 = torch.float64
 EPS = 2.0**-52
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from messages import refused
-from small_envs import PUSHES, policy_of, same, started, steps
+from small_envs import ON_FOUR, PUSHES, policy_of, same, started, steps, stool
 
 from torchdq.envs import Absolute, ArmVectorEnv, Pushes, TorchTask, effects
 from torchdq.envs.walk import Walk
@@ -53,14 +53,14 @@ def test_pushes_follow_new_ranges_from_the_next_one_on():
 
 
 def test_commands_of_a_walk_grow_without_a_new_program(monkeypatch):
-    envs = ArmVectorEnv(64, Walk(forward=(0.0, 0.1)), "go2")
+    envs = ArmVectorEnv(64, replace(ON_FOUR, forward=(0.0, 0.1)), stool())
     envs.reset(seed=0)
-    envs.step(torch.zeros(64, 12))
+    envs.step(torch.zeros(64, 4))
     monkeypatch.delattr(program, "recording")
     for fastest in (0.5, 1.0):
-        envs.set(task=Walk(forward=(0.0, fastest)))
+        envs.set(task=replace(ON_FOUR, forward=(0.0, fastest)))
         envs.reset()
-        envs.step(torch.zeros(64, 12))
+        envs.step(torch.zeros(64, 4))
         assert 0.9 * fastest < float(envs.get_state()["goal"][:, 0].max()) <= fastest
 
 

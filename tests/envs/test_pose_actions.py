@@ -17,6 +17,7 @@ from torchdq.envs import ArmVectorEnv, controllers, effects
 from torchdq.envs.pose_actions import PoseActions
 from torchdq.errors import ArgumentError
 
+BACKEND = "auto"
 PLANAR = controllers.OperationalSpace(100.0, 20.0, axes=("x", "y"), expressed="world")
 POSE = {"action": "pose", "scale": None, "controller": PLANAR, "dtype": torch.float64}
 ONE = ((1.0, 0.0, 0.0, 0.0), (0.0,) * 4)

@@ -71,11 +71,13 @@ PROGRAMS = {
 # types of numbers are one in all programs, so that a few in single precision tell as much as all
 SINGLE = ("inverse dynamics", "gradient in parameters", "floating base", "scene")
 EVERY = [(name, dtype) for name in PROGRAMS for dtype in ("float64", "float32")]
+LONG = ("forward dynamics", "computed torque", "operational space control", "parameters")  # of an arm of seven joints
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize(
-    ("name", "dtype"), thinned(EVERY, [pair for pair in EVERY if pair[1] == "float64" or pair[0] in SINGLE])
+    ("name", "dtype"),
+    thinned(EVERY, [(x, dtype) for x, dtype in EVERY if x in SINGLE or (dtype == "float64" and x not in LONG)]),
 )
 def test_files_are_strict_c99_and_their_test_of_a_sample_and_of_a_batch_passes(name, dtype, compiler, tmp_path):
     made = PROGRAMS[name](dtype).export(tmp_path, "exported", batch=True)
@@ -110,7 +112,7 @@ def called(made, program, rows):
 
 
 @GCC
-@pytest.mark.parametrize("name", PROGRAMS)
+@pytest.mark.parametrize("name", thinned(PROGRAMS, [name for name in PROGRAMS if name not in LONG]))
 def test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit(name, tmp_path):
     compiled = PROGRAMS[name]("float64")
     made = compiled.export(tmp_path, "exported")
@@ -401,15 +403,17 @@ MISUSE = {
 }
 
 
-@pytest.mark.parametrize("name", MISUSE)
-def test_what_cannot_be_exported_is_refused_and_nothing_is_written(name, tmp_path):
-    with refused(ArgumentError):
-        MISUSE[name](tmp_path)
-    assert not list(tmp_path.iterdir())
+def test_what_cannot_be_exported_is_refused_and_nothing_is_written(tmp_path):
+    for name, export in MISUSE.items():
+        with refused(ArgumentError):
+            export(tmp_path)
+        assert not list(tmp_path.iterdir()), name
 
 
 @GCC
-@pytest.mark.parametrize("name", ["tau", "q", "expected", "first_", "largest", "x1"])
+@pytest.mark.parametrize(
+    "name", thinned(["tau", "q", "expected", "first_", "largest", "x1"], ["tau", "expected", "x1"])
+)
 def test_a_function_may_have_the_name_of_an_argument_or_a_result(name, tmp_path):
     passes_its_test(torchdq.compile(TWO, "inverse_dynamics").export(tmp_path, name, "own", batch=True), "-O2")
 

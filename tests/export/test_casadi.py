@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from exporting import COMPILERS, F64, STRICT, free, run, step, two_link
+from helpers import thinned
 from messages import refused
 
 import torchdq
@@ -427,7 +428,7 @@ def test_a_solver_steps_back_from_where_a_function_fails(ready):
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-@EACH
+@pytest.mark.parametrize("name", thinned(PROGRAMS, ("parameters", "floating base", "scene")))
 def test_the_file_is_strict_c99(name, compiler, ready, tmp_path):
     compiled, _ = ready(name)
     for knots in (0, KNOTS):

@@ -11,6 +11,7 @@ from torchdq import Scene, dq, effects
 from torchdq.errors import ArgumentError
 from torchdq.robot import ContactPoint
 
+BACKEND = "auto"
 F64 = torch.float64
 MASS, SIDE, G = 2.0, 0.1, 9.81
 BOX = f"""<robot name="box"><link name="box"><inertial><mass value="{MASS}"/>

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from free_flyers import case, motion
-from helpers import called, exhaustive
+from helpers import called, exhaustive, thinned
 from messages import refused
 from scipy.integrate import solve_ivp
 
@@ -91,7 +91,7 @@ def drift(integrator, dt, steps, name="tree3"):
 
 
 @pytest.mark.parametrize("integrator", STEPPED, ids=called)
-@pytest.mark.parametrize("name", ["tree3", "quadrotor_base"])
+@pytest.mark.parametrize("name", thinned(["tree3", "tree2", "quadrotor_base"], ["tree2"]))
 def test_momentum_and_energy_are_conserved_at_the_order_of_the_integrator(name, integrator):
     dt = 0.01 if isinstance(integrator, RungeKutta4) else 1e-3
     coarse, fine = drift(integrator, dt, 50, name), drift(integrator, dt / 2, 100, name)
@@ -108,11 +108,10 @@ def spinning(com, dtype=F64, size=10.0):
     return robot, {"q": torch.zeros(0, dtype=dtype), "X_WB": X.to(dtype), "V_WB_B": V.to(dtype)}
 
 
-@pytest.mark.parametrize("com", [(0.0, 0.0, 0.0), (0.1, -0.05, 0.2)], ids=["com at the origin", "com elsewhere"])
 @pytest.mark.parametrize("integrator", [*STEPPED, Repeated(LinearlyImplicit(), 3), DormandPrince()], ids=called)
-def test_a_body_in_flight_keeps_its_linear_momentum(integrator, com):
+def test_a_body_in_flight_keeps_its_linear_momentum(integrator):
     """Spinning at 10 rad/s it flies straight on, exactly, however its angular velocity is integrated."""
-    robot, start = spinning(com)
+    robot, start = spinning((0.1, -0.05, 0.2))
     scene = Scene(robot, integrator=integrator, dt=0.01)
     states = [scene.start(**start)]
     for _ in range(50):
@@ -126,11 +125,10 @@ def test_a_body_in_flight_keeps_its_linear_momentum(integrator, com):
     assert (path.V_WB_B[-1, 3:] - path.V_WB_B[0, 3:]).abs().max() > 0.5  # of the origin, in axes that turn
 
 
-@pytest.mark.parametrize("backend", ["eager", "c"])
-@pytest.mark.parametrize("integrator", STEPPED, ids=called)
-def test_a_body_in_flight_keeps_its_linear_momentum_in_single_precision(integrator, backend):
+@pytest.mark.parametrize("integrator", thinned(STEPPED, STEPPED[2:]), ids=called)
+def test_a_body_in_flight_keeps_its_linear_momentum_in_single_precision(integrator):
     robot, start = spinning((0.1, -0.05, 0.2), torch.float32)
-    scene = Scene(robot, integrator=integrator, dt=0.01, backend=backend)
+    scene = Scene(robot, integrator=integrator, dt=0.01)
     path = scene.rollout(scene.start(**start), steps=100)
     p, _ = floating.momentum(robot, path.X_WB.double(), path.q.double(), path.V_WB_B.double(), path.qd.double())
     assert (p - p[0]).abs().max() <= 100 * 2.0**-24 * p[0].norm() * 4
@@ -160,7 +158,7 @@ def test_momentum_and_energy_over_ten_thousand_steps():
     assert fine <= 1e-6 and math.log2(coarse / fine) >= 3.75
 
 
-@pytest.mark.parametrize("parts", [(), (effects.Elastic(30.0, 0.2, 0.5),)], ids=["rigid", "elastic"])
+@pytest.mark.parametrize("parts", [(effects.Elastic(30.0, 0.2, 0.5),)], ids=["elastic"])
 @pytest.mark.parametrize(
     ("integrator", "tolerance"),
     [
@@ -321,7 +319,7 @@ def test_drag_is_that_of_links_which_fly_with_the_base(integrator):
 
 @pytest.mark.parametrize(("integrator", "steps"), [(LinearlyImplicit(), 64), (RungeKutta4(), 8)], ids=called)
 def test_the_error_falls_with_the_order_under_effects_of_all_kinds(integrator, steps):
-    c, m, T = case("tree3"), motion(case("tree3")), 0.1
+    c, m, T = case("tree2"), motion(case("tree2")), 0.1
     parts = (
         *(effects.Gravity(), effects.RotorInertia(0.1), effects.Payload(0.5, (0.1, 0.0, 0.1)), effects.Viscous(0.3)),
         *(effects.Stribeck(0.2, 0.4, velocity=1.0, sign_width=1.0), effects.Elastic(30.0, 0.2, 0.5)),
@@ -333,7 +331,7 @@ def test_the_error_falls_with_the_order_under_effects_of_all_kinds(integrator, s
     errors = []
     for n in (steps, 2 * steps):
         scene = exact.replace(integrator=integrator, dt=T / n, backend=BACKEND)
-        found = scene.rollout(state, m["tau"].expand(n, 3, 3), push=m["f_base"].expand(n, 3, 6))
+        found = scene.rollout(state, m["tau"].expand(n, 3, 2), push=m["f_base"].expand(n, 3, 6))
         errors.append(max(float((x[-1] - expected.rows()[name]).abs().max()) for name, x in found.rows().items()))
     assert errors[1] > 1e-11 and abs(math.log2(errors[0] / errors[1]) - integrator.order) <= 0.2
 
@@ -368,18 +366,23 @@ def test_springs_and_dampers_of_joints_do_not_push_the_base():
 
 @pytest.mark.parametrize("backend", ["eager", "c"])
 def test_rows_of_a_batch_are_those_of_solo_runs_bit_for_bit(backend):
-    c, m = case("tree3"), motion(case("tree3"), batch=37)
+    c, m = case("tree2"), motion(case("tree2"), batch=37)
     scene = Scene(c.robot, (effects.Gravity(),), integrator=RungeKutta4(), dt=1e-2, backend=backend)
-    path = scene.rollout(begun(scene, m), m["tau"].expand(5, 37, 3))
+    path = scene.rollout(begun(scene, m), m["tau"].expand(5, 37, 2))
     for k in (0, 17, 36):
         solo = begun(scene, {name: x[k] for name, x in m.items()})
-        alone = scene.rollout(solo, m["tau"][k].expand(5, 3))
+        alone = scene.rollout(solo, m["tau"][k].expand(5, 2))
         for name, x in alone.rows().items():
             assert x.equal(path.rows()[name][:, k]), name
 
 
 @pytest.mark.parametrize(
-    "integrator", [RungeKutta4(), LinearlyImplicit(), Repeated(SemiImplicitEuler(), 2)], ids=called
+    "integrator",
+    thinned(
+        [RungeKutta4(), LinearlyImplicit(), Repeated(SemiImplicitEuler(), 2)],
+        [LinearlyImplicit(), Repeated(SemiImplicitEuler(), 2)],
+    ),
+    ids=called,
 )
 def test_gradients_through_a_rollout_are_those_of_differences(integrator):
     c, m = case("tree2"), motion(case("tree2"), batch=1)
@@ -396,7 +399,7 @@ def test_gradients_through_a_rollout_are_those_of_differences(integrator):
     torch.autograd.gradcheck(end, (*at, *body), atol=1e-6, fast_mode=True)
 
 
-@pytest.mark.parametrize("rotation", [(0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.6, 0.8), (-1.0, 0.0, 0.0, 0.0)], ids=str)
+@pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.6, 0.8), (-1.0, 0.0, 0.0, 0.0)], ids=str)
 def test_no_orientation_is_special_in_time(rotation):
     """A motion is the same in a turned world, through half turns."""
     c, m = case("tree2"), motion(case("tree2"))

@@ -71,7 +71,7 @@ LINEARIZED = {
         {},
     ),
     "floating, remembering and sensing": (
-        Scene(case("tree2").robot, (effects.Elastic(50.0, 0.5, 0.1), effects.Bias(0.1, 0.2)), integrator=RungeKutta4()),
+        Scene(case("tree2").robot, (effects.Elastic(50.0, 0.5, 0.1), effects.Bias(0.1, 0.2))),
         {},
     ),
     "of every slot": (

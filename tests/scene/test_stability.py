@@ -88,7 +88,7 @@ STIFF = {
 }
 
 
-@pytest.mark.parametrize("kind", thinned(STIFF, [kind for kind in STIFF if kind != "Limits"]))
+@pytest.mark.parametrize("kind", thinned(STIFF, ["Viscous", "Spring", "Elastic"]))
 def test_unstable_steps_come_with_stable_ones(kind):
     effect, inputs = STIFF[kind]
     scene = Scene(ARM, (effects.Gravity(), effect), integrator=SemiImplicitEuler())
@@ -112,7 +112,9 @@ def test_the_joint_with_the_least_inertia_is_named():
     assert "of panda_joint7" in str(found)
 
 
-@pytest.mark.parametrize("integrator", [*EXPLICIT, LinearlyImplicit()], ids=called)
+@pytest.mark.parametrize(
+    "integrator", thinned([*EXPLICIT, LinearlyImplicit()], [RungeKutta4(), LinearlyImplicit()]), ids=called
+)
 def test_a_falling_arm_is_not_stiff(integrator):
     scene = Scene(PANDA, (effects.Gravity(), effects.RotorInertia(0.1)), integrator=integrator)
     assert scene.check(scene.start(HOME), seconds=0.2)

@@ -1,10 +1,13 @@
 """Small vector environments, random actions for them, and equality of what they return, for several test files."""
 
+from functools import cache
+
 import torch
 from torch.distributions import LogNormal
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, Pushes, effects
+from torchdq.envs.walk import Walk
 
 ROBOT = torchdq.robots.load("two_link")
 FREE = ROBOT.replace(
@@ -18,6 +21,20 @@ ALL_DRAWN = {
     **{"mass": 0.2, "com": 0.02, "friction": (0.5, 2.0), "gravity": LogNormal(0.0, 0.02), "armature": 0.5},
     **{"gains": 0.1, "delay": (0.0, 2.0), "payload": 0.5, "Noise.position": 0.5},
 }  # of environments with a controller and these parts
+
+BEAM = """<body name="leg{0}" pos="{1} {2} 0"><joint axis="0 1 0" armature="0.01"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.5"/><body name="foot{0}" pos="0 0 -0.28">
+<geom type="sphere" size="0.02" mass="0.1"/></body></body>"""
+STOOL = f"""<mujoco model="stool"><worldbody><body name="seat" pos="0 0 0.3"><freejoint/>
+<geom type="box" size="0.15 0.1 0.03" mass="5"/><body name="feeler" pos="0 0 -0.28"/>
+{"".join(BEAM.format(k, 0.15 - 0.3 * (k % 2), 0.1 - 0.2 * (k // 2)) for k in range(4))}</body></worldbody></mujoco>"""
+ON_FOUR = Walk(feet="foot?", stand={})
+
+
+@cache
+def stool():
+    """Four legs of a joint each, and a point without mass two centimetres above the ground."""
+    return torchdq.Robot.from_mjcf(STOOL)
 
 
 def make(num_envs=5, task="reach", **arguments):
