@@ -97,7 +97,7 @@ def seeds_of(seed: Any, rows: int) -> list[int | None]:
         whole = isinstance(x, Integral) and not isinstance(x, bool)
         if not (whole and 0 <= int(x) <= most) and not (each and x is None):
             why = "" if each or rows == 1 else f", since row i of {rows} has the seed + i"
-            raise ArgumentError(f"seed must be a whole number from 0 to {most}{why}, found {x!r}")
+            raise ArgumentError(f"seed must be an integer between 0 and {most}{why}, found {x!r}")
     return list(seed) if each else [int(seed) + i for i in range(rows)]
 
 

@@ -195,7 +195,7 @@ def _require_alike(name: str, x: Tensor, other: str, like: Tensor) -> None:
     if x.dtype not in DTYPES:
         raise DtypeError(
             f"{name} must be float32 or float64, found {x.dtype}; integers would round angles and half precision "
-            f"loses centimetres over an arm, so convert it yourself"
+            f"loses centimetres over an arm, so convert it explicitly"
         )
     if x.dtype != like.dtype:
         raise DtypeError(f"{name} is {x.dtype} but {other} is {like.dtype}; convert one of them")

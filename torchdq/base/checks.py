@@ -61,7 +61,7 @@ def require_tensor(name: str, x: Any) -> None:
     if not is_dense(x):
         found = "nested" if x.is_nested else str(x.layout).removeprefix("torch.").strip("_")
         cure = "torch.nested.to_padded_tensor" if x.is_nested else "to_dense()"
-        raise ArgumentError(f"{name} must be a dense tensor, found a {found} one; convert it by {cure}")
+        raise ArgumentError(f"{name} must be a dense tensor, found a {found} one; use {cure}")
 
 
 def require_finite(**arguments: Tensor | None) -> None:
@@ -105,7 +105,7 @@ def require_choice(name: str, x: Any, known: Sequence[Any]) -> None:
 def require_object(name: str, x: Any, kind: type, module: str, example: str) -> None:
     """Raise unless x is an object of a class, which those of a module are, such as the example."""
     if not isinstance(x, kind):
-        cure = "; it is a class, call it" if isinstance(x, type) else f", such as {example}"
+        cure = "; it is a class; call it to make an object" if isinstance(x, type) else f", such as {example}"
         found = x.__name__ if isinstance(x, type) else repr(x)
         raise ArgumentError(f"{name} must be an object of {module}, found {found}{cure}")
 
@@ -118,7 +118,7 @@ def is_number(x: Any) -> bool:
 def require_count(name: str, x: Any, least: int = 1) -> None:
     """Raise unless x is a whole number from `least` on."""
     if not isinstance(x, int) or isinstance(x, bool) or x < least:
-        raise ArgumentError(f"{name} must be a whole number from {least}, found {x!r}")
+        raise ArgumentError(f"{name} must be an integer of at least {least}, found {x!r}")
 
 
 def require_number(name: str, x: Any, positive: bool = False, least: float = -LARGEST) -> None:

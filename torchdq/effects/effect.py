@@ -126,7 +126,7 @@ class Parametric:
             if x < 0 and name not in self.SIGNED:
                 raise ArgumentError(f"{what} must not be negative, found {x}")
             if x == 0 and name in self.DIVIDING:
-                raise ArgumentError(f"{what} must be positive, found 0; it divides")
+                raise ArgumentError(f"{what} must be positive, found 0; the law divides by it")
 
     def idle(self) -> tuple[str, ...]:
         """Parameters from the description, if all are constants without effect: zeros, or absent limits."""

@@ -51,7 +51,7 @@ class Residual(JointEffect):
             raise ArgumentError(
                 f"model of Residual must be a torchdq.ResidualDynamics, or a function or module of (q, qd) that "
                 f"returns torques [..., n], found {_named(self.model)}"
-                + ("; it is a class, call it" if isinstance(self.model, type) else "")
+                + ("; it is a class; call it to make an object" if isinstance(self.model, type) else "")
                 + ("; its torques are those of all bodies, make a ResidualDynamics of it" if has_robot else "")
             )
         if has_robot and self.model.robot.n != robot.n:

@@ -54,7 +54,7 @@ def write(folder: Path, texts: Mapping[str, str]) -> list[Path]:
     except OSError as error:
         cause = error.strerror or error
         raise ArgumentError(
-            f"folder must be one that files can be written to, found {str(folder)!r}: {cause}"
+            f"folder must be writable, found {str(folder)!r}: {cause}"
         ) from error
     return list(files)
 

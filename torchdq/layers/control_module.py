@@ -118,4 +118,4 @@ def gain_of(name: str, gain: Any, n: int) -> Tensor:
         real = x.dtype != torch.bool and not x.is_complex()
         if real and x.shape in ((), (n,)) and bool((x.isfinite() & (x >= 0)).all()):
             return x.double()
-    raise ArgumentError(f"{name} must be a number or {n} numbers, real, finite and not negative, found {gain!r}")
+    raise ArgumentError(f"{name} must be a finite non-negative number or {n} of them, found {gain!r}")

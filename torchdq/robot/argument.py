@@ -47,7 +47,7 @@ def require_bodies(robot: Robot, what: str) -> None:
     faults = consistency.bodies(robot.link_names, mass, inertia)
     if faults := [fault for fault in faults if fault.code in consistency.MISSHAPEN]:
         raise UnphysicalError(
-            f"{what} needs inertias that bodies can have, found in robot {robot.name!r}\n  "
+            f"{what} needs physically consistent inertias, found in robot {robot.name!r}\n  "
             + "\n  ".join(map(str, faults))
             + f"\nCorrect them; {consistency.NEAREST}, where a robot is loaded and in robot.replace.",
             *faults,

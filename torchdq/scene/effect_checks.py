@@ -72,7 +72,7 @@ def _require_compatible(effects: Sequence[Effect]) -> None:
         if not isinstance(effect, Effect):
             raise ArgumentError(
                 f"effects must be objects of torchdq.effects, found {effect!r}"
-                + ("; it is a class, call it" if isinstance(effect, type) else "")
+                + ("; it is a class; call it to make an object" if isinstance(effect, type) else "")
                 + ("; give it by controller=..." if isinstance(effect, Controller) else "")
                 + ("; what a module learned acts as effects.Residual(module)" if isinstance(effect, nn.Module) else "")
             )

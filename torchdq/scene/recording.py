@@ -271,7 +271,7 @@ class Stage(_StageFields, Computation):
             needed += ["reference"] if spec.controller is not None and self.stage not in EVALUATIONS else []
             for name in needed:
                 if name not in tensors:
-                    raise ArgumentError(f"{name} must be given, shape [..., {known[name]}]; the scene asks for it")
+                    raise ArgumentError(f"{name} must be given, shape [..., {known[name]}]; the scene needs it")
         batch: tuple[int, ...] = ()
         for name, x in tensors.items():
             if not self.shared(name) and x.ndim - 1 > len(batch):
@@ -305,7 +305,7 @@ class _Given(Named):
 
     def __missing__(self, name: str) -> NoReturn:
         if name in self.widths:
-            raise ArgumentError(f"{name} must be given, shape [..., {self.widths[name]}]; the task asks for it")
+            raise ArgumentError(f"{name} must be given, shape [..., {self.widths[name]}]; the task needs it")
         super().__missing__(name)
 
 

@@ -225,7 +225,7 @@ def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, named):
     stand = f"<body name='stand' gravcomp='1'>{geom}{bodies}</body>"
     text = f"<mujoco><worldbody>{stand}</worldbody></mujoco>"
     robot, lines = warned(torchdq.Robot.from_mjcf, text)
-    assert lines == [f"{named}: gravcomp ignored: gravity acts on them in full"] * bool(named)
+    assert lines == [f"{named}: gravcomp ignored: gravity acts on these bodies in full"] * bool(named)
     assert set(lines) <= {*map(str, robot.notes)}
     for quiet in ({"gravity": None}, {"on_unphysical": "ignore"}):
         assert warned(torchdq.Robot.from_mjcf, text, **quiet)[1] == []

@@ -81,7 +81,7 @@ class ResidualDynamics(nn.Module):
         super().__init__()
         if not isinstance(model, InverseDynamics):
             raise ArgumentError(
-                f"model must be a torchdq.InverseDynamics, found {type(model).__name__}; make one of the robot"
+                f"model must be a torchdq.InverseDynamics, found {type(model).__name__}; make one from the robot"
             )
         require_choice("inputs", inputs, get_args(Inputs))
         for width in hidden:

@@ -260,7 +260,7 @@ class Identified(NamedTuple):
         """
         none = [term.name for term in (ROTOR, OFFSET) if term in self.terms]
         others = [term.name for term in self.terms if term not in (ROTOR, VISCOUS, COULOMB, OFFSET)]
-        omitted = [f"a URDF file has no place for {' and '.join(none)}, left out"] if none else []
+        omitted = [f"a URDF file cannot hold {' and '.join(none)}, left out"] if none else []
         if others:
             stand = "a URDF file holds viscous and Coulomb friction alone; they stand for friction of other shapes, too"
             omitted.append(f"{stand}: {', '.join(others)}")

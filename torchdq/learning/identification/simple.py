@@ -1,6 +1,6 @@
 """Viscous and Coulomb friction instead of all friction found, since URDF and MJCF files hold no other.
 
-A file has no place for friction of other shapes, such as that in proportion to the load. The viscous and Coulomb
+A file cannot hold friction of other shapes, such as that in proportion to the load. The viscous and Coulomb
 friction that were found together with it are too small alone, often zero. So a file gets the two that come nearest to
 the torque of all friction together, by least squares over the samples, with neither of them negative.
 """

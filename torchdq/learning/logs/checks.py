@@ -72,7 +72,7 @@ def _parts(table: Signals) -> tuple[str, str]:
     ways = [rows_option(table.before + first, table.before + last) for first, last in longest]
     more = f", the {PARTS} longest of {len(parts)} parts" if len(parts) > PARTS else ""
     python, option = (" or ".join(way[k] + size for way, size in zip(ways, seconds, strict=True)) for k in (0, 1))
-    words = "read a part of it in which time runs on:"
+    words = "read a part in which time increases:"
     return f"{words} {python}{more}", f"{words} {option}{more}"
 
 

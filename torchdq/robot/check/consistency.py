@@ -143,7 +143,7 @@ def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, Finding]:
             "joint.inert",
             f"joint {name!r}",
             "it moves no inertia, so its acceleration is undefined",
-            cure="give the links beyond it mass",
+            cure="give mass to the links beyond it",
             severity="error",
         )
         for name, inertia, size in zip(names, inertias[1:], sizes[1:], strict=True)
@@ -171,7 +171,7 @@ def refuse(robot: str, faults: Sequence[Finding], repaired: bool = False) -> NoR
     if repaired:
         cure = "only inertias of bodies with mass can be repaired"
     else:
-        cure = "on_unphysical='warn' computes with these numbers all the same"
+        cure = "on_unphysical='warn' uses these numbers anyway"
         cure += f", and {NEAREST}" if any(fault.code in MISSHAPEN for fault in faults) else ""
     raise UnphysicalError(f"{_unphysical(robot, faults)}\nCorrect the description; {cure}.", *faults)
 

@@ -141,7 +141,7 @@ def _ignored(
         if link != still and m.body_gravcomp[i] * m.body_mass[i]
     ]
     if falls and relieved and _relieved(of) != {1.0}:
-        what = "gravcomp ignored: gravity acts on them in full"
+        what = "gravcomp ignored: gravity acts on these bodies in full"
         found.append(Finding(f"{UNSIMULATED}gravcomp", ", ".join(relieved), what))
     if root_name(of.source.text) == "robot":
         what = "the file is a URDF, of which MuJoCo leaves out joints that mimic others, and frames on fixed joints"

@@ -34,7 +34,7 @@ FOREIGN = {  # by root element
     "Robot": "tags are written in lower case",
 }
 UNMARKED = {  # by the beginning of the text
-    "version https://git-lfs": "it stands for a file of Git LFS; fetch that by `git lfs pull`",
+    "version https://git-lfs": "it is a Git LFS pointer; run `git lfs pull`",
     "PXR-USDC": "this is USD; load the URDF file that it was made from",
     "#usda": "this is USD; load the URDF file that it was made from",
     "{": "this is JSON; a URDF file was expected",
