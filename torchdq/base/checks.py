@@ -116,16 +116,18 @@ def is_number(x: Any) -> bool:
 
 
 def require_count(name: str, x: Any, least: int = 1) -> None:
-    """Raise unless x is a whole number from `least` on."""
+    """Raise unless x is an integer of at least `least`."""
     if not isinstance(x, int) or isinstance(x, bool) or x < least:
         raise ArgumentError(f"{name} must be an integer of at least {least}, found {x!r}")
 
 
 def require_number(name: str, x: Any, positive: bool = False, least: float = -LARGEST) -> None:
-    """Raise unless x is a finite number from `least` on, and greater than zero if `positive`."""
+    """Raise unless x is a finite number of at least `least`, and greater than zero if `positive`."""
     value = float(x) if is_number(x) else math.nan
     if not least <= value <= LARGEST or (positive and value <= 0):
-        expected = "positive number" if positive else "finite number" + (f" from {least:g}" if least > -LARGEST else "")
+        expected = (
+            "positive number" if positive else "finite number" + (f" of at least {least:g}" if least > -LARGEST else "")
+        )
         raise ArgumentError(f"{name} must be a {expected}, found {x!r}")
 
 

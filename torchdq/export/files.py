@@ -53,9 +53,7 @@ def write(folder: Path, texts: Mapping[str, str]) -> list[Path]:
         write_atomically(files)
     except OSError as error:
         cause = error.strerror or error
-        raise ArgumentError(
-            f"folder must be writable, found {str(folder)!r}: {cause}"
-        ) from error
+        raise ArgumentError(f"folder must be writable, found {str(folder)!r}: {cause}") from error
     return list(files)
 
 
