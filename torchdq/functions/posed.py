@@ -158,8 +158,8 @@ def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
         joint = error.joint - (BASE if robot.floating else 0)
         what = "the floating base" if joint < 0 else f"joint {robot.joint_names[joint]!r}"
         raise SingularInertiaError(
-            f"{what} of robot {robot.name!r} moves no inertia, so its acceleration is undefined; give the links beyond "
-            "it mass, or the joint armature"
+            f"{what} of robot {robot.name!r} moves no inertia, so its acceleration is undefined; give mass to the "
+            "links beyond it, or armature to the joint"
         ) from error
 
 
