@@ -14,6 +14,7 @@ import sys
 import tomllib
 
 import pytest
+from concerned import holding
 from helpers import all_in_one
 from places import ENVS, PACKAGE, ROOT, TESTS
 
@@ -466,19 +467,8 @@ TEST_TREES = {
 
 def test_every_module_has_its_tests():
     """In the file of its name, in those that notice faults planted in it, or in the one that is said to hold it."""
-    tables = [path.read_text(encoding="utf-8").splitlines() for path in (TESTS / "mutants").glob("*.txt")]
-    planted = {line.partition(" < ")[0] for lines in tables for line in lines if not line.startswith(" ")}
     said = {module for modules in ALLOWED["held"].values() for module in modules.split()}
-    found = []
-    for module, path in FILES.items():
-        *folders, name = module.split(".")[1:] or [""]
-        if path.name in ("__init__.py", "__main__.py"):
-            continue
-        mirrored = (TESTS.joinpath(*folders) / f"test_{name}.py").exists()
-        if mirrored or path.relative_to(ROOT).as_posix() in planted:
-            continue
-        if module.removeprefix("torchdq.") not in said:
-            found.append(module)
+    found = [m for m, path in FILES.items() if path.name not in ("__init__.py", "__main__.py") and not holding(path)]
     assert not found, listed(found)
     gone = [module for module in said if f"torchdq.{module}" not in FILES]
     gone += [file for file in ALLOWED["held"] if not (TESTS / file).exists()]

@@ -84,7 +84,7 @@ def test_a_mass_matrix_that_is_negative_has_no_accelerations(backend, joints):
 
 
 def require_no_accelerations(robot, scale, backend):
-    """Those of a robot whose masses are negative by that factor are no numbers, and those beside them are."""
+    """Negative masses give NaN in their own rows of the batch, and finite values in all others."""
     q, qd, tau = inputs(robot, 3, torch.float64)
     factor = torch.tensor([[scale], [1.0], [scale]], dtype=torch.float64)
     mixed = robot.replace(mass=factor * robot.mass, inertia=factor.unsqueeze(-1) * robot.inertia)

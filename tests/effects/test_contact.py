@@ -655,8 +655,14 @@ def test_other_masses_beside_contact_need_no_other_program():
     scene = Scene(robot, (effects.Gravity(), effects.Contact(list(points), stiffness=1e4)), dt=5e-3)
     first, second = (scene.replace(robot=robot.replace(base_mass=k * robot.base_mass)) for k in (1.0, 1.5))
     assert first.spec is second.spec
+    made = Scene(second.robot, (effects.Contact(list(points), stiffness=1e4),))
+    assert made.effects[0].points != scene.effects[1].points  # a scene of its own knows the heavier box
     both = scene.replace(robot=robot.replace(base_mass=torch.stack([robot.base_mass, 1.5 * robot.base_mass])))
-    begun = both.start(torch.zeros(2, 0, dtype=torch.float64))
-    for row, alone in enumerate((first, second)):
-        one = alone.step(alone.start(torch.zeros(0, dtype=torch.float64)))
-        assert torch.equal(both.step(begun).V_WB_B[row], one.V_WB_B)
+    lands = torch.tensor([0.3, 0.0, 0.0, 2.0, 0.0, -1.0], dtype=torch.float64)
+    states = [
+        x.rollout(x.start(torch.zeros(*batch, 0, dtype=torch.float64), V_WB_B=lands.expand(*batch, 6)), steps=60).last
+        for x, batch in ((both, (2,)), (first, ()), (second, ()))
+    ]
+    assert bool(both.contacts(states[0]).touching.any(-1).all())
+    for row in (0, 1):
+        assert torch.equal(states[0].V_WB_B[row], states[1 + row].V_WB_B)

@@ -21,7 +21,7 @@ TABLE_1 = [row for row in ROWS if row.id.startswith("row")]
 
 @cache
 def page():
-    """What the page should be."""
+    """Text of the page, as the index has it now."""
     return paper_index.page()
 
 

@@ -7,6 +7,7 @@ where there is none of these, by its room.
 import re
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 from places import ENVS, PACKAGE, ROOT, TESTS
@@ -22,20 +23,22 @@ def mirrored(module: str) -> list[Path]:
     return [path for place in places if (path := place / f"test_{name}.py").exists()][:1]
 
 
-def of_faults(file: str) -> set[Path]:
-    """Test files that notice faults planted in a file."""
-    return {TESTS / fault.test.partition("::")[0] for fault in mutants.read() if fault.file == file}
+@cache
+def of_faults() -> dict[str, set[Path]]:
+    """Test files that notice faults planted in a file, by file."""
+    found: dict[str, set[Path]] = {}
+    for fault in mutants.read():
+        found.setdefault(fault.file, set()).add(TESTS / fault.test.partition("::")[0])
+    return found
 
 
-def of_module(path: Path) -> set[Path]:
-    """Test files of a file of the package; its room where no test names it."""
+def holding(path: Path) -> set[Path]:
+    """Test files that hold a file of the package; none: `test_architecture.py` asks for one."""
     inside = path.relative_to(PACKAGE) if path.is_relative_to(PACKAGE) else path.relative_to(ROOT)
     module = ".".join(inside.with_suffix("").parts).removesuffix(".__init__")
     held = tomllib.loads((TESTS / "claims" / "allowances.toml").read_text(encoding="utf-8"))["held"]
     found = {TESTS / file for file, modules in held.items() if module in re.findall(r"[\w.]+", modules)}
-    found |= {*mirrored(module), *of_faults(path.relative_to(ROOT).as_posix())}
-    room = TESTS / inside.parts[0].removesuffix(".py")
-    return found or ({room} if room.is_dir() else {TESTS / "claims"})
+    return found | {*mirrored(module)} | of_faults().get(path.relative_to(ROOT).as_posix(), set())
 
 
 def concerned(path: Path) -> set[Path]:
@@ -45,7 +48,10 @@ def concerned(path: Path) -> set[Path]:
     if path.is_relative_to(TESTS):
         return {path if path.is_dir() or path.name.startswith("test_") else path.parent}
     if path.is_relative_to(PACKAGE) or path.is_relative_to(ENVS):
-        return of_module(path) | {TESTS / "claims" / "test_architecture.py"}
+        room = TESTS / path.parent.name
+        return (holding(path) or {room if room.is_dir() else TESTS / "claims"}) | {
+            TESTS / "claims" / "test_architecture.py"
+        }
     return {TESTS / "docs"}
 
 

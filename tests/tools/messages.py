@@ -1,4 +1,4 @@
-"""What errors and warnings say, in a reviewed snapshot of each room: tests/<room>/messages.json.
+"""Reviewed snapshots of errors and warnings, one for each room: tests/<room>/messages.json.
 
     with refused(ArgumentError):  # raises it, and says what the snapshot holds for this test
         robot.replace(mass=-1)

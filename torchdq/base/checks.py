@@ -125,9 +125,8 @@ def require_number(name: str, x: Any, positive: bool = False, least: float = -LA
     """Raise unless x is a finite number of at least `least`, and greater than zero if `positive`."""
     value = float(x) if is_number(x) else math.nan
     if not least <= value <= LARGEST or (positive and value <= 0):
-        expected = (
-            "positive number" if positive else "finite number" + (f" of at least {least:g}" if least > -LARGEST else "")
-        )
+        bound = f" of at least {least:g}" if least > -LARGEST else ""
+        expected = "positive number" if positive else f"finite number{bound}"
         raise ArgumentError(f"{name} must be a {expected}, found {x!r}")
 
 
