@@ -41,6 +41,7 @@ from torchdq.base.checks import (
     require_tensor,
     tensor_of,
 )
+from torchdq.control.law import Law
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of, pose_of_actions, with_controller
 from torchdq.envs.block import WORST
@@ -58,7 +59,6 @@ from torchdq.functions.posed import GEOMETRY
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.shipped import load
-from torchdq.scene.controllers import Controller
 from torchdq.scene.defaults import default_effects, mean_robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.loops import loops
@@ -90,7 +90,7 @@ class ArmVectorEnv(VectorEnv):
         action: meaning of the actions. "reference": offsets of the positions that a controller follows, full ones as
             far as a joint moves in 0.2 s at its velocity limit. "target": offsets of the targets of `effects.Servo`,
             full ones 0.25 rad or m. "torque": fractions of the torque limits. "residual": fractions of a fifth of them,
-            added to the torques of the controller. Controller and servo follow the reference of the task: in "track"
+            added to the torques of the controller. Law and servo follow the reference of the task: in "track"
             the motion to track, in "reach" the position at the start of each step. There an offset tells a joint where
             to go from where it is, and without offsets the arm comes to rest. None: "target" if there is a servo, or
             "reference", or "torque" if some joints are passive or the base floats.
@@ -145,7 +145,7 @@ class ArmVectorEnv(VectorEnv):
         robot: str | Path | Robot | None = None,
         effects: Sequence[Effect] | None = None,
         action: Kind | None = None,
-        controller: Controller | None = None,
+        controller: Law | None = None,
         scale: float | Sequence[float] | None = None,
         leash: tuple[float, float] = (0.5, 0.05),
         actuated: str | Sequence[str] | None = None,
