@@ -18,7 +18,7 @@ from torch import Tensor
 from torchdq.backends.call import Tensors, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import require_tensor
+from torchdq.base.checks import names_of, require_tensor
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
@@ -176,7 +176,7 @@ class Law(Parametric):
 
         Args:
             robot: the robot that is controlled.
-            present: names of the optional arguments that it takes; None: all but the wrenches.
+            present: names of the arguments that it takes; None: all but the wrenches.
 
         >>> import torchdq
         >>> from torchdq.scene import controllers
@@ -188,9 +188,12 @@ class Law(Parametric):
         tensors, kind = whole.tensors(), self.named()
         what = Function(constants(robot.bake()), kind, (), whole.written(tuple(tensors)))
         what.require_base()
-        taken = []
+        usual, taken = [name for name, _, _ in what.recipe.arguments if name not in self.WRENCHES], []
+        wanted = names_of("arguments", usual if present is None else present, what.recipe.names, f"argument of {kind}")
         for name, axes, optional in what.recipe.arguments:
-            if not optional or (name not in self.WRENCHES if present is None else name in present):
+            if not (optional or name in wanted):
+                raise ArgumentError(f"arguments of {kind!r} must hold {name!r}, found {[*wanted]}; add it")
+            if name in wanted:
                 uniform = name in tensors and tensors[name].ndim == len(axes)
                 taken.append(Argument(name, _size(axes, robot), uniform))
         about = (*heading(kind, robot.name, robot.joint_names), part(whole.template()))

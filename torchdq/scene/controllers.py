@@ -3,8 +3,6 @@
 The input `reference` of a scene has the rows of a law's goal one after the other.
 """
 
-from torchdq.control.frames import CartesianImpedance, OperationalSpaceControl
-from torchdq.control.joints import PD, ComputedTorque
-from torchdq.control.law import Law
+from torchdq.control import PD, CartesianImpedance, ComputedTorque, Law, OperationalSpaceControl
 
 __all__ = ["PD", "CartesianImpedance", "ComputedTorque", "Law", "OperationalSpaceControl"]
