@@ -73,9 +73,9 @@ clean:
 $(VENV)/torch.installed:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "torchdq needs Python 3.11 or newer; name one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	@echo "making the environment $(VENV), and installing $(TORCH) there, once"
 	@$(PYTHON) -m venv $(VENV) || \
 	  { echo "$(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
-	@echo "installing $(TORCH) in $(VENV), once"
 	@$(PIP) $(TORCH) || \
 	  { echo "cannot install $(TORCH); check the network, or name another build with: make TORCH=..."; exit 1; }
 	@touch $@
