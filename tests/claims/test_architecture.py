@@ -506,8 +506,9 @@ def private_reads(tree):
             if getattr(root, "id", "") not in own:
                 yield node.lineno, ast.unparse(node)
         elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "setattr":
-            if re.match(r"\w*patch\.setattr\(\w+, '_[a-z]", ast.unparse(node)):
-                yield node.lineno, ast.unparse(node)
+            call = ast.unparse(node)
+            if re.match(r"\w*patch\.setattr\(\w+, '_[a-z]", call):
+                yield node.lineno, call
 
 
 def test_tests_read_few_private_attributes():

@@ -33,7 +33,7 @@ def write() -> None:
     TABLE.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
 
 
-# every function of an arm of two joints, those that others are made of of one of seven, and every effect in one integrator
+# every function of two joints, those that others are made of of seven, and every effect under one integrator
 BASIC = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "forward_kinematics", "jacobian")
 KINDS = [key for key in PROGRAMS if key.startswith(("two_link/", "panda/scene/implicit/", "Reach/panda"))]
 KINDS += [f"panda/scene/{step}" for step in ("semi/none", "semi/Drag", "rk4/none", "verlet/none")]

@@ -69,7 +69,8 @@ def in_python(source):
                 yield line + token.string.count("\n", 0, at), word, cure
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-            if found := FRAGMENT.match(f'"""{ast.get_docstring(node)}'):
+            found = FRAGMENT.match(f'"""{ast.get_docstring(node)}')
+            if found:
                 yield getattr(node, "lineno", 1), found[1].strip() + " ...", "a noun phrase that stands alone"
 
 
