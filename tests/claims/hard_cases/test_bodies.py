@@ -13,7 +13,7 @@ import torch
 from helpers import double, random, thinned
 from messages import refused
 from oracles import EPS, pinocchio_model, random_tree, states
-from precisions import F32, F64, compiler, every_backend, every_backend_and_dtype, every_dtype
+from precisions import F32, F64, compiler, eager_first, every_backend_and_dtype, every_dtype, single_compiled
 
 import torchdq
 from torchdq import dq
@@ -113,7 +113,7 @@ def with_finger(n, mass, com, inertia=(0,) * 6, rotor=None):
 
 
 @pytest.mark.case("I1")
-@every_backend
+@eager_first
 @pytest.mark.parametrize("n", [2, 12], ids=["by entries", "by articulated bodies"])
 @pytest.mark.parametrize("kind", EMPTY)
 def test_accelerations_of_a_joint_that_moves_nothing_are_refused_by_name(kind, n, backend):
@@ -184,22 +184,18 @@ RATIOS = {
 }
 
 
-every_ratio = pytest.mark.parametrize(
-    ("kind", "backend"),
-    [*((kind, "eager") for kind in RATIOS), *(pytest.param(kind, "c", marks=compiler) for kind in list(RATIOS)[:2])],
-)
+every_ratio = pytest.mark.parametrize("kind", RATIOS)
 
 
 @pytest.mark.case("I5")
 @every_ratio
-def test_accelerations_of_unequal_masses_are_as_good_as_their_condition(kind, backend, margin):
+def test_accelerations_of_unequal_masses_are_as_good_as_their_condition(kind, margin):
     """The condition number is of the matrix scaled to a unit diagonal: it knows that heavy bases are harmless."""
     robot = rods(RATIOS[kind])
     s = states(robot, batch=4)
-    with torchdq.backend(backend):
-        M = torchdq.mass_matrix(robot, s.q)
-        tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd)
-        qdd = torchdq.forward_dynamics(robot, s.q, s.qd, tau)
+    M = torchdq.mass_matrix(robot, s.q)
+    tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd)
+    qdd = torchdq.forward_dynamics(robot, s.q, s.qd, tau)
     D = M.diagonal(dim1=-2, dim2=-1).rsqrt()
     size = largest(D * tau) + largest(in_its_own_units(s.qdd, M))
     margin(largest(in_its_own_units(qdd - s.qdd, M)), 20 * EPS[F64] * scaled_condition(M) * size, "there and back")
@@ -210,7 +206,9 @@ def test_accelerations_of_unequal_masses_are_as_good_as_their_condition(kind, ba
 
 
 @pytest.mark.case("I5")
-@every_ratio
+@pytest.mark.parametrize(
+    ("kind", "backend"), [*((kind, "eager") for kind in RATIOS), pytest.param("heavy tip", "c", marks=compiler)]
+)
 def test_single_precision_knows_which_unequal_masses_it_can_bear(kind, backend, margin):
     """Heavy tips are computed in double precision without being asked; heavy bases need not be."""
     robot = rods(RATIOS[kind])
@@ -264,7 +262,7 @@ def test_a_stretched_arm_without_inertia_has_no_acceleration(dtype):
 
 
 @pytest.mark.case("I6")
-@every_backend_and_dtype
+@single_compiled
 @pytest.mark.parametrize("mass", [1e-9, 1e9])
 def test_a_nearly_stretched_arm_has_its_digits_or_none(mass, dtype, backend, margin):
     """M_11 / D_1 is 1 / sin^2 q_2 and more: what remains of sixteen digits is right, down to six bits of them."""
@@ -354,18 +352,9 @@ def test_a_robot_of_any_size_moves_alike(size, dtype, backend, margin):
 # --- rotors ----------------------------------------------------------------------------------------------------------
 
 
-ROTORS = [*itertools.product([3, 16], [F64, F32])]  # by entries, and by articulated bodies
-
-
 @pytest.mark.case("I8")
-@pytest.mark.parametrize(
-    ("n", "backend", "dtype"),
-    [
-        *itertools.product([3, 16], ["eager"], thinned((F64, F32), (F64,))),
-        *(pytest.param(n, "c", dtype, marks=compiler) for n, dtype in thinned(ROTORS, [(3, F32)])),
-    ],
-    ids=str,
-)
+@every_backend_and_dtype
+@pytest.mark.parametrize("n", [3, 16])  # by entries, and by articulated bodies
 def test_rotors_are_in_every_form_of_the_dynamics(n, dtype, backend, margin):
     """They add armature qdd to the torques and themselves to the diagonal of M, and nothing to anything else."""
     bare = random_tree(n, seed=7).robot if n == 3 else rods([1.0] * n)

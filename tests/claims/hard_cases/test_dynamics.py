@@ -16,7 +16,7 @@ import torch
 from helpers import DOWN, double, random, rod_axes, rods, thinned
 from messages import refused
 from oracles import EPS, Case, over, random_tree, shipped, size_of_torques, states
-from precisions import F32, F64, compiler, every_backend, every_backend_and_dtype
+from precisions import F32, F64, compiler, eager_first, every_backend, every_backend_and_dtype
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vmap
 
 import torchdq
@@ -104,7 +104,7 @@ def rows_of(n):
 
 LENGTHS = (1, 2, 7, 42, 200, 300, 1000)
 CHAINS = [*itertools.product(LENGTHS, (False, True))]
-SHORT = [*itertools.product(LENGTHS[:4], (False, True)), (200, True)]
+SHORT = [(1, False), (2, True), (7, False), (42, True), (200, True)]
 
 
 @pytest.mark.case("D1")
@@ -112,7 +112,8 @@ SHORT = [*itertools.product(LENGTHS[:4], (False, True)), (200, True)]
 def test_torques_of_a_chain_of_any_length_are_exact_to_rounding(n, planar, margin):
     robot, expected = rods(n, planar), exact_torques(n, planar)
     for dtype, allowed in ((F64, 4 * n * EPS[F64]), (F32, 5e-6)):
-        tau = torchdq.inverse_dynamics(robot, *(x[: rows_of(n)] for x in motion(n, 2, dtype)))
+        x, backend = (v[: rows_of(n)] for v in motion(n, 2, dtype)), "c" if n == 7 else "eager"
+        tau = torchdq.inverse_dynamics(robot, *x, backend=backend)
         margin(relative(tau, expected), allowed, f"{dtype}")
     if n <= 200:  # pinocchio keeps several tensors of n^3 numbers, 8 GB each at n = 1000
         case = chain_case(n, planar)
@@ -122,17 +123,8 @@ def test_torques_of_a_chain_of_any_length_are_exact_to_rounding(n, planar, margi
         margin(relative(tau, double(*map(list, reference))), 4 * n * EPS[F64], "against pinocchio")
 
 
-@pytest.mark.case("D1")
-@compiler
-@pytest.mark.parametrize(("n", "planar"), [(1, False), (7, False), (42, True)])
-def test_compiled_torques_of_a_chain_are_exact_to_rounding(n, planar, margin):
-    for dtype, allowed in ((F64, 4 * n * EPS[F64]), (F32, 5e-6)):
-        tau = torchdq.inverse_dynamics(rods(n, planar), *motion(n, 2, dtype), backend="c")
-        margin(relative(tau, exact_torques(n, planar)), allowed, f"{dtype}")
-
-
 @pytest.mark.case("D2", "D9")
-@pytest.mark.parametrize(("n", "planar"), thinned([*SHORT, (300, False), (1000, False)], SHORT))
+@pytest.mark.parametrize(("n", "planar"), thinned(CHAINS, SHORT))
 def test_torques_of_the_accelerations_of_a_chain_are_the_torques_given(n, planar, margin):
     """The residual is small whatever the condition; the error of the accelerations themselves is within it."""
     robot = rods(n, planar)
@@ -255,7 +247,7 @@ UNTRACED = [route for route in ROUTES if route != "torch.compile"]
         *itertools.product(thinned(ROUTES, UNTRACED), ["eager"], thinned((F64, F32), (F64,))),
         *(
             pytest.param(route, "c", dtype, marks=compiler)
-            for route in thinned(ROUTES, ("gradients", "jacfwd under vmap", "hessian under vmap", "torch.compile"))
+            for route in thinned(ROUTES, ("gradients", "hessian under vmap"))
             for dtype in thinned((F64, F32), (F32,))
         ),
     ],
@@ -361,7 +353,7 @@ def test_torques_keep_their_digits_at_any_speed(name, dtype, backend, margin):
 
 
 @pytest.mark.case("D5")
-@every_backend
+@eager_first
 def test_speeds_whose_squares_overflow_are_seen_in_their_own_row(backend):
     robot = torchdq.robots.load("two_link")
     for dtype, speed in ((F32, 1e25), (F32, torch.inf), (F64, 1e200), (F64, torch.inf)):
@@ -405,7 +397,7 @@ def test_the_mass_matrix_of_a_chain_is_symmetric_and_definite_to_rounding(tip, d
 @pytest.mark.case("D7")
 @pytest.mark.parametrize(
     ("n", "planar", "backend"),
-    [(16, False, "eager"), (16, True, "eager"), pytest.param(4, False, "c", marks=compiler)],
+    [(9, False, "eager"), (16, True, "eager"), pytest.param(4, False, "c", marks=compiler)],
 )
 def test_the_closed_form_of_a_long_chain_is_its_recursion(n, planar, backend, margin):
     """Its operations grow with the cube of the length, which is why the chain is no longer."""
@@ -495,15 +487,7 @@ def test_what_falls_freely_feels_no_gravity(dtype, backend, margin):
 
 TWINS = {"chain": lambda: chain_case(7, False), "tree": lambda: random_tree(3, seed=4, armature=True)}
 every_twin = pytest.mark.parametrize(
-    ("twin", "backend", "dtype"),
-    [
-        *thinned(itertools.product(TWINS, ["eager"], [F64, F32]), [("chain", "eager", F64), ("tree", "eager", F32)]),
-        *(
-            pytest.param(*x, marks=compiler)
-            for x in thinned(itertools.product(TWINS, "c", [F64, F32]), [("tree", "c", F32)])
-        ),
-    ],
-    ids=str,
+    ("twin", "dtype"), thinned([*itertools.product(TWINS, (F64, F32))], [("chain", F64), ("tree", F32)]), ids=str
 )
 
 
@@ -526,14 +510,13 @@ def error_of_derivatives(found, expected):
 
 @pytest.mark.case("D11")
 @every_twin
-def test_gradients_of_torques_are_those_of_pinocchio(twin, dtype, backend, margin):
+def test_gradients_of_torques_are_those_of_pinocchio(twin, dtype, margin):
     case = TWINS[twin]()
     s = states(case.robot, batch=3, dtype=dtype)
     expected = pinocchios(pin.computeRNEADerivatives, case, s)
-    with torchdq.backend(backend):
-        reverse = vmap(jacrev(lambda *x: torchdq.inverse_dynamics(case.robot, *x), (0, 1, 2)))(s.q, s.qd, s.qdd)
-        direct = torchdq.dynamics_jacobian(case.robot, s.q, s.qd, s.qdd)
-        slope = vmap(jacrev(lambda q: torchdq.mass_matrix(case.robot, q)))(s.q)
+    reverse = vmap(jacrev(lambda *x: torchdq.inverse_dynamics(case.robot, *x), (0, 1, 2)))(s.q, s.qd, s.qdd)
+    direct = torchdq.dynamics_jacobian(case.robot, s.q, s.qd, s.qdd)
+    slope = vmap(jacrev(lambda q: torchdq.mass_matrix(case.robot, q)))(s.q)
     # angles are of several turns, and rounded when home is subtracted
     margin(error_of_derivatives(reverse, expected), 128 * EPS[dtype], "reverse mode")
     margin(error_of_derivatives(direct, expected), 128 * EPS[dtype], "dynamics_jacobian")
@@ -556,12 +539,11 @@ def test_gradients_of_the_torques_of_a_long_chain_are_those_of_pinocchio(margin)
 
 @pytest.mark.case("D12")
 @every_twin
-def test_gradients_of_accelerations_are_those_of_pinocchio(twin, dtype, backend, margin):
+def test_gradients_of_accelerations_are_those_of_pinocchio(twin, dtype, margin):
     case = TWINS[twin]()
     s = states(case.robot, batch=3, dtype=dtype)
     expected = pinocchios(pin.computeABADerivatives, case, s)
-    with torchdq.backend(backend):
-        found = vmap(jacrev(lambda *x: torchdq.forward_dynamics(case.robot, *x), (0, 1, 2)))(s.q, s.qd, s.qdd)
+    found = vmap(jacrev(lambda *x: torchdq.forward_dynamics(case.robot, *x), (0, 1, 2)))(s.q, s.qd, s.qdd)
     M = scaled(torchdq.mass_matrix(case.robot, s.q.double()))[0]
     condition = float(torch.linalg.cond(M).max())
     allowed = 64 * EPS[dtype] * condition
@@ -570,7 +552,7 @@ def test_gradients_of_accelerations_are_those_of_pinocchio(twin, dtype, backend,
 
 
 @pytest.mark.case("D12")
-@every_backend
+@eager_first
 def test_second_derivatives_of_accelerations_are_finite_differences(backend):
     robot = torchdq.robots.load("two_link")
     x = [v.requires_grad_() for v in random(3, 2)]
