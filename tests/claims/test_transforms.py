@@ -244,26 +244,19 @@ def test_the_parameters_of_a_batch_of_robots_are_those_of_each():
 # --- bad robots -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.case("P9")
+@pytest.mark.case("D3", "P9")
 @all_in_one(["inverse_dynamics", "forward_dynamics", "closed_form", "mass_matrix"])
 def test_a_bad_robot_leaves_the_other_robots_bitwise_alone(key):
-    robot, args = varied(arm(), ["mass"]), of(key, 2, (3,))
-    mass = robot.mass.clone()
-    mass[1, 0] = torch.nan
-    spoiled = call(key, robot.replace(mass=mass), args)
-    assert same([y[[0, 2]] for y in call(key, robot, args)], [y[[0, 2]] for y in spoiled])
-
-
-@pytest.mark.case("D3")
-@pytest.mark.case("P9")
-def test_a_singular_robot_leaves_the_other_robots_bitwise_alone():
-    robot = varied(torchdq.robots.load("two_link"), ["mass", "inertia"])
-    args = of("forward_dynamics", 2, (3,))
-    empty = robot.replace(mass=robot.mass.index_fill(0, torch.tensor(1), 0.0))
-    empty = empty.replace(inertia=robot.inertia.index_fill(0, torch.tensor(1), 0.0))
-    found = call("forward_dynamics", empty, args)[0]
-    assert not bool(found[1].isfinite().all())
-    assert same([found[[0, 2]]], [call("forward_dynamics", robot, args)[0][[0, 2]]])
+    """Its masses are not numbers, or it has none beyond a joint."""
+    robot, args = varied(torchdq.robots.load("two_link"), ["mass", "inertia"]), of(key, 2, (3,))
+    good = [y[[0, 2]] for y in call(key, robot, args)]
+    for bad in (torch.nan, 0.0):
+        fields = {name: getattr(robot, name).clone() for name in ("mass", "inertia")}
+        for x in fields.values():
+            x[1] = bad
+        found = call(key, robot.replace(**fields), args)
+        assert same(good, [y[[0, 2]] for y in found])
+        assert not found[0][1].isfinite().all() or (bad == 0.0 and key != "forward_dynamics")
 
 
 # --- dtypes ----------------------------------------------------------------------------------------------------------
@@ -358,25 +351,14 @@ def fresh():
 
 @pytest.mark.case("P4")
 @pytest.mark.parametrize(
-    "key", thinned(FUNCTIONS, ("forward_dynamics", "forward_kinematics", "computed_torque", "dynamics_jacobian"))
+    "key",
+    thinned(FUNCTIONS, ("computed_torque", "dynamics_jacobian")),  # hard_cases/test_tensors.py has others
 )
 def test_every_function_compiles_without_a_graph_break(key, fresh):
     robot = arm()
     args = of(key, 2, (3,))
     compiled = torch.compile(lambda *x: call(key, robot, x), backend="eager", fullgraph=True)
     assert relative(compiled(*args), call(key, robot, args)) < 1e-12
-
-
-@pytest.mark.case("P4")
-@C_COMPILER
-def test_a_new_batch_size_costs_one_recompilation_and_further_ones_none(fresh):
-    module = torchdq.DQRNEA(arm(), learn="mass", backend="c")
-    counter = CompileCounterWithBackend("eager")
-    compiled = torch.compile(module, backend=counter, fullgraph=True)
-    for batch in (4, 7, 9, 33):
-        args = inputs("q qd qdd", 2, (batch,))
-        assert relative([compiled(*args)], [module(*args)]) < 1e-12
-    assert counter.frame_count <= 2
 
 
 LEARNED = ("mass", "com", "inertia", "armature", "friction", "offset")
@@ -390,11 +372,14 @@ def slopes(module, f, args):
 
 @pytest.mark.case("P4")
 @C_COMPILER
-def test_a_compiled_arm_has_the_same_values_and_gradients(fresh):
+def test_a_compiled_arm_has_the_same_values_and_gradients_and_is_compiled_once_more_for_another_batch(fresh):
     module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=LEARNED, backend="c")
-    args = inputs("q qd qdd", 2, (4,))
-    compiled = torch.compile(module, backend="aot_eager", fullgraph=True)
-    assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
+    counter = CompileCounterWithBackend("aot_eager")
+    compiled = torch.compile(module, backend=counter, fullgraph=True)
+    for batch in (4, 7, 9, 33):
+        args = inputs("q qd qdd", 2, (batch,))
+        assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
+    assert counter.frame_count <= 2
 
 
 @pytest.mark.case("P4")
@@ -404,7 +389,7 @@ def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_
     module = torchdq.DQRNEA(rods(1), learn=("mass",))
     compiled = torch.compile(module, backend="inductor", fullgraph=True, dynamic=True)
     for batch in (5, 18):
-        args = inputs("q qd qdd", 1, (batch,))
+        args = inputs("q", 1, (batch,))
         assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
 
 
@@ -412,7 +397,7 @@ def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_
 @pytest.mark.parametrize(
     "transform, backend",
     [  # torch refuses vmap of an operator that is not its own
-        *((transform, "auto") for transform in thinned((grad, jacrev, jacfwd, vmap), (jacfwd, vmap))),
+        *((transform, "auto") for transform in thinned((grad, jacrev, jacfwd, vmap), (jacfwd,))),
         *(pytest.param(transform, "c", marks=C_COMPILER) for transform in thinned((grad, jacfwd, jacrev), (grad,))),
     ],
 )
@@ -485,7 +470,7 @@ def test_the_first_call_may_be_inside_a_transform():
 
 
 @pytest.mark.case("P4")
-@pytest.mark.parametrize("key", thinned(MODULES, ("ForwardDynamics with friction", "ComputedTorque")))
+@pytest.mark.parametrize("key", thinned(MODULES, ("ForwardDynamics with friction",)))
 def test_an_exported_module_takes_any_batch_size(key):
     torchdq.clear_caches()  # as of one that was never called
     module = module_of(key, torchdq.robots.load("two_link"))
