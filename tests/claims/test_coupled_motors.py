@@ -87,7 +87,7 @@ ARM = coupled(REAL).replace(armature=torch.as_tensor(ROTOR, dtype=F64)).bake()
 
 
 def test_motors_are_identified_where_they_are():
-    (_, *seen), (_, *unseen) = swing(30.0, 1), swing(15.0, 2)
+    (_, *seen), (_, *unseen) = swing(15.0, 1), swing(5.0, 2)
     exact, expected = motors(*seen), motors(*unseen)
     noise = NOISE * exact.std(0)
     tau = exact + noise * np.random.default_rng(0).normal(size=exact.shape)

