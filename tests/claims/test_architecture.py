@@ -22,94 +22,37 @@ from places import ENVS, PACKAGE, ROOT, TESTS
 import torchdq
 from torchdq import functional
 
-FLOORS = {
-    "torchdq.findings": -1,
-    "torchdq.errors": 0,
-    "torchdq.base": 1,
-    "torchdq.algebra": 1,
-    "torchdq.numbers": 1,
-    "torchdq.dynamics": 2,
-    "torchdq.program": 2,
-    "torchdq.backends": 3,
-    "torchdq.export": 4,
-    "torchdq.dq": 4,
-    "torchdq.convert": 5,
-    "torchdq.robot": 5,
-    "torchdq.functions": 6,
-    "torchdq.functional": 7,
-    "torchdq.task_space": 7,
-    "torchdq.pose_solver": 7,
-    "torchdq.effects": 7,
-    "torchdq.floating": 8,
-    "torchdq.scene": 8,
-    "torchdq.paper": 8,
-    "torchdq.layers": 9,
-    "torchdq.layers.residual": 10,
-    "torchdq.nn": 11,
-    "torchdq.recommend": 10,
-    "torchdq.envs": 11,
-    "torchdq.learning": 12,
-    "torchdq": 13,
-    "torchdq.command": 14,
-    "torchdq.__main__": 15,
-}
 
-# storeys of the packages that have several: files that a table does not name are on the lowest
+def rows(package, text):
+    """Row of every module and package within a package, from the lowest; "." is the package itself."""
+    return {f"{package}.{name}".rstrip("."): k for k, row in enumerate(text.split("|")) for name in row.split()}
+
+
+FLOORS = rows(
+    "torchdq",
+    """findings | errors | base algebra numbers | dynamics program | backends | export dq | convert robot | functions
+    | functional task_space pose_solver effects | floating scene paper | layers | layers.residual recommend | nn envs
+    | learning | . | command | __main__""",
+)
+# storeys of the packages that have several: files that a row does not name are on the first
 STOREYS = {
-    # fields, the frozen model, its tree and bodies, checks, edits, readers and writers, Robot
-    "torchdq.robot.check.consistency": 0,
-    "torchdq.robot.description": 1,
-    "torchdq.robot.fields": 2,
-    "torchdq.robot.model": 3,
-    "torchdq.robot.tree": 4,
-    "torchdq.robot.bodies": 4,
-    "torchdq.robot.contact_points": 4,
-    "torchdq.robot.check": 5,
-    "torchdq.robot.edit": 6,
-    "torchdq.robot.from_dh": 6,
-    "torchdq.robot.from_screws": 6,
-    "torchdq.robot.assembly": 7,
-    "torchdq.robot.urdf": 8,
-    "torchdq.robot.mjcf": 8,
-    "torchdq.robot.robot": 9,
-    "torchdq.robot.argument": 10,
-    "torchdq.robot": 10,
-    "torchdq.robot.shipped": 11,
+    **rows(
+        "torchdq.robot",
+        """check.consistency | description | fields | model | tree bodies contact_points | check
+        | edit from_dh from_screws | assembly | urdf mjcf | robot | argument . | shipped""",
+    ),
     # parts of a step, the frozen model, many steps, Scene
-    "torchdq.scene.model": 1,
-    "torchdq.scene.loops": 2,
-    "torchdq.scene.rollout": 3,
-    "torchdq.scene.describe": 2,
-    "torchdq.scene.linearize": 2,
-    "torchdq.scene.stability": 4,
-    "torchdq.scene.scene": 5,
-    "torchdq.scene.defaults": 6,
-    "torchdq.scene": 6,
-    "torchdq.learning.logs": 1,
-    "torchdq.learning.evaluation": 2,
-    "torchdq.learning.identification": 3,
-    "torchdq.learning.read_log": 3,
-    "torchdq.learning.training": 3,
-    "torchdq.learning.rollout": 3,
-    "torchdq.learning.bodies": 4,
-    "torchdq.learning.evaluate": 4,
-    "torchdq.learning.excitation.limits": 1,
-    "torchdq.learning.plots": 5,
-    "torchdq.learning.excitation": 6,
-    "torchdq.learning": 7,
+    **rows("torchdq.scene", "| model | loops describe linearize | rollout | stability | scene | defaults ."),
+    **rows(
+        "torchdq.learning",
+        """| logs excitation.limits | evaluation | identification read_log training rollout | bodies evaluate
+        | plots | excitation | .""",
+    ),
     # outcomes, options that commands share, the commands, the command line
-    "torchdq.command.command": 2,
-    "torchdq.command.report": 3,
-    "torchdq.command.bench": 3,
-    "torchdq.command.identify": 3,
-    "torchdq.command.scene": 3,
-    "torchdq.command.accuracy": 3,
-    "torchdq.command.export": 3,
-    "torchdq.command.view": 3,
-    "torchdq.command.cost": 3,
-    "torchdq.command.doctor": 3,
-    "torchdq.command.main": 4,
-    "torchdq.command": 5,
+    **rows(
+        "torchdq.command",
+        "|| command | report bench identify scene accuracy export view cost doctor | main | .",
+    ),
 }
 
 NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")

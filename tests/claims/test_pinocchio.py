@@ -266,22 +266,9 @@ def potential_energy(case: Case, s: States) -> float:
 
 
 QUANTITIES = (
-    torques,
-    torques_on_a_tilted_base,
-    torques_against_f_tip,
-    torques_under_f_ext,
-    mass_matrix,
-    closed_form_mass_matrix,
-    coriolis_torques,
-    gravity_torques,
-    transposed_tip_jacobian,
-    body_jacobians,
-    world_jacobians,
-    poses,
-    inertial_parameters,
-    regressor,
-    kinetic_energy,
-    potential_energy,
+    *(torques, torques_on_a_tilted_base, torques_against_f_tip, torques_under_f_ext, mass_matrix, poses, regressor),
+    *(closed_form_mass_matrix, coriolis_torques, gravity_torques, transposed_tip_jacobian, body_jacobians),
+    *(world_jacobians, inertial_parameters, kinetic_energy, potential_energy),
 )
 IN_SINGLE = (torques, torques_under_f_ext, mass_matrix, world_jacobians, poses)
 # in the default run these alone are of all robots, and the other quantities of a few with joints of every kind:

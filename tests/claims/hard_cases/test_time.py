@@ -265,10 +265,15 @@ def gradient_of(end, x):
 
 @pytest.mark.case("T7")
 @compiled
-def test_gradients_through_adaptive_steps_are_finite_differences(backend, margin):
+@pytest.mark.parametrize(
+    "rtol, dtype, allowed", [(1e-10, F64, 1e-9), (1e-2, F64, 1e-2), (1e-4, F64, 1e-4), (1e-4, F32, 1e-4)], ids=str
+)
+def test_gradients_through_adaptive_steps_are_finite_differences_up_to_the_tolerance(
+    rtol, dtype, allowed, backend, margin
+):
     gradient = slope_of_the_flow()
-    found = gradient_of(flowed(1e-10, backend), POINT)
-    margin((found - gradient).abs().max() / gradient.abs().max(), 10 * 1e-10, "gradient at a tolerance of 1e-10")
+    found = gradient_of(flowed(rtol, backend), POINT.to(dtype))
+    margin((found - gradient).abs().max() / gradient.abs().max(), allowed, f"gradient at a tolerance of {rtol:g}")
 
 
 @pytest.mark.case("T7")
@@ -280,15 +285,6 @@ def test_second_derivatives_through_adaptive_steps_are_finite_differences(backen
     found = torch.stack([torch.autograd.grad(y, x, retain_graph=True)[0] for y in slope])
     margin((found - found.mT).abs().max() / found.abs().max(), 16 * EPS[F64], "symmetry of the Hessian")
     margin((found - hessian).abs().max() / hessian.abs().max(), 10 * 1e-10, "Hessian at a tolerance of 1e-10")
-
-
-@pytest.mark.case("T7")
-@compiled
-@pytest.mark.parametrize("rtol, dtype", [(1e-2, F64), (1e-4, F64), (1e-4, F32)], ids=str)
-def test_gradients_at_a_loose_tolerance_are_off_by_about_as_much(rtol, dtype, backend, margin):
-    gradient = slope_of_the_flow()
-    found = gradient_of(flowed(rtol, backend), POINT.to(dtype))
-    margin((found - gradient).abs().max() / gradient.abs().max(), rtol, f"gradient at a tolerance of {rtol:g}")
 
 
 # --- T8: long gradients ----------------------------------------------------------------------------------------------
@@ -313,20 +309,15 @@ DRIVEN = double(0.3, -0.4, 0.8, -0.5, 4.0, 2.0, 1.0, -0.5)
 @compiled
 @pytest.mark.parametrize("integrator", thinned(FIXED[1:], (LinearlyImplicit(), StoermerVerlet())), ids=called)
 def test_gradients_through_a_thousand_steps_are_finite_differences(integrator, backend, margin):
+    """In single precision to its rounding."""
     end = after_a_thousand(integrator, backend)
     found = gradient_of(end, DRIVEN)
     with torch.no_grad():
         expected = differences(end, DRIVEN, 1e-3)
     margin((found - expected).abs().max() / found.abs().max(), 1e-10, called(integrator))
-
-
-@pytest.mark.case("T8")
-@compiled
-@pytest.mark.parametrize("integrator", thinned([LinearlyImplicit(), RungeKutta4()], [LinearlyImplicit()]), ids=called)
-def test_in_single_precision_gradients_through_a_thousand_steps_are_as_good(integrator, backend, margin):
-    exact = gradient_of(after_a_thousand(integrator, backend), DRIVEN)
-    found = gradient_of(after_a_thousand(integrator, backend), DRIVEN.float())
-    margin((found - exact).abs().max() / exact.abs().max(), 4 * EPS[F32] * 1000**0.5, called(integrator))
+    if EVERYTHING or integrator == LinearlyImplicit():
+        single = gradient_of(end, DRIVEN.float())
+        margin((single - found).abs().max() / found.abs().max(), 4 * EPS[F32] * 1000**0.5, f"{called(integrator)}, F32")
 
 
 @pytest.mark.case("T8")
@@ -598,14 +589,7 @@ def test_derivatives_exactly_at_a_limit_are_finite(qd, dtype, backend):
 # the middle hinge stays within 30 degrees, far from where hinges one and three align.
 MASS, CENTRE, MOMENTS = 1.5, np.array([0.1, 0.2, -0.1]), np.diag([2.4, 1.0, 1.8])
 TUMBLING = torchdq.Robot.from_screws(
-    [
-        [0, 0, 0, 1, 0, 0],
-        [0, 0, 0, 0, 1, 0],
-        [0, 0, 0, 0, 0, 1],
-        [0, 0, 1, 0, 0, 0],
-        [1, 0, 0, 0, 0, 0],
-        [0, 1, 0, 0, 0, 0],
-    ],
+    np.eye(6)[[3, 4, 5, 2, 0, 1]],
     [0.0] * 5 + [MASS],
     [[0.0] * 3] * 5 + [CENTRE],
     [np.zeros((3, 3))] * 5 + [MOMENTS],
@@ -704,17 +688,13 @@ def test_a_row_that_diverges_takes_no_other_with_it_in_a_hundred_steps(integrato
 # --- T14: effects on demand ------------------------------------------------------------------------------------------
 
 
-OFF = {
-    "Viscous": lambda zero: effects.Viscous(zero),
-    "Coulomb": lambda zero: effects.Coulomb(zero),
+OFF = {kind: getattr(effects, kind) for kind in ("Viscous", "Coulomb", "Quadratic", "LoadDependent", "RotorInertia")}
+OFF |= {
     "Stribeck": lambda zero: effects.Stribeck(zero, zero),
-    "Quadratic": lambda zero: effects.Quadratic(zero),
     "Directional": lambda zero: effects.Directional(zero, zero),
-    "LoadDependent": lambda zero: effects.LoadDependent(zero),
     "Ripple": lambda zero: effects.Ripple(0.1, zero, zero),
     "Spring": lambda zero: effects.Spring(zero, 0.3),
     "Limits": lambda zero: effects.JointLimits(-0.1, 0.1, zero),
-    "RotorInertia": lambda zero: effects.RotorInertia(zero),
     "Drag": lambda zero: effects.Drag(zero, zero, zero),
 }
 
