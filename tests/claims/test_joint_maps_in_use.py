@@ -108,34 +108,29 @@ def test_a_joint_of_several_coordinates_has_nothing_to_give():
             limited.couple(S, names, limits=wrong)
 
 
+TWO = torchdq.robots.load("two_link")
+ABOVE = TWO.replace(limits=TWO.limits._replace(lower=double([0.1, 0.1]), upper=double([1.0, 1.0])))
+REFUSED = [
+    lambda: TWO.couple({"joint3": {"joint1": 1.0}}),
+    lambda: TWO.couple({"joint2": {"joint1": 1.0}}, offset={"joint3": 1.0}),
+    lambda: TWO.couple({"joint2": "joint1"}),
+    lambda: TWO.couple({"joint2": {"joint1": torch.nan}}),
+    lambda: TWO.couple({"joint2": {"a": 0.0}}),
+    lambda: TWO.couple([[1.0, 2.0], [-0.5, -1.0]], ["a", "b"]),
+    lambda: TWO.couple([[1e-9, 3e3], [1e-9, 3e3]], ["a", "b"]),
+    lambda: torchdq.robots.load("panda").couple({"panda_joint2": {"b": 1.0, "c": 0.5}}, limits=torch.nan),
+    *(lambda names=names: TWO.couple([[1.0], [2.0]], names) for names in (None, ["a", "b"], "a")),
+    lambda: TWO.couple([[1.0, 0.0], [2.0, 1.0]], ["a", "a"]),
+    lambda: TWO.couple([[1.0]], ["a"]),
+    lambda: ABOVE.couple({"joint2": {"joint1": -1.0}}),
+]
+
+
 def test_couplings_that_cannot_be_are_refused():
-    robot = torchdq.robots.load("two_link")
-    with refused(UnknownNameError):
-        robot.couple({"joint3": {"joint1": 1.0}})
-    with refused(UnknownNameError):
-        robot.couple({"joint2": {"joint1": 1.0}}, offset={"joint3": 1.0})
-    with refused(ArgumentError):
-        robot.couple({"joint2": "joint1"})
-    with refused(ArgumentError):
-        robot.couple({"joint2": {"joint1": torch.nan}})
-    with refused(ArgumentError):
-        robot.couple({"joint2": {"a": 0.0}})
-    for S in ([[1.0, 2.0], [-0.5, -1.0]], [[1e-9, 3e3], [1e-9, 3e3]]):
-        with refused(ArgumentError):
-            robot.couple(S, ["a", "b"])
-    with refused(ArgumentError):
-        torchdq.robots.load("panda").couple({"panda_joint2": {"b": 1.0, "c": 0.5}}, limits=torch.nan)
-    assert robot.couple([[1e-9, 0.0], [0.0, 1e9]], ["a", "b"]).joint_names == ("a", "b")
-    for names in (None, ["a", "b"], "a"):
-        with refused(ArgumentError):
-            robot.couple([[1.0], [2.0]], names)
-    with refused(ArgumentError):
-        robot.couple([[1.0, 0.0], [2.0, 1.0]], ["a", "a"])
-    with refused(ArgumentError):
-        robot.couple([[1.0]], ["a"])
-    limited = robot.replace(limits=robot.limits._replace(lower=double([0.1, 0.1]), upper=double([1.0, 1.0])))
-    with refused(ArgumentError):
-        limited.couple({"joint2": {"joint1": -1.0}})
+    for k, call in enumerate(REFUSED):
+        with refused(UnknownNameError if k < 2 else ArgumentError):
+            call()
+    assert TWO.couple([[1e-9, 0.0], [0.0, 1e9]], ["a", "b"]).joint_names == ("a", "b")
 
 
 def test_a_coordinate_is_of_the_kind_of_its_own_joint():

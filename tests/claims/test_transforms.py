@@ -10,9 +10,11 @@ import operator
 import shutil
 from functools import cache
 
+import helpers
 import pytest
 import torch
 from helpers import all_in_one, rods, thinned
+from oracles import scaled_condition
 from torch._dynamo.backends.common import aot_autograd
 from torch._dynamo.testing import CompileCounterWithBackend
 from torch._functorch.aot_autograd import make_boxed_func
@@ -22,6 +24,7 @@ import torchdq
 from torchdq import effects
 from torchdq.backends.compiler import compiler
 
+fresh = helpers.fresh
 F32, F64 = torch.float32, torch.float64
 EPS = {F32: 2.0**-23, F64: 2.0**-52}
 TRAILING = {"mass": 1, "com": 2, "inertia": 2, "gravity": 1, "armature": 1, "home": 1, "X_PB_home": 2, "screw": 2}
@@ -272,9 +275,7 @@ def test_float32_stays_float32_and_is_as_accurate(key):
     condition = 1.0
     if key == "forward_dynamics":
         # 5e-6 is about 40 eps; solving with M multiplies it by the condition of M scaled to a unit diagonal
-        M = torchdq.mass_matrix(robot, args[0].double())
-        d = M.diagonal(dim1=-2, dim2=-1).rsqrt()
-        condition = float(torch.linalg.cond(d[..., None] * M * d[..., None, :]).max())
+        condition = scaled_condition(torchdq.mass_matrix(robot, args[0].double()))
     assert relative([y.double() for y in found], exact) < 5e-6 * condition
 
 
@@ -339,14 +340,6 @@ def test_grad_of_functional_call_is_that_of_backward(key):
 
 
 # --- torch.compile and torch.export ----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def fresh():
-    """A compiler that remembers nothing of other tests."""
-    torch._dynamo.reset()
-    yield
-    torch._dynamo.reset()
 
 
 @pytest.mark.case("P4")

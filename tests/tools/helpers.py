@@ -97,6 +97,14 @@ def one_thread():
 
 
 @pytest.fixture
+def fresh():
+    """A compiler of torch that remembers nothing of other tests."""
+    torch._dynamo.reset()
+    yield
+    torch._dynamo.reset()
+
+
+@pytest.fixture
 def threads(monkeypatch):
     """Sets the number of threads, which even small batches are worth meanwhile; it is put back."""
     before = torch.get_num_threads()

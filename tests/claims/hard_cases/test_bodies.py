@@ -4,6 +4,7 @@ That descriptions of such bodies are read, or refused by name, is tested in `tes
 bodies, in `test_parameters.py`. Here are their dynamics.
 """
 
+import contextlib
 import itertools
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 import torch
 from helpers import double, random, thinned
 from messages import refused
-from oracles import EPS, pinocchio_model, random_tree, states
+from oracles import EPS, pinocchio_model, random_tree, scaled, scaled_condition, states
 from precisions import F32, F64, compiler, eager_first, every_backend_and_dtype, every_dtype, single_compiled
 
 import torchdq
@@ -42,12 +43,6 @@ def rods(mass, seed=0):
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     m = np.asarray(mass)
     return chain(axes, m, np.tile([0.5, 0, 0], (len(m), 1)), np.outer(m / 12, [0, 0, 1, 0, 0, 1]))
-
-
-def scaled_condition(M):
-    """Condition number of mass matrices scaled to a unit diagonal."""
-    D = M.double().diagonal(dim1=-2, dim2=-1).rsqrt()
-    return float(torch.linalg.cond(D[..., None] * M.double() * D[..., None, :]).max())
 
 
 def in_its_own_units(qdd, M):
@@ -148,9 +143,7 @@ def test_any_free_numbers_have_a_positive_definite_mass_matrix_and_finite_deriva
             p.data = random(*p.shape, seed=10 * seed + k) * (1 + seed % 3)
         with torchdq.backend(backend):
             M = torchdq.mass_matrix(module.robot, q.double())
-            D = M.diagonal(dim1=-2, dim2=-1).rsqrt()
-            least = torch.linalg.eigvalsh(D[..., None] * M * D[..., None, :])[..., 0]
-            assert (least > 64 * EPS[F64]).all()
+            assert (torch.linalg.eigvalsh(scaled(M)[0])[..., 0] > 64 * EPS[F64]).all()
             qdd = module(q, qd, tau)
             slopes = torch.autograd.grad(qdd.square().mean(), module.parameters())
         assert qdd.isfinite().all() and all(g.isfinite().all() for g in slopes)
@@ -237,14 +230,18 @@ def test_single_precision_knows_which_unequal_masses_it_can_bear(kind, backend, 
 # --- pivots that are rounding ----------------------------------------------------------------------------------------
 
 
-def stretched(mass, far, seed):
-    """Point mass at the end of a massless arm of two links, on hinges that are parallel; frames are anywhere."""
+def point_mass(mass, at, screws, seed, far=1.0, **more):
+    """Point of that mass and place on the second of two joints, the first link without any; frames are anywhere."""
     pose = dq.from_pose(dq.normalize(random(4, seed=seed)), far * random(3, seed=seed + 1))
     links = dq.mul(pose, dq.from_pose(dq.normalize(random(2, 4, seed=seed + 2)), random(2, 3, seed=seed + 3)))
-    end = dq.mul(pose, dq.from_pose(double(*ONE), double(2.0, 0, 0)))
-    com = dq.translation(dq.mul(dq.conj(links[1]), end))
-    screws = dq.ad(pose, double(0, 0, 1, 0, 0, 0, 0, 0, 1, 0, -1, 0).view(2, 6))
-    return torchdq.Robot.from_screws(screws, [0.0, mass], torch.stack([0 * com, com]), np.zeros((2, 6)), links)
+    com = dq.translation(dq.mul(dq.conj(links[1]), dq.mul(pose, dq.from_pose(double(*ONE), double(*at)))))
+    screws, com = dq.ad(pose, double(*screws).view(2, 6)), torch.stack([0 * com, com])
+    return torchdq.Robot.from_screws(screws, [0.0, mass], com, np.zeros((2, 6)), links, **more)
+
+
+def stretched(mass, far, seed):
+    """Point mass at the end of a massless arm of two links, on hinges that are parallel."""
+    return point_mass(mass, (2.0, 0, 0), (0, 0, 1, 0, 0, 0, 0, 0, 1, 0, -1, 0), seed, far)
 
 
 @pytest.mark.case("I6")
@@ -283,30 +280,16 @@ def test_a_nearly_stretched_arm_has_its_digits_or_none(mass, dtype, backend, mar
     margin((error / (8 * EPS[F64] * kept + 8 * own)).max(), 1.0, "errors in roundings times their growth")
 
 
-def on_its_axis(seed, **more):
-    """A point of 1e9 kg on the axis of the joint that carries it, up to the rounding of where that is."""
-    pose = dq.from_pose(dq.normalize(random(4, seed=seed)), random(3, seed=seed + 1))
-    links = dq.mul(pose, dq.from_pose(dq.normalize(random(2, 4, seed=seed + 2)), random(2, 3, seed=seed + 3)))
-    com = dq.translation(dq.mul(dq.conj(links[1]), dq.mul(pose, dq.from_pose(double(*ONE), double(1.0, 0, 0.7)))))
-    screws = dq.ad(pose, double(0, 1, 0, 0, 0, 0, 0, 0, 1, 0, -1, 0).view(2, 6))
-    return torchdq.Robot.from_screws(screws, [0.0, 1e9], torch.stack([0 * com, com]), np.zeros((2, 6)), links, **more)
-
-
 @pytest.mark.case("I6")
-def test_a_heavy_point_on_its_axis_is_noted_when_the_robot_is_read():
+def test_a_heavy_point_on_its_axis_is_noted_when_the_robot_is_read_and_has_no_acceleration_either():
+    """Up to the rounding of where the axis is."""
+    ones = torch.ones(2, dtype=F64)
     for seed in range(0, 200, 10):
-        assert on_its_axis(seed).notes[0].text().startswith("joint 'joint2': it moves no inertia")
-
-
-@pytest.mark.case("I6")
-def test_a_heavy_point_on_its_axis_has_no_acceleration_either():
-    for seed in range(0, 200, 10):
-        robot, ones = on_its_axis(seed, on_unphysical="ignore"), torch.ones(2, dtype=F64)
-        try:
-            qdd = torchdq.forward_dynamics(robot, ones, None, ones)
-        except SingularInertiaError:
-            continue
-        assert qdd.isnan().all()
+        given = 1e9, (1.0, 0, 0.7), (0, 1, 0, 0, 0, 0, 0, 0, 1, 0, -1, 0), seed
+        assert point_mass(*given).notes[0].text().startswith("joint 'joint2': it moves no inertia")
+        with contextlib.suppress(SingularInertiaError):
+            qdd = torchdq.forward_dynamics(point_mass(*given, on_unphysical="ignore"), ones, None, ones)
+            assert qdd.isnan().all()
 
 
 # --- sizes -----------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ import pytest
 import torch
 from helpers import DOWN, double, random, rod_axes, rods, thinned
 from messages import refused
-from oracles import EPS, Case, over, random_tree, shipped, size_of_torques, states
+from oracles import EPS, Case, over, random_tree, scaled, scaled_condition, shipped, size_of_torques, states
 from precisions import F32, F64, compiler, eager_first, every_backend, every_backend_and_dtype
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vmap
 
@@ -145,12 +145,6 @@ def test_torques_of_the_accelerations_of_a_chain_are_the_torques_given(n, planar
         asked = torchdq.forward_dynamics(robot, q, qd, tau, precision="double")
         assert asked.dtype == F32 and (n < 200 or found.equal(asked))  # from some length on without being asked
         margin(relative(asked, exact), EPS[F32], "precision double")  # a rounding; 1e-6 was asked for
-
-
-def scaled(M):
-    """Mass matrices scaled to a unit diagonal, and the scale D = diag(M)^-1/2."""
-    D = M.diagonal(dim1=-2, dim2=-1).rsqrt()
-    return D[..., None] * M * D[..., None, :], D
 
 
 @pytest.mark.case("D2", "D9")
@@ -544,9 +538,7 @@ def test_gradients_of_accelerations_are_those_of_pinocchio(twin, dtype, margin):
     s = states(case.robot, batch=3, dtype=dtype)
     expected = pinocchios(pin.computeABADerivatives, case, s)
     found = vmap(jacrev(lambda *x: torchdq.forward_dynamics(case.robot, *x), (0, 1, 2)))(s.q, s.qd, s.qdd)
-    M = scaled(torchdq.mass_matrix(case.robot, s.q.double()))[0]
-    condition = float(torch.linalg.cond(M).max())
-    allowed = 64 * EPS[dtype] * condition
+    allowed = 64 * EPS[dtype] * scaled_condition(torchdq.mass_matrix(case.robot, s.q.double()))
     assert dtype == F32 or allowed < 1e-9
     margin(error_of_derivatives(found, expected), allowed)
 

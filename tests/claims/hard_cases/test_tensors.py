@@ -26,6 +26,7 @@ from torchdq.errors import ArgumentError
 from torchdq.scene.defaults import default_effects
 from torchdq.scene.integrators import LinearlyImplicit
 
+fresh, threads = helpers.fresh, helpers.threads
 ARM = torchdq.robots.load("two_link")
 TREE = random_tree(3, seed=6, armature=True).robot  # joints of all kinds
 ROCK = torchdq.Robot.from_urdf("<robot name='rock'><link name='tip'/></robot>")
@@ -277,14 +278,6 @@ def endangered(dtype):
 # --- P4: torch.compile -----------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def fresh():
-    """A compiler that remembers nothing of other tests."""
-    torch._dynamo.reset()
-    yield
-    torch._dynamo.reset()
-
-
 @pytest.mark.case("P4")
 @pytest.mark.parametrize("backend", [C])
 @pytest.mark.parametrize(
@@ -485,9 +478,6 @@ def test_a_state_dict_carries_everything_that_is_learned(module, dtype, backend)
 
 
 # --- P13: threads ----------------------------------------------------------------------------------------------------
-
-
-threads = helpers.threads
 
 
 def with_threads(threads, function):
