@@ -193,19 +193,13 @@ def test_wrenches_on_links_take_their_transposed_jacobians_off_the_torques(robot
 
 @pytest.mark.case("D9")
 @every_robot
-def test_forward_dynamics_undoes_inverse_dynamics(robot):
+def test_forward_and_inverse_dynamics_undo_each_other(robot):
     s = states(robot)
     tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, s.f_tip, s.f_ext)
     found = torchdq.forward_dynamics(robot, s.q, s.qd, tau, s.f_tip, s.f_ext)
     # torques are exact to some roundings of their largest; M^-1 turns those into accelerations
     inverse = torch.linalg.inv(torchdq.mass_matrix(robot, s.q)).abs().sum(-1).amax(-1)
     agree(found, s.qdd, inverse * (size_of_torques(robot, s) + tau.abs().amax(-1)))
-
-
-@pytest.mark.case("D9")
-@every_robot
-def test_inverse_dynamics_undoes_forward_dynamics(robot):
-    s = states(robot)
     tau = 20.0 * s.qd
     qdd = torchdq.forward_dynamics(robot, s.q, s.qd, tau, s.f_tip, s.f_ext)
     found = torchdq.inverse_dynamics(robot, s.q, s.qd, qdd, s.f_tip, s.f_ext)

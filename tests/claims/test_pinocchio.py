@@ -360,18 +360,12 @@ def test_frames_of_a_body_without_joints_are_where_pinocchio_puts_them(name):
     assert poses(case, oracles.states(case.robot)) <= TOLERANCE[torch.float64]
 
 
-@pytest.mark.parametrize("name", oracles.UNREADABLE)
-def test_a_file_without_a_robot_is_refused(name):
-    with refused(torchdq.DescriptionError):
-        torchdq.Robot.from_urdf(oracles.urdf_paths()[name], on_unphysical="ignore")
-
-
-@all_in_one(thinned(oracles.example_robots(), (*oracles.UNPHYSICAL, *oracles.ODD, *THOROUGH)))
-def test_a_robot_is_read_by_default_unless_it_is_unphysical(name):
+@all_in_one([*thinned(oracles.example_robots(), (*oracles.UNPHYSICAL, *oracles.ODD, *THOROUGH)), *oracles.UNREADABLE])
+def test_a_robot_is_read_by_default_unless_there_is_none_or_it_is_unphysical(name):
     """Files with inertias that break the triangle inequality give a warning."""
     with contextlib.ExitStack() as expected:
-        if name in oracles.UNPHYSICAL:
-            expected.enter_context(refused(torchdq.UnphysicalError))
+        if name in (*oracles.UNPHYSICAL, *oracles.UNREADABLE):
+            expected.enter_context(refused((torchdq.UnphysicalError, torchdq.DescriptionError)))
         elif name in oracles.ODD:
             expected.enter_context(warned(UserWarning))
         robot = torchdq.Robot.from_urdf(oracles.urdf_paths()[name])
