@@ -21,6 +21,7 @@ from places import ENVS, PACKAGE, ROOT, TESTS
 
 import torchdq
 from torchdq import functional
+from torchdq.effects.effect import Effect
 
 
 def rows(package, text):
@@ -49,10 +50,7 @@ STOREYS = {
         | plots | excitation | .""",
     ),
     # outcomes, options that commands share, the commands, the command line
-    **rows(
-        "torchdq.command",
-        "|| command | report bench identify scene accuracy export view cost doctor | main | .",
-    ),
+    **rows("torchdq.command", "|| command | report bench identify scene accuracy export view cost doctor | main | ."),
 }
 
 NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")
@@ -343,19 +341,10 @@ def test_only_readers_of_descriptions_know_the_words_for_joints():
     assert not found, listed(found)
 
 
-def bases(node):
-    """Names of what a class is made from."""
-    return {x.id if isinstance(x, ast.Name) else x.attr for x in node.bases if isinstance(x, ast.Name | ast.Attribute)}
-
-
-def subclasses(root):
-    """Names of the classes made from one, directly or not, with the module of each."""
-    found, before = {}, None
-    classes = nodes_of(ast.ClassDef)
-    while before != found:
-        before = dict(found)
-        found |= {node.name: module for module, node in classes if bases(node) & {root, *found}}
-    return found
+def subclasses(kind):
+    """Modules of the package's classes made from one, directly or not, by name."""
+    found = {x.__name__: x.__module__ for x in kind.__subclasses__() if x.__module__ in FILES}
+    return found | {name: module for x in kind.__subclasses__() for name, module in subclasses(x).items()}
 
 
 def types_asked(node):
@@ -373,7 +362,9 @@ def types_asked(node):
 
 
 def test_no_effect_is_known_by_name_but_in_its_own_file():
-    effects = subclasses("Effect")
+    for module in FILES:
+        importlib.import_module(module)
+    effects = subclasses(Effect)
     assert {"Gravity", "RotorInertia", "Viscous", "Elastic"} <= set(effects)
     found = [
         (at(module, node), name)
@@ -482,9 +473,6 @@ def test_ruff_has_nothing_to_say():
     pytest.importorskip("ruff")
     assert checked("ruff", "check", "--no-cache") == ""
     assert checked("ruff", "format", "--check", "--no-cache") == ""
-
-
-# --- the front of the package ----------------------------------------------------------------------------------------
 
 
 def test_help_of_the_package_names_everything():

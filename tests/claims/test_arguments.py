@@ -269,7 +269,7 @@ def test_a_module_does_not_write_to_the_robot_it_is_made_of():
     assert untouched({field: getattr(robot, field) for field in known}, before) == []
 
 
-# --- tensors that are not dense ---------------------------------------------------------------------------------------
+# --- tensors that are not dense, and devices -------------------------------------------------------------------------
 
 OTHERS = {
     "sparse_coo": lambda x: x.to_sparse(),
@@ -306,9 +306,6 @@ def test_tensors_that_are_not_dense_are_named(layout):
             use(other)
     with refused(torchdq.TorchdqError):
         robot.replace(damping=OTHERS["mkldnn"](plain) if layout == "mkldnn" else other)
-
-
-# --- torch's default device -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.filterwarnings("ignore:.* acts on no joint")

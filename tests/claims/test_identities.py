@@ -188,9 +188,6 @@ def test_wrenches_on_links_take_their_transposed_jacobians_off_the_torques(robot
     agree(torques(robot, s, f_ext=s.f_ext), expected, size)
 
 
-# --- there and back --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.case("D9")
 @every_robot
 def test_forward_and_inverse_dynamics_undo_each_other(robot):
@@ -204,9 +201,6 @@ def test_forward_and_inverse_dynamics_undo_each_other(robot):
     qdd = torchdq.forward_dynamics(robot, s.q, s.qd, tau, s.f_tip, s.f_ext)
     found = torchdq.inverse_dynamics(robot, s.q, s.qd, qdd, s.f_tip, s.f_ext)
     agree(found, tau, size_of_torques(robot, s._replace(qdd=qdd)) + s.f_ext.abs().amax((-2, -1)))
-
-
-# --- frames without mass ---------------------------------------------------------------------------------------------
 
 
 def quantities(robot, s):

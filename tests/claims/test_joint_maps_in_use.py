@@ -97,13 +97,7 @@ def test_a_joint_of_several_coordinates_has_nothing_to_give():
     rows = ([-1.0, -torch.inf], [1.0, torch.inf], [1.0, torch.inf], [1.0, torch.inf])  # four rows without a name
     given = limited.couple(S, names, limits=rows).limits
     assert isinstance(given, Limits) and all(map(torch.equal, given, chosen))
-    for wrong in (
-        rows[:3],
-        1.0,
-        (rows[0][:1], *rows[1:]),
-        ("low", *rows[1:]),
-        (rows[1], rows[0], *rows[2:]),
-    ):
+    for wrong in (rows[:3], 1.0, (rows[0][:1], *rows[1:]), ("low", *rows[1:]), (rows[1], rows[0], *rows[2:])):
         with refused(ValueError):
             limited.couple(S, names, limits=wrong)
 

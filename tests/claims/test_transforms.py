@@ -187,7 +187,7 @@ def sizes_without_joints(key, backend):
     return [tuple(y.shape) for y in found]
 
 
-# --- batches of robots -----------------------------------------------------------------------------------------------
+# --- batches of robots, bad ones, and dtypes -------------------------------------------------------------------------
 
 
 def varied(robot, fields, batch=(3,)):
@@ -244,9 +244,6 @@ def test_the_parameters_of_a_batch_of_robots_are_those_of_each():
     assert same([robot.inertial_parameters], [torch.stack([one(robot, k).inertial_parameters for k in range(3)])])
 
 
-# --- bad robots -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.case("D3", "P9")
 @all_in_one(["inverse_dynamics", "forward_dynamics", "closed_form", "mass_matrix"])
 def test_a_bad_robot_leaves_the_other_robots_bitwise_alone(key):
@@ -260,9 +257,6 @@ def test_a_bad_robot_leaves_the_other_robots_bitwise_alone(key):
         found = call(key, robot.replace(**fields), args)
         assert same(good, [y[[0, 2]] for y in found])
         assert not found[0][1].isfinite().all() or (bad == 0.0 and key != "forward_dynamics")
-
-
-# --- dtypes ----------------------------------------------------------------------------------------------------------
 
 
 @every_function
@@ -292,19 +286,6 @@ def test_vmap_over_a_module_is_its_batch(key):
     module = module_of(key, arm())
     args = inputs(MODULES[key][1], 2, (4,))
     assert same([vmap(module)(*args)], [module(*args)])
-
-
-@pytest.mark.case("P3")
-@all_in_one(["DQRNEA with friction", "ForwardDynamics with friction", "ComputedTorque"])
-def test_vmap_of_jacrev_is_a_loop_over_backward_passes(key):
-    module = module_of(key, arm())
-    args = inputs(MODULES[key][1], 2, (3,))
-    found = vmap(jacrev(module, argnums=tuple(range(len(args)))))(*args)
-    for k in range(3):
-        rows = [x[k].clone().requires_grad_() for x in args]
-        y = module(*rows)
-        for i in range(2):
-            assert relative([J[k, i] for J in found], torch.autograd.grad(y[i], rows, retain_graph=True)) < 1e-12
 
 
 @pytest.mark.case("P3")

@@ -97,9 +97,7 @@ CASES: dict[str, str] = {
     "U10": "trees",
 }
 
-WITHOUT_COUNTERPART: dict[str, str] = {
-    "P6": "TensorFloat-32: no matrix product enters, all arithmetic is elementwise",
-}
+WITHOUT_COUNTERPART: dict[str, str] = {"P6": "TensorFloat-32: no matrix product enters, all arithmetic is elementwise"}
 GROUPS = {
     "G": "Maps and group operations",
     "I": "Bodies",

@@ -292,7 +292,7 @@ def test_a_heavy_point_on_its_axis_is_noted_when_the_robot_is_read_and_has_no_ac
             assert qdd.isnan().all()
 
 
-# --- sizes -----------------------------------------------------------------------------------------------------------
+# --- sizes and rotors ------------------------------------------------------------------------------------------------
 
 
 def of_size(robot, s):
@@ -330,9 +330,6 @@ def test_a_robot_of_any_size_moves_alike(size, dtype, backend, margin):
     margin(largest(growth[1] / growth[0] - 1), 16 * EPS[F64] * scaled_condition(M), "growth of errors")
     own = in_its_own_units(alike - qdd, M)
     margin(largest(own) / largest(in_its_own_units(qdd, M)), 16 * EPS[dtype] * scaled_condition(M), "accelerations")
-
-
-# --- rotors ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.case("I8")

@@ -169,7 +169,7 @@ def test_accelerations_of_a_chain_are_as_exact_as_their_condition(n, dtype, back
     assert (torchdq.error_growth(case.robot, wide[0]) < 2**10).all()  # none was mended
 
 
-# --- singular rows ---------------------------------------------------------------------------------------------------
+# --- singular rows and positions -------------------------------------------------------------------------------------
 
 GOOD, MENDED, SINGULAR, NOT_FINITE = range(4)
 
@@ -288,9 +288,6 @@ def test_a_mended_row_leaves_the_gradient_of_what_all_rows_share_finite(backend,
     margin(abs(float(found[1] - expected[1])), 4 * EPS[F32] * abs(float(expected[1])))
 
 
-# --- singular positions ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.case("D4")
 @every_backend_and_dtype
 def test_at_a_stretched_arm_only_the_task_space_is_singular(dtype, backend, margin):
@@ -389,8 +386,7 @@ def test_the_mass_matrix_of_a_chain_is_symmetric_and_definite_to_rounding(tip, d
 
 @pytest.mark.case("D7")
 @pytest.mark.parametrize(
-    ("n", "planar", "backend"),
-    [(9, False, "eager"), (16, True, "eager"), pytest.param(4, False, "c", marks=compiler)],
+    ("n", "planar", "backend"), [(9, False, "eager"), (16, True, "eager"), pytest.param(4, False, "c", marks=compiler)]
 )
 def test_the_closed_form_of_a_long_chain_is_its_recursion(n, planar, backend, margin):
     """Its operations grow with the cube of the length, which is why the chain is no longer."""
@@ -467,7 +463,6 @@ def test_what_falls_freely_feels_no_gravity(dtype, backend, margin):
 
 
 # --- derivatives -----------------------------------------------------------------------------------------------------
-
 
 TWINS = {"chain": lambda: chain_case(7, False), "tree": lambda: random_tree(3, seed=4, armature=True)}
 every_twin = pytest.mark.parametrize(

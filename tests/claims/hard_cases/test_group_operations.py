@@ -146,9 +146,6 @@ def test_nothing_jumps_in_single_precision_where_the_formula_changes(name, margi
         margin(largest(x - y), 8 * condition * EPS[F32] * max(1.0, largest(x)), f"order {order}")
 
 
-# --- one pose, two dual quaternions ----------------------------------------------------------------------------------
-
-
 @pytest.mark.case("G9")
 @every_dtype
 def test_a_distance_does_not_see_the_sign_of_a_pose(dtype):
@@ -166,8 +163,6 @@ def test_a_distance_does_not_see_the_sign_of_a_pose(dtype):
         middle, other = dq.sclerp(x, y, t), dq.sclerp(-x, y, t)
         assert dq.ad_matrix(middle).equal(dq.ad_matrix(other))
 
-
-# --- a million products ----------------------------------------------------------------------------------------------
 
 PRODUCTS, BETWEEN, AT_ONCE = 1_000_000, 100, 20
 
@@ -203,7 +198,7 @@ def test_a_million_products_stay_a_pose_if_normalised_now_and_then(dtype, normal
     margin(off, (8 if normalised else PRODUCTS) * EPS[dtype], "P.D")
 
 
-# --- normalising -----------------------------------------------------------------------------------------------------
+# --- normalising, interpolation, distant frames, axes ----------------------------------------------------------------
 
 
 @pytest.mark.case("G11")
@@ -234,9 +229,6 @@ def test_short_and_long_quaternions_are_normalised_with_gradients_of_their_inver
             margin(abs(float(dq.normalize(x).double().norm()) - 1), 4 * EPS[dtype], f"length of {length:g}")
             if exponent <= 15:
                 margin(largest(jacobian(dq.normalize, x)) * length, 1.0 + 16 * EPS[dtype], f"gradient at {length:g}")
-
-
-# --- interpolation ---------------------------------------------------------------------------------------------------
 
 
 def ends():
@@ -274,8 +266,6 @@ def test_interpolation_holds_in_single_precision(case, margin):
             margin(apart(middle, exact), 16 * far * EPS[F32], f"pose at {t:g}")
 
 
-# --- far away --------------------------------------------------------------------------------------------------------
-
 FAR = 1e4  # [m]
 
 
@@ -299,9 +289,6 @@ def test_the_adjoint_of_a_distant_frame_loses_the_digits_of_the_distance(dtype, 
             margin(off[1] / size, 8 * EPS[dtype] * (1 + far), "linear")
     back = dq.ad(dq.conj(x), found)
     margin(largest(back - m), 16 * EPS[dtype] * (1 + 2 * reach) * largest(m), "there and back")
-
-
-# --- axes ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.case("G14")

@@ -216,7 +216,7 @@ def test_inputs_of_different_batches_broadcast_and_so_do_their_derivatives(key, 
     margin(distance(found[1:], sums), 64 * EPS[dtype], f"{key}, {dtype}")
 
 
-# --- P3: transforms --------------------------------------------------------------------------------------------------
+# --- P3, P4: transforms and torch.compile ----------------------------------------------------------------------------
 
 
 def loop(f, args):
@@ -275,9 +275,6 @@ def endangered(dtype):
     return torch.cat([BENT[:, None], random(5, 4)], -1).to(dtype)
 
 
-# --- P4: torch.compile -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.case("P4")
 @pytest.mark.parametrize("backend", [C])
 @pytest.mark.parametrize(
@@ -324,12 +321,7 @@ def test_under_autocast_values_and_derivatives_are_the_same_bits(keys, backend):
 @pytest.mark.case("P7")
 def test_integers_of_a_description_are_the_numbers_that_they_are():
     """A robot of integers is that of floating numbers; what is computed from them is not rounded."""
-    arguments = (
-        [[0, 0, 1, 0, 0, 0], [0, 0, 1, 0, -1, 0]],
-        [1, 2],
-        [[1, 0, 0], [2, 0, 0]],
-        [np.diag([1, 1, 1])] * 2,
-    )
+    arguments = ([[0, 0, 1, 0, 0, 0], [0, 0, 1, 0, -1, 0]], [1, 2], [[1, 0, 0], [2, 0, 0]], [np.diag([1, 1, 1])] * 2)
     whole = torchdq.Robot.from_screws(*arguments, gravity=(0, -10, 0))
     real = torchdq.Robot.from_screws(*(np.array(x, dtype=float) for x in arguments), gravity=(0.0, -10.0, 0.0))
     x = states(2, 5)
@@ -339,7 +331,7 @@ def test_integers_of_a_description_are_the_numbers_that_they_are():
     assert same(*([Scene(ARM, p).step(State(*x[:2])).q] for p in parts))
 
 
-# --- P9: rows that are not finite ------------------------------------------------------------------------------------
+# --- P9, P10: rows that are not finite, and subnormal numbers --------------------------------------------------------
 
 
 @pytest.mark.case("P9")
@@ -372,9 +364,6 @@ def test_a_singular_row_is_not_a_number_and_changes_no_bit_of_another(dtype, bac
     assert found[0][singular].isnan().all() and found[1][singular].isnan().all()
     assert all(v[~singular].isfinite().all() for v in found)
     assert same(found, [torch.cat(rows) for rows in zip(*alone, strict=True)])
-
-
-# --- P10: subnormal numbers ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.case("P10")

@@ -583,7 +583,7 @@ def test_derivatives_exactly_at_a_limit_are_finite(qd, dtype, backend):
     assert state.q.isfinite().all() and slope.isfinite().all() and curve.isfinite().all()
 
 
-# --- T12: a body that tumbles ----------------------------------------------------------------------------------------
+# --- T12, T13, T14: a body that tumbles, states that are not finite, effects that are zero ---------------------------
 
 # Three slides and three hinges without mass carry one body. Its middle axis is along z at zero, where it turns first;
 # the middle hinge stays within 30 degrees, far from where hinges one and three align.
@@ -640,8 +640,6 @@ def test_a_tumbling_body_keeps_energy_and_momenta_and_turns_as_eulers_equations_
     margin(np.abs(R[-1] - exact).max(), 4 * growth * EPS[dtype] * 100, f"rotation after 10 s, {dtype}")
 
 
-# --- T13: a state that stops being finite ----------------------------------------------------------------------------
-
 SIMULATED = (effects.Gravity(), effects.Viscous(0.3), effects.Coulomb(0.2, 1e-3), effects.JointLimits(-2.0, 2.0))
 DIVERGING = (LinearlyImplicit(), RungeKutta4(), DormandPrince(1e-4, 1e-6))
 KEPT = [(DIVERGING[0], "c", F32), (DIVERGING[2], "c", F64)]
@@ -683,9 +681,6 @@ def test_a_row_that_diverges_takes_no_other_with_it_in_a_hundred_steps(integrato
     nonfinite = ~found[1].isfinite().all(-1)
     assert nonfinite[:, [2, 3]].all()
     assert torch.equal(nonfinite[:, 4].nonzero()[:, 0], torch.arange(steps // 2, steps))
-
-
-# --- T14: effects on demand ------------------------------------------------------------------------------------------
 
 
 OFF = {kind: getattr(effects, kind) for kind in ("Viscous", "Coulomb", "Quadratic", "LoadDependent", "RotorInertia")}
