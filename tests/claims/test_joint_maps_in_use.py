@@ -196,11 +196,8 @@ def test_tensors_that_are_replaced_are_those_of_the_robot(name):
 def test_a_batch_of_robots_is_each_of_them(backend):
     robot, (q, qd, qdd) = geared(), rows(3)
     scale = double([[1.0], [0.5], [2.0], [3.0]])
-    changes = {
-        "mass": scale * robot.mass,
-        "inertia": scale[..., None] * robot.inertia,
-        "armature": scale * robot.armature,
-    }
+    changes = {"mass": scale * robot.mass, "armature": scale * robot.armature}
+    changes["inertia"] = scale[..., None] * robot.inertia
     batch = robot.replace(**changes)
     for function in (torchdq.inverse_dynamics, torchdq.forward_dynamics):
         found = function(batch, q, qd, qdd, backend=backend)
@@ -285,12 +282,8 @@ def test_a_held_payload_is_one_of_the_scene():
 
 def test_gears_do_not_push_a_free_body():
     """The torques that make joints follow act within the robot, and so do those of its friction: momenta stay."""
-    base = {
-        "base_mass": double(3.0),
-        "base_com": double([0.1, 0, 0.2]),
-        "base_inertia": double([0.3, 0, 0.4, 0, 0, 0.5]),
-    }
-    robot = geared().replace(**base, armature=None).bake()
+    base = {"base_mass": 3.0, "base_com": [0.1, 0, 0.2], "base_inertia": [0.3, 0, 0.4, 0, 0, 0.5]}
+    robot = geared().replace(**{name: double(x) for name, x in base.items()}, armature=None).bake()
     scene = Scene(robot, (effects.Viscous(), effects.JointLimits()), integrator=integrators.RungeKutta4(), dt=0.002)
     z, zd, torque = 0.3 * rows(3)
     state = scene.start(z, zd, X_WB=dq.exp(rows(6)[0]), V_WB_B=rows(6)[1])
@@ -383,21 +376,16 @@ def test_a_residual_learns_beside_a_robot_with_a_map():
 
 
 def test_a_log_of_a_geared_robot_identifies_it():
-    described_robot = geared()
-    real = described_robot.replace(mass=1.2 * described_robot.mass, armature=1.5 * described_robot.armature).bake()
+    robot, model = geared(), Model((effects.Viscous(), effects.Coulomb()), armature=True)
+    real = robot.replace(mass=1.2 * robot.mass, armature=1.5 * robot.armature).bake()
     q, qd, qdd, more = torch.randn(4, 300, 3, dtype=F64, generator=torch.Generator().manual_seed(0))
     tau = torchdq.inverse_dynamics(real, q, qd, qdd) + 0.3 * qd
-    found = identify(
-        described_robot,
-        Samples(q, qd, qdd, tau),
-        Model((effects.Viscous(), effects.Coulomb()), armature=True),
-        prior=1.0,
-    )
+    found = identify(robot, Samples(q, qd, qdd, tau), model, prior=1.0)
     assert len(found.parameters) == 60 + 9 and found.names[0] == "b0 m" and found.names[-1] == "j3 coulomb"
     assert torch.allclose(found.viscous, double([0.3] * 3), rtol=1e-2)
     predicted, expected = found.predict(more, q, qd).tau, torchdq.inverse_dynamics(real, more, q, qd) + 0.3 * q
     assert float((predicted - expected).abs().max()) < 1e-3 * float(expected.abs().max())
-    assert found.robot.joint_map is not None and found.robot.joint_names == described_robot.joint_names
+    assert found.robot.joint_map is not None and found.robot.joint_names == robot.joint_names
 
 
 # --- environments ----------------------------------------------------------------------------------------------------

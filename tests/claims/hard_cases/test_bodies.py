@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import double, random, thinned
+from helpers import double, largest, random, thinned
 from messages import refused
 from oracles import EPS, pinocchio_model, random_tree, scaled, scaled_condition, states
 from precisions import F32, F64, compiler, eager_first, every_backend_and_dtype, every_dtype, single_compiled
@@ -22,10 +22,6 @@ from torchdq.errors import SingularInertiaError
 
 HEAVY = 1e8
 ONE = [1.0, 0, 0, 0]
-
-
-def largest(x):
-    return x.detach().abs().max().item()
 
 
 def chain(axes, mass, com, inertia, **more):

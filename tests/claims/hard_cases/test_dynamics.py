@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import DOWN, double, random, rod_axes, rods, thinned
+from helpers import DOWN, double, largest, random, rod_axes, rods, thinned
 from messages import refused
 from oracles import EPS, Case, over, random_tree, scaled, scaled_condition, shipped, size_of_torques, states
 from precisions import F32, F64, compiler, eager_first, every_backend, every_backend_and_dtype
@@ -23,10 +23,6 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import require_finite
 
 HEAVY = 1e8
-
-
-def largest(x):
-    return x.detach().abs().max().item()
 
 
 def norms(x):

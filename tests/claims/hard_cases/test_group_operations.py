@@ -12,7 +12,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import torch
-from helpers import random, thinned
+from helpers import largest, random, thinned
 from oracles import EPS
 from precisions import F32, F64, compiler, every_backend_and_dtype, every_dtype
 from torch.autograd.functional import hessian, jacobian
@@ -49,10 +49,6 @@ def derivatives(f, x):
         return (weights * f(y)).sum()
 
     return f(x), jacobian(weighted, x), hessian(weighted, x)
-
-
-def largest(x):
-    return x.detach().abs().max().item()
 
 
 # --- the identity and small angles -----------------------------------------------------------------------------------
