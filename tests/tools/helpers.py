@@ -82,6 +82,11 @@ def double(*x):
     return torch.tensor(x, dtype=torch.float64)
 
 
+def largest(x):
+    """Largest magnitude of the numbers of a tensor."""
+    return x.detach().abs().max().item()
+
+
 def random(*shape, seed=0, dtype=torch.float64):
     """Normal numbers that are the same in every precision but for rounding."""
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64).to(dtype)
@@ -94,6 +99,14 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture
+def fresh():
+    """A compiler of torch that remembers nothing of other tests."""
+    torch._dynamo.reset()
+    yield
+    torch._dynamo.reset()
 
 
 @pytest.fixture

@@ -514,6 +514,17 @@ def worst(found, reference, size) -> float:
     return float("nan") if np.isnan(difference).any() else float(ratio.max(initial=0.0))
 
 
+def scaled(M: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mass matrices scaled to a unit diagonal, and the scale D = diag(M)^-1/2."""
+    D = M.double().diagonal(dim1=-2, dim2=-1).rsqrt()
+    return D[..., None] * M.double() * D[..., None, :], D
+
+
+def scaled_condition(M: torch.Tensor) -> float:
+    """Largest condition number of mass matrices scaled to a unit diagonal: accelerations are as good as it is small."""
+    return float(torch.linalg.cond(scaled(M)[0]).max())
+
+
 # --- the paper's form on tensors -------------------------------------------------------------------------------------
 
 
