@@ -12,7 +12,6 @@ from torchdq.envs import effects
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.scene import controllers
 
-BACKEND = "auto"
 F64 = torch.float64
 LEARN = ("mass", "com", "inertia", "armature", "friction", "offset")
 

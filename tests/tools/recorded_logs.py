@@ -45,6 +45,13 @@ def fitted(robot, *rows, prior=1.0, sign_width=WIDTH, **options):
     return identify(robot, Samples(*rows) if len(rows) == 4 else rows[0], model, prior, sign_width)
 
 
+def whitened(found, truth):
+    """Deviations of the base parameters from true ones, in units of their stated covariance [rank]."""
+    root = found.base @ found.spread
+    off = found.base @ (found.parameters - truth)
+    return torch.linalg.solve_triangular(torch.linalg.cholesky(root @ root.T), off[:, None], upper=False)[:, 0]
+
+
 def with_findings(function, *arguments, **options):
     """Result of a function, and the findings of the warnings about logs that it gave."""
     with warnings.catch_warnings(record=True) as given:

@@ -36,6 +36,7 @@ from torchdq.learning.excitation import search
 from torchdq.learning.excitation.fourier import Family, grid
 from torchdq.learning.excitation.information import BaseParameters
 
+ARM = torchdq.robots.load("two_link")
 LIMITS = MotionLimits(lower=-1.0, upper=[1.5, 0.5], velocity=[2.0, 3.0], effort=60.0)
 BACKEND = "auto"  # a search calls the same programs hundreds of times
 ROUNDING = 1 + 1e-12
@@ -102,11 +103,10 @@ def test_velocities_and_accelerations_are_derivatives(panda):
 
 
 def test_the_gradient_of_the_information_is_exact():
-    robot = torchdq.robots.load("two_link")
-    bounds = LIMITS.bounds(robot)
-    family, generator = Family(bounds, 3), torch.Generator().manual_seed(0)
+    bounds = LIMITS.bounds(ARM)
+    family, generator = Family(bounds, 2), torch.Generator().manual_seed(0)
     states = 2 * torch.rand(3, 100, 2, dtype=torch.float64, generator=generator) - 1
-    parameters = BaseParameters.of(robot, ("viscous", "coulomb"), 0.05, bounds.effort, tuple(states))
+    parameters = BaseParameters.of(ARM, ("viscous", "coulomb"), 0.05, bounds.effort, tuple(states))
 
     def gain(x):
         return torch.linalg.slogdet(parameters.information(*family.motions(x, double(1.0, 2.0)).at(grid(30))))[1]
@@ -132,10 +132,9 @@ def test_no_limit_is_exceeded_at_any_time(panda, exciting):
 
 
 def test_torques_that_bind_are_kept_between_the_rows():
-    described = torchdq.robots.load("two_link")
-    robot = described.replace(damping=double(1.0, 2.0), friction=double(0.5, 0.2))
+    robot = ARM.replace(damping=double(1.0, 2.0), friction=double(0.5, 0.2))
     limits = MotionLimits(lower=-1.0, upper=1.0, velocity=8.0, effort=[36.0, 10.0], share=1.0)
-    found = excitation_trajectory(robot, 8.0, limits, restarts=8)
+    found = excitation_trajectory(robot, 8.0, limits, restarts=4)
     *_, tau = torques_at(found, robot, random_times(found, 100_000))
     used = (tau / double(36.0, 10.0)).amax(0)
     assert bool((used <= 1).all()) and float(used.max()) > 0.93
@@ -149,25 +148,29 @@ def test_a_motion_starts_and_ends_at_rest(exciting):
 
 
 def test_half_spaces_and_boxes_measure_lengths():
-    robot = torchdq.robots.load("two_link")
     q = torch.zeros(2, dtype=torch.float64)  # the tip is at (2, 0, 0)
-    assert torch.allclose(HalfSpace("tip", (-3, 0, 4), -2.0)(robot, q), double(-1.2 + 2.0))
-    assert torch.allclose(Box("tip", (0, -1, -math.inf), (2.5, math.inf, math.inf))(robot, q), double(2.0, 1.0, 0.5))
-    assert Box("tip", (-math.inf,) * 3, (math.inf,) * 3)(robot, q).shape == (0,)
+    assert torch.allclose(HalfSpace("tip", (-3, 0, 4), -2.0)(ARM, q), double(-1.2 + 2.0))
+    assert torch.allclose(Box("tip", (0, -1, -math.inf), (2.5, math.inf, math.inf))(ARM, q), double(2.0, 1.0, 0.5))
+    assert Box("tip", (-math.inf,) * 3, (math.inf,) * 3)(ARM, q).shape == (0,)
 
 
-def test_own_functions_keep_the_arm_where_they_say():
-    robot = torchdq.robots.load("two_link")
+def test_own_functions_keep_the_arm_where_they_say(short):
     limits = MotionLimits(
         lower=-1.0, upper=1.0, velocity=2.0, effort=60.0, workspace=[lambda _, q: -0.6 - q[..., :1] - q[..., 1:]]
     )
-    found = excitation_trajectory(robot, 5.0, limits, restarts=2)
+    found = excited(limits, restarts=2)
     q, *_ = found.series.at(found.series.rate * random_times(found))
     assert -0.8 < float(q.sum(-1).max()) <= -0.6
 
 
+@pytest.fixture
+def short(monkeypatch):
+    """A search of a few steps."""
+    monkeypatch.setattr(search, "STAGES", ((1, 5), (2, 5)))
+
+
 def excited(limits=LIMITS, seconds=5.0, **options):
-    return excitation_trajectory(torchdq.robots.load("two_link"), seconds, limits, restarts=1, **options)
+    return excitation_trajectory(ARM, seconds, limits, **{"restarts": 1, **options})
 
 
 @all_in_one(
@@ -194,23 +197,23 @@ def excited(limits=LIMITS, seconds=5.0, **options):
         lambda: MotionLimits(workspace=HalfSpace("tip", (0, 0, 1), 0.0)),
     ]
 )
-def test_arguments_are_checked_and_limits_that_cannot_be_kept_are_named(call):
+def test_arguments_are_checked_and_limits_that_cannot_be_kept_are_named(call, short):
     with refused(ArgumentError):
         call()
 
 
-def test_limits_in_degrees_are_told_with_their_joints():
+def test_limits_in_degrees_are_told_with_their_joints(panda):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        MotionLimits().bounds(torchdq.robots.load("panda"))
-        MotionLimits(velocity=1.0, lower=-1.0, upper=1.0, effort=60.0).bounds(torchdq.robots.load("two_link"))
-    for limits, name in (
-        (MotionLimits(lower=-90, upper=90), "panda"),
-        (MotionLimits(velocity=120.0), "panda"),
-        (MotionLimits(lower=-90, upper=90, velocity=1.0, effort=60.0), "two_link"),
+        MotionLimits().bounds(panda)
+        MotionLimits(velocity=1.0, lower=-1.0, upper=1.0, effort=60.0).bounds(ARM)
+    for limits, robot in (
+        (MotionLimits(lower=-90, upper=90), panda),
+        (MotionLimits(velocity=120.0), panda),
+        (MotionLimits(lower=-90, upper=90, velocity=1.0, effort=60.0), ARM),
     ):
         with warned(UserWarning):
-            limits.bounds(torchdq.robots.load(name))
+            limits.bounds(robot)
 
 
 # --- information -----------------------------------------------------------------------------------------------------
@@ -239,17 +242,16 @@ def test_errors_are_those_of_least_squares_on_pinocchios_regressor(panda, exciti
 
 def test_identification_from_the_motion_errs_as_predicted():
     """Mean square over the base parameters and draws of the noise, in predicted variances."""
-    robot = torchdq.robots.load("two_link")
-    found = excitation_trajectory(robot, 5.0, LIMITS, restarts=1, noise=[0.5, 0.2], rate=50.0)
+    found = excited(noise=[0.5, 0.2], rate=18.0)  # fewer rows than are checked for what a model lacks
     friction = found.qd + 2 * found.qd / (found.qd**2 + 1e-4).sqrt()
-    rigid = torchdq.inverse_dynamics(robot, found.q, found.qd, found.qdd)
+    rigid = torchdq.inverse_dynamics(ARM, found.q, found.qd, found.qdd)
     rng, base = np.random.default_rng(0), found.parameters.base
-    truth = torch.cat([robot.inertial_parameters, double(1.0, 1.0, 2.0, 2.0)])
+    truth = torch.cat([ARM.inertial_parameters, double(1.0, 1.0, 2.0, 2.0)])
     squares = []
     for _ in range(DRAWS):
         noise = torch.from_numpy(rng.normal(size=rigid.shape)) * found.parameters.noise
         tau = rigid + friction + noise
-        again = identify(robot, Samples(found.q, found.qd, found.qdd, tau), PLAIN, prior=1e-6)
+        again = identify(ARM, Samples(found.q, found.qd, found.qdd, tau), PLAIN, prior=1e-6)
         assert again.rank == len(base) and again.names == found.names
         squares.append(((base @ (again.parameters - truth)) / found.base_errors) ** 2)
     assert [name.split()[:2] for name in again.base_names] == [name.split()[:2] for name in found.base_names]
@@ -276,10 +278,8 @@ def test_the_search_improves_on_random_motions(panda, exciting):
     assert float(own - volume.max()) > 2 * len(found.base_errors) * math.log(1.3)
 
 
-def test_seeds_reproduce_motions(monkeypatch):
-    monkeypatch.setattr(search, "STAGES", ((1, 5), (2, 5)))
-    robot = torchdq.robots.load("two_link")
-    one, same, other = (excitation_trajectory(robot, 5.0, LIMITS, restarts=4, seed=seed) for seed in (1, 1, 2))
+def test_seeds_reproduce_motions(short):
+    one, same, other = (excited(restarts=4, seed=seed) for seed in (1, 1, 2))
     assert torch.equal(one.q, same.q) and not torch.equal(one.q, other.q)
 
 

@@ -18,7 +18,7 @@ import pytest
 import torch
 from helpers import EVERYTHING, all_in_one, exhaustive, thinned
 from messages import refused
-from recorded_logs import WIDTH, fitted, noise, plain, sign, states, with_findings
+from recorded_logs import WIDTH, fitted, noise, plain, sign, states, whitened, with_findings
 
 import torchdq
 from torchdq import effects
@@ -130,9 +130,7 @@ def test_the_errors_are_those_that_noise_makes():
         for _ in range(DRAWS):
             measured = tau + noise * torch.randn(tau.shape, generator=generator, dtype=torch.float64)
             found = fitted(robot, q, qd, qdd, measured, offset=True, prior=1e-3)
-            root = torch.linalg.cholesky(found.base @ found.spread @ (found.base @ found.spread).T)
-            off = found.base @ (found.parameters - truth)
-            of_base.append(torch.linalg.solve_triangular(root, off[:, None], upper=False))
+            of_base.append(whitened(found, truth))
             prediction = found.predict(*states)
             of_torques.append((prediction.tau - expected) / prediction.error)
             sizes.append(found.noise)

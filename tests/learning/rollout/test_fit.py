@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from helpers import all_in_one, double, exhaustive, random
+from helpers import all_in_one, double, exhaustive, random, thinned
 from messages import refused, warned
 from scipy import optimize, signal, stats
 
@@ -236,7 +236,7 @@ def with_noise(log, seed):
     return log._replace(q=noisy(torch.from_numpy(log.q), seed, 2e-4))
 
 
-@pytest.mark.parametrize("dt", [0.005, 0.02])
+@pytest.mark.parametrize("dt", thinned([0.005, 0.02], [0.005]))
 @pytest.mark.parametrize("coulomb", [(0.0, 0.0), (0.5, 0.2)], ids=["viscous", "dry"])
 def test_errors_are_those_of_a_motion_in_continuous_time(dt, coulomb):
     """Whatever the steps of the scene: a first-order step of 5 ms is tens of standard errors wrong."""
@@ -298,7 +298,7 @@ def test_stiff_friction():
     real, wrong = (Scene(ROBOT, parts, integrator=fine, dt=dt) for parts in both)
     inputs = {"torque": driving(time)}
     log = Recording(time, noisy(moved(real, inputs), 1, 1e-4), inputs)
-    found = fit_rollout(wrong, log, ("Coulomb.coulomb", "Viscous.coefficient"))
+    found = fit_rollout(wrong, log, ("Coulomb.coulomb", "Viscous.coefficient"), integrator=fine)
     assert worst_z(found, 1.5, 1.0, 0.2, 0.2) < 4
     assert float(found.rms.max()) < 1.1e-4
 
@@ -340,7 +340,7 @@ def test_scales_that_are_unidentifiable_from_positions_are_named():
     real = Scene(ROBOT, parts, integrator=RULE, dt=DT)
     log = Recording(TIME, noisy(moved(real, {"target": target}), 3, 1e-4), {"target": target})
     wrong = real.replace(effects=(effects.Servo(60.0, 5.0), effects.RotorInertia(0.3), effects.MassScale(1.2)))
-    found = fit_rollout(wrong, log, ("Servo.*", "RotorInertia.inertia", "MassScale.factor"))
+    found = fit_rollout(wrong, log, ("Servo.*", "RotorInertia.inertia", "MassScale.factor"), integrator=RULE)
     # the scale of all, and what the first link adds to its rotor
     assert len(found.unidentifiable) == 2 and all(x.isnan().all() for x in found.values.values())
     names = ("Servo.kp[joint1]", "Servo.kd[joint2]", "RotorInertia.inertia[joint2]", "MassScale.factor[link2]")
@@ -348,7 +348,8 @@ def test_scales_that_are_unidentifiable_from_positions_are_named():
     assert float(found.rms.max()) < 1.1e-4
     servo = found.scene.effects[0]
     torch.testing.assert_close(servo.kp / servo.kd, double(10.0, 10.0), rtol=2e-3, atol=0)
-    known = fit_rollout(wrong.replace(effects=(effects.Servo(60.0, 5.0), effects.RotorInertia(0.5))), log, "Servo.*")
+    rotors_known = wrong.replace(effects=(effects.Servo(60.0, 5.0), effects.RotorInertia(0.5)))
+    known = fit_rollout(rotors_known, log, "Servo.*", integrator=RULE)
     assert not known.unidentifiable
     torch.testing.assert_close(known.estimate, double(100.0, 100.0, 10.0, 10.0), rtol=5e-3, atol=0)
 
@@ -364,38 +365,37 @@ def test_a_payload_is_found_from_far_away():
 
 
 def test_links_stay_bodies_and_unidentifiable_masses_are_named():
-    robot = torchdq.robots.load("ur10e").replace(name="arm")
-    scene = Scene(robot, (effects.Gravity(), effects.Viscous(1.0)), dt=DT)
-    time = DT * torch.arange(101, dtype=torch.float64)
-    target = 30 * torch.stack([((2 + k) * time + k).sin() for k in range(6)], -1) * double(1, 1, 1, 0.1, 0.1, 0.05)
-    log = Recording(time, noisy(moved(scene, {"torque": target}, rows=101), 0, 1e-5), {"torque": target})
+    axes = [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]  # the first link is on its upright axis
+    coms, ball = [[0.0, 0.0, 0.1], [0.3, 0.0, 0.0]], [0.02, 0.0, 0.02, 0.0, 0.0, 0.02]
+    robot = torchdq.Robot.from_screws(axes, [2.0, 1.0], coms, [ball] * 2, gravity=(0.0, 0.0, -9.81))
+    scene = Scene(robot, (effects.Gravity(), effects.Viscous(1.0)), integrator=RULE, dt=DT)
+    log = logged(noisy(moved(scene, {"torque": driving(TIME)}), 0, 1e-5))
     wrong = scene.replace(robot=robot.replace(mass=1.2 * robot.mass))
-    found = fit_rollout(wrong, log, "mass", integrator=scene.integrator)
-    assert float((found.estimate - robot.mass).abs().max()) < 0.1 or found.unidentifiable
+    found = fit_rollout(wrong, log, "mass", integrator=RULE)
+    assert found.values["mass"][0].isnan() and len(found.unidentifiable) == 1
+    assert float(found.values["mass"][1]) == pytest.approx(1.0, rel=1e-3)
     assert (found.scene.robot.mass > 0).all() and float(found.rms.max()) < 2e-5
 
 
 def test_two_logs_of_other_lengths(motion, guess):
     second = moved(REAL, {"torque": -driving(TIME)}, double(0.5, 0.2), rows=120)
     logs = [logged(noisy(motion, 0)), Recording(TIME[:120] + 3.0, noisy(second, 1), {"torque": -driving(TIME)[:120]})]
-    found = fit_rollout(guess, logs, FRICTION, segment=0.7)
+    found, alone = (fit_rollout(guess, some, FRICTION, 0.7, integrator=RULE) for some in (logs, logs[:1]))
     assert [len(x) for x in found.residuals] == [ROWS, 120]
     assert worst_z(found, *TRUE.tolist()) < 4
-    alone = fit_rollout(guess, logs[:1], FRICTION, segment=0.7)
     assert (found.covariance.diagonal() < alone.covariance.diagonal()).all()
 
 
 def test_rows_at_other_times_than_steps(guess):
     """A scene whose steps are finer than the log, and stamps that miss them."""
-    rule = integrators.RungeKutta4()
-    fine, coarse = REAL.replace(dt=0.001, integrator=rule), guess.replace(dt=0.002, integrator=rule)
+    fine, coarse = REAL.replace(dt=0.001), guess.replace(dt=0.002)
     time = 0.001 * torch.arange(2001, dtype=torch.float64)
     rows = torch.arange(0, 2001, 20)
     rows[1:-1] += torch.randint(-3, 4, (99,), generator=torch.Generator().manual_seed(0))
     held = torch.bucketize(time, time[rows], right=True) - 1
     torque = driving(time[rows])
     q = moved(fine, {"torque": torque[held]}, rows=2001)[rows]
-    found = fit_rollout(coarse, Recording(time[rows], q, {"torque": torque}), FRICTION)
+    found = fit_rollout(coarse, Recording(time[rows], q, {"torque": torque}), FRICTION, integrator=RULE)
     torch.testing.assert_close(found.estimate, TRUE, rtol=5e-3, atol=0)
     assert float(found.rms.max()) < 1e-4
 
@@ -409,7 +409,7 @@ def test_measured_velocities_and_a_controller():
     after = real.rollout(state, steps=ROWS - 1, reference=reference[:-1])
     q, qd = (torch.cat([getattr(state, name)[None], getattr(after, name)]) for name in ("q", "qd"))
     log = Recording(TIME, noisy(q, 0), {"reference": reference}, qd=noisy(qd, 1, 0.01))
-    found = fit_rollout(wrong, log, ("PD.kp", "PD.kd"))
+    found = fit_rollout(wrong, log, ("PD.kp", "PD.kd"), integrator=RULE)
     assert worst_z(found, 80.0, 80.0, 8.0, 8.0) < 4 and found.noise.shape == (2,)
 
 
@@ -435,7 +435,7 @@ def test_a_part_that_the_scene_cannot_follow_is_named(motion, guess):
     q = noisy(motion, 0, 1e-4)
     q[150:155] += 0.02  # a slip of the encoder
     with warned(LogWarning):
-        fit_rollout(guess, logged(q, name="slip"), FRICTION)
+        fit_rollout(guess, logged(q, name="slip"), FRICTION, integrator=RULE)
 
 
 STILL = torch.zeros(20, 2)

@@ -53,7 +53,7 @@ def error(model, part):
 @pytest.mark.parametrize("rest", [stribeck, cable])
 def test_a_residual_that_helps_is_kept_and_brings_the_error_of_unseen_motions_down(rest):
     model = layer(inputs="all" if rest is cable else "joint")
-    history = fit(model, [motion(k, rest) for k in range(6)], steps=200, **OPTIONS)
+    history = fit(model, [motion(k, rest) for k in range(4)], steps=150, **OPTIONS)
     gain = history.residual
     assert (gain.weight > 0.8).all() and (gain.error < 0.6 * gain.without).all()
     test = motion(99, rest)
@@ -67,7 +67,7 @@ def test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight():
     parts = [motion(k, lambda q, qd: stribeck(q, qd) * double(1.0, 0.0), 8.0, noise=0.3) for k in range(4)]
     model = layer()
     with warned(LogWarning):
-        gain = fit(model, parts, steps=200, **OPTIONS).residual
+        gain = fit(model, parts, steps=150, **OPTIONS).residual
     assert (gain.gains <= 2 * gain.standard_errors).tolist() == [False, True]
     assert model.weight[0] > 0.8 and model.weight[1] == 0 and model.remaining[1] == 1
     test = motion(99, nothing)
@@ -79,7 +79,7 @@ def test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight():
 def test_other_motions_are_never_worse_with_it(seconds):
     """Trained on little and tested slower and faster; a percent is what chance may do."""
     model = layer()
-    fit(model, motion(5, stribeck, seconds, noise=0.4), steps=200, **OPTIONS)
+    fit(model, motion(5, stribeck, seconds, noise=0.4), steps=150, **OPTIONS)
     for speed in (0.5, 2.0):
         test = motion(77, stribeck, speed=speed, noise=0.4)
         assert (error(model, test) <= 1.01 * error(model.model, test)).all(), speed
@@ -108,7 +108,7 @@ def test_a_motion_that_repeats_itself_does_not_pass_for_others():
     """Its network knows the recorded path, and blocks left out of one pass are in the next; regions are in none."""
     passes = Samples(*(torch.cat(x) for x in zip(*[motion(0, cable, 6.0, noise=0.1)] * 3, strict=True)))
     model = layer()
-    gain = fit(model, passes, steps=150, **OPTIONS).residual
+    gain = fit(model, passes, steps=100, **OPTIONS).residual
     on_blocks, acts = gain.without.square() - gain.error.square(), gain.weight > 0
     assert acts.any() and (gain.gains < 0.5 * on_blocks)[acts].all()  # that of regions counts
     for k in range(3):
@@ -148,7 +148,7 @@ def test_of_too_few_rows_none_are_held_out_and_the_residual_is_inactive():
 
 
 def test_validation_samples_choose_the_weights():
-    train, valid = motion(0, stribeck, 10.0), motion(8, stribeck, 10.0)
+    train, valid = motion(0, stribeck, 5.0), motion(8, stribeck, 5.0)
     model = layer()
     history = fit(model, train, valid, steps=300, **OPTIONS)
     assert len(history.valid) == 3 and history.best_step == history.step[history.valid.index(min(history.valid))]
@@ -166,7 +166,7 @@ def test_the_physics_stay_as_they_are_whatever_they_could_learn():
     physics = torchdq.DQRNEA(TWO.replace(mass=1.2 * TWO.mass), learn=("mass", "friction", "offset"))
     before = {name: x.clone() for name, x in physics.state_dict().items()}
     model = layer(physics)
-    fit(model, motion(0, stribeck, 4.0), steps=20, **OPTIONS)
+    fit(model, motion(0, stribeck, 4.0), steps=5, **OPTIONS)
     assert all(torch.equal(x, before[name]) for name, x in physics.state_dict().items())
     assert all(p.requires_grad and p.grad is None for p in physics.parameters())
 
@@ -176,15 +176,15 @@ def test_the_same_seed_gives_the_same_bits():
     found = []
     for seed in (1, 1, 2):
         model = layer()
-        fit(model, motion(0, stribeck, 4.0), steps=20, seed=seed, **OPTIONS)
+        fit(model, motion(0, stribeck, 4.0), steps=5, seed=seed, **OPTIONS)
         found.append(model(*motion(1, stribeck, 2.0)[:3]))
     assert torch.equal(found[0], found[1]) and not torch.equal(found[0], found[2])
 
 
 def test_a_network_of_ones_own_is_measured_too():
     network = torch.nn.Sequential(torch.nn.Linear(12, 12), torch.nn.Tanh(), torch.nn.Linear(12, 2))
-    model = layer(network=network)
-    assert (fit(model, [motion(k, stribeck, 10.0) for k in range(3)], steps=200, **OPTIONS).residual.weight > 0.5).all()
+    gain = fit(layer(network=network), [motion(k, stribeck, 10.0) for k in range(3)], steps=100, **OPTIONS).residual
+    assert (gain.weight > 0.5).all()
 
 
 def test_rows_of_motions_are_one_after_the_other_and_physics_takes_them_too():
@@ -193,8 +193,7 @@ def test_rows_of_motions_are_one_after_the_other_and_physics_takes_them_too():
     found = []
     for given in (several, whole):
         model = torchdq.DQRNEA(TWO.replace(mass=1.2 * TWO.mass), learn=("mass",))
-        history = fit(model, given, steps=20, batch=64)
-        assert history.residual is None
+        assert fit(model, given, steps=5, batch=64).residual is None
         found.append(model.mass.detach())
     assert torch.equal(*found)
     with refused(torchdq.ArgumentError):
