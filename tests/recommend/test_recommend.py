@@ -183,7 +183,7 @@ def test_starts_are_within_the_limits_that_are_simulated():
 def test_a_falling_arm_is_held_no_longer_than_it_can_be():
     with warned(UserWarning):
         found = recommend_settings(ROBOTS["ur10e"], 0.1, 1000.0)
-    assert 0.5 <= found.horizon <= 2.0 and 1e5 < found.growth <= 1e6
+    assert 1.5 <= found.horizon <= 2.2 and 1e5 < found.growth <= 1e6
     assert found.step > 2e-4
     assert f"{found.horizon:.3g} s only: trajectories of 'ur10e' cannot be held" in str(found)
     assert found.repeats * found.step == pytest.approx(found.horizon / 8)
@@ -206,9 +206,9 @@ def test_damping_lets_a_trajectory_be_held():
 
 def test_a_scene_is_held_for_some_of_its_steps():
     with warned(UserWarning):
-        found = recommend_settings(falling("ur10e", dt=0.2), 0.1, 1.6)
+        found = recommend_settings(falling("ur10e", dt=0.2), 0.1, 3.2)
     assert found.scene.dt * found.repeats == pytest.approx(0.2)
-    assert 0.5 <= found.horizon <= 1.4
+    assert 1.4 <= found.horizon <= 2.0
 
 
 def test_it_says_what_it_is_doing(monkeypatch, capsys):
@@ -259,25 +259,19 @@ def test_what_cannot_be_recommended_is_named(what):
         MISUSE[what]()
 
 
-@pytest.mark.parametrize("most", thinned([128, 2**13], [128]))
+@all_in_one([128, 2**13])
 def test_the_search_costs_little_more_than_what_it_finds(most, monkeypatch):
-    """The cheapest attempts come first: where stiff joints make a method of low order hopeless, it is soon left.
+    """Where stiff joints make a method of low order hopeless, it is soon left: no candidate costs much more.
 
     And no trajectory has more steps than are allowed, neither that of a reference nor that of a candidate.
     """
-    told, horizon = [], 0.2
-    monkeypatch.setattr(progress.Progress, "at", lambda _, text: told.append(text))  # what a long search would show
+    told = []
+    monkeypatch.setattr(progress.Progress, "at", lambda _, text: told.append(str(text)))  # what a long search shows
     scene = falling("two_link", effects.Servo(200.0, 20.0), dt=0.05)
-    found = recommend_settings(scene, 1e-3, horizon, most_steps=most, target=torch.zeros(2, dtype=F64))
-    tried = [re.match(r"(\w+), (\d+) steps", text) for text in told]
-    tried = [(one[1], int(one[2])) for one in tried if one]
-    assert max(steps for _, steps in tried) <= most
-    best = next(c.operations for c in found.others if c.arithmetic.dtype == F64)
-    candidates = [(name, steps) for name, steps in tried if name != tried[0][0]]  # which is that of the reference
-    assert candidates
-    for name, steps in candidates:
-        per_step = scene.replace(integrator=getattr(integrators, name)()).count().total
-        assert per_step * steps / horizon <= 4.0 * best, name
+    found = recommend_settings(scene, 1e-3, 0.2, most_steps=most, target=torch.zeros(2, dtype=F64))
+    assert max(int(steps) for steps in re.findall(r"(\d+) steps", "\n".join(told))) <= most
+    exact = [c.operations for c in found.others if c.arithmetic.dtype == F64]
+    assert max(exact) <= 4.0 * min(exact)
 
 
 def test_the_allowed_number_of_steps_is_no_part_of_the_answer():

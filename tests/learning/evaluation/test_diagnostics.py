@@ -108,7 +108,6 @@ def test_a_torque_that_never_changes_has_a_finding(value):
     assert "torque.constant" not in codes(found(robot, held))
 
 
-
 @pytest.mark.parametrize("name", ROBOTS)
 def test_torques_of_the_opposite_sign_have_a_finding(name):
     robot, data = recorded(name, seed=1)

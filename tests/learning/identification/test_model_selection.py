@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from helpers import EVERYTHING
+from helpers import EVERYTHING, thinned
 from places import DATA
 from recorded_logs import (
     COULOMB,
@@ -45,7 +45,7 @@ BACKEND = "auto"  # one arm, whose programs all tests share
     ("robot", "friction", "name"),
     [(ROBOT, torch.zeros_like, "description"), (ROBOT, dry, "+ friction"), (REAL, dry, "identified")],
 )
-@pytest.mark.parametrize("motions", [1, 4])
+@pytest.mark.parametrize("motions", thinned([1, 4], [4]))
 def test_the_candidate_that_is_the_truth_is_chosen(robot, friction, name, motions):
     q, qd, qdd = states(motions, 1200 // motions, seed=motions)
     found = identify(ROBOT, Samples(q, qd, qdd, torques(robot, q, qd, qdd, friction)))
@@ -136,7 +136,7 @@ def test_friction_of_each_shape_is_found_with_its_size(name):
     assert bool((left < 0.03).all())
 
 
-@pytest.mark.parametrize("amplitude", [0.0, 5e-4, 0.05])
+@pytest.mark.parametrize("amplitude", thinned([0.0, 5e-4, 0.05], [5e-4, 0.05]))
 def test_a_joint_that_hardly_moves_has_no_friction_that_depends_on_where_it_is(amplitude):
     """A wave is a slope and a constant there: a small fault of the model would make hundreds of N m of it."""
     q, qd, qdd = (x.clone() for x in states(5, 400, seed=3))

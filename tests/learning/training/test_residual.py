@@ -50,10 +50,10 @@ def error(model, part):
 # --- kept where it helps ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rest", [stribeck, cable])
+@pytest.mark.parametrize("rest", thinned([stribeck, cable], [cable]))
 def test_a_residual_that_helps_is_kept_and_brings_the_error_of_unseen_motions_down(rest):
     model = layer(inputs="all" if rest is cable else "joint")
-    history = fit(model, [motion(k, rest) for k in range(4)], steps=150, **OPTIONS)
+    history = fit(model, [motion(k, rest) for k in range(6)], steps=200, **OPTIONS)
     gain = history.residual
     assert (gain.weight > 0.8).all() and (gain.error < 0.6 * gain.without).all()
     test = motion(99, rest)
@@ -176,7 +176,7 @@ def test_the_same_seed_gives_the_same_bits():
     found = []
     for seed in (1, 1, 2):
         model = layer()
-        fit(model, motion(0, stribeck, 4.0), steps=5, seed=seed, **OPTIONS)
+        fit(model, motion(0, stribeck, 4.0), steps=20, seed=seed, **OPTIONS)
         found.append(model(*motion(1, stribeck, 2.0)[:3]))
     assert torch.equal(found[0], found[1]) and not torch.equal(found[0], found[2])
 
