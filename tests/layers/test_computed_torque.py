@@ -78,22 +78,15 @@ def test_the_module_equals_the_function(gains):
     assert not list(controller.parameters()) and {"kp", "kd"} <= controller.state_dict().keys()
 
 
-def test_learnt_gains_are_parameters():
-    controller = torchdq.ComputedTorque(ARMS["two_link"], 25.0, double(10.0, 9.0), learn=("kp", "kd", "mass"))
-    shapes = {name: tuple(p.shape) for name, p in controller.named_parameters()}
-    assert shapes == {"kp": (), "kd": (2,), "parametrizations.mass.original": (2,)}
-
-
 @all_in_one(["kp", "kd"])
 def test_the_gradient_of_a_gain_is_the_mass_matrix_times_its_error(gain):
     """The torque is M (.. + kp e + kd e'), so its derivative in kp is M e."""
     robot, (q, qd, q_des, qd_des, qdd_des) = ARMS["two_link"], random(5, 2)
-    controller = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=gain)
-    tau = controller(q, qd, q_des, qd_des, qdd_des)
-    weights = double(0.7, -1.3)
+    controller = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=(gain, "mass"))
+    assert {*dict(controller.named_parameters())} == {gain, "parametrizations.mass.original"}
+    tau, weights = controller(q, qd, q_des, qd_des, qdd_des), double(0.7, -1.3)
     (found,) = torch.autograd.grad(tau @ weights, [getattr(controller, gain)])
-    error = q_des - q if gain == "kp" else qd_des - qd
-    expected = weights @ torchdq.mass_matrix(robot, q) @ error
+    expected = weights @ torchdq.mass_matrix(robot, q) @ (q_des - q if gain == "kp" else qd_des - qd)
     assert abs(found - expected) <= 100 * EPS[F64] * abs(expected)
 
 
@@ -223,8 +216,8 @@ def errors_of(run, row):
     return t, e[NAMES.index(row)], solution(t, kp, kd)
 
 
-@pytest.mark.parametrize("row", ["exact", "pinocchio", "vectors", "swinging"])
-def test_the_error_follows_its_equation_all_the_way(run, row):
+@all_in_one(["exact", "pinocchio", "vectors", "swinging"])
+def test_the_error_follows_its_equation_all_the_way(row, run):
     _, e, expected = errors_of(run, row)
     assert (e - expected).abs().max() < 1e-9  # of Runge-Kutta, before it has died out with the error
     if row != "swinging":
@@ -237,8 +230,8 @@ def test_without_its_dot_75_leaves_a_fifth_of_a_radian(run):
     assert 0.15 < e[-1].abs().max() < 0.25
 
 
-@pytest.mark.parametrize("row", ["1.01", "1.05", "1.1", "1.1 stiff"])
-def test_a_wrong_mass_leaves_no_more_than_its_mismatch_over_the_gain(run, row):
+@all_in_one(["1.01", "1.05", "1.1", "1.1 stiff"])
+def test_a_wrong_mass_leaves_no_more_than_its_mismatch_over_the_gain(row, run):
     """The response of a critically damped joint to a disturbance never exceeds the largest disturbance over kp."""
     _, e, expected = errors_of(run, row)
     mismatch = run[2][NAMES.index(row)].abs().amax(0)

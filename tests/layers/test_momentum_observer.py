@@ -57,9 +57,6 @@ def recorded(layout=None, **signals):
     return read_log({"time": 1e-2 * np.arange(len(signals["q"])), **signals}, layout or Layout())
 
 
-# --- the estimate ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", thinned(ROBOTS, ("mimic",)))
 def test_the_error_falls_with_the_square_of_the_step(name):
     for push in (0.0, 3.0):
@@ -134,9 +131,6 @@ def test_a_threshold_is_found_in_rows_of_a_given_rate():
     assert (MomentumObserver(TWO, GAIN, 1e-2).threshold(log) > 0).all()
 
 
-# --- in scenes and in C ----------------------------------------------------------------------------------------------
-
-
 def test_a_scene_observes_its_steps():
     """The rows of a rollout are the estimates from its states, and see a push on the tip that no motor knows of."""
     scene = Scene(TWO, (effects.Gravity(), effects.Push()), dt=1e-3)
@@ -162,9 +156,6 @@ def test_exported_c_computes_what_the_layer_does(tmp_path):
     for found, x in zip(compiled(q, qd, tau, *state), expected, strict=True):
         torch.testing.assert_close(found, x, rtol=1e-13, atol=1e-13)
     passes_its_test(compiled.export(tmp_path))
-
-
-# --- the force -------------------------------------------------------------------------------------------------------
 
 
 @all_in_one(["body", "world"])
@@ -207,8 +198,6 @@ def test_a_part_is_the_diagonal_of_the_projector_on_what_the_torques_determine()
     force = kinds.repeat_interleave(3, -1) * torch.einsum("...ij,...j->...i", inverse, r)
     assert ((found - force).abs() <= bound * force.norm(dim=-1, keepdim=True)).all() and bound.max() < 0.01
 
-
-# --- misuse ----------------------------------------------------------------------------------------------------------
 
 ZERO, FIVE = torch.zeros(2), torch.zeros(5, 2)
 AT_REST = MomentumObserver(TWO, GAIN, 1e-3)

@@ -177,9 +177,6 @@ def test_starts_are_within_the_limits_that_are_simulated():
     assert (ends[0] - ends[1]).abs().max() <= 1e-3
 
 
-# --- how far trajectories can be held ---------------------------------------------------------------------
-
-
 def test_a_falling_arm_is_held_no_longer_than_it_can_be():
     with warned(UserWarning):
         found = recommend_settings(ROBOTS["ur10e"], 0.1, 1000.0)

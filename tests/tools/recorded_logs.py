@@ -16,6 +16,7 @@ import pytest
 import torch
 from messages import said
 from places import DATA
+from scipy import signal
 
 import torchdq
 from torchdq import effects
@@ -112,11 +113,9 @@ def waves(seed, size, rates, spread, seconds):
 
 def noise(shape, memory, seed=0):
     """Noise [motions, rows, n] of variance one, with a correlation that falls by a factor from row to row."""
-    x = torch.from_numpy(np.random.default_rng(seed).normal(size=shape))
-    found = [x[:, 0]]
-    for row in x.unbind(1)[1:]:
-        found.append(memory * found[-1] + (1 - memory**2) ** 0.5 * row)
-    return torch.stack(found, 1)
+    x = np.random.default_rng(seed).normal(size=shape)
+    x[:, 1:] *= (1 - memory**2) ** 0.5
+    return torch.from_numpy(signal.lfilter([1.0], [1.0, -memory], x, axis=1))
 
 
 def sign(qd, width=WIDTH):

@@ -190,9 +190,6 @@ def test_unidentifiable_parameters_of_the_payload_are_listed():
     assert "not identifiable one by one" in str(found) and float(found.mass) == pytest.approx(2.0, abs=0.01)
 
 
-# --- a real arm ------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def recorded(arm):
     """Identification of the empty UR10e, and its motion with and without 2.805 kg."""

@@ -21,9 +21,6 @@ BACKEND = "auto"  # one arm, whose programs all tests share
 CONSTANT = torch.tensor([1.5, -0.8], dtype=torch.float64)
 
 
-# --- constant torques ------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("narrow", thinned([1.0, 0.4], [0.4]))
 def test_constant_torques_are_found_and_no_ripple_is(narrow):
     """In a narrow range of positions a cosine is nearly constant, and so is gravity."""
@@ -56,9 +53,6 @@ def test_friction_that_differs_by_direction_is_no_ripple():
     assert {gain.term for gain in found.selection.chosen.gains} <= {"forward", "offset"} and not findings
     _, findings = with_findings(fitted, ROBOT, q, qd, qdd, torques(REAL, q, qd, qdd) + 4 * more)
     assert codes(findings) == ["torque.offset"] and "friction that differs by direction has one" in findings[0].cure
-
-
-# --- friction that was asked for -------------------------------------------------------------------------------------
 
 
 def test_friction_effects_that_are_given_are_fitted_and_no_others():
@@ -112,9 +106,6 @@ def test_robots_that_are_drawn_have_all_friction_found():
     rub = viscous * v + coulomb * sign(v) + quadratic * v * v + wave * (3 * x).sin() + cosine * (3 * x).cos()
     expected = torchdq.forward_dynamics(drawn.robot, x, v, -rub)
     assert torch.allclose((after.qd - v) / 1e-4, expected, rtol=0.02, atol=0.02 * float(expected.abs().max()))
-
-
-# --- errors of the model ---------------------------------------------------------------------------------------------
 
 
 def test_errors_hold_what_blocks_that_were_left_out_show():

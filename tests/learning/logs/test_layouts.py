@@ -30,9 +30,6 @@ def blocks(path, **signals):
     return written(path, np.column_stack([KNOWN["time"], *signals.values()]), heads)
 
 
-# --- arguments -------------------------------------------------------------------------------------------------------
-
-
 @all_in_one(
     [
         *({"columns": x} for x in ("q", {"velocity": "v{1}"}, {"q": None}, {"time": ["a", "b"]})),
@@ -88,9 +85,6 @@ def test_every_field_is_explained():
     for field in dataclasses.fields(Layout):
         assert re.search(rf"^ +(\w+, )?{field.name}(, \w+)?: ", entries, re.MULTILINE), field.name
     assert entries.count("[rad") == 4 and "[Hz]" in entries and "a list of names in the robot's order" in entries
-
-
-# --- names of columns ------------------------------------------------------------------------------------------------
 
 
 def test_columns_have_names_by_a_mapping(tmp_path):
@@ -150,9 +144,6 @@ def test_a_missing_column_says_how_many_others_there_are(tmp_path):
             read_log(path)
 
 
-# --- signals that are missing ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "kept",
     [
@@ -206,9 +197,6 @@ def test_commands_are_kept_as_they_are(tmp_path):
     assert read_log(KNOWN | {"command": KNOWN["q"]}).command is not None and read_log(KNOWN).command is None
     with log_refused("column.missing"):
         read_log(KNOWN, Layout(columns={"command": "wanted"}))
-
-
-# --- drives ----------------------------------------------------------------------------------------------------------
 
 
 def test_efforts_of_unknown_gains_are_never_taken_for_torques(tmp_path):

@@ -33,9 +33,6 @@ def motion(log):
     return smooth(log)
 
 
-# --- smoothing -------------------------------------------------------------------------------------------------------
-
-
 def test_smoothing_recovers_a_known_motion(log, motion):
     """Although the steps are uneven by 60 %."""
     for name, x, expected in zip(("q", "qd", "qdd", "tau"), motion[1:5], sines(motion.time), strict=True):
@@ -167,9 +164,6 @@ def test_without_scipy_the_message_says_so(log, monkeypatch):
         smooth(log)
 
 
-# --- splitting and stacking ------------------------------------------------------------------------------------------
-
-
 def test_a_single_motion_is_cut_with_a_gap(motion):
     (before,), (after,) = train_test_split(motion, 0.6)
     assert len(before.time) == np.ceil(0.6 * len(motion.time))
@@ -210,9 +204,6 @@ def test_they_print_as_tables(log, motion):
         (row,) = [line for line in lines if line.startswith("qd ")]
         assert str(list(found.qd.shape)) in row and f"{float(found.qd.max()):.4g}" in row and row.endswith("rad/s")
     assert str(log).endswith("log.csv: 7 joints, 5000 rows, 0 repeated time stamps left out", 0, str(log).index("\n"))
-
-
-# --- arguments -------------------------------------------------------------------------------------------------------
 
 
 def test_arguments_are_checked(log, motion):

@@ -47,9 +47,6 @@ def error(model, part):
         return (model(*part[:3]) - part.tau).square().mean(0).sqrt()
 
 
-# --- kept where it helps ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("rest", thinned([stribeck, cable], [cable]))
 def test_a_residual_that_helps_is_kept_and_brings_the_error_of_unseen_motions_down(rest):
     model = layer(inputs="all" if rest is cable else "joint")
@@ -156,9 +153,6 @@ def test_validation_samples_choose_the_weights():
     found = model.ungated(model.features(valid.q, valid.qd)) + model.model(*valid[:3])
     expected = ((found - valid.tau).square().detach() / train.tau.var(0, correction=0)).mean()
     assert float(expected) == pytest.approx(min(history.valid), rel=1e-4)
-
-
-# --- beside physics that stay as they are ----------------------------------------------------------------------------
 
 
 @pytest.mark.filterwarnings("ignore")
