@@ -25,14 +25,8 @@ from torchdq.scene import controllers, integrators
 BACKEND, F64 = "auto", torch.float64
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
 
-PANDA = torchdq.robots.load("panda")
-ROBOTS = {
-    "two_link": torchdq.robots.load("two_link"),
-    "ur10e": torchdq.robots.load("ur10e"),
-    "puma560": torchdq.robots.load("puma560"),
-    "panda": PANDA,
-    "a tree of four": random_tree(4, seed=11).robot,
-}
+ROBOTS = {name: torchdq.robots.load(name) for name in ("two_link", "ur10e", "puma560", "panda")}
+ROBOTS |= {"a tree of four": random_tree(4, seed=11).robot}
 HORIZON = 0.3
 
 
@@ -92,7 +86,7 @@ def test_what_is_recommended_keeps_the_error_on_other_states(name, error, horizo
 
 @pytest.mark.parametrize(
     ("name", "error"),
-    thinned([(name, error) for name in ("two_link", "ur10e") for error in (1e-2, 1e-6)], [("two_link", 1e-6)]),
+    thinned([(name, error) for name in ("two_link", "ur10e") for error in (1e-2, 1e-8)], [("two_link", 1e-8)]),
 )
 def test_nothing_that_costs_less_keeps_the_error(name, error):
     """Of every integrator and precision, with the steps that two thirds of the operations pay for."""
@@ -208,14 +202,6 @@ def test_a_scene_is_held_for_some_of_its_steps():
     assert 1.4 <= found.horizon <= 2.0
 
 
-def test_it_says_what_it_is_doing(monkeypatch, capsys):
-    torchdq.clear_caches()
-    monkeypatch.setattr(progress, "FIRST", 0.01)
-    monkeypatch.setattr(progress, "EVERY", 0.01)
-    recommend_settings(ROBOTS["two_link"], 1e-3, 0.2)
-    assert re.search(r"torchdq: recommend for 'two_link', RungeKutta4, \d+ steps", capsys.readouterr().err)
-
-
 def test_it_says_what_it_recommends():
     text = str(recommend_settings(ROBOTS["two_link"], 1e-3, HORIZON))
     for word in ("float32", "RungeKutta4", "steps of", "backend", "error", "ns per robot", "alternatives"):
@@ -266,7 +252,7 @@ def test_the_search_costs_little_more_than_what_it_finds(most, monkeypatch):
     monkeypatch.setattr(progress.Progress, "at", lambda _, text: told.append(str(text)))  # what a long search shows
     scene = falling("two_link", effects.Servo(200.0, 20.0), dt=0.05)
     found = recommend_settings(scene, 1e-3, 0.2, most_steps=most, target=torch.zeros(2, dtype=F64))
-    assert max(int(steps) for steps in re.findall(r"(\d+) steps", "\n".join(told))) <= most
+    assert max(int(steps) for steps in re.findall(r"^\w+, (\d+) steps, float", "\n".join(told), re.MULTILINE)) <= most
     exact = [c.operations for c in found.others if c.arithmetic.dtype == F64]
     assert max(exact) <= 4.0 * min(exact)
 

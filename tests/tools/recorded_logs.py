@@ -20,7 +20,7 @@ from scipy import signal
 
 import torchdq
 from torchdq import effects
-from torchdq.learning import Layout, Log, LogError, LogWarning, Model, Samples, identify
+from torchdq.learning import Layout, Log, LogError, LogWarning, Model, Motion, Samples, identify
 
 WIDTH, STEP = 1e-2, 0.02
 F64 = torch.float64
@@ -131,6 +131,11 @@ def dry(qd):
 def torques(robot, q, qd, qdd, friction=dry, size=0.1, memory=0.8, seed=0):
     """Measured torques [motions, rows, n], with noise."""
     return torchdq.inverse_dynamics(robot, q, qd, qdd) + friction(qd) + size * noise(q.shape, memory, seed)
+
+
+def motion_of(*signals, **options):
+    """Motion of signals [rows, n]: positions, velocities, accelerations, torques, and signs of velocities."""
+    return Motion(STEP * np.arange(len(signals[0])), *(x.numpy() for x in signals), **options)
 
 
 def late_log(late, seed, rate=100.0, seconds=30.0):

@@ -6,7 +6,6 @@ The references are `Robot.with_payload`, draws of the noise, and recordings of a
 import math
 import warnings
 
-import numpy as np
 import pytest
 import torch
 from helpers import EVERYTHING, all_in_one, random
@@ -222,15 +221,6 @@ def test_seconds_of_motion_agree_within_their_errors(recorded):
     assert float(squares.mean()) < 3
     assert float(mass.std()) < 0.15
     assert math.isclose(float(mass.mean()), 2.5, rel_tol=0.1)
-
-
-def test_motions_are_taken_as_their_rows_are():
-    robot = torchdq.robots.load("two_link")
-    q, qd, qdd = moving(200, seed=3, n=2)
-    empty = exact(robot, q, qd, qdd)
-    tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.1)), q, qd, qdd)
-    motion = Motion(np.arange(200.0), *(x.numpy() for x in (q, qd, qdd, tau)))
-    assert torch.equal(identify_payload(empty, motion).mass, identify_payload(empty, q, qd, qdd, tau).mass)
 
 
 def test_motions_with_filtered_directions_are_predicted_by_them(arm):

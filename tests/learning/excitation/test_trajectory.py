@@ -20,18 +20,7 @@ from messages import refused, warned
 import torchdq
 from torchdq import effects
 from torchdq.errors import ArgumentError, MissingLibraryError
-from torchdq.learning import (
-    Box,
-    HalfSpace,
-    Model,
-    Motion,
-    MotionLimits,
-    Samples,
-    excitation_trajectory,
-    identify,
-    plot_torques,
-    read_log,
-)
+from torchdq.learning import Box, HalfSpace, Model, Motion, MotionLimits, Samples, excitation_trajectory, identify
 from torchdq.learning.excitation import search
 from torchdq.learning.excitation.fourier import Family, grid
 from torchdq.learning.excitation.information import BaseParameters
@@ -129,6 +118,8 @@ def test_no_limit_is_exceeded_at_any_time(panda, exciting):
     elbow = torchdq.dq.translation(torchdq.forward_kinematics(panda, q, "panda_link5"))
     assert 0.3 <= float(tip[:, 2].min()) < 0.5  # the table is near
     assert float(elbow.min()) >= -0.4
+    assert max(float(x[[0, -1]].abs().max()) for x in (found.qd, found.qdd)) < 1e-9  # from rest to rest
+    assert float(found.time[-1]) == 10.0 and len(found.time) == 1001
 
 
 def test_torques_that_bind_are_kept_between_the_rows():
@@ -138,13 +129,6 @@ def test_torques_that_bind_are_kept_between_the_rows():
     *_, tau = torques_at(found, robot, random_times(found, 100_000))
     used = (tau / double(36.0, 10.0)).amax(0)
     assert bool((used <= 1).all()) and float(used.max()) > 0.93
-
-
-def test_a_motion_starts_and_ends_at_rest(exciting):
-    found, _ = exciting
-    for x in (found.qd, found.qdd):
-        assert float(x[[0, -1]].abs().max()) < 1e-9
-    assert float(found.time[-1]) == 10.0 and len(found.time) == 1001
 
 
 def test_half_spaces_and_boxes_measure_lengths():
@@ -223,11 +207,8 @@ def test_errors_are_those_of_least_squares_on_pinocchios_regressor(panda, exciti
     found, _ = exciting
     case = oracles.case("shipped-panda")
     data = case.model.createData()
-    rows = [
-        pin.computeJointTorqueRegressor(case.model, data, *(x.numpy() for x in state)).copy()
-        for state in zip(found.q, found.qd, found.qdd, strict=True)
-    ]
-    Y, v = np.stack(rows), found.qd.numpy()
+    states, v = zip(found.q.numpy(), found.qd.numpy(), found.qdd.numpy(), strict=True), found.qd.numpy()
+    Y = np.stack([pin.computeJointTorqueRegressor(case.model, data, *state).copy() for state in states])
     friction = [np.einsum("sj,jk->sjk", x, np.eye(7)) for x in (v, v / np.hypot(v, 1e-2))]
     Z = np.concatenate([Y, *friction], -1) / found.parameters.noise.numpy()[:, None]
     Z = Z.reshape(-1, Z.shape[-1])
@@ -261,9 +242,8 @@ def test_identification_from_the_motion_errs_as_predicted():
 
 
 def test_parameters_that_a_motion_does_not_tell_have_infinite_errors(exciting):
-    found, _ = exciting
-    still = found.q[:100], 0 * found.q[:100], 0 * found.q[:100]
-    errors = found.parameters.errors(*still)
+    q = exciting[0].q[:100]
+    errors = exciting[0].parameters.errors(q, 0 * q, 0 * q)
     assert bool(errors[-14:].isinf().all()) and bool(errors.isfinite().any())
 
 
@@ -272,8 +252,10 @@ def test_the_search_improves_on_random_motions(panda, exciting):
     family = Family(limits.bounds(panda), 5)
     rate = torch.full((200,), float(found.series.rate)).double()
     some = family.motions(family.start(200, torch.Generator().manual_seed(9)), rate).at(grid(60))
-    volume = torch.linalg.slogdet(found.parameters.information(*some)).logabsdet
-    own = torch.linalg.slogdet(found.parameters.information(found.q[1:], found.qd[1:], found.qdd[1:])).logabsdet
+    volume, own = (
+        torch.linalg.slogdet(found.parameters.information(*rows)).logabsdet
+        for rows in (some, (found.q[1:], found.qd[1:], found.qdd[1:]))
+    )
     # a mean error 1.3 times smaller than the best random motion's, which need not keep torques and workspace
     assert float(own - volume.max()) > 2 * len(found.base_errors) * math.log(1.3)
 
@@ -290,7 +272,7 @@ def test_a_file_is_read_back(exciting, tmp_path):
     found, _ = exciting
     for rate, rows in ((None, 1001), (250.0, 2501)):
         found.to_csv(tmp_path / "motion.csv", rate)
-        log = read_log(tmp_path / "motion.csv")
+        log = torchdq.learning.read_log(tmp_path / "motion.csv")
         motion = found.sampled(rate or 100.0)
         assert len(log.time) == rows
         for name in ("time", "q", "qd", "qdd", "tau"):
@@ -319,13 +301,12 @@ def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting):
     motion = exciting[0].sampled(50.0)
     found = identify(panda, motion, PLAIN, prior=1.0)
     apart = motion._replace(time=np.where(motion.time > 4, motion.time + 2, motion.time))  # a line is broken there
-    figure = plot_torques(found, [motion, apart])
+    figure = torchdq.learning.plot_torques(found, [motion, apart])
     titles = ["".join(axes.get_title(place) for place in ("left", "center")) for axes in figure.axes]
     assert [title.split(":")[0] for title in titles] == list(panda.joint_names)
     measured, predicted = (line.get_ydata() for line in figure.axes[1].lines)
     assert np.isnan(measured).sum() == 2 and len(measured) == 2 * 501 + 2
     assert np.nanmax(abs(measured - predicted)) < 0.02 * np.nanmax(abs(measured))
-    with refused(ArgumentError):
-        plot_torques(found, Motion(motion.time, *(x[:, :2] for x in motion[1:5])))
-    with refused(ArgumentError):
-        plot_torques(panda, motion)
+    for other, moved in ((found, Motion(motion.time, *(x[:, :2] for x in motion[1:5]))), (panda, motion)):
+        with refused(ArgumentError):
+            torchdq.learning.plot_torques(other, moved)

@@ -4,18 +4,17 @@ import numpy as np
 import pytest
 import torch
 from helpers import PAIR, thinned
-from recorded_logs import COULOMB, ROBOT, STEP, VISCOUS, dry, fitted, noise, sign, states, with_findings
+from recorded_logs import COULOMB, ROBOT, VISCOUS, dry, fitted, motion_of, noise, sign, states, with_findings
 
 import torchdq
-from torchdq.learning import Layout, Model, Motion, identify, posterior_samples, read_log, smooth
+from torchdq.learning import Layout, Model, identify, posterior_samples, read_log, smooth
 from torchdq.learning.evaluation.blocks import of_motions
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, pseudo_inertia
 
 
 def motions_of(*signals, **options):
     """Motions of signals [motions, rows, n]: positions, velocities, accelerations and efforts."""
-    time = STEP * np.arange(signals[0].shape[1])
-    return [Motion(time, *(x.numpy() for x in one), **options) for one in zip(*signals, strict=True)]
+    return [motion_of(*one, **options) for one in zip(*signals, strict=True)]
 
 
 def rubbed(robot, q, qd, qdd):

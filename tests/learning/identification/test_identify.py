@@ -7,7 +7,6 @@ definition of a body that can exist.
 import itertools
 import re
 import time
-import warnings
 from functools import cache
 from importlib import import_module
 
@@ -264,14 +263,13 @@ def test_joints_that_do_not_move_are_named(noise):
     assert identifiable["joint1 viscous"] and identifiable["joint1 coulomb"]
 
 
+@pytest.mark.filterwarnings("error")
 def test_what_the_samples_decide_is_said_and_nothing_warned_when_all_joints_move():
     robot = torchdq.robots.load("panda")
     q, qd, qdd = moving(7, 150)
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.3 * qd + 0.01 * moving(7, 150, seed=4)[0]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        found = fitted(robot, q, qd, qdd, tau, prior=2.0)
-        one = fitted(robot, q[:1], qd[:1], qdd[:1], tau[:1])
+    found = fitted(robot, q, qd, qdd, tau, prior=2.0)
+    one = fitted(robot, q[:1], qd[:1], qdd[:1], tau[:1])
     assert bool(found.identifiable[70:].all())  # friction of all joints
     alone = (found.base != 0).sum(1) == 1  # base parameters of one term are told by themselves
     lead = [int(row.nonzero()[0]) for row in found.base[alone]]

@@ -4,7 +4,6 @@ The truth is that of the simulation, whose laws are written out here.
 """
 
 import math
-import warnings
 
 import pytest
 import torch
@@ -136,12 +135,11 @@ def test_errors_hold_what_blocks_that_were_left_out_show():
     assert not bool(given.model.any())
 
 
+@pytest.mark.filterwarnings("ignore")
 def test_intervals_hold_in_the_rest_of_a_recording():
     recordings("panda_gaz2019")
     splits = pytest.importorskip("splits")
     split = splits.panda(DATA, False)[1]  # identified on less than a third; 0.85 with errors of the parameters alone
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        found = identify(split.robot, split.train, Model(armature=True, offset=True))
+    found = identify(split.robot, split.train, Model(armature=True, offset=True))
     predicted, tau = found.predict(split.test), stack_samples(split.test).tau
     assert 0.93 < float(((tau > predicted.low) & (tau < predicted.high)).double().mean()) < 0.99

@@ -6,12 +6,12 @@ import pytest
 import torch
 from messages import refused
 from recorded_logs import ROBOT as TWO
-from recorded_logs import STEP, waves
+from recorded_logs import motion_of, waves
 
 import torchdq
 from torchdq import effects
 from torchdq.envs import Scene
-from torchdq.learning import Model, Motion, Samples, evaluate, fit, identify, plot_torques
+from torchdq.learning import Model, Samples, evaluate, fit, identify, plot_torques
 
 pytestmark = pytest.mark.filterwarnings("ignore::torchdq.learning.LogWarning")  # of friction that no term has
 F64, BACKEND = torch.float64, "auto"  # one arm, whose programs all tests share
@@ -45,11 +45,6 @@ def stribeck(q, qd):
 
 def nothing(q, qd):
     return 0 * qd
-
-
-def as_motion(part, **changes):
-    time = STEP * torch.arange(len(part.q)).numpy()
-    return Motion(time, *(x.numpy() for x in part))._replace(**changes)
 
 
 def trained(found, train, inputs="joint"):
@@ -149,7 +144,7 @@ def test_trials_and_pictures_predict_motion_by_motion(bumpy):
     """Friction that remembers begins anew with each motion, whatever the one before ended with."""
     pytest.importorskip("matplotlib")
     found, tests = bumpy[0], [motion(k, stribeck) for k in (31, 32)]
-    several, tau = [as_motion(test) for test in tests], torch.cat([test.tau for test in tests])
+    several, tau = [motion_of(*test) for test in tests], torch.cat([test.tau for test in tests])
     apart = torch.cat([found.predict(*test[:3]).tau for test in tests])
     on = found.predict(*(torch.cat(x) for x in list(zip(*tests, strict=True))[:3])).tau
     assert float((apart - on).abs().max()) > 0.1
@@ -162,7 +157,7 @@ def test_trials_and_pictures_predict_motion_by_motion(bumpy):
 
 def test_motions_and_tensors_are_alike_and_rows_of_motions_follow_each_other(bumpy):
     whole, parts = bumpy[1:]
-    several = [as_motion(part) for part in parts[:2]]
+    several = [motion_of(*part) for part in parts[:2]]
     found = whole.residual_samples(several)
     assert torch.equal(found.tau, torch.cat([whole.residual_samples(*part).tau for part in parts[:2]]))
     predicted = whole.predict(several)
@@ -193,13 +188,13 @@ def test_a_scene_moves_as_it_predicts(bumpy):
 def test_gains_that_were_identified_scale_the_torques():
     parts = [motion(k, nothing, 10.0) for k in range(3)]
     drives = torch.tensor([4.0, 0.5], dtype=F64)
-    motions = [as_motion(part, tau=(part.tau / drives).numpy(), known_gains=False) for part in parts]
+    motions = [motion_of(*part[:3], part.tau / drives, known_gains=False) for part in parts]
     found = identify(TWO, motions, Model(REMEMBERS, gains=True), prior=1.0)
     steady = found.layer()(*parts[0][:3]).detach()
     ratio = found.residual_samples(motions[0]).tau + found.predict(motions[0]).tau - steady
     assert torch.allclose(ratio, torch.as_tensor(motions[0].tau) * found.gains.value)
     plain = identify(TWO, parts[0], Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
-    for measured in (motions[0], as_motion(parts[0], tau=None)):
+    for measured in (motions[0], motion_of(*parts[0])._replace(tau=None)):
         with refused(torchdq.ArgumentError):
             plain.residual_samples(measured)
 

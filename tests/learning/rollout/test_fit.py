@@ -4,8 +4,6 @@ The references are finite differences of a scene's step, scipy's least squares o
 simulation of the same arm, and the parameters by which the logs were made.
 """
 
-import warnings
-
 import mujoco
 import numpy as np
 import pytest
@@ -58,6 +56,11 @@ def noisy(q, seed, size=NOISE):
 def logged(q, **changes):
     """Recording of a motion under the driving torques."""
     return Recording(TIME, q, {"torque": driving(TIME)}, **changes)
+
+
+def chi_square_of(off, found):
+    """Deviations of parameters, in their stated covariance."""
+    return float(off @ torch.linalg.solve(found.covariance, off))
 
 
 def worst_z(found, *true):
@@ -132,12 +135,11 @@ def test_slopes_at_the_first_nodes_are_those_of_savitzky_and_golay(case):
 # --- the parameters of greatest likelihood ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("segment", [None, 1.0, 0.1])
-def test_exact_logs_give_the_exact_parameters(motion, guess, segment):
+@pytest.mark.filterwarnings("error")
+@all_in_one([None, 1.0, 0.1])
+def test_exact_logs_give_the_exact_parameters(segment, motion, guess):
     before = guess.effects
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        found = fit_rollout(guess, logged(motion), FRICTION, segment=segment, integrator=RULE)
+    found = fit_rollout(guess, logged(motion), FRICTION, segment, integrator=RULE)
     assert guess.effects == before
     torch.testing.assert_close(found.estimate, TRUE, rtol=1e-7, atol=0)
     assert not found.unidentifiable and not found.warning and float(found.rms.max()) < 1e-12
@@ -174,8 +176,7 @@ def chi_squares(motion, guess, runs, segment):
     """Deviations from the true parameters, in their stated covariance, of logs that differ by their noise."""
     for seed in range(runs):
         found = fit_rollout(guess, logged(noisy(motion, seed)), FRICTION, segment=segment, integrator=RULE)
-        off = found.estimate - TRUE
-        yield float(off @ torch.linalg.solve(found.covariance, off))
+        yield chi_square_of(found.estimate - TRUE, found)
 
 
 def test_the_errors_are_as_large_as_they_are_said_to_be(motion, guess):
@@ -197,6 +198,10 @@ ARM = """<mujoco><option timestep="{step}" integrator="{integrator}"/><worldbody
         <joint name="b" axis="0 0 1" damping="0.2" armature="0.1"/></body></body></worldbody>
     <actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
 DAMPING, WIDTH = double(0.7, 0.2), 0.02  # [N m s/rad], [rad/s]
+
+
+def with_noise(log, seed):
+    return log._replace(q=noisy(torch.from_numpy(log.q), seed, 2e-4))
 
 
 def by_mujoco(rows, dt, steps, integrator, coulomb=(0.0, 0.0)):
@@ -232,10 +237,7 @@ def test_positions_of_another_simulator():
     torch.testing.assert_close(found.estimate, double(0.7, 0.2, 0.3, 0.1), rtol=1e-6, atol=0)
 
 
-def with_noise(log, seed):
-    return log._replace(q=noisy(torch.from_numpy(log.q), seed, 2e-4))
-
-
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("dt", thinned([0.005, 0.02], [0.005]))
 @pytest.mark.parametrize("coulomb", [(0.0, 0.0), (0.5, 0.2)], ids=["viscous", "dry"])
 def test_errors_are_those_of_a_motion_in_continuous_time(dt, coulomb):
@@ -248,11 +250,8 @@ def test_errors_are_those_of_a_motion_in_continuous_time(dt, coulomb):
         learn.append("Coulomb.coulomb")
     guess, total, runs = arm_guess(dt, *parts), 0.0, 3
     for seed in range(runs):
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            found = fit_rollout(guess, with_noise(log, seed), learn)
-        off = found.estimate - true
-        total += float(off @ torch.linalg.solve(found.covariance, off))
+        found = fit_rollout(guess, with_noise(log, seed), learn)
+        total += chi_square_of(found.estimate - true, found)
     chi_square = stats.chi2(runs * len(true))
     assert chi_square.ppf(1e-4) < total < chi_square.ppf(1 - 1e-4)
     # the scene that is returned moves as recorded
@@ -280,8 +279,7 @@ def test_errors_that_shorter_steps_contradict_are_wider(monkeypatch):
     monkeypatch.setattr(fit, "_rules", lambda scene: [RULE, integrators.Repeated(RULE, 64)])
     with warned(LogWarning):
         coarse = fit_rollout(scene, log, learn)
-    off = coarse.estimate - fine.estimate
-    by_fine, by_coarse = (float(off @ torch.linalg.solve(x.covariance, off)) for x in (fine, coarse))
+    by_fine, by_coarse = (chi_square_of(coarse.estimate - fine.estimate, x) for x in (fine, coarse))
     assert by_coarse < stats.chi2(4).ppf(1 - 1e-3) < stats.chi2(4).ppf(1 - 1e-8) < by_fine
     assert worst_z(coarse, *DAMPING.tolist(), *coulomb) < 4
 
@@ -499,5 +497,5 @@ def test_from_a_scene_that_cannot_follow_nothing_is_identifiable():
 def test_positive_numbers_stay_positive_however_long_the_step():
     """An unidentifiable mass may be taken far down: exp(-step) alone would be zero, and no body."""
     value = np.array([2.0, 3.0])
-    moved = unknowns.PositiveNumbers("", "", (), value, np.arange(2)).moved(value, np.array([-1e6, 0.5]))
-    assert moved[0] > 0 and moved[1] == 3.5
+    after = unknowns.PositiveNumbers("", "", (), value, np.arange(2)).moved(value, np.array([-1e6, 0.5]))
+    assert after[0] > 0 and after[1] == 3.5

@@ -72,9 +72,9 @@ def test_the_loss_is_error_over_variance_of_each_joint():
 
     train, valid = data(), data(77, seed=1)
     history = fit(Constant(), train, valid, steps=1, batch=200, rate=1e-12)
-    expected = [(x.tau.square().mean(0) / train.tau.var(0, correction=0)).mean() for x in (train, valid)]
-    assert history.train == pytest.approx([float(expected[0])], rel=1e-5)
-    assert history.valid == pytest.approx([float(expected[1])], rel=1e-5)
+    for x, found in ((train, history.train), (valid, history.valid)):
+        expected = (x.tau.square().mean(0) / train.tau.var(0, correction=0)).mean()
+        assert found == pytest.approx([float(expected)], rel=1e-5)
 
 
 def test_the_steps_are_those_of_adamw_with_a_cosine():
