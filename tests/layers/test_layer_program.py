@@ -4,7 +4,7 @@ import inspect
 
 import pytest
 import torch
-from helpers import all_in_one
+from helpers import all_in_one, eager
 from messages import refused
 
 import torchdq
@@ -68,7 +68,7 @@ def test_the_program_of_a_layer_computes_what_the_layer_does(name, parameters):
         parameters == "arguments" and bool(list(layer.parameters()))
     )
     present = [quantity(layer, a.name).reshape(-1) for a in extra]
-    found = torchdq.compile(program)(*[given[a.name] for a in program.arguments if a.name in given], *present)
+    (found,) = eager(program, [*(given[a.name] for a in program.arguments if a.name in given), *present])
     expected = layer(*given.values()).detach()
     torch.testing.assert_close(found, expected, rtol=1e-11, atol=1e-11 * float(expected.abs().max()))
 
@@ -121,7 +121,7 @@ def test_the_program_of_a_controller_is_its_part_of_a_scene(make):
     q, qd, *desired = given.values()
     program = controller.program(robot)
     gains = [torch.tensor([9.0, 8.0], dtype=F64)] if len(program.arguments) == 4 else []
-    found = torchdq.compile(program)(torch.cat(desired, -1), q, qd, *gains)
+    (found,) = eager(program, [torch.cat(desired, -1), q, qd, *gains])
     kp, kd = (torch.as_tensor(x, dtype=F64) for x in (controller.kp, controller.kd))
     model = controller.model
     if isinstance(controller, controllers.ComputedTorqueController):

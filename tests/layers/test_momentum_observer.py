@@ -19,7 +19,6 @@ from torchdq.learning import Layout, read_log
 from torchdq.nn import MomentumObserver, ObserverState
 from torchdq.scene import Scene, integrators
 
-BACKEND = "auto"
 F64 = torch.float64
 GAIN, END = 30.0, 0.1
 PANDA, TWO = shipped("panda").robot, shipped("two_link").robot
@@ -40,7 +39,8 @@ def pushed(robot, dt, push=0.0, friction=(), rows=3):
     start = scene.start(random(rows, n, seed=1), 0.5 * random(rows, n, seed=2))
     phase = torch.linspace(0.0, 2.0, steps + 1, dtype=F64)[:-1, None, None] + torch.arange(n)
     tau = (4.0 * torch.sin(5.0 * phase)).expand(steps, rows, n)
-    path = scene.rollout(start, torque=tau + push)
+    with torchdq.backend("auto"):
+        path = scene.rollout(start, torque=tau + push)
     return torch.cat((start.q[None], path.q)), torch.cat((start.qd[None], path.qd)), tau
 
 
@@ -87,7 +87,8 @@ def test_a_series_is_the_steps_one_after_the_other():
     for steps in (None, dt):
         state, found = observer.start(q[0], qd[0]), []
         for k in range(len(tau)):
-            state = observer(q[k + 1], qd[k + 1], tau[k], state, None if steps is None else steps[k])
+            with torchdq.backend("auto"):
+                state = observer(q[k + 1], qd[k + 1], tau[k], state, None if steps is None else steps[k])
             found.append(state.r)
         torch.testing.assert_close(observer.series(q, qd, tau, steps), torch.stack(found), rtol=0, atol=1e-12)
 
