@@ -301,7 +301,6 @@ def test_stiff_friction():
     assert float(found.rms.max()) < 1.1e-4
 
 
-
 @pytest.fixture(scope="module")
 def late():
     """A scene with a lag, and the function that logs it behind a delay that is no number of steps."""
