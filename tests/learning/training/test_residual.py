@@ -64,7 +64,7 @@ def test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight():
     parts = [motion(k, lambda q, qd: stribeck(q, qd) * double(1.0, 0.0), 8.0, noise=0.3) for k in range(4)]
     model = layer()
     with warned(LogWarning):
-        gain = fit(model, parts, steps=150, **OPTIONS).residual
+        gain = fit(model, parts, steps=200, **OPTIONS).residual
     assert (gain.gains <= 2 * gain.standard_errors).tolist() == [False, True]
     assert model.weight[0] > 0.8 and model.weight[1] == 0 and model.remaining[1] == 1
     test = motion(99, nothing)
