@@ -130,6 +130,12 @@ def test_regions_are_judged_by_themselves(sign, kept):
     assert ((gain.gains > 2 * gain.standard_errors) == kept).all()
 
 
+def test_a_network_that_gains_by_chance_is_not_kept():
+    """Five blocks that it explains, and three that it makes worse."""
+    gain = validation_gain(layer(), list(parts(*[1.0] * 5, *[-1.0] * 3)), [], double(1.0, 1.0))
+    assert (gain.gains > 0).all() and not gain.weight.any()
+
+
 @pytest.mark.parametrize(("memory", "kept"), [(1, True), (200, False)])
 def test_rows_that_say_little_keep_no_network(memory, kept):
     """Blocks of 200 rows, all alike where the memory is as long: one independent row for each."""
