@@ -6,15 +6,13 @@ What each effect does is the claim of tests/effects, how time passes that of tes
 import dataclasses
 import itertools
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import torch
 from effect_harness import EVERY, constant
-from helpers import FIXED, all_in_one, called, double, random, thinned
+from helpers import FIXED, WHEEL, all_in_one, called, double, random, thinned
 from messages import refused
 from oracles import shipped, states
 from scenes import ARM, PANDA, RICH, TREE, ZERO, equal, inputs_of, rich, uniform
@@ -64,20 +62,15 @@ NOTHING = {
 
 
 @pytest.mark.case("T14")
-@pytest.mark.parametrize("robot", [ARM, PANDA], ids=["two_link", "panda"])
+@pytest.mark.parametrize("robot", thinned([ARM, PANDA], [ARM]), ids=lambda robot: robot.name)
 def test_an_effect_of_no_size_is_no_operation(robot):
     """Constants fold, so nothing is left of it; results are the same bit by bit."""
-    for kind in NOTHING:
-        no_operation(kind, robot)
-
-
-def no_operation(kind, robot):
-    """Assert that an effect of no size changes nothing."""
-    bare, made = Scene(robot), Scene(robot, (NOTHING[kind],))
-    assert made.count() == bare.count()
-    s = states(robot)
-    inputs = {"target": s.q} if kind == "Servo" else {}
-    assert equal(made.step(made.start(s.q, s.qd), s.qdd, **inputs)[:2], bare.step(State(s.q, s.qd), s.qdd)[:2])
+    bare, s = Scene(robot), states(robot)
+    expected = bare.step(State(s.q, s.qd), s.qdd)[:2]
+    for kind, effect in NOTHING.items():
+        made, inputs = Scene(robot, (effect,)), {"target": s.q} if kind == "Servo" else {}
+        assert made.count() == bare.count(), kind
+        assert equal(made.step(made.start(s.q, s.qd), s.qdd, **inputs)[:2], expected), kind
 
 
 @pytest.mark.case("T14")
@@ -113,7 +106,7 @@ def test_an_effect_costs_what_its_description_says(kind):
     assert (second.operations == 0) == isinstance(effect, free)
 
 
-@pytest.mark.parametrize("robot", [ARM, TREE, PANDA], ids=["two_link", "tree", "panda"])
+@pytest.mark.parametrize("robot", thinned([ARM, TREE, PANDA], [TREE]), ids=lambda robot: robot.name)
 @pytest.mark.parametrize("integrator", FIXED, ids=called)
 def test_a_resting_arm_of_a_bare_scene_stays_where_it_is(integrator, robot):
     """No gravity, whatever the robot has: bit by bit the same place."""
@@ -220,7 +213,7 @@ def test_a_batch_may_be_empty(integrator, shape):
     assert q.grad.shape == q.shape
 
 
-@pytest.mark.parametrize("robot", [ARM, PANDA], ids=["two_link", "panda"])
+@pytest.mark.parametrize("robot", [ARM, PANDA], ids=lambda robot: robot.name)
 def test_single_precision_stays_single(robot):
     scene = rich(robot)
     state = scene.start(random(4, robot.n) * 0.3, random(4, robot.n, seed=1), uniform(scene, 4))
@@ -261,7 +254,7 @@ def test_a_sample_that_is_nan_takes_no_other_with_it():
 
 F32, F64 = torch.float32, torch.float64
 RECORDED = [*itertools.product(["arm", "arm Runge-Kutta", "tree Verlet", "panda"], [F64, F32])]
-SOME = [("arm", F64), ("arm", F32), ("arm Runge-Kutta", F32), ("tree Verlet", F64), ("panda", F64)]
+SOME = [("arm", F32), ("tree Verlet", F64)]
 
 
 @needs_compiler
@@ -330,11 +323,6 @@ def test_an_integrator_that_is_repeated_changes_the_program_of_its_steps_alone(m
         other.step(other.start(ZERO), reference=double(*[0.1] * 6))
     stages = ("begin", "drive", "sense", "substep", "substep")
     assert sorted(names) == [f"{stage}_two_link" for stage in stages]
-
-
-def test_scenes_and_recommendations_need_no_gymnasium():
-    program = "import sys, torchdq; torchdq.Scene, torchdq.recommend_settings; assert 'gymnasium' not in sys.modules"
-    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_a_scene_cannot_be_changed_but_replaced():
@@ -410,13 +398,10 @@ def test_a_start_has_a_graph_of_what_its_reading_depends_on_alone():
 
 
 @pytest.mark.case("P4")
-@pytest.mark.parametrize("backend", ["c", "eager"])
-def test_steps_are_traced_whole(backend):
-    """torch.compile without a break; eager tracing, since what torch makes of the graph is not our claim."""
-    if backend == "c" and build.compiler() is None:
-        pytest.skip("there is no C compiler")
-    learned = double(0.1, 0.2).requires_grad_()
-    scene = Scene(ARM, (effects.Gravity(), effects.Viscous(learned), effects.Coulomb(0.2)), backend=backend)
+def test_steps_are_traced_whole():
+    """torch.compile without a break, with gradients in parameters; hard_cases/test_tensors.py has compiled programs."""
+    learned = double(0.1).requires_grad_()
+    scene = Scene(WHEEL, (effects.Gravity(), effects.Viscous(learned), effects.Coulomb(0.2)))
 
     def roll(q, qd):
         state = State(q, qd)
@@ -426,7 +411,7 @@ def test_steps_are_traced_whole(backend):
 
     traced = torch.compile(roll, fullgraph=True, backend="aot_eager")
     for batch in (3, 5):
-        q = random(batch, 2)
+        q = random(batch, 1)
         found, expected = traced(q, 0 * q), roll(q, 0 * q)
         assert torch.equal(found, expected)
         gradients = [torch.autograd.grad(x.sum(), learned)[0] for x in (found, expected)]
