@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers import random
+from helpers import random, thinned
 from messages import refused
 from small_envs import PARTS, ROBOT, assert_as_stepped, policy_of, started
 
@@ -104,7 +104,7 @@ def _leashed(goal, X, leash):
     return e[:, :3].norm(dim=-1), (dq.translation(found) - dq.translation(X)).norm(dim=-1)
 
 
-@pytest.mark.parametrize("leash", [(0.5, 0.05), (0.0, 0.0)], ids=["desired", "measured"])
+@pytest.mark.parametrize("leash", thinned([(0.5, 0.05), (0.0, 0.0)], [(0.5, 0.05)]), ids=str)
 def test_blocks_are_steps_and_an_episode_begins_where_the_arm_is(leash):
     envs, twin = (started(5, effects=PARTS, leash=leash, max_episode_steps=4, **POSE) for _ in range(2))
     assert_as_stepped(envs, twin, policy_of(envs), 6)
@@ -188,10 +188,11 @@ def test_wrong_arguments_are_refused(case):
 
 def test_wrong_actions_are_refused():
     envs = started(2, **POSE)
-    for actions in (torch.zeros(2, 3), torch.full((2, 2), math.nan)):
+    for call in (
+        lambda: envs.step(torch.zeros(2, 3)),
+        lambda: envs.step(torch.full((2, 2), math.nan)),
+        lambda: envs.pose_action(torch.zeros(3, 8)),
+        lambda: started(2).pose_action(torch.zeros(8)),
+    ):
         with refused(ArgumentError):
-            envs.step(actions)
-    with refused(ArgumentError):
-        envs.pose_action(torch.zeros(3, 8))
-    with refused(ArgumentError):
-        started(2).pose_action(torch.zeros(8))
+            call()
