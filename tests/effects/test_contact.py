@@ -1,14 +1,17 @@
 """Contact: a step solves its law, and bodies slide, roll, stick, bounce and stand as analysis and MuJoCo say."""
 
 import math
+import re
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import torch
+from helpers import thinned
 from messages import refused
 from on_ground import F64, FEET, STAND, G, at, ball, begin, box, go2, place, rolled, tilted
-from oracles import random_tree, shipped, states
+from oracles import random_tree, shipped, states, urdf_paths
+from small_envs import stool
 
 import torchdq
 from torchdq.backends import c_library as build
@@ -20,7 +23,7 @@ from torchdq.scene.integrators import RungeKutta4
 BACKEND = "auto"
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="thousands of steps need a C compiler")
 MU = 0.5
-STEPS = pytest.mark.parametrize("dt", [1e-3, 5e-3, 1e-2])
+STEPS = pytest.mark.parametrize("dt", thinned([1e-3, 5e-3, 1e-2], [5e-3, 1e-2]))
 
 
 def double(*x):
@@ -82,7 +85,7 @@ def touched(memory, n, depth, u, h, law, W, Z_others):
 
 
 @pytest.mark.parametrize("by", ["entries", "articulated bodies"])
-@pytest.mark.parametrize("n", [2, 4, 9])
+@pytest.mark.parametrize("n", thinned([2, 4, 9], [4, 9]))
 def test_a_step_solves_the_law_with_the_mobilities_of_its_points(n, by, monkeypatch):
     """(M + h J^T C J) (v' - v) = h (tau - nle + J^T f), with Pinocchio's matrices of a random tree of all joints."""
     linear = by == "articulated bodies"
@@ -94,7 +97,7 @@ def test_a_step_solves_the_law_with_the_mobilities_of_its_points(n, by, monkeypa
     normal = np.array([0.48, -0.6, 0.64])
     q, qd, tau, memory = _pressed_states(case, points, normal, law[0], rng)
     contact = effects.Contact(points, 0.1, tuple(normal), None, *law[:3], settling=law[3])
-    scene = Scene(robot, (effects.Gravity(), contact), dt=h)
+    scene = Scene(robot, (effects.Gravity(), contact), dt=h, backend="eager")
     mobilities = [m * np.eye(3) if isinstance(m := p.mobility, float) else m for p in scene.effects[1].points]
     links = [robot.frame(name).link for name in frames]
     found = scene.step(State(*(torch.from_numpy(x) for x in (q, qd, memory))), torch.from_numpy(tau))
@@ -310,7 +313,7 @@ def bounced(c, v, k=2e4):
 def test_bounces_converge_to_those_of_the_continuous_law_with_order_one():
     c, exact = double([0.2, 0.5]), double([bounced(0.2, 1.0), bounced(0.5, 1.0)])
     errors = []
-    for dt in (2e-4, 1e-4, 5e-5):
+    for dt in (1e-4, 5e-5):
         scene = ground(ball(), dt, dissipation=c)
         state = begin(scene, at(0.1, 2), double([[0.0, 0, 0, 0, 0, -1]] * 2))
         state = rolled(scene, state, 0.03)
@@ -319,7 +322,7 @@ def test_bounces_converge_to_those_of_the_continuous_law_with_order_one():
         left = (state.V_WB_B[:, 5] ** 2 + 2 * G * (place(state)[:, 2] - 0.1)).sqrt()
         errors.append(exact - left)
     assert (errors[-1].abs() < 0.02).all() and (errors[-1] > 0).all()
-    assert all((errors[k] / errors[k + 1] > 1.7).all() and (errors[k] / errors[k + 1] < 2.3).all() for k in range(2))
+    assert (errors[0] / errors[1] > 1.7).all() and (errors[0] / errors[1] < 2.3).all()
 
 
 def test_the_ground_does_not_hold_what_is_thrown_up():
@@ -406,12 +409,12 @@ def test_a_surface_with_a_constant_slope_is_a_plane():
     a, b = 0.2, -0.1
     normal = torch.nn.functional.normalize(double(-a, -b, 1.0), dim=-1)
     robot, points = box()
+    contact = effects.Contact(points, surface=lambda x, y: a * x + b * y, friction=MU, stiffness=1e4)
     ends = []
-    for contact in (
-        effects.Contact(points, surface=lambda x, y: a * x + b * y, friction=MU, stiffness=1e4),
-        effects.Contact(points, normal=tuple(normal.tolist()), friction=MU, stiffness=1e4),
+    for scene in (
+        Scene(robot, (effects.Gravity(), contact), dt=5e-3),
+        ground(box(), 5e-3, normal=normal, stiffness=1e4),
     ):
-        scene = Scene(robot, (effects.Gravity(), contact), dt=5e-3)
         state = rolled(scene, begin(scene, at(0.05), double(0.5, 0.2, 0.1, 0.4, 0, 0)), 0.5)
         ends.append((state, scene.contacts(state)))
     (one, found), (two, expected) = ends
@@ -524,40 +527,46 @@ def test_second_derivatives_of_a_step_that_touches_are_right():
 # --- a quadruped -----------------------------------------------------------------------------------------------------
 
 
-def standing(dt, dtype=F64, points=FEET, kp=60.0, kd=2.0, **parameters):
-    """Scene of a quadruped with servos, whose parameters are tensors."""
+def standing(robot, dt, dtype=F64, points=FEET, kp=60.0, kd=2.0, **parameters):
+    """Scene of a robot with servos, whose parameters are tensors."""
     given = {name: torch.as_tensor(x, dtype=dtype) for name, x in {"stiffness": 2e4, **parameters}.items()}
     servo = effects.Servo(*(torch.as_tensor(x, dtype=dtype) for x in (kp, kd)))
-    return Scene(go2(), (effects.Gravity(), effects.RotorInertia(0.01), servo, effects.Contact(points, **given)), dt=dt)
+    parts = (effects.Gravity(), effects.RotorInertia(0.01), servo, effects.Contact(points, **given))
+    return Scene(robot, parts, dt=dt)
+
+
+def on_stool(*frames, radius=0.02):
+    """Spheres on the links of a quadruped of a joint each leg."""
+    return tuple(ContactPoint(f"{frame}{k}", radius=radius) for frame in frames for k in range(4))
 
 
 @pytest.mark.parametrize("dtype, most", [(F64, 1e-9), (torch.float32, 1e-5)], ids=str)
 def test_a_quadruped_that_stands_on_a_slope_does_not_creep(dtype, most):
     """In three seconds, after twenty of settling; the benchmark stands for a minute."""
     normal, turn = tilted(double([math.radians(10)]))
-    scene, q = standing(5e-3, dtype, normal=normal), STAND.to(dtype)[None]
-    first = rolled(scene, scene.start(q, X_WB=_on(normal, turn, 0.32).to(dtype)), 20.0, target=q)
+    robot, q = stool(), torch.zeros(1, 4, dtype=dtype)
+    scene = standing(robot, 5e-3, dtype, on_stool("foot"), normal=normal)
+    first = rolled(scene, scene.start(q, X_WB=_on(normal, turn, 0.31).to(dtype)), 20.0, target=q)
     last = rolled(scene, first, 3.0, target=q)
     assert (place(last) - place(first)).norm() <= most
-    weight = G * float(go2().mass.sum() + go2().base_mass)
+    weight = G * float(robot.mass.sum() + robot.base_mass)
     assert float(scene.contacts(last).force.sum(-2)[0, 2]) == pytest.approx(weight, rel=1e-4)
 
 
 def test_a_quadruped_in_any_state_gains_no_energy_at_large_steps():
-    """Feet, knees and trunk fall on ground from soft to 4 m / h^2 under servos with random targets, with 20 ms."""
-    dt, rows, weight = 0.02, 24, 15.0
-    generator = torch.Generator().manual_seed(0)
+    """Feet, hips and seat fall on ground from soft to 4 m / h^2 under servos with random targets, with 20 ms."""
+    dt, rows, robot = 0.02, 24, stool()
+    weight, generator = float(robot.mass.sum() + robot.base_mass), torch.Generator().manual_seed(0)
 
     def random(*shape):
         return torch.randn(rows, *shape, generator=generator, dtype=F64)
 
-    trunk = tuple(ContactPoint("base", (x, y, z)) for x in (-0.19, 0.19) for y in (-0.05, 0.05) for z in (-0.06, 0.06))
-    knees = tuple(ContactPoint(f"{leg}_calf", radius=0.03) for leg in ("FL", "FR", "RL", "RR"))
+    seat = tuple(ContactPoint("seat", (x, y, z)) for x in (-0.15, 0.15) for y in (-0.1, 0.1) for z in (-0.03, 0.03))
     k = torch.logspace(3, math.log10(4 * weight / dt**2), rows, dtype=F64)
-    scene = standing(dt, points=(*FEET, *knees, *trunk), kp=40.0, kd=1.0, stiffness=k)
-    target = STAND + 0.5 * random(12)
+    scene = standing(robot, dt, points=(*on_stool("foot", "leg"), *seat), kp=40.0, kd=1.0, stiffness=k)
+    target = 0.5 * random(4)
     X = at(0.8, rows, turn=torch.nn.functional.normalize(random(4), dim=-1))
-    state = scene.start(STAND + 0.6 * random(12), 3 * random(12), X_WB=X, V_WB_B=2 * random(6))
+    state = scene.start(0.6 * random(4), 3 * random(4), X_WB=X, V_WB_B=2 * random(6))
 
     def energy(state):
         return scene.energy(state).sum(-1) + 20.0 * (state.q - target).square().sum(-1)
@@ -585,7 +594,7 @@ def test_a_quadruped_stands_as_in_mujoco():
         mujoco.mj_contactForce(model, data, i, wrench)
         name = model.geom(max(data.contact[i].geom)).name
         theirs[[p.frame for p in FEET].index(name)] += wrench[0]
-    scene = standing(5e-3, stiffness=1e5)
+    scene = standing(go2(), 5e-3, stiffness=1e5)
     q = STAND[None]
     state = rolled(scene, scene.start(q, X_WB=at(0.32, 1)), 4.0, target=q)
     found = scene.contacts(state)
@@ -597,10 +606,6 @@ def test_a_quadruped_stands_as_in_mujoco():
 
 def _in_mujoco(mujoco):
     """The file's bodies on spheres as feet, with rotors and dampers."""
-    import re
-
-    from oracles import urdf_paths
-
     text = urdf_paths()["go2"].read_text(encoding="utf-8")
     for word in ("visual", "collision", "mujoco"):
         text = re.sub(rf"<{word}>.*?</{word}>", "", text, flags=re.S)
@@ -658,11 +663,10 @@ def test_other_masses_beside_contact_need_no_other_program():
     made = Scene(second.robot, (effects.Contact(list(points), stiffness=1e4),))
     assert made.effects[0].points != scene.effects[1].points  # a scene of its own knows the heavier box
     both = scene.replace(robot=robot.replace(base_mass=torch.stack([robot.base_mass, 1.5 * robot.base_mass])))
-    lands = torch.tensor([0.3, 0.0, 0.0, 2.0, 0.0, -1.0], dtype=torch.float64)
-    states = [
-        x.rollout(x.start(torch.zeros(*batch, 0, dtype=torch.float64), V_WB_B=lands.expand(*batch, 6)), steps=60).last
-        for x, batch in ((both, (2,)), (first, ()), (second, ()))
-    ]
+    states = []
+    for one, batch in ((both, (2,)), (first, ()), (second, ())):
+        state = begin(one, at(0.005, *batch), double(0.3, 0.0, 0.0, 2.0, 0.0, -1.0).expand(*batch, 6))
+        states.append(one.replace(backend="eager").rollout(state, steps=4, ends=True))
     assert bool(both.contacts(states[0]).touching.any(-1).all())
     for row in (0, 1):
         assert torch.equal(states[0].V_WB_B[row], states[1 + row].V_WB_B)

@@ -290,15 +290,18 @@ def followed(integrator, dt, seconds=0.6):
     return np.array(rows)
 
 
+FOLLOWED = [  # integrators, steps and errors
+    (DormandPrince(1e-9, 1e-11), 0.02, 1e-7),
+    (RungeKutta4(), 1e-3, 1e-4),
+    (FIXED[4], 1e-3, 1e-2),
+    (FIXED[1], 5e-4, 5e-2),
+    (LinearlyImplicit(), 5e-4, 0.2),
+]
+
+
 @pytest.mark.parametrize(
-    "integrator, dt, off",
-    [
-        (DormandPrince(1e-9, 1e-11), 0.02, 1e-7),
-        (RungeKutta4(), 1e-3, 1e-4),
-        (FIXED[4], 1e-3, 1e-2),
-        (FIXED[1], 5e-4, 5e-2),
-        (LinearlyImplicit(), 5e-4, 0.2),
-    ],
+    ("integrator", "dt", "off"),
+    thinned(FOLLOWED, [FOLLOWED[0], FOLLOWED[1], FOLLOWED[4]]),
     ids=lambda x: called(x) if hasattr(x, "order") else "",
 )
 def test_bristles_move_as_scipy_says(integrator, dt, off):
@@ -328,7 +331,7 @@ def test_bristles_reach_the_stationary_deflection_at_any_stiffness(bend, dt):
         # the torque on the wheel is that of the deflection
         slowed = moved.step(state._replace(qd=double(v)))
         assert float(slowed.qd - v) * INERTIA / 1e-9 == pytest.approx(-LEVEL * math.copysign(g, v), rel=1e-4)
-    held = Scene(WHEEL, (effects.LuGre(LEVEL, bend),), dt=dt, backend="auto")
+    held = Scene(WHEEL, (effects.LuGre(LEVEL, double(bend)),), dt=dt, backend="auto")
     state = held.rollout(held.start(double(0.0)), double(0.9 * LEVEL).expand(2000, 1)).last
     assert float(state.memory) == pytest.approx(0.9, rel=1e-3) and abs(float(state.qd)) < 1e-3
     assert float(state.q) < 20 * bend + 1e-9
@@ -391,7 +394,7 @@ def test_bristles_are_rows_of_a_batch_and_are_remembered():
 
 @pytest.mark.parametrize(
     "integrator",
-    thinned([LinearlyImplicit(), RungeKutta4(), DormandPrince(1e-9)], [LinearlyImplicit(), RungeKutta4()]),
+    thinned([LinearlyImplicit(), RungeKutta4(), DormandPrince(1e-9)], [LinearlyImplicit()]),
     ids=called,
 )
 def test_bristles_move_with_a_free_base(integrator):
@@ -401,7 +404,7 @@ def test_bristles_move_with_a_free_base(integrator):
     parts, u = (effects.LuGre(0.5, 0.01, settling=0.01), effects.LoadDependent(0.2)), double(2.0, -1.0)
     found = []
     for robot in (ARM, floating):
-        scene = Scene(robot, parts, integrator=integrator, dt=1e-3, backend="auto")
+        scene = Scene(robot, parts, integrator=integrator, dt=1e-3)
         found.append(scene.rollout(scene.start(double(0.3, -0.5)), u.expand(40, 2)).last)
     assert found[0].memory.abs().min() > 0.1
     for name in ("q", "qd", "memory"):
