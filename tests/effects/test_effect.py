@@ -192,24 +192,18 @@ def test_gradients_are_finite_where_formulas_have_corners(where):
         assert found[0] is not None, (kind, integrator)
 
 
-@pytest.mark.parametrize(
-    "effect",
-    [
-        effects.Gravity(9.81),
-        effects.Gravity(np.float32(9.81)),
-        effects.Gravity(torch.tensor(9.81)),
-        effects.Gravity(torch.tensor([9.81])),
-        effects.Payload(1.0, com=0.1),
-        effects.Payload(1.0, inertia=0.1),
-        effects.Payload(1.0, inertia=(1.0, 1.0, 100.0, 0.0, 0.0, 0.0)),
-        effects.Payload(torch.ones(5), inertia=(0.01, 0.02, 0.015, 0.0, 0.0, 0.0)),
-        effects.Stribeck(2.0, 1.0),
-        effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5),
-        effects.JointLimits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])),
-        effects.CommandDelay(10**7),
-        effects.TorqueSpeed(torch.tensor([math.inf, 5.0]), 3.0),
-    ],
-)
+FLAT, LOPSIDED = (1.0, 1.0, 100.0, 0.0, 0.0, 0.0), (0.01, 0.02, 0.015, 0.0, 0.0, 0.0)  # no inertias
+SENSELESS = [
+    *(effects.Gravity(g) for g in (9.81, np.float32(9.81), torch.tensor(9.81), torch.tensor([9.81]))),
+    *(effects.Payload(1.0, com=0.1), effects.Payload(1.0, inertia=0.1), effects.Payload(1.0, inertia=FLAT)),
+    *(effects.Payload(torch.ones(5), inertia=LOPSIDED), effects.Stribeck(2.0, 1.0)),
+    *(effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5), effects.CommandDelay(10**7)),
+    effects.JointLimits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])),
+    effects.TorqueSpeed(torch.tensor([math.inf, 5.0]), 3.0),
+]
+
+
+@pytest.mark.parametrize("effect", SENSELESS)
 def test_parameters_that_make_no_sense_are_refused(effect):
     robot = torchdq.robots.load("two_link").replace(joint_names=("shoulder", "elbow"))
     with refused(torchdq.ArgumentError):

@@ -2,7 +2,6 @@
 
 import warnings
 
-import gymnasium
 import helpers
 import pytest
 import torch
@@ -251,13 +250,6 @@ def test_environments_have_it(action):
     alone = ArmVectorEnv(1, "reach", PANDA, effects=parts, action=action, dtype="float64")
     alone.reset(seed=2)
     assert torch.allclose(alone.step(torch.full((1, 7), 0.1))[0][0], first[2], rtol=1e-9, atol=1e-9)
-
-
-def test_gymnasium_makes_environments_with_it():
-    parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.Residual(nn.Bilinear(7, 7, 7)))
-    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot="panda", effects=parts)
-    observation, _ = envs.reset(seed=0)
-    assert envs.step(0 * envs.action_space.sample())[0].shape == observation.shape
 
 
 def test_a_controller_and_a_rollout_by_a_policy_see_it():

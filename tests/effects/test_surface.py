@@ -79,22 +79,15 @@ def test_a_row_with_nan_touches_no_other():
     assert land(lost, y)[0][1].isnan().all()
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"heights": [[0.0, 0.0]] * 2},
-        {"heights": torch.zeros(2, 2, dtype=torch.int64)},
-        {"heights": torch.zeros(3)},
-        {"heights": torch.zeros(2, 1)},
-        {"heights": torch.tensor([[0.0, torch.nan], [0.0, 0.0]])},
-        {"spacing": 0.0},
-        {"spacing": "1"},
-        {"origin": 1.0},
-        {"origin": (1.0, 2.0, 3.0)},
-        {"origin": (1.0, torch.inf)},
-    ],
-    ids=str,
-)
+HEIGHTS = [[[0.0, 0.0]] * 2, torch.zeros(2, 2, dtype=torch.int64), torch.zeros(3), torch.zeros(2, 1)]
+WRONG = [
+    *({"heights": x} for x in (*HEIGHTS, torch.tensor([[0.0, torch.nan], [0.0, 0.0]]))),
+    *({"spacing": x} for x in (0.0, "1")),
+    *({"origin": x} for x in (1.0, (1.0, 2.0, 3.0), (1.0, torch.inf))),
+]
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=str)
 def test_a_map_that_is_none_is_refused(wrong):
     with refused((ArgumentError, DtypeError)):
         effects.HeightMap(**{"heights": torch.zeros(2, 2), "spacing": 0.1, **wrong})

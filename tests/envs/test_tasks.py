@@ -179,19 +179,6 @@ def test_a_task_that_returns_other_rows_is_refused(method, change):
         started(2, changed(method, lambda x, *_: change(x)))
 
 
-def test_limits_hold_a_usual_arm():
-    envs = ArmVectorEnv(32, robot="panda", max_episode_steps=None)
-    envs.reset(seed=0)
-    lower, upper, velocity, _ = envs.robot.limits
-    fastest = torch.zeros(7)
-    for _ in range(100):
-        *_, info = envs.step(torch.ones(32, 7))
-        fastest = torch.maximum(fastest, envs._buffers["qd"].abs().amax(0))
-    assert not bool(info["nonfinite"].any())
-    assert bool((envs._buffers["q"] > lower - 0.1).all()) and bool((envs._buffers["q"] < upper + 0.1).all())
-    assert bool((fastest < 6 * velocity).all())  # light joints are thrown about by heavy ones
-
-
 def test_a_task_whose_attributes_are_no_fields_is_refused():
     """Two such tasks would be equal, and share the program of the first."""
 

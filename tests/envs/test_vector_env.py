@@ -749,17 +749,6 @@ def test_other_libraries_wrap_them(module, wrapped):
     assert found.shape[0] == 4
 
 
-def test_static_friction_stays_above_that_of_motion_and_rows_keep_their_own():
-    rows = torch.tensor([[1.0], [2.0], [3.0], [4.0]]).expand(4, 7)
-    parts = (effects.Stribeck(2.0, 2.2), effects.Viscous(rows))
-    envs = ArmVectorEnv(4, effects=parts, randomise={"friction": 0.5})
-    envs.reset(seed=0)
-    stribeck, viscous = envs.scene.effects[:2]
-    assert torch.allclose(stribeck.static, 1.1 * stribeck.coulomb)
-    assert bool((viscous.coefficient >= 0.5 * rows).all()) and bool((viscous.coefficient <= 1.5 * rows).all())
-    assert float((viscous.coefficient / rows).std()) > 0.1
-
-
 def test_a_robot_that_stands_carries_its_weight_and_rests_where_it_was():
     """On grounds that differ; from a state that was saved it goes on the same, bristles included."""
     envs = started(30, **{**KINDS["standing"], "max_episode_steps": None})

@@ -180,6 +180,7 @@ GAINS = policies.Linear(torch.zeros(5, 2, 4), *ZEROS)
         lambda: moved(steps=2, task=Distance()),
         lambda: moved(steps=2, task="distance"),
         lambda: moved(steps=2, task=Distance),
+        lambda: moved(steps=2, total=3),
     ],
 )
 def test_a_wrong_policy_or_task_is_refused(call):

@@ -383,42 +383,25 @@ def test_a_row_without_values_that_has_ended_leaves_the_gradient_of_the_others(b
 Q = torch.zeros(3, 2, dtype=torch.float64)
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda s: s.step(Q, Q),
-        lambda s: s.step((Q, Q), Q),
-        lambda s: s.rollout(Q, steps=2),
-        lambda s: s.energy(Q),
-        lambda s: s.finite(None),
-        lambda s: s.linearize(Q),
-        lambda s: s.step(State(Q, None)),
-        lambda s: s.energy(State([0.0], Q)),
-        lambda s: s.rollout(s.start(Q), steps=2.5),
-        lambda s: s.rollout(s.start(Q), steps=2, checkpoint=0.5),
-        lambda s: s.rollout(s.start(Q), lambda x: x.q, 2),
-        lambda s: s.rollout(s.start(Q), torch.tensor(1.0)),
-        lambda s: s.rollout(s.start(Q), [[1.0, 2.0]]),
-        lambda s: s.rollout(s.start(Q), policy=lambda x, k: x.q),
-        lambda s: s.rollout(s.start(Q), steps=3, torque=torch.zeros(4, 2)),
-        lambda s: s.rollout(s.start(Q), steps=-1),
-        lambda s: s.rollout(s.start(Q), Q, policy=lambda x, k: x.q),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=Q),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x, k: None),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x, k: Q[:, :1]),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x, k: x.q.float()),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: x.q),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=torch.nn.Linear(2, 2)),
-        lambda s: s.rollout(s.start(Q), steps=2, done=True),
-        lambda s: s.rollout(s.start(Q), steps=2, done=lambda x, k: x.q > 0),
-        lambda s: s.rollout(s.start(Q), steps=2, done=lambda x: x.q > 0),
-        lambda s: s.rollout(s.start(Q), steps=2, done=lambda x: x.q[:, 0]),
-        lambda s: s.rollout(s.start(Q), steps=0).last,
-        lambda s: s.start(Q[0]).last,
-        lambda s: s.rollout(s.rollout(s.start(Q), steps=2)[-1], steps=2),
-        lambda s: s.rollout(s.start(Q), steps=2, nonfinite="keep"),
-    ],
-)
+STATES = [  # no states, or calls without one
+    *(lambda s: s.step(Q, Q), lambda s: s.step((Q, Q), Q), lambda s: s.rollout(Q, steps=2), lambda s: s.energy(Q)),
+    *(lambda s: s.finite(None), lambda s: s.linearize(Q), lambda s: s.step(State(Q, None))),
+    *(lambda s: s.energy(State([0.0], Q)), lambda s: s.rollout(s.start(Q), steps=0).last, lambda s: s.start(Q[0]).last),
+    lambda s: s.rollout(s.rollout(s.start(Q), steps=2)[-1], steps=2),
+]
+POLICIES = [lambda x, k: None, lambda x, k: Q[:, :1], lambda x, k: x.q.float(), lambda x: x.q, torch.nn.Linear(2, 2), Q]
+ENDS = [True, lambda x, k: x.q > 0, lambda x: x.q > 0, lambda x: x.q[:, 0]]
+WRONG = [  # arguments of rollouts
+    *({"steps": 2.5}, {"steps": -1}, {"steps": 2, "checkpoint": 0.5}, {"steps": 2, "nonfinite": "keep"}),
+    *({"torque": lambda x: x.q, "steps": 2}, {"torque": torch.tensor(1.0)}, {"torque": [[1.0, 2.0]]}),
+    *({"policy": lambda x, k: x.q}, {"policy": lambda x, k: x.q, "torque": Q}),
+    {"steps": 3, "torque": torch.zeros(4, 2)},
+    *({"steps": 2, "policy": policy} for policy in POLICIES),
+    *({"steps": 2, "done": done} for done in ENDS),
+]
+
+
+@pytest.mark.parametrize("call", [*STATES, *(lambda s, wrong=x: s.rollout(s.start(Q), **wrong) for x in WRONG)])
 def test_a_wrong_state_or_rollout_is_refused(call):
     with refused(torchdq.ArgumentError):
         call(Scene(ARM, (effects.Gravity(),)))

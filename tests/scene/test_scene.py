@@ -124,31 +124,18 @@ def test_a_program_takes_the_inputs_of_its_scene():
 STRICT = Scene(ARM, (effects.Servo(1.0), effects.Push(), effects.CommandDelay(1), effects.Noise(0.1)), PD(1.0, 1.0))
 
 
+THREE, SEVEN = torch.zeros(5, 3, dtype=torch.float64), torch.zeros(5, 7, dtype=torch.float64)
+UNFIT = [
+    *({"trgt": ZERO}, {"trgt": None}, {"q": ZERO}, {"target": None}, {"reference": None}, {"target": THREE[0]}),
+    *({"torque": ZERO[:1]}, {"push": ZERO}, {"noise": ZERO}, {"torque": ZERO.float()}, {"torque": [0.0, 0.0]}),
+    *({"torque": ZERO.numpy()}, {"torque": torch.zeros(7, 2, dtype=torch.float64)}),
+    *({"state": x} for x in ({"q": SEVEN}, {"qd": THREE}, {"memory": None}, {"reading": None}, {"memory": THREE})),
+]
+
+
 @pytest.mark.case("P8", "P14")
 @pytest.mark.parametrize("integrator", [SemiImplicitEuler(), DormandPrince()], ids=called)
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"trgt": ZERO},
-        {"trgt": None},
-        {"q": ZERO},
-        {"target": None},
-        {"reference": None},
-        {"target": torch.zeros(3, dtype=torch.float64)},
-        {"torque": ZERO[:1]},
-        {"push": ZERO},
-        {"noise": ZERO},
-        {"torque": ZERO.float()},
-        {"torque": [0.0, 0.0]},
-        {"torque": ZERO.numpy()},
-        {"torque": torch.zeros(7, 2, dtype=torch.float64)},
-        {"state": {"q": torch.zeros(5, 7, dtype=torch.float64)}},
-        {"state": {"qd": torch.zeros(5, 3, dtype=torch.float64)}},
-        {"state": {"memory": None}},
-        {"state": {"reading": None}},
-        {"state": {"memory": torch.zeros(5, 3, dtype=torch.float64)}},
-    ],
-)
+@pytest.mark.parametrize("change", UNFIT)
 def test_what_does_not_fit_at_a_step_is_refused_by_name(change, integrator):
     """At every step, also after one that fits."""
     scene = STRICT.replace(integrator=integrator)
