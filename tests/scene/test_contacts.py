@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 from messages import refused
+from on_ground import body
 
 import torchdq
 from torchdq import Scene, dq, effects
@@ -14,12 +15,10 @@ from torchdq.robot import ContactPoint
 BACKEND = "auto"
 F64 = torch.float64
 MASS, SIDE, G = 2.0, 0.1, 9.81
-BOX = f"""<robot name="box"><link name="box"><inertial><mass value="{MASS}"/>
-<inertia ixx="0.003" iyy="0.003" izz="0.003" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
-CORNERS = tuple(ContactPoint("box", (x, y, -SIDE / 2)) for x in (-SIDE / 2, SIDE / 2) for y in (-SIDE / 2, SIDE / 2))
+CORNERS = tuple(ContactPoint("body", (x, y, -SIDE / 2)) for x in (-SIDE / 2, SIDE / 2) for y in (-SIDE / 2, SIDE / 2))
 
 
-ROBOT, GRAVITY = torchdq.Robot.from_urdf(BOX, base="floating"), effects.Gravity((0.0, 0.0, -G))
+ROBOT, GRAVITY = body(MASS, (0.003, 0.003, 0.003)), effects.Gravity((0.0, 0.0, -G))
 
 
 def scene(*points: ContactPoint, **parameters) -> Scene:

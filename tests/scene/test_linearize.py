@@ -10,6 +10,7 @@ from free_flyers import case, motion
 from helpers import WHEEL, double, random, thinned
 from scenes import ARM, TREE, rich
 from scipy.linalg import solve_discrete_are
+from urdf_text import joint, link, urdf
 
 import torchdq
 from torchdq import dq
@@ -243,16 +244,10 @@ def test_a_spinning_body_has_the_modes_of_euler(axis):
     assert (float(found.abs().max()) > 1.01) == (axis == 1)
 
 
-WHEELS = (
-    """<robot name="satellite"><link name="body"><inertial><mass value="10"/>
-<inertia ixx="1" iyy="1.2" izz="0.8" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-    + "".join(
-        f"""<joint name="{x}" type="continuous"><parent link="body"/><child link="wheel_{x}"/>
-<axis xyz="{axis}"/></joint><link name="wheel_{x}"><inertial><mass value="0.5"/>
-<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-        for x, axis in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True)
-    )
-    + "</robot>"
+WHEELS = urdf(
+    link("body", 10, (1, 0, 1.2, 0, 0, 0.8), (0, 0, 0)),
+    *(link(f"wheel_{x}", 0.5, (0.01, 0, 0.01, 0, 0, 0.01), (0, 0, 0)) for x in "xyz"),
+    *(joint(x, "body", f"wheel_{x}", "continuous", axis=[x == y for y in "xyz"], more="") for x in "xyz"),
 )
 
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 from helpers import INERTIA, WHEEL, called, double, thinned
 from messages import refused, warned
+from on_ground import body
 from scenes import ARM, PANDA
 from urdf_text import joint, link, urdf
 
@@ -166,12 +167,8 @@ def test_a_check_of_nothing_is_refused(given):
 
 # --- ground ----------------------------------------------------------------------------------------------------------
 
-BOX = torchdq.Robot.from_urdf(
-    """<robot name="box"><link name="box"><inertial><mass value="2"/>
-    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>""",
-    base="floating",
-)
-CORNERS = tuple(ContactPoint("box", (x, y, -0.05)) for x in (-0.1, 0.1) for y in (-0.1, 0.1))
+BOX = body(2.0, (0.01, 0.01, 0.01))
+CORNERS = tuple(ContactPoint("body", (x, y, -0.05)) for x in (-0.1, 0.1) for y in (-0.1, 0.1))
 NONE = double().reshape(0)
 
 
