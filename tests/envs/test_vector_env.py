@@ -282,12 +282,8 @@ KINDS = {
     },
     "standing": {
         **{"task": TorchTask(reward=lambda now: -now.V_WB_B.square().sum(1), start=stand, draws=4), "robot": FREE},
-        **{
-            "effects": (effects.Gravity((0.0, 0.0, -9.81)), effects.Servo(40.0, 4.0), FEET),
-            "action": "target",
-            "scale": None,
-            "dtype": "float64",
-        },
+        **{"effects": (effects.Gravity((0.0, 0.0, -9.81)), effects.Servo(40.0, 4.0), FEET), "dtype": "float64"},
+        **{"action": "target", "scale": None},
         "randomise": {"Contact.friction": 0.5, "Contact.stiffness": 0.5, "Contact.height": Absolute(-0.01, 0.01)},
     },
     "free with servos": {
@@ -319,9 +315,7 @@ def test_a_row_is_the_single_environment(kind):
 def test_every_row_may_have_its_own_seed_and_one_whose_seed_is_none_continues():
     one, other = make(3).reset(seed=np.array([4, 9, 5]))[0], make(6).reset(seed=4)[0]
     assert torch.equal(one, other[[0, 5, 1]])
-    envs, plain = make(3), make(3)
-    envs.reset(seed=0)
-    plain.reset(seed=0)
+    envs, plain = started(3), started(3)
     observations, _ = envs.reset(seed=[8, None, 9])
     assert torch.equal(observations[[0, 2]], make(2).reset(seed=8)[0])
     assert torch.equal(observations[1], plain.reset()[0][1])
@@ -424,10 +418,9 @@ def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
         "effects": (*default_effects(ROBOT), effects.Noise(0.01, 0.01), effects.Push()),
         **{"robot": FREE, "pushes": PUSHES},
     }
-    looking, blind = (make(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
+    looking, blind = (started(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
     blind._looks = False
     for envs in (looking, blind):
-        envs.reset(seed=0)
         envs._buffers["steps"][1:3] = 2  # two rows are ahead of the others
     for k in range(11):
         if k == 5:
@@ -539,9 +532,7 @@ def test_a_call_that_is_refused_changes_nothing(call):
 
 
 def test_actions_out_of_range_are_clipped_and_counted():
-    envs, within = make(), make()
-    envs.reset(seed=0)
-    within.reset(seed=0)
+    envs, within = started(), started()
     wild = torch.tensor([[0.5, 1.0], [-1.5, 0.0], [3.0, -1.00001], [0.0, 0.0], [0.0, 1e30]])
     result, expected = envs.step(wild), within.step(wild.clamp(-1, 1))
     assert result[4].pop("clipped").tolist() == [0, 1, 2, 0, 1]
@@ -573,9 +564,8 @@ def test_a_full_action_of_the_default_kind_moves_a_joint_at_its_velocity_limit()
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e8])
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_a_row_that_fails_terminates_alone(mode, bad):
-    envs, healthy = (make(autoreset_mode=mode) for _ in range(2))
-    before, _ = envs.reset(seed=0)
-    healthy.reset(seed=0)
+    envs, healthy = (started(autoreset_mode=mode) for _ in range(2))
+    before = envs.get_state()["observation"]
     envs._buffers["qd"][2, 0] = bad
     action = next(actions_of(envs))
     observations, rewards, terminated, truncated, info = envs.step(action)
@@ -613,12 +603,8 @@ def test_saved_environments_go_on_as_if_nothing_had_been(task, tmp_path):
 
 
 def test_a_state_that_other_effects_remember_is_refused():
-    lagging, late = (
-        make(effects=(*default_effects(ROBOT), effect))
-        for effect in (effects.FirstOrderLag(0.05), effects.CommandDelay(1))
-    )
-    for envs in (lagging, late):
-        envs.reset(seed=0)
+    remembering = (effects.FirstOrderLag(0.05), effects.CommandDelay(1))
+    lagging, late = (started(effects=(*default_effects(ROBOT), effect)) for effect in remembering)
     state = lagging.get_state()
     assert state["memory of FirstOrderLag"].shape == late.get_state()["memory of CommandDelay"].shape
     with refused(torchdq.ArgumentError):

@@ -150,15 +150,7 @@ def test_adaptive_steps_are_only_run():
     assert scene.check(scene.start(double(0.3, 0.4)), seconds=0.05)
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"state": ARM.mass},
-        {"seconds": 0.0},
-        {"seconds": 1e6},
-        {"target": None},
-    ],
-)
+@pytest.mark.parametrize("given", [{"state": ARM.mass}, {"seconds": 0.0}, {"seconds": 1e6}, {"target": None}])
 def test_a_check_of_nothing_is_refused(given):
     scene = Scene(ARM, (effects.Servo(1.0),))
     with refused(torchdq.ArgumentError):
