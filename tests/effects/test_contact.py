@@ -9,7 +9,7 @@ import pytest
 import torch
 from helpers import thinned
 from messages import refused
-from on_ground import F64, FEET, STAND, G, at, ball, begin, box, go2, place, rolled, tilted
+from on_ground import F64, FEET, STAND, G, at, ball, begin, box, go2, path, place, rolled, tilted
 from oracles import random_tree, shipped, states, urdf_paths
 from small_envs import stool
 
@@ -20,7 +20,6 @@ from torchdq.robot import ContactPoint
 from torchdq.scene import recording
 from torchdq.scene.integrators import RungeKutta4
 
-BACKEND = "auto"
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="thousands of steps need a C compiler")
 MU = 0.5
 STEPS = pytest.mark.parametrize("dt", thinned([1e-3, 5e-3, 1e-2], [5e-3, 1e-2]))
@@ -216,9 +215,8 @@ def test_friction_of_an_impact_off_the_centre_is_at_most_mu_times_its_normal_imp
     turn = torch.from_numpy(rng.normal(size=(rows, 4)))
     V = torch.from_numpy(rng.normal(size=(rows, 6)) * [3, 3, 3, 1, 1, 1])
     state = begin(scene, at(0.6, rows, turn=turn / turn.norm(dim=-1, keepdim=True)), V)
-    with torch.no_grad():
-        path = scene.rollout(state, steps=160)
-    v = torchdq.dq.rotate(torchdq.dq.rotation(path.X_WB), path.V_WB_B[..., 3:])
+    states = path(scene, state, 160)
+    v = torchdq.dq.rotate(torchdq.dq.rotation(states.X_WB), states.V_WB_B[..., 3:])
     impulse = 1.5 * (v.diff(dim=0) + h * double(0.0, 0.0, G))
     hit = impulse.norm(dim=-1) > 1e-9
     first = hit & ((~hit & (hit.cumsum(0) > 0)).cumsum(0) == 0)  # up to the first step without a force after it
@@ -251,8 +249,7 @@ def test_a_fall_never_gains_height_whatever_the_body_and_the_stiffness(friction,
     turn = torch.from_numpy(rng.normal(size=(rows, 4)))
     X = at(rng.uniform(0.5, 0.8, rows), rows, turn=turn / turn.norm(dim=-1, keepdim=True))
     state = begin(scene, X, torch.from_numpy(rng.normal(size=(rows, 6)) * [5, 5, 5, 1, 1, 1]))
-    with torch.no_grad():
-        energy = scene.energy(scene.rollout(state, steps=100)).sum(-1)
+    energy = scene.energy(path(scene, state, 100)).sum(-1)
     assert ((energy - scene.energy(state).sum(-1)) / G).max() <= 1e-9
 
 
@@ -356,19 +353,18 @@ def test_turning_the_world_turns_the_motion():
 @pytest.mark.parametrize("stiction", [True, False])
 def test_a_tumbling_cube_loses_energy_and_comes_to_rest(stiction):
     scene, state = tumbling(5e-3, stiction=stiction)
-    with torch.no_grad():
-        path = scene.rollout(state, steps=800)
-    found = scene.contacts(path)
+    states = path(scene, state, 800)
+    found = scene.contacts(states)
     assert found.touching.any() and (found.force[~found.touching] == 0).all()
     stored = 0.5 * 5e3 * found.depth.clamp(min=0).square().sum(-1)
     if stiction:
-        memory = path.memory.unflatten(-1, (8, 8))
+        memory = states.memory.unflatten(-1, (8, 8))
         pressed = torch.minimum(memory[..., 3], found.depth).clamp(min=0)
         stored = 0.5 * 5e3 * (memory[..., :3].square().sum(-1) + pressed.square()).sum(-1)
-    energy = torch.cat([scene.energy(state).sum()[None], scene.energy(path).sum(-1) + stored])
+    energy = torch.cat([scene.energy(state).sum()[None], scene.energy(states).sum(-1) + stored])
     assert (torch.diff(energy) <= 1e-3 * energy[0]).all() and energy[-1] < 0.6 * energy[0]
-    assert path.V_WB_B[-1].norm() < 0.02
-    assert float(place(path)[-1, 2]) == pytest.approx(0.1 - G / 2e4, abs=2e-5)
+    assert states.V_WB_B[-1].norm() < 0.02
+    assert float(place(states)[-1, 2]) == pytest.approx(0.1 - G / 2e4, abs=2e-5)
 
 
 def test_friction_and_stiffness_of_no_size_change_nothing():
@@ -414,9 +410,7 @@ def test_a_ball_rolls_to_and_fro_in_a_valley_without_gaining_energy():
     robot, points = ball()
     scene = Scene(robot, (effects.Gravity(), effects.Contact(points, surface=waves, stiffness=2e4)), dt=5e-3)
     X = torchdq.dq.from_pose(double(1.0, 0, 0, 0), double(0.03, 0.0, -A * math.cos(0.18) + 0.1))
-    with torch.no_grad():
-        path = scene.rollout(begin(scene, X), steps=1600)
-    x = place(path)[:, 0]
+    x = place(path(scene, begin(scene, X), 1600))[:, 0]
     assert x.min() < -0.02 and x.abs().max() <= 0.0301  # to the other side, and no further
     crossings = ((x[1:] < 0) != (x[:-1] < 0)).nonzero()[:, 0]
     period = float((crossings[2:] - crossings[:-2]).double().mean()) * 5e-3
@@ -436,9 +430,7 @@ def test_an_arm_that_wipes_rubs_with_mu_times_what_it_presses():
     x, y = 0.6 + 0.1 * time, torch.full_like(time, -1.23)  # 3 cm into the wall
     elbow = torch.acos((x * x + y * y) / 2 - 1)
     target = torch.cat([torch.atan2(y, x) - elbow / 2, elbow], -1)
-    with torch.no_grad():
-        path = scene.rollout(scene.start(target[0]), target=target)
-    found = scene.contacts(path)
+    found = scene.contacts(path(scene, scene.start(target[0]), 400, target=target))
     f_t, f_n = found.force[200:, 0, 0].abs(), found.normal_force[200:, 0]
     assert (f_n > 5).all() and torch.allclose(f_t, mu * f_n, rtol=5e-3)
     assert torch.allclose(found.slip[200:, 0], double(0.1), rtol=0.2)
@@ -471,16 +463,14 @@ def test_an_elastic_arm_leans_on_the_ground_with_the_torques_of_its_springs():
 # --- gradients -------------------------------------------------------------------------------------------------------
 
 
-def thrown(steps, height=0.012):
+def thrown(steps, height=0.012, backend="auto"):
     """End of a box thrown along the ground, as a function of speed, spin, friction and stiffness [..., 4]."""
 
     def end(point):
         v, w, mu, k = point.unbind(-1)
         scene = ground(box(), 5e-3, friction=mu, stiffness=k)
         V = torch.stack([w, 0 * w, w, v, 0.3 * v, 0 * v], -1)
-        state = begin(scene, at(height, *v.shape), V)
-        for _ in range(steps):
-            state = scene.step(state)
+        state = scene.replace(backend=backend).rollout(begin(scene, at(height, *v.shape), V), steps=steps, ends=True)
         return torch.cat([state.X_WB, state.V_WB_B], -1)
 
     return end
@@ -500,10 +490,9 @@ def test_gradients_through_many_steps_are_differences(steps):
 
 
 def test_second_derivatives_of_a_step_that_touches_are_right():
-    end, size = thrown(1, height=0.009), double(1.0, 1.0, 1.0, 1e4)
+    end, size = thrown(1, height=0.009, backend="eager"), double(1.0, 1.0, 1.0, 1e4)
     point = double(1.5, 0.5, 0.3, 1.0).requires_grad_()
-    with torchdq.backend("eager"):
-        assert torch.autograd.gradgradcheck(lambda x: end(x * size)[8:], [point], atol=1e-5, rtol=1e-4, fast_mode=True)
+    assert torch.autograd.gradgradcheck(lambda x: end(x * size)[8:], [point], atol=1e-5, rtol=1e-4, fast_mode=True)
 
 
 # --- a quadruped -----------------------------------------------------------------------------------------------------
@@ -649,7 +638,7 @@ def test_other_masses_beside_contact_need_no_other_program():
     states = []
     for one, batch in ((both, (2,)), (first, ()), (second, ())):
         state = begin(one, at(0.005, *batch), double(0.3, 0.0, 0.0, 2.0, 0.0, -1.0).expand(*batch, 6))
-        states.append(one.replace(backend="eager").rollout(state, steps=4, ends=True))
+        states.append(one.rollout(state, steps=4, ends=True))
     assert bool(both.contacts(states[0]).touching.any(-1).all())
     for row in (0, 1):
         assert torch.equal(states[0].V_WB_B[row], states[1 + row].V_WB_B)

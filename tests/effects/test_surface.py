@@ -14,7 +14,6 @@ from torchdq.errors import DtypeError
 from torchdq.robot import ContactPoint
 from torchdq.scene import Scene, integrators
 
-BACKEND = "auto"
 F64 = torch.float64
 EPS = 2.0**-52
 
@@ -125,7 +124,8 @@ def thrown(scene, steps=60, rows=4, **more):
     at = random(rows, 3, seed=7) * torch.tensor([0.5, 0.5, 0.02]) + torch.tensor([0.0, 0.0, 0.2])
     X = dq.from_pose(torch.tensor([1.0, 0, 0, 0], dtype=F64).expand(rows, 4), at)
     V = random(rows, 6, seed=8)
-    return scene.rollout(scene.start(torch.zeros(rows, 0, dtype=F64), X_WB=X, V_WB_B=V), steps=steps, **more)
+    start = scene.start(torch.zeros(rows, 0, dtype=F64), X_WB=X, V_WB_B=V)
+    return scene.replace(backend="auto").rollout(start, steps=steps, **more)
 
 
 def ground(surface, robot=None, **more):
@@ -192,7 +192,7 @@ def test_maps_serve_several_contacts_substeps_and_repeated_steps():
     q = torch.tensor([0.3, -0.2, 0.1], dtype=F64).expand(2, 3)
 
     def after(contacts, **how):
-        scene = Scene(robot, (effects.Gravity(), effects.Viscous(1.0), *contacts), dt=0.02, backend="eager", **how)
+        scene = Scene(robot, (effects.Gravity(), effects.Viscous(1.0), *contacts), dt=0.02, **how)
         return scene.rollout(scene.start(q), steps=4, ends=True)
 
     for how in ({"substeps": 2}, {"integrator": integrators.Repeated(integrators.LinearlyImplicit(), 2)}):
