@@ -17,9 +17,8 @@ from torchdq.envs import ArmVectorEnv, controllers, effects
 from torchdq.envs.pose_actions import PoseActions
 from torchdq.errors import ArgumentError
 
-BACKEND = "auto"
 PLANAR = controllers.OperationalSpace(100.0, 20.0, axes=("x", "y"), expressed="world")
-POSE = {"action": "pose", "scale": None, "controller": PLANAR, "dtype": torch.float64}
+POSE = {"action": "pose", "scale": None, "controller": PLANAR, "dtype": torch.float64, "backend": "auto"}
 ONE = ((1.0, 0.0, 0.0, 0.0), (0.0,) * 4)
 
 
@@ -100,7 +99,7 @@ def test_blocks_are_steps_and_an_episode_begins_where_the_arm_is(leash):
 def test_a_proportional_policy_reaches():
     """The tip of 95 % of Pandas is within 2 cm of its goal after 1.5 s, with friction that the controller ignores."""
     control = controllers.OperationalSpace(400.0, 40.0, axes="position", expressed="world")
-    envs = ArmVectorEnv(1024, "reach", "panda", action="pose", controller=control)
+    envs = ArmVectorEnv(1024, "reach", "panda", action="pose", controller=control, backend="auto")
     observation, _ = envs.reset(seed=1)
     for _ in range(75):
         observation, *_, info = envs.step(observation[:, 21:24] / 0.1)
@@ -126,7 +125,7 @@ def test_an_absolute_pose_is_reached_by_its_action_or_approached(axes):
 
 
 def test_the_default_controller_follows_absolute_poses():
-    envs = ArmVectorEnv(16, "reach", "panda", action="pose", dtype="float64")
+    envs = ArmVectorEnv(16, "reach", "panda", action="pose", dtype="float64", backend="auto")
     envs.reset(seed=1)
     before, lost = envs.get_state()["reference"], 0.0
     for k in range(1, 61):

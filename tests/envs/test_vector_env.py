@@ -163,7 +163,7 @@ def test_robots_of_a_stack_are_each_simulated(task, action):
 def test_gymnasium_makes_them():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=7, robot="ur10e")
+        envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=7, robot="ur10e", backend="eager")
         assert isinstance(envs, ArmVectorEnv) and envs.max_episode_steps == 250
         assert envs.output == "numpy" and envs.autoreset_mode == AutoresetMode.NEXT_STEP  # gymnasium's contract
         assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP

@@ -13,7 +13,6 @@ from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import RungeKutta4
 from torchdq.scene.loops import loops
 
-BACKEND = "auto"
 ROWS, STEPS = 5, 7
 
 
@@ -37,13 +36,16 @@ def flying(rows=ROWS):
     m = motion(base, batch=rows)
     acting = (effects.Gravity(), effects.Contact(height=0.3, stiffness=100.0, friction=0.5), effects.Noise(0.1, 0.2))
     scene = Scene(base.robot, acting)
-    return scene, scene.start(m["q"], m["qd"], uniform(scene, rows), X_WB=m["X_WB"], V_WB_B=m["V_WB_B"])
+    return scene.replace(backend="auto"), scene.start(
+        m["q"], m["qd"], uniform(scene, rows), X_WB=m["X_WB"], V_WB_B=m["V_WB_B"]
+    )
 
 
 def standing(scene):
     """Scene, and a state of it in motion."""
     q = 0.3 * random(ROWS, scene.n)
-    return scene, scene.start(q, random(ROWS, scene.n, seed=1), uniform(scene, ROWS))
+    start = scene.start(q, random(ROWS, scene.n, seed=1), uniform(scene, ROWS))
+    return scene.replace(backend="auto"), start
 
 
 masses = ARM.mass * torch.linspace(0.8, 1.2, ROWS, dtype=torch.float64)[:, None]
