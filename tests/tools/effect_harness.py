@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import torch
+from helpers import thinned
 from oracles import Case, random_tree, shipped, states
 
 from torchdq.envs import Scene, effects
@@ -107,6 +108,10 @@ def agrees(b, effect, *, torques=0.0, model=None, **inputs):
 # --- forms of a parameter ---
 
 FORMS = ("number", "list", "tensor", "batched")
+# robots and forms: in every form on a tree of all joints, and once on a real arm
+ON_ROBOTS = thinned(
+    [(name, form) for name in CASES for form in FORMS], [*(("tree", x) for x in FORMS), ("panda", "list")]
+)
 
 
 class Given(NamedTuple):
