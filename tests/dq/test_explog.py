@@ -258,7 +258,7 @@ def test_the_second_derivative_of_w_at_the_identity_is_minus_one():
 
 
 def derivatives(f, at):
-    """Value of f at some rows, gradient of a weighted sum of its components, and second derivatives [width, rows, width]."""
+    """Values of f at some rows, gradient of a weighted sum of them, and second derivatives [width, rows, width]."""
     at = at.clone().requires_grad_()
     value = f(at)
     weights = torch.arange(1.0, 1.0 + value.shape[-1], dtype=at.dtype)
