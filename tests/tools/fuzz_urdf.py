@@ -3,7 +3,7 @@
     python tests/tools/fuzz_urdf.py [--cases 20000] [--first 0]
 
 Each case takes at most a second and 256 MB. Cases are numbered, and a number makes the same file on every machine:
-`outcome(case(1234))` does one again. `make test` takes 500 of them.
+`outcome(case(1234))` does one again. `make test` takes 200 of them.
 """
 
 import argparse

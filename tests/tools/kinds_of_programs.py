@@ -5,8 +5,8 @@ import sys
 from collections.abc import Callable
 from functools import cache, partial
 
-import torch
 from places import BENCHMARKS
+from robots import on_free_base as free
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects
@@ -31,12 +31,6 @@ def robot(name: str, arguments: tuple[str, ...] = ()) -> torchdq.Robot:
     """Shipped robot; the named tensors are arguments of its programs."""
     loaded = torchdq.robots.load(name)
     return loaded.replace(**{field: getattr(loaded, field) for field in arguments})
-
-
-def free(on_fixed: torchdq.Robot) -> torchdq.Robot:
-    """Robot whose base is a body that moves."""
-    body = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
-    return on_fixed.replace(**{name: torch.tensor(x, dtype=torch.float64) for name, x in body.items()}).bake()
 
 
 def recipe(name: str, function: str, present=None, options=(), fields=(), derivative=False) -> Program:
