@@ -8,10 +8,7 @@ from torchdq import Robot, dq
 
 F64 = torch.float64
 EPS = 2.0**-52
-POINT = np.array([0.3, -0.2, 0.5])
-DIRECTION = np.array([2.0, -3.0, 6.0]) / 7.0
-LINE = np.concatenate([DIRECTION, np.cross(POINT, DIRECTION)])  # screws of a revolute and of a prismatic joint
-SLIDE = np.concatenate([np.zeros(3), DIRECTION])
+LINE = np.array([2.0, -3.0, 6.0, 0.3, -0.8, -0.5]) / 7.0  # screw of a revolute joint
 BALL = (0.02, 0, 0.02, 0, 0, 0.02)
 FREE_BODY = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
 ARMS = tuple(name for name in torchdq.robots.names() if not torchdq.robots.load(name).floating)  # that are shipped
