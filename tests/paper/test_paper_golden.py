@@ -191,13 +191,11 @@ SPATIAL = [
     ((6, 2, -3), (0.3, 0, 0.1), 0.0, 0.8, (0.02, 0.03, 0.04), (0.01, 0.001, 0.012, -0.002, 0.0015, 0.009)),
 ]
 Q, QD, QDD = (0.4, -0.3, 0.2, 0.7), (1.0, -0.5, 0.6, -1.2), (0.3, 0.9, -1.1, 2.0)
-WRENCHES = {
-    "free": ((0, 0, 0, 0, 0, 0), (-5.7419712922380, 17.3461117975432, 1.0993740217201, -0.1735362574306)),
-    "loaded": (
-        (1, -2, 3, 0.4, 0.5, -0.6),
-        (-5.5683411718473, 19.9695551790130, -0.5071906678672, 1.7693208854266),
-    ),
-}
+LOAD = (1, -2, 3, 0.4, 0.5, -0.6)
+TORQUES = [  # by the wrench at the tip
+    ((0, 0, 0, 0, 0, 0), (-5.7419712922380, 17.3461117975432, 1.0993740217201, -0.1735362574306)),
+    (LOAD, (-5.5683411718473, 19.9695551790130, -0.5071906678672, 1.7693208854266)),
+]
 
 
 def spatial_chain():
@@ -205,30 +203,22 @@ def spatial_chain():
     axes, origins, pitches, mass, com, inertia = zip(*SPATIAL, strict=True)
     p, l = double(origins).cumsum(0), double(axes)
     l = l / l.norm(dim=-1, keepdim=True)
-    screws = [
-        torch.cat([0 * l_i, l_i] if h is None else [l_i, torch.linalg.cross(p_i, l_i) + h * l_i])
-        for l_i, p_i, h in zip(l, p, pitches, strict=True)
-    ]
+    rows = zip(l, p, pitches, strict=True)
+    screws = [torch.cat([0 * u, u] if h is None else [u, torch.linalg.cross(x, u) + h * u]) for u, x, h in rows]
     upright = double([1, 0, 0, 0])
-    return torchdq.Robot.from_screws(
-        joint_screws=torch.stack(screws),
-        link_poses=torchdq.dq.from_pose(upright.expand(4, 4), p),
-        tip_pose=torchdq.dq.from_pose(upright, p[-1] + double([0.1, 0.2, 0.3])),
-        mass=mass,
-        com=com,
-        inertia=inertia,
-        gravity=(0.0, 0.0, -9.81),
-    )
+    poses = torchdq.dq.from_pose(upright.expand(4, 4), p)
+    tip = torchdq.dq.from_pose(upright, p[-1] + double([0.1, 0.2, 0.3]))
+    return torchdq.Robot.from_screws(torch.stack(screws), mass, com, inertia, link_poses=poses, tip_pose=tip)
 
 
 @ways
 def test_spatial_torques(way):
     assert spatial_chain().kinds == ("revolute", "prismatic", "helical", "revolute")
-    for wrench, expected in WRENCHES.values():
+    for wrench, expected in TORQUES:
         found = way(spatial_chain(), double(Q), double(QD), double(QDD), double(wrench))
         close(found, double(expected), TOLERANCE)
 
 
-@all_in_one(WRENCHES)
-def test_spatial_accelerations_from_the_recorded_torques(load):
-    require_accelerations(spatial_chain(), *map(double, (Q, QD, QDD, *WRENCHES[load])))
+@all_in_one(TORQUES)
+def test_spatial_accelerations_from_the_recorded_torques(wrench_and_torques):
+    require_accelerations(spatial_chain(), *map(double, (Q, QD, QDD, *wrench_and_torques)))

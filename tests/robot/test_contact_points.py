@@ -206,17 +206,10 @@ def test_names_without_shapes_and_shapes_without_points_are_refused_with_a_way_o
         robot.contact_points(3)
 
 
-NO_FORMS = (
-    "",
-    "<cone/>",
-    '<sphere radius="-1"/>',
-    "<sphere/>",
-    '<box size="1 2"/>',
-    '<cylinder radius="1" length="nan"/>',
-)
+NO_FORMS = ["", "<cone/>", '<sphere radius="-1"/>', "<sphere/>", '<box size="1 2"/>']
 
 
-@all_in_one(NO_FORMS)
+@all_in_one([*NO_FORMS, '<cylinder radius="1" length="nan"/>'])
 def test_shapes_that_cannot_be_read_keep_no_robot_from_being_read(form):
     robot = Robot.from_urdf(legs(BALL, form))
     assert robot.contact_points("left_foot")

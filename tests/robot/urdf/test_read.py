@@ -317,22 +317,17 @@ def test_damping_friction_and_limits_are_read_and_reported_but_no_part_of_the_ri
 
 # --- bodies that cannot exist ----------------------------------------------------------------------------------------
 
-BROKEN = {
-    "triangle": (0.1, 0, 0.1, 0, 0, 0.25),
-    "negative moment": (0.1, 0, 0.2, 0, 0, -0.05),
-    "large product": (0.1, 0.3, 0.1, 0, 0, 0.1),
-}
-NEGATIVE, LIGHT, INDEFINITE = BROKEN["negative moment"], ("mass.negative", "upper"), ("inertia.indefinite", "upper")
-LOWER = ("inertia.indefinite", "lower")
+FLAT, NEGATIVE, WIDE = (0.1, 0, 0.1, 0, 0, 0.25), (0.1, 0, 0.2, 0, 0, -0.05), (0.1, 0.3, 0.1, 0, 0, 0.1)
+LIGHT, INDEFINITE, LOWER = ("mass.negative", "upper"), ("inertia.indefinite", "upper"), ("inertia.indefinite", "lower")
 FREE, REPAIR = {"base": "floating"}, {"on_unphysical": "repair"}
 UNPHYSICAL = {  # file, options, and faults by code and link
     "negative mass": (arm(mass=-1.25), {}, LIGHT),
     "negative moment": (arm(inertia=NEGATIVE), {}, INDEFINITE),
-    "large product": (arm(inertia=BROKEN["large product"]), {}, INDEFINITE),
+    "large product": (arm(inertia=WIDE), {}, INDEFINITE),
     "no mass": (arm(mass=0.0, inertia=NEGATIVE), {}, INDEFINITE),
     "two": (arm(mass=-1).replace('ixx="0.04"', 'ixx="-0.04"'), {}, LIGHT, LOWER),
     "two, of which one alone is read": (
-        *(arm(inertia=BROKEN["triangle"]).replace('ixx="0.04"', 'ixx="-0.04"'), {}),
+        *(arm(inertia=FLAT).replace('ixx="0.04"', 'ixx="-0.04"'), {}),
         *(("inertia.triangle", "upper"), LOWER),
     ),
     "on a fixed joint": (also(link("tool", -0.1) + fixed("mount", "lower", "tool")), {}, ("mass.negative", "tool")),
@@ -375,13 +370,8 @@ POINT, ROD, PLATE, TURN = (0,) * 6, (0.1, 0, 0.1, 0, 0, 0), (0.1, 0, 0.2, 0, 0, 
 THIN = [POINT, ROD, PLATE, *(flat(TURN @ matrix(I) @ TURN.T) for I in (ROD, PLATE))]
 THIN += [("0.333333", 0, "0.666667", 0, 0, "1.00000049")]  # a plate, printed with six digits
 # the cross of a universal joint has no mass of its own
-CROSS = urdf(
-    link("base", None),
-    link("cross", None),
-    link("heavy", 40.0, xyz=(0.1, 0.2, 0.5)),
-    joint("pitch", "base", "cross", axis=(0, 1, 0)),
-    joint("roll", "cross", "heavy", axis=(1, 0, 0)),
-)
+PITCH, ROLL = joint("pitch", "base", "cross", axis=(0, 1, 0)), joint("roll", "cross", "heavy", axis=(1, 0, 0))
+CROSS = urdf(link("base", None), link("cross", None), link("heavy", 40.0, xyz=(0.1, 0.2, 0.5)), PITCH, ROLL)
 
 
 @pytest.mark.case("I1", "I2", "U1")
@@ -536,10 +526,10 @@ def second(I):
     return I.trace() / 2 * np.eye(3) - I
 
 
-@all_in_one(BROKEN)
-def test_a_repaired_inertia_is_the_nearest_that_a_body_has(case):
-    robot = Robot.from_urdf(arm(inertia=BROKEN[case]), on_unphysical="repair")
-    E, found = second(BROKEN[case]), second(robot.inertia[0].tolist())
+@all_in_one([FLAT, NEGATIVE, WIDE])
+def test_a_repaired_inertia_is_the_nearest_that_a_body_has(inertia):
+    robot = Robot.from_urdf(arm(inertia=inertia), on_unphysical="repair")
+    E, found = second(inertia), second(robot.inertia[0].tolist())
     values, axes = np.linalg.eigh(E)
     assert values[0] < 0 and same(found, axes @ np.diag(values.clip(min=0)) @ axes.T, 1e-12)
     # no second moments nearby are nearer: the distance only grows in random directions that keep them positive
@@ -548,18 +538,18 @@ def test_a_repaired_inertia_is_the_nearest_that_a_body_has(case):
         A = rng.normal(size=(3, 3))
         assert np.linalg.norm(0.9 * found + 0.1 * A @ A.T * rng.uniform() - E) >= np.linalg.norm(found - E)
     (note,) = [note for note in robot.notes if note.code == "inertia.repaired"]
-    change = np.linalg.norm(matrix(robot.inertia[0].tolist()) - matrix(BROKEN[case]))
-    assert note.subject == "link 'upper'" and math.isclose(note.value, change / np.linalg.norm(matrix(BROKEN[case])))
+    change = np.linalg.norm(matrix(robot.inertia[0].tolist()) - matrix(inertia))
+    assert note.subject == "link 'upper'" and math.isclose(note.value, change / np.linalg.norm(matrix(inertia)))
     robot.check()
-    again = Robot.from_urdf(arm(inertia=BROKEN[case]), on_unphysical="ignore").replace(on_unphysical="repair")
+    again = Robot.from_urdf(arm(inertia=inertia), on_unphysical="ignore").replace(on_unphysical="repair")
     assert same(again.inertia, robot.inertia, 1e-15) and codes(again) == codes(robot)
 
 
 def test_a_repair_names_every_link_and_leaves_what_is_physical_to_the_bit():
     plain, repaired = (Robot.from_urdf(tree(), on_unphysical=how) for how in ("error", "repair"))
     assert torch.equal(plain.inertia, repaired.inertia) and plain.notes == repaired.notes
-    tool = link("tool", 1.0, BROKEN["triangle"]) + fixed("mount", "lower", "tool")
-    robot = Robot.from_urdf(also(tool, arm(inertia=BROKEN["triangle"])), on_unphysical="repair")
+    tool = link("tool", 1.0, FLAT) + fixed("mount", "lower", "tool")
+    robot = Robot.from_urdf(also(tool, arm(inertia=FLAT)), on_unphysical="repair")
     assert [x.subject for x in robot.notes if x.code == "inertia.repaired"] == ["link 'upper'", "link 'tool'"]
     assert min(np.linalg.eigvalsh(second(I)).min() for I in robot.inertia.tolist()) > -8 * EPS
 
@@ -573,12 +563,12 @@ def test_a_batch_is_not_repaired():
 def test_robots_from_tables_are_repaired_as_well():
     arguments = [[[0, 0, 1, 0, 0, 0]], [1.0], [[0.1, 0, 0]]]
     with warned(UserWarning):
-        Robot.from_screws(*arguments, [BROKEN["triangle"]])
+        Robot.from_screws(*arguments, [FLAT])
     with refused(UnphysicalError):
-        Robot.from_screws(*arguments, [BROKEN["large product"]])
+        Robot.from_screws(*arguments, [WIDE])
     for robot in (
-        Robot.from_screws(*arguments, [BROKEN["triangle"]], on_unphysical="repair"),
-        Robot.from_dh([0.1], [0], [0], [0], *arguments[1:], [matrix(BROKEN["triangle"])], on_unphysical="repair"),
+        Robot.from_screws(*arguments, [FLAT], on_unphysical="repair"),
+        Robot.from_dh([0.1], [0], [0], [0], *arguments[1:], [matrix(FLAT)], on_unphysical="repair"),
     ):
         assert same(robot.inertia[0], [0.125, 0, 0.125, 0, 0, 0.25])
         assert codes(robot) == {("inertia.repaired", "link 'link1'")}
