@@ -4,6 +4,7 @@ The references are mpmath, plain Python comparisons, and torch's own autograd of
 """
 
 import math
+import operator
 from fractions import Fraction
 
 import mpmath
@@ -116,31 +117,23 @@ def test_other_kinds_are_compared_exactly_and_have_the_functions_that_they_offer
 QUARTERS = st.integers(-8, 8).map(lambda k: k / 4)
 LEAVES = st.one_of(st.sampled_from([("x", 0), ("x", 1), ("x", 2)]), st.tuples(st.just("known"), QUARTERS))
 UNARY = {
-    "neg": lambda a: -a,
+    **{f.__name__: f for f in (operator.neg, tanh, floor, absolute)},
     "sqrt": lambda a: sqrt(absolute(a)),
     "exp": lambda a: exp(minimum(a, 3.0)),
     "log": lambda a: log(1.0 + a * a),
-    "tanh": tanh,
-    "floor": floor,
-    "absolute": absolute,
     "clip": lambda a: clip(a, -1.0, 0.5),
 }
-BINARY = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "maximum": maximum,
-    "minimum": minimum,
-    "at_least": at_least,
-    "select": lambda a, b: select(a - b, a * b, b),
-}
-EXPRESSIONS = st.recursive(
-    LEAVES,
-    lambda inner: st.one_of(
-        st.tuples(st.sampled_from(sorted(UNARY)), inner), st.tuples(st.sampled_from(sorted(BINARY)), inner, inner)
-    ),
-    max_leaves=12,
-)
+BINARY = {f.__name__: f for f in (operator.add, operator.sub, operator.mul, maximum, minimum, at_least)}
+BINARY["select"] = lambda a, b: select(a - b, a * b, b)
+
+
+def larger(inner):
+    """Expressions of one or two others."""
+    of_one = st.tuples(st.sampled_from(sorted(UNARY)), inner)
+    return st.one_of(of_one, st.tuples(st.sampled_from(sorted(BINARY)), inner, inner))
+
+
+EXPRESSIONS = st.recursive(LEAVES, larger, max_leaves=12)
 
 
 def value(expression, x):

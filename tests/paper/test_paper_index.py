@@ -117,12 +117,9 @@ def test_code_that_is_named_exists(place):
     assert ":" not in place or found(path_of(place), place.partition(":")[2]) is not None
 
 
-def test_code_cites_the_equation_it_computes():
+def test_code_cites_the_equation_or_the_row_of_table_1_that_it_computes():
     rows = [row for row in EQUATIONS if not row.instead]
     assert [(row.id, place) for row in rows for place in row.places if row.number not in cited(place)] == []
-
-
-def test_code_cites_the_row_of_table_1_that_it_computes():
     for row in TABLE_1:
         assert row.instead or all(f"# Table 1, {row.id}" in source(place) for place in row.places)
 

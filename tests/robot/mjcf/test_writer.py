@@ -108,19 +108,13 @@ def test_the_body_of_a_free_base_is_written():
     require_equal(again, robot)
 
 
-MJCF_REFUSED = {
-    "locked": lambda r: r.lock(["b"]),
-    "effort": lambda r: with_limit(r, "effort", 1, 3.0),
-    "velocity": lambda r: with_limit(r, "velocity", 0, 3.0),
-    "half a range": lambda r: with_limit(r, "upper", 0, 3.0),
-    "too light": lambda r: r.replace(mass=0.1 * r.mass),
-}
-
-
-@all_in_one(MJCF_REFUSED)
-def test_a_robot_that_has_no_place_in_mjcf_is_refused(name):
-    with refused(torchdq.ArgumentError):
-        MJCF_REFUSED[name](read(MJCF)).to_mjcf(MJCF)
+def test_a_robot_that_has_no_place_in_mjcf_is_refused():
+    robot = read(MJCF)
+    limits = ("effort", 1), ("velocity", 0), ("upper", 0)  # which is half a range
+    limited = [with_limit(robot, name, i, 3.0) for name, i in limits]
+    for other in (robot.lock(["b"]), *limited, robot.replace(mass=0.1 * robot.mass)):
+        with refused(torchdq.ArgumentError):
+            other.to_mjcf(MJCF)
 
 
 def refuse_masses(robot, text):

@@ -158,9 +158,8 @@ REFUSED = {
 
 @all_in_one(REFUSED)
 def test_a_robot_that_has_no_place_in_the_file_is_refused(name):
-    change = REFUSED[name]
     with refused(torchdq.ArgumentError):
-        change(read(TEXT)).to_urdf(TEXT)
+        REFUSED[name](read(TEXT)).to_urdf(TEXT)
 
 
 def test_a_faulty_original_is_refused_as_by_the_reader():
