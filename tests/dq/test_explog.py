@@ -425,7 +425,7 @@ def test_normalising_now_and_then_keeps_a_long_product_a_pose(number):
     """Alone it drifts, by less than an ulp per factor."""
     eps = float(np.finfo(number).eps)
     length, off = run_products(number, every=100)
-    assert length <= 4 * eps and off <= 8 * eps
+    assert length <= 4 * eps and off <= 2 * eps
     length, off = drifted(number)
     assert 100 * eps < length <= 1e4 * eps and off <= 1e4 * eps
 
