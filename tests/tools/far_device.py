@@ -51,15 +51,9 @@ class FarTensor(Tensor):
 
     @staticmethod
     def __new__(cls, near: Tensor) -> FarTensor:
-        found = Tensor._make_wrapper_subclass(
-            cls,
-            near.size(),
-            strides=near.stride(),
-            storage_offset=near.storage_offset(),
-            dtype=near.dtype,
-            device=FAR,
-            requires_grad=near.requires_grad,
-        )
+        memory = {"strides": near.stride(), "storage_offset": near.storage_offset()}
+        kind = {"dtype": near.dtype, "device": FAR, "requires_grad": near.requires_grad}
+        found = Tensor._make_wrapper_subclass(cls, near.size(), **memory, **kind)
         found.near = near
         return found
 
@@ -202,15 +196,8 @@ def environment(**options):
 def outcomes(device, actions, mode="SameStep", between=lambda envs, found: None, **options):
     """All that an environment returns in some steps, and its state at the end, on the CPU; no step asks the device."""
     with torchdq.backend("auto" if device == FAR else "host"):
-        options = {
-            "robot": ROBOT,
-            "effects": PARTS,
-            "scale": 20.0,
-            "max_episode_steps": 3,
-            "autoreset_mode": mode,
-            **options,
-        }
-        envs = environment(device=device, **options)
+        small = {"robot": ROBOT, "effects": PARTS, "scale": 20.0, "max_episode_steps": 3, "autoreset_mode": mode}
+        envs = environment(device=device, **{**small, **options})
         found = [envs.reset(seed=3)[0]]
         with ahead():
             found += [envs.reset()[0]]
