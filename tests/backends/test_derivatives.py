@@ -1,12 +1,11 @@
 """Derivatives of compiled programs, and transforms of torch.func, against differences and torch operations."""
 
-import programs
 import pytest
 import torch
 from helpers import random, thinned
 from host_gpu import host_backends  # noqa: F401
 from oracles import states
-from programs import PANDA, TWO, on, tree
+from programs import PANDA, TWO, agree, on, tree
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq
@@ -17,11 +16,6 @@ BACKEND = "auto"
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
 
 RPH = tree(3).bake()
-
-
-def agree(found, expected, factor: float = 256.0) -> None:
-    """Both are the same sums, rounded differently."""
-    programs.agree(found, expected, factor)
 
 
 @pytest.mark.parametrize(
@@ -43,9 +37,10 @@ def test_derivatives_are_finite_differences(backend, function, robot):
     assert gradgradcheck(f, x, eps=1e-6, atol=1e-6, rtol=1e-5, fast_mode=True)
 
 
-@pytest.mark.parametrize(
-    "learn", [("mass",), ("com", "inertia", "gravity"), ("armature", "home"), ("X_PB_home", "screw")], ids=str
-)
+LEARNED = ("com", "inertia", "gravity", "armature", "home", "X_PB_home", "screw")
+
+
+@pytest.mark.parametrize("learn", [("mass",), LEARNED], ids=str)
 def test_gradients_of_what_is_learned_equal_torch_operations(learn):
     s, layer = states(RPH, 21), torchdq.DQRNEA(RPH.replace(armature=torch.ones(3, dtype=F64)), learn=learn)
     gradients = []
@@ -82,7 +77,7 @@ def test_transforms_equal_torch_operations(name):
 def test_vmap_over_robots_equals_their_batch():
     mass, q = RPH.mass * (1 + random(5, 1).abs()), random(5, 3)
     mapped = torch.func.vmap(lambda m, q: torchdq.inverse_dynamics(RPH.replace(mass=m), q, backend="c"))(mass, q)
-    agree([mapped], [torchdq.inverse_dynamics(RPH.replace(mass=mass), q, backend="eager")])
+    agree([mapped], [torchdq.inverse_dynamics(RPH.replace(mass=mass), q, backend="eager")], 256)
 
 
 def test_nothing_but_the_inputs_is_kept_for_backward():
