@@ -11,7 +11,7 @@ from functools import cache
 
 import pytest
 import torch
-from helpers import exhaustive, random, thinned
+from helpers import EVERYTHING, exhaustive, random, thinned
 from messages import refused
 from torch import library as operators
 from torch import nn
@@ -101,6 +101,7 @@ SUBJECTS = {  # module of a robot, and how many inputs [..., n] it takes
 every_subject = pytest.mark.parametrize("name", thinned(SUBJECTS, ("residual network", "rollout")))
 
 
+@cache
 def subject(name, robot=TWO):
     make, count = SUBJECTS[name]
     return make(robot).eval(), lambda batch, seed=0: tuple(random(count, batch, robot.n, seed=seed))
@@ -229,7 +230,7 @@ def test_a_package_of_machine_code_runs_in_a_process_without_the_package(name, t
 @pytest.mark.parametrize(
     ("name", "robot"),
     [
-        *thinned([(name, "two_link") for name in SUBJECTS], [("residual network", "two_link")]),
+        *thinned([(name, "two_link") for name in SUBJECTS], [("learned inverse dynamics", "two_link")]),
         *thinned([(name, "panda") for name in SUBJECTS if name != "rollout"], ()),
     ],
 )
@@ -302,5 +303,5 @@ def test_what_depends_on_values_is_in_no_graph(name):
         torch.export.export(Traced(function), (x,))
     with pytest.raises(torch._dynamo.exc.Unsupported, match=words):
         torch.compile(function, fullgraph=True, backend="eager")(x)
-    # without fullgraph, torch breaks the graph there
-    assert torch.compile(function, backend="eager")(x).isfinite().all()
+    if EVERYTHING or name == "environment":  # without fullgraph, torch breaks the graph there
+        assert torch.compile(function, backend="eager")(x).isfinite().all()
