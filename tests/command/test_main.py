@@ -8,7 +8,6 @@ import json
 import os
 import re
 import shlex
-import signal
 import subprocess
 import sys
 import warnings
@@ -20,12 +19,12 @@ import numpy as np
 import oracles
 import pytest
 import torch
-from helpers import EVERYTHING, thinned
+from helpers import EVERYTHING, interrupted, thinned
 from places import ROOT
 from recorded_logs import STEP, states, written
 
 import torchdq
-from torchdq.base import machine
+from torchdq.base import machine, progress
 from torchdq.command import doctor
 from torchdq.command.main import ABOUT, COMMANDS, INTERRUPTED, MISTAKE, USAGE, WELL, _parsed, main
 from torchdq.command.outcome import Grid, Outcome, plain, write
@@ -224,20 +223,11 @@ def test_packages_that_are_missing_are_told_before_the_work(here, capsys, monkey
         assert words in " ".join(told(capsys, *command, code=MISTAKE)[1].split())
 
 
-def test_a_process_ends_at_ctrl_c(here):
-    # a process in the background of a shell ignores Ctrl-C, and those that it starts do, too
-    code = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    code += "runpy.run_module('torchdq', run_name='__main__', alter_sys=True)"
-    command = [sys.executable, "-c", code, "scene", "arm.urdf", "--seconds", "1e5", "--price", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            progress = process.stderr.readline()  # comes when it has worked for two seconds
-            process.send_signal(signal.SIGINT)
-            out, errors = process.communicate(timeout=300)
-        finally:
-            process.kill()
-    assert re.match(r"torchdq: .* 2 s \.\.\.", progress)
-    assert process.returncode == INTERRUPTED and not out and "Traceback" not in errors
+def test_ctrl_c_ends_a_command_with_its_exit_code(here, capsys, monkeypatch):
+    monkeypatch.setattr(progress, "FIRST", 0.3)
+    with interrupted(1.0):
+        out, errors = told(capsys, "scene", "arm.urdf", "--seconds", "1e5", "--price", "0", code=INTERRUPTED)
+    assert re.match(r"torchdq: .* 0 s \.\.\.", errors) and not out and "Traceback" not in errors
     assert errors.strip().endswith("torchdq: interrupted")
 
 
