@@ -1,4 +1,7 @@
-"""Loops over a computation equal so many calls of it, bit for bit: values, gradients, rows, builds and forks."""
+"""Loops over a computation equal so many calls of it, bit for bit: values, gradients, rows, builds and forks.
+
+Loops of the GPU backend are compiled for the host here; what is theirs alone is in test_cuda_loop.py.
+"""
 
 import itertools
 import os
@@ -6,7 +9,8 @@ import os
 import pytest
 import torch
 from helpers import all_in_one, random, rods, threads  # noqa: F401
-from loops import equal, gradients, loop, one_by_one, parts, step, tensors, third_derivatives
+from host_gpu import host_backends  # noqa: F401
+from loops import equal, gradients, loop, one_by_one, parts, step, tensors
 from messages import refused, warned
 from programs import agree, same
 
@@ -26,6 +30,7 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compil
 F32, F64 = torch.float32, torch.float64
 SMALL, GROWING = step(), step(growth=True)
 each_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+every_backend = pytest.mark.parametrize("backend", ["c", "host"])
 
 
 def looped(program, steps, given, total=("z",), **options):
@@ -35,15 +40,16 @@ def looped(program, steps, given, total=("z",), **options):
 # --- values ----------------------------------------------------------------------------------------------------------
 
 
+@every_backend
 @each_dtype
-def test_a_loop_is_its_steps(dtype):
-    """In any number of samples, of which vectors hold some, and of steps."""
-    for samples, steps in itertools.product((0, 1, 3, 8, 37), (0, 1, 5)):
+def test_a_loop_is_its_steps(dtype, backend):
+    """In any number of samples, of which vectors and blocks hold some, and of steps."""
+    for samples, steps in itertools.product((0, 1, 3, 8, 37, 150), (0, 1, 5)):
         given = tensors(samples, steps, dtype=dtype)
-        expected = one_by_one(SMALL, steps, given, "c")
-        assert equal(looped(SMALL, steps, given), expected)
-        ends = looped(SMALL, steps, given, ends=True)
-        same([ends["x"]], [expected["x"][-1]])
+        expected = one_by_one(SMALL, steps, given, backend)
+        for other in (backend, "backwards") if backend == "host" else ("c",):
+            assert equal(looped(SMALL, steps, given, backend=other), expected)
+        same([looped(SMALL, steps, given, ends=True, backend=backend)["x"]], [expected["x"][-1]])
 
 
 def test_rows_of_any_width_are_carried():
@@ -125,22 +131,31 @@ def test_threads_change_no_bit(kind, threads):  # noqa: F811
 
 
 @each_dtype
-@pytest.mark.parametrize("samples, ends", [(11, False), (11, True), (3, False)])
-def test_gradients_are_those_of_the_steps(samples, ends, dtype):
+@pytest.mark.parametrize(
+    "backend, samples, ends", [("c", 11, False), ("c", 11, True), ("c", 3, False), ("host", 70, False)]
+)
+def test_gradients_are_those_of_the_steps(backend, samples, ends, dtype):
     """Bit for bit, but for sums over steps and samples, whose order differs."""
     given = tensors(samples, 6, dtype=dtype, grad=True)
-    found, expected = looped(SMALL, 6, given, ends=ends), one_by_one(SMALL, 6, given, "c")
+    found, expected = looped(SMALL, 6, given, ends=ends, backend=backend), one_by_one(SMALL, 6, given, backend)
     if ends:
         expected["x"] = expected["x"][-1]
     assert equal(found, expected)
     (x, u, *totals), (x_, u_, *totals_) = gradients(found, given), gradients(expected, given)
     same([x, u], [x_, u_])
-    agree(totals, totals_)
+    agree(totals, totals_, 256)
 
 
-def test_derivatives_of_third_order_are_those_of_the_steps():
-    found, expected = lambda g: looped(SMALL, 3, g), lambda g: one_by_one(SMALL, 3, g, "eager")
-    agree(third_derivatives(found), third_derivatives(expected), 1e3)
+@every_backend
+def test_derivatives_of_third_order_are_those_of_the_steps(backend):
+    def third(run, backend):
+        given = tensors(5, 3, grad=True)
+        found = list(run(SMALL, 3, given, backend=backend).values())
+        for _ in range(3):
+            found = torch.autograd.grad(sum(y.square().sum() for y in found), list(given.values()), create_graph=True)
+        return [y.detach() for y in found]
+
+    agree(third(looped, backend), third(one_by_one, "eager"), 1e3)
 
 
 # --- rows ------------------------------------------------------------------------------------------------------------
@@ -188,12 +203,14 @@ def test_gradients_of_rows_over_the_limit_are_finite_where_those_of_a_float32_st
     assert all(y.isfinite().all() for y in found)
 
 
-def test_a_step_over_the_limit_of_double_precision_is_nan_from_there_on():
-    given = tensors(9, 4)
-    given["x"][3, 0] = 1e9
-    found, expected = looped(GROWING, 4, given), one_by_one(GROWING, 4, given, "c")
-    assert equal(found, expected) and found["x"][1:, 3].isnan().all()
-    assert found["x"][:, [0, 1, 2, 4, 5, 6, 7, 8]].isfinite().all()
+@every_backend
+def test_a_step_over_the_limit_of_double_precision_is_nan_from_there_on(backend):
+    given = tensors(70, 4)
+    given["x"][7, 0], given["u"][1, 3], given["u"][2, 66] = 1e9, 1e9, float("nan")
+    found = looped(GROWING, 4, given, backend=backend)
+    assert equal(found, one_by_one(GROWING, 4, given, backend))
+    assert found["x"][1:, 7].isnan().all() and found["x"][:2, 3].isfinite().all() and found["x"][2:, 3].isnan().all()
+    assert found["x"][:, [k for k in range(70) if k not in (3, 7, 66)]].isfinite().all()
 
 
 @each_dtype

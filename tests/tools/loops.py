@@ -72,15 +72,6 @@ def gradients(found: dict, given: dict) -> list[torch.Tensor]:
     return torch.autograd.grad(total, list(given.values()))
 
 
-def third_derivatives(run) -> list[torch.Tensor]:
-    """Gradients of squares of results, of them again, and again, in all arguments of a loop."""
-    given = tensors(5, 3, grad=True)
-    found = list(run(given).values())
-    for _ in range(3):
-        found = torch.autograd.grad(sum(y.square().sum() for y in found), list(given.values()), create_graph=True)
-    return [y.detach() for y in found]
-
-
 def equal(found, expected) -> bool:
     """Whether results are equal to the last bit; raises with the difference otherwise."""
     same(list(found.values()), [expected[name] for name in found])
