@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from helpers import random, rods, thinned
+from helpers import random, thinned
 from host_gpu import BACKWARDS, HOST, host_backends  # noqa: F401
 from oracles import EPS, states
 from programs import FUNCTIONS, KINDS, MIXED, PANDA, TREE, TWO, agree, condition, mixed, on, same
@@ -157,13 +157,6 @@ def test_gradients_equal_those_of_torch_operations(robot, dtype):
     same(gradients("backwards"), gradients("host"))
 
 
-def test_torch_func_transforms_work():
-    s = states(TWO, 5)
-    with torchdq.backend("host"):
-        found = torch.func.vmap(torch.func.jacrev(lambda q: torchdq.inverse_dynamics(TWO, q)))(s.q)
-    agree([found], [torchdq.dynamics_jacobian(TWO, s.q, 0 * s.q, 0 * s.q)[0]], 256)
-
-
 # --- values that all samples share ------------------------------------------------------------------------------------
 
 
@@ -204,12 +197,6 @@ def test_rows_too_wide_for_shared_memory_are_read_and_written_where_they_are(dty
     found = run(program, [x, y], HOST)
     agree(found, run(program, [x, y], EAGER))
     same(run(program, [x, y], BACKWARDS), found)
-
-
-def test_chains_of_many_joints():
-    robot = rods(20)
-    s = states(robot, 40)
-    agree(*(on(backend, torchdq.inverse_dynamics, robot, s.q, s.qd, s.qdd) for backend in ("host", "eager")))
 
 
 # --- scenes ----------------------------------------------------------------------------------------------------------

@@ -4,7 +4,6 @@ Loops of the GPU backend are compiled for the host here; what is theirs alone is
 """
 
 import itertools
-import os
 
 import pytest
 import torch
@@ -260,14 +259,3 @@ def test_loops_that_cannot_be_compiled_are_run_by_torch_or_refused(monkeypatch):
     with refused(BuildError):
         looped(program, 2, given)
     torchdq.clear_caches()
-
-
-def test_a_forked_process_runs_loops_that_were_compiled_before(threads):  # noqa: F811
-    threads(2)
-    given = tensors(200, 3)
-    expected = looped(SMALL, 3, given)
-    child = os.fork()
-    if not child:
-        found = looped(SMALL, 3, given)
-        os._exit(0 if all(torch.equal(y, expected[name]) for name, y in found.items()) else 1)
-    assert os.waitpid(child, 0)[1] == 0

@@ -355,12 +355,6 @@ def test_flags_that_break_sine_and_cosine_are_refused_or_harmless(flags, dtype, 
         assert abs(abs(X[0]) - abs(math.cos(half))) <= 16 * eps and abs(abs(X[3]) - abs(math.sin(half))) <= 16 * eps
 
 
-def test_a_function_has_no_memory_loops_or_branches(tmp_path):
-    text = PROGRAMS["inverse dynamics"]("float64").export(tmp_path, "exported").source.read_text()
-    code = re.sub(r"(?m)^#.*$", "", text.split("*/", 1)[1])  # without lines of the preprocessor
-    assert not re.search(r"\b(static|for|while|if|goto|malloc|switch)\b", code)
-
-
 def test_the_panda_fits_in_sixty_kilobytes(tmp_path):
     made = [
         PROGRAMS[x]("float64").export(tmp_path, x.replace(" ", "_")) for x in ("inverse dynamics", "computed torque")
@@ -462,8 +456,10 @@ def test_functions_in_one_folder_are_built_and_tested_together_also_if_cmake_res
     assert "100% tests passed" in said and "out of 4" in said
 
 
-def test_the_header_says_order_shapes_and_units(tmp_path):
+def test_a_function_has_no_memory_loops_or_branches_and_its_header_says_order_shapes_and_units(tmp_path):
     made = PROGRAMS["inverse dynamics"]("float64").export(tmp_path)
+    code = re.sub(r"(?m)^#.*$", "", made.source.read_text().split("*/", 1)[1])  # without lines of the preprocessor
+    assert not re.search(r"\b(static|for|while|if|goto|malloc|switch)\b", code)
     text = made.header.read_text()
     assert "panda_joint1, panda_joint2" in text and "qdd[7]  joint accelerations [rad/s^2 or m/s^2]" in text
     assert made.function == "inverse_dynamics_panda"

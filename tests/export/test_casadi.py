@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 from exporting import COMPILERS, F64, STRICT, free, run, step, two_link
-from helpers import thinned
+from helpers import all_in_one, thinned
 from messages import refused
 
 import torchdq
@@ -114,15 +114,6 @@ def test_values_are_those_of_the_program_in_the_shape_of_the_function(name, read
         assert np.abs(y - table).max() <= 64 * EPS * (1 + np.abs(table).max())
 
 
-def test_matrices_are_those_of_the_functions_of_torchdq(ready):
-    compiled, function = ready("closed form")
-    q, qd = rows(compiled)
-    expected = torchdq.closed_form(torchdq.robots.load("two_link"), q, qd)
-    for y, at in zip(function(q.numpy(), qd.numpy()), expected, strict=True):
-        assert np.abs(y.full() - at.reshape(len(at), -1).numpy()).max() <= 64 * EPS * (1 + float(at.abs().max()))
-    assert function.name_in() == ["q", "qd"] and function.name_out() == ["M", "c", "g", "Jt"]
-
-
 @pytest.mark.parametrize("library", ["math.h", "own"])
 def test_sine_and_cosine_may_be_its_own(library, tmp_path):
     compiled = PROGRAMS["computed torque"]()
@@ -207,18 +198,8 @@ def test_places_of_known_zeros_are_left_out(ready):
     stored = function.jacobian().sparsity_out(0)
     assert stored.nnz() == 42 and stored.colind()[:2] == [0, 0]  # gravity is along the first axis
     _, function = ready("closed form")
+    assert function.name_in() == ["q", "qd"] and function.name_out() == ["M", "c", "g", "Jt"]
     assert [function.jacobian().nnz_out(k) for k in (1, 5, 7)] == [0, 0, 0]  # M, g and Jt do not depend on qd
-
-
-def test_a_gradient_in_casadi_is_that_of_torchdq(ready):
-    compiled, function = ready("forward dynamics")
-    x = [v.requires_grad_() for v in rows(compiled)]
-    symbols = [ca.MX.sym(a.name, a.width) for a in compiled.program.arguments]
-    weighted = ca.dot(ca.DM([1.0, -2.0]), function(*symbols))
-    gradient = ca.Function("gradient", symbols, [ca.gradient(weighted, s) for s in symbols])
-    (compiled(*x) * torch.tensor([1.0, -2.0], dtype=F64)).sum().backward()
-    for found, at in zip(gradient(*[v.detach().numpy() for v in x]), x, strict=True):
-        assert np.abs(found.full()[:, 0] - at.grad.numpy()).max() <= 1e-12 * (1 + float(at.grad.abs().max()))
 
 
 # --- second derivatives ----------------------------------------------------------------------------------------------
@@ -441,18 +422,15 @@ REFUSED = {
     "half a knot": {"knots": 2.5},
     "knots that are true": {"knots": True},
     "derivatives": {"derivatives": 3},
+    "single precision": {"dtype": "float32"},
 }
 
 
-@pytest.mark.parametrize("options", REFUSED.values(), ids=REFUSED)
-def test_other_names_and_options_are_refused(options, tmp_path):
+@all_in_one(REFUSED)
+def test_other_names_and_options_are_refused(name, tmp_path):
+    options = {"language": "casadi", "dtype": "float64", **REFUSED[name]}
     with refused(ArgumentError):
-        PROGRAMS["energy"]().export(tmp_path, **{"language": "casadi", **options})
-
-
-def test_numbers_are_of_double_precision(tmp_path):
-    with refused(ArgumentError):
-        of("two_link", "mass_matrix", dtype="float32")().export(tmp_path, language="casadi")
+        of("two_link", "kinetic_energy", dtype=options.pop("dtype"))().export(tmp_path, **options)
 
 
 # --- the example -----------------------------------------------------------------------------------------------------

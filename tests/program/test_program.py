@@ -119,13 +119,6 @@ def test_replay_in_exact_arithmetic_is_the_function_itself():
         assert abs(found - expected) <= 4 * EPS64 * abs(expected)
 
 
-def test_replay_on_tensors_is_the_function_itself():
-    program, x = scalar(tangle, 3), torch.randn(3, 50, dtype=F64, generator=torch.Generator().manual_seed(1))
-    expected = tangle(*x)
-    found = results(program, replay(program, [list(x)]))["y"][0]
-    assert (found - expected).abs().max() <= 64 * EPS64 * (1 + expected.abs().max())
-
-
 def test_a_program_prints_its_arguments_operations_and_results():
     program = record(
         "f", [Argument("x", 2), Argument("m", 1, True)], lambda x, m: {"y": [-(x[0] * m[0]), 1.5]}, summed=["y"]
