@@ -48,14 +48,10 @@ def test_a_block_chooses_the_backend_and_an_argument_overrides_it(ran):
         torchdq.inverse_dynamics(TWO, q)
     torchdq.inverse_dynamics(TWO, q)
     assert ran == ["eager", "c", "c", "eager", "c"]
-
-
-def test_a_module_keeps_its_backend(ran):
-    q = random(2)
-    torchdq.DQRNEA(TWO, backend="eager")(q)
+    torchdq.DQRNEA(TWO, backend="eager")(q)  # a module keeps its own
     with torchdq.backend("eager"):
         torchdq.DQRNEA(TWO, backend="c")(q)
-    assert ran == ["eager", "c"]
+    assert ran[5:] == ["eager", "c"]
 
 
 @pytest.fixture

@@ -237,11 +237,12 @@ def test_gradients_are_those_of_the_solution(axes):
             robot, dq.mul(X, dq.exp(0.5 * s * twist)), start=start, axes=axes, tolerance=tolerance
         )
 
-    slope = torch.autograd.functional.jacobian(lambda s: solved(s).q, double(0)[0])
-    h = 1e-5
+    s, h = double(0)[0].requires_grad_(), 1e-5
+    slope = torch.func.jacfwd(lambda s: solved(s).q)(s.detach())
     difference = (solved(h).q - solved(-h).q) / (2 * h)
     torch.testing.assert_close(slope, difference, rtol=1e-6, atol=1e-6)
-    torch.testing.assert_close(torch.func.jacfwd(lambda s: solved(s).q)(double(0)[0]), slope)
+    weight = random(*slope.shape, seed=4)
+    torch.testing.assert_close(torch.autograd.grad((weight * solved(s).q).sum(), s)[0], (weight * slope).sum())
 
 
 @pytest.mark.usefixtures("by_torch")
