@@ -140,7 +140,7 @@ def test_sums_contain_the_recomputed_rows(batch):
 
 @pytest.mark.parametrize(
     ("robot", "dtype"),
-    thinned([(robot, dtype) for robot in (TREE, PANDA) for dtype in (F64, F32)], [(TREE, F64), (TREE, F32)]),
+    thinned([(robot, dtype) for robot in (TREE, PANDA) for dtype in (F64, F32)], [(TREE, F32)]),
     ids=lambda x: getattr(x, "name", str(x)),
 )
 def test_gradients_equal_those_of_torch_operations(robot, dtype):
