@@ -546,13 +546,14 @@ def test_axes_of_a_compiled_function_are_names_in_a_row_or_in_one_string():
 
 @all_in_one(["frame_motion", "manipulability", "operational_space", "operational_space_control"])
 def test_floating_bases_are_refused_with_the_reason(name):
+    """Before the axes, more than two joints can serve."""
     inertia = double(1, 0, 1, 0, 0, 1)
-    free = ARM.replace(base_mass=double(1)[0], base_com=torch.zeros(3), base_inertia=inertia)
-    more, gains = () if name == "manipulability" else (ELBOW,), {}
+    free = TWO.replace(base_mass=double(1)[0], base_com=torch.zeros(3), base_inertia=inertia)
+    more, gains = () if name == "manipulability" else (REST,), {}
     if name == "operational_space_control":
-        more, gains = (ELBOW, torch.eye(8, dtype=F64)[0]), GAINS
+        more, gains = (REST, torch.eye(8, dtype=F64)[0]), GAINS
     with refused(ArgumentError):
-        getattr(torchdq, name)(free, ELBOW, *more, **gains)
+        getattr(torchdq, name)(free, REST, *more, **gains)
 
 
 def test_one_joint_that_slides_is_controlled():
