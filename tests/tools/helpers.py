@@ -2,6 +2,9 @@
 
 import inspect
 import os
+import signal
+import threading
+from contextlib import contextmanager
 from functools import cache, partial
 
 import numpy as np
@@ -99,6 +102,19 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@contextmanager
+def interrupted(seconds):
+    """Ctrl-C after some seconds, which this process may have been started to ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture
