@@ -4,7 +4,7 @@
 # make test-all    both, on all robots and random trees, recordings and sizes
 # make test-for    the tests that hold some files: make test-for FILES="torchdq/scene/state.py envs/walk.py"
 # make regenerate  writes everything anew that is generated: indices, messages, records of operations, pages
-# make mutants     plants faults in a copy of the sources, one at a time; the suite must notice each
+# make mutants     changes a copy of the sources in one place at a time; the suite must notice each mutant
 # make docs        the documentation as static pages, in out/site; open out/site/index.html
 # make dist        wheel and source archive, in dist/, as an index takes them
 # make clean       removes the virtual environment and everything that was built
@@ -20,7 +20,7 @@ ARGS ?=
 
 VENV := .venv
 RUN := $(VENV)/bin/python
-PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
+PIP := $(RUN) -m pip --disable-pip-version-check install
 # a process takes neighbouring tests, which share robots, programs and fixtures
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(RUN) -m pytest -n $(JOBS) --dist worksteal --durations=20
 DOCS := tests/docs torchdq
@@ -41,7 +41,7 @@ test-all: $(VENV)/test.installed
 	TORCHDQ_TESTS=all TORCHDQ_CFLAGS= $(PYTEST) $(or $(ARGS),tests $(DOCS))
 
 test-for: $(VENV)/test.installed
-	$(PYTEST) $$($(RUN) tests/tools/concerned.py $(FILES))
+	@FOUND=$$($(RUN) tests/tools/concerned.py $(FILES)) && set -x && $(PYTEST) $$FOUND
 
 # messages last: they are those of the whole suite
 regenerate: export PYTHONPATH := tests/tools:tests:tests/paper
@@ -73,6 +73,7 @@ clean:
 $(VENV)/torch.installed:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "torchdq needs Python 3.11 or newer; name one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	@echo "making the environment $(VENV), and installing $(TORCH) there, once"
 	@$(PYTHON) -m venv $(VENV) || \
 	  { echo "$(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@$(PIP) $(TORCH) || \
@@ -86,6 +87,7 @@ $(VENV)/dist.installed:
 	@touch $@
 
 $(VENV)/%.installed: $(VENV)/torch.installed pyproject.toml
-	@$(PIP) $(TORCH) --editable '.[$*]' || \
+	@echo "installing torchdq with the extra '$*' in $(VENV), once"
+	@$(PIP) --editable '.[$*]' || \
 	  { echo "cannot install the packages of the extra '$*'; check the network, then run make again"; exit 1; }
 	@touch $@

@@ -1,10 +1,11 @@
 """Price of every effect, and its page: what it adds to a step of a seven-joint arm, in operations and in nanoseconds.
 
-    python benchmarks/effects.py [--quick] [--measure] [--write]
+    python benchmarks/effects.py [--quick] [--measure [NAME ...]] [--write]
 
-`--measure` stores nanoseconds in benchmarks/results/effects.json, with the machine. `--write` writes docs/effects from
-these, from the docstrings, and from what the package says about each effect; it draws the pictures, too. A new effect
-needs an entry in `pages/cases.py` and one in `pages/characteristics.py`.
+`--measure` stores nanoseconds in benchmarks/results/effects.json, with the machine; those of named effects are scaled
+by the time of a step without effects, as if on the machine of the others. `--write` writes docs/effects from these,
+from the docstrings, and from what the package says about each effect; it draws the pictures, too. A new effect needs
+an entry in `pages/cases.py` and one in `pages/characteristics.py`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from __future__ import annotations
 import os
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -63,12 +65,12 @@ def price(effect: Effect, rounds: int) -> tuple[float, float, float]:
     return max(0.0, whole - bare), abs(whole_tenth - tenth - (whole - bare)) + 0.05 * abs(whole - bare), bare
 
 
-def measured(rounds: int) -> dict[str, object]:
-    """Prices of all effects, in numbers and in tensors."""
+def measured(rounds: int, names: Sequence[str]) -> dict[str, Any]:
+    """Prices of effects, in numbers and in tensors."""
     bare: list[float] = []
-    found = {}
-    for name, case in CASES.items():
-        effect = built(case.made)
+    found: dict[str, dict[str, list[float]]] = {}
+    for name in names:
+        effect = built(CASES[name].made)
         kinds = {"numbers": effect} | ({"tensors": tensors_of(effect, arm(), BATCH)} if effect.SHAPES else {})
         found[name] = {}
         for kind, made in kinds.items():
@@ -89,14 +91,30 @@ def pictures() -> dict[str, str]:
     return {effect_page.address(name).replace(".md", ".svg"): svg(draw()) for name, draw in CHARACTERISTICS.items()}
 
 
-def store(quick: bool) -> None:
-    """Measure all prices, and store them with the machine."""
-    report.into_json(effect_page.PRICES, machine=report.machine(), **measured(200 if quick else 2000))
+def store(quick: bool, names: Sequence[str]) -> None:
+    """Measure prices, and store them with the machine; of named effects, in proportion to those of the others."""
+    rounds = 200 if quick else 2000
+    if not names:
+        report.into_json(effect_page.PRICES, machine=report.machine(), **measured(rounds, list(CASES)))
+        return
+    stored, found = effect_page.prices(), measured(rounds, names)
+    scale = stored["bare"] / found["bare"]
+    for name, kinds in found["effects"].items():
+        stored["effects"][name] = {kind: [scale * x for x in row] for kind, row in kinds.items()}
+    report.into_json(effect_page.PRICES, **stored)
 
 
 def main() -> None:
     """Prices of all effects measured, or their pages written, as the arguments say."""
-    command(__doc__, "fewer calls of each step", store, effect_page.PRICES, FOLDER, files=lambda: pages() | pictures())
+    command(
+        __doc__,
+        "fewer calls of each step",
+        store,
+        CASES,
+        effect_page.PRICES,
+        FOLDER,
+        files=lambda: pages() | pictures(),
+    )
 
 
 if __name__ == "__main__":

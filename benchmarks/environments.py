@@ -1,6 +1,6 @@
 """Speed of the registered environments, and their pages.
 
-    python benchmarks/environments.py [--quick] [--measure] [--write]
+    python benchmarks/environments.py [--quick] [--measure [NAME ...]] [--write]
 
 `--measure` stores steps per second in benchmarks/results/environments.json, with the machine. `--write` writes
 docs/environments from these and from the environments themselves. A new environment needs an entry in
@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -64,10 +64,10 @@ def batched(task: str, batch: int) -> Callable[[], object]:
     return lambda: envs.step(action)
 
 
-def measured(seconds: float) -> dict[str, list[tuple[str, int, float]]]:
-    """Steps per second of every environment: how it is made, how many there are, and the rate."""
+def measured(seconds: float, tasks: Sequence[str]) -> dict[str, list[tuple[str, int, float]]]:
+    """Steps per second of environments: how each is made, how many there are, and the rate."""
     found = {}
-    for task in ENVIRONMENTS:
+    for task in tasks:
         id = environment_page.newest(task).id
         rows = [("`gymnasium.make`, numpy", 1, 1 / fastest(single(id), seconds))]
         rows += [("`ArmVectorEnv`, torch", k, k / fastest(batched(task, k), seconds)) for k in BATCHES]
@@ -93,15 +93,24 @@ def pictures() -> dict[str, bytes]:
     }
 
 
-def store(quick: bool) -> None:
-    """Measure all rates, and store them with the machine."""
-    rates = measured(0.5 if quick else 4.0)
+def store(quick: bool, names: Sequence[str]) -> None:
+    """Measure rates of named environments, or of all, and store them with the machine."""
+    known = environment_page.rates()["rates"] if names else {}
+    rates = {**known, **measured(0.5 if quick else 4.0, names or list(ENVIRONMENTS))}
     report.into_json(environment_page.RATES, machine=report.machine("gymnasium"), rates=rates)
 
 
 def main() -> None:
     """Rates of all environments measured, or their pages written, as the arguments say."""
-    command(__doc__, "shorter measurements", store, environment_page.RATES, FOLDER, files=lambda: pages() | pictures())
+    command(
+        __doc__,
+        "shorter measurements",
+        store,
+        ENVIRONMENTS,
+        environment_page.RATES,
+        FOLDER,
+        files=lambda: pages() | pictures(),
+    )
 
 
 if __name__ == "__main__":

@@ -191,12 +191,11 @@ def compare(
     found = {}
     for dtype in EPS:
         x, v, a, t = (x.to(dtype) for x in (q, qd, qdd, torch.as_tensor(tau)))
-        frame_poses = [torchdq.forward_kinematics(robot, x, name) for name in names]
         found[dtype] = {
             "torques": torchdq.inverse_dynamics(robot, x, v, a),
             "mass matrix": torchdq.mass_matrix(robot, x),
             "accelerations": torchdq.forward_dynamics(robot, x, v, t),
-            "frames": torchdq.dq.to_matrix(torch.stack(frame_poses, dim=1)),
+            "frames": torchdq.dq.to_matrix(torchdq.forward_kinematics(robot, x, names)),
         }
     rows = [  # what, against, its numbers, their precision, how many times the precision the error may be
         ("torques", "pinocchio.rnea", tau, 0.0, 4000.0),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -14,7 +14,8 @@ from pages.text import write
 def command(
     document: str,
     quick: str,
-    measure: Callable[[bool], None],
+    measure: Callable[[bool, Sequence[str]], None],
+    known: Collection[str],
     stored: Path,
     folder: Path,
     files: Callable[[], Mapping[str, str | bytes]],
@@ -24,7 +25,8 @@ def command(
     Args:
         document: docstring of the script.
         quick: help of `--quick`.
-        measure: stores measurements; its argument is true with `--quick`.
+        measure: stores measurements; its arguments are whether `--quick` is given, and the names of `--measure`.
+        known: names of all that is measured.
         stored: file of the measurements.
         folder: folder of the pages.
         files: all files of the folder by name.
@@ -32,11 +34,14 @@ def command(
     root = Path(__file__).resolve().parents[2]
     options = argparse.ArgumentParser(description=document.splitlines()[0])
     options.add_argument("--quick", action="store_true", help=quick)
-    options.add_argument("--measure", action="store_true", help=f"store measurements in {stored.relative_to(root)}")
+    where = stored.relative_to(root)
+    options.add_argument("--measure", nargs="*", metavar="NAME", help=f"store measurements of some, or all, in {where}")
     options.add_argument("--write", action="store_true", help=f"write {folder.relative_to(root)}")
     arguments = options.parse_args()
     torch.set_num_threads(1)
-    if arguments.measure:
-        measure(arguments.quick)
+    if unknown := set(arguments.measure or ()) - set(known):
+        options.error(f"--measure takes names among {', '.join(known)}, found {', '.join(unknown)}")
+    if arguments.measure is not None:
+        measure(arguments.quick, arguments.measure)
     if arguments.write:
         print("\n".join(write(folder, files())) or "nothing has changed")

@@ -42,6 +42,13 @@ def prices() -> dict[str, Any]:
     return json.loads(PRICES.read_text(encoding="utf-8"))
 
 
+def priced(stored: dict[str, Any], name: str) -> dict[str, Any]:
+    """Stored prices of an effect, in numbers and in tensors."""
+    if name not in stored["effects"]:
+        raise SystemExit(f"{name} has no price yet: python benchmarks/effects.py --measure {name}")
+    return stored["effects"][name]
+
+
 def page(name: str) -> str:
     """Page of an effect."""
     kind, case, found = getattr(effects, name), CASES[name], facts(name)
@@ -147,7 +154,7 @@ def linked(text: str, name: str) -> str:
 
 def _price(name: str) -> str:
     found, stored, bare = facts(name), prices(), operations()
-    price = stored["effects"][name]
+    price = priced(stored, name)
     rows = [
         ("a step without it", f"{bare}", f"{stored['bare']:.0f}"),
         (f"`{CASES[name].made}`", f"+ {found.operations}", _time(price["numbers"])),
@@ -291,7 +298,7 @@ def index() -> str:
 
 
 def _row(name: str, stored: dict[str, Any]) -> tuple[str, ...]:
-    found, price = facts(name), stored["effects"][name]["numbers"]
+    found, price = facts(name), priced(stored, name)["numbers"]
     kind = getattr(effects, name)
     summary = documented(kind, frozenset(entry.name for entry in dataclasses.fields(kind)) | SYMBOLS).summary
     also = [word for word, x in (("layer", found.layer), ("identify", found.identify), ("C", found.c)) if x]

@@ -7,14 +7,12 @@ results. What the compiler makes of them with the flags of the package is the cl
 import itertools
 import platform
 
-import helpers
-import programs
 import pytest
 import torch
-from helpers import eager, random, thinned
+from helpers import eager, random, thinned, threads  # noqa: F401
 from host_gpu import host_backends  # noqa: F401
 from oracles import EPS, states
-from programs import FUNCTIONS, PANDA, TREE, TWO, on
+from programs import FUNCTIONS, KINDS, PANDA, TREE, TWO, agree, condition, on
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -32,11 +30,6 @@ pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C 
 RPH = TREE.bake()
 
 
-def agree(found, expected, factor: float = 256.0) -> None:
-    """Both are the same sums, rounded differently."""
-    programs.agree(found, expected, factor)
-
-
 # the kernels of the GPU backend are compiled for the host here
 every_kernel = pytest.mark.parametrize("backend", ["c", "host"])
 
@@ -44,24 +37,18 @@ every_kernel = pytest.mark.parametrize("backend", ["c", "host"])
 # --- values ----------------------------------------------------------------------------------------------------------
 
 
+EVERY = [(name, robot, dtype) for name in FUNCTIONS for robot in (TWO, TREE) for dtype in (F64, F32)]
+OF_AN_ARM = [("inverse_dynamics", PANDA, F64), ("mass_matrix", PANDA, F64)]
+FEW = [*((name, TREE, F64) for name in KINDS), ("forward_dynamics", TREE, F32), ("DQRNEA", TREE, F32), *OF_AN_ARM]
+
+
 @pytest.mark.parametrize(
-    "name, robot, dtype",
-    thinned(
-        [(name, robot, dtype) for name in FUNCTIONS for robot in (TWO, TREE) for dtype in (F64, F32)],
-        [*((name, TREE, F64) for name in FUNCTIONS), ("forward_dynamics", TREE, F32), ("DQRNEA", TREE, F32)],
-    ),
-    ids=lambda x: getattr(x, "name", str(x)),
+    "name, robot, dtype", thinned([*EVERY, *OF_AN_ARM], FEW), ids=lambda x: getattr(x, "name", str(x))
 )
 def test_compiled_functions_equal_torch_operations(name, robot, dtype):
     s = states(robot, 19, dtype=dtype)
-    allowed = 256.0 * programs.condition(name, robot, s)
-    agree(on("c", FUNCTIONS[name], robot, s), on("eager", FUNCTIONS[name], robot, s), allowed)
-
-
-@pytest.mark.parametrize("name", ["inverse_dynamics", "mass_matrix"])
-def test_compiled_functions_of_an_arm_equal_torch_operations(name):
-    s = states(PANDA, 19)
-    agree(on("c", FUNCTIONS[name], PANDA, s), on("eager", FUNCTIONS[name], PANDA, s))
+    expected = on("eager", FUNCTIONS[name], robot, s)
+    agree(on("c", FUNCTIONS[name], robot, s), expected, 256.0 * condition(name, robot, s))
 
 
 FIELDS = (("mass",), ("gravity", "home"), ("com", "inertia", "armature"), ("X_PB_home", "screw"))
@@ -73,10 +60,8 @@ FIELDS = (("mass",), ("gravity", "home"), ("com", "inertia", "armature"), ("X_PB
 )
 def test_robots_that_vary_equal_torch_operations(fields, batch):
     scale = 1 + 0.1 * random(*batch, 1).squeeze(-1)
-    changes = {}
-    for name in fields:
-        x = getattr(TREE, name)
-        changes[name] = x * scale.reshape(batch + (1,) * x.ndim)
+    values = {name: getattr(TREE, name) for name in fields}
+    changes = {name: x * scale.reshape(batch + (1,) * x.ndim) for name, x in values.items()}
     robot, s = TREE.replace(**changes, on_unphysical="ignore"), states(TREE, 19)
     agree(on("c", FUNCTIONS["inverse_dynamics"], robot, s), on("eager", FUNCTIONS["inverse_dynamics"], robot, s))
 
@@ -127,34 +112,33 @@ def kernel(program, dtype=F64):
     return COMPILED.kernel(program, dtype, torch.device("cpu"))
 
 
-@pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
-def test_rows_of_any_width_are_read_and_nothing_but_results_is_written(single):
+WIDTHS = (1, 2, 3, 4, 5, 7, 8, 9, 12, 15, 16, 17, 20)
+
+
+def reversed_and_summed(c, *rows):
+    """Of every row its numbers backwards, the first and a constant, and twice the sum over all samples."""
+    found = {}
+    for x in rows:
+        found |= {f"y{len(x)}": x[::-1], f"z{len(x)}": [x[0] + c[0]], f"w{len(x)}": [v * 2.0 for v in x]}
+    return found
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+def test_rows_of_any_width_are_read_and_nothing_but_results_is_written(dtype):
     """That nothing else is read is the claim of test_kernel_bounds.py."""
-    for width in thinned(
-        (1, 2, 3, 4, 5, 7, 8, 9, 12, 15, 16, 17, 20), (1, 4, 7, 8, 12, 17) if single else (2, 3, 5, 8, 9, 16)
-    ):
-        read_and_written(width, F32 if single else F64)
-
-
-def read_and_written(width, dtype):
-    """Assert that rows of a width are read, and that nothing is written around results."""
-    program = record(
-        "widths",
-        [Argument("x", width), Argument("c", 1, True)],
-        lambda x, c: {"y": [*reversed(x)], "z": [x[0] + c[0]], "w": [v * 2.0 for v in x]},
-        summed=["w"],
-    )
-    run = kernel(program, dtype).function
+    arguments = [Argument("c", 1, True), *(Argument(f"x{width}", width) for width in WIDTHS)]
+    run = kernel(record("widths", arguments, reversed_and_summed, [f"w{k}" for k in WIDTHS]), dtype).function
     for samples in (0, 1, 2, 3, 5, 8, 9, 15, 16, 17, 23, 33, 40):
-        x, c = random(samples, width, dtype=dtype), torch.tensor([3.0], dtype=dtype)
-        out = [torch.full((64 + size + 64,), GUARD, dtype=dtype) for size in (samples * width, samples, width)]
-        step = x.element_size()
-        run(samples, x.data_ptr(), c.data_ptr(), *(y.data_ptr() + 64 * step for y in out))
-        y, z, w = (y[64:-64] for y in out)
-        assert all((y[:64] == GUARD).all() and (y[-64:] == GUARD).all() for y in out)
-        assert torch.equal(y.view(samples, width), x.flip(-1))
-        assert torch.equal(z, x[:, 0] + 3.0)
-        assert torch.allclose(w, 2 * x.sum(0), rtol=0, atol=64 * EPS[dtype] * max(samples, 1))
+        rows, c = [random(samples, width, dtype=dtype) for width in WIDTHS], torch.tensor([3.0], dtype=dtype)
+        sizes = [size for width in WIDTHS for size in (samples * width, samples, width)]
+        room = [torch.full((64 + size + 64,), GUARD, dtype=dtype) for size in sizes]
+        inside = [y[64:-64] for y in room]
+        run(samples, *(x.data_ptr() for x in (c, *rows)), *(y.data_ptr() + 64 * y.element_size() for y in room))
+        assert all((y[:64] == GUARD).all() and (y[-64:] == GUARD).all() for y in room)
+        for k, x in enumerate(rows):
+            y, z, w = inside[3 * k : 3 * k + 3]
+            assert torch.equal(y.view(x.shape), x.flip(-1)) and torch.equal(z, x[:, 0] + 3.0)
+            assert torch.allclose(w, 2 * x.sum(0), rtol=0, atol=64 * EPS[dtype] * max(samples, 1))
 
 
 def test_a_program_longer_than_a_function_may_be_is_right():
@@ -172,11 +156,8 @@ def test_a_program_longer_than_a_function_may_be_is_right():
 # --- threads ---------------------------------------------------------------------------------------------------------
 
 
-threads = helpers.threads
-
-
 @pytest.mark.case("P13")
-def test_the_number_of_threads_changes_no_bit_of_a_result(threads):
+def test_the_number_of_threads_changes_no_bit_of_a_result(threads):  # noqa: F811
     s = states(TREE, 9001)
     torchdq.clear_caches()
     results = []
@@ -190,7 +171,7 @@ def test_the_number_of_threads_changes_no_bit_of_a_result(threads):
 
 
 @pytest.mark.case("P13")
-def test_the_number_of_threads_changes_summed_gradients_by_rounding_only(threads):
+def test_the_number_of_threads_changes_summed_gradients_by_rounding_only(threads):  # noqa: F811
     s = states(TREE, 9001)
     gradients = []
     for number in (1, 2):
@@ -205,37 +186,36 @@ def test_the_number_of_threads_changes_summed_gradients_by_rounding_only(threads
 
 
 @pytest.mark.case("P2")
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda x: x.mT.contiguous().mT,
-        lambda x: torch.stack([x, x], -1)[..., 0],
-        lambda x: x[:1].expand_as(x),
-        lambda x: x.flip(0),
-        lambda x: torch.cat([x.new_zeros(1), x.flatten()])[1:].view(x.shape),
-    ],
-    ids=["transposed", "strided", "expanded", "flipped", "misaligned"],
-)
 @every_kernel
-def test_how_an_input_lies_in_memory_does_not_matter(backend, change):
-    q, qd = change(random(9, 3)), random(9, 3, seed=1)
-    found, expected = (
-        torchdq.inverse_dynamics(RPH, x, qd, backend=backend)
-        for x in (q, q.clone(memory_format=torch.contiguous_format))
-    )
-    assert torch.equal(found, expected)
+def test_how_an_input_lies_in_memory_does_not_matter(backend):
+    x, qd = random(9, 3), random(9, 3, seed=1)
+    for name, q in {
+        "transposed": x.mT.contiguous().mT,
+        "strided": torch.stack([x, x], -1)[..., 0],
+        "expanded": x[:1].expand_as(x),
+        "flipped": x.flip(0),
+        "misaligned": torch.cat([x.new_zeros(1), x.flatten()])[1:].view(x.shape),
+    }.items():
+        plain = q.clone(memory_format=torch.contiguous_format)
+        found, expected = (torchdq.inverse_dynamics(RPH, at, qd, backend=backend) for at in (q, plain))
+        assert torch.equal(found, expected), name
 
 
 # --- other processors ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the flags are those of x86")
-@pytest.mark.parametrize("flags", [("-mno-avx512f",), ("-mno-avx512f", "-mno-avx")], ids=["32 bytes", "16 bytes"])
-@pytest.mark.parametrize("dtype", [F32, F64])
-def test_narrower_vectors_compute_the_same(monkeypatch, flags, dtype):
+@pytest.mark.parametrize(
+    ("flags", "dtype"),
+    thinned(
+        [(flags, dtype) for flags in ("-mno-avx512f", "-mno-avx512f -mno-avx") for dtype in (F32, F64)],
+        [("-mno-avx512f", F32), ("-mno-avx512f -mno-avx", F64)],
+    ),
+)
+def test_vectors_of_32_and_16_bytes_compute_the_same(monkeypatch, flags, dtype):
     recorded = torchdq.compile(TWO, "forward_dynamics").program
     x = [random(37, TWO.n, seed=k, dtype=dtype) for k in range(3)]
-    monkeypatch.setattr(build, "FLAGS", (*build.FLAGS, *flags))
+    monkeypatch.setattr(build, "FLAGS", (*build.FLAGS, *flags.split()))
     found, _ = CompiledKernel(recorded, dtype)(x, 37)
     (expected,) = eager(recorded, x)
     # without fused multiplication and addition some roundings differ
@@ -262,8 +242,8 @@ def test_views_with_a_sign_of_their_own_are_read_with_it():
 
 
 def test_zeros_without_memory_are_zeros():
-    found = torchdq.inverse_dynamics(RPH, torch._efficientzerotensor((4, 3), dtype=F64), backend="c")
-    assert torch.equal(found, torchdq.inverse_dynamics(RPH, torch.zeros(4, 3, dtype=F64), backend="c"))
+    zeros = torch._efficientzerotensor((4, 3), dtype=F64), torch.zeros(4, 3, dtype=F64)
+    assert torch.equal(*(torchdq.inverse_dynamics(RPH, q, backend="c") for q in zeros))
 
 
 def test_tensors_without_values_give_tensors_without_values():

@@ -33,19 +33,18 @@ def listed(found):
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("function", TWO)
-@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3), (200,)])
-def test_results_in_given_memory_are_those_of_the_function(function, dtype, batch):
-    call = compiled(function, dtype)
-    inputs = rows(call, *batch, dtype=call.dtype)
-    with torchdq.backend("eager"):
-        expected = listed(call(*inputs))
-    room = [torch.full_like(y, torch.nan) for y in expected]
-    found = call(*inputs, out=room if len(room) > 1 else room[0])
-    assert all(a is b for a, b in zip(listed(found), room, strict=True))
-    tolerance = 2e-4 if dtype == "float32" else 1e-12
-    for y, e, new in zip(room, expected, listed(call(*inputs)), strict=True):
-        torch.testing.assert_close(y, e, rtol=tolerance, atol=tolerance * float(e.abs().max()))
-        assert torch.equal(y, new)
+def test_results_in_given_memory_are_those_of_the_function(function, dtype):
+    call, tolerance = compiled(function, dtype), 2e-4 if dtype == "float32" else 1e-12
+    for batch in ((), (1,), (5,), (2, 3), (200,)):
+        inputs = rows(call, *batch, dtype=call.dtype)
+        with torchdq.backend("eager"):
+            expected = listed(call(*inputs))
+        room = [torch.full_like(y, torch.nan) for y in expected]
+        found = call(*inputs, out=room if len(room) > 1 else room[0])
+        assert all(a is b for a, b in zip(listed(found), room, strict=True))
+        for y, e, new in zip(room, expected, listed(call(*inputs)), strict=True):
+            torch.testing.assert_close(y, e, rtol=tolerance, atol=tolerance * float(e.abs().max()))
+            assert torch.equal(y, new)
 
 
 @pytest.mark.parametrize("batch", [(), (3,)])
@@ -74,18 +73,15 @@ def test_arrays_that_torch_cannot_share_are_read(batch, tmp_path):
     assert np.array_equal(call(mapped, qd, qdd, out=np.empty_like(q)), expected)
 
 
-def wrong_arguments(q, qd, qdd):
-    """Arguments in place of three right ones, as tensors or as arrays."""
-    yield from ((q, qd), (q, qd, qdd, q))
-    if not isinstance(q, np.ndarray):
-        return
-    yield q, torch.from_numpy(qd), qdd
-    yield from ((q, other, qdd) for other in other_arrays(q))
-
-
 def other_arrays(x):
     """Arrays of the shape of one, of numbers that are not those of the program."""
     return x.astype(">f8"), x.astype(np.float32), x.astype(int), x.astype(object), np.ma.masked_array(x, mask=x > 0.5)
+
+
+def wrong_arguments(q, qd, qdd):
+    """Arguments in place of three right ones, as tensors or as arrays."""
+    others = [torch.from_numpy(qd), *other_arrays(q)] if isinstance(q, np.ndarray) else []
+    return (q, qd), (q, qd, qdd, q), *((q, other, qdd) for other in others)
 
 
 @pytest.mark.parametrize("given", ["tensors", "arrays"])

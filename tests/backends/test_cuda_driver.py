@@ -66,16 +66,20 @@ int cuLaunchKernel(char*k,unsigned x,unsigned y,unsigned z,unsigned u,unsigned v
 """
 
 
+def built(text, folder, name):
+    """Path of a library."""
+    (folder / "driver.c").write_text(text)
+    command = [compiler().command[0], "-w", "-shared", "-fPIC", "-pthread", "-o", name, "driver.c"]
+    subprocess.run(command, cwd=folder, check=True)
+    return str(folder / name)
+
+
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
     """Path of the driver."""
     if GPU:
         pytest.skip("there is a driver")
-    folder = tmp_path_factory.mktemp("driver")
-    (folder / "driver.c").write_text(FAKE)
-    command = [compiler().command[0], "-w", "-shared", "-fPIC", "-pthread", "-o", "libdriver.so", "driver.c"]
-    subprocess.run(command, cwd=folder, check=True)
-    return str(folder / "libdriver.so")
+    return built(FAKE, tmp_path_factory.mktemp("driver"), "libdriver.so")
 
 
 class Recorder:
@@ -222,15 +226,11 @@ def test_a_wrong_number_of_pointers_is_an_error(driver):
 
 
 def test_without_a_driver_or_with_an_old_one_an_error_says_so(tmp_path, monkeypatch):
-    monkeypatch.setenv("TORCHDQ_CUDA_DRIVER", str(tmp_path / "nowhere.so"))
     torchdq.clear_caches()
-    with refused(BuildError):
-        Module(b"code")
-    (tmp_path / "old.c").write_text("int cuInit(unsigned f){return 0;}")
-    subprocess.run([compiler().command[0], "-shared", "-fPIC", "-o", "old.so", "old.c"], cwd=tmp_path, check=True)
-    monkeypatch.setenv("TORCHDQ_CUDA_DRIVER", str(tmp_path / "old.so"))
-    with refused(BuildError):
-        Module(b"code")
+    for path in (str(tmp_path / "nowhere.so"), built("int cuInit(unsigned f){return 0;}", tmp_path, "old.so")):
+        monkeypatch.setenv("TORCHDQ_CUDA_DRIVER", path)
+        with refused(BuildError):
+            Module(b"code")
     torchdq.clear_caches()
 
 

@@ -1,12 +1,10 @@
-"""Loops of the GPU backend, run on the host: they are their steps, and compile for GPUs."""
-
-import itertools
+"""Loops of the GPU backend: limits and shared values on the host, and that they compile for GPUs."""
 
 import pytest
 import torch
-from helpers import random, thinned
+from helpers import EVERYTHING, random, thinned
 from host_gpu import BACKWARDS, HOST, host_backends  # noqa: F401
-from loops import equal, gradients, loop, one_by_one, parts, step, tensors
+from loops import gradients, loop, one_by_one, parts, step, tensors
 from messages import refused, warned
 from programs import PANDA, TWO, agree, same
 
@@ -33,41 +31,6 @@ def looped(program, steps, given, backend="host", **options):
     return repeat(RecordedComputation(program), steps, *parts(given), total=("z",), backend=backend, **options)
 
 
-@each_dtype
-def test_a_loop_is_its_steps(dtype):
-    for samples, steps in itertools.product((0, 1, 150), (0, 1, 5)):
-        given = tensors(samples, steps, dtype=dtype)
-        expected = one_by_one(SMALL, steps, given, "host")
-        assert equal(looped(SMALL, steps, given), expected)
-        assert equal(looped(SMALL, steps, given, "backwards"), expected)
-        same([looped(SMALL, steps, given, ends=True)["x"]], [expected["x"][-1]])
-
-
-@each_dtype
-@pytest.mark.parametrize("program", [SMALL, GROWING], ids=["plain", "growing"])
-def test_gradients_are_those_of_the_steps(program, dtype):
-    """Gradients in states and inputs are equal to the bit; those of the rest are sums in another order."""
-    given = tensors(70, 5, dtype=dtype, grad=True)
-    with torch.no_grad():
-        given["x"] /= 10.0  # below the limit
-    (x, u, *totals), (x_, u_, *totals_) = (
-        gradients(y, given) for y in (looped(program, 5, given), one_by_one(program, 5, given, "host"))
-    )
-    same([x, u], [x_, u_])
-    agree(totals, totals_, 256)
-
-
-def test_derivatives_of_third_order_are_those_of_torch():
-    def nested(run):
-        given = tensors(5, 3, grad=True)
-        found = list(run(given).values())
-        for _ in range(3):
-            found = torch.autograd.grad(sum(y.square().sum() for y in found), list(given.values()), create_graph=True)
-        return [y.detach() for y in found]
-
-    agree(nested(lambda g: looped(SMALL, 3, g)), nested(lambda g: one_by_one(SMALL, 3, g, "eager")), 1e3)
-
-
 def test_samples_over_the_limit_at_some_step_are_those_of_a_loop_in_float64():
     given = tensors(150, 5, dtype=F32)
     expected, wide = one_by_one(SMALL, 5, given, "host"), {name: x.double() for name, x in given.items()}
@@ -89,15 +52,6 @@ def test_gradients_of_samples_over_the_limit_are_those_of_float64():
     for program in (GROWING, SMALL):
         errors.append([(y - e).norm() / e.norm() for y, e in zip(found(program, F32), exact, strict=True)])
     assert all(guarded <= 2 * plain for guarded, plain in zip(*errors, strict=True))
-
-
-def test_a_step_over_the_limit_of_double_precision_is_nan_from_there_on():
-    given = tensors(70, 4)
-    given["u"][1, 3], given["u"][2, 66] = 1e9, float("nan")
-    found = looped(GROWING, 4, given)
-    assert equal(found, one_by_one(GROWING, 4, given, "host"))
-    assert found["x"][:2, 3].isfinite().all() and found["x"][2:, 3].isnan().all()
-    assert found["x"][:, [k for k in range(70) if k not in (3, 66)]].isfinite().all()
 
 
 @each_dtype
@@ -167,7 +121,8 @@ def test_loops_compile_for_gpus_in_about_the_registers_of_a_step(kind, robot):
     whole = with_states(Loop(body, ((0, 0), (1, 1)), (2,)))
     whole = whole if kind == "rollout" else adjoint(whole, (2,))
     assert body.growth is not None
-    for single in (True, False):
+    for single in thinned((True, False), (True,) if robot is PANDA else (True, False)):
         step_, loop_ = (found.compile(f(x, single), "x", 90) for f, x in ((source, whole.body), (loop_source, whole)))
         assert loop_.registers <= step_.registers + 8 and loop_.spilled <= 1.25 * step_.spilled
-    assert found.compile(recomputing_loop_source(whole), "x", 90).registers
+    if EVERYTHING or robot is TWO:
+        assert found.compile(recomputing_loop_source(whole), "x", 90).registers

@@ -70,27 +70,24 @@ def test_programs_give_the_same_numbers_on_arm(function, dtype, tmp_path):
     program = torchdq.compile(robot, function, dtype=dtype, options=options).program
     torch.manual_seed(0)
     inputs = [2 * torch.randn(37, a.width, dtype=dtype) for a in program.arguments]  # 37: whole vectors and a tail
+    same(program, inputs, tmp_path)
+
+
+def same(program, inputs, folder):
+    """Assert that the processors differ in nothing but the order in which fused operations round."""
+    dtype = inputs[0].dtype
     for found, here in zip(
-        on_arm(program, inputs, tmp_path, dtype == torch.float32), compiled(program, inputs), strict=True
+        on_arm(program, inputs, folder, dtype == torch.float32), compiled(program, inputs), strict=True
     ):
-        # the processors differ in nothing but the order in which fused operations round
         assert (found - here).abs().max() <= 2000 * torch.finfo(dtype).eps * here.abs().max()
 
 
 def test_a_step_of_a_scene_gives_the_same_numbers_on_arm(tmp_path):
     """With roots, exponentials, logarithms and comparisons in it."""
-    parts = (
-        effects.Gravity(),
-        effects.Coulomb(1.0),
-        effects.JointLimits(),
-        effects.FirstOrderLag(0.02),
-        effects.Noise(0.1, 0.1),
-    )
-    program = Scene(torchdq.robots.load("panda"), parts).program()
+    parts = (effects.Gravity(), effects.Coulomb(1.0), effects.JointLimits(), effects.FirstOrderLag(0.02))
+    program = Scene(torchdq.robots.load("panda"), (*parts, effects.Noise(0.1, 0.1))).program()
     torch.manual_seed(0)
-    inputs = [torch.rand(37, a.width, dtype=torch.float64) for a in program.arguments]
-    for found, here in zip(on_arm(program, inputs, tmp_path, False), compiled(program, inputs), strict=True):
-        assert (found - here).abs().max() <= 2000 * torch.finfo(torch.float64).eps * here.abs().max()
+    same(program, [torch.rand(37, a.width, dtype=torch.float64) for a in program.arguments], tmp_path)
 
 
 def test_wild_angles_fall_back_to_the_library_on_arm(tmp_path):

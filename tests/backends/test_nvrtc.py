@@ -4,8 +4,8 @@ Where it is found and how it is asked is tested with libraries that this machine
 not exist. What it compiles is tested where the wheel nvidia-cuda-nvrtc is installed; neither needs a GPU.
 """
 
+import ctypes
 import itertools
-import os
 import shutil
 import subprocess
 import sys
@@ -58,15 +58,16 @@ NAMES = ("libnvrtc.so.98", "libnvrtc-builtins.so.98.4")
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> dict[str, Path]:
-    """Both libraries of versions 98.4 and 97.4."""
+    """Both libraries of versions 98.4, 97.4 and 96.4, of which the last say their names to the loader."""
     if compiler() is None or sys.platform != "linux":
         pytest.skip("there is no C compiler, or this is not Linux")
     folder = tmp_path_factory.mktemp("made")
     (folder / "fake.c").write_text(FAKE)
     (folder / "empty.c").write_text("int builtins;")
-    for name in (*NAMES, *(name.replace("98", "97") for name in NAMES)):
-        source = "empty.c" if "builtins" in name else "fake.c"
-        options = ["-w", f"-DMAJOR={97 if '97' in name else 98}", "-shared", "-fPIC", "-o", name, source]
+    for version, name in itertools.product((98, 97, 96), NAMES):
+        library, source = name.replace("98", f"{version}"), "empty.c" if "builtins" in name else "fake.c"
+        options = ["-w", f"-DMAJOR={version}", "-shared", "-fPIC", "-o", library, source]
+        options += [f"-Wl,-soname,{library}"] if version == 96 else []
         subprocess.run([compiler().command[0], *options], cwd=folder, check=True)
     return {path.name: path for path in folder.glob("lib*")}
 
@@ -139,15 +140,8 @@ def test_it_is_found_with_its_second_library(layout, machine, made, monkeypatch)
 
 def test_every_place_goes_before_the_next(machine, made, monkeypatch):
     """Each is found while those after it have one too."""
-    kinds = (
-        "the file that is named",
-        "wheel beside torch",
-        "wheel elsewhere",
-        "conda",
-        "CUDA_HOME",
-        "toolkit",
-        "Debian",
-    )
+    wheels = ("wheel beside torch", "wheel elsewhere")
+    kinds = ("the file that is named", *wheels, "conda", "CUDA_HOME", "toolkit", "Debian")
     for kind in kinds:
         for name, value in LAYOUTS[kind][1].items():
             monkeypatch.setenv(name, str(machine / value))
@@ -158,43 +152,42 @@ def test_every_place_goes_before_the_next(machine, made, monkeypatch):
         monkeypatch.delenv("TORCHDQ_NVRTC", raising=False)
 
 
-def test_what_the_loader_knows_goes_before_packages(machine, made):
-    """In a process of its own, since the loader reads the variable when it starts."""
-    put(machine / "loader", made)
-    put(machine / "site/nvidia/cu98/lib", made)
-    code = f"""
-import sys
-from torchdq.backends import nvrtc
-nvrtc.MAJORS = (98, 97)
-sys.path.append({str(machine / "site")!r})
-print(nvrtc.found().path)
-"""
-    root = str(Path(torchdq.__file__).parents[1])
-    environment = {**os.environ, "LD_LIBRARY_PATH": str(machine / "loader"), "PYTHONPATH": root}
-    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
-    assert run.stdout.strip() == NAMES[0], run.stderr
+def of(version: int) -> list[str]:
+    """Names of both libraries of a version."""
+    return [name.replace("98", f"{version}") for name in NAMES]
+
+
+def test_what_the_loader_knows_goes_before_packages(machine, made, monkeypatch):
+    """It knows the names of libraries that are loaded."""
+    monkeypatch.setattr(nvrtc, "MAJORS", (96,))
+    put(machine / "site/nvidia/cu96/lib", made, of(96))
+    for name in of(96):
+        ctypes.CDLL(str(made[name]))
+    assert search().path == "libnvrtc.so.96"
 
 
 def test_the_version_of_torch_goes_before_newer_ones_wherever_they_are(machine, made, monkeypatch):
-    older = put(machine / "usr/lib64", made, [name.replace("98", "97") for name in NAMES])
+    older = put(machine / "usr/lib64", made, of(97))
     newer = put(machine / "nvidia/cu98/lib", made)
     assert search().path == str(newer)
     monkeypatch.setattr(torch.version, "cuda", "97.1")
     assert search().path == str(older)
 
 
-@pytest.mark.parametrize("spoil", ["no second library", "no library", "another library"])
-def test_one_that_cannot_be_used_is_passed_over(spoil, machine, made):
+SPOILED = {
+    "no second library": (lambda bad, made: bad.with_name(NAMES[1]).unlink(), "lacks its second library"),
+    "no library": (lambda bad, made: bad.write_bytes(b"hello"), "is no NVRTC"),
+    "another library": (lambda bad, made: shutil.copy(made[NAMES[1]], bad), "is no NVRTC"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_one_that_cannot_be_used_is_passed_over(name, machine, made):
     bad, good = put(machine / "nvidia/cu98/lib", made), put(machine / "usr/lib64", made)
-    if spoil == "no second library":
-        bad.with_name(NAMES[1]).unlink()
-    elif spoil == "no library":
-        bad.write_bytes(b"hello")
-    else:
-        shutil.copy(made[NAMES[1]], bad)
+    spoil, reason = SPOILED[name]
+    spoil(bad, made)
     assert search().path == str(good)
     shutil.rmtree(good.parent)
-    reason = "lacks its second library" if spoil == "no second library" else "is no NVRTC"
     assert f"(not usable: {bad} {reason}" in search()
 
 
@@ -229,7 +222,7 @@ def fake(machine, made) -> nvrtc.Nvrtc:
 
 def alive(library: nvrtc.Nvrtc) -> int:
     """Number of programs that it has in memory."""
-    return nvrtc.ctypes.c_int.in_dll(library._library, "alive").value
+    return ctypes.c_int.in_dll(library._library, "alive").value
 
 
 def options_of(compiled: nvrtc.Compiled) -> tuple[str, list[str]]:
@@ -321,7 +314,6 @@ ptxas info    : Compiling entry function 'run' for 'sm_80'
 ptxas info    : Function properties for run
 ptxas         .     32 bytes stack frame, 0 bytes spill stores, 0 bytes spill loads
 ptxas info    : Used 18 registers, used 0 barriers, 32 bytes cumulative stack size, 376 bytes cmem[0], 8 bytes cmem[2]
-ptxas info    : Compile time = 10.652 ms
 ptxas info    : Function properties for _ZN36_INTERNAL_00000000_10_program_cu_run4wildEf
 ptxas         .     0 bytes stack frame, 0 bytes spill stores, 0 bytes spill loads
 """
@@ -379,19 +371,13 @@ def real() -> nvrtc.Nvrtc:
     return library
 
 
-@pytest.mark.parametrize("architecture", [80, 90])
-def test_a_kernel_is_compiled_without_a_gpu(real, architecture):
-    found = real.compile(SMALL, "small", architecture)
-    assert found.code.startswith(b"\x7fELF") and b"run" in found.code
-    assert 8 <= found.registers <= 64 and found.spilled == 0 and "'run'" in found.log
-
-
-def test_text_for_a_gpu_that_is_newer_than_the_compiler(real):
-    found = real.compile(SMALL, "small", 9990)
+def test_a_kernel_is_compiled_without_a_gpu_and_an_error_in_its_source_is_shown(real):
+    for architecture in (80, 90):
+        found = real.compile(SMALL, "small", architecture)
+        assert found.code.startswith(b"\x7fELF") and b"run" in found.code
+        assert 8 <= found.registers <= 64 and found.spilled == 0 and "'run'" in found.log
+    found = real.compile(SMALL, "small", 9990)  # text for a GPU that is newer than the compiler
     assert f".target sm_{real.architectures[-1]}" in found.code.decode() and found.registers == 0
-
-
-def test_an_error_in_the_source_is_shown(real):
     with pytest.raises(BuildError, match='identifier "x" is undefined'):
         real.compile("__device__ int f(){return x;}", "bad", 90)
 

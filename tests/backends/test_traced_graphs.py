@@ -1,12 +1,11 @@
 """Graphs that torch traces: they compute what the function does, of the robot and the values of each call."""
 
-import programs
 import pytest
 import torch
 from helpers import random
 from host_gpu import host_backends  # noqa: F401
 from messages import refused
-from programs import TWO
+from programs import TWO, agree
 from torch.fx.experimental.proxy_tensor import make_fx
 
 import torchdq
@@ -18,11 +17,6 @@ from torchdq.program.program import LARGEST_GROWTH
 F64 = torch.float64
 BACKEND = "auto"
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
-
-
-def agree(found, expected, factor: float = 256.0) -> None:
-    """Both are the same sums, rounded differently."""
-    programs.agree(found, expected, factor)
 
 
 def traced(function):

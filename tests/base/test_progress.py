@@ -3,8 +3,6 @@
 import importlib
 import re
 import runpy
-import signal
-import subprocess
 import sys
 import threading
 import time
@@ -13,7 +11,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from helpers import all_in_one
+from helpers import all_in_one, interrupted
 from messages import refused, warned
 
 import torchdq
@@ -87,21 +85,12 @@ def test_errors_pass_and_end_the_lines(capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_an_interrupt_ends_the_work():
-    # a shell starts what runs in the background with interrupts ignored, and this suite perhaps, too
-    code = """
-import signal, time
-from torchdq.base.progress import Progress
-signal.signal(signal.SIGINT, signal.default_int_handler)
-with Progress("sleeping"):
-    print("here", flush=True)
-    time.sleep(60)
-"""
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout.readline() == "here\n"
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=300)
-    assert process.returncode != 0 and "KeyboardInterrupt" in err
+def test_an_interrupt_ends_the_work_and_its_lines(capfd):
+    with interrupted(0.3), pytest.raises(KeyboardInterrupt), Progress("sleeping"):
+        time.sleep(60)
+    assert "sleeping" in capfd.readouterr().err
+    time.sleep(0.3)
+    assert capfd.readouterr().err == ""
 
 
 def test_a_stream_that_is_closed_or_absent_stops_nothing(monkeypatch):

@@ -175,7 +175,7 @@ def test_a_wrong_robot_is_named(key):
 
 
 @pytest.mark.case("P4")
-@pytest.mark.parametrize("key", thinned(FUNCTIONS, ("inverse_dynamics", "forward_dynamics", "cartesian_impedance")))
+@pytest.mark.parametrize("key", thinned(FUNCTIONS, ("inverse_dynamics",)))
 def test_a_function_is_exported_for_any_batch_with_what_all_rows_share(key):
     robot, options = arm().lock({"joint2": 0.5}), FUNCTIONS[key][2]  # never called with
     options = {name: ("x",) if name == "axes" else x for name, x in options.items()}
@@ -269,7 +269,7 @@ def test_a_module_does_not_write_to_the_robot_it_is_made_of():
     assert untouched({field: getattr(robot, field) for field in known}, before) == []
 
 
-# --- tensors that are not dense ---------------------------------------------------------------------------------------
+# --- tensors that are not dense, and devices -------------------------------------------------------------------------
 
 OTHERS = {
     "sparse_coo": lambda x: x.to_sparse(),
@@ -306,9 +306,6 @@ def test_tensors_that_are_not_dense_are_named(layout):
             use(other)
     with refused(torchdq.TorchdqError):
         robot.replace(damping=OTHERS["mkldnn"](plain) if layout == "mkldnn" else other)
-
-
-# --- torch's default device -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.filterwarnings("ignore:.* acts on no joint")

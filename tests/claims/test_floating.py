@@ -5,7 +5,6 @@ terms; of accelerations, 64 eps times the condition number of the mass matrix sc
 """
 
 import copy
-import dataclasses
 import itertools
 from functools import partial
 
@@ -18,6 +17,7 @@ from free_flyers import ANGULAR_FIRST, MORE_ROBOTS, ROBOTS, TREES, FreeFlyer, Mo
 from helpers import all_in_one, thinned
 from messages import refused, warned
 from oracles import EPS
+from precisions import eager_first
 
 import torchdq
 from torchdq import dq, floating
@@ -301,7 +301,7 @@ def tangent(f, *at: torch.Tensor) -> list[torch.Tensor]:
     "name, backend",
     thinned(
         [*itertools.product(["tree1", "tree4", "tree7", "quadrotor_base", "tree12", "solo12"], ["eager", "c"])],
-        (("tree1", "eager"), ("tree4", "c"), ("tree7", "eager"), ("quadrotor_base", "eager")),
+        (("tree1", "eager"), ("tree4", "eager"), ("tree7", "eager"), ("quadrotor_base", "eager")),
     ),
 )
 @DYNAMICS
@@ -333,7 +333,7 @@ def test_derivatives_of_forces_and_accelerations(name, backend, function):
 
 
 def test_derivatives_of_all_orders_are_those_of_differences():
-    c, m = case("tree2"), motion(case("tree2"), batch=2)
+    c, m = case("tree2"), motion(case("tree2"), batch=1)
     bodies = ("base_mass", "base_com", "base_inertia", "mass", "gravity")
     given = [m[name].clone().requires_grad_() for name in (*TWIST, "tau", "f_base")]
     tensors = [getattr(c.robot, name).clone().requires_grad_() for name in bodies]
@@ -365,25 +365,10 @@ def test_the_other_functions_are_differentiable(function):
     torch.autograd.gradgradcheck(f, given, fast_mode=True)
 
 
-def test_the_jacobian_is_the_derivative_of_the_pose():
-    c, m = case("tree5"), motion(case("tree5"), batch=1)
-    X_WB, q = m["X_WB"][0], m["q"][0]
-
-    def pose(X_WB, q):
-        return floating.forward_kinematics(c.robot, X_WB, q, frame="b4")
-
-    dX_dX, dX_dq = torch.autograd.functional.jacobian(pose, (X_WB, q))
-    dX = torch.cat([dX_dX @ displaced(X_WB), dX_dq], -1).mT  # [6 + n, 8]
-    twists = 2 * dq.mul(dq.conj(pose(X_WB, q)), dX)
-    J = floating.jacobian(c.robot, X_WB, q, frame="b4")
-    near(twists[:, [1, 2, 3, 5, 6, 7]].mT, J, 10.0)
-    near(twists[:, [0, 4]], torch.zeros(11, 2), 10.0)
-
-
 # --- ways to call ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("backend", ["eager", "c"])
+@eager_first
 def test_batches_broadcast(backend):
     c, m = case("tree3"), motion(case("tree3"), batch=12)
     at = {name: x.unflatten(0, (3, 4)) for name, x in m.items()}
@@ -398,7 +383,7 @@ def test_batches_broadcast(backend):
         near(found, torch.stack([*map(generalised, rows)]).view(3, 4, -1), found.abs().max().item())
 
 
-@pytest.mark.parametrize("backend", ["eager", "c"])
+@eager_first
 def test_base_bodies_can_differ_from_sample_to_sample(backend):
     c, m = case("tree3"), motion(case("tree3"))
     bodies = [body(pin.Inertia(2.0 + k, np.array([0.1 * k, -0.2, 0.3]), oracles.random_inertia(
@@ -422,7 +407,7 @@ def test_base_bodies_can_differ_from_sample_to_sample(backend):
                 ["tree3", "quadrotor_base"], ["inverse_dynamics", "forward_dynamics", "momentum", "regressor"]
             )
         ],
-        [("tree3", "inverse_dynamics"), ("tree3", "forward_dynamics"), ("quadrotor_base", "momentum")],
+        [("tree3", "inverse_dynamics"), ("tree3", "forward_dynamics")],
     ),
 )
 def test_single_precision_and_compiled_programs(name, function):
@@ -472,25 +457,6 @@ def test_a_traced_graph():
         near(a, b, b.abs().max().item(), 1e-11)
 
 
-# --- identities ------------------------------------------------------------------------------------------------------
-
-
-@SOME
-def test_the_axes_of_the_world_do_not_matter(name):
-    """Turn and shift the world, and its gravity with it: forces and accelerations in the robot's axes stay."""
-    c, m = case(name), motion(case(name))
-    X_NW = dq.from_pose(
-        dq.normalize(torch.tensor([0.3, -0.5, 0.7, 0.2], dtype=F64)), torch.tensor([3.0, -2, 5]).double()
-    )
-    turned = dataclasses.replace(c, robot=c.robot.replace(gravity=dq.rotate(dq.rotation(X_NW), c.robot.gravity)))
-    there = Motion({**m, "X_WB": dq.mul(X_NW, m["X_WB"])})
-    for f in ("inverse_dynamics", "forward_dynamics"):
-        found, expected = generalised(found_by(f, turned, there)), generalised(found_by(f, c, m))
-        near(found, expected, expected.abs().max().item(), rounding(c, m))
-    h, before = found_by("momentum", turned, there), found_by("momentum", c, m)
-    near(h.angular, dq.rotate(dq.rotation(X_NW), before.angular), 100.0)
-
-
 # --- hard cases ------------------------------------------------------------------------------------------------------
 
 
@@ -503,9 +469,7 @@ ROTATIONS = [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1), (0, 1, 1, 0
              (1, 1e-9, 0, 0), (1, 1, 0, 0), (1, 0, -1, 0), (-1, 0, 0, 0)]  # fmt: skip
 
 
-@all_in_one(
-    [*(("tree3", x) for x in ROTATIONS), *(("solo12", x) for x in thinned(ROTATIONS, ((0, 0, 0, 1), (1, 1e-9, 0, 0))))]
-)
+@all_in_one([*(("tree3", x) for x in ROTATIONS), *(("solo12", x) for x in thinned(ROTATIONS, ((1, 1e-9, 0, 0),)))])
 def test_no_orientation_is_special(of_what):
     name, rotation = of_what
     c = case(name)
@@ -558,7 +522,7 @@ def test_light_and_heavy_bases(of_what):
     near(force.tau, m["tau"], size, 256 * EPS[F64])
 
 
-@pytest.mark.parametrize("backend", ["eager", "c"])
+@eager_first
 def test_a_row_that_is_not_a_number_stays_alone(backend):
     c, m = case("tree3"), motion(case("tree3"))
     expected = generalised(found_by("forward_dynamics", c, m, backend=backend))

@@ -20,10 +20,7 @@ from torchdq.program.program import LARGEST_GROWTH
 from torchdq.scene import integrators
 
 F32, F64 = torch.float32, torch.float64
-pytestmark = [
-    pytest.mark.gpu,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU that torch can use"),
-]
+pytestmark = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU that torch can use")]
 GPU = torch.device("cuda")
 
 
@@ -107,6 +104,15 @@ def test_a_call_does_not_wait_for_the_gpu():
         torch.cuda.set_sync_debug_mode("default")
 
 
+def warm_up(iteration):
+    """Iterations on another stream, as graphs want them before they are captured."""
+    stream = torch.cuda.Stream()
+    with torch.cuda.stream(stream):
+        for _ in range(3):
+            iteration()
+    torch.cuda.current_stream().wait_stream(stream)
+
+
 def test_a_training_iteration_is_captured_in_a_graph():
     layer = torchdq.DQRNEA(PANDA, learn=("mass",)).to(GPU)
     x = random(3, 256, 7, dtype=F32).to(GPU)
@@ -115,11 +121,7 @@ def test_a_training_iteration_is_captured_in_a_graph():
         layer.zero_grad(set_to_none=False)
         (layer(*x) ** 2).mean().backward()
 
-    stream = torch.cuda.Stream()
-    with torch.cuda.stream(stream):
-        for _ in range(3):
-            iteration()
-    torch.cuda.current_stream().wait_stream(stream)
+    warm_up(iteration)
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
         iteration()
@@ -173,11 +175,7 @@ def test_a_training_iteration_through_a_rollout_is_captured_in_a_graph():
             optimiser.step()
             return loss.detach()
 
-        stream = torch.cuda.Stream()
-        with torch.cuda.stream(stream):
-            for _ in range(3):
-                iteration()
-        torch.cuda.current_stream().wait_stream(stream)
+        warm_up(iteration)
         return iteration
 
     captured, plain, graph = trainer(), trainer(), torch.cuda.CUDAGraph()

@@ -9,6 +9,7 @@ import torch
 from helpers import all_in_one, exhaustive
 from messages import refused
 from oracles import random_tree
+from precisions import eager_first
 
 import torchdq
 from torchdq import ArgumentError, Robot, UnknownNameError, dq
@@ -96,45 +97,34 @@ def test_a_joint_of_several_coordinates_has_nothing_to_give():
     rows = ([-1.0, -torch.inf], [1.0, torch.inf], [1.0, torch.inf], [1.0, torch.inf])  # four rows without a name
     given = limited.couple(S, names, limits=rows).limits
     assert isinstance(given, Limits) and all(map(torch.equal, given, chosen))
-    for wrong in (
-        rows[:3],
-        1.0,
-        (rows[0][:1], *rows[1:]),
-        ("low", *rows[1:]),
-        (rows[1], rows[0], *rows[2:]),
-    ):
+    for wrong in (rows[:3], 1.0, (rows[0][:1], *rows[1:]), ("low", *rows[1:]), (rows[1], rows[0], *rows[2:])):
         with refused(ValueError):
             limited.couple(S, names, limits=wrong)
 
 
+TWO = torchdq.robots.load("two_link")
+ABOVE = TWO.replace(limits=TWO.limits._replace(lower=double([0.1, 0.1]), upper=double([1.0, 1.0])))
+REFUSED = [
+    lambda: TWO.couple({"joint3": {"joint1": 1.0}}),
+    lambda: TWO.couple({"joint2": {"joint1": 1.0}}, offset={"joint3": 1.0}),
+    lambda: TWO.couple({"joint2": "joint1"}),
+    lambda: TWO.couple({"joint2": {"joint1": torch.nan}}),
+    lambda: TWO.couple({"joint2": {"a": 0.0}}),
+    lambda: TWO.couple([[1.0, 2.0], [-0.5, -1.0]], ["a", "b"]),
+    lambda: TWO.couple([[1e-9, 3e3], [1e-9, 3e3]], ["a", "b"]),
+    lambda: torchdq.robots.load("panda").couple({"panda_joint2": {"b": 1.0, "c": 0.5}}, limits=torch.nan),
+    *(lambda names=names: TWO.couple([[1.0], [2.0]], names) for names in (None, ["a", "b"], "a")),
+    lambda: TWO.couple([[1.0, 0.0], [2.0, 1.0]], ["a", "a"]),
+    lambda: TWO.couple([[1.0]], ["a"]),
+    lambda: ABOVE.couple({"joint2": {"joint1": -1.0}}),
+]
+
+
 def test_couplings_that_cannot_be_are_refused():
-    robot = torchdq.robots.load("two_link")
-    with refused(UnknownNameError):
-        robot.couple({"joint3": {"joint1": 1.0}})
-    with refused(UnknownNameError):
-        robot.couple({"joint2": {"joint1": 1.0}}, offset={"joint3": 1.0})
-    with refused(ArgumentError):
-        robot.couple({"joint2": "joint1"})
-    with refused(ArgumentError):
-        robot.couple({"joint2": {"joint1": torch.nan}})
-    with refused(ArgumentError):
-        robot.couple({"joint2": {"a": 0.0}})
-    for S in ([[1.0, 2.0], [-0.5, -1.0]], [[1e-9, 3e3], [1e-9, 3e3]]):
-        with refused(ArgumentError):
-            robot.couple(S, ["a", "b"])
-    with refused(ArgumentError):
-        torchdq.robots.load("panda").couple({"panda_joint2": {"b": 1.0, "c": 0.5}}, limits=torch.nan)
-    assert robot.couple([[1e-9, 0.0], [0.0, 1e9]], ["a", "b"]).joint_names == ("a", "b")
-    for names in (None, ["a", "b"], "a"):
-        with refused(ArgumentError):
-            robot.couple([[1.0], [2.0]], names)
-    with refused(ArgumentError):
-        robot.couple([[1.0, 0.0], [2.0, 1.0]], ["a", "a"])
-    with refused(ArgumentError):
-        robot.couple([[1.0]], ["a"])
-    limited = robot.replace(limits=robot.limits._replace(lower=double([0.1, 0.1]), upper=double([1.0, 1.0])))
-    with refused(ArgumentError):
-        limited.couple({"joint2": {"joint1": -1.0}})
+    for k, call in enumerate(REFUSED):
+        with refused(UnknownNameError if k < 2 else ArgumentError):
+            call()
+    assert TWO.couple([[1e-9, 0.0], [0.0, 1e9]], ["a", "b"]).joint_names == ("a", "b")
 
 
 def test_a_coordinate_is_of_the_kind_of_its_own_joint():
@@ -193,7 +183,7 @@ def test_copies_and_batches_are_the_robot():
         Robot.stack([robot, other])
 
 
-@all_in_one(["X_PB_home", "screw", "home", "com", "inertia", "gravity", "armature"])
+@all_in_one(["X_PB_home", "home", "inertia", "gravity", "armature"])
 def test_tensors_that_are_replaced_are_those_of_the_robot(name):
     robot, (q, qd, qdd) = geared(), rows(3)
     same = robot.replace(**{name: getattr(robot, name).clone()})
@@ -202,15 +192,12 @@ def test_tensors_that_are_replaced_are_those_of_the_robot(name):
         assert torch.allclose(found, expected, rtol=1e-10, atol=1e-10 * float(expected.abs().max()))
 
 
-@pytest.mark.parametrize("backend", ["eager", "c"])
+@eager_first
 def test_a_batch_of_robots_is_each_of_them(backend):
     robot, (q, qd, qdd) = geared(), rows(3)
     scale = double([[1.0], [0.5], [2.0], [3.0]])
-    changes = {
-        "mass": scale * robot.mass,
-        "inertia": scale[..., None] * robot.inertia,
-        "armature": scale * robot.armature,
-    }
+    changes = {"mass": scale * robot.mass, "armature": scale * robot.armature}
+    changes["inertia"] = scale[..., None] * robot.inertia
     batch = robot.replace(**changes)
     for function in (torchdq.inverse_dynamics, torchdq.forward_dynamics):
         found = function(batch, q, qd, qdd, backend=backend)
@@ -295,29 +282,25 @@ def test_a_held_payload_is_one_of_the_scene():
 
 def test_gears_do_not_push_a_free_body():
     """The torques that make joints follow act within the robot, and so do those of its friction: momenta stay."""
-    base = {
-        "base_mass": double(3.0),
-        "base_com": double([0.1, 0, 0.2]),
-        "base_inertia": double([0.3, 0, 0.4, 0, 0, 0.5]),
-    }
-    robot = geared().replace(**base, armature=None).bake()
+    base = {"base_mass": 3.0, "base_com": [0.1, 0, 0.2], "base_inertia": [0.3, 0, 0.4, 0, 0, 0.5]}
+    robot = geared().replace(**{name: double(x) for name, x in base.items()}, armature=None).bake()
     scene = Scene(robot, (effects.Viscous(), effects.JointLimits()), integrator=integrators.RungeKutta4(), dt=0.002)
     z, zd, torque = 0.3 * rows(3)
     state = scene.start(z, zd, X_WB=dq.exp(rows(6)[0]), V_WB_B=rows(6)[1])
     before = torchdq.floating.momentum(robot, state.X_WB, state.q, state.V_WB_B, state.qd)
-    for _ in range(20):
+    for _ in range(8):
         state = scene.step(state, torque)
     after = torchdq.floating.momentum(robot, state.X_WB, state.q, state.V_WB_B, state.qd)
     for a, b in zip(before, after, strict=True):
         assert torch.allclose(a, b, rtol=1e-6, atol=1e-6)
-    assert not torch.allclose(state.q, z, atol=1e-2)
+    assert not torch.allclose(state.q, z, atol=5e-3)
 
 
 @pytest.mark.parametrize(
     "integrator, drift",
     [
         (integrators.RungeKutta4(), 1e-8),
-        (integrators.StoermerVerlet(), 1e-3),
+        pytest.param(integrators.StoermerVerlet(), 1e-3, marks=exhaustive),
         pytest.param(integrators.DormandPrince(), 1e-8, marks=exhaustive),
         (integrators.SemiImplicitEuler(), 0.1),
     ],
@@ -353,14 +336,15 @@ def test_layers_learn_what_a_robot_has():
     layer = torchdq.DQRNEA(bare, learn=("mass", "com", "inertia"))
     assert torch.allclose(layer(q, qd, qdd), torchdq.inverse_dynamics(bare, q, qd, qdd), rtol=1e-10, atol=1e-9)
     heavy = torchdq.inverse_dynamics(bare.replace(mass=1.5 * bare.mass, inertia=1.5 * bare.inertia), q, qd, qdd)
-    optimiser = torch.optim.Adam(layer.parameters(), 0.05)
-    losses = []
-    for _ in range(60):
+    optimiser, losses = torch.optim.LBFGS(layer.parameters(), max_iter=10, line_search_fn="strong_wolfe"), []
+
+    def loss():
         optimiser.zero_grad()
-        loss = (layer(q, qd, qdd) - heavy).square().mean()
-        loss.backward()
-        optimiser.step()
-        losses.append(float(loss.detach()))
+        losses.append((layer(q, qd, qdd) - heavy).square().mean())
+        losses[-1].backward()
+        return losses[-1]
+
+    optimiser.step(loss)
     assert losses[-1] < 1e-2 * losses[0]
     for learn in (("armature", "friction", "offset"), ("X_PB_home", "screw", "home")):
         layer = torchdq.DQRNEA(robot, learn=learn)
@@ -392,21 +376,16 @@ def test_a_residual_learns_beside_a_robot_with_a_map():
 
 
 def test_a_log_of_a_geared_robot_identifies_it():
-    described_robot = geared()
-    real = described_robot.replace(mass=1.2 * described_robot.mass, armature=1.5 * described_robot.armature).bake()
+    robot, model = geared(), Model((effects.Viscous(), effects.Coulomb()), armature=True)
+    real = robot.replace(mass=1.2 * robot.mass, armature=1.5 * robot.armature).bake()
     q, qd, qdd, more = torch.randn(4, 300, 3, dtype=F64, generator=torch.Generator().manual_seed(0))
     tau = torchdq.inverse_dynamics(real, q, qd, qdd) + 0.3 * qd
-    found = identify(
-        described_robot,
-        Samples(q, qd, qdd, tau),
-        Model((effects.Viscous(), effects.Coulomb()), armature=True),
-        prior=1.0,
-    )
+    found = identify(robot, Samples(q, qd, qdd, tau), model, prior=1.0)
     assert len(found.parameters) == 60 + 9 and found.names[0] == "b0 m" and found.names[-1] == "j3 coulomb"
     assert torch.allclose(found.viscous, double([0.3] * 3), rtol=1e-2)
     predicted, expected = found.predict(more, q, qd).tau, torchdq.inverse_dynamics(real, more, q, qd) + 0.3 * q
     assert float((predicted - expected).abs().max()) < 1e-3 * float(expected.abs().max())
-    assert found.robot.joint_map is not None and found.robot.joint_names == described_robot.joint_names
+    assert found.robot.joint_map is not None and found.robot.joint_names == robot.joint_names
 
 
 # --- environments ----------------------------------------------------------------------------------------------------
@@ -446,6 +425,7 @@ def test_fingers_are_drawn_where_they_are():
         assert abs(points - at).sum(-1).min() < 1e-9
 
 
+@exhaustive
 def test_recommendations_are_made():
     assert recommend_settings(described(3).couple({"j2": {"j0": -1.5}}).bake(), 1e-2, 0.1).error <= 1e-2
 

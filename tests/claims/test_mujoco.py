@@ -11,7 +11,6 @@ The tolerance is 1e-12 for torques, whose size counts more than inertia, 2e-12 f
 """
 
 from functools import cache
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -36,16 +35,6 @@ def compiled(name: str) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(oracles.rigid_bodies(name))
 
 
-class Answers(NamedTuple):
-    """MuJoCo's results for states, in the robot's joint order."""
-
-    M: np.ndarray
-    bias: np.ndarray  # Coriolis and gravity torques
-    tau: np.ndarray
-    rotation: np.ndarray  # [states, frames, 3, 3]
-    position: np.ndarray  # [states, frames, 3]
-
-
 @cache
 def frames(name: str) -> list[str]:
     """Names of the links that MuJoCo has as bodies; it makes a base link without inertia part of its world."""
@@ -58,8 +47,8 @@ def robot_of(name: str) -> torchdq.Robot:
     return oracles.example_case(name).robot
 
 
-def answers(name: str) -> Answers:
-    """All of MuJoCo's results for a robot in `oracles.states`."""
+def answers(name: str) -> list[np.ndarray]:
+    """MuJoCo's results in `oracles.states`: M, bias and torques in the robot's order, rotations and positions."""
     model, robot = compiled(name), robot_of(name)
     data = mujoco.MjData(model)
     joints = [model.joint(joint) for joint in robot.joint_names]
@@ -73,12 +62,11 @@ def answers(name: str) -> Answers:
         mujoco.mj_fullM(model, data, M)
         bias = data.qfrc_bias[dof]
         bodies = [data.body(body) for body in frames(name)]
-        rotations = [body.xmat.reshape(3, 3).copy() for body in bodies]
-        positions = [body.xpos.copy() for body in bodies]
+        poses = [body.xmat.reshape(3, 3).copy() for body in bodies], [body.xpos.copy() for body in bodies]
         data.qacc[dof] = qdd
         mujoco.mj_inverse(model, data)
-        rows.append((M[np.ix_(dof, dof)], bias, data.qfrc_inverse[dof], rotations, positions))
-    return Answers(*map(np.array, zip(*rows, strict=True)))
+        rows.append((M[np.ix_(dof, dof)], bias, data.qfrc_inverse[dof], *poses))
+    return [*map(np.array, zip(*rows, strict=True))]
 
 
 # --- tests -----------------------------------------------------------------------------------------------------------
@@ -93,19 +81,19 @@ def test_a_robot_left_out_is_one_that_mujoco_does_not_read(name):
 @pytest.mark.parametrize("name", thinned(READ_BY_MUJOCO, FEW))
 def test_agrees_with_mujoco(name):
     """Mass matrix, torques, and poses of every link but the base."""
-    robot, theirs = robot_of(name), answers(name)
+    robot, (M, bias, torques, rotations, positions) = robot_of(name), answers(name)
     s, case = oracles.states(robot), oracles.case(name)
-    size = np.sqrt(np.diagonal(theirs.M, axis1=-2, axis2=-1).max(0))
-    errors = {"mass matrix": worst(torchdq.mass_matrix(robot, s.q), theirs.M, size[:, None] * size) / AXES}
+    size = np.sqrt(np.diagonal(M, axis1=-2, axis2=-1).max(0))
+    errors = {"mass matrix": worst(torchdq.mass_matrix(robot, s.q), M, size[:, None] * size) / AXES}
     size = oracles.size_of_torques(case, s._replace(qdd=0 * s.qdd))
-    errors["bias torques"] = worst(torchdq.inverse_dynamics(robot, s.q, s.qd), theirs.bias, size) / TOLERANCE
+    errors["bias torques"] = worst(torchdq.inverse_dynamics(robot, s.q, s.qd), bias, size) / TOLERANCE
     tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd)
-    errors["torques"] = worst(tau, theirs.tau, oracles.size_of_torques(case, s)) / TOLERANCE
+    errors["torques"] = worst(tau, torques, oracles.size_of_torques(case, s)) / TOLERANCE
     X = torchdq.forward_kinematics(robot, s.q)[:, [robot.frame_names.index(frame) for frame in frames(name)]]
-    poses = [[oracles.se3(x) for x in row] for row in X]
-    errors["orientations"] = worst([[x.rotation for x in row] for row in poses], theirs.rotation, 1.0) / EXACT
-    reach = np.linalg.norm(theirs.position, axis=-1).max()
-    errors["positions"] = worst([[x.translation for x in row] for row in poses], theirs.position, reach) / EXACT
+    poses = np.array([[oracles.se3(x).homogeneous for x in row] for row in X])
+    errors["orientations"] = worst(poses[..., :3, :3], rotations, 1.0) / EXACT
+    reach = np.linalg.norm(positions, axis=-1).max()
+    errors["positions"] = worst(poses[..., :3, 3], positions, reach) / EXACT
     assert {what: error for what, error in errors.items() if not error <= 1.0} == {}
     base, *others = robot.frame_names
     assert set(others) <= set(frames(name)), base

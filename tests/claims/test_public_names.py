@@ -15,16 +15,8 @@ from torchdq.export.meaning import WORDS
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.recipe import WRENCHES
 
-OTHERS = {
-    "robot",
-    "backend",
-    "precision",
-    "frame",
-    "expressed",
-    "axes",
-    "limits",
-    "coriolis",
-}  # arguments that are no tensors
+# arguments that are no tensors
+OTHERS = {"robot", "backend", "precision", "frame", "expressed", "axes", "limits", "coriolis"}
 NUMBERS = {"k_null", "damping"}  # optional arguments whose default is a number
 FUNCTIONS = {
     **{name: getattr(functional, name) for name in RECIPES if hasattr(functional, name)},

@@ -1,10 +1,9 @@
 """Scenes move as MuJoCo's do, which reads the same URDF files with a parser of its own and integrates on its own.
 
 With gravity, damping and rotors, integrators that are the same on paper are the same to rounding after a second of a
-thousand steps; against a reference that is exact, both are off by the order of the method.
+thousand steps.
 """
 
-import itertools
 from functools import cache
 
 import mujoco
@@ -17,7 +16,7 @@ from helpers import thinned
 import torchdq
 from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
-from torchdq.scene.integrators import DormandPrince, LinearlyImplicit, RungeKutta4, SemiImplicitEuler
+from torchdq.scene.integrators import LinearlyImplicit, RungeKutta4, SemiImplicitEuler
 
 ROBOTS = ("ur5_robot", "panda")  # of 6 joints, and of 7 and two fingers that slide
 DT, STEPS = 1e-3, 1000
@@ -64,22 +63,22 @@ def model_of(name):
     return model, order
 
 
-def simulated(name, integrator, disabled=0, dt=DT, seconds=STEPS * DT):
+def simulated(name, integrator, disabled=0):
     """Positions after every step of MuJoCo, in the robot's order."""
     model, order = model_of(name)
-    model.opt.integrator, model.opt.disableflags, model.opt.timestep = integrator, disabled, dt
+    model.opt.integrator, model.opt.disableflags = integrator, disabled
     data = mujoco.MjData(model)
     p = parameters(name)
     data.qpos[order], data.qvel[order], data.qfrc_applied[order] = p["q"], p["qd"], p["torque"]
     found = []
-    for _ in range(round(seconds / dt)):
+    for _ in range(STEPS):
         mujoco.mj_step(model, data)
         found.append(data.qpos[order].copy())
     return np.array(found)
 
 
 @cache
-def moved(name, integrator, dt=DT, seconds=STEPS * DT):
+def moved(name, integrator):
     """Positions after every step of a scene."""
     p = parameters(name)
     parts = (
@@ -87,9 +86,9 @@ def moved(name, integrator, dt=DT, seconds=STEPS * DT):
         effects.RotorInertia(p["armature"].tolist()),
         effects.Viscous(p["damping"].tolist()),
     )
-    scene = Scene(robot_of(name), parts, integrator=integrator, dt=dt)
+    scene = Scene(robot_of(name), parts, integrator=integrator, dt=DT)
     state, torque = State(torch.from_numpy(p["q"]), torch.from_numpy(p["qd"])), torch.from_numpy(p["torque"])
-    return scene.rollout(state, torque.expand(round(seconds / dt), -1)).q.numpy()
+    return scene.rollout(state, torque.expand(STEPS, -1)).q.numpy()
 
 
 EULER, RK4 = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4
@@ -101,13 +100,8 @@ PAIRS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "pair"),
-    thinned(
-        [*itertools.product(ROBOTS, PAIRS)],
-        [*((ROBOTS[0], pair) for pair in PAIRS), (ROBOTS[1], "implicit damping")],
-    ),
-)
+@pytest.mark.parametrize("pair", PAIRS)
+@pytest.mark.parametrize("name", thinned(ROBOTS, ROBOTS[:1]))
 def test_a_second_of_motion_is_mujocos(name, pair):
     ours, theirs, disabled = PAIRS[pair]
     found, expected = moved(name, ours), simulated(name, theirs, disabled)
@@ -121,20 +115,3 @@ def test_integrators_that_are_not_the_same_differ(name):
     ends = [moved(name, ours)[-1] for ours, _, _ in PAIRS.values()]
     for i in range(3):
         assert np.abs(ends[i] - ends[i - 1]).max() > 1000 * SAME
-
-
-@pytest.mark.case("T1")
-@pytest.mark.parametrize("pair", PAIRS)
-def test_both_approach_the_exact_motion_with_the_order_of_the_method(pair):
-    name, T = ROBOTS[0], 0.5
-    ours, theirs, disabled = PAIRS[pair]
-    exact = moved(name, DormandPrince(1e-11, 1e-12), T / 10, T)[-1]
-    steps = (T / 32, T / 64, T / 128) if ours.order == 4 else (T / 250, T / 500, T / 1000)
-    for positions in (
-        lambda dt: moved(name, ours, dt, T),
-        lambda dt: simulated(name, theirs, disabled, dt, T),
-    ):
-        errors = [np.abs(positions(dt)[-1] - exact).max() for dt in steps]
-        slopes = np.log2(np.array(errors[:-1]) / errors[1:])
-        assert errors[-1] > 1e-11
-        assert abs(slopes[-1] - ours.order) < 0.15

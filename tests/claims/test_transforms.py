@@ -10,9 +10,11 @@ import operator
 import shutil
 from functools import cache
 
+import helpers
 import pytest
 import torch
 from helpers import all_in_one, rods, thinned
+from oracles import scaled_condition
 from torch._dynamo.backends.common import aot_autograd
 from torch._dynamo.testing import CompileCounterWithBackend
 from torch._functorch.aot_autograd import make_boxed_func
@@ -22,6 +24,7 @@ import torchdq
 from torchdq import effects
 from torchdq.backends.compiler import compiler
 
+fresh = helpers.fresh
 F32, F64 = torch.float32, torch.float64
 EPS = {F32: 2.0**-23, F64: 2.0**-52}
 TRAILING = {"mass": 1, "com": 2, "inertia": 2, "gravity": 1, "armature": 1, "home": 1, "X_PB_home": 2, "screw": 2}
@@ -184,7 +187,7 @@ def sizes_without_joints(key, backend):
     return [tuple(y.shape) for y in found]
 
 
-# --- batches of robots -----------------------------------------------------------------------------------------------
+# --- batches of robots, bad ones, and dtypes -------------------------------------------------------------------------
 
 
 def varied(robot, fields, batch=(3,)):
@@ -241,32 +244,19 @@ def test_the_parameters_of_a_batch_of_robots_are_those_of_each():
     assert same([robot.inertial_parameters], [torch.stack([one(robot, k).inertial_parameters for k in range(3)])])
 
 
-# --- bad robots -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.case("P9")
+@pytest.mark.case("D3", "P9")
 @all_in_one(["inverse_dynamics", "forward_dynamics", "closed_form", "mass_matrix"])
 def test_a_bad_robot_leaves_the_other_robots_bitwise_alone(key):
-    robot, args = varied(arm(), ["mass"]), of(key, 2, (3,))
-    mass = robot.mass.clone()
-    mass[1, 0] = torch.nan
-    spoiled = call(key, robot.replace(mass=mass), args)
-    assert same([y[[0, 2]] for y in call(key, robot, args)], [y[[0, 2]] for y in spoiled])
-
-
-@pytest.mark.case("D3")
-@pytest.mark.case("P9")
-def test_a_singular_robot_leaves_the_other_robots_bitwise_alone():
-    robot = varied(torchdq.robots.load("two_link"), ["mass", "inertia"])
-    args = of("forward_dynamics", 2, (3,))
-    empty = robot.replace(mass=robot.mass.index_fill(0, torch.tensor(1), 0.0))
-    empty = empty.replace(inertia=robot.inertia.index_fill(0, torch.tensor(1), 0.0))
-    found = call("forward_dynamics", empty, args)[0]
-    assert not bool(found[1].isfinite().all())
-    assert same([found[[0, 2]]], [call("forward_dynamics", robot, args)[0][[0, 2]]])
-
-
-# --- dtypes ----------------------------------------------------------------------------------------------------------
+    """Its masses are not numbers, or it has none beyond a joint."""
+    robot, args = varied(torchdq.robots.load("two_link"), ["mass", "inertia"]), of(key, 2, (3,))
+    good = [y[[0, 2]] for y in call(key, robot, args)]
+    for bad in (torch.nan, 0.0):
+        fields = {name: getattr(robot, name).clone() for name in ("mass", "inertia")}
+        for x in fields.values():
+            x[1] = bad
+        found = call(key, robot.replace(**fields), args)
+        assert same(good, [y[[0, 2]] for y in found])
+        assert not found[0][1].isfinite().all() or (bad == 0.0 and key != "forward_dynamics")
 
 
 @every_function
@@ -279,9 +269,7 @@ def test_float32_stays_float32_and_is_as_accurate(key):
     condition = 1.0
     if key == "forward_dynamics":
         # 5e-6 is about 40 eps; solving with M multiplies it by the condition of M scaled to a unit diagonal
-        M = torchdq.mass_matrix(robot, args[0].double())
-        d = M.diagonal(dim1=-2, dim2=-1).rsqrt()
-        condition = float(torch.linalg.cond(d[..., None] * M * d[..., None, :]).max())
+        condition = scaled_condition(torchdq.mass_matrix(robot, args[0].double()))
     assert relative([y.double() for y in found], exact) < 5e-6 * condition
 
 
@@ -298,19 +286,6 @@ def test_vmap_over_a_module_is_its_batch(key):
     module = module_of(key, arm())
     args = inputs(MODULES[key][1], 2, (4,))
     assert same([vmap(module)(*args)], [module(*args)])
-
-
-@pytest.mark.case("P3")
-@all_in_one(["DQRNEA with friction", "ForwardDynamics with friction", "ComputedTorque"])
-def test_vmap_of_jacrev_is_a_loop_over_backward_passes(key):
-    module = module_of(key, arm())
-    args = inputs(MODULES[key][1], 2, (3,))
-    found = vmap(jacrev(module, argnums=tuple(range(len(args)))))(*args)
-    for k in range(3):
-        rows = [x[k].clone().requires_grad_() for x in args]
-        y = module(*rows)
-        for i in range(2):
-            assert relative([J[k, i] for J in found], torch.autograd.grad(y[i], rows, retain_graph=True)) < 1e-12
 
 
 @pytest.mark.case("P3")
@@ -348,35 +323,16 @@ def test_grad_of_functional_call_is_that_of_backward(key):
 # --- torch.compile and torch.export ----------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def fresh():
-    """A compiler that remembers nothing of other tests."""
-    torch._dynamo.reset()
-    yield
-    torch._dynamo.reset()
-
-
 @pytest.mark.case("P4")
 @pytest.mark.parametrize(
-    "key", thinned(FUNCTIONS, ("forward_dynamics", "forward_kinematics", "computed_torque", "dynamics_jacobian"))
+    "key",
+    thinned(FUNCTIONS, ("computed_torque", "dynamics_jacobian")),  # hard_cases/test_tensors.py has others
 )
 def test_every_function_compiles_without_a_graph_break(key, fresh):
     robot = arm()
     args = of(key, 2, (3,))
     compiled = torch.compile(lambda *x: call(key, robot, x), backend="eager", fullgraph=True)
     assert relative(compiled(*args), call(key, robot, args)) < 1e-12
-
-
-@pytest.mark.case("P4")
-@C_COMPILER
-def test_a_new_batch_size_costs_one_recompilation_and_further_ones_none(fresh):
-    module = torchdq.DQRNEA(arm(), learn="mass", backend="c")
-    counter = CompileCounterWithBackend("eager")
-    compiled = torch.compile(module, backend=counter, fullgraph=True)
-    for batch in (4, 7, 9, 33):
-        args = inputs("q qd qdd", 2, (batch,))
-        assert relative([compiled(*args)], [module(*args)]) < 1e-12
-    assert counter.frame_count <= 2
 
 
 LEARNED = ("mass", "com", "inertia", "armature", "friction", "offset")
@@ -390,11 +346,14 @@ def slopes(module, f, args):
 
 @pytest.mark.case("P4")
 @C_COMPILER
-def test_a_compiled_arm_has_the_same_values_and_gradients(fresh):
+def test_a_compiled_arm_has_the_same_values_and_gradients_and_is_compiled_once_more_for_another_batch(fresh):
     module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=LEARNED, backend="c")
-    args = inputs("q qd qdd", 2, (4,))
-    compiled = torch.compile(module, backend="aot_eager", fullgraph=True)
-    assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
+    counter = CompileCounterWithBackend("aot_eager")
+    compiled = torch.compile(module, backend=counter, fullgraph=True)
+    for batch in (4, 7, 9, 33):
+        args = inputs("q qd qdd", 2, (batch,))
+        assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
+    assert counter.frame_count <= 2
 
 
 @pytest.mark.case("P4")
@@ -404,7 +363,7 @@ def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_
     module = torchdq.DQRNEA(rods(1), learn=("mass",))
     compiled = torch.compile(module, backend="inductor", fullgraph=True, dynamic=True)
     for batch in (5, 18):
-        args = inputs("q qd qdd", 1, (batch,))
+        args = inputs("q", 1, (batch,))
         assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
 
 
@@ -412,7 +371,7 @@ def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_
 @pytest.mark.parametrize(
     "transform, backend",
     [  # torch refuses vmap of an operator that is not its own
-        *((transform, "auto") for transform in thinned((grad, jacrev, jacfwd, vmap), (jacfwd, vmap))),
+        *((transform, "auto") for transform in thinned((grad, jacrev, jacfwd, vmap), (jacfwd,))),
         *(pytest.param(transform, "c", marks=C_COMPILER) for transform in thinned((grad, jacfwd, jacrev), (grad,))),
     ],
 )
@@ -485,7 +444,7 @@ def test_the_first_call_may_be_inside_a_transform():
 
 
 @pytest.mark.case("P4")
-@pytest.mark.parametrize("key", thinned(MODULES, ("ForwardDynamics with friction", "ComputedTorque")))
+@pytest.mark.parametrize("key", thinned(MODULES, ("ForwardDynamics with friction",)))
 def test_an_exported_module_takes_any_batch_size(key):
     torchdq.clear_caches()  # as of one that was never called
     module = module_of(key, torchdq.robots.load("two_link"))
@@ -534,22 +493,3 @@ def test_what_is_learnt_is_a_parameter_with_a_gradient(key):
     parameters = dict(module.named_parameters())
     assert {name.removesuffix(".original").rpartition(".")[2] for name in parameters} == set(TRAILING)
     assert all(float(p.grad.abs().max()) > 0.0 for p in parameters.values())
-
-
-def test_wrong_masses_are_recovered_from_torques_and_the_robot_of_the_start_is_left_alone():
-    true = torchdq.robots.load("two_link")
-    wrong = true.replace(mass=true.mass * torch.tensor([1.6, 0.5], dtype=F64))
-    module, args = torchdq.DQRNEA(wrong, learn=("mass",)), inputs("q qd qdd", 2, (50,))
-    tau = torchdq.inverse_dynamics(true, *args)
-    optimiser = torch.optim.LBFGS(module.parameters(), max_iter=50, line_search_fn="strong_wolfe", tolerance_grad=1e-12)
-
-    def loss():
-        optimiser.zero_grad()
-        error = (module(*args) - tau).square().mean()
-        error.backward()
-        return error
-
-    optimiser.step(loss)
-    # torques are linear in the masses, so the loss is a bowl whose bottom is known to about the root of eps
-    assert relative([module.mass], [true.mass]) < 1e-6 and torch.equal(module.robot.mass, module.mass)
-    assert torch.equal(wrong.mass, torch.tensor([1.6, 0.5], dtype=F64)) and not wrong.mass.requires_grad

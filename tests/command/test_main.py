@@ -8,11 +8,12 @@ import json
 import os
 import re
 import shlex
-import signal
 import subprocess
 import sys
 import warnings
 from contextlib import closing
+from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -20,12 +21,12 @@ import numpy as np
 import oracles
 import pytest
 import torch
-from helpers import EVERYTHING, thinned
+from helpers import EVERYTHING, interrupted, thinned
 from places import ROOT
 from recorded_logs import STEP, states, written
 
 import torchdq
-from torchdq.base import machine
+from torchdq.base import machine, progress
 from torchdq.command import doctor
 from torchdq.command.main import ABOUT, COMMANDS, INTERRUPTED, MISTAKE, USAGE, WELL, _parsed, main
 from torchdq.command.outcome import Grid, Outcome, plain, write
@@ -199,9 +200,6 @@ def test_a_mistake_of_a_user_is_one_message(here, capsys):
         assert errors.startswith("torchdq: error: ") and "Traceback" not in errors, arguments
         assert found in " ".join(errors.split()), arguments
         assert max(map(len, errors.splitlines())) <= WIDE, arguments
-
-
-def test_a_mistake_is_a_json_object_too(here, capsys):
     found = data(capsys, "report", "nowhere.urdf", code=MISTAKE)
     assert found == {"error": found["error"], "kind": "MissingFileError"} and "nowhere.urdf" in found["error"]
 
@@ -224,29 +222,19 @@ def test_packages_that_are_missing_are_told_before_the_work(here, capsys, monkey
         assert words in " ".join(told(capsys, *command, code=MISTAKE)[1].split())
 
 
-def test_a_process_ends_at_ctrl_c(here):
-    # a process in the background of a shell ignores Ctrl-C, and those that it starts do, too
-    code = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    code += "runpy.run_module('torchdq', run_name='__main__', alter_sys=True)"
-    command = [sys.executable, "-c", code, "scene", "arm.urdf", "--seconds", "1e5", "--price", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            progress = process.stderr.readline()  # comes when it has worked for two seconds
-            process.send_signal(signal.SIGINT)
-            out, errors = process.communicate(timeout=300)
-        finally:
-            process.kill()
-    assert re.match(r"torchdq: .* 2 s \.\.\.", progress)
-    assert process.returncode == INTERRUPTED and not out and "Traceback" not in errors
+def test_ctrl_c_ends_a_command_with_its_exit_code(here, capsys, monkeypatch):
+    monkeypatch.setattr(progress, "FIRST", 0.3)
+    with interrupted(1.0):
+        out, errors = told(capsys, "scene", "arm.urdf", "--seconds", "1e5", "--price", "0", code=INTERRUPTED)
+    assert re.match(r"torchdq: .* 0 s \.\.\.", errors) and not out and "Traceback" not in errors
     assert errors.strip().endswith("torchdq: interrupted")
 
 
 def test_a_reader_that_leaves_early_is_no_fault(here):
     command = f"{sys.executable} -m torchdq report arm.urdf | true; exit ${{PIPESTATUS[0]}}"
     found = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=300)
-    assert found.returncode == 0 and not re.sub(
-        r"torchdq: .* s \.\.\.\n", "", found.stderr
-    )  # a slow machine has progress
+    said = re.sub(r"torchdq: .* s \.\.\.\n", "", found.stderr)  # a slow machine has progress
+    assert found.returncode == 0 and not said
 
 
 def test_what_libraries_print_is_not_in_the_output(here, capsys, monkeypatch):
@@ -301,9 +289,8 @@ def test_a_file_is_read_by_what_is_in_it(here, capsys):
     here.joinpath("h.urdf").write_text(f"{comment}{ARM.replace('</robot>', '<mujoco><compiler/></mujoco></robot>')}")
     assert len(data(capsys, "report", "m.xml")["coordinates"]) == 1
     assert len(data(capsys, "report", "u.xml")["coordinates"]) == 2
-    assert data(capsys, "report", "h.urdf", "--base", "floating") == data(
-        capsys, "report", "u.xml", "--base", "floating"
-    )
+    one, other = (data(capsys, "report", name, "--base", "floating") for name in ("h.urdf", "u.xml"))
+    assert one == other
 
 
 MARKS = ["&#x9b;31m", "&#x85;", "&#x202e;", "&#10;j9  revolute  l9  99 kg", "&#13;", "&#9;"]
@@ -335,13 +322,17 @@ def test_a_body_that_cannot_exist_is_reported_and_is_not_simulated_unless_asked(
 
 
 FILES = [path for name, path in oracles.urdf_paths().items() if name not in oracles.UNREADABLE]
-QUICK = ("romeo.urdf", "hextilt_flying_arm_5.urdf")
+BASES = ("fixed", "floating")
+QUICK = [("romeo.urdf", "fixed"), *(("hextilt_flying_arm_5.urdf", base) for base in BASES)]
 # what no line of a report may be: a number that is none, an object, or a name of Python's
 UNEXPLAINED = re.compile(r"\bnan\b|tensor\(|<[a-z_.]+ object|\bnull\b|Traceback|\btensor\b")
 
 
-@pytest.mark.parametrize("path", [x for x in FILES if EVERYTHING or x.name in QUICK], ids=lambda x: x.name)
-@pytest.mark.parametrize("base", ["fixed", "floating"])
+@pytest.mark.parametrize(
+    ("path", "base"),
+    [x for x in product(FILES, BASES) if EVERYTHING or (x[0].name, x[1]) in QUICK],
+    ids=lambda x: getattr(x, "name", x),
+)
 def test_a_report_of_every_robot_has_no_unexplained_line(here, capsys, path, base):
     out, errors = told(capsys, "report", path, "--base", base)
     assert not UNEXPLAINED.search(out + errors)
@@ -359,7 +350,7 @@ def test_a_report_of_every_robot_has_no_unexplained_line(here, capsys, path, bas
 
 
 def test_there_are_robots_to_report():
-    assert len(FILES) > 60 and {path.name for path in FILES} >= set(QUICK)
+    assert len(FILES) > 60 and {path.name for path in FILES} >= {name for name, _ in QUICK}
 
 
 # --- bench -----------------------------------------------------------------------------------------------------------
@@ -368,11 +359,8 @@ def test_there_are_robots_to_report():
 def test_bench_measures_every_function_at_every_batch(here, capsys):
     threads = torch.get_num_threads()
     found = data(capsys, "bench", "arm.urdf", "--batches", "1", "64", "--seconds", "0", "--threads", "1")
-    assert {(one["function"], one["batch"]) for one in found["speeds"]} == {
-        (name, batch)
-        for name in ("inverse_dynamics", "forward_dynamics", "mass_matrix", "regressor", "gradient of inverse_dynamics")
-        for batch in (1, 64)
-    }
+    names = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "regressor", "gradient of inverse_dynamics")
+    assert {(one["function"], one["batch"]) for one in found["speeds"]} == set(product(names, (1, 64)))
     assert all(one["nanoseconds"] > 0 for one in found["speeds"])
     assert found["threads"] == 1 and torch.get_num_threads() == threads
     assert machine.processor() in found["machine"]
@@ -386,6 +374,10 @@ def test_bench_of_a_free_base(here, capsys):
 # --- id --------------------------------------------------------------------------------------------------------------
 
 
+fits = pytest.mark.skipif(not (find_spec("scipy") and find_spec("matplotlib")), reason="no scipy, or no matplotlib")
+FEW = ("--friction", "simple", "--prior", "1")  # parameters
+
+
 def elements(page):
     """Names of the elements of a page whose tags are all closed, and what it would load."""
     text = re.sub(r"<(meta|br)\b([^>]*)>", r"<\1\2/>", page.removeprefix("<!doctype html>"))
@@ -395,14 +387,12 @@ def elements(page):
     return {element.tag.rpartition("}")[2] for element in every}, loads
 
 
+@fits
 def test_a_robot_is_identified_from_logs_with_a_page_and_a_urdf(here, capsys):
-    pytest.importorskip("scipy")
-    pytest.importorskip("matplotlib")
     for k, name in enumerate(("a.csv", "b.csv")):
         log(name, names=("pos_", "vel_", "eff_"), count=0, seed=k)
     named = ("--columns", "q", "pos_{0}", "qd", "vel_{0}", "tau", "eff_{0}")
-    quick = ("--friction", "simple", "--prior", "1")
-    found = data(capsys, "id", "arm.urdf", "a.csv", "b.csv", *named, *quick, "--out", "made")
+    found = data(capsys, "id", "arm.urdf", "a.csv", "b.csv", *named, *FEW, "--out", "made")
     assert found["verdict"] == "Good" and " by the file is " in found["summary"] and not found["findings"]
     errors = found["evaluation"]
     assert max(errors["found"]) < 0.05 < min(errors["described"])
@@ -425,38 +415,34 @@ def test_a_robot_is_identified_from_logs_with_a_page_and_a_urdf(here, capsys):
     assert torch.allclose(torchdq.inverse_dynamics(written, q, zero, zero), real, rtol=0.02, atol=0.02)
 
 
+@fits
 def test_the_last_third_of_a_single_log_is_the_test_and_a_payload_is_found(here, capsys):
-    pytest.importorskip("scipy")
-    pytest.importorskip("matplotlib")
     log("empty.csv")
     log("held.csv.gz", held=ROBOT.with_payload(0.4, (0.1, 0.0, 0.0), frame="lower"), seed=1)
-    quick = ("--friction", "simple", "--prior", "1", "--payload", "held.csv.gz", "--frame", "lower")
-    out, errors = told(capsys, "id", "arm.urdf", "empty.csv", *quick)
+    held = ("--payload", "held.csv.gz", "--frame", "lower")
+    out, errors = told(capsys, "id", "arm.urdf", "empty.csv", *FEW, *held)
     assert "payload at lower" in out and "wrote" in out and re.search(r"Good: in [45]\.\d s", out)
     mass = float(re.search(r"^mass +(\S+)", out, re.MULTILINE)[1])
     assert abs(mass - 0.4) < 0.05, out + errors
     assert here.joinpath("arm_identified.urdf").is_file()
 
 
+@fits
 def test_logs_of_another_robot_have_a_poor_verdict(here, capsys):
-    pytest.importorskip("scipy")
-    pytest.importorskip("matplotlib")
     log("log.csv", rows=450)
     text = here.joinpath("log.csv").read_text().splitlines()
     swapped = [",".join([*line.split(",")[:5], *reversed(line.split(",")[5:])]) for line in text[1:]]
     here.joinpath("log.csv").write_text("\n".join([text[0], *swapped]) + "\n")
-    out, errors = told(capsys, "id", "arm.urdf", "log.csv", "--friction", "simple", "--prior", "1")
+    out, errors = told(capsys, "id", "arm.urdf", "log.csv", *FEW)
     assert "Good: " not in out and "warning" in errors
 
 
+@fits
 def test_what_may_be_missing_is_tried_where_the_verdict_is_poor(here, capsys):
     """A load in the motions to test on alone, which no gain and no rotor explains."""
-    pytest.importorskip("scipy")
-    pytest.importorskip("matplotlib")
     log("empty.csv")
     log("held.csv", held=ROBOT.with_payload(4.0, (0.1, 0.0, 0.0), frame="lower"), seed=1)
-    quick = ("--friction", "simple", "--prior", "1", "--frame", "lower")
-    found = data(capsys, "id", "arm.urdf", "empty.csv", "--test", "held.csv", *quick)
+    found = data(capsys, "id", "arm.urdf", "empty.csv", "--test", "held.csv", *FEW, "--frame", "lower")
     tried = {one["name"]: one for one in found["tried"]}
     assert found["verdict"] == "Poor" and {"nothing else", "--rotors", "--estimate-gains"} <= tried.keys()
     (name,) = (name for name, one in tried.items() if one["helps"])
@@ -465,16 +451,14 @@ def test_what_may_be_missing_is_tried_where_the_verdict_is_poor(here, capsys):
     assert "What may be missing" in Path(found["files"]["page"]).read_text()
 
 
+@fits
 def test_files_of_one_log_are_joined_and_the_output_says_how(here, capsys):
-    pytest.importorskip("scipy")
-    pytest.importorskip("matplotlib")
     log("whole.csv")
     rows = np.loadtxt("whole.csv", delimiter=",", skiprows=1)
     np.savetxt("q.txt", rows[:, 1:3])
     np.savetxt("tau.txt", rows[:, 5:])
     named = ("--columns", "q", "q:{1}", "qd", "none", "tau", "tau:{1}", "--rate", "50")
-    quick = ("--friction", "simple", "--prior", "1")
-    found = data(capsys, "id", "arm.urdf", "q.txt+tau.txt", *named, *quick)
+    found = data(capsys, "id", "arm.urdf", "q.txt+tau.txt", *named, *FEW)
     assert found["verdict"] == "Good" and found["tried"] == []
     assert "joined row by row" in Path(found["files"]["page"]).read_text()
 
@@ -552,24 +536,18 @@ def test_accuracy_recommends(here, capsys):
     assert "dtype" in out and "predicted" in out
 
 
-def test_c_is_exported(here, capsys):
+def test_c_casadi_and_graphs_of_torch_are_exported(here, capsys):
     arguments = ("inverse_dynamics", "--out", "c", "--name", "arm_torques")
     found = data(capsys, "export", "arm.urdf", *arguments)
     names = {Path(file).name for file in found["files"]}
     assert {"arm_torques.c", "arm_torques.h"} <= names and all(Path(file).is_file() for file in found["files"])
     out, _ = told(capsys, "export", "arm.urdf", *arguments)
     assert "wrote c/arm_torques.c" in out
-
-
-def test_casadi_and_free_bases_are_exported(here, capsys):
-    found = data(capsys, "export", "arm.urdf", "mass_matrix", "--language", "casadi", "--out", "casadi")
-    assert len(found["files"]) == 1 and "sparsity" in Path(found["files"][0]).read_text()
     found = data(capsys, "export", "arm.urdf", "forward_dynamics", *MASSLESS)
     assert found["function"] == "forward_dynamics_arm"
     assert "X_WB" in next(Path(file) for file in found["files"] if file.endswith(".h")).read_text()
-
-
-def test_a_graph_of_torch_is_exported(here, capsys):
+    found = data(capsys, "export", "arm.urdf", "mass_matrix", "--language", "casadi", "--out", "casadi")
+    assert len(found["files"]) == 1 and "sparsity" in Path(found["files"][0]).read_text()
     found = data(capsys, "export", "arm.urdf", "inverse_dynamics", "--language", "torch")
     graph = torch.export.load(found["files"][0]).module()
     x = torch.rand(3, 5, 2, dtype=torch.float64)
@@ -618,10 +596,9 @@ def test_the_papers_tables_are_counted(here, capsys, monkeypatch):
 
 def test_the_doctor_finds_this_installation_well(here, capsys):
     found = data(capsys, "doctor")
-    assert {one["state"] for one in found["findings"]} <= {"ok", "warning"}
-    assert {"python", "packages", "processor", "threads", "C compiler", "cache", "GPU", "compiled program"} <= {
-        one["what"] for one in found["findings"]
-    }
+    states, subjects = ({one[name] for one in found["findings"]} for name in ("state", "what"))
+    assert states <= {"ok", "warning"}
+    assert {"python", "packages", "processor", "threads", "C compiler", "cache", "GPU", "compiled program"} <= subjects
     out, _ = told(capsys, "doctor")
     assert max(map(len, out.splitlines())) <= WIDE and "torques of a double" in " ".join(out.split())
 
@@ -639,27 +616,30 @@ def test_the_known_torque_is_that_of_the_weights():
     assert tau.tolist() == pytest.approx(doctor.TORQUES, rel=1e-14)
 
 
-def test_a_compiler_that_fails_is_broken_with_a_cure(here, capsys, monkeypatch):
+@pytest.fixture
+def other_compiler(monkeypatch):
+    """Patches of an environment whose compiler nothing remembers."""
+    torchdq.clear_caches()
+    yield monkeypatch
+    monkeypatch.undo()
+    torchdq.clear_caches()
+
+
+def test_a_compiler_that_fails_is_broken_with_a_cure(here, capsys, other_compiler):
     fails = 'if [ "$1" = --version ]; then echo broken 1.0; else echo no space left; exit 1; fi'
     here.joinpath("cc").write_text(f"#!/bin/sh\n{fails}\n")
     here.joinpath("cc").chmod(0o755)
-    monkeypatch.setenv("CC", str(here / "cc"))
-    torchdq.clear_caches()
+    other_compiler.setenv("CC", str(here / "cc"))
     states = {one["what"]: one for one in data(capsys, "doctor", code=MISTAKE)["findings"]}
     assert states["compiled program"]["state"] == "broken" and "no space left" in states["compiled program"]["found"]
     assert "$CC" in states["compiled program"]["cure"]
-    monkeypatch.undo()
-    torchdq.clear_caches()
 
 
-def test_no_compiler_is_a_warning(here, capsys, monkeypatch):
-    monkeypatch.setenv("PATH", str(here))
-    monkeypatch.delenv("CC", raising=False)
-    torchdq.clear_caches()
+def test_no_compiler_is_a_warning(here, capsys, other_compiler):
+    other_compiler.setenv("PATH", str(here))
+    other_compiler.delenv("CC", raising=False)
     out, _ = told(capsys, "doctor")
     assert "install gcc or clang" in " ".join(out.split()) and "it works; 1 warning" in out
-    monkeypatch.undo()
-    torchdq.clear_caches()
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,17 @@
 """Contact: a step solves its law, and bodies slide, roll, stick, bounce and stand as analysis and MuJoCo say."""
 
 import math
+import re
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import torch
+from helpers import thinned
 from messages import refused
-from on_ground import F64, FEET, STAND, G, at, ball, begin, box, go2, place, rolled, tilted
-from oracles import random_tree, shipped, states
+from on_ground import F64, FEET, STAND, G, at, ball, begin, box, go2, path, place, rolled, tilted
+from oracles import random_tree, shipped, states, urdf_paths
+from small_envs import stool
 
 import torchdq
 from torchdq.backends import c_library as build
@@ -17,10 +20,9 @@ from torchdq.robot import ContactPoint
 from torchdq.scene import recording
 from torchdq.scene.integrators import RungeKutta4
 
-BACKEND = "auto"
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="thousands of steps need a C compiler")
 MU = 0.5
-STEPS = pytest.mark.parametrize("dt", [1e-3, 5e-3, 1e-2])
+STEPS = pytest.mark.parametrize("dt", thinned([1e-3, 5e-3, 1e-2], [5e-3, 1e-2]))
 
 
 def double(*x):
@@ -82,7 +84,7 @@ def touched(memory, n, depth, u, h, law, W, Z_others):
 
 
 @pytest.mark.parametrize("by", ["entries", "articulated bodies"])
-@pytest.mark.parametrize("n", [2, 4, 9])
+@pytest.mark.parametrize("n", thinned([2, 4, 9], [4, 9]))
 def test_a_step_solves_the_law_with_the_mobilities_of_its_points(n, by, monkeypatch):
     """(M + h J^T C J) (v' - v) = h (tau - nle + J^T f), with Pinocchio's matrices of a random tree of all joints."""
     linear = by == "articulated bodies"
@@ -94,7 +96,7 @@ def test_a_step_solves_the_law_with_the_mobilities_of_its_points(n, by, monkeypa
     normal = np.array([0.48, -0.6, 0.64])
     q, qd, tau, memory = _pressed_states(case, points, normal, law[0], rng)
     contact = effects.Contact(points, 0.1, tuple(normal), None, *law[:3], settling=law[3])
-    scene = Scene(robot, (effects.Gravity(), contact), dt=h)
+    scene = Scene(robot, (effects.Gravity(), contact), dt=h, backend="eager")
     mobilities = [m * np.eye(3) if isinstance(m := p.mobility, float) else m for p in scene.effects[1].points]
     links = [robot.frame(name).link for name in frames]
     found = scene.step(State(*(torch.from_numpy(x) for x in (q, qd, memory))), torch.from_numpy(tau))
@@ -213,9 +215,8 @@ def test_friction_of_an_impact_off_the_centre_is_at_most_mu_times_its_normal_imp
     turn = torch.from_numpy(rng.normal(size=(rows, 4)))
     V = torch.from_numpy(rng.normal(size=(rows, 6)) * [3, 3, 3, 1, 1, 1])
     state = begin(scene, at(0.6, rows, turn=turn / turn.norm(dim=-1, keepdim=True)), V)
-    with torch.no_grad():
-        path = scene.rollout(state, steps=160)
-    v = torchdq.dq.rotate(torchdq.dq.rotation(path.X_WB), path.V_WB_B[..., 3:])
+    states = path(scene, state, 160)
+    v = torchdq.dq.rotate(torchdq.dq.rotation(states.X_WB), states.V_WB_B[..., 3:])
     impulse = 1.5 * (v.diff(dim=0) + h * double(0.0, 0.0, G))
     hit = impulse.norm(dim=-1) > 1e-9
     first = hit & ((~hit & (hit.cumsum(0) > 0)).cumsum(0) == 0)  # up to the first step without a force after it
@@ -248,8 +249,7 @@ def test_a_fall_never_gains_height_whatever_the_body_and_the_stiffness(friction,
     turn = torch.from_numpy(rng.normal(size=(rows, 4)))
     X = at(rng.uniform(0.5, 0.8, rows), rows, turn=turn / turn.norm(dim=-1, keepdim=True))
     state = begin(scene, X, torch.from_numpy(rng.normal(size=(rows, 6)) * [5, 5, 5, 1, 1, 1]))
-    with torch.no_grad():
-        energy = scene.energy(scene.rollout(state, steps=100)).sum(-1)
+    energy = scene.energy(path(scene, state, 100)).sum(-1)
     assert ((energy - scene.energy(state).sum(-1)) / G).max() <= 1e-9
 
 
@@ -285,12 +285,6 @@ def test_a_box_at_rest_weighs_what_it_weighs_and_sinks_as_deep_as_its_springs():
     assert torch.allclose(found.depth, double(G / 8e4), rtol=1e-6)
 
 
-def test_the_stiffness_that_is_not_given_sinks_a_robot_by_a_millimetre():
-    robot, points = box()
-    (contact,) = Scene(robot, (effects.Contact(points),), dt=0.1).effects
-    assert contact.stiffness == pytest.approx(G / 4e-3)
-
-
 def bounced(c, v, k=2e4):
     """Speed after a bounce of a mass of 1 kg under gravity, by Runge-Kutta steps of the law in continuous time."""
 
@@ -310,7 +304,7 @@ def bounced(c, v, k=2e4):
 def test_bounces_converge_to_those_of_the_continuous_law_with_order_one():
     c, exact = double([0.2, 0.5]), double([bounced(0.2, 1.0), bounced(0.5, 1.0)])
     errors = []
-    for dt in (2e-4, 1e-4, 5e-5):
+    for dt in (1e-4, 5e-5):
         scene = ground(ball(), dt, dissipation=c)
         state = begin(scene, at(0.1, 2), double([[0.0, 0, 0, 0, 0, -1]] * 2))
         state = rolled(scene, state, 0.03)
@@ -319,7 +313,7 @@ def test_bounces_converge_to_those_of_the_continuous_law_with_order_one():
         left = (state.V_WB_B[:, 5] ** 2 + 2 * G * (place(state)[:, 2] - 0.1)).sqrt()
         errors.append(exact - left)
     assert (errors[-1].abs() < 0.02).all() and (errors[-1] > 0).all()
-    assert all((errors[k] / errors[k + 1] > 1.7).all() and (errors[k] / errors[k + 1] < 2.3).all() for k in range(2))
+    assert (errors[0] / errors[1] > 1.7).all() and (errors[0] / errors[1] < 2.3).all()
 
 
 def test_the_ground_does_not_hold_what_is_thrown_up():
@@ -359,31 +353,18 @@ def test_turning_the_world_turns_the_motion():
 @pytest.mark.parametrize("stiction", [True, False])
 def test_a_tumbling_cube_loses_energy_and_comes_to_rest(stiction):
     scene, state = tumbling(5e-3, stiction=stiction)
-    with torch.no_grad():
-        path = scene.rollout(state, steps=800)
-    found = scene.contacts(path)
+    states = path(scene, state, 800)
+    found = scene.contacts(states)
     assert found.touching.any() and (found.force[~found.touching] == 0).all()
     stored = 0.5 * 5e3 * found.depth.clamp(min=0).square().sum(-1)
     if stiction:
-        memory = path.memory.unflatten(-1, (8, 8))
+        memory = states.memory.unflatten(-1, (8, 8))
         pressed = torch.minimum(memory[..., 3], found.depth).clamp(min=0)
         stored = 0.5 * 5e3 * (memory[..., :3].square().sum(-1) + pressed.square()).sum(-1)
-    energy = torch.cat([scene.energy(state).sum()[None], scene.energy(path).sum(-1) + stored])
+    energy = torch.cat([scene.energy(state).sum()[None], scene.energy(states).sum(-1) + stored])
     assert (torch.diff(energy) <= 1e-3 * energy[0]).all() and energy[-1] < 0.6 * energy[0]
-    assert path.V_WB_B[-1].norm() < 0.02
-    assert float(place(path)[-1, 2]) == pytest.approx(0.1 - G / 2e4, abs=2e-5)
-
-
-def test_a_row_that_is_nan_takes_no_other_with_it():
-    scene, state = tumbling(5e-3)
-    state = rolled(scene, state, 0.2)
-    many = State(*(None if x is None else torch.stack([x, x]) for x in state))
-    alone, V = rolled(scene, many, 0.1), many.V_WB_B.clone()
-    V[0, 2] = math.nan
-    found = rolled(scene, many._replace(V_WB_B=V), 0.1)
-    assert found.X_WB[0].isnan().any()
-    for x, y in ((found.X_WB, alone.X_WB), (found.V_WB_B, alone.V_WB_B), (found.memory, alone.memory)):
-        assert torch.equal(x[1], y[1])
+    assert states.V_WB_B[-1].norm() < 0.02
+    assert float(place(states)[-1, 2]) == pytest.approx(0.1 - G / 2e4, abs=2e-5)
 
 
 def test_friction_and_stiffness_of_no_size_change_nothing():
@@ -406,12 +387,12 @@ def test_a_surface_with_a_constant_slope_is_a_plane():
     a, b = 0.2, -0.1
     normal = torch.nn.functional.normalize(double(-a, -b, 1.0), dim=-1)
     robot, points = box()
+    contact = effects.Contact(points, surface=lambda x, y: a * x + b * y, friction=MU, stiffness=1e4)
     ends = []
-    for contact in (
-        effects.Contact(points, surface=lambda x, y: a * x + b * y, friction=MU, stiffness=1e4),
-        effects.Contact(points, normal=tuple(normal.tolist()), friction=MU, stiffness=1e4),
+    for scene in (
+        Scene(robot, (effects.Gravity(), contact), dt=5e-3),
+        ground(box(), 5e-3, normal=normal, stiffness=1e4),
     ):
-        scene = Scene(robot, (effects.Gravity(), contact), dt=5e-3)
         state = rolled(scene, begin(scene, at(0.05), double(0.5, 0.2, 0.1, 0.4, 0, 0)), 0.5)
         ends.append((state, scene.contacts(state)))
     (one, found), (two, expected) = ends
@@ -429,9 +410,7 @@ def test_a_ball_rolls_to_and_fro_in_a_valley_without_gaining_energy():
     robot, points = ball()
     scene = Scene(robot, (effects.Gravity(), effects.Contact(points, surface=waves, stiffness=2e4)), dt=5e-3)
     X = torchdq.dq.from_pose(double(1.0, 0, 0, 0), double(0.03, 0.0, -A * math.cos(0.18) + 0.1))
-    with torch.no_grad():
-        path = scene.rollout(begin(scene, X), steps=1600)
-    x = place(path)[:, 0]
+    x = place(path(scene, begin(scene, X), 1600))[:, 0]
     assert x.min() < -0.02 and x.abs().max() <= 0.0301  # to the other side, and no further
     crossings = ((x[1:] < 0) != (x[:-1] < 0)).nonzero()[:, 0]
     period = float((crossings[2:] - crossings[:-2]).double().mean()) * 5e-3
@@ -451,9 +430,7 @@ def test_an_arm_that_wipes_rubs_with_mu_times_what_it_presses():
     x, y = 0.6 + 0.1 * time, torch.full_like(time, -1.23)  # 3 cm into the wall
     elbow = torch.acos((x * x + y * y) / 2 - 1)
     target = torch.cat([torch.atan2(y, x) - elbow / 2, elbow], -1)
-    with torch.no_grad():
-        path = scene.rollout(scene.start(target[0]), target=target)
-    found = scene.contacts(path)
+    found = scene.contacts(path(scene, scene.start(target[0]), 400, target=target))
     f_t, f_n = found.force[200:, 0, 0].abs(), found.normal_force[200:, 0]
     assert (f_n > 5).all() and torch.allclose(f_t, mu * f_n, rtol=5e-3)
     assert torch.allclose(found.slip[200:, 0], double(0.1), rtol=0.2)
@@ -486,16 +463,14 @@ def test_an_elastic_arm_leans_on_the_ground_with_the_torques_of_its_springs():
 # --- gradients -------------------------------------------------------------------------------------------------------
 
 
-def thrown(steps, height=0.012):
+def thrown(steps, height=0.012, backend="auto"):
     """End of a box thrown along the ground, as a function of speed, spin, friction and stiffness [..., 4]."""
 
     def end(point):
         v, w, mu, k = point.unbind(-1)
         scene = ground(box(), 5e-3, friction=mu, stiffness=k)
         V = torch.stack([w, 0 * w, w, v, 0.3 * v, 0 * v], -1)
-        state = begin(scene, at(height, *v.shape), V)
-        for _ in range(steps):
-            state = scene.step(state)
+        state = scene.replace(backend=backend).rollout(begin(scene, at(height, *v.shape), V), steps=steps, ends=True)
         return torch.cat([state.X_WB, state.V_WB_B], -1)
 
     return end
@@ -515,49 +490,54 @@ def test_gradients_through_many_steps_are_differences(steps):
 
 
 def test_second_derivatives_of_a_step_that_touches_are_right():
-    end, size = thrown(1, height=0.009), double(1.0, 1.0, 1.0, 1e4)
+    end, size = thrown(1, height=0.009, backend="eager"), double(1.0, 1.0, 1.0, 1e4)
     point = double(1.5, 0.5, 0.3, 1.0).requires_grad_()
-    with torchdq.backend("eager"):
-        assert torch.autograd.gradgradcheck(lambda x: end(x * size)[8:], [point], atol=1e-5, rtol=1e-4, fast_mode=True)
+    assert torch.autograd.gradgradcheck(lambda x: end(x * size)[8:], [point], atol=1e-5, rtol=1e-4, fast_mode=True)
 
 
 # --- a quadruped -----------------------------------------------------------------------------------------------------
 
 
-def standing(dt, dtype=F64, points=FEET, kp=60.0, kd=2.0, **parameters):
-    """Scene of a quadruped with servos, whose parameters are tensors."""
+def standing(robot, dt, dtype=F64, points=FEET, kp=60.0, kd=2.0, **parameters):
+    """Scene of a robot with servos, whose parameters are tensors."""
     given = {name: torch.as_tensor(x, dtype=dtype) for name, x in {"stiffness": 2e4, **parameters}.items()}
     servo = effects.Servo(*(torch.as_tensor(x, dtype=dtype) for x in (kp, kd)))
-    return Scene(go2(), (effects.Gravity(), effects.RotorInertia(0.01), servo, effects.Contact(points, **given)), dt=dt)
+    parts = (effects.Gravity(), effects.RotorInertia(0.01), servo, effects.Contact(points, **given))
+    return Scene(robot, parts, dt=dt)
+
+
+def on_stool(*frames, radius=0.02):
+    """Spheres on the links of a quadruped of a joint each leg."""
+    return tuple(ContactPoint(f"{frame}{k}", radius=radius) for frame in frames for k in range(4))
 
 
 @pytest.mark.parametrize("dtype, most", [(F64, 1e-9), (torch.float32, 1e-5)], ids=str)
 def test_a_quadruped_that_stands_on_a_slope_does_not_creep(dtype, most):
     """In three seconds, after twenty of settling; the benchmark stands for a minute."""
     normal, turn = tilted(double([math.radians(10)]))
-    scene, q = standing(5e-3, dtype, normal=normal), STAND.to(dtype)[None]
-    first = rolled(scene, scene.start(q, X_WB=_on(normal, turn, 0.32).to(dtype)), 20.0, target=q)
+    robot, q = stool(), torch.zeros(1, 4, dtype=dtype)
+    scene = standing(robot, 5e-3, dtype, on_stool("foot"), normal=normal)
+    first = rolled(scene, scene.start(q, X_WB=_on(normal, turn, 0.31).to(dtype)), 20.0, target=q)
     last = rolled(scene, first, 3.0, target=q)
     assert (place(last) - place(first)).norm() <= most
-    weight = G * float(go2().mass.sum() + go2().base_mass)
+    weight = G * float(robot.mass.sum() + robot.base_mass)
     assert float(scene.contacts(last).force.sum(-2)[0, 2]) == pytest.approx(weight, rel=1e-4)
 
 
 def test_a_quadruped_in_any_state_gains_no_energy_at_large_steps():
-    """Feet, knees and trunk fall on ground from soft to 4 m / h^2 under servos with random targets, with 20 ms."""
-    dt, rows, weight = 0.02, 24, 15.0
-    generator = torch.Generator().manual_seed(0)
+    """Feet, hips and seat fall on ground from soft to 4 m / h^2 under servos with random targets, with 20 ms."""
+    dt, rows, robot = 0.02, 24, stool()
+    weight, generator = float(robot.mass.sum() + robot.base_mass), torch.Generator().manual_seed(0)
 
     def random(*shape):
         return torch.randn(rows, *shape, generator=generator, dtype=F64)
 
-    trunk = tuple(ContactPoint("base", (x, y, z)) for x in (-0.19, 0.19) for y in (-0.05, 0.05) for z in (-0.06, 0.06))
-    knees = tuple(ContactPoint(f"{leg}_calf", radius=0.03) for leg in ("FL", "FR", "RL", "RR"))
+    seat = tuple(ContactPoint("seat", (x, y, z)) for x in (-0.15, 0.15) for y in (-0.1, 0.1) for z in (-0.03, 0.03))
     k = torch.logspace(3, math.log10(4 * weight / dt**2), rows, dtype=F64)
-    scene = standing(dt, points=(*FEET, *knees, *trunk), kp=40.0, kd=1.0, stiffness=k)
-    target = STAND + 0.5 * random(12)
+    scene = standing(robot, dt, points=(*on_stool("foot", "leg"), *seat), kp=40.0, kd=1.0, stiffness=k)
+    target = 0.5 * random(4)
     X = at(0.8, rows, turn=torch.nn.functional.normalize(random(4), dim=-1))
-    state = scene.start(STAND + 0.6 * random(12), 3 * random(12), X_WB=X, V_WB_B=2 * random(6))
+    state = scene.start(0.6 * random(4), 3 * random(4), X_WB=X, V_WB_B=2 * random(6))
 
     def energy(state):
         return scene.energy(state).sum(-1) + 20.0 * (state.q - target).square().sum(-1)
@@ -585,7 +565,7 @@ def test_a_quadruped_stands_as_in_mujoco():
         mujoco.mj_contactForce(model, data, i, wrench)
         name = model.geom(max(data.contact[i].geom)).name
         theirs[[p.frame for p in FEET].index(name)] += wrench[0]
-    scene = standing(5e-3, stiffness=1e5)
+    scene = standing(go2(), 5e-3, stiffness=1e5)
     q = STAND[None]
     state = rolled(scene, scene.start(q, X_WB=at(0.32, 1)), 4.0, target=q)
     found = scene.contacts(state)
@@ -597,10 +577,6 @@ def test_a_quadruped_stands_as_in_mujoco():
 
 def _in_mujoco(mujoco):
     """The file's bodies on spheres as feet, with rotors and dampers."""
-    import re
-
-    from oracles import urdf_paths
-
     text = urdf_paths()["go2"].read_text(encoding="utf-8")
     for word in ("visual", "collision", "mujoco"):
         text = re.sub(rf"<{word}>.*?</{word}>", "", text, flags=re.S)
@@ -642,9 +618,10 @@ def test_contacts_that_make_no_sense_are_refused(what):
         MISUSE[what](shipped("two_link").robot)
 
 
-def test_a_stiffness_that_was_not_given_follows_the_robot():
+def test_a_stiffness_that_is_not_given_sinks_the_robot_by_a_millimetre_whatever_its_mass():
     robot, points = box()
-    scene = Scene(robot, (effects.Contact(list(points)),), dt=5e-3)
+    scene = Scene(robot, (effects.Contact(list(points)),), dt=0.1)
+    assert scene.effects[0].stiffness == pytest.approx(G / 4e-3)
     twice = scene.replace(robot=robot.replace(base_mass=2 * robot.base_mass))
     assert twice.effects[0].stiffness == 2 * scene.effects[0].stiffness
 
@@ -658,11 +635,10 @@ def test_other_masses_beside_contact_need_no_other_program():
     made = Scene(second.robot, (effects.Contact(list(points), stiffness=1e4),))
     assert made.effects[0].points != scene.effects[1].points  # a scene of its own knows the heavier box
     both = scene.replace(robot=robot.replace(base_mass=torch.stack([robot.base_mass, 1.5 * robot.base_mass])))
-    lands = torch.tensor([0.3, 0.0, 0.0, 2.0, 0.0, -1.0], dtype=torch.float64)
-    states = [
-        x.rollout(x.start(torch.zeros(*batch, 0, dtype=torch.float64), V_WB_B=lands.expand(*batch, 6)), steps=60).last
-        for x, batch in ((both, (2,)), (first, ()), (second, ()))
-    ]
+    states = []
+    for one, batch in ((both, (2,)), (first, ()), (second, ())):
+        state = begin(one, at(0.005, *batch), double(0.3, 0.0, 0.0, 2.0, 0.0, -1.0).expand(*batch, 6))
+        states.append(one.rollout(state, steps=4, ends=True))
     assert bool(both.contacts(states[0]).touching.any(-1).all())
     for row in (0, 1):
         assert torch.equal(states[0].V_WB_B[row], states[1 + row].V_WB_B)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from effect_harness import CASES, DESCRIBED, EVERY, agrees, bare, described, double, integrates, p
-from helpers import all_in_one
+from helpers import all_in_one, thinned
 from messages import refused
 
 import torchdq
@@ -154,16 +154,16 @@ def integrated(*integrators):
     return [(kind, integrator) for kind in EVERY for integrator in integrators if integrates(kind, integrator)]
 
 
-@all_in_one([x for x in integrated(SemiImplicitEuler(), LinearlyImplicit()) if x[0] not in STEPPED])
-def test_gradients_of_a_step_are_right(given):
-    kind, integrator = given
-    assert torch.autograd.gradcheck(*differentiable(*EVERY[kind](), integrator, 1), atol=1e-7, fast_mode=True)
+@all_in_one(sorted(set(EVERY) - set(STEPPED)))
+def test_gradients_of_a_step_are_right(kind):
+    assert torch.autograd.gradcheck(*differentiable(*EVERY[kind](), LinearlyImplicit(), 1), atol=1e-7, fast_mode=True)
 
 
 @all_in_one(sorted(set(EVERY) - set(STEPPED)))
 def test_gradients_of_a_rollout_are_right(kind):
     integrator = LinearlyImplicit() if kind in ("Elastic", "JointLimits", "Contact") else SemiImplicitEuler()
-    assert torch.autograd.gradcheck(*differentiable(*EVERY[kind](), integrator, 4), atol=1e-7, fast_mode=True)
+    steps = 4 if EVERY[kind]()[0].SLOT in ("actuator", "sensor") or kind in ("Elastic", "Contact", "LuGre") else 2
+    assert torch.autograd.gradcheck(*differentiable(*EVERY[kind](), integrator, steps), atol=1e-7, fast_mode=True)
 
 
 @pytest.mark.parametrize("kind", ["Coulomb", "Elastic"])
@@ -181,38 +181,29 @@ def test_gradients_through_rounding_are_those_of_a_staircase(kind):
 @pytest.mark.parametrize("where", ["rest", "limit", "home"])
 def test_gradients_are_finite_where_formulas_have_corners(where):
     """At rest without a torque; at the limits exactly; and with both, at home."""
-    for kind, integrator in integrated(SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4()):
-        finite_gradients(kind, integrator, where)
-
-
-def finite_gradients(kind, integrator, where):
-    """Assert that gradients of two steps are finite."""
-    end, (_, _, _, *rest) = differentiable(*EVERY[kind](), integrator, 2)
     q = {"rest": p(0.4, -0.7), "limit": p(0.2, -0.6), "home": p(0.0, 0.0)}[where]
     qd, torque = (p(0.9, -1.2), p(2.0, -0.7)) if where == "limit" else (p(0.0, 0.0), p(0.0, 0.0))
-    found = torch.autograd.grad(end(q, qd, torque, *rest).square().sum(), [q, qd, torque, *rest], allow_unused=True)
-    assert all(x is None or bool(x.isfinite().all()) for x in found), (kind, integrator)
-    assert found[0] is not None, (kind, integrator)
+    of_euler = [SemiImplicitEuler(), LinearlyImplicit()]
+    for kind, integrator in integrated(*thinned([*of_euler, RungeKutta4()], of_euler)):
+        end, (_, _, _, *rest) = differentiable(*EVERY[kind](), integrator, 2)
+        x = [q, qd, torque, *rest]
+        found = torch.autograd.grad(end(*x).square().sum(), x, allow_unused=True)
+        assert all(x is None or bool(x.isfinite().all()) for x in found), (kind, integrator)
+        assert found[0] is not None, (kind, integrator)
 
 
-@pytest.mark.parametrize(
-    "effect",
-    [
-        effects.Gravity(9.81),
-        effects.Gravity(np.float32(9.81)),
-        effects.Gravity(torch.tensor(9.81)),
-        effects.Gravity(torch.tensor([9.81])),
-        effects.Payload(1.0, com=0.1),
-        effects.Payload(1.0, inertia=0.1),
-        effects.Payload(1.0, inertia=(1.0, 1.0, 100.0, 0.0, 0.0, 0.0)),
-        effects.Payload(torch.ones(5), inertia=(0.01, 0.02, 0.015, 0.0, 0.0, 0.0)),
-        effects.Stribeck(2.0, 1.0),
-        effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5),
-        effects.JointLimits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])),
-        effects.CommandDelay(10**7),
-        effects.TorqueSpeed(torch.tensor([math.inf, 5.0]), 3.0),
-    ],
-)
+FLAT, LOPSIDED = (1.0, 1.0, 100.0, 0.0, 0.0, 0.0), (0.01, 0.02, 0.015, 0.0, 0.0, 0.0)  # no inertias
+SENSELESS = [
+    *(effects.Gravity(g) for g in (9.81, np.float32(9.81), torch.tensor(9.81), torch.tensor([9.81]))),
+    *(effects.Payload(1.0, com=0.1), effects.Payload(1.0, inertia=0.1), effects.Payload(1.0, inertia=FLAT)),
+    *(effects.Payload(torch.ones(5), inertia=LOPSIDED), effects.Stribeck(2.0, 1.0)),
+    *(effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5), effects.CommandDelay(10**7)),
+    effects.JointLimits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])),
+    effects.TorqueSpeed(torch.tensor([math.inf, 5.0]), 3.0),
+]
+
+
+@pytest.mark.parametrize("effect", SENSELESS)
 def test_parameters_that_make_no_sense_are_refused(effect):
     robot = torchdq.robots.load("two_link").replace(joint_names=("shoulder", "elbow"))
     with refused(torchdq.ArgumentError):

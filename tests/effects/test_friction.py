@@ -151,9 +151,8 @@ def test_a_load_that_drives_meets_less_friction_than_one_that_is_driven(torque):
 @pytest.mark.parametrize("integrator", FIXED[1:], ids=called)
 def test_friction_of_the_load_never_gives_energy(integrator):
     """Arms under constant torques, which lift them and are driven backwards as they swing; half start at rest."""
-    scene = Scene(
-        ARM, (effects.Gravity(), effects.LoadDependent(0.6, 0.05)), integrator=integrator, dt=4e-4, backend="auto"
-    )
+    parts = (effects.Gravity(), effects.LoadDependent(0.6, 0.05))
+    scene = Scene(ARM, parts, integrator=integrator, dt=4e-4, backend="auto")
     (q, qd), u = random(2, 20, 2, seed=7), double(6.0, -2.0)
     qd[10:] = 0
     state = scene.start(q, qd)
@@ -213,9 +212,8 @@ def test_the_stiffness_of_a_ripple_is_its_slope_where_it_holds():
 
 
 def test_a_ripple_keeps_the_energy():
-    scene = Scene(
-        WHEEL, (effects.Ripple(0.7, 0.3, -0.5),), integrator=DormandPrince(1e-10, 1e-12), dt=0.02, backend="auto"
-    )
+    adaptive = DormandPrince(1e-10, 1e-12)
+    scene = Scene(WHEEL, (effects.Ripple(0.7, 0.3, -0.5),), integrator=adaptive, dt=0.02, backend="auto")
     state, k = scene.start(double(0.1), double(3.0)), 2 * math.pi / 0.7
 
     def energy(state):
@@ -290,15 +288,18 @@ def followed(integrator, dt, seconds=0.6):
     return np.array(rows)
 
 
+FOLLOWED = [  # integrators, steps and errors
+    (DormandPrince(1e-9, 1e-11), 0.02, 1e-7),
+    (RungeKutta4(), 1e-3, 1e-4),
+    (FIXED[4], 1e-3, 1e-2),
+    (FIXED[1], 5e-4, 5e-2),
+    (LinearlyImplicit(), 5e-4, 0.2),
+]
+
+
 @pytest.mark.parametrize(
-    "integrator, dt, off",
-    [
-        (DormandPrince(1e-9, 1e-11), 0.02, 1e-7),
-        (RungeKutta4(), 1e-3, 1e-4),
-        (FIXED[4], 1e-3, 1e-2),
-        (FIXED[1], 5e-4, 5e-2),
-        (LinearlyImplicit(), 5e-4, 0.2),
-    ],
+    ("integrator", "dt", "off"),
+    thinned(FOLLOWED, [FOLLOWED[0], FOLLOWED[1], FOLLOWED[4]]),
     ids=lambda x: called(x) if hasattr(x, "order") else "",
 )
 def test_bristles_move_as_scipy_says(integrator, dt, off):
@@ -328,7 +329,7 @@ def test_bristles_reach_the_stationary_deflection_at_any_stiffness(bend, dt):
         # the torque on the wheel is that of the deflection
         slowed = moved.step(state._replace(qd=double(v)))
         assert float(slowed.qd - v) * INERTIA / 1e-9 == pytest.approx(-LEVEL * math.copysign(g, v), rel=1e-4)
-    held = Scene(WHEEL, (effects.LuGre(LEVEL, bend),), dt=dt, backend="auto")
+    held = Scene(WHEEL, (effects.LuGre(LEVEL, double(bend)),), dt=dt, backend="auto")
     state = held.rollout(held.start(double(0.0)), double(0.9 * LEVEL).expand(2000, 1)).last
     assert float(state.memory) == pytest.approx(0.9, rel=1e-3) and abs(float(state.qd)) < 1e-3
     assert float(state.q) < 20 * bend + 1e-9
@@ -390,9 +391,7 @@ def test_bristles_are_rows_of_a_batch_and_are_remembered():
 
 
 @pytest.mark.parametrize(
-    "integrator",
-    thinned([LinearlyImplicit(), RungeKutta4(), DormandPrince(1e-9)], [LinearlyImplicit(), RungeKutta4()]),
-    ids=called,
+    "integrator", thinned([LinearlyImplicit(), RungeKutta4(), DormandPrince(1e-9)], [LinearlyImplicit()]), ids=called
 )
 def test_bristles_move_with_a_free_base(integrator):
     """A base of a million tons is a fixed one."""
@@ -401,7 +400,7 @@ def test_bristles_move_with_a_free_base(integrator):
     parts, u = (effects.LuGre(0.5, 0.01, settling=0.01), effects.LoadDependent(0.2)), double(2.0, -1.0)
     found = []
     for robot in (ARM, floating):
-        scene = Scene(robot, parts, integrator=integrator, dt=1e-3, backend="auto")
+        scene = Scene(robot, parts, integrator=integrator, dt=1e-3)
         found.append(scene.rollout(scene.start(double(0.3, -0.5)), u.expand(40, 2)).last)
     assert found[0].memory.abs().min() > 0.1
     for name in ("q", "qd", "memory"):
@@ -412,25 +411,18 @@ def test_bristles_move_with_a_free_base(integrator):
 
 
 def test_layers_learn_what_friction_is_linear_in():
-    parts = (
-        effects.Viscous(),
-        effects.Quadratic(0.2),
-        effects.Directional(0.3, 0.2),
-        effects.LoadDependent(0.3),
-        effects.Ripple(1.0, -0.1, 0.2),
-    )
+    parts = (effects.Viscous(), effects.Quadratic(0.2), effects.Directional(0.3, 0.2), effects.LoadDependent(0.3))
+    parts += (effects.Ripple(1.0, -0.1, 0.2),)
     layer = torchdq.DQRNEA(ARM, "friction", friction=parts)
-    names = ("viscous", "quadratic_coefficient", "directional_forward", "directional_backward")
-    names += ("loaddependent_coefficient", "ripple_sine", "ripple_cosine")
-    assert {
-        name.removeprefix("parametrizations.").removesuffix(".original") for name, _ in layer.named_parameters()
-    } == {*names}
+    names = {"viscous", "quadratic_coefficient", "directional_forward", "directional_backward"}
+    names |= {"loaddependent_coefficient", "ripple_sine", "ripple_cosine"}
+    learned = (name.removeprefix("parametrizations.") for name, _ in layer.named_parameters())
+    assert {name.removesuffix(".original") for name in learned} == names
     q, qd, qdd = random(3, 60, 2, seed=11)
     truth = torchdq.DQRNEA(ARM, friction=(effects.Viscous(0.7), *parts[1:3], effects.LoadDependent(0.2), parts[4]))
     tau = truth(q, qd, qdd)
-    optimiser = torch.optim.LBFGS(
-        layer.parameters(), max_iter=200, history_size=100, line_search_fn="strong_wolfe", tolerance_change=1e-15
-    )
+    how = {"max_iter": 200, "history_size": 100, "line_search_fn": "strong_wolfe", "tolerance_change": 1e-15}
+    optimiser = torch.optim.LBFGS(layer.parameters(), **how)
 
     def loss():
         optimiser.zero_grad()

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pinocchio as pin
 import pytest
-from effect_harness import CASES, FORMS, SAMPLES, accelerations, agrees, bare, close, double, given, pinocchio
+from effect_harness import CASES, ON_ROBOTS, SAMPLES, accelerations, agrees, bare, close, double, given, pinocchio
 
 from torchdq.envs import Scene, State, effects
 
@@ -33,8 +33,7 @@ def test_gravity_is_the_robots_own_or_points_downwards(name, own):
     assert agrees(b, effects.Gravity(), model=model)
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(("name", "form"), ON_ROBOTS)
 def test_rotors_add_to_the_diagonal_of_the_mass_matrix(name, form):
     b = bare(name)
     inertia, values = given(form, 0.05, 2.0, b.n, 0)
@@ -84,8 +83,7 @@ def test_a_payload_is_a_body_more(name, frame, form):
     assert agrees(b, effects.Payload(*parameters, frame=frame), model=models)
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(("name", "form"), ON_ROBOTS)
 def test_denser_links_have_more_mass_and_inertia_about_the_same_centres(name, form):
     b = bare(name)
     factor, values = given(form, 0.5, 2.0, b.n, 0)

@@ -2,7 +2,6 @@
 
 import warnings
 
-import gymnasium
 import helpers
 import pytest
 import torch
@@ -81,15 +80,15 @@ def test_an_arm_that_learned_from_friction_moves_as_the_arm_with_that_friction()
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM), hidden=(16,)).double()
     model.standardise(q, qd, qdd, tau)
     optimiser = torch.optim.Adam(model.parameters(), 1e-2)
-    for _ in range(400):
+    for _ in range(300):
         optimiser.zero_grad()
         (model(q, qd, qdd) - tau).square().mean().backward()
         optimiser.step()
     friction = (effects.Viscous(1.5), effects.Coulomb(0.5, 0.2))
-    torque = 2 * torch.sin(torch.arange(300, dtype=torch.float64) / 40)[:, None] * double(1, 0.5)
+    torque = 2 * torch.sin(torch.arange(100, dtype=torch.float64) / 20)[:, None] * double(1, 0.5)
     ends = []
     for parts in ((), friction, (effects.Residual(model),)):
-        scene = Scene(ARM, (effects.Gravity(), *parts), dt=0.005)
+        scene = Scene(ARM, (effects.Gravity(), *parts), dt=0.01)
         with torch.no_grad():
             ends.append(scene.rollout(scene.start(double(0.2, -0.3)), torque).q)
     without, true, learned = ends
@@ -191,21 +190,15 @@ def test_it_is_mapped_and_linearised(model):
     assert B.shape == (5, 4, 2)
 
 
-@pytest.mark.parametrize(
-    ("backend", "model"),
-    thinned(
-        [("c", "function"), ("c", "dynamics"), ("eager", "function"), ("eager", "dynamics")],
-        [("eager", "function"), ("c", "dynamics")],
-    ),
-)
-def test_steps_are_traced_whole(backend, model):
+@pytest.mark.parametrize("backend", thinned(["eager", "c"], ["c"]))
+def test_steps_are_traced_whole(backend):
     if backend == "c" and build.compiler() is None:
         pytest.skip("there is no C compiler")
-    acting = trained(()) if model == "dynamics" else nn.Bilinear(2, 2, 2).double()
-    scene = Scene(ARM, (effects.Gravity(), effects.Residual(acting)), backend=backend)
-    traced = torch.compile(lambda q, qd: scene.step(State(q, qd)).qd, fullgraph=True, backend="aot_eager")
-    q, qd = random(2, 5, 2)
-    assert torch.allclose(traced(q, qd), scene.step(State(q, qd)).qd, rtol=UP_TO, atol=UP_TO)
+    for acting in (trained(()), nn.Bilinear(2, 2, 2).double()):
+        scene = Scene(ARM, (effects.Gravity(), effects.Residual(acting)), backend=backend)
+        traced = torch.compile(lambda q, qd, scene=scene: scene.step(State(q, qd)).qd, fullgraph=True, backend="eager")
+        q, qd = random(2, 5, 2)
+        assert torch.allclose(traced(q, qd), scene.step(State(q, qd)).qd, rtol=UP_TO, atol=UP_TO)
 
 
 # --- in scenes and environments --------------------------------------------------------------------------------------
@@ -257,13 +250,6 @@ def test_environments_have_it(action):
     alone = ArmVectorEnv(1, "reach", PANDA, effects=parts, action=action, dtype="float64")
     alone.reset(seed=2)
     assert torch.allclose(alone.step(torch.full((1, 7), 0.1))[0][0], first[2], rtol=1e-9, atol=1e-9)
-
-
-def test_gymnasium_makes_environments_with_it():
-    parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.Residual(nn.Bilinear(7, 7, 7)))
-    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot="panda", effects=parts)
-    observation, _ = envs.reset(seed=0)
-    assert envs.step(0 * envs.action_space.sample())[0].shape == observation.shape
 
 
 def test_a_controller_and_a_rollout_by_a_policy_see_it():

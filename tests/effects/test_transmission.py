@@ -4,14 +4,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from effect_harness import CASES, FORMS, SAMPLES, bare, close, double, forms_of, pinocchio
+from effect_harness import CASES, ON_ROBOTS, SAMPLES, bare, close, double, forms_of, pinocchio
 
 from torchdq.envs import Scene, State, effects
 from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(("name", "form"), ON_ROBOTS)
 def test_elastic_joints_are_two_masses_with_a_spring_between(name, form):
     b = bare(name)
     ranges = {"stiffness": (10.0, 50.0), "damping": (0.1, 1.0), "inertia": (0.1, 1.0)}

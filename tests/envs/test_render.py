@@ -208,10 +208,7 @@ def test_shadows_are_on_the_ground():
     [
         ({"height": 0.1}, lambda x, y: 0.1),
         ({"normal": (0.6, 0.0, 0.8), "height": torch.tensor([0.1, 9.0])}, lambda x, y: (0.1 - 0.6 * x) / 0.8),
-        (
-            {"surface": lambda x, y: 0.1 * x.sin(), "height": 0.2},
-            lambda x, y: 0.2 + 0.1 * x.sin(),
-        ),
+        ({"surface": lambda x, y: 0.1 * x.sin(), "height": 0.2}, lambda x, y: 0.2 + 0.1 * x.sin()),
     ],
     ids=["plane", "slope", "waves"],
 )

@@ -152,32 +152,22 @@ def test_a_function_that_fails_ends_that_row_alone(name, bad):
     assert torch.equal(info["final_obs"][2], first[2])
 
 
-@pytest.mark.parametrize(
-    "task",
-    [
-        lambda: TorchTask("push"),
-        lambda: TorchTask("reach", 1.0),
-        lambda: TorchTask("reach", terminated=True),
-        lambda: TorchTask(lambda now: now.q.sum(1)),
-        lambda: TorchTask(),
-        lambda: TorchTask("reach", lambda now: now.rows["dist"]),
-        lambda: TorchTask("reach", observation=state),
-        lambda: TorchTask("reach", observation=state, bounds=[(1, -1)]),
-        lambda: TorchTask("reach", start=lambda robot, u: {}, draws=True),
-        lambda: TorchTask(reward=lambda now: 1.0),
-        lambda: TorchTask(reward=lambda now: now.q),
-        lambda: TorchTask(reward=lambda now: now.q.sum()),
-        lambda: TorchTask("reach", observation=state, bounds=BOUNDS[:3]),
-        lambda: TorchTask("reach", lambda now: {"distance": now.q[:, 0]}),
-        lambda: TorchTask(reward=lambda now: {"clipped": now.q[:, 0]}),
-        lambda: TorchTask("reach", terminated=lambda now: now.q[:, 0]),
-        lambda: TorchTask("reach", start=lambda robot, u: u),
-        lambda: TorchTask("reach", start=lambda robot, u: {"x": u}),
-        lambda: TorchTask("reach", start=lambda robot, u: {"q": u}, draws=3),
-        lambda: TorchTask("reach", start=lambda robot, u: {"q": u / 0}, draws=2),
-        lambda: TorchTask("reach", observation=lambda now: state(now) / 0, bounds=BOUNDS),
-    ],
-)
+REWARDS = [1.0, lambda now: now.rows["dist"], lambda now: {"distance": now.q[:, 0]}]  # of a task that reaches
+ALONE = [*(lambda now: 1.0, lambda now: now.q, lambda now: now.q.sum()), lambda now: {"clipped": now.q[:, 0]}]
+STARTS = [*((lambda robot, u: {}, True), (lambda robot, u: u, 0), (lambda robot, u: {"x": u}, 0)),
+          *((lambda robot, u: {"q": u}, 3), (lambda robot, u: {"q": u / 0}, 2))]  # fmt: skip
+SEEN = [(state, None), (state, [(1, -1)]), (state, BOUNDS[:3]), (lambda now: state(now) / 0, BOUNDS)]
+TASKS = [
+    *(lambda: TorchTask("push"), lambda: TorchTask(lambda now: now.q.sum(1)), lambda: TorchTask()),
+    *(lambda x=x: TorchTask("reach", x) for x in REWARDS),
+    *(lambda x=x: TorchTask("reach", terminated=x) for x in (True, lambda now: now.q[:, 0])),
+    *(lambda x=x: TorchTask(reward=x) for x in ALONE),
+    *(lambda start=start, draws=draws: TorchTask("reach", start=start, draws=draws) for start, draws in STARTS),
+    *(lambda x=x, bounds=bounds: TorchTask("reach", observation=x, bounds=bounds) for x, bounds in SEEN),
+]
+
+
+@pytest.mark.parametrize("task", TASKS)
 def test_wrong_functions_are_refused(task):
     with refused(torchdq.TorchdqError):
         make(task()).step(torch.zeros(5, 2))
@@ -266,11 +256,12 @@ def test_a_passive_joint_gets_no_torque(cartpole):
         {"scale": [20.0, 0.0]},
         {"actuated": "*", "scale": [20.0, 0.0], "action": "torque"},
         {"actuated": "hinge"},  # which has no torque limit
+        {},  # and actions of both joints
     ],
 )
 def test_wrong_joints_are_refused(cartpole, arguments):
     with refused(torchdq.TorchdqError):
-        swinging(cartpole, **arguments)
+        swinging(cartpole, **arguments).step(torch.zeros(5, 2))
 
 
 @pytest.mark.parametrize(
@@ -297,8 +288,3 @@ def test_actions_and_their_scale_follow_the_names(actuated, order):
         torque[0, joint] = scale[column] * action[column]
     found = (torchdq.mass_matrix(panda, q) @ envs.get_state()["qd"][..., None]).squeeze(-1) / 0.02
     torch.testing.assert_close(found, torque, rtol=1e-9, atol=1e-9)
-
-
-def test_actions_of_passive_joints_are_refused(cartpole):
-    with refused(torchdq.ArgumentError):
-        swinging(cartpole).step(torch.zeros(5, 2))

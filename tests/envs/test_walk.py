@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from helpers import thinned
+from helpers import exhaustive
 from messages import refused
 from oracles import urdf_paths
 from places import EXAMPLES
@@ -31,12 +31,11 @@ STILL = {"push": Pushes((0.0,) * 6)}
 POLICY = EXAMPLES / "go2_walk.pt"
 ANYMAL = ("*_HAA=0", "?F_HFE=0.4", "?H_HFE=-0.4", "?F_KFE=-0.8", "?H_KFE=0.8")
 BENT = ("*_pitch=-0.3", "*_knee=0.6", "*_tilt=-0.3")
-LEG = """<body name="{0}_hip" pos="0 {1} 0"><joint name="{0}_roll" axis="1 0 0"/>
-<geom type="sphere" size="0.05" mass="1"/><body name="{0}_thigh"><joint name="{0}_pitch"/>
-<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.04" mass="2"/><body name="{0}_shank" pos="0 0 -0.3">
+LEG = """<body name="{0}_thigh" pos="0 {1} 0"><joint name="{0}_pitch"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.04" mass="3"/><body name="{0}_shank" pos="0 0 -0.3">
 <joint name="{0}_knee"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03" mass="1"/>
-<body name="{0}_foot" pos="0 0 -0.3"><joint name="{0}_tilt"/><joint name="{0}_lean" axis="1 0 0"/>
-<geom type="box" pos="0 0 -0.04" size="0.1 0.05 0.01" mass="0.5"/></body></body></body></body>"""
+<body name="{0}_foot" pos="0 0 -0.3"><joint name="{0}_tilt"/>
+<geom type="box" pos="0 0 -0.04" size="0.1 0.05 0.01" mass="0.5"/></body></body></body>"""
 BIPED = f"""<mujoco model="biped"><compiler angle="radian"/><default><joint axis="0 1 0" armature="0.01"/></default>
 <worldbody><body name="pelvis" pos="0 0 1"><freejoint/><geom type="box" pos="0 0 0.15" size="0.08 0.12 0.15" mass="10"/>
 {LEG.format("left", 0.1)}{LEG.format("right", -0.1)}</body></worldbody>
@@ -162,7 +161,8 @@ def test_an_episode_ends_when_another_point_touches():
     assert ended.tolist() == [False, True, False]
 
 
-@pytest.mark.parametrize("name", thinned(["a1", "anymal_c_simple-anymal"], ["anymal_c_simple-anymal"]))
+@exhaustive
+@pytest.mark.parametrize("name", ["a1", "anymal_c_simple-anymal"])
 def test_the_quadruped_of_another_file_stands(name):
     robot = Robot.from_urdf(urdf_paths()[name], base="floating", on_unphysical="ignore")
     task = Walk() if name == "a1" else examples_walker("", ANYMAL, "*_FOOT")[1].task()
@@ -188,7 +188,7 @@ def test_a_biped_with_flat_feet_stands_and_is_pushed_and_does_so_in_mujoco(tmp_p
     path.write_text(BIPED)
     module, walker = examples_walker(path, BENT, "*_foot", stiffness=2.0)
     robot, task = walker.load(), walker.task()
-    pushes = {"push": Pushes((40.0, 40.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.5))}
+    pushes = {"push": Pushes((25.0, 25.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.5))}
     envs = walkers(16, task, robot, randomise={}, pushes=pushes, substeps=2)
     assert len(envs.task.feet) == 16 and envs.get_state()["carry"].shape == (16, 2 * robot.n + 2)
     q, X = torch.tensor(task.joints(robot)), envs.get_state()["X_WB"]
@@ -242,20 +242,19 @@ def test_a_policy_walks_at_the_commanded_speeds():
     assert float((mean - commands[:, 0]).abs().max()) < 0.1
 
 
-@pytest.mark.parametrize("friction", [0.8, 0.4])
-def test_the_policy_walks_in_mujoco(friction):
-    for elliptic in (False, True):
-        for seed, speed in enumerate((0.5, 0.75, 1.0)):
-            command = np.array([speed, 0.0, 0.7 * elliptic])
-            run = player(friction, elliptic).run(policy(), tuple(command), seed, seconds=5.0)
-            assert run.up and np.abs(run.velocity - command)[[0, 2]].max() < 0.1
+@pytest.mark.parametrize(("friction", "elliptic"), [(0.8, False), (0.4, True)])
+def test_the_policy_walks_in_mujoco(friction, elliptic):
+    for seed, speed in enumerate((0.5, 0.75, 1.0)):
+        command = np.array([speed, 0.0, 0.7 * elliptic])
+        run = player(friction, elliptic).run(policy(), tuple(command), seed, seconds=5.0)
+        assert run.up and np.abs(run.velocity - command)[[0, 2]].max() < 0.1
 
 
 def test_robots_on_maps_of_their_own_are_reset_one_by_one():
     heights = torch.tensor([0.0, 0.01, 0.02]).reshape(3, 1, 1).expand(3, 2, 2)
     ground = effects.Contact("foot?", surface=effects.HeightMap(heights, 10.0, (-5.0, -5.0)))
     held = (effects.Gravity(), effects.Servo(40.0, 1.0), ground)
-    envs = ArmVectorEnv(3, ON_FOUR, stool(), effects=held)
+    envs = ArmVectorEnv(3, ON_FOUR, stool(), effects=held, substeps=1, dt=0.005)
     envs.reset(seed=0)
     envs.reset(options={"reset_mask": torch.tensor([False, True, False])})
     for _ in range(50):

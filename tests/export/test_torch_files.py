@@ -7,10 +7,11 @@ that loads a file is part of docs/export.md, which test_documents.py runs.
 import shutil
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 import torch
-from helpers import exhaustive, random, thinned
+from helpers import EVERYTHING, exhaustive, random, thinned
 from messages import refused
 from torch import library as operators
 from torch import nn
@@ -100,13 +101,17 @@ SUBJECTS = {  # module of a robot, and how many inputs [..., n] it takes
 every_subject = pytest.mark.parametrize("name", thinned(SUBJECTS, ("residual network", "rollout")))
 
 
+@cache
 def subject(name, robot=TWO):
     make, count = SUBJECTS[name]
     return make(robot).eval(), lambda batch, seed=0: tuple(random(count, batch, robot.n, seed=seed))
 
 
-def exported(module, given, strict=False):
+@cache
+def exported(name, strict=False, robot=TWO):
     """Graph of a module for any batch."""
+    module, inputs = subject(name, robot)
+    given = inputs(3)
     batch = torch.export.Dim("batch")
     shapes = ((({0: batch},) * len(given)),) if isinstance(module, Traced) else ({0: batch},) * len(given)
     with torch.no_grad():
@@ -146,15 +151,16 @@ SCENES = {
     "integrators": lambda: Scene(TWO, FELT, integrator=integrators.RungeKutta4()),
     "conserving": lambda: Scene(TWO, FELT[:1], integrator=integrators.StoermerVerlet()),
     "repeated": lambda: Scene(TWO, FELT, integrator=integrators.Repeated(integrators.SemiImplicitEuler(), 3)),
-    "memory": lambda: Scene(TWO, (*FELT, effects.FirstOrderLag(0.05), effects.Elastic(100.0, inertia=0.1))),
     "sensors": lambda: Scene(TWO, (*FELT, effects.Bias(0.01), effects.QuantisedReading(0.01))),
     "learned": lambda: Scene(TWO, (effects.Gravity(), effects.Viscous(torch.tensor([0.1, 0.2], dtype=F64)))),
-    "controlled": lambda: Scene(TWO, FELT, controller=controllers.PD(20.0, 2.0)),
+    "controlled with memory": lambda: Scene(
+        TWO, (*FELT, effects.FirstOrderLag(0.05), effects.Elastic(100.0, inertia=0.1)), controllers.PD(20.0, 2.0)
+    ),
     "residual": lambda: (lambda layer: Scene(layer.robot, layer.effects()))(with_network(TWO)),
 }
 
 
-@pytest.mark.parametrize("name", thinned(SCENES, ("memory", "controlled")))
+@pytest.mark.parametrize("name", thinned(SCENES, ("controlled with memory",)))
 def test_steps_of_a_scene_compile_without_a_graph_break(name):
     scene = SCENES[name]()
     given = {"reference": 3} if scene.controller is not None else {}
@@ -165,10 +171,8 @@ def test_steps_of_a_scene_compile_without_a_graph_break(name):
             state = scene.step(state, q, **{name: more for name in given})
         return state.q, state.qd
 
-    compiled = torch.compile(two_steps, fullgraph=True, backend="aot_eager")
-    for batch in (3, 5):
-        x = 0.3 * random(2, batch, 2), random(batch, 6, seed=1)
-        assert distance(compiled(*x[0], x[1]), two_steps(*x[0], x[1])) < 1e-12
+    compiled, x = torch.compile(two_steps, fullgraph=True, backend="aot_eager"), (*0.3 * random(2, 3, 2), random(3, 6))
+    assert distance(compiled(*x), two_steps(*x)) < 1e-12
 
 
 # --- torch.export ----------------------------------------------------------------------------------------------------
@@ -177,7 +181,7 @@ def test_steps_of_a_scene_compile_without_a_graph_break(name):
 @every_subject
 def test_an_exported_module_consists_of_torch_operations_for_any_batch(name):
     module, inputs = subject(name)
-    graph = exported(module, inputs(3))
+    graph = exported(name)
     calls = [str(node.target) for node in graph.graph.nodes if node.op == "call_function"]
     assert calls and not [call for call in calls if "torchdq" in call]
     assert distance(graph.module()(*inputs(7, seed=1)), module(*inputs(7, seed=1))) < 1e-12
@@ -192,9 +196,9 @@ def in_another_process(code, folder):
 
 def test_saved_graphs_run_in_a_process_without_the_package(tmp_path):
     expected = []
-    for k, (name, strict) in enumerate((("learned forward dynamics", False), ("inverse dynamics", True))):
+    for k, (name, strict) in enumerate((("residual network", False), ("inverse dynamics", True))):
         module, inputs = subject(name)
-        torch.export.save(exported(module, inputs(3), strict), tmp_path / f"graph{k}.pt2")
+        torch.export.save(exported(name, strict), tmp_path / f"graph{k}.pt2")
         torch.save(inputs(7, seed=1), tmp_path / f"given{k}.pt")
         expected.append(module(*inputs(7, seed=1)))
     load = "torch.export.load(f'graph{k}.pt2').module()(*torch.load(f'given{k}.pt'))"
@@ -209,7 +213,7 @@ def test_a_package_of_machine_code_runs_in_a_process_without_the_package(name, t
     module, inputs = subject(name)
     options = {"cpp.enable_tiling_heuristics": False}
     path = str(tmp_path / "layer.pt2")
-    torch._inductor.aoti_compile_and_package(exported(module, inputs(3)), package_path=path, inductor_configs=options)
+    torch._inductor.aoti_compile_and_package(exported(name), package_path=path, inductor_configs=options)
     for batch in (7, 64):
         torch.save(inputs(batch, seed=1), tmp_path / "given.pt")
         in_another_process(
@@ -234,8 +238,9 @@ def test_an_onnx_file_has_the_same_values_to_rounding(name, robot, tmp_path):
     """Also in float64: torch's exporter would round constants that are no tensors to float32."""
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    module, inputs = subject(name, torchdq.robots.load(robot))
-    torch.onnx.export(exported(module, inputs(3)), dynamo=True, verbose=False).save(tmp_path / "layer.onnx")
+    robot = TWO if robot == TWO.name else torchdq.robots.load(robot)
+    module, inputs = subject(name, robot)
+    torch.onnx.export(exported(name, robot=robot), dynamo=True, verbose=False).save(tmp_path / "layer.onnx")
     session = runtime.InferenceSession(tmp_path / "layer.onnx")
     given, names = inputs(7, seed=1), [x.name for x in session.get_inputs()]
     found = session.run(None, {k: x.numpy() for k, x in zip(names, given, strict=True)})
@@ -298,5 +303,5 @@ def test_what_depends_on_values_is_in_no_graph(name):
         torch.export.export(Traced(function), (x,))
     with pytest.raises(torch._dynamo.exc.Unsupported, match=words):
         torch.compile(function, fullgraph=True, backend="eager")(x)
-    # without fullgraph, torch breaks the graph there
-    assert torch.compile(function, backend="eager")(x).isfinite().all()
+    if EVERYTHING or name == "environment":  # without fullgraph, torch breaks the graph there
+        assert torch.compile(function, backend="eager")(x).isfinite().all()

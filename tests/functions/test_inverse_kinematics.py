@@ -6,7 +6,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
-from helpers import EVERYTHING, all_in_one, double, random, thinned
+from helpers import all_in_one, double, random, thinned
 from messages import refused
 from scipy.optimize import minimize
 
@@ -91,12 +91,10 @@ SOME = {
 @pytest.mark.usefixtures("by_torch")
 @pytest.mark.parametrize(
     ("name", "expressed"),
-    [
-        (x, y)
-        for x in SOME
-        for y in ("body", "world")
-        if EVERYTHING or x != "five joints that may turn about an axis" or y == "world"
-    ],
+    thinned(
+        [(x, y) for x in SOME for y in ("body", "world")],
+        [*((x, "world") for x in SOME), ("orientation of seven joints", "body"), ("two joints", "body")],
+    ),
 )
 def test_the_axes_that_count_are_served(name, expressed):
     robot, axes = SOME[name]
@@ -152,7 +150,7 @@ def test_goals_beyond_reach_leave_the_closest_point(axes):
     torch.testing.assert_close(found.error[:, 1], off[:, 1], rtol=1e-12, atol=0)  # of this q, and not of the last
     assert ((found.q >= robot.limits.lower) & (found.q <= robot.limits.upper)).all()
     for k in range(3):
-        starts = torch.cat([found.q[k : k + 1], within(robot, 4, seed=k)])
+        starts = torch.cat([found.q[k : k + 1], within(robot, 2, seed=k)])
         assert found.error[k].norm() <= closest(robot, X[k], axes, starts) + 1e-6
 
 
@@ -218,15 +216,6 @@ def test_a_row_is_the_same_in_every_batch():
     assert torchdq.inverse_kinematics(ARM, X[:0]).q.shape == (0, 7)
 
 
-def test_torch_and_compiled_steps_agree():
-    X = poses(ARM, within(ARM, 6))
-    compiled = torchdq.inverse_kinematics(ARM, X)
-    with torchdq.backend("eager"):
-        stepped = torchdq.inverse_kinematics(ARM, X)
-    assert torch.equal(compiled.starts, stepped.starts)
-    assert (compiled.q - stepped.q).abs().max() <= 1e-7
-
-
 # --- gradients -------------------------------------------------------------------------------------------------------
 
 
@@ -248,11 +237,12 @@ def test_gradients_are_those_of_the_solution(axes):
             robot, dq.mul(X, dq.exp(0.5 * s * twist)), start=start, axes=axes, tolerance=tolerance
         )
 
-    slope = torch.autograd.functional.jacobian(lambda s: solved(s).q, double(0)[0])
-    h = 1e-5
+    s, h = double(0)[0].requires_grad_(), 1e-5
+    slope = torch.func.jacfwd(lambda s: solved(s).q)(s.detach())
     difference = (solved(h).q - solved(-h).q) / (2 * h)
     torch.testing.assert_close(slope, difference, rtol=1e-6, atol=1e-6)
-    torch.testing.assert_close(torch.func.jacfwd(lambda s: solved(s).q)(double(0)[0]), slope)
+    weight = random(*slope.shape, seed=4)
+    torch.testing.assert_close(torch.autograd.grad((weight * solved(s).q).sum(), s)[0], (weight * slope).sum())
 
 
 @pytest.mark.usefixtures("by_torch")

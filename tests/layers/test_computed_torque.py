@@ -18,8 +18,6 @@ from robots import ARMS
 import torchdq
 from torchdq.scene import controllers
 
-BACKEND = "auto"
-
 F64 = torch.float64
 ARMS = {name: shipped(name).robot for name in ARMS}
 ARMS |= {"tree": random_tree(8, seed=3, armature=True).robot}
@@ -32,19 +30,19 @@ def commanded(q, qd, q_des, qd_des, qdd_des, kp, kd):
     return qdd_des + kd * (qd_des - qd) + kp * (q_des - q)
 
 
-@pytest.mark.parametrize("loaded", [False, True], ids=["free", "loaded"])
-@pytest.mark.parametrize("name", ARMS)
-def test_the_robot_accelerates_as_commanded(name, loaded):
+@all_in_one(ARMS)
+def test_the_robot_accelerates_as_commanded(name):
     robot = ARMS[name]
     s = states(robot, batch=10)
     q_des, qd_des, qdd_des = random(3, 10, robot.n, seed=1)
-    f_tip = s.f_tip if loaded else None
-    tau = torchdq.computed_torque(robot, s.q, s.qd, q_des, qd_des, qdd_des, 25.0, 10.0, f_tip)
-    found = torchdq.forward_dynamics(robot, s.q, s.qd, tau, f_tip)
     expected = commanded(s.q, s.qd, q_des, qd_des, qdd_des, 25.0, 10.0)
-    # torques are exact to some roundings of their largest; M^-1 turns those into accelerations
-    amplified = torch.linalg.inv(torchdq.mass_matrix(robot, s.q)).abs().sum(-1).amax(-1) * tau.abs().amax(-1)
-    assert ((found - expected).abs().amax(-1) <= 100 * robot.n * EPS[F64] * amplified).all()
+    inverse = torch.linalg.inv(torchdq.mass_matrix(robot, s.q)).abs().sum(-1).amax(-1)
+    for f_tip in (None, s.f_tip):
+        tau = torchdq.computed_torque(robot, s.q, s.qd, q_des, qd_des, qdd_des, 25.0, 10.0, f_tip)
+        found = torchdq.forward_dynamics(robot, s.q, s.qd, tau, f_tip)
+        # torques are exact to some roundings of their largest; M^-1 turns those into accelerations
+        allowed = 100 * robot.n * EPS[F64] * inverse * tau.abs().amax(-1)
+        assert ((found - expected).abs().amax(-1) <= allowed).all()
 
 
 PER_JOINT = torch.linspace(4.0, 25.0, 7, dtype=F64)
@@ -70,33 +68,25 @@ def test_it_is_the_closed_form_with_the_commanded_acceleration(gains):
 # --- the module ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gains", [(25.0, 10.0), (double(25.0, 4.0), double(10.0, 0.0))], ids=["numbers", "vectors"])
-@pytest.mark.parametrize("loaded", [False, True], ids=["free", "loaded"])
-def test_the_module_equals_the_function(gains, loaded):
+@all_in_one([(25.0, 10.0), (double(25.0, 4.0), double(10.0, 0.0))])
+def test_the_module_equals_the_function(gains):
     robot, state = ARMS["two_link"], random(5, 3, 2)
-    f_tip = random(3, 6, seed=1) if loaded else None
     controller = torchdq.ComputedTorque(robot, *gains)
-    assert torch.equal(controller(*state, f_tip), torchdq.computed_torque(robot, *state, *gains, f_tip))
+    for f_tip in (None, random(3, 6, seed=1)):
+        assert torch.equal(controller(*state, f_tip), torchdq.computed_torque(robot, *state, *gains, f_tip))
     assert controller(*state.float()).dtype == torch.float32
     assert not list(controller.parameters()) and {"kp", "kd"} <= controller.state_dict().keys()
-
-
-def test_learnt_gains_are_parameters():
-    controller = torchdq.ComputedTorque(ARMS["two_link"], 25.0, double(10.0, 9.0), learn=("kp", "kd", "mass"))
-    shapes = {name: tuple(p.shape) for name, p in controller.named_parameters()}
-    assert shapes == {"kp": (), "kd": (2,), "parametrizations.mass.original": (2,)}
 
 
 @all_in_one(["kp", "kd"])
 def test_the_gradient_of_a_gain_is_the_mass_matrix_times_its_error(gain):
     """The torque is M (.. + kp e + kd e'), so its derivative in kp is M e."""
     robot, (q, qd, q_des, qd_des, qdd_des) = ARMS["two_link"], random(5, 2)
-    controller = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=gain)
-    tau = controller(q, qd, q_des, qd_des, qdd_des)
-    weights = double(0.7, -1.3)
+    controller = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=(gain, "mass"))
+    assert {*dict(controller.named_parameters())} == {gain, "parametrizations.mass.original"}
+    tau, weights = controller(q, qd, q_des, qd_des, qdd_des), double(0.7, -1.3)
     (found,) = torch.autograd.grad(tau @ weights, [getattr(controller, gain)])
-    error = q_des - q if gain == "kp" else qd_des - qd
-    expected = weights @ torchdq.mass_matrix(robot, q) @ error
+    expected = weights @ torchdq.mass_matrix(robot, q) @ (q_des - q if gain == "kp" else qd_des - qd)
     assert abs(found - expected) <= 100 * EPS[F64] * abs(expected)
 
 
@@ -194,15 +184,16 @@ def run():
     q, qd = (x.expand(len(ROWS), 2) for x in (Q0, QD0))
     errors, shortfalls = [wanted(0.0)[0] - q], []
     steps = round(SECONDS / DT)
-    for k in range(steps):
-        t = k * DT
-        a1 = accelerations(t, q, qd)
-        a2 = accelerations(t + DT / 2, q + DT / 2 * qd, qd + DT / 2 * a1)
-        a3 = accelerations(t + DT / 2, q + DT / 2 * qd + DT**2 / 4 * a1, qd + DT / 2 * a2)
-        a4 = accelerations(t + DT, q + DT * qd + DT**2 / 2 * a2, qd + DT * a3)
-        shortfalls.append(commanded(q, qd, *wanted(t), kp, kd) - a1)
-        q, qd = q + DT * qd + DT**2 / 6 * (a1 + a2 + a3), qd + DT / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-        errors.append(wanted(t + DT)[0] - q)
+    with torchdq.backend("auto"):  # thousands of evaluations
+        for k in range(steps):
+            t = k * DT
+            a1 = accelerations(t, q, qd)
+            a2 = accelerations(t + DT / 2, q + DT / 2 * qd, qd + DT / 2 * a1)
+            a3 = accelerations(t + DT / 2, q + DT / 2 * qd + DT**2 / 4 * a1, qd + DT / 2 * a2)
+            a4 = accelerations(t + DT, q + DT * qd + DT**2 / 2 * a2, qd + DT * a3)
+            shortfalls.append(commanded(q, qd, *wanted(t), kp, kd) - a1)
+            q, qd = q + DT * qd + DT**2 / 6 * (a1 + a2 + a3), qd + DT / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+            errors.append(wanted(t + DT)[0] - q)
     t = DT * torch.arange(steps + 1, dtype=torch.float64)
     return t, torch.stack(errors, 1), torch.stack(shortfalls, 1)
 
@@ -225,8 +216,8 @@ def errors_of(run, row):
     return t, e[NAMES.index(row)], solution(t, kp, kd)
 
 
-@pytest.mark.parametrize("row", ["exact", "pinocchio", "vectors", "swinging"])
-def test_the_error_follows_its_equation_all_the_way(run, row):
+@all_in_one(["exact", "pinocchio", "vectors", "swinging"])
+def test_the_error_follows_its_equation_all_the_way(row, run):
     _, e, expected = errors_of(run, row)
     assert (e - expected).abs().max() < 1e-9  # of Runge-Kutta, before it has died out with the error
     if row != "swinging":
@@ -239,8 +230,8 @@ def test_without_its_dot_75_leaves_a_fifth_of_a_radian(run):
     assert 0.15 < e[-1].abs().max() < 0.25
 
 
-@pytest.mark.parametrize("row", ["1.01", "1.05", "1.1", "1.1 stiff"])
-def test_a_wrong_mass_leaves_no_more_than_its_mismatch_over_the_gain(run, row):
+@all_in_one(["1.01", "1.05", "1.1", "1.1 stiff"])
+def test_a_wrong_mass_leaves_no_more_than_its_mismatch_over_the_gain(row, run):
     """The response of a critically damped joint to a disturbance never exceeds the largest disturbance over kp."""
     _, e, expected = errors_of(run, row)
     mismatch = run[2][NAMES.index(row)].abs().amax(0)
@@ -260,53 +251,47 @@ def test_the_error_grows_smoothly_with_a_wrong_mass_and_falls_with_stiffer_gains
 # --- models that were trained, and friction --------------------------------------------------------------------------
 
 
-def with_friction(name="two_link"):
-    """Robot whose description has damping and friction."""
-    robot = torchdq.robots.load(name)
-    return robot.replace(damping=torch.full_like(robot.damping, 2.0), friction=torch.full_like(robot.friction, 0.7))
+TWO = ARMS["two_link"]
+RUBBING = TWO.replace(damping=torch.full_like(TWO.damping, 2.0), friction=torch.full_like(TWO.friction, 0.7))
+
+
+def rubs(qd, width=1e-2):
+    """Friction of the description."""
+    return 2.0 * qd + 0.7 * qd / (qd.square() + width**2).sqrt()
 
 
 def test_friction_of_the_description_is_compensated():
     """The joints of a scene with that friction follow the desired acceleration."""
-    robot, (q, qd, q_des, qd_des, qdd_des) = with_friction(), random(5, 3, 2)
-    tau = torchdq.ComputedTorque(robot, 25.0, 10.0)(q, qd, q_des, qd_des, qdd_des)
-    friction = 2.0 * qd + 0.7 * qd / (qd.square() + 1e-4).sqrt()
-    found = torchdq.forward_dynamics(robot, q, qd, tau - friction)
-    assert torch.allclose(found, commanded(q, qd, q_des, qd_des, qdd_des, 25.0, 10.0), rtol=1e-11, atol=1e-11)
-    rigid = torchdq.ComputedTorque(robot, 25.0, 10.0, friction=False)(q, qd, q_des, qd_des, qdd_des)
-    assert torch.equal(rigid, torchdq.computed_torque(robot, q, qd, q_des, qd_des, qdd_des, 25.0, 10.0))
+    q, qd, *desired = state = random(5, 3, 2)
+    tau = torchdq.ComputedTorque(RUBBING, 25.0, 10.0)(*state)
+    found = torchdq.forward_dynamics(RUBBING, q, qd, tau - rubs(qd))
+    assert torch.allclose(found, commanded(q, qd, *desired, 25.0, 10.0), rtol=1e-11, atol=1e-11)
+    rigid = torchdq.ComputedTorque(RUBBING, 25.0, 10.0, friction=False)(*state)
+    assert torch.equal(rigid, torchdq.computed_torque(RUBBING, *state, 25.0, 10.0))
 
 
-def test_learned_friction_takes_the_place_of_that_of_the_description():
-    robot, state = with_friction(), random(5, 3, 2)
-    controller = torchdq.ComputedTorque(robot, 25.0, 10.0, learn="friction")
-    expected = torchdq.ComputedTorque(robot, 25.0, 10.0)(*state)
-    assert torch.allclose(controller(*state), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("learn", [(), "mass", "offset", "friction"])
-@pytest.mark.parametrize("friction", [True, False])
-def test_a_model_that_learned_no_friction_is_compensated_as_its_robot(friction, learn):
+@all_in_one([(), "mass", "offset", "friction"])
+def test_a_model_that_learned_no_friction_is_compensated_as_its_robot(learn):
     """The described friction, unless it is switched off; the learned one instead where there is one; never both."""
-    robot, state = with_friction(), random(5, 4, 2)
-    model = torchdq.DQRNEA(robot, learn=learn, sign_width=0.3)
-    found = torchdq.ComputedTorque(model, 25.0, 10.0, friction=friction)(*state)
-    alike = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=learn, sign_width=0.3, friction=friction)
-    torch.testing.assert_close(found, alike(*state), rtol=1e-12, atol=1e-12)
-    rigid = torchdq.ComputedTorque(robot, 25.0, 10.0, friction=False)(*state)
-    qd = state[1]
-    rubs = 2.0 * qd + 0.7 * qd / (qd.square() + 0.09).sqrt() if friction or learn == "friction" else 0 * qd
-    torch.testing.assert_close(found, rigid + rubs, rtol=1e-9, atol=1e-9)
+    state = random(5, 4, 2)
+    model = torchdq.DQRNEA(RUBBING, learn=learn, sign_width=0.3)
+    rigid = torchdq.ComputedTorque(RUBBING, 25.0, 10.0, friction=False)(*state)
+    for friction in (True, False):
+        found = torchdq.ComputedTorque(model, 25.0, 10.0, friction=friction)(*state)
+        alike = torchdq.ComputedTorque(RUBBING, 25.0, 10.0, learn=learn, sign_width=0.3, friction=friction)
+        torch.testing.assert_close(found, alike(*state), rtol=1e-12, atol=1e-12)
+        expected = rigid + rubs(state[1], 0.3) if friction or learn == "friction" else rigid
+        torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_a_residual_that_was_trained_on_torques_with_friction_gets_no_other():
     """Its network learned measured torques less those of the model, which has none of the described friction."""
-    robot, state = with_friction(), random(5, 4, 2)
-    model = torchdq.ResidualDynamics(torchdq.DQRNEA(robot))
+    state = random(5, 4, 2)
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(RUBBING))
     with torch.no_grad():  # a network that found the friction
-        model.residual = lambda q, qd: 2.0 * qd + 0.7 * qd / (qd.square() + 1e-4).sqrt()
+        model.residual = lambda q, qd: rubs(qd)
         found = torchdq.ComputedTorque(model, 25.0, 10.0)(*state)
-    torch.testing.assert_close(found, torchdq.ComputedTorque(robot, 25.0, 10.0)(*state), rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(found, torchdq.ComputedTorque(RUBBING, 25.0, 10.0)(*state), rtol=1e-12, atol=1e-12)
 
 
 def test_a_layer_that_computes_something_else_is_asked_itself():
@@ -314,16 +299,16 @@ def test_a_layer_that_computes_something_else_is_asked_itself():
         def forward(self, *motion):
             return 2 * super().forward(*motion)
 
-    robot, state = ARMS["two_link"], random(5, 3, 2)
-    found = torchdq.ComputedTorque(Heavier(robot), 25.0, 10.0)(*state)
-    torch.testing.assert_close(found, 2 * torchdq.ComputedTorque(robot, 25.0, 10.0)(*state), rtol=1e-13, atol=0.0)
+    state = random(5, 3, 2)
+    found = torchdq.ComputedTorque(Heavier(TWO), 25.0, 10.0)(*state)
+    torch.testing.assert_close(found, 2 * torchdq.ComputedTorque(TWO, 25.0, 10.0)(*state), rtol=1e-13, atol=0.0)
 
 
 @pytest.mark.parametrize("kind", ["layer", "residual"])
 def test_a_trained_model_is_taken_at_the_commanded_acceleration(kind):
     q, qd, q_des, qd_des, qdd_des = random(5, 3, 2)
     wrench = random(3, 6)
-    model = torchdq.DQRNEA(with_friction(), learn=("mass", "friction"))
+    model = torchdq.DQRNEA(RUBBING, learn=("mass", "friction"))
     model.mass = 1.3 * model.mass.detach()
     if kind == "residual":
         model = torchdq.ResidualDynamics(model)
@@ -354,4 +339,4 @@ MISUSE = [
 @all_in_one(MISUSE)
 def test_models_without_torques_and_arguments_that_do_not_fit_one_are_refused(call):
     with refused(torchdq.ArgumentError):
-        call(torchdq.DQRNEA(ARMS["two_link"]))
+        call(torchdq.DQRNEA(TWO))

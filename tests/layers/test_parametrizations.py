@@ -28,7 +28,8 @@ from torchdq.robot.check.consistency import inert_joints
 
 F32, F64 = torch.float32, torch.float64
 EVERYTHING = ("mass", "com", "inertia", "friction", "armature", "offset")
-TREE = random_tree(6, seed=3).robot
+TWO = shipped("two_link").robot
+TREE = random_tree(3, seed=3).robot
 ROBOTS = {**{name: shipped(name).robot for name in ("panda", "ur10e")}, "tree": TREE}
 ROBOTS["puma560"] = shipped("puma560").robot.replace(on_unphysical="repair").bake()
 every_robot = pytest.mark.parametrize("name", ROBOTS)
@@ -41,13 +42,16 @@ def matrices(inertia):
     return torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).unflatten(-1, (3, 3)).numpy()
 
 
+def second_moments(inertia):
+    """Principal second moments [..., 3] of inertias [..., 6], in ascending order."""
+    inertia = matrices(inertia)
+    return np.linalg.eigvalsh(np.trace(inertia, axis1=-2, axis2=-1)[..., None, None] / 2 * np.eye(3) - inertia)
+
+
 def objections(mass, inertia):
     """What is unphysical about bodies; rounding of the numbers in hand may hide or show a flat direction."""
-    eps = EPS[inertia.dtype]
-    inertia = matrices(inertia)
-    moments = np.linalg.eigvalsh(inertia)
-    slack = 16 * eps * moments.sum(-1)
-    second = np.linalg.eigvalsh(np.trace(inertia, axis1=-2, axis2=-1)[..., None, None] / 2 * np.eye(3) - inertia)
+    moments, second = np.linalg.eigvalsh(matrices(inertia)), second_moments(inertia)
+    slack = 16 * EPS[inertia.dtype] * moments.sum(-1)
     sound = {
         "not finite": np.isfinite(moments).all() and bool(mass.isfinite().all()),
         "mass": bool((mass > 0).all()),
@@ -130,8 +134,8 @@ def test_a_body_at_or_beyond_the_limit_becomes_one_near_by(kind, scale):
     x = form.right_inverse(inertia)
     found = form(x)
     assert bool(x.isfinite().all()) and objections(torch.ones(()), found) == []
-    moments = np.linalg.eigvalsh(np.trace(matrices(found)) / 2 * np.eye(3) - matrices(found))
-    assert moments[0] > 0.9e-6 * moments.sum()
+    second = second_moments(found)
+    assert second[0] > 0.9e-6 * second.sum()
     if kind in ("rod", "oblique rod", "plate"):
         assert float((found - inertia).abs().max()) < 3e-6 * scale * 3
     if kind == "point":
@@ -163,15 +167,18 @@ def wanting_the_impossible(module, k):
 
 
 @pytest.mark.case("I4")
-@pytest.mark.parametrize("gradients", [adversarial, wanting_the_impossible], ids=lambda f: f.__name__)
-@pytest.mark.parametrize("kind", ["adam", "sgd"])
+@pytest.mark.parametrize(
+    ("optimiser", "gradients"),
+    thinned(
+        [(x, y) for x in ("Adam", "SGD") for y in (adversarial, wanting_the_impossible)],
+        [("Adam", adversarial), ("SGD", wanting_the_impossible)],
+    ),
+)
 @pytest.mark.parametrize("name", thinned(ROBOTS, ["tree"]))
-def test_a_robot_stays_physical_at_every_step(name, kind, gradients):
+def test_a_robot_stays_physical_at_every_step(name, optimiser, gradients):
     module = torchdq.DQRNEA(ROBOTS[name], learn=EVERYTHING)
-    if kind == "adam":
-        optimiser = torch.optim.Adam(module.parameters(), lr=0.5)
-    else:
-        optimiser = torch.optim.SGD(module.parameters(), lr=1e-3)
+    rate = 0.5 if optimiser == "Adam" else 1e-3
+    optimiser = getattr(torch.optim, optimiser)(module.parameters(), lr=rate)
     for k in range(40):
         optimiser.zero_grad()
         gradients(module, k)
@@ -192,8 +199,8 @@ def test_only_impossible_links_of_a_description_change():
     with refused(torchdq.UnphysicalError):
         RobotModule(robot, learn=("mass", "inertia"))
     module = RobotModule(robot.replace(on_unphysical="repair"), learn=("mass", "inertia"))
-    second = [np.linalg.eigvalsh(np.trace(I) / 2 * np.eye(3) - I) for I in matrices(robot.inertia)]
-    possible = torch.tensor([bool(x[0] >= 1e-6 * x.sum()) for x in second])
+    second = second_moments(robot.inertia)
+    possible = torch.from_numpy(second[:, 0] >= 1e-6 * second.sum(-1))
     assert 0 < int(possible.sum()) < robot.n
     assert torch.allclose(module.inertia[possible], robot.inertia[possible], rtol=1e-12, atol=1e-15)
     assert objections(module.mass, module.inertia) == []
@@ -279,8 +286,8 @@ def test_an_option_that_a_layer_cannot_take_is_named(options):
 
 # --- friction and offset ---------------------------------------------------------------------------------------------
 
-VISCOUS, COULOMB, WIDTH = double(3, 0.5, 2, 1, 0.2, 4), double(1, 2, 0.3, 4, 5, 0.6), 0.05
-OFFSET = double(1, -2, 3, -4, 5, -6)  # of any sign
+VISCOUS, COULOMB, WIDTH = double(3, 0.5, 2), double(1, 2, 0.3), 0.05
+OFFSET = double(1, -2, 3)  # of any sign
 
 
 def with_friction(kind, learn=("friction", "offset"), **options):
@@ -291,7 +298,7 @@ def with_friction(kind, learn=("friction", "offset"), **options):
 
 
 def test_friction_and_offset_are_their_formulas():
-    q, qd, qdd = random(3, 30, 6, seed=10)
+    q, qd, qdd = random(3, 30, 3, seed=10)
     qd[0] = 0.0
     module, expected = with_friction("DQRNEA"), VISCOUS * qd + COULOMB * qd / torch.sqrt(qd**2 + WIDTH**2)
     assert torch.allclose(module.friction_torque(qd), expected, rtol=1e-13, atol=1e-15)
@@ -303,7 +310,7 @@ def test_friction_and_offset_are_their_formulas():
 
 @all_in_one([("friction", "offset"), ("friction", "offset", "armature", "mass")])
 def test_forward_dynamics_is_the_way_back_and_the_controller_compensates_at_the_measured_velocity(learn):
-    q, qd, qdd, q_des, qd_des = random(5, 20, 6, seed=13)
+    q, qd, qdd, q_des, qd_des = random(5, 20, 3, seed=13)
     back = with_friction("ForwardDynamics", learn)
     found = back(q, qd, with_friction("DQRNEA", learn)(q, qd, qdd))
     assert torch.allclose(found, qdd, rtol=1e-9, atol=1e-9)
@@ -319,25 +326,23 @@ def test_the_prior_is_zero_at_the_start_and_positive_away(name):
     module = torchdq.DQRNEA(ROBOTS[name], learn=EVERYTHING)
     for start in (module, torchdq.DQRNEA(ROBOTS[name]), torchdq.DQRNEA(ROBOTS[name], learn="gravity")):
         assert float(start.prior()) == 0.0
-    for key, p in module.named_parameters():
+    for key in dict(module.named_parameters()):
         other = copy.deepcopy(module)
         with torch.no_grad():
             dict(other.named_parameters())[key].view(-1)[-1] += 0.1
         assert key == "offset" or float(other.prior()) > 0.0
-        assert p.requires_grad
 
 
 @all_in_one([1e-3, 60.0])
 def test_the_prior_does_not_depend_on_the_unit_of_mass(unit):
-    robot = ROBOTS["ur10e"].replace(armature=torch.ones(6, dtype=F64))
+    robot = ROBOTS["ur10e"]
     values = []
     for factor in (1.0, unit):
-        mass, inertia, armature = (factor * x for x in (robot.mass, robot.inertia, robot.armature))
+        mass, inertia, armature = (factor * x for x in (robot.mass, robot.inertia, torch.ones(6, dtype=F64)))
         module = torchdq.DQRNEA(robot.replace(mass=mass, inertia=inertia, armature=armature), learn=EVERYTHING[:5])
         module.mass, module.armature = mass * random(6, seed=16).exp(), armature * random(6, seed=17).exp()
         module.inertia = factor * (robot.inertia + 0.01 * bodies(6, seed=18))
-        with torch.no_grad():
-            module.com += 0.01 * random(6, 3, seed=19)
+        module.com = robot.com + 0.01 * random(6, 3, seed=19)
         values.append(float(module.prior()))
     assert values[0] > 0.1 and abs(values[1] / values[0] - 1) < 1e-9
 
@@ -346,9 +351,7 @@ def test_the_prior_is_its_formula():
     robot = ROBOTS["panda"]
     module = RobotModule(robot, learn=("mass", "com", "friction"))
     factor, shift = random(7, seed=20).exp(), 0.1 * random(7, 3, seed=21)
-    module.mass = robot.mass * factor
-    with torch.no_grad():
-        module.com += shift
+    module.mass, module.com = robot.mass * factor, robot.com + shift
     sizes = robot.inertia[:, [0, 2, 5]].sum(-1) / 2 / robot.mass
     expected = factor.log().square().mean() + (shift.square().sum(-1) / sizes).mean()
     assert abs(float(module.prior()) / float(expected) - 1) < 1e-12
@@ -400,18 +403,6 @@ def test_the_state_holds_what_is_learned_and_nothing_else():
         "com", "offset", *(f"parametrizations.{name}.original" for name in ("inertia", "viscous", "coulomb"))
     }  # fmt: skip
     assert torchdq.DQRNEA(TREE).state_dict() == {}
-
-
-def test_compiled_programs_take_what_is_learned_as_arguments():
-    """New values give new torques without a new program."""
-    module, x = moved()
-    with torchdq.backend("auto"):
-        first = module(*x)
-        module.mass = 2 * module.mass.detach()
-        second = module(*x)
-        expected = torchdq.inverse_dynamics(module.robot, *x, backend="eager")
-    rest = module.friction_torque(x[1]) + module.offset
-    assert torch.allclose(second - rest, expected, rtol=1e-11, atol=1e-11) and not torch.allclose(first, second)
 
 
 def test_a_batch_of_robots_learns_side_by_side():
@@ -469,8 +460,7 @@ WRONG = {
 
 @pytest.mark.parametrize("name, value", [(name, x) for name, values in WRONG.items() for x in values])
 def test_a_quantity_that_cannot_be_set_is_named(name, value):
-    learn = ("mass", "com", "inertia", "friction", "armature", "offset")
-    module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=learn)
+    module = torchdq.DQRNEA(TWO, learn=EVERYTHING)
     before = getattr(module, name).detach()
     for one in (module, pickle.loads(pickle.dumps(module))):
         with refused(torchdq.ArgumentError):
@@ -478,19 +468,16 @@ def test_a_quantity_that_cannot_be_set_is_named(name, value):
         assert torch.equal(getattr(one, name), before)
 
 
-@all_in_one(["DQRNEA", "ForwardDynamics", "ResidualDynamics"])
-def test_a_layer_says_what_takes_the_place_of_torchscript(kind):
-    layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn="mass")
-    layer = layer if kind == "DQRNEA" else getattr(torchdq, kind)(layer.robot if kind == "ForwardDynamics" else layer)
-    with refused(torchdq.ArgumentError):
-        torch.jit.script(layer)
+def test_a_layer_says_what_takes_the_place_of_torchscript():
+    layer = torchdq.DQRNEA(TWO, learn="mass")
+    for one in (layer, torchdq.ForwardDynamics(TWO), torchdq.ResidualDynamics(layer)):
+        with refused(torchdq.ArgumentError):
+            torch.jit.script(one)
 
 
 def test_negative_friction_of_a_description_is_not_another_one():
-    robot = torchdq.robots.load("two_link")
-    robot = robot.replace(friction=-torch.ones_like(robot.mass), on_unphysical="ignore")
     with refused(torchdq.ArgumentError):
-        torchdq.DQRNEA(robot, learn="friction")
+        torchdq.DQRNEA(TWO.replace(friction=-torch.ones_like(TWO.mass), on_unphysical="ignore"), learn="friction")
 
 
 @all_in_one(["com", "inertia", "gravity", "viscous", "coulomb", "offset"])
@@ -502,7 +489,7 @@ def test_assigning_to_what_is_not_learned_is_refused(name):
 
 
 def test_learned_quantities_are_assigned_in_their_shape():
-    layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("offset", "friction", "mass", "com"))
+    layer = torchdq.DQRNEA(TWO, learn=("offset", "friction", "mass", "com"))
     before = layer.offset
     layer.offset = torch.tensor([0.5, 0.25])
     assert layer.offset is before and layer.offset.tolist() == [0.5, 0.25]

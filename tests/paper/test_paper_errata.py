@@ -17,7 +17,9 @@ import pinocchio as pin
 import pytest
 import torch
 from errata_table import ERRATA, IDS
+from helpers import all_in_one
 from oracles import as_printed, dual_quaternion, random_placement, stack
+from scipy.integrate import solve_ivp
 
 import torchdq
 from torchdq import dq
@@ -65,6 +67,7 @@ def pure(p, d):
 
 
 def six(x):
+    """Vectors of a pure dual quaternion."""
     return np.concatenate([x[..., 1:4], x[..., 5:8]], -1)
 
 
@@ -395,6 +398,13 @@ def median_error(found, expected):
     return float(np.median(np.abs(found - expected).reshape(len(expected), -1).max(-1)))
 
 
+def accelerations(c, tau):
+    """Pinocchio's accelerations of chains under torques and the wrench at the tip."""
+    rows = zip(c.models, c.q, c.qd, tau, c.f_tip, strict=True)
+    found = [pin.aba(m, m.createData(), q, qd, u, external(c, 0, f)) for m, q, qd, u, f in rows]
+    return np.stack(found)
+
+
 def by_recursion(*slips):
     return lambda: median_error(algorithm_1(chains(), *slips)[0], reference()["tau"])
 
@@ -453,8 +463,7 @@ def rate_of_pose():
 
 def rods_lost():
     """(30) as printed on the paper's own arm."""
-    arm = two_link_arm(*([np.array([v])] for v in ((0.3, -0.7), (0.5, -1.1), (1.2, 2.3), np.zeros(8))))
-    arm = arm._replace(**{k: np.array(getattr(arm, k)).reshape(1, -1) for k in ("q", "qd", "qdd", "f_tip")})
+    arm = two_link_arm(*(np.array([v]) for v in ((0.3, -0.7), (0.5, -1.1), (1.2, 2.3), np.zeros(8))))
     return median_error(algorithm_1(arm, "30")[0], algorithm_1(arm)[0])
 
 
@@ -473,24 +482,18 @@ def feedforward_with_the_other_sign():
     """(74) on the paper's arm, when the wrench fed forward has the other sign."""
     arm = arm_with_wrench(*(np.array([v]) for v in ((0.1, 0.2), (0.3, -0.4), (1.0, 2.0))))
     tau, *_ = algorithm_1(arm._replace(f_tip=-arm.f_tip))
-    qdd = pin.aba(
-        arm.models[0], arm.models[0].createData(), arm.q[0], arm.qd[0], tau[0], external(arm, 0, arm.f_tip[0])
-    )
-    return float(np.abs(qdd - arm.qdd[0]).max())
+    return float(np.abs(accelerations(arm, tau) - arm.qdd).max())
 
 
-def tracking_error(printed, seconds=2.0, dt=0.01, kp=25.0, kd=10.0):
+def tracking_error(printed, seconds=2.0, kp=25.0, kd=10.0):
     """Largest joint error of the paper's arm after tracking a sine with (75), the dynamics cancelled by Pinocchio."""
     arm = arm_with_wrench(*np.zeros((3, 1, 2)))
     model, wrench = arm.models[0], external(arm, 0, arm.f_tip[0])
     data = model.createData()
 
     def wanted(t):
-        return (
-            np.array([np.sin(t), 0.5 * np.cos(2 * t)]),
-            np.array([np.cos(t), -np.sin(2 * t)]),
-            np.array([-np.sin(t), -2 * np.cos(2 * t)]),
-        )
+        s, c = np.sin([t, 2 * t]), np.cos([t, 2 * t])
+        return np.array([[s[0], 0.5 * c[1]], [c[0], -s[1]], [-s[0], -2 * c[1]]])
 
     def rate(t, y):
         q, qd = np.split(y, 2)
@@ -500,15 +503,8 @@ def tracking_error(printed, seconds=2.0, dt=0.01, kp=25.0, kd=10.0):
         tau = pin.rnea(model, data, q, qd, a_c, wrench).copy()
         return np.concatenate([qd, pin.aba(model, data, q, qd, tau, wrench)])
 
-    y = np.array([0.5, -0.3, 0.0, 0.0])
-    for k in range(round(seconds / dt)):
-        t = k * dt
-        k1 = rate(t, y)
-        k2 = rate(t + dt / 2, y + dt / 2 * k1)
-        k3 = rate(t + dt / 2, y + dt / 2 * k2)
-        k4 = rate(t + dt, y + dt * k3)
-        y = y + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return float(np.abs(wanted(seconds)[0] - y[:2]).max())
+    found = solve_ivp(rate, (0.0, seconds), [0.5, -0.3, 0.0, 0.0], rtol=1e-6, atol=1e-9)
+    return float(np.abs(wanted(seconds)[0] - found.y[:2, -1]).max())
 
 
 IN_RECURSION = ("25 in (38)", "30", "38", "40", "46 sign", "46 index", "A1")
@@ -532,7 +528,7 @@ MEASURED = {
 }
 
 
-@pytest.mark.parametrize("row", [r for r in ERRATA if r.error is not None], ids=lambda row: row.key)
+@all_in_one([row for row in ERRATA if row.error is not None])
 def test_the_printed_form_is_wrong_by_the_size_on_record(row):
     measured = MEASURED[row.key]()
     assert row.error / FACTOR < measured < row.error * FACTOR, f"{row.key}: {measured:.3g}, on record {row.error}"
@@ -567,9 +563,6 @@ def test_the_printed_exponential_is_a_pose_and_right_without_a_moment_or_a_rotat
     assert np.array_equal(dual(ONE, qmul(slide[..., 4:], ONE)), BASIS[0] + slide)
 
 
-# --- errata without a size: shapes and types -------------------------------------------------------------------------
-
-
 def test_11_is_an_outer_product_as_printed():
     Q, Q_ = torch.from_numpy(np.random.default_rng(11).normal(size=(2, 3, 1, 8)))  # columns, as in (8)
     assert dq.matmul(Q, dq.transpose(Q_)).shape == (3, 3, 8)
@@ -578,11 +571,10 @@ def test_11_is_an_outer_product_as_printed():
 
 def test_22_is_the_real_matrix_of_19_as_printed():
     """With vec, h+ and h- are H+ and H-, so that (23) would multiply real vectors by quaternion numbers."""
-    x = np.random.default_rng(22).normal(size=4)
-    left = np.stack([qmul(x, e) for e in (ONE, I, J, K)], -1)
-    right = np.stack([qmul(e, x) for e in (ONE, I, J, K)], -1)
-    assert np.array_equal(dq.hamilton_left(torch.from_numpy(x)).numpy(), left)
-    assert np.array_equal(dq.hamilton_right(torch.from_numpy(x)).numpy(), right)
+    x, units = np.random.default_rng(22).normal(size=4), (ONE, I, J, K)
+    left, right = dq.hamilton_left(torch.from_numpy(x)), dq.hamilton_right(torch.from_numpy(x))
+    assert np.array_equal(left, np.stack([qmul(x, e) for e in units], -1))
+    assert np.array_equal(right, np.stack([qmul(e, x) for e in units], -1))
 
 
 # --- the package against Pinocchio -----------------------------------------------------------------------------------
@@ -678,11 +670,12 @@ def ours_of_adjoint(wrench):
     """The adjoint operator on wrenches or on twists."""
     poses, m = random_poses(), six(random_screws())
     found = dq.ad(torch.from_numpy(np.stack([dual_quaternion(M) for M in poses])), torch.from_numpy(m))
+    pairs = zip(poses, m, strict=True)
     if wrench:
-        expected = [M.act(pin.Force(v[:3], v[3:])).vector for M, v in zip(poses, m, strict=True)]
-        return relative(found, np.stack(expected))
-    moved = [M.act(pin.Motion(v[3:], v[:3])) for M, v in zip(poses, m, strict=True)]
-    return relative(found, np.stack([angular_first(v) for v in moved]))
+        expected = [M.act(pin.Force(v[:3], v[3:])).vector for M, v in pairs]
+    else:
+        expected = [angular_first(M.act(pin.Motion(v[3:], v[:3]))) for M, v in pairs]
+    return relative(found, np.stack(expected))
 
 
 def ours_38():
@@ -736,15 +729,6 @@ def ours_75():
     desired = map(torch.from_numpy, (q, qd, q_des, qd_des, qdd_des))
     tau = torchdq.computed_torque(arm.robot, *desired, kp, kd, f_tip).numpy()
     return relative(accelerations(arm, tau), kp * (q_des - q) + kd * (qd_des - qd) + qdd_des)
-
-
-def accelerations(c, tau):
-    return np.stack(
-        [
-            pin.aba(model, model.createData(), c.q[k], c.qd[k], tau[k], external(c, k, c.f_tip[k]))
-            for k, model in enumerate(c.models)
-        ]
-    )
 
 
 OURS = {

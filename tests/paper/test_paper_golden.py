@@ -56,58 +56,17 @@ ways = pytest.mark.parametrize("way", [recursion, closed_form, mass_matrix_and_b
 # --- the two-link arm ------------------------------------------------------------------------------------------------
 
 # q | qd | qdd | f_tip (fx, fy, mz) | torques without inertia | torques of the uniform rod
-TWO_LINK = [
-    ((0, 0), (0, 0), (0, 0), (0, 0, 0), (19.62, 4.905), (19.62, 4.905)),
-    (
-        (0.3, -0.7),
-        (0, 0),
-        (0, 0),
-        (0, 0, 0),
-        (18.575580613067, 4.517804175584),
-        (18.575580613067, 4.517804175584),
-    ),
-    (
-        (0.3, -0.7),
-        (0.5, -1.1),
-        (0, 0),
-        (0, 0, 0),
-        (18.611012585866, 4.437276964679),
-        (18.611012585866, 4.437276964679),
-    ),
-    (
-        (0.3, -0.7),
-        (0.5, -1.1),
-        (1.2, 2.3),
-        (0, 0, 0),
-        (22.783391725984, 5.771182277050),
-        (23.175058392651, 6.062848943717),
-    ),
-    (
-        (pi / 6, -pi / 6),
-        (1, 2),
-        (-3, 0.5),
-        (0, 0, 0),
-        (12.891993956281, 2.730961894323),
-        (12.433660622947, 2.522628560990),
-    ),
-    (
-        (-2.1, 1.9),
-        (-3.3, 4.4),
-        (5.5, -6.6),
-        (0, 0, 0),
-        (7.847271512432, 8.795784232895),
-        (8.213938179098, 8.704117566228),
-    ),
-    (
-        (0.3, -0.7),
-        (0.5, -1.1),
-        (1.2, 2.3),
-        (2.0, -3.0, 0.7),
-        (16.900429789655, 3.471182277050),
-        (17.292096456322, 3.762848943717),
-    ),
-    ((pi / 2, 0), (0, 0), (1, 1), (1.0, 0, 0), (3.25, 1.0), (3.5, 1.166666666667)),
-]
+TWO_LINK = """
+0 0           | 0 0       | 0 0      | 0 0 0    | 19.62 4.905                     | 19.62 4.905
+0.3 -0.7      | 0 0       | 0 0      | 0 0 0    | 18.575580613067 4.517804175584  | 18.575580613067 4.517804175584
+0.3 -0.7      | 0.5 -1.1  | 0 0      | 0 0 0    | 18.611012585866 4.437276964679  | 18.611012585866 4.437276964679
+0.3 -0.7      | 0.5 -1.1  | 1.2 2.3  | 0 0 0    | 22.783391725984 5.771182277050  | 23.175058392651 6.062848943717
+pi/6 -pi/6    | 1 2       | -3 0.5   | 0 0 0    | 12.891993956281 2.730961894323  | 12.433660622947 2.522628560990
+-2.1 1.9      | -3.3 4.4  | 5.5 -6.6 | 0 0 0    | 7.847271512432 8.795784232895   | 8.213938179098 8.704117566228
+0.3 -0.7      | 0.5 -1.1  | 1.2 2.3  | 2 -3 0.7 | 16.900429789655 3.471182277050  | 17.292096456322 3.762848943717
+pi/2 0        | 0 0       | 1 1      | 1 0 0    | 3.25 1                          | 3.5 1.166666666667
+""".strip().splitlines()
+ANGLES = {"pi/6": pi / 6, "-pi/6": -pi / 6, "pi/2": pi / 2}
 
 
 def two_link(transverse):
@@ -122,10 +81,11 @@ def in_tip_frame(planar):
     return torch.stack([fx, fy, zero, zero, zero, mz], -1)
 
 
-def states():
-    """Tensors q, qd, qdd, f_tip, torques without inertia and of rods, each [8, ...]."""
-    q, qd, qdd, planar, point_mass, rod = (double(column) for column in zip(*TWO_LINK, strict=True))
-    return q, qd, qdd, in_tip_frame(planar), point_mass, rod
+def states(transverse=ROD):
+    """Tensors q, qd, qdd, f_tip, and torques without inertia or of rods, each [8, ...]."""
+    rows = [[[ANGLES.get(x) or float(x) for x in cell.split()] for cell in row.split("|")] for row in TWO_LINK]
+    q, qd, qdd, planar, point_mass, rod = map(double, zip(*rows, strict=True))
+    return q, qd, qdd, in_tip_frame(planar), rod if transverse else point_mass
 
 
 inertias = pytest.mark.parametrize("transverse", [0.0, ROD], ids=["no-inertia", "rod"])
@@ -134,25 +94,25 @@ inertias = pytest.mark.parametrize("transverse", [0.0, ROD], ids=["no-inertia", 
 @ways
 @inertias
 def test_two_link_torques(transverse, way):
-    q, qd, qdd, f_tip, point_mass, rod = states()
-    close(way(two_link(transverse), q, qd, qdd, f_tip), rod if transverse else point_mass, TOLERANCE)
+    *state, tau = states(transverse)
+    close(way(two_link(transverse), *state), tau, TOLERANCE)
+
+
+def require_accelerations(robot, q, qd, qdd, f_tip, tau):
+    """Compare accelerations; the torques are rounded to twelve decimals, and M^-1 amplifies that."""
+    amplified = TOLERANCE * torch.linalg.inv(torchdq.mass_matrix(robot, q)).abs().sum(-1).max().item()
+    close(torchdq.forward_dynamics(robot, q, qd, tau, f_tip), qdd, amplified)
 
 
 @inertias
 def test_two_link_accelerations_from_the_recorded_torques(transverse):
-    q, qd, qdd, f_tip, point_mass, rod = states()
-    robot = two_link(transverse)
-    # the torques are rounded to twelve decimals, and M^-1 amplifies that
-    amplified = TOLERANCE * torch.linalg.inv(torchdq.mass_matrix(robot, q)).abs().sum(-1).max().item()
-    found = torchdq.forward_dynamics(robot, q, qd, rod if transverse else point_mass, f_tip)
-    close(found, qdd, amplified)
+    require_accelerations(two_link(transverse), *states(transverse))
 
 
-@inertias
-def test_a_batch_axis_of_robots_gives_both_inertias_at_once(transverse):
-    q, qd, qdd, f_tip, point_mass, rod = states()
+def test_a_batch_axis_of_robots_gives_both_inertias_at_once():
     both = two_link(ROD).replace(inertia=torch.stack([two_link(i).inertia for i in (0.0, ROD)]).unsqueeze(1))
-    close(recursion(both, q, qd, qdd, f_tip)[1 if transverse else 0], rod if transverse else point_mass, TOLERANCE)
+    found = recursion(both, *states()[:4])
+    close(found, torch.stack([states(transverse)[4] for transverse in (0.0, ROD)]), TOLERANCE)
 
 
 # --- its intermediates -----------------------------------------------------------------------------------------------
@@ -201,9 +161,8 @@ def formulas(transverse, q, qd):
     (q1, q2), (w1, w2) = q.unbind(-1), qd.unbind(-1)
     c1, c2, s2, c12 = q1.cos(), q2.cos(), q2.sin(), (q1 + q2).cos()
     m11, m12 = 1.5 + 2 * transverse + c2, 0.25 + transverse + 0.5 * c2
-    m22 = torch.full_like(c2, 0.25 + transverse)
-    h = -0.5 * s2
-    one = torch.ones_like(c2)
+    h, one = -0.5 * s2, torch.ones_like(c2)
+    m22 = (0.25 + transverse) * one
     return (
         torch.stack([m11, m12, m12, m22], -1).reshape(*q.shape[:-1], 2, 2),
         torch.stack([h * (2 * w1 * w2 + w2 * w2), -h * w1 * w1], -1),
@@ -232,13 +191,11 @@ SPATIAL = [
     ((6, 2, -3), (0.3, 0, 0.1), 0.0, 0.8, (0.02, 0.03, 0.04), (0.01, 0.001, 0.012, -0.002, 0.0015, 0.009)),
 ]
 Q, QD, QDD = (0.4, -0.3, 0.2, 0.7), (1.0, -0.5, 0.6, -1.2), (0.3, 0.9, -1.1, 2.0)
-WRENCHES = {
-    "free": ((0, 0, 0, 0, 0, 0), (-5.7419712922380, 17.3461117975432, 1.0993740217201, -0.1735362574306)),
-    "loaded": (
-        (1, -2, 3, 0.4, 0.5, -0.6),
-        (-5.5683411718473, 19.9695551790130, -0.5071906678672, 1.7693208854266),
-    ),
-}
+LOAD = (1, -2, 3, 0.4, 0.5, -0.6)
+TORQUES = [  # by the wrench at the tip
+    ((0, 0, 0, 0, 0, 0), (-5.7419712922380, 17.3461117975432, 1.0993740217201, -0.1735362574306)),
+    (LOAD, (-5.5683411718473, 19.9695551790130, -0.5071906678672, 1.7693208854266)),
+]
 
 
 def spatial_chain():
@@ -246,33 +203,22 @@ def spatial_chain():
     axes, origins, pitches, mass, com, inertia = zip(*SPATIAL, strict=True)
     p, l = double(origins).cumsum(0), double(axes)
     l = l / l.norm(dim=-1, keepdim=True)
-    screws = [
-        torch.cat([0 * l_i, l_i] if h is None else [l_i, torch.linalg.cross(p_i, l_i) + h * l_i])
-        for l_i, p_i, h in zip(l, p, pitches, strict=True)
-    ]
+    rows = zip(l, p, pitches, strict=True)
+    screws = [torch.cat([0 * u, u] if h is None else [u, torch.linalg.cross(x, u) + h * u]) for u, x, h in rows]
     upright = double([1, 0, 0, 0])
-    return torchdq.Robot.from_screws(
-        joint_screws=torch.stack(screws),
-        link_poses=torchdq.dq.from_pose(upright.expand(4, 4), p),
-        tip_pose=torchdq.dq.from_pose(upright, p[-1] + double([0.1, 0.2, 0.3])),
-        mass=mass,
-        com=com,
-        inertia=inertia,
-        gravity=(0.0, 0.0, -9.81),
-    )
+    poses = torchdq.dq.from_pose(upright.expand(4, 4), p)
+    tip = torchdq.dq.from_pose(upright, p[-1] + double([0.1, 0.2, 0.3]))
+    return torchdq.Robot.from_screws(torch.stack(screws), mass, com, inertia, link_poses=poses, tip_pose=tip)
 
 
 @ways
 def test_spatial_torques(way):
     assert spatial_chain().kinds == ("revolute", "prismatic", "helical", "revolute")
-    for wrench, expected in WRENCHES.values():
+    for wrench, expected in TORQUES:
         found = way(spatial_chain(), double(Q), double(QD), double(QDD), double(wrench))
         close(found, double(expected), TOLERANCE)
 
 
-@all_in_one(WRENCHES)
-def test_spatial_accelerations_from_the_recorded_torques(load):
-    wrench, tau = (double(x) for x in WRENCHES[load])
-    robot = spatial_chain()
-    amplified = TOLERANCE * torch.linalg.inv(torchdq.mass_matrix(robot, double(Q))).abs().sum(-1).max().item()
-    close(torchdq.forward_dynamics(robot, double(Q), double(QD), tau, wrench), double(QDD), amplified)
+@all_in_one(TORQUES)
+def test_spatial_accelerations_from_the_recorded_torques(wrench_and_torques):
+    require_accelerations(spatial_chain(), *map(double, (Q, QD, QDD, *wrench_and_torques)))

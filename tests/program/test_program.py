@@ -5,7 +5,6 @@ The references are mpmath, torch's own autograd, numpy's solver, and the paper's
 
 import itertools
 from functools import partial
-from unittest.mock import patch
 
 import mpmath
 import numpy as np
@@ -30,7 +29,6 @@ from oracles import random_tree as random_case
 
 import torchdq
 import torchdq.envs
-from torchdq.backends import torch as torch_backend
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.tree import BASE
 from torchdq.effects import Contact, Drag, Push
@@ -121,13 +119,6 @@ def test_replay_in_exact_arithmetic_is_the_function_itself():
         assert abs(found - expected) <= 4 * EPS64 * abs(expected)
 
 
-def test_replay_on_tensors_is_the_function_itself():
-    program, x = scalar(tangle, 3), torch.randn(3, 50, dtype=F64, generator=torch.Generator().manual_seed(1))
-    expected = tangle(*x)
-    found = results(program, replay(program, [list(x)]))["y"][0]
-    assert (found - expected).abs().max() <= 64 * EPS64 * (1 + expected.abs().max())
-
-
 def test_a_program_prints_its_arguments_operations_and_results():
     program = record(
         "f", [Argument("x", 2), Argument("m", 1, True)], lambda x, m: {"y": [-(x[0] * m[0]), 1.5]}, summed=["y"]
@@ -173,46 +164,41 @@ def chain(
     )
 
 
-def recorded(function, robot: torchdq.Robot, *names: str | None) -> Program:
-    """Program that a public function runs when it is given the named arguments; None: the argument is left out."""
-    s = states(robot, 1)
-    given = [None if name is None else s.qdd if name == "tau" else getattr(s, name) for name in names]
-    with patch.object(torch_backend, "interpreted", wraps=torch_backend.interpreted) as spy:
-        function(robot, *given, backend="eager")
-    return spy.call_args.args[0]
+def recorded(function: str, robot: torchdq.Robot, *names: str) -> Program:
+    """Program of a public function that is given the named arguments."""
+    return torchdq.compile(robot, function, arguments=names).program
 
 
 @pytest.mark.parametrize("n", range(4, 17, 3))
 def test_inverse_dynamics_of_a_general_chain_takes_84n_multiplications_and_70n_additions(n):
-    count = recorded(torchdq.inverse_dynamics, chain(n), "q", "qd", "qdd").count()
+    count = recorded("inverse_dynamics", chain(n), "q", "qd", "qdd").count()
     assert count.multiplications <= 84 * n - 98 <= 91 * n - 93
     assert count.additions <= 70 * n - 87 <= 76 * n - 83
     assert count.divisions == 0 and count.sines == 2 * n
 
 
 def test_forward_dynamics_of_a_long_chain_grows_linearly():
-    short, long = (recorded(torchdq.forward_dynamics, chain(n), "q", "qd", "tau").count().total for n in (20, 40))
+    short, long = (recorded("forward_dynamics", chain(n), "q", "qd", "tau").count().total for n in (15, 30))
     assert long <= 2.15 * short
 
 
 @pytest.mark.parametrize("absent", ["qd", "qdd", "f_tip", "f_ext", "gravity"])
 def test_what_is_absent_is_no_argument_of_the_program_and_saves_operations(absent):
     names, robot = ("q", "qd", "qdd", "f_tip", "f_ext"), chain(4)
-    whole = recorded(torchdq.inverse_dynamics, robot, *names)
-    less = robot.replace(gravity=None) if absent == "gravity" else robot
-    less = recorded(torchdq.inverse_dynamics, less, *(None if name == absent else name for name in names))
-    assert [a.name for a in less.arguments] == [name for name in names if name != absent]
-    assert less.count().total < whole.count().total
+    left = [name for name in names if name != absent]
+    less = recorded("inverse_dynamics", robot.replace(gravity=None) if absent == "gravity" else robot, *left)
+    assert [a.name for a in less.arguments] == left
+    assert less.count().total < recorded("inverse_dynamics", robot, *names).count().total
 
 
 def test_at_rest_and_without_gravity_nothing_is_recorded():
-    assert recorded(torchdq.inverse_dynamics, chain(3).replace(gravity=None), "q").ops == ()
+    assert recorded("inverse_dynamics", chain(3).replace(gravity=None), "q").ops == ()
 
 
 def test_a_tensor_that_was_replaced_and_then_removed_is_no_argument():
     robot = torchdq.robots.load("two_link")
     robot = robot.replace(gravity=2 * robot.gravity).replace(gravity=None)
-    assert [a.name for a in recorded(torchdq.inverse_dynamics, robot, "q", "qd").arguments] == ["q", "qd"]
+    assert [a.name for a in recorded("inverse_dynamics", robot, "q", "qd").arguments] == ["q", "qd"]
 
 
 # --- derivatives -----------------------------------------------------------------------------------------------------
@@ -263,14 +249,9 @@ DERIVATIVES = pytest.mark.parametrize("derivative", [derive.vjp, derive.jvp])
 
 @DERIVATIVES
 def test_derivatives_equal_autograd(derivative):
-    assert same_as_autograd(mixed(), derivative)
-
-
-@DERIVATIVES
-@pytest.mark.parametrize("first", [derive.vjp, derive.jvp])
-def test_derivatives_of_derivatives_in_everything_equal_autograd(first, derivative):
-    """Also in the cotangents and tangents, which the first derivative takes as arguments."""
-    assert same_as_autograd(first(mixed(), (0, 1)), derivative)
+    """Those of derivatives also in the cotangents and tangents, which the first derivative takes as arguments."""
+    for program in (mixed(), derive.vjp(mixed(), (0, 1)), derive.jvp(mixed(), (0, 1))):
+        assert same_as_autograd(program, derivative)
 
 
 def test_the_gradient_of_a_uniform_argument_is_summed_and_the_others_are_not():
@@ -403,7 +384,7 @@ def test_axes_that_are_nearly_parallel_or_meet_lose_no_accuracy(options):
 
 
 NEARLY_ONE_LINE = itertools.product(
-    thinned([0.0, 1e-17, 1e-16, 1e-15, 1e-14, 1e-13, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4], [0.0, 1e-16, 1e-14, 1e-10]),
+    thinned([0.0, 1e-17, 1e-16, 1e-15, 1e-14, 1e-13, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4], [0.0, 1e-16, 1e-10]),
     thinned([0.0, 1e-16, 1e-14, 1e-12, 1e-9, 3e-7, 1.1e-6, 1e-4], [0.0, 1e-14, 1e-9, 1.1e-6]),
     [0, 3],
     thinned([0, 1, 2], [0]),
@@ -430,7 +411,9 @@ def test_grouping_leaves_a_revolute_link_without_mass_on_its_axis():
 
 
 @pytest.mark.parametrize(
-    "robot", [*(case.robot for case in TREES), *(chain(n) for n in (3, 10, 20, 42))], ids=lambda r: f"{r.name}-{r.n}"
+    "robot",
+    [*(case.robot for case in TREES), *(chain(n) for n in thinned((3, 10, 20, 42), (3, 20)))],
+    ids=lambda r: f"{r.name}-{r.n}",
 )
 def test_articulated_bodies_solve_the_mass_matrix(robot):
     s = states(robot, 4)

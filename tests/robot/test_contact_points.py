@@ -12,10 +12,11 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
-from helpers import all_in_one
+from helpers import all_in_one, thinned
 from messages import refused, warned
-from mjcf_text import ARM, ASSETS, FREE
-from urdf_text import also, arm, fixed, link, random_elements, urdf
+from mjcf_text import ARM, ASSETS, FREE, model_of
+from robots import two
+from urdf_text import also, arm, fixed, link, random_elements, urdf, words
 
 import torchdq
 from torchdq import ArgumentError, Robot, UnknownNameError
@@ -29,8 +30,13 @@ RIMS = [(x, y, z) for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)) for z in (-1, 1
 
 def collision(form, xyz=(0, 0, 0), rpy=(0, 0, 0), name=""):
     """A <collision>."""
-    place = f'<origin xyz="{" ".join(map(str, xyz))}" rpy="{" ".join(map(str, rpy))}"/>'
+    place = f'<origin xyz="{words(xyz)}" rpy="{words(rpy)}"/>'
     return f'<collision name="{name}">{place}<geometry>{form}</geometry></collision>'
+
+
+def formed(name, *forms, on="lower"):
+    """A link with these shapes, fixed to another."""
+    return link(name, more="".join(map(collision, forms))) + fixed(f"f_{name}", on, name)
 
 
 def random_form(rng):
@@ -79,14 +85,16 @@ def without_meshes(path):
     """Text of a file without meshes in its <collision> elements, and without <visual> ones."""
     root = ET.fromstring(path.read_text(encoding="utf-8-sig"))
     for part in root.findall("link"):
-        for element in part.findall("visual") + [
-            x for x in part.findall("collision") if x.find("geometry/mesh") is not None
-        ]:
+        meshes = [x for x in part.findall("collision") if x.find("geometry/mesh") is not None]
+        for element in part.findall("visual") + meshes:
             part.remove(element)
     return ET.tostring(root, encoding="unicode")
 
 
-@all_in_one(["a1", "anymal_b_simple-anymal", "go1", "laikago", "g1_29dof_rev_1_0", "hyq_no_sensors", "pr2"])
+WITH_SHAPES = ["a1", "anymal_b_simple-anymal", "go1", "laikago", "g1_29dof_rev_1_0", "hyq_no_sensors", "pr2"]
+
+
+@all_in_one(thinned(WITH_SHAPES, ["anymal_b_simple-anymal", "go1", "g1_29dof_rev_1_0", "hyq_no_sensors"]))
 def test_points_of_a_file_are_where_pinocchio_has_its_shapes(name):
     text = without_meshes(oracles.urdf_paths()[name])
     robot, theirs = Robot.from_urdf(text, on_unphysical="ignore", mimic="independent"), of_pinocchio(text)
@@ -96,21 +104,17 @@ def test_points_of_a_file_are_where_pinocchio_has_its_shapes(name):
 
 
 @pytest.mark.filterwarnings("ignore:contact points of robot")
-@pytest.mark.parametrize("seed", range(5))
+@all_in_one(range(5))
 def test_points_of_a_random_file_are_where_pinocchio_has_its_shapes(seed):
     """Placed in any way, several on a link, on fixed joints too."""
     rng = np.random.default_rng(seed)
-    elements = [
-        part.replace(
-            "</link>",
-            "".join(
-                collision(random_form(rng), rng.normal(size=3), rng.uniform(-3, 3, 3)) for _ in range(rng.integers(3))
-            )
-            + "</link>",
-        )
-        for part in random_elements(seed)
-    ]
-    robot, theirs = Robot.from_urdf(urdf(*elements)), of_pinocchio(urdf(*elements))
+
+    def shapes():
+        placed = ((random_form(rng), rng.normal(size=3), rng.uniform(-3, 3, 3)) for _ in range(rng.integers(3)))
+        return "".join(collision(*shape) for shape in placed)
+
+    text = urdf(*(part.replace("</link>", shapes() + "</link>") for part in random_elements(seed)))
+    robot, theirs = Robot.from_urdf(text), of_pinocchio(text)
     assert len(theirs) > 2
     for frame, points in theirs.items():
         assert near(numbers(robot.contact_points(frame)), preferred(points))
@@ -124,17 +128,13 @@ GEOMS = """<mujoco><compiler angle="degree"/>
     <body name="b" pos="0 0 1" quat="1 2 3 4"><geom type="cylinder" size="0.1 0.2" pos="1 0 0" xyaxes="0 1 1 1 0 0"/>
     <geom name="ball" type="sphere" size="0.07" pos="0 0.2 0" contype="0"/></body>
   </body></frame></worldbody></mujoco>"""
-MODELS = {
-    "geoms": GEOMS,
-    **{name: ASSETS / f"{name}.xml" for name in ("ant", "half_cheetah", "humanoid", "walker2d_v5")},
-}
+MODELS = [GEOMS, *(ASSETS / f"{name}.xml" for name in ("ant", "half_cheetah", "humanoid", "walker2d_v5"))]
 
 
-@pytest.mark.parametrize("name", MODELS)
 @pytest.mark.filterwarnings("ignore:compiler attribute", "ignore:contact points of robot")
-def test_points_of_geoms_are_where_mujoco_has_them(name):
-    source = MODELS[name]
-    model = mujoco.MjModel.from_xml_path(str(source)) if name != "geoms" else mujoco.MjModel.from_xml_string(source)
+@all_in_one(MODELS)
+def test_points_of_geoms_are_where_mujoco_has_them(source):
+    model = model_of(source)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     robot, compared = Robot.from_mjcf(source, on_unphysical="ignore"), 0
@@ -162,8 +162,8 @@ def test_points_of_geoms_are_where_mujoco_has_them(name):
 
 def test_capsules_of_urdf_have_the_length_between_their_ends():
     capsule = collision('<capsule radius="0.1" length="0.6"/>', xyz=(1, 0, 0), rpy=(0, np.pi / 2, 0))
-    (a, b) = Robot.from_urdf(also(link("rod", more=capsule) + fixed("f", "lower", "rod"))).contact_points("rod")
-    assert a == ContactPoint("rod", (0.7, 0.0, 0.0), 0.1) and b == ContactPoint("rod", (1.3, 0.0, 0.0), 0.1)
+    ends = Robot.from_urdf(also(link("rod", more=capsule) + fixed("f", "lower", "rod"))).contact_points("rod")
+    assert ends == tuple(ContactPoint("rod", (x, 0.0, 0.0), 0.1) for x in (0.7, 1.3))
 
 
 # --- names -----------------------------------------------------------------------------------------------------------
@@ -174,13 +174,11 @@ MESH = '<mesh filename="package://legs/foot.stl"/>'
 
 def legs(*forms, names=("left_toe", "right_toe")):
     """An arm with two feet on fixed joints."""
-    feet = ("left_foot", "right_foot")
-    more = [
-        link(foot, 0.1, more=collision(form, (0, 0, -0.1), name=name))
-        + fixed(f"{foot}_joint", "lower", foot, (0, 0, 1))
-        for foot, form, name in zip(feet, forms, names, strict=True)
-    ]
-    return also("".join(more))
+    more = ""
+    for foot, form, name in zip(("left_foot", "right_foot"), forms, names, strict=True):
+        more += link(foot, 0.1, more=collision(form, (0, 0, -0.1), name=name))
+        more += fixed(f"{foot}_joint", "lower", foot, (0, 0, 1))
+    return also(more)
 
 
 def test_names_are_those_of_frames_or_of_collision_elements():
@@ -208,9 +206,10 @@ def test_names_without_shapes_and_shapes_without_points_are_refused_with_a_way_o
         robot.contact_points(3)
 
 
-@all_in_one(
-    ["", "<cone/>", '<sphere radius="-1"/>', "<sphere/>", '<box size="1 2"/>', '<cylinder radius="1" length="nan"/>']
-)
+NO_FORMS = ["", "<cone/>", '<sphere radius="-1"/>', "<sphere/>", '<box size="1 2"/>']
+
+
+@all_in_one([*NO_FORMS, '<cylinder radius="1" length="nan"/>'])
 def test_shapes_that_cannot_be_read_keep_no_robot_from_being_read(form):
     robot = Robot.from_urdf(legs(BALL, form))
     assert robot.contact_points("left_foot")
@@ -229,18 +228,17 @@ PARTS = {  # shapes on one link: number of its points, and what is left out
 }
 
 
-@pytest.mark.parametrize("case", PARTS)
-@pytest.mark.parametrize("on", ["the same link", "links of their own"])
-def test_what_has_points_serves_and_the_rest_is_named_in_one_warning(case, on):
+@all_in_one([*product(PARTS, ["the same link", "links of their own"])])
+def test_what_has_points_serves_and_the_rest_is_named_in_one_warning(of_what):
+    case, on = of_what
     forms, count, left_out = PARTS[case]
     if on == "the same link":
-        robot = Robot.from_urdf(also(link("foot", more="".join(map(collision, forms))) + fixed("f", "lower", "foot")))
+        text = formed("foot", *forms)
     else:  # only what has no points is left out
-        elements = (
-            link(f"foot{i}", more=collision(form)) + fixed(f"f{i}", "lower", f"foot{i}") for i, form in enumerate(forms)
-        )
-        robot, left_out = Robot.from_urdf(also("".join(elements))), [x for x in left_out if x in ("mesh", "cone")]
+        text = "".join(formed(f"foot{i}", form) for i, form in enumerate(forms))
+        left_out = [x for x in left_out if x in ("mesh", "cone")]
         count = sum({BALL: 1, BOX: 8, CYLINDER: 8, MESH: 0, "<cone/>": 0}.get(form, 2) for form in forms)
+    robot = Robot.from_urdf(also(text))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         points = robot.contact_points("foot*")
@@ -249,8 +247,7 @@ def test_what_has_points_serves_and_the_rest_is_named_in_one_warning(case, on):
 
 
 def test_what_is_left_out_is_said_once_and_in_short():
-    feet = "".join(link(f"m{i}", more=collision(MESH)) + fixed(f"f{i}", "lower", f"m{i}") for i in range(9))
-    robot = Robot.from_urdf(legs(BALL, BALL).replace("</robot>", feet + "</robot>"))
+    robot = Robot.from_urdf(also("".join(formed(f"m{i}", MESH) for i in range(9)), legs(BALL, BALL)))
     with warned(UserWarning) as seen:
         assert len(robot.contact_points("*")) == 2
     assert len(seen) == 1 and seen[0].filename == __file__
@@ -280,53 +277,34 @@ def test_meshes_and_other_geoms_are_refused_by_name():
 
 def test_points_stay_with_their_frames():
     robot = Robot.from_urdf(legs(BALL, '<box size="0.1 0.2 0.3"/>'))
-    points = robot.contact_points("*_foot")
-    locked, before = (
-        robot.lock({"elbow": 0.3}),
-        torchdq.forward_kinematics(robot, torch.tensor([0.2, 0.3]), "left_foot"),
-    )
-    for other in (
-        pickle.loads(pickle.dumps(robot)),
-        copy.deepcopy(robot),
-        robot.replace(mass=2 * robot.mass),
-        robot.to(torch.float32),
-        robot.bake(),
-        Robot.stack([robot, robot]),
-        robot.subchain("upper", "left_foot"),
-        locked,
-    ):
+    points, locked = robot.contact_points("*_foot"), robot.lock({"elbow": 0.3})
+    copies = [pickle.loads(pickle.dumps(robot)), copy.deepcopy(robot), robot.to(torch.float32), robot.bake()]
+    copies += [robot.replace(mass=2 * robot.mass), Robot.stack([robot, robot]), robot.subchain("upper", "left_foot")]
+    for other in (*copies, locked):
         assert other.contact_points("*_foot") == points
+    before = torchdq.forward_kinematics(robot, torch.tensor([0.2, 0.3]), "left_foot")
     assert torch.allclose(torchdq.forward_kinematics(locked, torch.tensor([0.2]), "left_foot"), before)
     with warned(UserWarning):
-        both = torchdq.robots.load("two_link").attach(robot, "tip", prefix="x_")
+        both = two().attach(robot, "tip", prefix="x_")
     assert both.contact_points("x_*_foot") == tuple(p._replace(frame=f"x_{p.frame}") for p in points)
 
 
 def test_shapes_cost_no_program_an_operation():
     """Nor another program: the compiled code is the same."""
-    sources = [
-        torchdq.compile(Robot.from_urdf(text), "forward_dynamics").source("c")
-        for text in (legs(BALL, MESH), legs("<cone/>", BALL))
-    ]
-    assert sources[0] == sources[1]
+    robots = (Robot.from_urdf(text) for text in (legs(BALL, MESH), legs("<cone/>", BALL)))
+    one, other = (torchdq.compile(robot, "forward_dynamics").source("c") for robot in robots)
+    assert one == other
 
 
 # --- given points ----------------------------------------------------------------------------------------------------
 
 
-@all_in_one(
-    [
-        ContactPoint("tp"),
-        ContactPoint("tip", (1.0, 2.0)),
-        ContactPoint("tip", 0.1),
-        ContactPoint("tip", (0.0, 0.0, float("nan"))),
-        ContactPoint("tip", (0.0, "0", 0.0)),
-        ContactPoint("tip", radius=-0.1),
-        ContactPoint("tip", radius=None),
-        ("tip", (0.0, 0.0, 0.0), 0.1),
-        ContactPoint,
-    ]
-)
+NO_CENTRES = (1.0, 2.0), 0.1, (0.0, 0.0, float("nan")), (0.0, "0", 0.0)
+NO_POINTS = [ContactPoint("tp"), *(ContactPoint("tip", center) for center in NO_CENTRES)]
+NO_POINTS += [*(ContactPoint("tip", radius=x) for x in (-0.1, None)), ("tip", (0.0, 0.0, 0.0), 0.1), ContactPoint]
+
+
+@all_in_one(NO_POINTS)
 def test_a_point_that_is_none_is_refused(point):
     robot = torchdq.robots.load("panda")
     require_contact_point(robot, ContactPoint("tip", (0, 0.1, -1), 1))

@@ -3,11 +3,11 @@
 import math
 
 import numpy as np
-import pytest
 import torch
 from helpers import all_in_one
 from messages import refused
 from robots import BALL, F64, homogeneous, matrices, pose, rotation, same, states, torques
+from rotations import about
 
 from torchdq import DescriptionError, Robot
 
@@ -16,14 +16,9 @@ D, THETA = [0.5, 0.1, -0.2, 0.35, 0.0], [0.2, -0.4, math.pi, 0.0, 1.3]
 KINDS = ["revolute", "prismatic", "revolute", "revolute", "prismatic"]
 
 
-def rot(axis, angle):
-    c, s = math.cos(angle), math.sin(angle)
-    R = {"x": [[1, 0, 0], [0, c, -s], [0, s, c]], "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]]}[axis]
-    return homogeneous(np.array(R), np.zeros(3))
-
-
-def trans(axis, distance):
-    return homogeneous(np.eye(3), {"x": [distance, 0, 0], "z": [0, 0, distance]}[axis])
+def along(axis, angle, distance):
+    """Turn about an axis and slide along it."""
+    return homogeneous(about(axis, angle), distance * np.array(axis))
 
 
 def dh_frames(convention, kinds, q):
@@ -31,7 +26,7 @@ def dh_frames(convention, kinds, q):
     T, frames = np.eye(4), []
     for a, alpha, d, theta, kind, q_i in zip(A, ALPHA, D, THETA, kinds, q, strict=True):
         theta, d = (theta + q_i, d) if kind == "revolute" else (theta, d + q_i)
-        joint, link = rot("z", theta) @ trans("z", d), rot("x", alpha) @ trans("x", a)
+        joint, link = along((0, 0, 1), theta, d), along((1, 0, 0), alpha, a)
         T = T @ (joint @ link if convention == "standard" else link @ joint)
         frames.append(T)
     return np.array(frames)
@@ -47,20 +42,16 @@ def dh_robot(convention, kinds=KINDS):
     return Robot.from_dh(A, ALPHA, D, THETA, **dh_bodies(), convention=convention, kinds=kinds)
 
 
-@pytest.mark.parametrize("kinds", [KINDS, ["revolute"] * 5, ["prismatic"] * 5], ids=["mixed", "revolute", "prismatic"])
-@pytest.mark.parametrize("convention", ["standard", "modified"])
-def test_link_frames_are_the_frames_of_the_convention(convention, kinds):
-    robot = dh_robot(convention, kinds)
-    for q in states(5)[0].tolist():
-        frames = matrices(robot, q)
-        assert same(frames[1:6], dh_frames(convention, kinds, q))
-        assert torch.equal(frames[0], torch.eye(4, dtype=F64)) and torch.equal(frames[6], frames[5])
-
-
-def test_by_default_all_joints_are_revolute_and_the_convention_is_standard():
-    robot = Robot.from_dh(A, ALPHA, D, THETA, **dh_bodies())
-    assert robot.kinds == ("revolute",) * 5
-    assert same(matrices(robot, [0.1] * 5)[1:6], dh_frames("standard", robot.kinds, [0.1] * 5))
+@all_in_one(["standard", "modified"])
+def test_link_frames_are_the_frames_of_the_convention(convention):
+    for kinds in (KINDS, ["revolute"] * 5, ["prismatic"] * 5):
+        robot = dh_robot(convention, kinds)
+        for q in states(5)[0].tolist():
+            frames = matrices(robot, q)
+            assert same(frames[1:6], dh_frames(convention, kinds, q))
+            assert torch.equal(frames[0], torch.eye(4, dtype=F64)) and torch.equal(frames[6], frames[5])
+    robot = Robot.from_dh(A, ALPHA, D, THETA, **dh_bodies())  # revolute joints, in the standard convention
+    assert same(matrices(robot, [0.1] * 5)[1:6], dh_frames("standard", ["revolute"] * 5, [0.1] * 5))
 
 
 @all_in_one(["standard", "modified"])
@@ -95,10 +86,7 @@ BROKEN = [
     *({"a": x} for x in ([0.1], [])),
     {"d": ["x"] * 5},
     {"theta": [math.nan] * 5},
-    {"tip_pose": [0.0] * 8},
-    {"joint_names": ["a"]},
-    {"alpha": [0, 90, 0, 0, 0]},
-    {"theta": [0, 0, 0, 0, -45.0]},
+    *({"tip_pose": [0.0] * 8}, {"joint_names": ["a"]}, {"alpha": [0, 90, 0, 0, 0]}, {"theta": [0, 0, 0, 0, -45.0]}),
 ]
 
 

@@ -1,10 +1,11 @@
 """Controllers: their equations, the model that they believe in, and gains that may be learned."""
 
 import dataclasses
+import itertools
 
 import pytest
 import torch
-from helpers import called, double, random
+from helpers import called, double, random, thinned
 from messages import refused
 from scenes import ARM, KD, KP, PANDA, TREE
 
@@ -25,14 +26,20 @@ def reference(t, n):
 HELD = (effects.Gravity(), effects.RotorInertia(0.2), effects.Payload(double(0.3, 1.0, 2.0), (0.0, 0.05, 0.1)))
 
 
-@pytest.mark.parametrize("integrator", [ExplicitEuler(), SemiImplicitEuler()], ids=called)
-@pytest.mark.parametrize("robot", [ARM, PANDA], ids=["two_link", "panda"])
+@pytest.mark.parametrize(
+    ("robot", "integrator"),
+    thinned(
+        [*itertools.product((ARM, PANDA), (ExplicitEuler(), SemiImplicitEuler()))],
+        [(ARM, ExplicitEuler()), (PANDA, SemiImplicitEuler())],
+    ),
+    ids=lambda x: getattr(x, "name", type(x).__name__),
+)
 def test_computed_torque_makes_any_arm_a_double_integrator(robot, integrator):
     """Gravity, rotors and payload of the scene included, Euler's steps are those of q'' = commanded, to 1e-9."""
-    n, h, q, qd = robot.n, 0.01, random(3, robot.n) * 0.3, random(3, robot.n, seed=1)
+    n, h, q, qd = robot.n, 0.02, random(3, robot.n) * 0.3, random(3, robot.n, seed=1)
     scene = Scene(robot, HELD, ComputedTorqueController(KP, KD), integrator, dt=h)
     state = scene.start(q, qd)
-    for k in range(100):
+    for k in range(50):
         r = reference(k * h, n)
         state = scene.step(state, reference=r)
         a = r[2 * n :] + KD * (r[n : 2 * n] - qd) + KP * (r[:n] - q)
@@ -55,9 +62,9 @@ def tracking_error(dt, integrator):
 
 @pytest.mark.parametrize("integrator", [SemiImplicitEuler(), RungeKutta4()], ids=called)
 def test_the_error_equation_holds_up_to_holding_the_torque_over_a_step(integrator):
-    errors = [float(tracking_error(dt, integrator).norm()) for dt in (0.02, 0.01, 0.005)]
+    errors = [float(tracking_error(dt, integrator).norm()) for dt in (0.02, 0.01)]
     assert errors[0] < 0.02
-    assert [errors[0] / errors[1], errors[1] / errors[2]] == pytest.approx([2.0, 2.0], rel=0.15)
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
 
 
 @pytest.mark.parametrize("robot", [ARM, TREE], ids=["two_link", "tree"])
@@ -159,7 +166,7 @@ def test_control_of_a_frame_is_the_function(case):
     given = {k: q.new_full((7,), x) if k == "q_null" else x for k, x in more.items()} | dict(
         zip(names, gains, strict=True)
     )
-    for model in (None, PANDA.replace(mass=1.1 * PANDA.mass)):
+    for model in (*([None] if case in ("pose", "spring") else []), PANDA.replace(mass=1.1 * PANDA.mass)):
         tau = law(model or PANDA, q, qd, X, V, *([A] if kind is OperationalSpace else []), **given)
         controlled = Scene(PANDA, (effects.Gravity(),), kind(*gains, **more, model=model))
         found = controlled.step(State(q, qd), reference=torch.cat([X, V, A], -1))
@@ -213,8 +220,8 @@ def test_kinetic_and_spring_energy_never_grow_where_gravity_alone_is_compensated
     X, energies = torchdq.forward_kinematics(ARM, double(0.6, 0.9), ARM.tip), {}
     for coriolis in (True, False):
         control = CartesianImpedance(200.0, 1.0, axes=("x", "y"), coriolis=coriolis)
-        scene = Scene(ARM, (effects.Gravity(),), control, RungeKutta4(), 5e-4)
-        reference = torch.nn.functional.pad(X, (0, 12)).expand(600, 2, 20)
+        scene = Scene(ARM, (effects.Gravity(),), control, RungeKutta4(), 1e-3, backend="auto")
+        reference = torch.nn.functional.pad(X, (0, 12)).expand(300, 2, 20)
         states = scene.rollout(scene.start(q, qd), reference=reference)
         away = dq.translation(torchdq.forward_kinematics(ARM, states.q, ARM.tip)) - dq.translation(X)
         energies[coriolis] = torchdq.kinetic_energy(ARM, states.q, states.qd) + 100.0 * away.square().sum(-1)
@@ -225,7 +232,7 @@ def test_a_check_of_steps_holds_the_frame():
     start = torch.tensor([0.4, 0.9], dtype=torch.float64)
     control = OperationalSpace(100.0, 20.0, frame=ARM.tip, axes=("x", "y"), expressed="world")
     scene = Scene(ARM, (effects.Gravity(),), control, dt=0.002)
-    assert scene.check(scene.start(start)).stable
+    assert scene.check(scene.start(start), seconds=0.1).stable
     assert torch.allclose(scene.step(scene.start(start), reference=control.holding(ARM, start)).q, start, atol=1e-14)
 
 

@@ -51,43 +51,33 @@ def test_effects_that_act_are_not_reported():
     assert not any("acts on no joint" in line for line in held)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"robot": "panda"},
-        {"effects": (effects.Gravity,)},
-        {"effects": effects.Gravity()},
-        {"effects": ("gravity",)},
-        {"controller": PD},
-        {"integrator": RungeKutta4},
-        {"dt": 0.0},
-        {"dt": math.inf},
-        {"dt": "fast"},
-        {"dt": True},
-        {"substeps": True},
-        {"effects": (effects.CommandDelay(True),)},
-        {"substeps": 0},
-        {"substeps": 1.5},
-        {"effects": (effects.Elastic(1.0, 0.0, 1.0),) * 2},
-        {"effects": (effects.Push(), effects.Push("link1"))},
-        {"effects": (effects.Servo(1.0), effects.Servo(2.0))},
-        {"effects": (effects.Push("base"),)},
-        {"effects": (effects.Push(axes="tool"),)},
-        {"effects": (effects.CommandDelay(0),)},
-        {"effects": (effects.MeasurementDelay(1.5),)},
-        {"effects": (effects.Viscous([1.0, 2.0, 3.0]),)},
-        {"effects": (effects.Viscous(torch.ones(3)),)},
-        {"effects": (effects.Viscous(torch.ones(2, dtype=torch.int64)),)},
-        {"effects": (effects.Stribeck(1.0),)},
-        {"effects": (effects.JointLimits(1.0, -1.0),)},
-        {"robot": PANDA, "effects": (effects.Payload(1.0, frame=PANDA.frame_names[0]),)},
-        {
-            "robot": ARM.replace(armature=double(0.1, 0.1)).bake(),
-            "effects": (effects.RotorInertia(), effects.Elastic(1e3)),
-        },
-        {"effects": (effects.Gravity((0.0, 9.81)),)},
-    ],
-)
+SENSELESS = [  # effects
+    *(effects.Gravity, "gravity", effects.CommandDelay(True), effects.CommandDelay(0), effects.MeasurementDelay(1.5)),
+    *(
+        effects.Push("base"),
+        effects.Push(axes="tool"),
+        effects.Viscous([1.0, 2.0, 3.0]),
+        effects.Viscous(torch.ones(3)),
+    ),
+    *(effects.Viscous(torch.ones(2, dtype=torch.int64)), effects.Stribeck(1.0), effects.JointLimits(1.0, -1.0)),
+    effects.Gravity((0.0, 9.81)),
+]
+TOGETHER = [  # two effects
+    *((effects.Elastic(1.0, 0.0, 1.0),) * 2, (effects.Push(), effects.Push("link1"))),
+    (effects.Servo(1.0), effects.Servo(2.0)),
+]
+ARGUMENTS = [
+    *({"robot": "panda"}, {"controller": PD}, {"integrator": RungeKutta4}, {"effects": effects.Gravity()}),
+    *({"dt": x} for x in (0.0, math.inf, "fast", True)),
+    *({"substeps": x} for x in (True, 0, 1.5)),
+    *({"effects": (effect,)} for effect in SENSELESS),
+    *({"effects": pair} for pair in TOGETHER),
+    {"robot": PANDA, "effects": (effects.Payload(1.0, frame=PANDA.frame_names[0]),)},
+    {"robot": ARM.replace(armature=double(0.1, 0.1)).bake(), "effects": (effects.RotorInertia(), effects.Elastic(1e3))},
+]
+
+
+@pytest.mark.parametrize("arguments", ARGUMENTS)
 def test_a_scene_that_makes_no_sense_is_refused_by_name(arguments):
     with refused(torchdq.ArgumentError):
         Scene(**{"robot": ARM, **arguments})

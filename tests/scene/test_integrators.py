@@ -5,12 +5,13 @@ those first. Numbers in tolerances are measured ones with a margin of three to t
 """
 
 import math
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import FIXED, INERTIA, WHEEL, called, double, random
+from helpers import EVERYTHING, FIXED, INERTIA, WHEEL, called, double, random, thinned
 from messages import refused
 from oracles import shipped
 from scenes import ARM, TREE, rolled, swinging, trace
@@ -48,7 +49,7 @@ def distance(a, b):
 
 # --- order -----------------------------------------------------------------------------------------------------------
 
-STEPS = {1: (128, 256, 512), 2: (32, 64, 128), 4: (32, 64)}  # every number of them is a program of its own
+STEPS = {1: (64, 128), 2: (32, 64), 4: (16, 32)}  # every number of them is a program of its own
 CONTINUOUS = (
     effects.Gravity(),
     effects.RotorInertia(0.3),
@@ -63,23 +64,28 @@ CONTINUOUS = (
 )
 
 
-@pytest.mark.case("T1")
-@pytest.mark.parametrize(("integrator", "order"), zip(FIXED, (1, 1, 1, 4, 2), strict=True), ids=str)
-def test_the_error_falls_with_the_stated_order(integrator, order, compiled, margin):
-    """With effects of all kinds that act continuously; hard_cases/test_time.py has the arm alone."""
-    T, inputs = 0.1, {"target": random(3, seed=3), "push": random(6, seed=4)}
+@cache
+def under_continuous_effects():
+    """Scene of an adaptive step with effects of all kinds that act continuously, its start, inputs, and end."""
+    scene = Scene(TREE, CONTINUOUS, integrator=DormandPrince(1e-12, 1e-13), dt=0.1)
     q, qd, torque = random(3, 4, TREE.n) * 0.7
-    scene = Scene(TREE, CONTINUOUS, integrator=DormandPrince(1e-12, 1e-13), dt=T)
+    inputs = {"torque": torque, "target": random(3, seed=3), "push": random(6, seed=4)}
     start = scene.start(q, qd)
-    end = scene.step(start, torque, **inputs)
-    assert integrator.order == order
-    errors = [
-        distance(rolled(scene.replace(integrator=integrator, dt=T / k), start, k, torque, **inputs), end)
+    return scene, start, inputs, scene.step(start, **inputs)
+
+
+@pytest.mark.case("T1")
+@pytest.mark.parametrize("integrator", FIXED, ids=str)
+def test_the_error_falls_with_the_stated_order(integrator, compiled, margin):
+    """With effects of all kinds; hard_cases/test_time.py has the arm alone."""
+    scene, start, inputs, end = under_continuous_effects()
+    order = {"RungeKutta4": 4, "StoermerVerlet": 2}.get(called(integrator), 1)
+    coarse, fine = (
+        distance(rolled(scene.replace(integrator=integrator, dt=scene.dt / k), start, k, **inputs), end)
         for k in STEPS[order]
-    ]
-    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert errors[-1] > 1e-11  # far above rounding
-    margin(abs(slopes.mean() - order), 0.15, called(integrator))
+    )
+    assert integrator.order == order and fine > 1e-11  # far above rounding
+    margin(abs(math.log2(coarse / fine) - order), 0.15, called(integrator))
 
 
 def test_substeps_are_steps():
@@ -93,9 +99,8 @@ def test_substeps_are_steps():
 # --- the adaptive one ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["two_link", "panda"])
-def test_dormand_prince_agrees_with_scipy_on_pinocchios_accelerations(name, compiled):
-    case = shipped(name)
+@pytest.mark.parametrize("case", thinned([shipped("two_link"), PANDA], [PANDA]), ids=lambda case: case.robot.name)
+def test_dormand_prince_agrees_with_scipy_on_pinocchios_accelerations(case, compiled):
     n, T = case.robot.n, 0.3
     q, qd, torque = random(3, n, seed=5)
     data = case.model.createData()
@@ -135,7 +140,7 @@ def test_dormand_prince_meets_its_tolerance_with_steps_of_its_order():
     assert 7 < evaluations[1] / evaluations[0] < 14
 
 
-@pytest.mark.parametrize("integrator", FIXED, ids=called)
+@pytest.mark.parametrize("integrator", thinned(FIXED, FIXED[2:4]), ids=called)
 def test_repeated_steps_are_the_recorded_ones(integrator):
     """One loop of compiled steps or the steps of torch one by one, with their gradients."""
     coefficient = double(0.5, 0.3).requires_grad_()
@@ -149,7 +154,7 @@ def test_repeated_steps_are_the_recorded_ones(integrator):
         return [q, qd, *torch.autograd.grad((q + qd * q).sum(), [*given, coefficient])]
 
     expected = found(recorded)
-    for backend in ("auto", "eager"):
+    for backend in ("auto", "eager") if integrator.order == 4 or EVERYTHING else ("eager",):
         for a, b in zip(expected, found(called.replace(backend=backend)), strict=True):
             torch.testing.assert_close(a, b, rtol=1e-13, atol=1e-13)
 
@@ -189,7 +194,7 @@ def test_a_sample_that_does_not_arrive_is_nan():
     assert scene.step(State(*random(2, 3, 2))).q.isnan().all()
 
 
-def test_an_adaptive_step_drives_and_senses_as_a_recorded_one_does(compiled):
+def test_an_adaptive_step_drives_and_senses_as_a_recorded_one_does():
     parts = (
         effects.Gravity(),
         effects.Elastic(30.0, 0.2, 0.5),
@@ -270,9 +275,9 @@ def test_an_arm_falling_on_its_limits_stays_within_them(compiled):
 def test_the_speed_after_a_bounce_is_that_of_hunt_and_crossley():
     """v1^2 = 2 (v0 / c - log(1 + c v0) / c^2) for a contact that is damped while it grows, whatever its stiffness."""
     speed, c = double(0.1, 0.5, 1.0, 3.0)[:, None], double(0.5, 2.0, 10.0)[:, None, None]
-    scene = Scene(WHEEL, (effects.JointLimits(-1.0, 0.0, 1e4, c),), integrator=RungeKutta4(), dt=4e-6)
+    scene = Scene(WHEEL, (effects.JointLimits(-1.0, 0.0, 1e4, c),), integrator=RungeKutta4(), dt=1e-5)
     with torch.no_grad():
-        state = rolled(scene, State(torch.zeros_like(speed), speed), 1500)
+        state = rolled(scene, State(torch.zeros_like(speed), speed), 600)
     assert (state.q < 0).all()
     expected = (2 * (speed / c - (1 + c * speed).log() / c**2)).sqrt()
     assert torch.allclose(-state.qd, expected, rtol=1e-3)
@@ -296,27 +301,29 @@ def test_an_elastic_wheel_swings_as_two_masses_on_a_spring():
     assert abs(float(end.memory[0]) - theta) < 1e-8
 
 
+@cache
+def of_elastic_joints():
+    """Scene in short steps of Runge-Kutta, its start, and the state after 0.2 s."""
+    scene = Scene(ARM, (effects.Gravity(), effects.Elastic(200.0, 0.5, 0.2)), integrator=RungeKutta4(), dt=1e-4)
+    start = scene.start(double(0.3, 0.4), double(1.0, -1.0))
+    with torchdq.backend("auto"):
+        return scene, start, rolled(scene, start, 2000, double(1.0, 0.5))
+
+
 @pytest.mark.parametrize(
-    "integrator, error",
+    ("integrator", "error"),
     [
-        (ExplicitEuler(), 0.1),
-        (SemiImplicitEuler(), 0.03),
-        (LinearlyImplicit(), 0.1),
-        (RungeKutta4(), 1e-6),
-        (StoermerVerlet(), 1e-3),
-        (DormandPrince(1e-9, 1e-11), 1e-7),
+        *((ExplicitEuler(), 0.1), (SemiImplicitEuler(), 0.03), (LinearlyImplicit(), 0.1), (RungeKutta4(), 1e-6)),
+        *((StoermerVerlet(), 1e-3), (DormandPrince(1e-9, 1e-11), 1e-7)),
     ],
     ids=called,
 )
-def test_all_integrators_move_elastic_joints_alike(integrator, error, compiled):
-    """Within errors of their order at 1 ms, against Runge-Kutta at 50 microseconds, after 0.2 s."""
-    parts = (effects.Gravity(), effects.Elastic(200.0, 0.5, 0.2))
-    scene = Scene(ARM, parts, integrator=RungeKutta4(), dt=5e-5)
-    start = scene.start(double(0.3, 0.4), double(1.0, -1.0))
-    torque = double(1.0, 0.5)
-    exact = rolled(scene, start, 4000, torque)
-    found = rolled(scene.replace(integrator=integrator, dt=1e-3), start, 200, torque)
-    assert distance(found, exact) < error
+def test_all_integrators_move_elastic_joints_alike(integrator, error):
+    """Within errors of their order at 1 ms."""
+    scene, start, exact = of_elastic_joints()
+    dt = 1e-3 if integrator in FIXED else 0.02
+    scene = scene.replace(integrator=integrator, dt=dt)
+    assert distance(rolled(scene, start, round(0.2 / dt), double(1.0, 0.5)), exact) < error
     assert (exact.memory[:2] - exact.q).abs().max() > 1e-3
 
 
@@ -325,27 +332,22 @@ def test_stiff_elastic_joints_are_stable_when_integrated_implicitly(damping):
     """1e6 N m/rad at 10 ms, the springs wound up by a tenth of a radian."""
     scene = Scene(ARM, (effects.Elastic(1e6, damping, 0.1),), integrator=LinearlyImplicit(), dt=1e-2)
     start = State(double(0.3, 0.4), double(0.5, -0.5), double(0.4, 0.3, 0.0, 0.0))
-    end = rolled(scene, start, 300)
+    end = rolled(scene, start, 100)
     assert (end.q - end.memory[:2]).abs().max() < 1e-6
     assert torch.cat([end.qd, end.memory]).abs().max() < 10
-    assert not rolled(scene.replace(integrator=SemiImplicitEuler()), start, 300).q.abs().max() < 1e3
+    assert not rolled(scene.replace(integrator=SemiImplicitEuler()), start, 50).q.abs().max() < 1e3
 
 
-HOME = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
-ORDINARY = {
-    "Viscous": (effects.Viscous(5.0), {}),
-    "Coulomb": (effects.Coulomb(0.5), {}),
-    "Stribeck": (effects.Stribeck(0.5, 1.0), {}),
-    "Servo": (effects.Servo(1e3, 1e2), {"target": double(*HOME)}),
-    "Spring": (effects.Spring(1e3, HOME), {}),
-    "Limits": (effects.JointLimits(), {}),
-}
-
-
-@pytest.mark.parametrize("kind", ORDINARY)
-def test_ordinary_effects_hold_at_the_default_integrator_and_step(kind):
-    """A Panda of the file, whose last link is light, for a second."""
-    effect, inputs = ORDINARY[kind]
-    scene = Scene(PANDA.robot, (effects.Gravity(), effect))
-    speeds = trace(scene, scene.start(double(*HOME)), 100, **inputs).qd.abs()
+def test_ordinary_effects_hold_at_the_default_integrator_and_step():
+    """A Panda of the file, whose last link is light, for a second; each row has one of them alone."""
+    home = double(0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
+    viscous, coulomb, stribeck, servo, spring, limits = torch.eye(6, dtype=torch.float64)[..., None].expand(6, 6, 7)
+    parts = (
+        *(effects.Viscous(5.0 * viscous), effects.Coulomb(0.5 * coulomb), effects.Stribeck(0.5 * stribeck, stribeck)),
+        *(effects.Servo(1e3 * servo, 1e2 * servo), effects.Spring(1e3 * spring, home)),
+        effects.JointLimits(stiffness=1e4 * limits),
+    )
+    scene = Scene(PANDA.robot, (effects.Gravity(), *parts))
+    speeds = trace(scene, scene.start(home.expand(6, 7)), 100, target=home).qd.abs()
     assert speeds.max() < 50.0  # a joint that falls reaches 20 rad/s
+    assert (speeds.amax((0, 2)) > 1e-3).sum() >= 4  # servos and springs that hold the start are at rest

@@ -7,9 +7,10 @@ import pinocchio as pin
 import pytest
 import torch
 from free_flyers import case, motion
-from helpers import double, random
+from helpers import WHEEL, double, random, thinned
 from scenes import ARM, TREE, rich
 from scipy.linalg import solve_discrete_are
+from urdf_text import joint, link, urdf
 
 import torchdq
 from torchdq import dq
@@ -25,10 +26,8 @@ EPS = torch.finfo(torch.float64).eps
 def moved(state, ds):
     """State displaced by the numbers of a linearization; the pose of a floating base on the group."""
     rows = state.rows()
-    names = [name for name in ORDER if name in rows]
-    parts = dict(
-        zip(names, ds.split([6 if name == "X_WB" else rows[name].shape[-1] for name in names], -1), strict=True)
-    )
+    widths = {name: 6 if name == "X_WB" else rows[name].shape[-1] for name in ORDER if name in rows}
+    parts = dict(zip(widths, ds.split([*widths.values()], -1), strict=True))
     found = {name: rows[name] + d for name, d in parts.items() if name != "X_WB"}
     if "X_WB" in parts:
         found["X_WB"] = dq.mul(rows["X_WB"], dq.exp(parts["X_WB"] / 2))
@@ -47,11 +46,9 @@ def apart(one, other):
 def differences(scene, state, torque, **inputs):
     """Central differences of a step in every number of the state and of the torques."""
     s, n, h = apart(state, state).shape[-1], scene.n, 1e-5 if scene.robot.floating else 1e-6
-    columns = []
-    for e in torch.eye(s + n, dtype=torque.dtype):
-        ends = [scene.step(moved(state, k * e[:s]), torque + k * e[s:], **inputs) for k in (h, -h)]
-        columns.append(apart(ends[1], ends[0]) / (2 * h))
-    return torch.stack(columns, -1)
+    e = h * torch.eye(s + n, dtype=torque.dtype).reshape(-1, *[1] * (torque.dim() - 1), s + n)
+    ends = [scene.step(moved(state, d[..., :s]), torque + d[..., s:], **inputs) for d in (e, -e)]
+    return (apart(ends[1], ends[0]) / (2 * h)).movedim(0, -1)
 
 
 LINEARIZED = {
@@ -65,7 +62,7 @@ LINEARIZED = {
         {"reference": random(4, 6, seed=9)},
     ),
     "RungeKutta4": (Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4()), {}),
-    "floating": (Scene(case("tree3").robot, (effects.Gravity(), effects.Viscous(0.3)), dt=0.02), {}),
+    "floating": (Scene(case("tree2").robot, (effects.Gravity(), effects.Viscous(0.3)), dt=0.02), {}),
     "floating, in contact": (
         Scene(case("tree2").robot, (effects.Contact(height=100.0, stiffness=2.0, dissipation=0.01, friction=0.5),)),
         {},
@@ -111,7 +108,8 @@ def test_a_linearization_is_made_of_the_derivatives_of_a_step(kind):
 
 @pytest.mark.parametrize("kind", ["tree", "floating"])
 def test_gradients_of_steps_that_are_called_one_by_one_are_the_same_derivatives(kind):
-    scene, torque = LINEARIZED[kind][0], random(4, 3, seed=3)
+    scene = LINEARIZED[kind][0]
+    torque = random(4, scene.n, seed=3)
     found, expected = (
         torch.cat(one.linearize(start(one), torque), -1)
         for one in (scene.replace(integrator=Repeated(scene.integrator, 1)), scene)
@@ -144,13 +142,13 @@ def test_a_linearization_is_differentiable(kind):
 
 
 def test_a_linearization_is_part_of_a_graph():
-    scene = Scene(ARM, (effects.Gravity(),))
+    scene = Scene(WHEEL, (effects.Viscous(0.1),))
 
     class Module(torch.nn.Module):
         def forward(self, q, qd):
             return torch.cat(scene.linearize(State(q, qd)), -1)
 
-    q, qd = random(4, 2), random(4, 2, seed=1)
+    q, qd = random(4, 1), random(4, 1, seed=1)
     expected = Module()(q, qd)
     compiled = torch.compile(Module(), fullgraph=True, backend="eager")
     for graph in (torch.export.export(Module(), (q, qd)).module(), compiled):
@@ -158,8 +156,8 @@ def test_a_linearization_is_part_of_a_graph():
 
 
 def test_a_row_that_is_not_finite_is_alone():
-    scene = Scene(case("tree3").robot, (effects.Gravity(),))
-    q, X_WB = random(4, 3), dq.exp(random(4, 6, seed=5))
+    scene = Scene(case("tree1").robot, (effects.Gravity(),))
+    q, X_WB = random(4, 1), dq.exp(random(4, 6, seed=5))
     spoilt = torch.where(torch.tensor([0, 1, 0, 0])[:, None] > 0, torch.nan, q)
     for found, other in zip(*(scene.linearize(scene.start(x, X_WB=X_WB)) for x in (spoilt, q)), strict=True):
         assert torch.equal(found[[0, 2, 3]], other[[0, 2, 3]]) and found[1].isnan().any()
@@ -197,7 +195,7 @@ def test_a_linearization_of_one_state_is_a_pair_of_matrices():
     assert torch.equal(whole.A[0], A)
 
 
-@pytest.mark.parametrize("name", ["tree3", "tree7"])
+@pytest.mark.parametrize("name", thinned(["tree3", "tree7"], ["tree3"]))
 def test_the_limit_of_short_steps_is_pinocchios(name):
     """(A - 1)/h and B/h of a floating base at h -> 0 are derivatives of Pinocchio's dynamics on its group."""
     c, h = case(name), 1e-7
@@ -246,23 +244,17 @@ def test_a_spinning_body_has_the_modes_of_euler(axis):
     assert (float(found.abs().max()) > 1.01) == (axis == 1)
 
 
-WHEELS = (
-    """<robot name="satellite"><link name="body"><inertial><mass value="10"/>
-<inertia ixx="1" iyy="1.2" izz="0.8" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-    + "".join(
-        f"""<joint name="{x}" type="continuous"><parent link="body"/><child link="wheel_{x}"/>
-<axis xyz="{axis}"/></joint><link name="wheel_{x}"><inertial><mass value="0.5"/>
-<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-        for x, axis in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True)
-    )
-    + "</robot>"
+WHEELS = urdf(
+    link("body", 10, (1, 0, 1.2, 0, 0, 0.8), (0, 0, 0)),
+    *(link(f"wheel_{x}", 0.5, (0.01, 0, 0.01, 0, 0, 0.01), (0, 0, 0)) for x in "xyz"),
+    *(joint(x, "body", f"wheel_{x}", "continuous", axis=[x == y for y in "xyz"], more="") for x in "xyz"),
 )
 
 
 def test_a_regulator_of_the_linearization_turns_a_satellite_by_its_wheels():
     """LQR of the attitude and its rate, from 80 degrees about a skew axis."""
     satellite = torchdq.Robot.from_urdf(WHEELS, base="floating")
-    scene = Scene(satellite, dt=0.1)
+    scene = Scene(satellite, dt=0.2)
     goal = scene.start(torch.zeros(3, dtype=torch.float64))
     A, B = (x.numpy() for x in scene.linearize(goal))
     kept = [0, 1, 2, 9, 10, 11]  # attitude and its rate; wheels and place are as they come
@@ -271,8 +263,8 @@ def test_a_regulator_of_the_linearization_turns_a_satellite_by_its_wheels():
     K = torch.from_numpy(np.linalg.solve(10 * np.eye(3) + B.T @ P @ B, B.T @ P @ A))
     axis = double(0.6, -0.48, 0.64)
     state = goal._replace(X_WB=dq.exp(torch.cat([axis * 1.4 / 2, double(0.0, 0, 0)])))
-    path = scene.rollout(state, steps=400, policy=lambda s, k: -K @ apart(goal, s)[kept])
-    off = torch.stack([apart(goal, type(path)(*(None if x is None else x[k] for x in path))) for k in (99, 199, 399)])
+    path = scene.rollout(state, steps=200, policy=lambda s, k: -K @ apart(goal, s)[kept])
+    off = torch.stack([apart(goal, type(path)(*(None if x is None else x[k] for x in path))) for k in (49, 99, 199)])
     size = off[:, kept].norm(dim=-1)
     closed = float(np.abs(np.linalg.eigvals(A - B @ K.numpy())).max())
-    assert size[2] <= 2 * size[1] * closed**200 + 1e-12 and closed < 0.97
+    assert size[2] <= 2 * size[1] * closed**100 + 1e-12 and closed < 0.94

@@ -1,4 +1,4 @@
-"""Rollouts: they are their steps, learn through policies, keep little memory, and report rows that diverge."""
+"""Rollouts: they are steps with a policy, learn through policies, keep little memory, and report rows that diverge."""
 
 import math
 import warnings
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 from free_flyers import case, motion
-from helpers import double, random
+from helpers import double, random, thinned
 from messages import refused, warned
 from scenes import ARM, equal, rich, uniform
 
@@ -15,17 +15,6 @@ import torchdq
 from torchdq.envs import Scene, State, effects
 from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import SemiImplicitEuler
-
-
-def test_a_rollout_is_its_steps():
-    scene = rich(ARM)
-    noise = uniform(scene, 6, 4)
-    inputs = {name: random(6, 4, width, seed=k) for k, (name, width) in enumerate(scene.inputs.items())}
-    start = state = scene.start(random(4, 2), random(4, 2, seed=1), uniform(scene, 4))
-    found = scene.rollout(start, noise=noise, **inputs)
-    for k in range(6):
-        state = scene.step(state, noise=noise[k], **{name: x[k] for name, x in inputs.items()})
-        assert equal([x[k] for x in found.rows().values()], list(state.rows().values()))
 
 
 def test_inputs_may_be_views_of_fewer_numbers():
@@ -51,7 +40,7 @@ def test_the_last_state_of_no_steps_is_the_start(backend):
     assert torch.equal(rows["cost"], torch.zeros(4, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("checkpoint", [1, 4, 7, 100])
+@pytest.mark.parametrize("checkpoint", thinned([1, 4, 7, 100], [4, 100]))
 def test_checkpoints_change_neither_values_nor_gradients(checkpoint):
     """Not even with noise that is drawn within."""
     d, q, torque = (x.requires_grad_() for x in (random(2).abs(), random(3, 2, seed=1), random(20, 3, 2, seed=2)))
@@ -67,28 +56,21 @@ def test_checkpoints_change_neither_values_nor_gradients(checkpoint):
         assert torch.equal(a, b) or (a - b).abs().max() <= 1e-12 * b.abs().max()
 
 
-@pytest.mark.parametrize("checkpoint, computed", [(0, 60), (8, 120)])
-def test_checkpoints_keep_less_and_compute_again(checkpoint, computed, monkeypatch):
-    """Without them the graph keeps every step's inputs; with them one state in so many, and each step runs twice."""
-    kept, calls, step = {}, [], Scene.advance
+@pytest.mark.parametrize("checkpoint", [0, 8])
+def test_checkpoints_keep_less(checkpoint):
+    """Without them the graph keeps every step's inputs; with them one state in so many."""
+    kept = {}
 
     def pack(x):
         kept[x.untyped_storage().data_ptr()] = x.untyped_storage().nbytes()
         return x
 
-    def counted(*args, **given):
-        calls.append(1)
-        return step(*args, **given)
-
-    monkeypatch.setattr(Scene, "advance", counted)
     scene = Scene(ARM, (effects.Gravity(), effects.Viscous(random(2).abs().requires_grad_())))
     start = scene.start(random(64, 2))
     with torch.autograd.graph.saved_tensors_hooks(pack, lambda x: x):
-        found = scene.rollout(start, steps=60, checkpoint=checkpoint, done=lambda s: s.q[:, 0] > 1e9)
+        scene.rollout(start, steps=60, checkpoint=checkpoint, done=lambda s: s.q[:, 0] > 1e9)
     assert (sum(kept.values()) >= 60 * 64 * 4 * 8) == (checkpoint == 0)
     assert checkpoint == 0 or sum(kept.values()) <= 9 * 64 * 4 * 8  # eight states, and the friction
-    found.q.sum().backward()
-    assert len(calls) == computed
 
 
 DIVERGING = Scene(ARM, (effects.Viscous(double(0.1, 5e3)[:, None].expand(2, 2)),), integrator=SemiImplicitEuler())
@@ -123,41 +105,36 @@ def test_a_rollout_of_which_rows_diverge_warns():
         alone.rollout(State(*(x[1] for x in start()[:2])), steps=300)
 
 
-def test_transforms_have_no_values_to_look_at():
-    scene = Scene(ARM, (effects.Gravity(),))
-
-    def end(q):
-        return scene.rollout(scene.start(q), steps=3, done=lambda s: s.q[..., 0] > 0.5).last.q
-
-    q = random(4, 2)
-    assert torch.equal(torch.func.vmap(end)(q), end(q))
-
-
-def test_checkpoints_have_no_effect_inside_of_transforms():
+def test_rollouts_with_a_policy_ends_and_checkpoints_in_transforms():
+    """Which have no values to look at, and in which checkpoints have no effect."""
     scene, q = Scene(ARM, (effects.Gravity(),)), random(4, 2)
 
-    def end(q, checkpoint=3):
-        return scene.rollout(scene.start(q), steps=5, checkpoint=checkpoint).q.square().sum()
+    def end(q, checkpoint=2):
+        how = {"policy": lambda s, k: -(1 + k) * s.qd, "done": lambda s: s.q[..., 0] > 0.5, "checkpoint": checkpoint}
+        return scene.rollout(scene.start(q), steps=3, **how).last.q
 
-    by_row = torch.func.vmap(torch.func.grad(end))(q)
-    whole = torch.func.grad(lambda q: end(q, 0))(q)
-    assert (by_row - whole).abs().max() <= 1e-13 * whole.abs().max()
+    assert torch.equal(torch.func.vmap(end)(q), end(q))
     assert torch.equal(torch.compile(end, fullgraph=True, backend="eager")(q), end(q))
+    by_row = torch.func.vmap(torch.func.grad(lambda q: end(q).square().sum()))(q)
+    whole = torch.func.grad(lambda q: end(q, 0).square().sum())(q)
+    assert (by_row - whole).abs().max() <= 1e-13 * whole.abs().max()
 
 
 def test_a_policy_is_asked_before_every_step():
-    scene = Scene(ARM, (effects.Gravity(), effects.Servo(3.0), effects.Bias(0.1, 0.2)))
-    start, targets = scene.start(random(5, 2), random(5, 2, seed=1)), random(20, 2, seed=2)
+    scene = rich(ARM)
+    start, noise = scene.start(random(5, 2), random(5, 2, seed=1), uniform(scene, 5)), uniform(scene, 6, 5)
+    inputs = {name: random(6, 5, width, seed=k) for k, (name, width) in enumerate(scene.inputs.items())}
+    del inputs["torque"]
 
     def policy(state, k):
         q, qd = state.measured
         return -2.0 * q - (1 + k) * qd
 
-    found = scene.rollout(start, policy=policy, target=targets)
-    state = start
-    for k, target in enumerate(targets):
-        state = scene.step(state, policy(state, k), target=target)
-        assert all(torch.equal(x[k], y) for x, y in zip(found, state, strict=True) if y is not None)
+    found, state = scene.rollout(start, policy=policy, noise=noise, **inputs), start
+    for k in range(6):
+        given = {name: x[k] for name, x in inputs.items()}
+        state = scene.step(state, policy(state, k), noise=noise[k], **given)
+        assert equal([x[k] for x in found.rows().values()], state.rows().values())
 
 
 @pytest.mark.parametrize("checkpoint", [0, 3])
@@ -175,15 +152,11 @@ def test_policies_are_learned_through_the_steps(checkpoint):
     assert torch.autograd.gradcheck(end, policy[2].bias, atol=1e-8)
 
 
-class Normalised(torch.nn.Module):
+class Positions(torch.nn.Sequential):
     """Network of the positions."""
 
-    def __init__(self, network):
-        super().__init__()
-        self.network = network
-
     def forward(self, state, k):
-        return self.network(state.q)
+        return super().forward(state.q)
 
 
 class Filter(torch.nn.Module):
@@ -212,7 +185,7 @@ def test_a_policy_that_remembers_is_refused_where_it_is_called_again():
         end.backward()
     # a batch norm counts the states that it has seen
     norm = torch.nn.Sequential(torch.nn.Linear(2, 2), torch.nn.BatchNorm1d(2)).double()
-    policy = Normalised(norm)
+    policy = Positions(norm)
     rolled(policy, 0).backward()
     with refused(torchdq.ArgumentError):
         rolled(policy, 3)
@@ -254,21 +227,14 @@ class Errors:
 
 
 class Drag(torch.nn.Module):
-    """Residual torque with a parameter."""
+    """Residual torque with a parameter, or such a policy."""
 
     def __init__(self):
         super().__init__()
         self.gain = torch.nn.Parameter(double(0.3)[0])
 
-    def forward(self, q, qd):
-        return self.gain * qd
-
-
-class Damping(Drag):
-    """Policy with the same parameter."""
-
-    def forward(self, state, k):
-        return -self.gain * state.qd
+    def forward(self, x, y):
+        return self.gain * y if isinstance(y, torch.Tensor) else -self.gain * x.qd
 
 
 CHANGED = ("effect", "robot", "torque", "state", "network", "policy", "closed over", "goal")
@@ -276,14 +242,16 @@ CHANGED = ("effect", "robot", "torque", "state", "network", "policy", "closed ov
 
 @pytest.mark.parametrize("changed", CHANGED)
 def test_a_tensor_changed_before_the_steps_are_computed_again_is_refused(changed):
-    friction, network, policy = double(0.1, 0.2), Drag(), Damping()
+    friction, network, policy = double(0.1, 0.2), Drag(), Drag()
     acting = (effects.Viscous(friction), effects.Residual(network))
     scene = Scene(ARM.replace(mass=ARM.mass.clone().requires_grad_()), acting)
-    start, torque = scene.start(random(3, 2), random(3, 2, seed=1)), random(6, 3, 2, seed=2)
+    size = 0.0 if changed == "robot" else 1.0  # at rest, its masses are seen in the gradient alone
+    start, torque = scene.start(random(3, 2), size * random(3, 2, seed=1)), size * random(6, 3, 2, seed=2)
     gain = double(3.0, 2.0)
-    inputs = {"torque": torque}
-    if changed in ("policy", "closed over"):
-        inputs = {"policy": policy if changed == "policy" else lambda state, k: -gain * (state.q - state.q.detach())}
+    inputs = {
+        "policy": {"policy": policy},
+        "closed over": {"policy": lambda state, k: -gain * (state.q - state.q.detach())},
+    }.get(changed, {"torque": torque})
     tensors = {"effect": friction, "robot": scene.robot.mass, "torque": torque, "state": start.qd, "closed over": gain}
     if changed == "goal":  # of which the states know nothing, in a loop
         tensors["goal"] = inputs["goal"] = random(6, 3, 2, seed=3)
@@ -298,14 +266,13 @@ def test_a_tensor_changed_before_the_steps_are_computed_again_is_refused(changed
         end.backward()
 
 
-@pytest.mark.parametrize("checkpoint", [0, 3])
-def test_a_random_policy_has_the_same_gradient_with_a_checkpoint(checkpoint):
+def test_a_random_policy_has_the_same_gradient_with_a_checkpoint():
     """Random numbers of torch are drawn again as they were."""
     gain = torch.ones((), dtype=torch.float64, requires_grad=True)
     gradients = []
-    for stride in (0, checkpoint):
+    for checkpoint in (0, 3):
         torch.manual_seed(0)
-        end = rolled(lambda s, k: -gain * s.q + gain * torch.randn_like(s.q), stride)
+        end = rolled(lambda s, k: -gain * s.q + gain * torch.randn_like(s.q), checkpoint)
         gradients.append(torch.autograd.grad(end, gain)[0])
     assert torch.equal(*gradients)
 
@@ -321,7 +288,7 @@ def standing():
 
 def flying():
     """Scene of a floating base with memory and sensors, and its state in motion."""
-    base = case("tree3")
+    base = case("tree1")
     m = motion(base)
     scene = Scene(base.robot, (effects.Gravity(), effects.FirstOrderLag(0.05), effects.Noise(0.1, 0.2)))
     return scene, scene.start(m["q"], m["qd"], uniform(scene, 3), X_WB=m["X_WB"], V_WB_B=m["V_WB_B"])
@@ -413,58 +380,28 @@ def test_a_row_without_values_that_has_ended_leaves_the_gradient_of_the_others(b
     assert expected.abs().max() > 0 and (gradient(bad) - expected).abs().max() <= 1e-12 * expected.abs().max()
 
 
-def test_a_rollout_with_a_policy_and_ends_compiles_whole():
-    scene = Scene(ARM, (effects.Gravity(),))
-
-    def end(q):
-        def policy(state, k):
-            return -(1 + k) * state.qd
-
-        return scene.rollout(scene.start(q), steps=3, policy=policy, done=lambda s: s.q[..., 0] > 0.5).last.q
-
-    q = random(4, 2)
-    assert torch.equal(torch.compile(end, fullgraph=True, backend="eager")(q), end(q))
-
-
 Q = torch.zeros(3, 2, dtype=torch.float64)
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda s: s.step(Q, Q),
-        lambda s: s.step((Q, Q), Q),
-        lambda s: s.rollout(Q, steps=2),
-        lambda s: s.energy(Q),
-        lambda s: s.finite(None),
-        lambda s: s.linearize(Q),
-        lambda s: s.step(State(Q, None)),
-        lambda s: s.energy(State([0.0], Q)),
-        lambda s: s.rollout(s.start(Q), steps=2.5),
-        lambda s: s.rollout(s.start(Q), steps=2, checkpoint=0.5),
-        lambda s: s.rollout(s.start(Q), lambda x: x.q, 2),
-        lambda s: s.rollout(s.start(Q), torch.tensor(1.0)),
-        lambda s: s.rollout(s.start(Q), [[1.0, 2.0]]),
-        lambda s: s.rollout(s.start(Q), policy=lambda x, k: x.q),
-        lambda s: s.rollout(s.start(Q), steps=3, torque=torch.zeros(4, 2)),
-        lambda s: s.rollout(s.start(Q), steps=-1),
-        lambda s: s.rollout(s.start(Q), Q, policy=lambda x, k: x.q),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=Q),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x, k: None),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x, k: Q[:, :1]),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x, k: x.q.float()),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: x.q),
-        lambda s: s.rollout(s.start(Q), steps=2, policy=torch.nn.Linear(2, 2)),
-        lambda s: s.rollout(s.start(Q), steps=2, done=True),
-        lambda s: s.rollout(s.start(Q), steps=2, done=lambda x, k: x.q > 0),
-        lambda s: s.rollout(s.start(Q), steps=2, done=lambda x: x.q > 0),
-        lambda s: s.rollout(s.start(Q), steps=2, done=lambda x: x.q[:, 0]),
-        lambda s: s.rollout(s.start(Q), steps=0).last,
-        lambda s: s.start(Q[0]).last,
-        lambda s: s.rollout(s.rollout(s.start(Q), steps=2)[-1], steps=2),
-        lambda s: s.rollout(s.start(Q), steps=2, nonfinite="keep"),
-    ],
-)
+STATES = [  # no states, or calls without one
+    *(lambda s: s.step(Q, Q), lambda s: s.step((Q, Q), Q), lambda s: s.rollout(Q, steps=2), lambda s: s.energy(Q)),
+    *(lambda s: s.finite(None), lambda s: s.linearize(Q), lambda s: s.step(State(Q, None))),
+    *(lambda s: s.energy(State([0.0], Q)), lambda s: s.rollout(s.start(Q), steps=0).last, lambda s: s.start(Q[0]).last),
+    lambda s: s.rollout(s.rollout(s.start(Q), steps=2)[-1], steps=2),
+]
+POLICIES = [lambda x, k: None, lambda x, k: Q[:, :1], lambda x, k: x.q.float(), lambda x: x.q, torch.nn.Linear(2, 2), Q]
+ENDS = [True, lambda x, k: x.q > 0, lambda x: x.q > 0, lambda x: x.q[:, 0]]
+WRONG = [  # arguments of rollouts
+    *({"steps": 2.5}, {"steps": -1}, {"steps": 2, "checkpoint": 0.5}, {"steps": 2, "nonfinite": "keep"}),
+    *({"torque": lambda x: x.q, "steps": 2}, {"torque": torch.tensor(1.0)}, {"torque": [[1.0, 2.0]]}),
+    *({"policy": lambda x, k: x.q}, {"policy": lambda x, k: x.q, "torque": Q}),
+    {"steps": 3, "torque": torch.zeros(4, 2)},
+    *({"steps": 2, "policy": policy} for policy in POLICIES),
+    *({"steps": 2, "done": done} for done in ENDS),
+]
+
+
+@pytest.mark.parametrize("call", [*STATES, *(lambda s, wrong=x: s.rollout(s.start(Q), **wrong) for x in WRONG)])
 def test_a_wrong_state_or_rollout_is_refused(call):
     with refused(torchdq.ArgumentError):
         call(Scene(ARM, (effects.Gravity(),)))

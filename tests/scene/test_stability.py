@@ -7,6 +7,7 @@ import pytest
 import torch
 from helpers import INERTIA, WHEEL, called, double, thinned
 from messages import refused, warned
+from on_ground import body
 from scenes import ARM, PANDA
 from urdf_text import joint, link, urdf
 
@@ -61,7 +62,11 @@ def test_explicit_euler_swings_up_at_any_step():
     assert not verdict(effects.Spring(10.0), ExplicitEuler())
 
 
-@pytest.mark.parametrize("integrator", [*EXPLICIT, Repeated(SemiImplicitEuler(), 1)], ids=called)
+@pytest.mark.parametrize(
+    "integrator",
+    thinned([*EXPLICIT, Repeated(SemiImplicitEuler(), 1)], [*EXPLICIT[1:3], Repeated(SemiImplicitEuler(), 1)]),
+    ids=called,
+)
 def test_elastic_joints_are_part_of_it(integrator):
     """A wheel and a rotor of half its inertia swing at w^2 = k (1/I + 2/I)."""
     bound = {"RungeKutta4": 2 * math.sqrt(2)}.get(called(integrator), 2.0)
@@ -88,7 +93,7 @@ STIFF = {
 }
 
 
-@pytest.mark.parametrize("kind", thinned(STIFF, ["Viscous", "Spring", "Elastic"]))
+@pytest.mark.parametrize("kind", thinned(STIFF, ["Viscous", "Elastic"]))
 def test_unstable_steps_come_with_stable_ones(kind):
     effect, inputs = STIFF[kind]
     scene = Scene(ARM, (effects.Gravity(), effect), integrator=SemiImplicitEuler())
@@ -126,7 +131,7 @@ def test_rows_diverge_one_by_one():
     scene = Scene(ARM, (effects.Viscous(damping),), integrator=SemiImplicitEuler())
     start = scene.start(double((0.1, 0.2), (0.1, 0.2), (math.nan, 0.2)), double(0.1, 0.2))
     with warned(UserWarning):
-        found = scene.check(start, seconds=2.0)
+        found = scene.check(start, seconds=0.5)
     assert found.diverged.tolist() == [False, True, False]
     assert len(found.alternatives) == 2
 
@@ -145,15 +150,7 @@ def test_adaptive_steps_are_only_run():
     assert scene.check(scene.start(double(0.3, 0.4)), seconds=0.05)
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"state": ARM.mass},
-        {"seconds": 0.0},
-        {"seconds": 1e6},
-        {"target": None},
-    ],
-)
+@pytest.mark.parametrize("given", [{"state": ARM.mass}, {"seconds": 0.0}, {"seconds": 1e6}, {"target": None}])
 def test_a_check_of_nothing_is_refused(given):
     scene = Scene(ARM, (effects.Servo(1.0),))
     with refused(torchdq.ArgumentError):
@@ -162,12 +159,8 @@ def test_a_check_of_nothing_is_refused(given):
 
 # --- ground ----------------------------------------------------------------------------------------------------------
 
-BOX = torchdq.Robot.from_urdf(
-    """<robot name="box"><link name="box"><inertial><mass value="2"/>
-    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>""",
-    base="floating",
-)
-CORNERS = tuple(ContactPoint("box", (x, y, -0.05)) for x in (-0.1, 0.1) for y in (-0.1, 0.1))
+BOX = body(2.0, (0.01, 0.01, 0.01))
+CORNERS = tuple(ContactPoint("body", (x, y, -0.05)) for x in (-0.1, 0.1) for y in (-0.1, 0.1))
 NONE = double().reshape(0)
 
 
@@ -225,7 +218,7 @@ def test_a_base_that_turns_far_in_a_step_is_pointed_out():
 
 
 def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta(monkeypatch):
-    """Inertial torques of links at the start of a step give energy, which a method of order 4 does not."""
+    """Inertial torques of links at the start of a step give energy."""
     monkeypatch.setattr(stability, "FEW", 512)  # of trials of shorter steps
     arm = (link(name, 1.0, (0.01, 0, 0.02, 0, 0, 0.02), (0.2, 0, 0)) for name in "ab")
     joints = (
@@ -238,9 +231,6 @@ def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta(monkey
     start = scene.start(double(0.3, 0.3), V_WB_B=double(2.0, 6.0, 5.0, 0.0, 0.0, 0.0))
     check = scene.check(start, seconds=7.0)
     assert not check and bool(check.diverged) and str(check).endswith("integrator=RungeKutta4(), steps of 0.02 s")
-    path = scene.replace(integrator=RungeKutta4()).rollout(start, steps=350)
-    energy = torchdq.floating.kinetic_energy(robot, path.X_WB, path.q, path.V_WB_B, path.qd)
-    assert float((energy / energy[0] - 1).abs().max()) < 1e-4
 
 
 @pytest.mark.parametrize("make", [PD, ComputedTorqueController], ids=["PD", "computed torque"])
@@ -280,12 +270,11 @@ def test_rotors_take_the_torques_of_a_controller_that_sees_the_links():
     """Gains that let a rigid joint settle make a springy one swing up, in the matrix and in a run."""
     for damping, settles in ((1e-3, False), (0.2, True)):
         elastic = effects.Elastic(INERTIA * 50.0**2, damping * INERTIA * 50.0, INERTIA)
-        scene = Scene(WHEEL, (elastic,), PD(INERTIA * 10.0**2, INERTIA * 10.0), integrator=RungeKutta4(), dt=0.01)
+        scene = Scene(WHEEL, (elastic,), PD(INERTIA * 10.0**2, INERTIA * 10.0), RungeKutta4(), 0.01)
         check = scene.check(scene.start(double(0.1)), seconds=0.01)
         assert bool(check) is settles and check.growth <= stability.GROWTH
-        path = scene.rollout(
-            scene.start(double(0.1), double(0.1)), steps=2000, reference=double(0.1, 0.0, 0.0).expand(2000, 3)
-        )
+        start, reference = scene.start(double(0.1), double(0.1)), double(0.1, 0.0, 0.0).expand(2000, 3)
+        path = scene.replace(backend="auto").rollout(start, reference=reference)
         assert bool((path.q[-100:] - 0.1).abs().max() < 1e-3) is settles
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import torch
+from helpers import thinned
 from oracles import Case, random_tree, shipped, states
 
 from torchdq.envs import Scene, effects
@@ -82,12 +83,8 @@ def pinocchio(b, torques=0.0, model=None, implicit=None):
     u = b.u.numpy() + torques
     for k in range(SAMPLES):
         m = b.model if model is None else model[k] if isinstance(model, list) else model
-        data = m.createData()
-        q, v, tau = (
-            b.case.configuration(b.q[k]),
-            b.case.velocity(b.qd[k]),
-            b.case.velocity(np.broadcast_to(u[k], b.n)),
-        )
+        data, q = m.createData(), b.case.configuration(b.q[k])
+        v, tau = b.case.velocity(b.qd[k]), b.case.velocity(np.broadcast_to(u[k], b.n))
         M = pin.crba(m, data, q)
         M = np.triu(M) + np.triu(M, 1).T
         if implicit is not None:
@@ -107,6 +104,10 @@ def agrees(b, effect, *, torques=0.0, model=None, **inputs):
 # --- forms of a parameter ---
 
 FORMS = ("number", "list", "tensor", "batched")
+# robots and forms: in every form on a tree of all joints, and once on a real arm
+ON_ROBOTS = thinned(
+    [(name, form) for name in CASES for form in FORMS], [*(("tree", x) for x in FORMS), ("panda", "list")]
+)
 
 
 class Given(NamedTuple):
@@ -121,9 +122,8 @@ def given(form, low, high, size, seed):
     if form == "batched":
         values = rng.uniform(low, high, (SAMPLES, *trailing))
         return Given(double(values), values)
-    values = (
-        np.full(trailing, rng.uniform(low, high)) if form == "number" else np.array(rng.uniform(low, high, trailing))
-    )
+    one = form == "number"
+    values = np.full(trailing, rng.uniform(low, high)) if one else np.array(rng.uniform(low, high, trailing))
     parameters = {"number": float(values.flat[0]), "list": values.tolist(), "tensor": double(values)}
     return Given(parameters[form], np.broadcast_to(values, (SAMPLES, *trailing)))
 
@@ -202,29 +202,33 @@ def warm():
     return {"temperature": p(12.0, -7.0)}
 
 
+def alone(kind, *rows):
+    """An effect of these numbers, which needs no input."""
+    return lambda: (kind(*(p(*row) for row in rows)), {})
+
+
+def warmed(kind, *rows):
+    """Friction of these numbers, which depends on the temperature."""
+    return lambda: (kind(*(p(*row) for row in rows), warming=p(0.02, 0.01)), warm())
+
+
 EVERY = {
-    "Gravity": lambda: (effects.Gravity(p(1.0, -9.0, 2.0)), {}),
-    "RotorInertia": lambda: (effects.RotorInertia(p(0.1, 0.2)), {}),
-    "Payload": lambda: (effects.Payload(p(0.7), p(0.1, 0.2, 0.0), p(0.02, 0.0, 0.02, 0.0, 0.0, 0.03)), {}),
-    "MassScale": lambda: (effects.MassScale(p(0.8, 1.3)), {}),
-    "Viscous": lambda: (effects.Viscous(p(0.3, 0.5), warming=p(0.02, 0.01)), warm()),
-    "Quadratic": lambda: (effects.Quadratic(p(0.3, 0.5), warming=p(0.02, 0.01)), warm()),
-    "Coulomb": lambda: (effects.Coulomb(p(0.3, 0.5), p(0.1), warming=p(0.02, 0.01)), warm()),
-    "Directional": lambda: (effects.Directional(p(0.3, 0.5), p(0.6, 0.2), p(0.1), warming=p(0.02, 0.01)), warm()),
-    "Stribeck": lambda: (
-        effects.Stribeck(p(0.3, 0.5), p(0.6, 0.8), p(0.1, 0.2), p(0.1), warming=p(0.02, 0.01)),
-        warm(),
-    ),
-    "LoadDependent": lambda: (effects.LoadDependent(p(0.3, 0.2), p(0.1), warming=p(0.02, 0.01)), warm()),
-    "LuGre": lambda: (
-        effects.LuGre(p(0.3, 0.5), p(0.2, 0.3), p(1.5, 1.2), p(0.7, 0.9), p(0.1, 0.05), warming=p(0.02, 0.01)),
-        warm(),
-    ),
-    "Ripple": lambda: (effects.Ripple(p(0.3, 0.5), p(0.3, -0.5), p(-0.2, 0.1), warming=p(0.02, 0.01)), warm()),
-    "Spring": lambda: (effects.Spring(p(3.0, 5.0), p(0.1, -0.2)), {}),
+    "Gravity": alone(effects.Gravity, (1.0, -9.0, 2.0)),
+    "RotorInertia": alone(effects.RotorInertia, (0.1, 0.2)),
+    "Payload": alone(effects.Payload, (0.7,), (0.1, 0.2, 0.0), (0.02, 0.0, 0.02, 0.0, 0.0, 0.03)),
+    "MassScale": alone(effects.MassScale, (0.8, 1.3)),
+    "Viscous": warmed(effects.Viscous, (0.3, 0.5)),
+    "Quadratic": warmed(effects.Quadratic, (0.3, 0.5)),
+    "Coulomb": warmed(effects.Coulomb, (0.3, 0.5), (0.1,)),
+    "Directional": warmed(effects.Directional, (0.3, 0.5), (0.6, 0.2), (0.1,)),
+    "Stribeck": warmed(effects.Stribeck, (0.3, 0.5), (0.6, 0.8), (0.1, 0.2), (0.1,)),
+    "LoadDependent": warmed(effects.LoadDependent, (0.3, 0.2), (0.1,)),
+    "LuGre": warmed(effects.LuGre, (0.3, 0.5), (0.2, 0.3), (1.5, 1.2), (0.7, 0.9), (0.1, 0.05)),
+    "Ripple": warmed(effects.Ripple, (0.3, 0.5), (0.3, -0.5), (-0.2, 0.1)),
+    "Spring": alone(effects.Spring, (3.0, 5.0), (0.1, -0.2)),
     "Servo": lambda: (effects.Servo(p(3.0, 5.0), p(0.2, 0.1), p(9.0, 1.2)), {"target": p(0.5, 0.1)}),
-    "JointLimits": lambda: (effects.JointLimits(p(-0.5, -0.6), p(0.2, 0.5), p(30.0, 50.0), p(1.0, 2.0)), {}),
-    "Elastic": lambda: (effects.Elastic(p(30.0, 50.0), p(0.3, 0.1), p(0.2, 0.3)), {}),
+    "JointLimits": alone(effects.JointLimits, (-0.5, -0.6), (0.2, 0.5), (30.0, 50.0), (1.0, 2.0)),
+    "Elastic": alone(effects.Elastic, (30.0, 50.0), (0.3, 0.1), (0.2, 0.3)),
     "Push": lambda: (effects.Push(axes="body"), {"push": p(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)}),
     "Drag": lambda: (effects.Drag(p(0.3, 0.1), p(0.2, 0.4), p(0.01, 0.02), p(0.1)), {}),
     "PointSpring": lambda: (effects.PointSpring(None, p(0.3, 0.2, 0.1), p(40.0), p(2.0)), {}),

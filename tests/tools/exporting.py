@@ -6,6 +6,7 @@ import subprocess
 
 import pytest
 import torch
+from robots import on_free_base
 
 import torchdq
 from torchdq.scene import integrators
@@ -56,8 +57,7 @@ def two_link(*parameters):
 
 def free():
     """Two-link arm on a floating base."""
-    body = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
-    return TWO.replace(**{name: torch.tensor(x, dtype=F64) for name, x in body.items()}).bake()
+    return on_free_base(TWO)
 
 
 def step(*effects):

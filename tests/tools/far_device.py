@@ -51,15 +51,9 @@ class FarTensor(Tensor):
 
     @staticmethod
     def __new__(cls, near: Tensor) -> FarTensor:
-        found = Tensor._make_wrapper_subclass(
-            cls,
-            near.size(),
-            strides=near.stride(),
-            storage_offset=near.storage_offset(),
-            dtype=near.dtype,
-            device=FAR,
-            requires_grad=near.requires_grad,
-        )
+        memory = {"strides": near.stride(), "storage_offset": near.storage_offset()}
+        kind = {"dtype": near.dtype, "device": FAR, "requires_grad": near.requires_grad}
+        found = Tensor._make_wrapper_subclass(cls, near.size(), **memory, **kind)
         found.near = near
         return found
 
@@ -73,6 +67,10 @@ class Far(TorchDispatchMode):
 
     ahead = False  # whether the host is ahead of the device
     graph: Graph | None = None  # graph that is being captured
+
+    @classmethod
+    def _should_skip_dynamo(cls):
+        return False  # else torch imports its compiler, which takes seconds and has no part here
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         return computed(func, args, kwargs or {})
@@ -198,15 +196,8 @@ def environment(**options):
 def outcomes(device, actions, mode="SameStep", between=lambda envs, found: None, **options):
     """All that an environment returns in some steps, and its state at the end, on the CPU; no step asks the device."""
     with torchdq.backend("auto" if device == FAR else "host"):
-        options = {
-            "robot": ROBOT,
-            "effects": PARTS,
-            "scale": 20.0,
-            "max_episode_steps": 3,
-            "autoreset_mode": mode,
-            **options,
-        }
-        envs = environment(device=device, **options)
+        small = {"robot": ROBOT, "effects": PARTS, "scale": 20.0, "max_episode_steps": 3, "autoreset_mode": mode}
+        envs = environment(device=device, **{**small, **options})
         found = [envs.reset(seed=3)[0]]
         with ahead():
             found += [envs.reset()[0]]
@@ -225,6 +216,13 @@ def same_steps(**options):
     """Steps of the far device and of the CPU are the same, bit for bit."""
     actions = 1.5 * torch.randn(8, N, 2, generator=torch.Generator().manual_seed(0))
     agree(outcomes(FAR, list(actions.to(FAR).unbind()), **options), outcomes("cpu", list(actions.unbind()), **options))
+
+
+def descend(module, rate):
+    """Step of gradient descent; an optimiser of torch would import its compiler."""
+    with torch.no_grad():
+        for p in module.parameters():
+            p -= rate * p.grad
 
 
 def steps_with_resets_in_the_same_step():
@@ -308,26 +306,25 @@ def a_training_iteration_is_repeated_by_a_graph():
         nets.append(nn.Sequential(nn.Linear(4, 8), nn.Tanh(), nn.Linear(8, 2)).to(FAR))
     q = torch.randn(N, 2, generator=torch.Generator().manual_seed(1)).to(FAR)
 
-    def iteration(net, optimiser):
-        optimiser.zero_grad(set_to_none=False)
+    def iteration(net):
+        net.zero_grad(set_to_none=False)
         states = scene.rollout(
             scene.start(q), steps=4, policy=lambda s, k: net(torch.cat([s.q, s.qd], 1)), nonfinite="ignore"
         )
         loss = states.q.square().mean()
         loss.backward()
-        optimiser.step()
+        descend(net, 0.1)
         return loss.detach()
 
-    optimisers = [torch.optim.SGD(net.parameters(), 0.1, momentum=0.9, foreach=False) for net in nets]
-    for net, optimiser in zip(nets, optimisers, strict=True):
-        iteration(net, optimiser)
+    for net in nets:
+        iteration(net)
     graph = Graph()
     with graph.capture():
-        found = iteration(nets[0], optimisers[0])
-    losses = [iteration(nets[1], optimisers[1])]
+        found = iteration(nets[0])
+    losses = [iteration(nets[1])]
     for _ in range(3):
         graph.replay()
-        losses.append(iteration(nets[1], optimisers[1]))
+        losses.append(iteration(nets[1]))
         agree([found.cpu()], [losses[-1].cpu()])
     assert losses[-1].cpu() < losses[0].cpu()
 
@@ -335,12 +332,11 @@ def a_training_iteration_is_repeated_by_a_graph():
 def a_learned_model_is_trained_without_waiting():
     layer = torchdq.DQRNEA(ROBOT, learn=("mass", "com", "inertia", "friction", "armature")).to(FAR)
     q, qd, qdd, tau = torch.randn(4, 50, 2, generator=torch.Generator().manual_seed(1)).to(FAR)
-    optimiser = torch.optim.SGD(layer.parameters(), 1e-3, foreach=False)
     for k in range(3):
         Far.ahead = k > 0
-        optimiser.zero_grad()
+        layer.zero_grad()
         (layer(q, qd, qdd) - tau).square().mean().backward()
-        optimiser.step()
+        descend(layer, 1e-3)
     Far.ahead = False
 
 

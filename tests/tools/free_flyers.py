@@ -12,6 +12,7 @@ import numpy as np
 import oracles
 import pinocchio as pin
 import torch
+from rotations import flat
 
 import torchdq
 from torchdq import dq
@@ -99,8 +100,7 @@ def over(function, c: FreeFlyer, m: Motion) -> np.ndarray:
 
 def body(inertia: pin.Inertia) -> dict[str, torch.Tensor]:
     """Fields of a robot for the body of its base."""
-    six = [inertia.inertia[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
-    values = {"base_mass": inertia.mass, "base_com": inertia.lever, "base_inertia": six}
+    values = {"base_mass": inertia.mass, "base_com": inertia.lever, "base_inertia": flat(inertia.inertia)}
     return {name: torch.tensor(np.array(x)) for name, x in values.items()}
 
 

@@ -2,6 +2,9 @@
 
 import inspect
 import os
+import signal
+import threading
+from contextlib import contextmanager
 from functools import cache, partial
 
 import numpy as np
@@ -82,6 +85,11 @@ def double(*x):
     return torch.tensor(x, dtype=torch.float64)
 
 
+def largest(x):
+    """Largest magnitude of the numbers of a tensor."""
+    return x.detach().abs().max().item()
+
+
 def random(*shape, seed=0, dtype=torch.float64):
     """Normal numbers that are the same in every precision but for rounding."""
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64).to(dtype)
@@ -94,6 +102,27 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@contextmanager
+def interrupted(seconds):
+    """Ctrl-C after some seconds, which this process may have been started to ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def fresh():
+    """A compiler of torch that remembers nothing of other tests."""
+    torch._dynamo.reset()
+    yield
+    torch._dynamo.reset()
 
 
 @pytest.fixture

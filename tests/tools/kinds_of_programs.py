@@ -5,8 +5,8 @@ import sys
 from collections.abc import Callable
 from functools import cache, partial
 
-import torch
 from places import BENCHMARKS
+from robots import on_free_base as free
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects
@@ -24,6 +24,13 @@ INERTIA = ("mass", "com", "inertia")
 GEOMETRY = ("X_PB_home", "screw")
 WRENCHES = ("f_tip", "f_ext")
 STILL = ("q", "qd", "X_des", "kp", "kd", "damping")  # control with a goal at rest and without a posture
+OF_BOTH_BASES = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "coriolis_matrix", "error_growth", "regressor")
+OF_BOTH_BASES += ("kinetic_energy", "potential_energy")
+PLAIN = (*OF_BOTH_BASES, "inverse_dynamics_jacobian", "dynamics_jacobian", "computed_torque", "joint_momentum")
+PLAIN += tuple(f"floating.{name}" for name in (*OF_BOTH_BASES, "closed_form", "centre_of_mass", "momentum"))
+PLAIN += ("floating.momentum_rate",)
+OF_AXES = ("manipulability", "operational_space", "operational_space_control", "contact_force")
+OF_AXES += ("inverse_kinematics_step", "inverse_kinematics_newton")
 
 
 @cache
@@ -31,12 +38,6 @@ def robot(name: str, arguments: tuple[str, ...] = ()) -> torchdq.Robot:
     """Shipped robot; the named tensors are arguments of its programs."""
     loaded = torchdq.robots.load(name)
     return loaded.replace(**{field: getattr(loaded, field) for field in arguments})
-
-
-def free(on_fixed: torchdq.Robot) -> torchdq.Robot:
-    """Robot whose base is a body that moves."""
-    body = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
-    return on_fixed.replace(**{name: torch.tensor(x, dtype=torch.float64) for name, x in body.items()}).bake()
 
 
 def recipe(name: str, function: str, present=None, options=(), fields=(), derivative=False) -> Program:
@@ -53,64 +54,36 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
     limits = ("limits",) if name in ("panda", "ur10e") else ()
     axes = "x y" if name == "two_link" else "pose"
     found = {
-        "inverse_dynamics": {},
+        **{function: {} for function in PLAIN},
         "inverse_dynamics q": {"present": ("q",)},
         "inverse_dynamics wrenches": {"present": ("q", "qd", "qdd", *WRENCHES)},
         "inverse_dynamics inertial arguments": {"fields": INERTIA},
         "inverse_dynamics geometry arguments": {"fields": GEOMETRY},
         "inverse_dynamics vjp": {"derivative": True},
-        "inverse_dynamics_jacobian": {},
-        "dynamics_jacobian": {},
-        "forward_dynamics": {},
         "forward_dynamics wrenches": {"present": ("q", "qd", "tau", *WRENCHES)},
         "forward_dynamics geometry arguments": {"fields": GEOMETRY},
         "forward_dynamics vjp": {"derivative": True},
-        "computed_torque": {},
-        "mass_matrix": {},
-        "error_growth": {},
         "closed_form": {"options": ("",)},
         "closed_form tip": {"options": (tip,)},
-        "regressor": {},
-        "kinetic_energy": {},
-        "potential_energy": {},
         "forward_kinematics": {"options": (tip,)},
         "forward_kinematics all": {"options": robot(name).frame_names},
         "jacobian": {"options": (tip, "body")},
         "jacobian world": {"options": (tip, "world")},
         "external_wrenches": {"options": ("world", tip)},
-        "coriolis_matrix": {},
         "frame_motion": {"options": (tip,)},
-        "manipulability": {"options": (tip, "body", axes)},
-        "operational_space": {"options": (tip, "body", axes)},
-        "operational_space_control": {"options": (tip, "body", axes)},
+        **{function: {"options": (tip, "body", axes)} for function in OF_AXES},
         "operational_space_control still": {"options": (tip, "body", axes), "present": STILL},
         "operational_space_control limits": {"options": (tip, "world", axes, *limits), "present": STILL},
         "cartesian_impedance": {
             "options": (tip, "world", axes),
             "present": ("q", "qd", "X_des", "stiffness", "damping"),
         },
-        "inverse_kinematics_step": {"options": (tip, "body", axes)},
-        "inverse_kinematics_newton": {"options": (tip, "body", axes)},
         "differential_inverse_kinematics": {"options": (tip, "body", axes, "bounded")},
-        "joint_momentum": {},
-        "contact_force": {"options": (tip, "body", axes)},
-        "floating.inverse_dynamics": {},
         "floating.inverse_dynamics vjp": {"derivative": True},
-        "floating.forward_dynamics": {},
         "floating.forward_dynamics vjp": {"derivative": True},
-        "floating.mass_matrix": {},
-        "floating.closed_form": {},
-        "floating.coriolis_matrix": {},
-        "floating.error_growth": {},
-        "floating.regressor": {},
         "floating.forward_kinematics": {"options": (tip,)},
         "floating.jacobian": {"options": (tip,)},
         "floating.external_wrenches": {"options": ("world", tip)},
-        "floating.kinetic_energy": {},
-        "floating.potential_energy": {},
-        "floating.centre_of_mass": {},
-        "floating.momentum": {},
-        "floating.momentum_rate": {},
     }
     return {f"{name}/{key}": partial(recipe, name, key.split()[0], **of) for key, of in found.items()}
 
@@ -119,27 +92,15 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
 
 DRAG = effects.Drag(0.1, 0.1, 0.1)
 CONTACT = effects.Contact(friction=0.5)
+FRICTION = (effects.Viscous(1.0), effects.Coulomb(1.0), effects.Stribeck(1.0, 1.5), effects.Quadratic(1.0))
+FRICTION += (effects.Directional(1.0, 1.5), effects.LoadDependent(0.2), effects.Ripple(0.1, 0.5, 0.5))
+FRICTION += (effects.LuGre(1.0),)
+MODEL = (effects.Gravity(), effects.RotorInertia(0.1), effects.Payload(1.0), effects.MassScale(1.1))
+JOINTS = (effects.Spring(10.0), effects.JointLimits(), effects.Elastic(1e3, 1.0, 0.1))
 EFFECTS = {
     "none": (),
-    "Gravity": (effects.Gravity(),),
-    "RotorInertia": (effects.RotorInertia(0.1),),
-    "Payload": (effects.Payload(1.0),),
-    "MassScale": (effects.MassScale(1.1),),
-    "Viscous": (effects.Viscous(1.0),),
-    "Coulomb": (effects.Coulomb(1.0),),
-    "Stribeck": (effects.Stribeck(1.0, 1.5),),
-    "Quadratic": (effects.Quadratic(1.0),),
-    "Directional": (effects.Directional(1.0, 1.5),),
-    "LoadDependent": (effects.LoadDependent(0.2),),
-    "Ripple": (effects.Ripple(0.1, 0.5, 0.5),),
-    "LuGre": (effects.LuGre(1.0),),
+    **{type(x).__name__: (x,) for x in (*MODEL, *FRICTION, *JOINTS, effects.Push(), DRAG, CONTACT)},
     "warming Viscous": (effects.Viscous(1.0, warming=-0.01),),
-    "Spring": (effects.Spring(10.0),),
-    "JointLimits": (effects.JointLimits(),),
-    "Elastic": (effects.Elastic(1e3, 1.0, 0.1),),
-    "Push": (effects.Push(),),
-    "Drag": (DRAG,),
-    "Contact": (CONTACT,),
     "DragContactPush": (DRAG, CONTACT, effects.Push()),
 }
 # the other integrators evaluate effects the way these two do, only more often
@@ -204,19 +165,13 @@ def studied(name: str, method: str) -> Program:
     return study("methods").step_program(case(name), study("methods").INTEGRATORS[method])
 
 
+TASKS = [(task, name) for task in ("reach", "track") for name in ("panda", "ur10e")]
+FLOATING_STEPS = [(i, e) for i, several in FLOATING_TOO.items() for e in several]
 PROGRAMS: dict[str, Callable[[], Program]] = {
     **{key: program for name in ROBOTS for key, program in recipes(name).items()},
     **{f"panda/scene/{i}/{e}": partial(step, i, e) for i, (_, several) in INTEGRATORS.items() for e in several},
-    **{
-        f"panda/floating scene/{i}/{e}": partial(step, i, e, True)
-        for i, several in FLOATING_TOO.items()
-        for e in several
-    },
+    **{f"panda/floating scene/{i}/{e}": partial(step, i, e, True) for i, e in FLOATING_STEPS},
     **{f"{name}/linearization": partial(linearization, name) for name in ("panda", "ur10e")},
-    **{
-        f"{task.title()}/{name}": partial(environment, name, task)
-        for task in ("reach", "track")
-        for name in ("panda", "ur10e")
-    },
+    **{f"{task.title()}/{name}": partial(environment, name, task) for task, name in TASKS},
     **{f"study/{name}/{method}": partial(studied, name, method) for name, method in STUDIED},
 }

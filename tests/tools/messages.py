@@ -121,13 +121,9 @@ class Snapshot:
     def write(self) -> None:
         """Replace what the tests that ran have said, with all of their parameters; tests that are no more go."""
         for file, tests in self.said.items():
-            ran, text = {_function(test) for test in tests}, (ROOT / file).read_text()
-            kept = {
-                test: says
-                for test, says in self.held.get(file, {}).items()
-                if _function(test) not in ran and f"def {_function(test)}(" in text
-            }
-            self.held[file] = {**kept, **tests}
+            ran, text, held = {_function(test) for test in tests}, (ROOT / file).read_text(), self.held.get(file, {})
+            kept = [test for test in held if _function(test) not in ran and f"def {_function(test)}(" in text]
+            self.held[file] = {**{test: held[test] for test in kept}, **tests}
         rooms: dict[Path, list[str]] = {}
         for file, tests in sorted(self.held.items()):
             if any(tests.values()) and (ROOT / file).exists():

@@ -123,8 +123,6 @@ def fixed_assets() -> list[Path]:
 
 def model_of(source) -> mujoco.MjModel:
     """MuJoCo's model."""
-    return (
-        mujoco.MjModel.from_xml_path(str(source))
-        if isinstance(source, Path)
-        else mujoco.MjModel.from_xml_string(source)
-    )
+    if isinstance(source, Path):
+        return mujoco.MjModel.from_xml_path(str(source))
+    return mujoco.MjModel.from_xml_string(source)

@@ -70,9 +70,13 @@ def begin(scene, X, V=None):
     return scene.start(none, X_WB=X, V_WB_B=X.new_zeros(*X.shape[:-1], 6) if V is None else V)
 
 
-def rolled(scene, state, seconds, **inputs):
-    """State after a time; without gradients."""
+def path(scene, state, steps, **how):
+    """States after a number of steps, which are compiled; without gradients."""
     with torch.no_grad():
-        for _ in range(round(seconds / scene.dt)):
-            state = scene.step(state, **inputs)
-    return state
+        return scene.replace(backend="auto").rollout(state, steps=steps, **how)
+
+
+def rolled(scene, state, seconds, **inputs):
+    """State after a time under constant inputs."""
+    steps = round(seconds / scene.dt)
+    return path(scene, state, steps, ends=True, **{name: x.expand(steps, *x.shape) for name, x in inputs.items()})

@@ -12,12 +12,13 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 import torch
 from robots import ARMS
+from rotations import flat, tensor
 
 import torchdq
 from torchdq.dynamics.general.posed import General
@@ -48,15 +49,10 @@ def moved_parameters(placement: pin.SE3) -> np.ndarray:
     """
     columns = []
     for parameters in np.eye(10):
-        m, h = parameters[0], parameters[1:4]
-        xx, xy, yy, xz, yz, zz = parameters[4:]
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        m, h, inertia = parameters[0], parameters[1:4], tensor(parameters[4:])
         J = np.block([[inertia.trace() / 2 * np.eye(3) - inertia, h[:, None]], [h, np.array([m])]])
         J = placement.homogeneous @ J @ placement.homogeneous.T
-        inertia = J[:3, :3].trace() * np.eye(3) - J[:3, :3]
-        columns.append(
-            [J[3, 3], *J[:3, 3], *(inertia[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))]
-        )
+        columns.append([J[3, 3], *J[:3, 3], *flat(J[:3, :3].trace() * np.eye(3) - J[:3, :3])])
     return np.array(columns).T
 
 
@@ -74,12 +70,9 @@ class Case:
     @property
     def joints(self) -> list[pin.JointModel]:
         """Pinocchio's joints in the order of the robot's."""
-        known = set(self.model.names)
-        missing = [name for name in self.robot.joint_names if name not in known]
-        if (
-            missing or self.model.njoints - 1 - self.root != self.robot.n
-        ):  # getJointId does not raise for a name it does not know
-            raise LookupError(f"the model has the joints {list(known)}, the robot {self.robot.joint_names}")
+        # getJointId does not raise for a name it does not know
+        if {*self.robot.joint_names} - {*self.model.names} or self.model.njoints - 1 - self.root != self.robot.n:
+            raise LookupError(f"the model has the joints {[*self.model.names]}, the robot {self.robot.joint_names}")
         return [self.model.joints[self.model.getJointId(name)] for name in self.robot.joint_names]
 
     @property
@@ -141,15 +134,11 @@ class Piece(NamedTuple):
     inertia: np.ndarray  # about the centre of mass, in link axes
 
 
-def assemble(
-    pieces: Sequence[Piece],
-    joint_names: Sequence[str],
-    link_names: Sequence[str],
-    gravity,
-    armature,
-    tip: tuple[str, int, pin.SE3],
-) -> pin.Model:
-    """Pinocchio model of joints and links; `tip` is a frame's name, its link, and its placement there."""
+Names = Sequence[str]
+
+
+def assemble(pieces: Sequence[Piece], joints: Names, links: Names, gravity, armature, tip) -> pin.Model:
+    """Pinocchio model of named joints and links; `tip` is a frame's name, its link, and its placement there."""
     model = pin.Model()
     model.gravity.linear = np.asarray(gravity, dtype=float)
     index = {-1: 0}  # pinocchio's joint of each link; the universe is joint 0
@@ -164,9 +153,9 @@ def assemble(
         else:
             joint = pin.JointModelHelicalUnaligned(piece.axis, piece.pitch)
             back = pin.SE3(turn, -piece.home * piece.pitch * piece.axis)
-        index[i] = model.addJoint(index[piece.parent], joint, piece.joint_in_parent * back, joint_names[i])
+        index[i] = model.addJoint(index[piece.parent], joint, piece.joint_in_parent * back, joints[i])
         model.appendBodyToJoint(index[i], pin.Inertia(piece.mass, piece.com, piece.inertia), piece.link_in_joint)
-        model.addBodyFrame(link_names[i], index[i], piece.link_in_joint, 0)
+        model.addBodyFrame(links[i], index[i], piece.link_in_joint, 0)
     name, link, in_link = tip
     model.addBodyFrame(name, index[link], pieces[link].link_in_joint * in_link, 0)
     model.addBodyFrame("base", 0, pin.SE3.Identity(), 0)
@@ -200,26 +189,14 @@ def pinocchio_model(robot: torchdq.Robot) -> pin.Model:
         parent = robot.parents[i]
         link_in_parent_link = se3(robot.X_PB_home[i])
         parent_link = pin.SE3.Identity() if parent < 0 else pieces[parent].link_in_joint
-        xx, xy, yy, xz, yz, zz = robot.inertia[i].tolist()
-        pieces.append(
-            Piece(
-                parent,
-                robot.kinds[i],
-                axis,
-                pitch,
-                0.0 if robot.home is None else float(robot.home[i]),
-                parent_link * link_in_parent_link * joint_in_link,
-                joint_in_link.inverse(),
-                float(robot.mass[i]),
-                robot.com[i].numpy(),
-                np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
-            )
-        )
+        moving = parent, robot.kinds[i], axis, pitch, 0.0 if robot.home is None else float(robot.home[i])
+        placed = parent_link * link_in_parent_link * joint_in_link, joint_in_link.inverse()
+        body = float(robot.mass[i]), robot.com[i].numpy(), tensor(robot.inertia[i].tolist())
+        pieces.append(Piece(*moving, *placed, *body))
     gravity = np.zeros(3) if robot.gravity is None else robot.gravity.numpy()
     tip = robot.frame(robot.tip)
-    return assemble(
-        pieces, robot.joint_names, robot.link_names, gravity, robot.armature, (tip.name, tip.link, se3(tip.X_BF))
-    )
+    own_tip = (tip.name, tip.link, se3(tip.X_BF))
+    return assemble(pieces, robot.joint_names, robot.link_names, gravity, robot.armature, own_tip)
 
 
 # --- random trees ----------------------------------------------------------------------------------------------------
@@ -292,21 +269,11 @@ def random_tree(n: int, seed: int, armature: bool = False) -> Case:
     if rotors is not None:
         robot = robot.replace(armature=torch.from_numpy(rotors))
 
-    pieces = [
-        Piece(
-            parents[i],
-            kinds[i],
-            turned[i].rotation.T @ axes[i],
-            float(pitches[i]),
-            float(home[i]),
-            turned[i] if parents[i] < 0 else turned[parents[i]].inverse() * turned[i],
-            turned[i].inverse() * links[i],
-            float(mass[i]),
-            com[i],
-            inertia[i],
-        )
-        for i in range(n)
-    ]
+    pieces = []
+    for i, parent in enumerate(parents):
+        moving = parent, kinds[i], turned[i].rotation.T @ axes[i], float(pitches[i]), float(home[i])
+        in_parent = turned[i] if parent < 0 else turned[parent].inverse() * turned[i]
+        pieces.append(Piece(*moving, in_parent, turned[i].inverse() * links[i], float(mass[i]), com[i], inertia[i]))
     tip_on_link = ("tip", n - 1, links[-1].inverse() * tip)
     return Case(robot, assemble(pieces, joint_names, link_names, gravity, rotors, tip_on_link))
 
@@ -449,13 +416,9 @@ def states(robot: torchdq.Robot, batch: int = 3, seed: int = 0, dtype: torch.dty
     """Random positions (several turns of what turns), velocities, accelerations and wrenches, none of them zero."""
     rng = np.random.default_rng([robot.n, seed])
     slides = np.array([not joint.turns for joint in robot.joint_types], dtype=bool)
-    arrays: tuple[Any, ...] = (
-        rng.normal(size=(batch, robot.n)) * np.where(slides, 0.3, 3.0),
-        rng.normal(size=(batch, robot.n)) * 2,
-        rng.normal(size=(batch, robot.n)) * 5,
-        rng.normal(size=(batch, 6)) * 10,
-        rng.normal(size=(batch, robot.n, 6)) * 10,
-    )
+    joint, sizes = (robot.n,), (np.where(slides, 0.3, 3.0), 2, 5, 10, 10)
+    shapes = (joint, joint, joint, (6,), (robot.n, 6))
+    arrays = (rng.normal(size=(batch, *shape)) * size for shape, size in zip(shapes, sizes, strict=True))
     return States(*(torch.from_numpy(x).to(dtype) for x in arrays))
 
 
@@ -512,6 +475,17 @@ def worst(found, reference, size) -> float:
     difference, size = np.broadcast_arrays(difference, np.asarray(size, dtype=float))
     ratio = np.divide(difference, size, out=np.where(difference == 0, 0.0, np.inf), where=size != 0)
     return float("nan") if np.isnan(difference).any() else float(ratio.max(initial=0.0))
+
+
+def scaled(M: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mass matrices scaled to a unit diagonal, and the scale D = diag(M)^-1/2."""
+    D = M.double().diagonal(dim1=-2, dim2=-1).rsqrt()
+    return D[..., None] * M.double() * D[..., None, :], D
+
+
+def scaled_condition(M: torch.Tensor) -> float:
+    """Largest condition number of mass matrices scaled to a unit diagonal: accelerations are as good as it is small."""
+    return float(torch.linalg.cond(scaled(M)[0]).max())
 
 
 # --- the paper's form on tensors -------------------------------------------------------------------------------------

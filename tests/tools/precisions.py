@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from helpers import EVERYTHING
+from helpers import thinned
 
 from torchdq.backends import c_library as build
 
@@ -18,14 +18,13 @@ every_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=NAMES.get)
 
 def of_backends_and_dtypes(*kept):
     """Parameters `backend` and `dtype`: those that are kept, and in `make test-all` all four pairs."""
-    pairs = [(backend, dtype) for backend in ("eager", "c") for dtype in (F64, F32)]
-    params = [
-        pytest.param(backend, dtype, marks=compiler if backend == "c" else (), id=f"{backend}-{NAMES[dtype]}")
-        for backend, dtype in pairs
-        if EVERYTHING or (backend, dtype) in kept
-    ]
+    pairs = thinned([(backend, dtype) for backend in ("eager", "c") for dtype in (F64, F32)], kept)
+    marks = {"eager": (), "c": compiler}
+    params = [pytest.param(b, dtype, marks=marks[b], id=f"{b}-{NAMES[dtype]}") for b, dtype in pairs]
     return pytest.mark.parametrize("backend, dtype", params)
 
 
 # that compiled programs compute what operations do is the claim of backends/test_backends.py
-every_backend_and_dtype = of_backends_and_dtypes(("eager", F64), ("c", F32))
+every_backend_and_dtype = of_backends_and_dtypes(("eager", F64), ("eager", F32))
+single_compiled = of_backends_and_dtypes(("eager", F64), ("c", F32))  # for rows that are mended, and for many steps
+eager_first = pytest.mark.parametrize("backend", thinned(["eager", C], ("eager",)))

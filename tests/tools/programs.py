@@ -35,6 +35,9 @@ FUNCTIONS = {
     "ComputedTorque": lambda r, s: torchdq.ComputedTorque(r, 25.0, 10.0)(s.q, s.qd, s.qdd, s.qd, s.q, s.f_tip),
 }
 
+# one of each kind: absent arguments, several results, wide ones, solutions, uniform arguments, control
+KINDS = ("inverse_dynamics at rest", "closed_form", "regressor", "forward_dynamics", "DQRNEA", "ComputedTorque")
+
 
 def as_tuple(x):
     return x if isinstance(x, tuple) else (x,)
@@ -61,7 +64,7 @@ def agree(found, expected, factor=64.0, dtype=None):
     """Both are the same sums, rounded differently: the error is a multiple of eps and of the largest entry."""
     for f, e in zip(found, expected, strict=True):
         assert f.shape == e.shape and f.dtype == e.dtype
-        atol = factor * EPS[dtype or e.dtype] * float(e.abs().max() if e.numel() else 0.0)
+        atol = factor * EPS[dtype or e.dtype] * float(e.detach().abs().max() if e.numel() else 0.0)
         torch.testing.assert_close(f, e, rtol=0, atol=atol, equal_nan=True)
 
 

@@ -16,10 +16,11 @@ import pytest
 import torch
 from messages import said
 from places import DATA
+from scipy import signal
 
 import torchdq
 from torchdq import effects
-from torchdq.learning import Layout, Log, LogError, LogWarning, Model, Samples, identify
+from torchdq.learning import Layout, Log, LogError, LogWarning, Model, Motion, Samples, identify
 
 WIDTH, STEP = 1e-2, 0.02
 F64 = torch.float64
@@ -43,6 +44,13 @@ def fitted(robot, *rows, prior=1.0, sign_width=WIDTH, **options):
     """Robot identified from signals or motions, with viscous and Coulomb friction and without a selection."""
     model = Model(**options) if "friction" in options else plain(sign_width, **options)
     return identify(robot, Samples(*rows) if len(rows) == 4 else rows[0], model, prior, sign_width)
+
+
+def whitened(found, truth):
+    """Deviations of the base parameters from true ones, in units of their stated covariance [rank]."""
+    root = found.base @ found.spread
+    off = found.base @ (found.parameters - truth)
+    return torch.linalg.solve_triangular(torch.linalg.cholesky(root @ root.T), off[:, None], upper=False)[:, 0]
 
 
 def with_findings(function, *arguments, **options):
@@ -105,11 +113,9 @@ def waves(seed, size, rates, spread, seconds):
 
 def noise(shape, memory, seed=0):
     """Noise [motions, rows, n] of variance one, with a correlation that falls by a factor from row to row."""
-    x = torch.from_numpy(np.random.default_rng(seed).normal(size=shape))
-    found = [x[:, 0]]
-    for row in x.unbind(1)[1:]:
-        found.append(memory * found[-1] + (1 - memory**2) ** 0.5 * row)
-    return torch.stack(found, 1)
+    x = np.random.default_rng(seed).normal(size=shape)
+    x[:, 1:] *= (1 - memory**2) ** 0.5
+    return torch.from_numpy(signal.lfilter([1.0], [1.0, -memory], x, axis=1))
 
 
 def sign(qd, width=WIDTH):
@@ -125,6 +131,11 @@ def dry(qd):
 def torques(robot, q, qd, qdd, friction=dry, size=0.1, memory=0.8, seed=0):
     """Measured torques [motions, rows, n], with noise."""
     return torchdq.inverse_dynamics(robot, q, qd, qdd) + friction(qd) + size * noise(q.shape, memory, seed)
+
+
+def motion_of(*signals, **options):
+    """Motion of signals [rows, n]: positions, velocities, accelerations, torques, and signs of velocities."""
+    return Motion(STEP * np.arange(len(signals[0])), *(x.numpy() for x in signals), **options)
 
 
 def late_log(late, seed, rate=100.0, seconds=30.0):

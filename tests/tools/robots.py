@@ -8,11 +8,9 @@ from torchdq import Robot, dq
 
 F64 = torch.float64
 EPS = 2.0**-52
-POINT = np.array([0.3, -0.2, 0.5])
-DIRECTION = np.array([2.0, -3.0, 6.0]) / 7.0
-LINE = np.concatenate([DIRECTION, np.cross(POINT, DIRECTION)])  # screws of a revolute and of a prismatic joint
-SLIDE = np.concatenate([np.zeros(3), DIRECTION])
+LINE = np.array([2.0, -3.0, 6.0, 0.3, -0.8, -0.5]) / 7.0  # screw of a revolute joint
 BALL = (0.02, 0, 0.02, 0, 0, 0.02)
+FREE_BODY = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
 ARMS = tuple(name for name in torchdq.robots.names() if not torchdq.robots.load(name).floating)  # that are shipped
 
 
@@ -26,6 +24,11 @@ def two():
 
 def panda():
     return torchdq.robots.load("panda")
+
+
+def on_free_base(robot):
+    """Robot whose base is a body that moves."""
+    return robot.replace(**{name: torch.tensor(x, dtype=F64) for name, x in FREE_BODY.items()}).bake()
 
 
 def one_joint(screw, **more):
@@ -52,6 +55,8 @@ def states(n, rows=5, seed=0):
 
 
 def torques(robot, seed=0):
+    """Torques of a robot, or of the robot in a URDF text, in these states."""
+    robot = robot if isinstance(robot, Robot) else Robot.from_urdf(robot)
     return torchdq.inverse_dynamics(robot, *states(robot.n, seed=seed))
 
 

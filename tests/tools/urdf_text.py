@@ -1,15 +1,15 @@
-"""URDF files as text: elements, small robots, random robots, and the geometry to work them out by hand."""
+"""URDF files as text: elements, small robots, and random robots."""
 
-import math
 import random
 
 import numpy as np
 import torch
+from robots import same as same
+from rotations import flat, rotation
 
 import torchdq
-from torchdq import Robot, dq
+from torchdq import dq
 
-EPS = 2.0**-52
 LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="4"/>'
 ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 ORDINARY = (0.04, 0.001, 0.05, -0.002, 0.003, 0.03)  # an inertia without any symmetry
@@ -89,24 +89,6 @@ def tree(order=None):
     return urdf(*elements)
 
 
-def hand(*mimics):
-    """Four fingers that slide on the base, each with a <mimic>, or without."""
-    names = ("thumb", "index", "ring", "little")
-    joints = (
-        joint(name, "base", f"{name}_link", "prismatic", more=LIMIT + more)
-        for name, more in zip(names, (*mimics, "", "", "", ""), strict=False)
-    )
-    return urdf(link("base", None), *(link(f"{name}_link") for name in names), *joints)
-
-
-FOLLOWING = hand("", mimic("thumb", -2, 0.25), mimic("index", 0.5), mimic("thumb"))
-
-
-def accompanied(robot):
-    """A robot and, on its base, a joint that follows none and that none follows."""
-    return also(link("other_link") + joint("other", "base", "other_link", "prismatic"), robot)
-
-
 def random_elements(seed, n=8, kinds=("revolute", "prismatic", "fixed", "fixed")):
     """Elements of a tree of n joints of these kinds in shuffled order, with bodies, axes and placements of any kind."""
     rng = np.random.default_rng(seed)
@@ -127,60 +109,7 @@ def random_elements(seed, n=8, kinds=("revolute", "prismatic", "fixed", "fixed")
     return found
 
 
-# --- geometry --------------------------------------------------------------------------------------------------------
-
-
-def rotation(rpy):
-    """Matrix of roll, pitch and yaw: about the fixed x, then y, then z axis."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    return z @ y @ x
-
-
-def about(axis, angle):
-    """Matrix of a turn about a unit axis, by Rodrigues."""
-    x, y, z = axis
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
-
-
-def angles(R):
-    """Roll, pitch and yaw of a matrix, away from a pitch of a quarter turn."""
-    return math.atan2(R[2, 1], R[2, 2]), -math.asin(R[2, 0]), math.atan2(R[1, 0], R[0, 0])
-
-
-def tensor(six):
-    """Matrix of an inertia xx xy yy xz yz zz."""
-    xx, xy, yy, xz, yz, zz = six
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def flat(I):
-    """Numbers xx xy yy xz yz zz of a matrix."""
-    return I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]
-
-
-# --- comparison ------------------------------------------------------------------------------------------------------
-
-
-def same(a, b, tolerance=64 * EPS):
-    """Equal up to rounding relative to the largest entry."""
-    a, b = (torch.as_tensor(x, dtype=torch.float64) for x in (a, b))
-    return a.shape == b.shape and bool((a - b).abs().max() <= tolerance * b.abs().max())
-
-
-def states(n, rows=5, seed=0):
-    """Positions, velocities and accelerations [rows, n]."""
-    g = torch.Generator().manual_seed(seed)
-    return tuple(2 * torch.randn(rows, n, generator=g, dtype=torch.float64) for _ in range(3))
-
-
-def torques(robot, seed=0):
-    """Torques of a robot, or of the robot in a text, in these states."""
-    robot = robot if isinstance(robot, Robot) else Robot.from_urdf(robot)
-    return torchdq.inverse_dynamics(robot, *states(robot.n, seed=seed))
+# --- robots of files -------------------------------------------------------------------------------------------------
 
 
 def position(robot, q, frame):

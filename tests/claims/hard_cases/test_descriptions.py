@@ -39,7 +39,10 @@ BRANCHES = (
 )
 DUST = {"mass": 1e-9, "inertia": (2e-15, 0, 2e-15, 0, 0, 3e-15), "xyz": (1e-3, 0, 0), "rpy": (0, math.pi / 2, 0)}
 TEXTS = {
-    "U1": (link("cross", None), link("tip", 2), joint("c", "lower", "cross"), joint("d", "cross", "tip", axis="1 0 0")),
+    "U1": (
+        *(link("flange", None), link("cross", None), link("tip", 2), fixed("a", "lower", "flange", (0.1, 0.2, 0.3))),
+        *(joint("c", "flange", "cross"), joint("d", "cross", "tip", axis="1 0 0")),
+    ),
     "U5": ON_FIXED_JOINTS,
     "U9": (link("dust", **DUST), joint("j", "lower", "dust", xyz=(1e-3, 0, 0), rpy=(0.3, -math.pi / 2, 0.2))),
     "U10": BRANCHES,
@@ -56,7 +59,7 @@ def reading(id):
 @every_backend_and_dtype
 @every_text
 def test_dynamics_are_those_of_pinocchios_own_reading(id, dtype, backend, margin):
-    """A cross without mass, links on fixed joints, a grain of dust beyond a gimbal, and a tree of all of them."""
+    """A cross and a flange without mass, links on fixed joints, a grain of dust beyond a gimbal, and a tree of all."""
     case = reading(id)
     s = states(case.robot, 5, dtype=dtype)
     tau = torchdq.inverse_dynamics(case.robot, s.q, s.qd, s.qdd, backend=backend)

@@ -81,10 +81,7 @@ READERS = {
 
 
 @pytest.mark.case("U2", "U3", "U8")
-@pytest.mark.parametrize(
-    "kind, batch",
-    [(kind, k) for kind in READERS for k in range(20 if EVERYTHING else 2)],
-)
+@pytest.mark.parametrize("kind, batch", [(kind, k) for kind in READERS for k in range(20 if EVERYTHING else 2)])
 def test_anything_is_a_robot_or_one_of_the_packages_errors(kind, batch):
     read, arguments = READERS[kind]
     robots = 0

@@ -12,8 +12,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 import torch
-from helpers import random, thinned
-from oracles import EPS, random_tree, states
+from helpers import largest, random, thinned
+from oracles import EPS
 from precisions import F32, F64, compiler, every_backend_and_dtype, every_dtype
 from torch.autograd.functional import hessian, jacobian
 
@@ -49,10 +49,6 @@ def derivatives(f, x):
         return (weights * f(y)).sum()
 
     return f(x), jacobian(weighted, x), hessian(weighted, x)
-
-
-def largest(x):
-    return x.detach().abs().max().item()
 
 
 # --- the identity and small angles -----------------------------------------------------------------------------------
@@ -146,9 +142,6 @@ def test_nothing_jumps_in_single_precision_where_the_formula_changes(name, margi
         margin(largest(x - y), 8 * condition * EPS[F32] * max(1.0, largest(x)), f"order {order}")
 
 
-# --- one pose, two dual quaternions ----------------------------------------------------------------------------------
-
-
 @pytest.mark.case("G9")
 @every_dtype
 def test_a_distance_does_not_see_the_sign_of_a_pose(dtype):
@@ -167,9 +160,7 @@ def test_a_distance_does_not_see_the_sign_of_a_pose(dtype):
         assert dq.ad_matrix(middle).equal(dq.ad_matrix(other))
 
 
-# --- a million products ----------------------------------------------------------------------------------------------
-
-PRODUCTS, BETWEEN, AT_ONCE = 1_000_000, 100, 25
+PRODUCTS, BETWEEN, AT_ONCE = 1_000_000, 100, 20
 
 
 def multiplied(x, step):
@@ -198,16 +189,12 @@ def test_a_million_products_stay_a_pose_if_normalised_now_and_then(dtype, normal
         x = dq.normalize(x) if normalised else x
     p, d = x[0].double().split(4)
     length, off = abs(float(p.norm()) - 1), abs(float(p @ d)) / float(d.norm())
-    if normalised:
-        margin(length, 4 * EPS[dtype], "length")
-        margin(off, 8 * EPS[dtype], "P.D")
-    else:
-        # systematic: the rounded step is off unit by less than an ulp, and so is every product
-        margin(length, PRODUCTS * EPS[dtype], "length")
-        margin(off, PRODUCTS * EPS[dtype], "P.D")
+    # else systematic: the rounded step is off unit by less than an ulp, and so is every product
+    margin(length, (4 if normalised else PRODUCTS) * EPS[dtype], "length")
+    margin(off, (8 if normalised else PRODUCTS) * EPS[dtype], "P.D")
 
 
-# --- normalising -----------------------------------------------------------------------------------------------------
+# --- normalising, interpolation, distant frames, axes ----------------------------------------------------------------
 
 
 @pytest.mark.case("G11")
@@ -231,24 +218,13 @@ def test_rows_without_a_direction_leave_the_derivatives_of_the_others_alone(dtyp
 @pytest.mark.case("G11")
 @every_dtype
 def test_short_and_long_quaternions_are_normalised_with_gradients_of_their_inverse_length(dtype, margin):
-    # as far as their squares can be written
-    for length in (1e-15, 1e-4, 1.0, 1e4, 1e15):
-        x = torch.tensor([0.2, 0.4, 0.4, 0.8], dtype=dtype) * length
-        y = dq.normalize(x)
-        margin(abs(float(y.double().norm()) - 1), 4 * EPS[dtype], f"length of {length:g}")
-        margin(largest(jacobian(dq.normalize, x)) * length, 1.0 + 16 * EPS[dtype], f"gradient at {length:g}")
-
-
-@pytest.mark.case("G11")
-@every_dtype
-def test_quaternions_whose_squares_cannot_be_written_are_normalised_too(dtype, margin):
-    for exponent in (20, 30) if dtype == F32 else (160, 300):
+    """Gradients as far as squares of the length can be written."""
+    for exponent in (0, 4, 15, 20, 30) if dtype == F32 else (0, 4, 15, 160, 300):
         for length in (10.0**-exponent, 10.0**exponent):
-            y = dq.normalize(torch.tensor([0.2, 0.4, 0.4, 0.8], dtype=dtype) * length)
-            margin(abs(float(y.double().norm()) - 1), 4 * EPS[dtype], f"length of {length:g}")
-
-
-# --- interpolation ---------------------------------------------------------------------------------------------------
+            x = torch.tensor([0.2, 0.4, 0.4, 0.8], dtype=dtype) * length
+            margin(abs(float(dq.normalize(x).double().norm()) - 1), 4 * EPS[dtype], f"length of {length:g}")
+            if exponent <= 15:
+                margin(largest(jacobian(dq.normalize, x)) * length, 1.0 + 16 * EPS[dtype], f"gradient at {length:g}")
 
 
 def ends():
@@ -272,54 +248,21 @@ def ends():
 def test_interpolation_holds_in_single_precision(case, margin):
     x, y = poses(6, F32, seed=3), ends()[case]
     size = (x.norm(dim=-1) * y.norm(dim=-1) * x.norm(dim=-1)).double()  # of the dual parts that cancel
+
+    def apart(a, b):
+        return (torch.minimum((a - b).norm(dim=-1), (a + b).norm(dim=-1)) / size).max()
+
     for t, end in ((0.0, x), (1.0, y)):
-        found = dq.sclerp(x, y, t).double()
-        apart = torch.minimum((found - end).norm(dim=-1), (found + end).norm(dim=-1))
-        margin((apart / size).max(), 8 * EPS[F32], f"end {t:g}")
+        margin(apart(dq.sclerp(x, y, t).double(), end), 8 * EPS[F32], f"end {t:g}")
     for t in (-0.5, 0.5, 1.5):
-        middle = dq.sclerp(x, y, t).double()
+        middle, exact = dq.sclerp(x, y, t).double(), dq.sclerp(x.double(), y.double(), t)
         margin((middle[:, :4].norm(dim=-1) - 1).abs().max(), 4 * EPS[F32], f"length at {t:g}")
-        exact = dq.sclerp(x.double(), y.double(), t)
-        apart = torch.minimum((middle - exact).norm(dim=-1), (middle + exact).norm(dim=-1))
         far = max(1.0, abs(t)) * (1 + abs(t))  # outside its ends the motion is multiplied
         if case != "half a turn":  # where rounding decides which way is the shorter
-            margin((apart / size).max(), 16 * far * EPS[F32], f"pose at {t:g}")
+            margin(apart(middle, exact), 16 * far * EPS[F32], f"pose at {t:g}")
 
-
-# --- far away --------------------------------------------------------------------------------------------------------
 
 FAR = 1e4  # [m]
-
-
-def moved(robot, by):
-    """The robot with its base frame elsewhere."""
-    X = dq.from_pose(torch.tensor(IDENTITY[:4], dtype=F64), torch.tensor(by, dtype=F64))
-    first = torch.tensor([parent < 0 for parent in robot.parents])[:, None]
-    return robot.replace(X_PB_home=torch.where(first, dq.mul(X, robot.X_PB_home), robot.X_PB_home)).bake()
-
-
-@pytest.mark.case("G13")
-@every_backend_and_dtype
-def test_a_base_ten_kilometres_away_changes_no_torque(dtype, backend, margin):
-    """Frames hold only what is near them, so that in single precision nothing at all is to be seen."""
-    robot = random_tree(3, seed=2).robot
-    s = states(robot, batch=5, dtype=dtype)
-    distant = moved(robot, (0.6 * FAR, -0.48 * FAR, 0.64 * FAR))
-    with torchdq.backend(backend):
-        tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, s.f_tip)
-        far = torchdq.inverse_dynamics(distant, s.q, s.qd, s.qdd, s.f_tip)
-        far_qdd = torchdq.forward_dynamics(distant, s.q, s.qd, tau, s.f_tip)
-        qdd = torchdq.forward_dynamics(robot, s.q, s.qd, tau, s.f_tip)
-    slopes, far_slopes = (torchdq.dynamics_jacobian(r, s.q, s.qd, s.qdd) for r in (robot, distant))
-    M = torchdq.mass_matrix(robot, s.q)
-    # the distance costs the description its digits once, in double precision
-    allowed = 8 * max(EPS[dtype], EPS[F64] * (1 + FAR) if dtype == F64 else 0.0)
-    margin(largest(far - tau) / largest(tau), allowed, "torques")
-    for name, x, y in zip(("in q", "in qd", "M"), far_slopes, slopes, strict=True):
-        margin(largest(x - y) / largest(y), allowed, f"derivatives {name}")
-    D = M.double().diagonal(dim1=-2, dim2=-1).rsqrt()
-    condition = float(torch.linalg.cond(D[..., None] * M.double() * D[..., None, :]).max())
-    margin(largest(far_qdd - qdd) / largest(qdd), allowed * condition, "accelerations")
 
 
 @pytest.mark.case("G13")
@@ -342,9 +285,6 @@ def test_the_adjoint_of_a_distant_frame_loses_the_digits_of_the_distance(dtype, 
             margin(off[1] / size, 8 * EPS[dtype] * (1 + far), "linear")
     back = dq.ad(dq.conj(x), found)
     margin(largest(back - m), 16 * EPS[dtype] * (1 + 2 * reach) * largest(m), "there and back")
-
-
-# --- axes ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.case("G14")

@@ -17,7 +17,7 @@ import torch
 from helpers import EVERYTHING, FIXED, INERTIA, WHEEL, called, double, one_thread, random, thinned  # noqa: F401
 from messages import warned
 from oracles import EPS, pinocchio_model, shipped
-from precisions import F32, F64, C, compiled, every_backend, every_backend_and_dtype, every_dtype
+from precisions import F32, F64, C, compiled, eager_first, every_backend_and_dtype, every_dtype, single_compiled
 from scenes import ARM, rolled, swinging, trace
 from scipy.integrate import solve_ivp
 
@@ -79,7 +79,7 @@ def damped(integrator, backend, k):
 
 @pytest.mark.case("T1")
 @compiled
-@pytest.mark.parametrize("integrator", ORDERS, ids=called)
+@pytest.mark.parametrize("integrator", thinned(ORDERS, [*ORDERS][2::2] + [*ORDERS][-1:]), ids=called)
 def test_the_error_falls_with_the_order_over_two_quarterings(integrator, backend, margin):
     order, coarsest = ORDERS[integrator]
     starts, ends = ends_by_scipy()
@@ -93,8 +93,8 @@ def test_the_error_falls_with_the_order_over_two_quarterings(integrator, backend
 
 
 @pytest.mark.case("T1")
-@pytest.mark.parametrize("backend", [*thinned(["eager"], []), C])
-@pytest.mark.parametrize("integrator", FIXED, ids=called)
+@compiled
+@pytest.mark.parametrize("integrator", thinned(FIXED, FIXED[2:]), ids=called)
 def test_single_precision_follows_to_its_rounding(integrator, backend, margin):
     starts, _ = ends_by_scipy()
     with torch.no_grad():
@@ -119,9 +119,14 @@ CART = torchdq.Robot.from_screws(
 
 @pytest.mark.case("T3")
 @compiled
-@every_dtype
-@pytest.mark.parametrize("integrator", [StoermerVerlet(), RungeKutta4()], ids=called)
-@pytest.mark.parametrize("robot", [ARM, CART], ids=["about an axis", "along a rail"])
+@pytest.mark.parametrize(
+    "robot, integrator, dtype",
+    thinned(
+        [*itertools.product((ARM, CART), (StoermerVerlet(), RungeKutta4()), (F64, F32))],
+        [(ARM, StoermerVerlet(), F64), (CART, StoermerVerlet(), F32), (CART, RungeKutta4(), F64)],
+    ),
+    ids=lambda x: called(x) if isinstance(x, Integrator) else getattr(x, "name", str(x)),
+)
 def test_a_momentum_that_nothing_acts_on_is_kept(robot, integrator, dtype, backend, margin):
     """By pinocchio's mass matrix; 1e4 steps of 2.5 ms."""
     scene = Scene(robot, integrator=integrator, dt=2.5e-3, backend=backend)
@@ -142,7 +147,9 @@ def test_a_momentum_that_nothing_acts_on_is_kept(robot, integrator, dtype, backe
 @pytest.mark.case("T3")
 @compiled
 @every_dtype
-@pytest.mark.parametrize("integrator, factor", [(StoermerVerlet(), 2.0), (RungeKutta4(), 0.05)], ids=["Verlet", "RK4"])
+@pytest.mark.parametrize(
+    "integrator, factor", thinned([(StoermerVerlet(), 2.0), (RungeKutta4(), 0.05)], [(StoermerVerlet(), 2.0)]), ids=str
+)
 def test_a_motion_played_back_returns_to_rounding(integrator, factor, dtype, backend, margin):
     """In double precision, Runge-Kutta to 1e-9 of its order, and Verlet to that of its iterations."""
     scene = Scene(ARM, (effects.Gravity(),), integrator=integrator, dt=1e-3, backend=backend)
@@ -168,7 +175,7 @@ class Spring(System):
         return [-x[0]]
 
 
-def evaluations(rtol, atol, dtype, T=5.0):
+def evaluations(rtol, atol, dtype, T=1.0):
     """End of x'' = -x by tolerances, and how often its right side was asked for."""
     calls = []
     spring = Spring(calls)
@@ -182,7 +189,7 @@ def test_a_tolerance_below_rounding_ends_and_costs_no_more_than_one_at_it(dtype,
     x, v, number = evaluations(1e-30, 1e-300 if dtype == F64 else 1e-38, dtype)
     _, _, at_rounding = evaluations(100 * EPS[dtype], 1e-300 if dtype == F64 else 1e-38, dtype)
     assert number == at_rounding
-    margin(max(abs(x - math.cos(5.0)), abs(v + math.sin(5.0))), 100 * EPS[dtype], f"{dtype}")
+    margin(max(abs(x - math.cos(1.0)), abs(v + math.sin(1.0))), 100 * EPS[dtype], f"{dtype}")
 
 
 @pytest.mark.case("T5")
@@ -192,7 +199,8 @@ def test_a_tolerance_below_rounding_is_reported():
 
 
 @pytest.mark.case("T5", "T6")
-@every_backend_and_dtype
+@eager_first
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F32]), ids=str)
 def test_samples_with_adaptive_steps_are_bitwise_what_they_are_alone(dtype, backend):
     """Together with a stiff one, a fast one, one that is NaN, and one that is infinite."""
     q, qd = random(2, 6, 2, seed=1, dtype=dtype)
@@ -248,7 +256,7 @@ def differences(f, x, h):
 @cache
 def slope_of_the_flow():
     with torch.no_grad():
-        return differences(flowed(1e-12, "eager"), POINT, 0.01)
+        return differences(flowed(1e-12, "auto"), POINT, 0.01)
 
 
 def gradient_of(end, x):
@@ -257,11 +265,16 @@ def gradient_of(end, x):
 
 
 @pytest.mark.case("T7")
-@every_backend
-def test_gradients_through_adaptive_steps_are_finite_differences(backend, margin):
+@compiled
+@pytest.mark.parametrize(
+    "rtol, dtype, allowed", [(1e-10, F64, 1e-9), (1e-2, F64, 1e-2), (1e-4, F64, 1e-4), (1e-4, F32, 1e-4)], ids=str
+)
+def test_gradients_through_adaptive_steps_are_finite_differences_up_to_the_tolerance(
+    rtol, dtype, allowed, backend, margin
+):
     gradient = slope_of_the_flow()
-    found = gradient_of(flowed(1e-10, backend), POINT)
-    margin((found - gradient).abs().max() / gradient.abs().max(), 10 * 1e-10, "gradient at a tolerance of 1e-10")
+    found = gradient_of(flowed(rtol, backend), POINT.to(dtype))
+    margin((found - gradient).abs().max() / gradient.abs().max(), allowed, f"gradient at a tolerance of {rtol:g}")
 
 
 @pytest.mark.case("T7")
@@ -273,15 +286,6 @@ def test_second_derivatives_through_adaptive_steps_are_finite_differences(backen
     found = torch.stack([torch.autograd.grad(y, x, retain_graph=True)[0] for y in slope])
     margin((found - found.mT).abs().max() / found.abs().max(), 16 * EPS[F64], "symmetry of the Hessian")
     margin((found - hessian).abs().max() / hessian.abs().max(), 10 * 1e-10, "Hessian at a tolerance of 1e-10")
-
-
-@pytest.mark.case("T7")
-@compiled
-@pytest.mark.parametrize("rtol, dtype", [(1e-2, F64), (1e-3, F64), (1e-4, F64), (1e-4, F32)], ids=str)
-def test_gradients_at_a_loose_tolerance_are_off_by_about_as_much(rtol, dtype, backend, margin):
-    gradient = slope_of_the_flow()
-    found = gradient_of(flowed(rtol, backend), POINT.to(dtype))
-    margin((found - gradient).abs().max() / gradient.abs().max(), rtol, f"gradient at a tolerance of {rtol:g}")
 
 
 # --- T8: long gradients ----------------------------------------------------------------------------------------------
@@ -304,29 +308,22 @@ DRIVEN = double(0.3, -0.4, 0.8, -0.5, 4.0, 2.0, 1.0, -0.5)
 
 @pytest.mark.case("T8")
 @compiled
-@pytest.mark.parametrize(
-    "integrator", thinned(FIXED[1:], (LinearlyImplicit(), RungeKutta4(), StoermerVerlet())), ids=called
-)
+@pytest.mark.parametrize("integrator", thinned(FIXED[1:], (LinearlyImplicit(), StoermerVerlet())), ids=called)
 def test_gradients_through_a_thousand_steps_are_finite_differences(integrator, backend, margin):
+    """In single precision to its rounding."""
     end = after_a_thousand(integrator, backend)
     found = gradient_of(end, DRIVEN)
     with torch.no_grad():
         expected = differences(end, DRIVEN, 1e-3)
     margin((found - expected).abs().max() / found.abs().max(), 1e-10, called(integrator))
+    if EVERYTHING or integrator == LinearlyImplicit():
+        single = gradient_of(end, DRIVEN.float())
+        margin((single - found).abs().max() / found.abs().max(), 4 * EPS[F32] * 1000**0.5, f"{called(integrator)}, F32")
 
 
 @pytest.mark.case("T8")
 @compiled
-@pytest.mark.parametrize("integrator", thinned([SemiImplicitEuler(), RungeKutta4()], [SemiImplicitEuler()]), ids=called)
-def test_in_single_precision_gradients_through_a_thousand_steps_are_as_good(integrator, backend, margin):
-    exact = gradient_of(after_a_thousand(integrator, backend), DRIVEN)
-    found = gradient_of(after_a_thousand(integrator, backend), DRIVEN.float())
-    margin((found - exact).abs().max() / exact.abs().max(), 4 * EPS[F32] * 1000**0.5, called(integrator))
-
-
-@pytest.mark.case("T8")
-@compiled
-@every_dtype
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F32]), ids=str)
 def test_gradients_without_damping_grow_but_stay_numbers(dtype, backend):
     """The pendulum thrown over, where a thousand steps of 10 ms amplify a disturbance a millionfold."""
     scene = Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4(), dt=1e-2, backend=backend)
@@ -347,8 +344,11 @@ BOUNDS = {SemiImplicitEuler(): 2 * (math.sqrt(2) - 1), ExplicitEuler(): 2.0, Run
 
 @pytest.mark.case("T9")
 @compiled
-@every_dtype
-@pytest.mark.parametrize("integrator", BOUNDS, ids=called)
+@pytest.mark.parametrize(
+    "integrator, dtype",
+    thinned([*itertools.product(BOUNDS, (F64, F32))], [*zip(BOUNDS, (F64, F32, F64), strict=True)]),
+    ids=lambda x: called(x) if isinstance(x, Integrator) else str(x),
+)
 def test_explicit_integrators_are_stable_up_to_their_bound_and_no_further(integrator, dtype, backend, margin):
     h, ratio = 2e-3, double(*np.linspace(0.9, 1.1, 41))[:, None]
     w = BOUNDS[integrator] * ratio / h
@@ -365,7 +365,7 @@ def test_explicit_integrators_are_stable_up_to_their_bound_and_no_further(integr
 
 
 @pytest.mark.case("T9")
-@every_backend_and_dtype
+@single_compiled
 def test_implicit_servos_of_any_gain_arrive_without_overshoot(dtype, backend, margin):
     """Critically damped, w h from 0.1 to 1e5 (200 Hz at 2 ms is 2.5); 5 % would be allowed."""
     h = 2e-3
@@ -381,22 +381,20 @@ def test_implicit_servos_of_any_gain_arrive_without_overshoot(dtype, backend, ma
 
 
 @pytest.mark.case("T9")
-@compiled
-@every_dtype
-def test_a_servo_of_200_hertz_at_2_milliseconds_is_that_of_tiny_steps_once_it_rests(dtype, backend, margin):
-    """On an arm under gravity; on the way there a first-order step of a fortieth of a period has no more to say."""
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F64]), ids=str)
+def test_a_servo_of_200_hertz_at_2_milliseconds_rests_where_the_torques_of_an_arm_balance(dtype, margin):
+    """Without overshoot, although the step is a fortieth of a period."""
     w = 2 * math.pi * 200
     kp, kd = (w**2 * double(1.0, 0.3)).tolist(), (2 * w * double(1.0, 0.3)).tolist()
     parts, target = (effects.Gravity(), effects.Servo(kp, kd)), double(0.7, -0.4).to(dtype)
     start = State(torch.zeros(2, dtype=dtype), torch.zeros(2, dtype=dtype))
+    scene = Scene(ARM, parts, integrator=LinearlyImplicit(), dt=2e-3)
     with torch.no_grad():
-        coarse, fine = (
-            trace(Scene(ARM, parts, integrator=LinearlyImplicit(), dt=h, backend=backend), start, steps, target=target)
-            for h, steps in ((2e-3, 100), (4e-5, 5000))
-        )
-    over = ((coarse.q - target) * target.sign()).max() / target.abs().max()
-    margin(max(float(over), 0.0), 0.05, "overshoot")
-    margin(largest([coarse.q[-1]], [fine.q[-1]]) / 0.7, 64 * EPS[dtype], "end")
+        q = trace(scene, start, 100, target=target).q
+    margin(max(float(((q - target) * target.sign()).max() / 0.7), 0.0), 0.05, "overshoot")
+    end = q[-1].double()
+    off = torchdq.inverse_dynamics(ARM, end) - double(*kp) * (target.double() - end)
+    margin((off / double(*kp)).abs().max() / 0.7, 64 * EPS[dtype], "end")
 
 
 # --- T10: dry friction -----------------------------------------------------------------------------------------------
@@ -408,7 +406,7 @@ def creeping(level, tau, width):
 
 
 @pytest.mark.case("T10")
-@every_backend_and_dtype
+@single_compiled
 def test_creep_is_that_of_the_width_and_so_are_its_derivatives(dtype, backend, margin):
     """Speed, and its first and second derivatives in torque, level and width, when it has settled."""
     # the nearer the level, the longer it takes to settle
@@ -479,7 +477,7 @@ def test_a_step_from_rest_has_the_derivatives_of_its_formula_however_steep(width
 
 
 @pytest.mark.case("T10")
-@every_backend_and_dtype
+@single_compiled
 @pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])
 def test_friction_brings_a_joint_to_rest_without_chatter(width, dtype, backend):
     parts = (effects.Coulomb(1.0, torch.tensor(width)),)
@@ -493,7 +491,7 @@ def test_friction_brings_a_joint_to_rest_without_chatter(width, dtype, backend):
 
 @pytest.mark.case("T10")
 @compiled
-@every_dtype
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F32]), ids=str)
 def test_an_arm_under_dry_friction_never_gains_energy(dtype, backend, margin):
     """From slow motion, in which a first-order step of rigid bodies alone gains next to nothing."""
     q, qd = random(2, 50, 2, seed=2, dtype=dtype)
@@ -510,7 +508,7 @@ def test_an_arm_under_dry_friction_never_gains_energy(dtype, backend, margin):
 
 
 @pytest.mark.case("T11")
-@every_backend_and_dtype
+@single_compiled
 @pytest.mark.parametrize("dissipation", [0.0, 1.0])
 @pytest.mark.parametrize("stiffness, h", [(1e6, 1e-2), (1e7, 1e-3), (1e8, 1e-2)])
 def test_no_bounce_gains_speed_or_goes_deeper_than_a_step(stiffness, h, dissipation, dtype, backend, margin):
@@ -530,13 +528,6 @@ def test_no_bounce_gains_speed_or_goes_deeper_than_a_step(stiffness, h, dissipat
     margin(((q.double() - 0.1) / (h * speed.double()) - rounding).max(), 1.0, "depth in steps")
 
 
-def limit_torque(q, qd, stiffness, dissipation):
-    """Torque of limits at -1 and 1, from the acceleration it causes."""
-    parts = (effects.JointLimits(-1.0, 1.0, stiffness, dissipation),)
-    scene = Scene(WHEEL, parts, integrator=ExplicitEuler(), dt=1.0)
-    return INERTIA * (scene.step(State(q, qd)).qd - qd)
-
-
 @pytest.mark.case("T11")
 def test_the_torque_of_a_limit_is_lipschitz_across_it(margin):
     """Continuous, with slope at most k (1 + c v) in the position and k c p in the velocity.
@@ -544,23 +535,24 @@ def test_the_torque_of_a_limit_is_lipschitz_across_it(margin):
     Not C1 as the catalogue has it: a spring that is linear in the depth, which the implicit step needs, bends at the
     limit. The bend is the stiffness, however close one looks.
     """
-    k, c = 1e4, 2.0
+    k, c, line = 1e4, 2.0, double(*np.linspace(-1, 1, 41))[:, None]
+    scene = Scene(WHEEL, (effects.JointLimits(-1.0, 1.0, k, c),), integrator=ExplicitEuler(), dt=1.0)
+
+    def rise(q, qd):
+        """Largest change from a row to the next, but for rounding: torques are read off accelerations, next to qd."""
+        tau = INERTIA * (scene.step(State(q, qd)).qd - qd)
+        return (tau[1:] - tau[:-1]).abs().max() - 4 * EPS[F64] * (INERTIA * qd.abs().max() + tau.abs().max())
+
     for distance in (1e-3, 1e-6, 1e-9, 1e-12):
-        q = (1.0 + distance * double(*np.linspace(-1, 1, 41)))[:, None]
-        v = double(*np.linspace(-2, 2, 41))[:, None]
-        for qd in (torch.full_like(q, 1.5), torch.full_like(q, -1.5)):
-            tau = limit_torque(q, qd, k, c)
-            rise = (tau[1:] - tau[:-1]).abs()
-            # the torque is read off an acceleration, next to a velocity of 1.5
-            noise = 4 * EPS[F64] * (1.5 * INERTIA + tau.abs().max())
-            margin((rise - noise).max() / (k * (1 + c * 1.5) * (q[1:] - q[:-1]).max()), 1.01, "slope in the position")
-        tau = limit_torque(torch.full_like(v, 1.0 + distance), v, k, c)
-        rise, noise = (tau[1:] - tau[:-1]).abs(), 4 * EPS[F64] * (2 * INERTIA + tau.abs().max())
-        margin((rise - noise).max() / (k * c * distance * 0.1), 1.01, "slope in the velocity")
+        q = 1.0 + distance * line
+        for v in (1.5, -1.5):
+            most = k * (1 + c * 1.5) * (q[1:] - q[:-1]).max()
+            margin(rise(q, torch.full_like(q, v)) / most, 1.01, "slope in the position")
+        margin(rise(torch.full_like(q, 1.0 + distance), 2 * line) / (k * c * distance * 0.1), 1.01, "in the velocity")
 
 
 @pytest.mark.case("T11")
-@every_backend
+@eager_first
 def test_gradients_through_a_bounce_are_finite_differences(backend, margin):
     """Of the state after it, in speed, stiffness and dissipation."""
 
@@ -592,20 +584,13 @@ def test_derivatives_exactly_at_a_limit_are_finite(qd, dtype, backend):
     assert state.q.isfinite().all() and slope.isfinite().all() and curve.isfinite().all()
 
 
-# --- T12: a body that tumbles ----------------------------------------------------------------------------------------
+# --- T12, T13, T14: a body that tumbles, states that are not finite, effects that are zero ---------------------------
 
 # Three slides and three hinges without mass carry one body. Its middle axis is along z at zero, where it turns first;
 # the middle hinge stays within 30 degrees, far from where hinges one and three align.
 MASS, CENTRE, MOMENTS = 1.5, np.array([0.1, 0.2, -0.1]), np.diag([2.4, 1.0, 1.8])
 TUMBLING = torchdq.Robot.from_screws(
-    [
-        [0, 0, 0, 1, 0, 0],
-        [0, 0, 0, 0, 1, 0],
-        [0, 0, 0, 0, 0, 1],
-        [0, 0, 1, 0, 0, 0],
-        [1, 0, 0, 0, 0, 0],
-        [0, 1, 0, 0, 0, 0],
-    ],
+    np.eye(6)[[3, 4, 5, 2, 0, 1]],
     [0.0] * 5 + [MASS],
     [[0.0] * 3] * 5 + [CENTRE],
     [np.zeros((3, 3))] * 5 + [MOMENTS],
@@ -627,57 +612,38 @@ def conserved(states):
     return energy, momentum, np.cross(p + arm, momentum) + spin, R
 
 
-@cache
-def tumbled(dtype, backend, steps=10_000, h=1e-3):
-    scene = Scene(TUMBLING, integrator=RungeKutta4(), dt=h, backend=backend)
-    with torch.no_grad():
-        return trace(scene, cast(TUMBLING_START, dtype), steps)
-
-
 @pytest.mark.case("T12")
 @compiled
 @every_dtype
-def test_a_tumbling_body_keeps_energy_and_momenta(dtype, backend, margin):
-    """1e4 steps of 1 ms, to rounding, a hundred times below the 1e-9 that are asked for."""
-    energy, momentum, angular, R = conserved(tumbled(dtype, backend))
-    along = R[:, :, 2] @ angular[0]
-    assert along.min() < -0.9 * np.linalg.norm(angular[0]) and along.max() > 0.9 * np.linalg.norm(
-        angular[0]
-    )  # it flips
+def test_a_tumbling_body_keeps_energy_and_momenta_and_turns_as_eulers_equations_say(dtype, backend, margin):
+    """1e4 steps of 1 ms, to rounding; Euler's equations with a quaternion by DOP853 know nothing of hinges."""
+    scene = Scene(TUMBLING, integrator=RungeKutta4(), dt=1e-3, backend=backend)
+    with torch.no_grad():
+        energy, momentum, angular, R = conserved(trace(scene, cast(TUMBLING_START, dtype), 10_000))
+    along = R[:, :, 2] @ angular[0] / np.linalg.norm(angular[0])
+    assert along.min() < -0.9 and along.max() > 0.9  # it flips
     for what, x in (("energy", energy[:, None]), ("momentum", momentum), ("angular momentum", angular)):
         off = np.abs(x - x[0]).max() / np.linalg.norm(x[0])
         margin(off, 4 * EPS[dtype] * 10_000, f"{what}, {dtype}")
         assert dtype == F32 or off < 1e-9
-
-
-@pytest.mark.case("T12")
-@compiled
-@every_dtype
-def test_a_tumbling_body_turns_as_eulers_equations_say(dtype, backend, margin):
-    """Euler's equations with a quaternion by DOP853, which know nothing of hinges; errors grow with every flip."""
-    _, momentum, angular, R = conserved(tumbled(dtype, backend))
     inverse = np.linalg.inv(MOMENTS)
-    quaternion = pin.Quaternion(np.ascontiguousarray(R[0])).coeffs()  # x y z w
-    arm = R[0] @ CENTRE
-    spin = angular[0] - np.cross(TUMBLING_START.q[:3].numpy() + arm, momentum[0])
+    spin = angular[0] - np.cross(TUMBLING_START.q[:3].numpy() + R[0] @ CENTRE, momentum[0])
 
     def rates(_, y):
         w = inverse @ y[4:]
         turn = pin.Quaternion(np.array(y[:4])) * pin.Quaternion(0.0, *w)
         return np.concatenate([0.5 * turn.coeffs(), np.cross(y[4:], w)])
 
-    start = np.concatenate([quaternion, R[0].T @ spin])
+    start = np.concatenate([pin.Quaternion(np.ascontiguousarray(R[0])).coeffs(), R[0].T @ spin])  # x y z w
     end = solve_ivp(rates, (0.0, 10.0), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:4, -1]
     exact = pin.Quaternion(end / np.linalg.norm(end)).matrix()
     growth = 2e3  # of a disturbance between the flips: exp(2.2 1/s) over 3.5 s
     margin(np.abs(R[-1] - exact).max(), 4 * growth * EPS[dtype] * 100, f"rotation after 10 s, {dtype}")
 
 
-# --- T13: a state that stops being finite ----------------------------------------------------------------------------
-
 SIMULATED = (effects.Gravity(), effects.Viscous(0.3), effects.Coulomb(0.2, 1e-3), effects.JointLimits(-2.0, 2.0))
 DIVERGING = (LinearlyImplicit(), RungeKutta4(), DormandPrince(1e-4, 1e-6))
-KEPT = [*zip(DIVERGING, "ccc", (F64, F32, F64), strict=True)]
+KEPT = [(DIVERGING[0], "c", F32), (DIVERGING[2], "c", F64)]
 
 
 @pytest.mark.case("T13")
@@ -718,20 +684,13 @@ def test_a_row_that_diverges_takes_no_other_with_it_in_a_hundred_steps(integrato
     assert torch.equal(nonfinite[:, 4].nonzero()[:, 0], torch.arange(steps // 2, steps))
 
 
-# --- T14: effects on demand ------------------------------------------------------------------------------------------
-
-
-OFF = {
-    "Viscous": lambda zero: effects.Viscous(zero),
-    "Coulomb": lambda zero: effects.Coulomb(zero),
+OFF = {kind: getattr(effects, kind) for kind in ("Viscous", "Coulomb", "Quadratic", "LoadDependent", "RotorInertia")}
+OFF |= {
     "Stribeck": lambda zero: effects.Stribeck(zero, zero),
-    "Quadratic": lambda zero: effects.Quadratic(zero),
     "Directional": lambda zero: effects.Directional(zero, zero),
-    "LoadDependent": lambda zero: effects.LoadDependent(zero),
     "Ripple": lambda zero: effects.Ripple(0.1, zero, zero),
     "Spring": lambda zero: effects.Spring(zero, 0.3),
     "Limits": lambda zero: effects.JointLimits(-0.1, 0.1, zero),
-    "RotorInertia": lambda zero: effects.RotorInertia(zero),
     "Drag": lambda zero: effects.Drag(zero, zero, zero),
 }
 
@@ -751,7 +710,7 @@ def stepped(parts, integrator, dtype, backend):
         *((SemiImplicitEuler(), OFF, "eager", dtype) for dtype in thinned((F64, F32), (F64,))),
         *((LinearlyImplicit(), OFF, "eager", dtype) for dtype in thinned((F64, F32), (F32,))),
         *((RungeKutta4(), OFF, "eager", dtype) for dtype in thinned((F64, F32), ())),
-        pytest.param(SemiImplicitEuler(), ["Coulomb"], "c", F32, marks=C.marks),
+        *(pytest.param(SemiImplicitEuler(), kinds, "c", F32, marks=C.marks) for kinds in thinned([["Coulomb"]], [])),
     ],
     ids=lambda x: called(x) if isinstance(x, Integrator) else "" if x is OFF else str(x),
 )

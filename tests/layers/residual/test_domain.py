@@ -1,5 +1,6 @@
 """Where a learned residual acts: as trained in the trained states, not at all far away, never beyond its bound."""
 
+import copy
 import pickle
 
 import torch
@@ -25,9 +26,6 @@ def acting(robot=TWO, size=1.0, inputs="joint"):
         for k, p in enumerate(layer.network.parameters()):
             p.copy_(size * random(*p.shape, seed=10 + k))
     return layer, (q, qd, qdd)
-
-
-# --- the gate --------------------------------------------------------------------------------------------------------
 
 
 def test_a_domain_is_one_on_its_rows_zero_far_away_and_falls_between():
@@ -58,6 +56,8 @@ def test_the_gate_has_two_derivatives_everywhere():
         return domain(t[None, None])[0]
 
     value, slopes = torch.func.vmap(along), torch.func.vmap(torch.func.grad(along))
+    falls = ((value(t) > 0) & (value(t) < 1)).nonzero()[:, 0]
+    t = t[falls[0] - 9 : falls[-1] + 10]
     first, second = slopes(t), torch.func.vmap(torch.func.grad(torch.func.grad(along)))(t)
     assert torch.allclose(first, (value(t + h) - value(t - h)) / (2 * h), atol=1e-5)
     assert torch.allclose(second, (slopes(t + h) - slopes(t - h)) / (2 * h), atol=1.0)
@@ -83,9 +83,6 @@ def test_a_network_of_all_joints_is_trusted_where_all_of_them_were_trained():
     fast = qd.clone()
     fast[:, 1] = 100.0
     assert not layer.residual(q, fast).any() and torch.equal(layer(q, fast, qdd), layer.model(q, fast, qdd))
-
-
-# --- the bound -------------------------------------------------------------------------------------------------------
 
 
 @all_in_one([1e3, 1e12])
@@ -115,13 +112,10 @@ def test_computed_torque_with_a_network_that_went_wrong_stays_bounded_and_the_ar
     goal = double(0.4, -0.3)
     with torch.no_grad():
         held = (goal, 0 * goal, 0 * goal)
-        path = scene.rollout(scene.start(goal), steps=500, policy=lambda s, k: wild(s.q, s.qd, *held)).q
+        path = scene.rollout(scene.start(goal), steps=200, policy=lambda s, k: wild(s.q, s.qd, *held)).q
         M = torchdq.mass_matrix(TWO, path)
         worst = torch.linalg.inv(M).abs() @ layer.bound
     assert float((path - goal).abs().max()) <= 1.1 * float(worst.max()) / 100.0
-
-
-# --- as a module -----------------------------------------------------------------------------------------------------
 
 
 def test_gate_bound_and_weights_are_part_of_the_state():
@@ -130,7 +124,7 @@ def test_gate_bound_and_weights_are_part_of_the_state():
     layer.remaining.copy_(double(0.5, 0.7))
     other = ResidualDynamics(torchdq.DQRNEA(TWO), hidden=(8, 5)).double()
     other.load_state_dict(layer.state_dict())
-    for twin in (other, pickle.loads(pickle.dumps(layer))):
+    for twin in (other, copy.deepcopy(layer), pickle.loads(pickle.dumps(layer))):
         for scale in (1.0, 3.0, 30.0):
             moved = [scale * y for y in x]
             assert torch.equal(twin(*moved), layer(*moved))
@@ -148,6 +142,7 @@ def test_a_traced_graph_equals_the_layer_where_the_gate_falls():
     layer, x = acting()
     torch._dynamo.reset()
     traced = torch.compile(layer, backend="aot_eager", fullgraph=True)
-    for scale in (1.0, 2.0, 4.0):
-        moved = [scale * y for y in x]
-        assert torch.allclose(traced(*moved), layer(*moved), rtol=1e-12, atol=1e-12)
+    with torch.no_grad():
+        for scale in (1.0, 2.0, 4.0):
+            moved = [scale * y for y in x]
+            assert torch.allclose(traced(*moved), layer(*moved), rtol=1e-12, atol=1e-12)

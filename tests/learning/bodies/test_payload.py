@@ -6,10 +6,9 @@ The references are `Robot.with_payload`, draws of the noise, and recordings of a
 import math
 import warnings
 
-import numpy as np
 import pytest
 import torch
-from helpers import random
+from helpers import EVERYTHING, all_in_one, random
 from messages import refused, warned
 from recorded_logs import fitted, recordings
 
@@ -50,8 +49,8 @@ def arm():
 @pytest.fixture(scope="module")
 def empty(arm):
     """Identified arm without payload, from noisy torques with friction."""
-    q, qd, qdd = moving(2000)
-    return fitted(arm, q, qd, qdd, with_friction(arm, q, qd, qdd, seed=1))
+    moved = moving(2000)
+    return fitted(arm, *moved, with_friction(arm, *moved, seed=1))
 
 
 def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
@@ -65,23 +64,21 @@ def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
 
 @pytest.mark.parametrize("frame", [None, "wrist_2_link"])
 def test_exact_torques_give_the_exact_payload(arm, frame):
-    q, qd, qdd = moving(300)
+    moved = moving(300)
     heavy = arm.with_payload(MASS, COM, INERTIA, frame=frame)
-    tau = torchdq.inverse_dynamics(heavy, q, qd, qdd)
-    found = identify_payload(exact(arm, q, qd, qdd), q, qd, qdd, tau, frame=frame, prior=1e-4)
+    tau = torchdq.inverse_dynamics(heavy, *moved)
+    found = identify_payload(exact(arm, *moved), *moved, tau, frame=frame, prior=1e-4)
     assert found.frame == frame or frame is None
     assert torch.allclose(values(found), TRUTH, rtol=1e-3, atol=1e-4)
-    states = moving(20, seed=3)
-    again = torchdq.inverse_dynamics(found.robot, *states)
-    expected = torchdq.inverse_dynamics(heavy, *states)
+    again, expected = (torchdq.inverse_dynamics(robot, *moving(20, seed=3)) for robot in (found.robot, heavy))
     assert float((again - expected).abs().max()) < 1e-3 * float(expected.abs().max())
 
 
 def test_errors_are_those_that_noise_makes(arm, empty):
-    """Mean square of the deviations over the stated errors, of 40 draws of the noise of 150 samples each."""
+    """Mean square of the deviations over the stated errors, over draws of the noise of 150 samples each."""
     heavy = arm.with_payload(MASS, COM, INERTIA)
     squares = []
-    for k in range(40):
+    for k in range(40 if EVERYTHING else 15):
         q, qd, qdd = moving(150, seed=10 + k)
         found = identify_payload(empty, q, qd, qdd, with_friction(heavy, q, qd, qdd, seed=k), prior=1e-3)
         errors = torch.cat([found.mass_error[None], found.com_error, found.inertia_error])
@@ -128,7 +125,7 @@ def test_correlated_faults_of_the_empty_arm_widen_the_errors(arm, empty):
 
 
 def test_no_payload_is_none_within_its_error(arm, empty):
-    for k in range(5):
+    for k in range(3):
         q, qd, qdd = moving(300, seed=20 + k)
         tau = empty.predict(q, qd, qdd).tau + 0.2 * random(300, 6, seed=k)
         found = identify_payload(empty, q, qd, qdd, tau)
@@ -148,8 +145,8 @@ MISUSE = {
 }
 
 
-@pytest.mark.parametrize("misuse", MISUSE)
-def test_misuse_is_refused(empty, misuse):
+@all_in_one(MISUSE)
+def test_misuse_is_refused(misuse, empty):
     with refused((ArgumentError, UnknownNameError)):
         MISUSE[misuse](empty, random(10, 6))
 
@@ -192,9 +189,6 @@ def test_unidentifiable_parameters_of_the_payload_are_listed():
     assert "not identifiable one by one" in str(found) and float(found.mass) == pytest.approx(2.0, abs=0.01)
 
 
-# --- a real arm ------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def recorded(arm):
     """Identification of the empty UR10e, and its motion with and without 2.805 kg."""
@@ -227,15 +221,6 @@ def test_seconds_of_motion_agree_within_their_errors(recorded):
     assert float(squares.mean()) < 3
     assert float(mass.std()) < 0.15
     assert math.isclose(float(mass.mean()), 2.5, rel_tol=0.1)
-
-
-def test_motions_are_taken_as_their_rows_are():
-    robot = torchdq.robots.load("two_link")
-    q, qd, qdd = moving(200, seed=3, n=2)
-    empty = exact(robot, q, qd, qdd)
-    tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.1)), q, qd, qdd)
-    motion = Motion(np.arange(200.0), *(x.numpy() for x in (q, qd, qdd, tau)))
-    assert torch.equal(identify_payload(empty, motion).mass, identify_payload(empty, q, qd, qdd, tau).mass)
 
 
 def test_motions_with_filtered_directions_are_predicted_by_them(arm):

@@ -17,6 +17,7 @@ from torchdq.learning import LogWarning, Model, Samples, fit, identify
 from torchdq.learning.evaluation.diagnostics import diagnose
 
 ROBOTS = ("two_link", "panda", "ur10e", "puma560")
+ARMS = thinned(ROBOTS, ("two_link", "ur10e", "puma560"))
 
 
 def found(robot, data):
@@ -29,17 +30,16 @@ def warned(robot, data, **options):
     return with_findings(fitted, robot, *data, **options)[1]
 
 
-def exchanged(x, i, j):
-    order = list(range(x.shape[1]))
-    order[i], order[j] = j, i
-    return x[:, order]
+def exchanged(x):
+    """Columns of a signal, of which the second and the third have changed places."""
+    return x[:, [0, 2, 1, *range(3, x.shape[1])]]
 
 
 def negative(x, j):
     return torch.where(torch.arange(x.shape[1]) == j, -x, x)
 
 
-@pytest.mark.parametrize("name", thinned(ROBOTS, ("two_link", "ur10e", "puma560")))
+@pytest.mark.parametrize("name", thinned(ROBOTS, ("two_link", "puma560")))
 @pytest.mark.parametrize("seed", thinned([0, 1], [0]))
 def test_a_robot_that_differs_from_its_description_has_no_findings(name, seed):
     robot, data = recorded(name, seed)
@@ -51,13 +51,12 @@ def test_a_robot_that_differs_from_its_description_has_no_findings(name, seed):
     assert found(robot, data._replace(tau=gains * data.tau)) == []
 
 
-@pytest.mark.parametrize("name", thinned(("two_link", "ur10e"), ("two_link",)))
+@all_in_one(thinned(("two_link", "ur10e"), ("two_link",)))
 def test_there_are_none_where_the_model_is_selected(name):
-    robot, data = recorded(name)
-    assert with_findings(identify, robot, data)[1] == []
+    assert with_findings(identify, *recorded(name))[1] == []
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ARMS)
 def test_torques_in_another_unit_have_findings(name):
     robot, data = recorded(name, seed=1)
     for factor in (1e-3, 1e3, 1e-2, 1e2):
@@ -76,7 +75,7 @@ def test_torques_in_another_unit_are_named_before_least_squares_that_may_have_no
     assert codes(given[0].message.findings) == ["torque.unit"]
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("seed", thinned([0, 1], [1]))
 def test_torques_without_gravity_have_a_finding(name, seed):
     robot, data = recorded(name, seed)
@@ -88,7 +87,7 @@ def test_torques_without_gravity_have_a_finding(name, seed):
         assert "torque.weightless" not in codes(found(robot, data._replace(tau=factor * data.tau)))
 
 
-@all_in_one(ROBOTS)
+@all_in_one(ARMS)
 def test_currents_without_a_gain_have_findings(name):
     robot, data = recorded(name, seed=1)
     gain = torch.linspace(6.0, 14.0, robot.n).double()  # torque per ampere at the joints
@@ -99,30 +98,18 @@ def test_currents_without_a_gain_have_findings(name):
         assert found(robot, data._replace(tau=factor * data.tau)) == []
 
 
-@pytest.mark.parametrize("value", [0.0, -3.7])
+@all_in_one([0.0, -3.7])
 def test_a_torque_that_never_changes_has_a_finding(value):
-    robot, data = recorded("panda", seed=1)
-    tau = data.tau.clone()
-    tau[:, 3] = value
-    wrong = data._replace(tau=tau)
+    robot, data = recorded("ur10e", seed=1)
+    wrong = data._replace(tau=torch.where(torch.arange(6) == 3, value, data.tau))
     (one,) = found(robot, wrong)
-    assert (one.code, one.subject, one.value) == ("torque.constant", "panda_joint4", value)
+    assert (one.code, one.subject, one.value) == ("torque.constant", robot.joint_names[3], value)
     held = Samples(*(x.clone() for x in wrong))  # a joint that is held, and one that has nothing to carry
     held.qd[:, 3] = held.qdd[:, 3] = 0
     assert "torque.constant" not in codes(found(robot, held))
 
 
-def test_a_fit_names_a_torque_that_never_changes():
-    robot, data = recorded("two_link", seed=1)
-    tau = data.tau.clone()
-    tau[:, 1] = 0
-    wrong = data._replace(tau=tau)
-    model = torchdq.DQRNEA(robot, learn=("mass",))
-    _, findings = with_findings(fit, model, Samples(*(x.float() for x in wrong)), steps=1)
-    assert [x.subject for x in findings if x.code == "torque.constant"] == ["joint2"]
-
-
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ARMS)
 def test_torques_of_the_opposite_sign_have_a_finding(name):
     robot, data = recorded(name, seed=1)
     for j, subject in list(enumerate(robot.joint_names))[1::3]:
@@ -144,10 +131,10 @@ def test_columns_in_another_order_have_a_finding(name):
     assert code_and_signals(flipped) == ("columns.reversed", "columns of all signals", everyone)
     if robot.n > 2:
         assert code_and_signals(data._replace(q=data.q.flip(1))) == ("columns.reversed", "positions", everyone)
-        swapped = data._replace(tau=exchanged(data.tau, 1, 2))
+        swapped = data._replace(tau=exchanged(data.tau))
         assert code_and_signals(swapped) == ("columns.swapped", "torques", f"{a}, {b}")
     if robot.n > 2 and name != "puma560":  # other masses of a puma explain these torques; its log is refused when read
-        swapped = data._replace(q=exchanged(data.q, 1, 2))
+        swapped = data._replace(q=exchanged(data.q))
         assert code_and_signals(swapped) == ("columns.swapped", "positions", f"{a}, {b}")
 
 
@@ -155,12 +142,12 @@ def test_joints_sorted_by_name_have_a_finding():
     robot, data = recorded("ur10e", seed=1)
     order = sorted(range(6), key=lambda j: robot.joint_names[j])
     (one,) = found(robot, Samples(*(x[:, order] for x in data)))
-    assert (one.code == "columns.sorted" and "columns of all signals" in one.expected) or one.code == "columns.swapped"
+    assert one.code == "columns.swapped" or (one.code == "columns.sorted" and "all signals" in one.expected)
 
 
 def test_a_joint_that_swings_freely_has_no_finding():
     """Its measured torque is noise, and hardly any of what the description needs for the motion."""
-    robot, data = recorded("panda")
+    robot, data = recorded("two_link")
     noise = torch.randn(len(data.tau), generator=torch.Generator().manual_seed(3), dtype=torch.float64)
     for part, said in ((0.1, False), (1.0, True)):
         tau = data.tau.clone()
@@ -169,7 +156,7 @@ def test_a_joint_that_swings_freely_has_no_finding():
 
 
 def test_torques_that_nothing_explains_have_findings():
-    robot, data = recorded("panda")
+    robot, data = recorded("two_link")
     other = torch.randn(data.tau.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
     wrong = warned(robot, data._replace(tau=10 * other))
     assert codes(wrong) == ["torque.unexplained"] and tuple(one.subject for one in wrong) == robot.joint_names
@@ -194,8 +181,13 @@ def test_a_fit_of_a_model_that_holds_a_robot_has_them_too(residual):
     assert with_findings(fit, model, data, steps=1)[1] == []
     _, wrong = with_findings(fit, model, data._replace(tau=negative(data.tau, 1)), steps=1)
     assert ("torque.sign", "joint2") in [(x.code, x.subject) for x in wrong]
-    small = Samples(*(x.float() for x in data._replace(tau=data.tau / 1000)))
+    small, dead = (
+        Samples(*(x.float() for x in data._replace(tau=data.tau * torch.tensor(factors))))
+        for factors in ((1e-3, 1e-3), (1.0, 0.0))
+    )
     assert codes(with_findings(fit, model, small, steps=1)[1]) == ["torque.unit"]
+    _, wrong = with_findings(fit, model, dead, steps=1)
+    assert [x.subject for x in wrong if x.code == "torque.constant"] == ["joint2"]
 
 
 @all_in_one(thinned(ROBOTS, ("two_link", "ur10e")))
@@ -239,18 +231,18 @@ def test_a_joint_that_slides_has_its_own_units():
 
 
 def test_rows_that_leap_away_have_a_finding_and_are_not_dropped():
-    robot, data = recorded("panda", seed=1)
+    robot, data = recorded("two_link", seed=1)
     tau = data.tau.clone()
-    tau[[100, 333], 2] = torch.tensor([1e4, -1e4]).double()
+    tau[[100, 333], 1] = torch.tensor([1e4, -1e4]).double()
     (one,) = found(robot, data._replace(tau=tau))
-    assert (one.code, one.subject, one.value) == ("torque.outliers", "panda_joint3", 2)
+    assert (one.code, one.subject, one.value) == ("torque.outliers", "joint2", 2)
     assert "1e+04 in row 100, -1e+04 in row 333, elsewhere up to" in one.found
     assert "torque.outliers" in codes(warned(robot, data._replace(tau=tau)))
 
 
-@all_in_one([{"friction": "yes"}, {"friction": True}, {"offset": "yes"}])
-def test_a_model_is_one(options):
-    with refused(torchdq.ArgumentError):
-        Model(**options)
+def test_a_model_is_one():
+    for options in ({"friction": "yes"}, {"friction": True}, {"offset": "yes"}):
+        with refused(torchdq.ArgumentError):
+            Model(**options)
     with refused(torchdq.ArgumentError):
         identify(*recorded("two_link"), "auto")

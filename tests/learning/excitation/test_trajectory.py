@@ -20,22 +20,12 @@ from messages import refused, warned
 import torchdq
 from torchdq import effects
 from torchdq.errors import ArgumentError, MissingLibraryError
-from torchdq.learning import (
-    Box,
-    HalfSpace,
-    Model,
-    Motion,
-    MotionLimits,
-    Samples,
-    excitation_trajectory,
-    identify,
-    plot_torques,
-    read_log,
-)
+from torchdq.learning import Box, HalfSpace, Model, Motion, MotionLimits, Samples, excitation_trajectory, identify
 from torchdq.learning.excitation import search
 from torchdq.learning.excitation.fourier import Family, grid
 from torchdq.learning.excitation.information import BaseParameters
 
+ARM = torchdq.robots.load("two_link")
 LIMITS = MotionLimits(lower=-1.0, upper=[1.5, 0.5], velocity=[2.0, 3.0], effort=60.0)
 BACKEND = "auto"  # a search calls the same programs hundreds of times
 ROUNDING = 1 + 1e-12
@@ -102,11 +92,10 @@ def test_velocities_and_accelerations_are_derivatives(panda):
 
 
 def test_the_gradient_of_the_information_is_exact():
-    robot = torchdq.robots.load("two_link")
-    bounds = LIMITS.bounds(robot)
-    family, generator = Family(bounds, 3), torch.Generator().manual_seed(0)
+    bounds = LIMITS.bounds(ARM)
+    family, generator = Family(bounds, 2), torch.Generator().manual_seed(0)
     states = 2 * torch.rand(3, 100, 2, dtype=torch.float64, generator=generator) - 1
-    parameters = BaseParameters.of(robot, ("viscous", "coulomb"), 0.05, bounds.effort, tuple(states))
+    parameters = BaseParameters.of(ARM, ("viscous", "coulomb"), 0.05, bounds.effort, tuple(states))
 
     def gain(x):
         return torch.linalg.slogdet(parameters.information(*family.motions(x, double(1.0, 2.0)).at(grid(30))))[1]
@@ -129,11 +118,12 @@ def test_no_limit_is_exceeded_at_any_time(panda, exciting):
     elbow = torchdq.dq.translation(torchdq.forward_kinematics(panda, q, "panda_link5"))
     assert 0.3 <= float(tip[:, 2].min()) < 0.5  # the table is near
     assert float(elbow.min()) >= -0.4
+    assert max(float(x[[0, -1]].abs().max()) for x in (found.qd, found.qdd)) < 1e-9  # from rest to rest
+    assert float(found.time[-1]) == 10.0 and len(found.time) == 1001
 
 
 def test_torques_that_bind_are_kept_between_the_rows():
-    described = torchdq.robots.load("two_link")
-    robot = described.replace(damping=double(1.0, 2.0), friction=double(0.5, 0.2))
+    robot = ARM.replace(damping=double(1.0, 2.0), friction=double(0.5, 0.2))
     limits = MotionLimits(lower=-1.0, upper=1.0, velocity=8.0, effort=[36.0, 10.0], share=1.0)
     found = excitation_trajectory(robot, 8.0, limits, restarts=8)
     *_, tau = torques_at(found, robot, random_times(found, 100_000))
@@ -141,33 +131,30 @@ def test_torques_that_bind_are_kept_between_the_rows():
     assert bool((used <= 1).all()) and float(used.max()) > 0.93
 
 
-def test_a_motion_starts_and_ends_at_rest(exciting):
-    found, _ = exciting
-    for x in (found.qd, found.qdd):
-        assert float(x[[0, -1]].abs().max()) < 1e-9
-    assert float(found.time[-1]) == 10.0 and len(found.time) == 1001
-
-
 def test_half_spaces_and_boxes_measure_lengths():
-    robot = torchdq.robots.load("two_link")
     q = torch.zeros(2, dtype=torch.float64)  # the tip is at (2, 0, 0)
-    assert torch.allclose(HalfSpace("tip", (-3, 0, 4), -2.0)(robot, q), double(-1.2 + 2.0))
-    assert torch.allclose(Box("tip", (0, -1, -math.inf), (2.5, math.inf, math.inf))(robot, q), double(2.0, 1.0, 0.5))
-    assert Box("tip", (-math.inf,) * 3, (math.inf,) * 3)(robot, q).shape == (0,)
+    assert torch.allclose(HalfSpace("tip", (-3, 0, 4), -2.0)(ARM, q), double(-1.2 + 2.0))
+    assert torch.allclose(Box("tip", (0, -1, -math.inf), (2.5, math.inf, math.inf))(ARM, q), double(2.0, 1.0, 0.5))
+    assert Box("tip", (-math.inf,) * 3, (math.inf,) * 3)(ARM, q).shape == (0,)
 
 
-def test_own_functions_keep_the_arm_where_they_say():
-    robot = torchdq.robots.load("two_link")
+def test_own_functions_keep_the_arm_where_they_say(short):
     limits = MotionLimits(
         lower=-1.0, upper=1.0, velocity=2.0, effort=60.0, workspace=[lambda _, q: -0.6 - q[..., :1] - q[..., 1:]]
     )
-    found = excitation_trajectory(robot, 5.0, limits, restarts=2)
+    found = excited(limits, restarts=2)
     q, *_ = found.series.at(found.series.rate * random_times(found))
     assert -0.8 < float(q.sum(-1).max()) <= -0.6
 
 
+@pytest.fixture
+def short(monkeypatch):
+    """A search of a few steps."""
+    monkeypatch.setattr(search, "STAGES", ((1, 5), (2, 5)))
+
+
 def excited(limits=LIMITS, seconds=5.0, **options):
-    return excitation_trajectory(torchdq.robots.load("two_link"), seconds, limits, restarts=1, **options)
+    return excitation_trajectory(ARM, seconds, limits, **{"restarts": 1, **options})
 
 
 @all_in_one(
@@ -194,23 +181,23 @@ def excited(limits=LIMITS, seconds=5.0, **options):
         lambda: MotionLimits(workspace=HalfSpace("tip", (0, 0, 1), 0.0)),
     ]
 )
-def test_arguments_are_checked_and_limits_that_cannot_be_kept_are_named(call):
+def test_arguments_are_checked_and_limits_that_cannot_be_kept_are_named(call, short):
     with refused(ArgumentError):
         call()
 
 
-def test_limits_in_degrees_are_told_with_their_joints():
+def test_limits_in_degrees_are_told_with_their_joints(panda):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        MotionLimits().bounds(torchdq.robots.load("panda"))
-        MotionLimits(velocity=1.0, lower=-1.0, upper=1.0, effort=60.0).bounds(torchdq.robots.load("two_link"))
-    for limits, name in (
-        (MotionLimits(lower=-90, upper=90), "panda"),
-        (MotionLimits(velocity=120.0), "panda"),
-        (MotionLimits(lower=-90, upper=90, velocity=1.0, effort=60.0), "two_link"),
+        MotionLimits().bounds(panda)
+        MotionLimits(velocity=1.0, lower=-1.0, upper=1.0, effort=60.0).bounds(ARM)
+    for limits, robot in (
+        (MotionLimits(lower=-90, upper=90), panda),
+        (MotionLimits(velocity=120.0), panda),
+        (MotionLimits(lower=-90, upper=90, velocity=1.0, effort=60.0), ARM),
     ):
         with warned(UserWarning):
-            limits.bounds(torchdq.robots.load(name))
+            limits.bounds(robot)
 
 
 # --- information -----------------------------------------------------------------------------------------------------
@@ -220,11 +207,8 @@ def test_errors_are_those_of_least_squares_on_pinocchios_regressor(panda, exciti
     found, _ = exciting
     case = oracles.case("shipped-panda")
     data = case.model.createData()
-    rows = [
-        pin.computeJointTorqueRegressor(case.model, data, *(x.numpy() for x in state)).copy()
-        for state in zip(found.q, found.qd, found.qdd, strict=True)
-    ]
-    Y, v = np.stack(rows), found.qd.numpy()
+    states, v = zip(found.q.numpy(), found.qd.numpy(), found.qdd.numpy(), strict=True), found.qd.numpy()
+    Y = np.stack([pin.computeJointTorqueRegressor(case.model, data, *state).copy() for state in states])
     friction = [np.einsum("sj,jk->sjk", x, np.eye(7)) for x in (v, v / np.hypot(v, 1e-2))]
     Z = np.concatenate([Y, *friction], -1) / found.parameters.noise.numpy()[:, None]
     Z = Z.reshape(-1, Z.shape[-1])
@@ -239,17 +223,16 @@ def test_errors_are_those_of_least_squares_on_pinocchios_regressor(panda, exciti
 
 def test_identification_from_the_motion_errs_as_predicted():
     """Mean square over the base parameters and draws of the noise, in predicted variances."""
-    robot = torchdq.robots.load("two_link")
-    found = excitation_trajectory(robot, 5.0, LIMITS, restarts=1, noise=[0.5, 0.2], rate=50.0)
+    found = excited(noise=[0.5, 0.2], rate=18.0)  # fewer rows than are checked for what a model lacks
     friction = found.qd + 2 * found.qd / (found.qd**2 + 1e-4).sqrt()
-    rigid = torchdq.inverse_dynamics(robot, found.q, found.qd, found.qdd)
+    rigid = torchdq.inverse_dynamics(ARM, found.q, found.qd, found.qdd)
     rng, base = np.random.default_rng(0), found.parameters.base
-    truth = torch.cat([robot.inertial_parameters, double(1.0, 1.0, 2.0, 2.0)])
+    truth = torch.cat([ARM.inertial_parameters, double(1.0, 1.0, 2.0, 2.0)])
     squares = []
     for _ in range(DRAWS):
         noise = torch.from_numpy(rng.normal(size=rigid.shape)) * found.parameters.noise
         tau = rigid + friction + noise
-        again = identify(robot, Samples(found.q, found.qd, found.qdd, tau), PLAIN, prior=1e-6)
+        again = identify(ARM, Samples(found.q, found.qd, found.qdd, tau), PLAIN, prior=1e-6)
         assert again.rank == len(base) and again.names == found.names
         squares.append(((base @ (again.parameters - truth)) / found.base_errors) ** 2)
     assert [name.split()[:2] for name in again.base_names] == [name.split()[:2] for name in found.base_names]
@@ -259,9 +242,8 @@ def test_identification_from_the_motion_errs_as_predicted():
 
 
 def test_parameters_that_a_motion_does_not_tell_have_infinite_errors(exciting):
-    found, _ = exciting
-    still = found.q[:100], 0 * found.q[:100], 0 * found.q[:100]
-    errors = found.parameters.errors(*still)
+    q = exciting[0].q[:100]
+    errors = exciting[0].parameters.errors(q, 0 * q, 0 * q)
     assert bool(errors[-14:].isinf().all()) and bool(errors.isfinite().any())
 
 
@@ -270,16 +252,16 @@ def test_the_search_improves_on_random_motions(panda, exciting):
     family = Family(limits.bounds(panda), 5)
     rate = torch.full((200,), float(found.series.rate)).double()
     some = family.motions(family.start(200, torch.Generator().manual_seed(9)), rate).at(grid(60))
-    volume = torch.linalg.slogdet(found.parameters.information(*some)).logabsdet
-    own = torch.linalg.slogdet(found.parameters.information(found.q[1:], found.qd[1:], found.qdd[1:])).logabsdet
+    volume, own = (
+        torch.linalg.slogdet(found.parameters.information(*rows)).logabsdet
+        for rows in (some, (found.q[1:], found.qd[1:], found.qdd[1:]))
+    )
     # a mean error 1.3 times smaller than the best random motion's, which need not keep torques and workspace
     assert float(own - volume.max()) > 2 * len(found.base_errors) * math.log(1.3)
 
 
-def test_seeds_reproduce_motions(monkeypatch):
-    monkeypatch.setattr(search, "STAGES", ((1, 5), (2, 5)))
-    robot = torchdq.robots.load("two_link")
-    one, same, other = (excitation_trajectory(robot, 5.0, LIMITS, restarts=4, seed=seed) for seed in (1, 1, 2))
+def test_seeds_reproduce_motions(short):
+    one, same, other = (excited(restarts=4, seed=seed) for seed in (1, 1, 2))
     assert torch.equal(one.q, same.q) and not torch.equal(one.q, other.q)
 
 
@@ -290,7 +272,7 @@ def test_a_file_is_read_back(exciting, tmp_path):
     found, _ = exciting
     for rate, rows in ((None, 1001), (250.0, 2501)):
         found.to_csv(tmp_path / "motion.csv", rate)
-        log = read_log(tmp_path / "motion.csv")
+        log = torchdq.learning.read_log(tmp_path / "motion.csv")
         motion = found.sampled(rate or 100.0)
         assert len(log.time) == rows
         for name in ("time", "q", "qd", "qdd", "tau"):
@@ -319,13 +301,12 @@ def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting):
     motion = exciting[0].sampled(50.0)
     found = identify(panda, motion, PLAIN, prior=1.0)
     apart = motion._replace(time=np.where(motion.time > 4, motion.time + 2, motion.time))  # a line is broken there
-    figure = plot_torques(found, [motion, apart])
+    figure = torchdq.learning.plot_torques(found, [motion, apart])
     titles = ["".join(axes.get_title(place) for place in ("left", "center")) for axes in figure.axes]
     assert [title.split(":")[0] for title in titles] == list(panda.joint_names)
     measured, predicted = (line.get_ydata() for line in figure.axes[1].lines)
     assert np.isnan(measured).sum() == 2 and len(measured) == 2 * 501 + 2
     assert np.nanmax(abs(measured - predicted)) < 0.02 * np.nanmax(abs(measured))
-    with refused(ArgumentError):
-        plot_torques(found, Motion(motion.time, *(x[:, :2] for x in motion[1:5])))
-    with refused(ArgumentError):
-        plot_torques(panda, motion)
+    for other, moved in ((found, Motion(motion.time, *(x[:, :2] for x in motion[1:5]))), (panda, motion)):
+        with refused(ArgumentError):
+            torchdq.learning.plot_torques(other, moved)

@@ -4,30 +4,36 @@ import numpy as np
 import pytest
 import torch
 from helpers import PAIR, thinned
-from recorded_logs import COULOMB, ROBOT, STEP, VISCOUS, dry, fitted, noise, sign, states, with_findings
+from recorded_logs import COULOMB, ROBOT, VISCOUS, dry, fitted, motion_of, noise, sign, states, with_findings
 
 import torchdq
-from torchdq.learning import Layout, Model, Motion, identify, posterior_samples, read_log, smooth
+from torchdq.learning import Layout, Model, identify, posterior_samples, read_log, smooth
 from torchdq.learning.evaluation.blocks import of_motions
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, pseudo_inertia
+
+
+def motions_of(*signals, **options):
+    """Motions of signals [motions, rows, n]: positions, velocities, accelerations and efforts."""
+    return [motion_of(*one, **options) for one in zip(*signals, strict=True)]
+
+
+def rubbed(robot, q, qd, qdd):
+    """Torques with friction of a tenth of those of the bodies, and with noise."""
+    clean = torchdq.inverse_dynamics(robot, q, qd, qdd)
+    clean = clean + (0.1 * clean.std((0, 1))).clamp_min(0.2) * (qd + sign(qd))
+    return clean, clean + 0.02 * clean.std((0, 1)) * noise(q.shape, 0.5, seed=1)
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_gains_of_drives_are_found_within_their_errors(known):
     """Efforts by gains that are off by tens of percent, or in other units; the description has the right masses."""
     robot = torchdq.robots.load("ur10e")
-    g = torch.Generator().manual_seed(0)
-    q, qd, qdd = states(4, 500, joints=6)
-    rub = (0.1 * torchdq.inverse_dynamics(robot, q, qd, qdd).std((0, 1))).clamp_min(0.2)
-    clean = torchdq.inverse_dynamics(robot, q, qd, qdd) + rub * (qd + sign(qd))
-    tau = clean * (1 + 0.01 * noise(q.shape, 0.0)) + 0.02 * clean.std((0, 1)) * noise(q.shape, 0.5, seed=1)
-    gains = 0.8 + 0.4 * torch.rand(6, generator=g, dtype=torch.float64)
+    q, qd, qdd = states(4, 300, joints=6)
+    clean, tau = rubbed(robot, q, qd, qdd)
+    tau = tau + 0.01 * clean * noise(q.shape, 0.0)
+    gains = 0.8 + 0.4 * torch.rand(6, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     gains = gains if known else 10 * gains
-    time = np.arange(500) * STEP
-    motions = [
-        Motion(time, *(x[k].numpy() for x in (q, qd, qdd, tau / gains)), sign(qd[k]).numpy(), known_gains=known)
-        for k in range(4)
-    ]
+    motions = motions_of(q, qd, qdd, tau / gains, sign(qd), known_gains=known)
     found = fitted(robot, motions, gains=True)
     assert found.gains is not None
     off = (found.gains.value / gains)[:5]  # the last joint's torque is nearly all friction, which any gain explains
@@ -40,47 +46,29 @@ def test_gains_of_drives_are_found_within_their_errors(known):
 
 
 def test_negative_gains_are_found_and_named():
-    robot = ROBOT
     q, qd, qdd = states(3, 300)
-    clean = torchdq.inverse_dynamics(robot, q, qd, qdd)
-    clean = clean + (0.1 * clean.std((0, 1))).clamp_min(0.2) * (qd + sign(qd))
-    tau = clean + 0.02 * clean.std((0, 1)) * noise(q.shape, 0.5)
     gains = torch.tensor([8, -8.7], dtype=torch.float64)
-    motions = [
-        Motion(np.arange(300) * STEP, *(x[k].numpy() for x in (q, qd, qdd, tau / gains)), known_gains=False)
-        for k in range(3)
-    ]
-    found, findings = with_findings(fitted, robot, motions, gains=True)
+    motions = motions_of(q, qd, qdd, rubbed(ROBOT, q, qd, qdd)[1] / gains, known_gains=False)
+    found, findings = with_findings(fitted, ROBOT, motions, gains=True)
     assert float((found.gains.value / gains - 1).abs().max()) < 0.1
-    assert [(x.code, x.subject) for x in findings] == [("gain.negative", robot.joint_names[1])]
+    assert [(x.code, x.subject) for x in findings] == [("gain.negative", "joint2")]
 
 
 def test_a_given_gain_of_the_wrong_sign_is_found_and_named():
-    robot = torchdq.robots.load("ur10e")
-    q, qd, qdd = states(3, 300, joints=6)
-    clean = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd + sign(qd)
-    tau = clean + 0.02 * clean.std((0, 1)) * noise(q.shape, 0.5)
-    tau[..., 1] *= -1
-    found, findings = with_findings(fitted, robot, q, qd, qdd, tau, gains=True)
-    assert abs(float(found.gains.value[1]) + 1) < 0.1 and bool((found.gains.value[[0, 2, 3, 4]] > 0.9).all())
-    assert [(x.code, x.subject) for x in findings] == [("gain.negative", robot.joint_names[1])]
+    q, qd, qdd = states(3, 300)
+    tau = rubbed(ROBOT, q, qd, qdd)[1] * torch.tensor([1.0, -1.0])
+    found, findings = with_findings(fitted, ROBOT, q, qd, qdd, tau, gains=True)
+    assert abs(float(found.gains.value[1]) + 1) < 0.1 and float(found.gains.value[0]) > 0.9
+    assert [(x.code, x.subject) for x in findings] == [("gain.negative", "joint2")]
 
 
 def test_gains_are_found_beside_rotors_that_the_description_lacks():
     """Currents drive the rotors, too: without them, gains would be those of a part of the torque."""
-    robot = torchdq.robots.load("ur10e")
-    q, qd, qdd = states(3, 300, joints=6)
-    clean = torchdq.inverse_dynamics(robot.replace(armature=torch.ones(6).double()), q, qd, qdd) + 2 * qd + sign(qd)
-    tau = clean + 0.02 * clean.std((0, 1)) * noise(q.shape, 0.5)
-    found = identify(
-        robot,
-        [
-            Motion(np.arange(300) * STEP, *(x[k].numpy() for x in (q, qd, qdd, tau / 5)), known_gains=False)
-            for k in range(3)
-        ],
-        Model(gains=True),
-    )
-    assert float((found.gains.value / 5 - 1)[:5].abs().max()) < 0.1
+    q, qd, qdd = states(3, 300)
+    rotors = ROBOT.replace(armature=torch.ones(2).double())
+    tau = rubbed(rotors, q, qd, qdd)[1]
+    found = identify(ROBOT, motions_of(q, qd, qdd, tau / 5, known_gains=False), Model(gains=True))
+    assert float((found.gains.value / 5 - 1).abs().max()) < 0.1
     assert float(((found.gains.value - 5) / found.gains.error).abs().max()) < 3
 
 
@@ -95,7 +83,7 @@ def real_arm(described, seed, size=0.1):
 
 
 @pytest.mark.parametrize("runs", thinned([3, 200], [3]))
-@pytest.mark.parametrize("known", [True, False, (True, False)])
+@pytest.mark.parametrize("known", thinned([True, False, (True, False)], [True, (True, False)]))
 def test_errors_hold_those_of_the_gains(known, runs):
     """Over arms, gains and noise: squares of what parameters are off by over the stated errors are about one."""
     far: dict[str, list[float]] = {}
@@ -106,12 +94,7 @@ def test_errors_hold_those_of_the_gains(known, runs):
         clean = torchdq.inverse_dynamics(real, q, qd, qdd) + dry(qd)
         tau = clean + 0.02 * clean.std((0, 1)) * torch.from_numpy(g.normal(size=q.shape))
         gains = (1 + 0.3 * torch.from_numpy(g.normal(size=2)).clamp(-2, 2)) / torch.where(torch.tensor(known), 1.0, 10)
-        efforts = tau / gains
-        motions = [
-            Motion(np.arange(200) * STEP, *(x[k].numpy() for x in (q, qd, qdd, efforts)), known_gains=known)
-            for k in range(3)
-        ]
-        found = fitted(described, motions, gains=True)
+        found = fitted(described, motions_of(q, qd, qdd, tau / gains, known_gains=known), gains=True)
         alone = found.by_these_gains()
         off = found.parameters - torch.cat([real.inertial_parameters.flatten(), VISCOUS, COULOMB])
         predicted = found.predict(q, qd, qdd)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers import PAIR, double, random
 from messages import warned
-from recorded_logs import STEP, WIDTH, fitted, sign, states, torques
+from recorded_logs import WIDTH, fitted, motion_of, sign, states, torques
 from scipy.optimize import nnls
 
 import torchdq
@@ -16,7 +16,7 @@ from torchdq import effects
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import COLUMNS
 from torchdq.envs import Scene
-from torchdq.learning import Evaluation, Model, Motion, Samples, Verdict, evaluate, identify
+from torchdq.learning import Evaluation, Model, Samples, Verdict, evaluate, identify
 from torchdq.learning.evaluate import FAIR
 from torchdq.learning.identification.simple import _nonnegative
 
@@ -32,7 +32,7 @@ def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
     tau = tau + 0.01 * tau.std(0) * random(*tau.shape)
     friction = (effects.Viscous(), effects.Coulomb(sign_width=WIDTH), effects.LoadDependent(sign_width=WIDTH))
     found = fitted(DESCRIBED, q, qd, qdd, tau, friction=friction)
-    motion = Motion(STEP * np.arange(len(q)), *(x.numpy() for x in (q, qd, qdd, tau)))
+    motion = motion_of(q, qd, qdd, tau)
     assert float(found.coefficients("load").min()) > 0.3
     with warned(UserWarning):
         file = torchdq.Robot.from_urdf(found.to_urdf(PAIR))
@@ -60,7 +60,7 @@ def test_the_forecast_is_the_error_in_motions_like_those_that_were_learned_from(
 
     def moved(rows, real):
         tau = torchdq.inverse_dynamics(real, *rows)
-        return Motion(STEP * np.arange(600), *(x.numpy() for x in (*rows, tau + 0.05 * tau.std(0) * random(600, 2))))
+        return motion_of(*rows, tau + 0.05 * tau.std(0) * random(600, 2))
 
     found = identify(robot, moved(several[0], heavier), Model(friction=None, offset=False))
     like = evaluate(robot, found, moved(several[1], heavier))

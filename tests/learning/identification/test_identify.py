@@ -7,7 +7,6 @@ definition of a body that can exist.
 import itertools
 import re
 import time
-import warnings
 from functools import cache
 from importlib import import_module
 
@@ -16,9 +15,9 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
-from helpers import all_in_one, thinned
+from helpers import EVERYTHING, all_in_one, exhaustive, thinned
 from messages import refused
-from recorded_logs import WIDTH, fitted, noise, plain, sign, states, with_findings
+from recorded_logs import WIDTH, fitted, noise, plain, sign, states, whitened, with_findings
 
 import torchdq
 from torchdq import effects
@@ -32,6 +31,9 @@ from torchdq.robot.pseudo_inertia import pseudo_inertia
 from torchdq.robot.robot import arguments
 
 ROBOT = torchdq.robots.load("two_link")
+
+
+DRAWS = 25 if EVERYTHING else 10  # of noise
 
 
 def double(x):
@@ -54,8 +56,7 @@ def altered(robot, seed=0):
 
 
 def torques(real, viscous, coulomb, offset, q, qd, qdd):
-    rub = viscous * qd + coulomb * sign(qd)
-    return torchdq.inverse_dynamics(real, q, qd, qdd) + rub + offset
+    return torchdq.inverse_dynamics(real, q, qd, qdd) + viscous * qd + coulomb * sign(qd) + offset
 
 
 def assert_can_exist(found):
@@ -98,14 +99,14 @@ def test_the_trees_have_what_they_are_for():
 
 
 def test_rotors_are_left_as_described_or_found():
-    robot = torchdq.robots.load("panda").replace(armature=torch.full((7,), 0.3).double())
-    q, qd, qdd = moving(7, 600)
+    robot = ROBOT.replace(armature=double([0.3, 0.3]))
+    q, qd, qdd = moving(2, 300)
     tau = torchdq.inverse_dynamics(robot.replace(armature=2 * robot.armature), q, qd, qdd)
     kept = fitted(robot, q, qd, qdd, tau, friction=None)
-    assert torch.equal(kept.robot.armature, robot.armature) and float(kept.rms[2:].min()) > 0.1
+    assert torch.equal(kept.robot.armature, robot.armature) and float(kept.rms[1]) > 0.1
     found = fitted(robot, q, qd, qdd, tau, friction=None, armature=True)
-    apart = slice(2, None)  # from the inertia of the first links
-    assert torch.allclose(found.robot.armature[apart], 2 * robot.armature[apart], rtol=1e-6)
+    # the first rotor cannot be told from the inertia of the first link
+    assert float(found.robot.armature[1]) == pytest.approx(0.6, rel=1e-6)
     assert found.viscous is None and found.coulomb is None and found.offset is None
 
 
@@ -113,22 +114,22 @@ def test_rotors_are_left_as_described_or_found():
 
 
 def test_the_errors_are_those_that_noise_makes():
-    """Mean squares of deviations over stated errors, of 25 draws of the noise, are one."""
+    """Mean squares of deviations, in their stated covariance, are one over draws of the noise."""
     robot = oracles.case("tree3").robot
     real, friction = altered(robot)
     q, qd, qdd = moving(robot.n, 300)
     tau = torques(real, *friction, q, qd, qdd)
     noise = double([0.2, 0.5, 1.0, 2.0])
     truth = torch.cat([real.inertial_parameters, *friction])
-    states = moving(robot.n, 20, seed=1)
+    states = moving(robot.n, 100, seed=1)
     expected = torques(real, *friction, *states)
     generator = torch.Generator().manual_seed(0)
     of_base, of_torques, sizes = [], [], []
     with torchdq.backend("auto"):  # which compiles what every draw asks for
-        for _ in range(25):
+        for _ in range(DRAWS):
             measured = tau + noise * torch.randn(tau.shape, generator=generator, dtype=torch.float64)
             found = fitted(robot, q, qd, qdd, measured, offset=True, prior=1e-3)
-            of_base.append((found.base @ (found.parameters - truth)) / found.base_errors)
+            of_base.append(whitened(found, truth))
             prediction = found.predict(*states)
             of_torques.append((prediction.tau - expected) / prediction.error)
             sizes.append(found.noise)
@@ -190,9 +191,9 @@ def test_friction_that_pushes_is_found_to_be_none():
 def test_what_the_samples_do_not_tell_stays_as_described():
     robot = torchdq.robots.load("panda").replace(damping=double([0.7] * 7), gravity=double([0.0] * 3))
     real, still = robot.replace(mass=1.2 * robot.mass), double([0.0] * 6 + [1.0])
-    q, qd, qdd = moving(7, 400)
+    q, qd, qdd = moving(7, 90)
     qd, qdd = still * qd, still * qdd
-    tau = torchdq.inverse_dynamics(real, q, qd, qdd) * still + 0.01 * moving(7, 400, seed=3)[0]
+    tau = torchdq.inverse_dynamics(real, q, qd, qdd) * still + 0.01 * moving(7, 90, seed=3)[0]
     found, findings = with_findings(fitted, robot, q, qd, qdd, tau, prior=4.0)
     assert [x.subject for x in findings if x.code == "joint.unexcited"] == [*robot.joint_names[:6]]
     assert not bool(found.identifiable[70:].reshape(2, 7)[:, :6].any())
@@ -209,12 +210,11 @@ def test_what_the_samples_do_not_tell_stays_as_described():
 
 
 def test_a_stronger_prior_stays_nearer():
-    robot = torchdq.robots.load("ur10e")
-    real, friction = altered(robot)
-    q, qd, qdd = moving(6, 30)
-    tau = torques(real, *friction, q, qd, qdd) + moving(6, 30, seed=4)[0]
+    real, friction = altered(ROBOT)
+    q, qd, qdd = moving(2, 30)
+    tau = torques(real, *friction, q, qd, qdd) + moving(2, 30, seed=4)[0]
     far = [
-        float((fitted(robot, q, qd, qdd, tau, prior=prior).robot.mass / robot.mass).log().square().sum())
+        float((fitted(ROBOT, q, qd, qdd, tau, prior=prior).robot.mass / ROBOT.mass).log().square().sum())
         for prior in (1e-2, 1.0, 1e2, 1e6)
     ]
     assert far[0] > far[1] > far[2] > far[3] and far[3] < 1e-3
@@ -227,14 +227,15 @@ def test_links_without_mass_points_and_impossible_ones():
     inertia[3] = 0  # a point
     inertia[4] = double([1.0, 0.0, 0.1, 0.0, 0.0, 0.1]) * 1e-2  # no body: 1 > 0.1 + 0.1
     robot = panda.replace(mass=mass, inertia=inertia, on_unphysical="ignore")
-    q, qd, qdd = moving(7, 500)
+    q, qd, qdd = moving(7, 90)  # fewer rows than are checked for what a model lacks
     with refused(torchdq.UnphysicalError):
         fitted(robot, q, qd, qdd, 0 * q)
     robot = robot.replace(on_unphysical="repair")
-    found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(panda, q, qd, qdd), friction=None)
+    tau = torchdq.inverse_dynamics(panda, q, qd, qdd)
+    found = fitted(robot, q, qd, qdd, tau, friction=None)
     assert_can_exist(found)
     assert float(found.robot.mass[2]) == 0 and not found.robot.inertia[2].any()
-    left = torchdq.inverse_dynamics(panda, q, qd, qdd) - torchdq.inverse_dynamics(robot, q, qd, qdd)
+    left = tau - torchdq.inverse_dynamics(robot, q, qd, qdd)
     assert float(found.rms.sum()) < 0.5 * float(left.square().mean(0).sqrt().sum())
 
 
@@ -262,14 +263,13 @@ def test_joints_that_do_not_move_are_named(noise):
     assert identifiable["joint1 viscous"] and identifiable["joint1 coulomb"]
 
 
+@pytest.mark.filterwarnings("error")
 def test_what_the_samples_decide_is_said_and_nothing_warned_when_all_joints_move():
     robot = torchdq.robots.load("panda")
-    q, qd, qdd = moving(7, 400)
-    tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.3 * qd + 0.01 * moving(7, 400, seed=4)[0]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        found = fitted(robot, q, qd, qdd, tau, prior=2.0)
-        one = fitted(robot, q[:1], qd[:1], qdd[:1], tau[:1])
+    q, qd, qdd = moving(7, 150)
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.3 * qd + 0.01 * moving(7, 150, seed=4)[0]
+    found = fitted(robot, q, qd, qdd, tau, prior=2.0)
+    one = fitted(robot, q[:1], qd[:1], qdd[:1], tau[:1])
     assert bool(found.identifiable[70:].all())  # friction of all joints
     alone = (found.base != 0).sum(1) == 1  # base parameters of one term are told by themselves
     lead = [int(row.nonzero()[0]) for row in found.base[alone]]
@@ -295,22 +295,18 @@ def test_what_is_found_prints_as_a_table_with_units():
         "coulomb": ("N m", "N"),
         "offset": ("N m", "N"),
     }
-    numbers = zip(
-        found.names, found.parameters.tolist(), found.errors.tolist(), found.identifiable.tolist(), strict=True
-    )
-    numbers = {name: [f"{x:.4g}", f"{e:.2g}", "yes" if known else "no"] for name, x, e, known in numbers}
     for name, joint in itertools.product(units, range(robot.n)):
         full = f"{robot.joint_names[joint]} {name}"
-        estimate, error, known = numbers[full]
-        unit = units[name][robot.kinds[joint] == "prismatic"]
-        assert rows[full].removeprefix(full).split() == [estimate, error, *unit.split(), known]
+        k = found.names.index(full)
+        unit, known = units[name][robot.kinds[joint] == "prismatic"], "yes" if found.identifiable[k] else "no"
+        expected = [f"{found.parameters[k]:.4g}", f"{found.errors[k]:.2g}", *unit.split(), known]
+        assert rows[full].removeprefix(full).split() == expected
     assert "tensor(" not in str(found) and len(lines) < len(found.names) + robot.n + 13
     assert len(repr(found)) < 120 and "\n" not in repr(found) and robot.name in repr(found)
 
 
 def test_predictions_print_as_tables():
-    q, qd, qdd = moving(2, 300)
-    predicted = fitted(ROBOT, q, qd, qdd, torchdq.inverse_dynamics(ROBOT, q, qd, qdd)).predict(q, qd, qdd)
+    predicted = quick().predict(*moving(2, 300))
     lines = str(predicted).splitlines()
     assert lines[0].split() == ["Prediction", "shape", "least", "mean", "greatest", "unit"]
     assert lines[1].split()[:3] == ["tau", "[300,", "2]"] and len(lines) == 5 and repr(predicted) == str(predicted)
@@ -363,16 +359,15 @@ def test_a_joint_whose_residuals_are_correlated_keeps_its_weight():
 
 
 def test_rows_may_come_in_any_shape_order_and_in_pieces(monkeypatch):
-    robot = ROBOT
-    real, friction = altered(robot)
-    states = moving(2, 120)
-    tau = torques(real, *friction, *states) + moving(2, 120, seed=5)[0]
-    whole = fitted(robot, *states, tau).parameters
-    shaped = fitted(robot, *(x.reshape(1, 120, 2) for x in (*states, tau))).parameters
-    turned = fitted(robot, *(x.flip(0) for x in (*states, tau))).parameters
-    monkeypatch.setattr(regression, "CHUNK", 7 * 2 * 24)
-    pieces = fitted(robot, *states, tau).parameters
-    single = fitted(robot, *(x.float() for x in (*states, tau))).parameters
+    real, friction = altered(ROBOT)
+    states = moving(2, 90)
+    tau = torques(real, *friction, *states) + moving(2, 90, seed=5)[0]
+    whole = fitted(ROBOT, *states, tau).parameters
+    shaped = fitted(ROBOT, *(x.reshape(1, 90, 2) for x in (*states, tau))).parameters
+    turned = fitted(ROBOT, *(x.flip(0) for x in (*states, tau))).parameters
+    single = fitted(ROBOT, *(x.float() for x in (*states, tau))).parameters
+    monkeypatch.setattr(regression, "CHUNK", 7 * 2 * 24)  # numbers at a time
+    pieces = fitted(ROBOT, *states, tau).parameters
     for other, tolerance in ((shaped, 1e-9), (turned, 1e-5), (pieces, 1e-5), (single, 1e-2)):
         assert torch.allclose(other, whole, rtol=tolerance, atol=tolerance)
 
@@ -448,9 +443,7 @@ def test_misuse_is_refused(misuse):
         MISUSE[misuse]()
 
 
-# --- the example -----------------------------------------------------------------------------------------------------
-
-
+@exhaustive
 def test_the_example_finds_the_arm(tmp_path, capsys):
     for needed in ("matplotlib", "rich", "scipy", "tyro"):
         pytest.importorskip(needed, reason="the examples need the extra 'examples'")

@@ -12,15 +12,13 @@ from torchdq.learning import identify, smooth
 BACKEND = "auto"  # one arm, whose programs all tests share
 
 
-@pytest.mark.parametrize("late", [0.03, -0.03])
-def test_a_lag_is_found_with_friction_that_was_chosen_for_it(late):
+def test_a_lag_is_found_with_friction_that_was_chosen_for_it():
     """Friction of other shapes takes a half of the lag, were it not moved with the model."""
-    logs = [late_log(late, seed) for seed in (1, 2, 3)]
+    logs = [late_log(0.03, seed) for seed in (1, 2, 3)]
     found, (lag,) = with_findings(identify, ROBOT, [smooth(log) for log in logs])
-    assert len(found.terms) > 2 and lag.code == "torque.lag" and abs(lag.value - late) < 0.6e-3
-    if late > 0:
-        mended, findings = with_findings(identify, ROBOT, [smooth(log, delay=round(lag.value, 3)) for log in logs])
-        assert not findings and not any(term.bristles for term in mended.terms)
+    assert len(found.terms) > 2 and lag.code == "torque.lag" and abs(lag.value - 0.03) < 0.6e-3
+    mended, findings = with_findings(identify, ROBOT, [smooth(log, delay=round(lag.value, 3)) for log in logs])
+    assert not findings and not any(term.bristles for term in mended.terms)
 
 
 @all_in_one([0.05, -0.03])

@@ -14,7 +14,7 @@ pytest.importorskip("scipy", reason="smoothing needs scipy")
 EVERY = [(name, rate) for name in ("two_link", "ur10e", "panda") for rate in (100, 500, 1000)]
 
 
-@pytest.mark.parametrize(("name", "rate"), thinned(EVERY, [*EVERY[:3], ("ur10e", 100)]))
+@pytest.mark.parametrize(("name", "rate"), thinned(EVERY, [("two_link", 100), ("two_link", 1000), ("ur10e", 100)]))
 def test_friction_is_found_within_the_stated_errors(name, rate):
     robot = torchdq.robots.load(name)
     log, viscous, coulomb = noisy_log(robot, rate, seed=rate)
@@ -37,14 +37,12 @@ def test_friction_of_another_shape_has_a_finding_and_its_width_is_the_cure(width
     """Friction as simulated, which is viscous below a width, with the sign of a sharp step."""
     robot = torchdq.robots.load("two_link")
     log, *truths = noisy_log(robot, 100, 3, width)
-    sharp, motion = smooth(log, rate=16), smooth(log, rate=16, sign_width=width)
-    biased, findings = with_findings(fitted, robot, sharp)
+    biased, findings = with_findings(fitted, robot, smooth(log, rate=16))
     assert codes(findings) == ["friction.shape"] and "smooth(log) its sign_width" in findings[0].cure
     assert "--sign-width" in findings[0].option and findings[0].subject in robot.joint_names
     assert errors(biased, *truths).abs().max() > 3
-    found, findings = with_findings(fitted, robot, motion, sign_width=width)
-    assert not findings
-    assert errors(found, *truths).abs().max() < 3
+    found, findings = with_findings(fitted, robot, smooth(log, rate=16, sign_width=width), sign_width=width)
+    assert not findings and errors(found, *truths).abs().max() < 3
 
 
 def test_dry_friction_of_filtered_torques_has_a_finding_without_the_filtered_sign():

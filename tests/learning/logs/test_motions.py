@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from helpers import all_in_one
 from messages import refused
 from recorded_logs import RATE, arrays, log_refused, names, sines, table, written
 from recordings import LAYOUTS
@@ -17,26 +18,27 @@ from torchdq.learning.logs import motions
 pytest.importorskip("scipy", reason="smoothing needs scipy")
 
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    return read_log(written(tmp_path_factory.mktemp("log") / "log.csv", table(), names(7)))
-
-
 def of(rows):
     """Log of rows of `table`."""
     return read_log(dict(zip(("time", "q", "qd", "tau"), (rows[:, 0], *np.split(rows[:, 1:], 3, 1)), strict=True)))
 
 
-# --- smoothing -------------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return read_log(written(tmp_path_factory.mktemp("log") / "log.csv", table(), names(7)))
 
 
-def test_smoothing_recovers_a_known_motion(log):
+@pytest.fixture(scope="module")
+def motion(log):
+    return smooth(log)
+
+
+def test_smoothing_recovers_a_known_motion(log, motion):
     """Although the steps are uneven by 60 %."""
-    found = smooth(log)
-    for name, x, expected in zip(("q", "qd", "qdd", "tau"), found[1:5], sines(found.time), strict=True):
+    for name, x, expected in zip(("q", "qd", "qdd", "tau"), motion[1:5], sines(motion.time), strict=True):
         assert abs(x - expected).max() < 1e-3 * abs(expected).max(), name
-    assert np.diff(found.time).std() < 1e-9
-    assert found.time[0] >= log.time[0] + motions.ENDS
+    assert np.diff(motion.time).std() < 1e-9
+    assert motion.time[0] >= log.time[0] + motions.ENDS
 
 
 def phase_of(x, time):
@@ -46,11 +48,10 @@ def phase_of(x, time):
     return np.arctan2(cosine, sine)
 
 
-def test_a_sine_keeps_its_phase(log):
+def test_a_sine_keeps_its_phase(motion):
     """A lag of one row would be 4e-3 rad; accelerations are opposite to the positions to 1e-5 rad."""
-    found = smooth(log)
-    for x, ahead in ((found.q, 0.0), (found.qd, np.pi / 2), (found.qdd, np.pi), (found.tau, np.pi / 2)):
-        lag = np.angle(np.exp(1j * (phase_of(x, found.time) - np.arange(7.0) - ahead)))
+    for x, ahead in ((motion.q, 0.0), (motion.qd, np.pi / 2), (motion.qdd, np.pi), (motion.tau, np.pi / 2)):
+        lag = np.angle(np.exp(1j * (phase_of(x, motion.time) - np.arange(7.0) - ahead)))
         assert abs(lag).max() < 2e-5
 
 
@@ -87,8 +88,7 @@ def test_positions_alone_give_the_velocities_and_accelerations():
     np.testing.assert_allclose(smooth(read_log(known | {"qd": None})).tau, smooth(read_log(known)).tau)
 
 
-def test_the_sign_of_the_velocity_is_filtered_as_the_torques_are(log):
-    motion = smooth(log)
+def test_the_sign_of_the_velocity_is_filtered_as_the_torques_are(log, motion):
     fast = abs(motion.qd) > 1
     assert abs(motion.direction - np.sign(motion.qd))[fast].max() < 0.2
     assert abs(motion.direction).min() < 0.1  # rounded, where a sharp sign would hardly ever be
@@ -111,8 +111,7 @@ def test_cutoffs_fit_the_rate_and_are_recorded(rate, cutoff):
 
 
 def test_frequencies_may_be_chosen():
-    log = of(table(20.0))
-    narrow = smooth(log, cutoff_qd=0.7, cutoff_tau=30.0)
+    narrow = smooth(of(table(20.0)), cutoff_qd=0.7, cutoff_tau=30.0)
     # twice through a filter of order four, a sine at the cutoff is halved
     assert abs(narrow.qd).max() == pytest.approx(RATE / 2, rel=0.05)
     np.testing.assert_allclose(narrow.tau, sines(narrow.time)[3], atol=1e-3)
@@ -136,9 +135,9 @@ def reaching(seconds, rest, step=1e-3):
 
 
 def test_a_short_motion_between_rests_is_kept_whole():
-    found = smooth(read_log(reaching(0.8, 0.3)), cutoff_qd=20.0, cutoff_tau=20.0)
-    assert found.time[-1] - found.time[0] > 0.7  # the rest of it is slower than `AT_REST`
     exact = reaching(0.8, 0.3)
+    found = smooth(read_log(exact), cutoff_qd=20.0, cutoff_tau=20.0)
+    assert found.time[-1] - found.time[0] > 0.7  # the rest of it is slower than `AT_REST`
     rows = np.rint(found.time / 1e-3).astype(int)
     for name in ("q", "qd", "tau"):
         np.testing.assert_allclose(getattr(found, name), exact[name][rows], atol=0.02 * np.ptp(exact[name]))
@@ -165,22 +164,17 @@ def test_without_scipy_the_message_says_so(log, monkeypatch):
         smooth(log)
 
 
-# --- splitting and stacking ------------------------------------------------------------------------------------------
-
-
-def test_a_single_motion_is_cut_with_a_gap(log):
-    whole = smooth(log)
-    (before,), (after,) = train_test_split(whole, 0.6)
-    assert len(before.time) == np.ceil(0.6 * len(whole.time))
+def test_a_single_motion_is_cut_with_a_gap(motion):
+    (before,), (after,) = train_test_split(motion, 0.6)
+    assert len(before.time) == np.ceil(0.6 * len(motion.time))
     assert motions.ENDS <= after.time[0] - before.time[-1] < motions.ENDS + 0.002
-    np.testing.assert_array_equal(after.tau[-1], whole.tau[-1])
-    (usual,), _ = train_test_split([whole])
-    assert len(usual.time) == np.ceil(2 / 3 * len(whole.time))
+    np.testing.assert_array_equal(after.tau[-1], motion.tau[-1])
+    (usual,), _ = train_test_split([motion])
+    assert len(usual.time) == np.ceil(2 / 3 * len(motion.time))
 
 
-def test_several_motions_are_split_as_wholes(log):
-    whole = smooth(log)
-    many = [whole._replace(tau=np.full_like(whole.tau, i)) for i in range(10)]
+def test_several_motions_are_split_as_wholes(motion):
+    many = [motion._replace(tau=np.full_like(motion.tau, i)) for i in range(10)]
 
     def numbers(*arguments, **options):
         return [[m.tau[0, 0] for m in part] for part in train_test_split(*arguments, **options)]
@@ -192,9 +186,9 @@ def test_several_motions_are_split_as_wholes(log):
     assert [len(part) for part in numbers(many[:2], 0.99)] == [len(part) for part in numbers(many[:2], 0.01)] == [1, 1]
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_samples_are_the_rows_of_all_motions(log, dtype):
-    parts = [part for some in train_test_split(smooth(log), 0.5) for part in some]
+@all_in_one([torch.float32, torch.float64])
+def test_samples_are_the_rows_of_all_motions(dtype, motion):
+    parts = [part for some in train_test_split(motion, 0.5) for part in some]
     found = stack_samples(parts, dtype)
     for name, x in found._asdict().items():
         expected = np.concatenate([getattr(part, name) for part in parts])
@@ -202,9 +196,8 @@ def test_samples_are_the_rows_of_all_motions(log, dtype):
     assert torch.equal(stack_samples(parts[0], dtype).q, found.q[: len(parts[0].q)])
 
 
-def test_they_print_as_tables(log):
+def test_they_print_as_tables(log, motion):
     """Shape, range and unit of every signal instead of thousands of numbers."""
-    motion = smooth(log)
     for found in (log, motion, stack_samples(motion)):
         lines = str(found).splitlines()
         assert repr(found) == str(found) and len(lines) < 10
@@ -213,11 +206,7 @@ def test_they_print_as_tables(log):
     assert str(log).endswith("log.csv: 7 joints, 5000 rows, 0 repeated time stamps left out", 0, str(log).index("\n"))
 
 
-# --- arguments -------------------------------------------------------------------------------------------------------
-
-
-def test_arguments_are_checked(log):
-    motion = smooth(log)
+def test_arguments_are_checked(log, motion):
     options = [*({"rate": x} for x in (1e-9, 5e-324, 0)), {"sign_width": -1.0}, {"delay": 9.0}]
     options += [{name: x} for name in ("cutoff_qd", "cutoff_tau") for x in ("8", 600.0, 0.0)]
     for call in (

@@ -63,14 +63,11 @@ def text(rows, name):
 def test_commands_are_held_and_files_of_other_times_refused():
     slow, quick = np.arange(0, 4, 0.05), np.arange(0, 4, 0.01)
     command = np.repeat(np.arange(80) % 2.0, 5)[:, None] + np.zeros(2)  # a step every 0.05 s
-    q, asked = (
-        text(np.column_stack([slow + 0.004, sines(slow, 2)[0]]), "q"),
-        text(np.column_stack([quick, command]), "u"),
-    )
+    q = text(np.column_stack([slow + 0.004, sines(slow, 2)[0]]), "q")
+    asked, late = (text(np.column_stack([quick + by, command]), "u") for by in (0, 60))
     layout = Layout(columns={"qd": None, "tau": None, "command": "u{1}"})
     found, _ = with_findings(read_log, [q, asked], layout)
     np.testing.assert_array_equal(found.command[:, 0], np.arange(len(found.time)) % 2)
     assert "commands are held" in found.joined
-    late = text(np.column_stack([quick + 60, command]), "u")
     with log_refused("time.apart"):
         read_log([q, late], layout)

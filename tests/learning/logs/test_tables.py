@@ -15,9 +15,6 @@ ROBOT = torchdq.robots.load("two_link")
 NUMBERED = {"time": "1", "q": "{2}", "qd": "{4}", "tau": "{6}"}
 
 
-# --- texts -----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("separator", [",", ";", "\t", "|", " "])
 @pytest.mark.parametrize("head", ["", "# ", "# measured today\n# at 21 degrees, indoors\n# "])
 def test_texts_of_all_separators_are_read_below_comments(tmp_path, separator, head):
@@ -73,9 +70,6 @@ def test_columns_have_the_names_of_the_robots_joints(tmp_path):
     assert_holds(read_log(path, layout, robot=ROBOT))
     with refused(ArgumentError):
         read_log(path, layout)
-
-
-# --- arrays ----------------------------------------------------------------------------------------------------------
 
 
 def test_arrays_of_columns_blocks_and_structures_are_read():

@@ -52,9 +52,6 @@ def weights(model: nn.Module) -> torch.Tensor:
     return nn.utils.parameters_to_vector(model.parameters()).detach()
 
 
-# --- what is learned -------------------------------------------------------------------------------------------------
-
-
 def test_known_masses_are_found():
     robot = torchdq.robots.load("two_link")
     model = DQRNEA(robot.replace(mass=robot.mass * torch.tensor([1.5, 0.6])), learn=("mass",))
@@ -75,9 +72,9 @@ def test_the_loss_is_error_over_variance_of_each_joint():
 
     train, valid = data(), data(77, seed=1)
     history = fit(Constant(), train, valid, steps=1, batch=200, rate=1e-12)
-    expected = [(x.tau.square().mean(0) / train.tau.var(0, correction=0)).mean() for x in (train, valid)]
-    assert history.train == pytest.approx([float(expected[0])], rel=1e-5)
-    assert history.valid == pytest.approx([float(expected[1])], rel=1e-5)
+    for x, found in ((train, history.train), (valid, history.valid)):
+        expected = (x.tau.square().mean(0) / train.tau.var(0, correction=0)).mean()
+        assert found == pytest.approx([float(expected)], rel=1e-5)
 
 
 def test_the_steps_are_those_of_adamw_with_a_cosine():
@@ -178,9 +175,6 @@ def test_a_history_prints_as_a_table():
     assert str(alone).splitlines()[2].split() == ["step", "train"] and len(str(alone).splitlines()) == 3 + 1
 
 
-# --- arguments -------------------------------------------------------------------------------------------------------
-
-
 def spoilt(value: float) -> Samples:
     samples = data(dtype=torch.float64)
     samples.qd[7, 1] = value
@@ -244,9 +238,6 @@ def test_a_validation_error_that_is_not_finite_ends_the_run():
     huge = data()._replace(tau=torch.full((200, 2), 1e30))
     with refused(TrainingError):
         fit(Network(), data(), huge, steps=10, batch=100)
-
-
-# --- what is shown ---------------------------------------------------------------------------------------------------
 
 
 class Interrupted(Network):

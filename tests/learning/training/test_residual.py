@@ -47,10 +47,7 @@ def error(model, part):
         return (model(*part[:3]) - part.tau).square().mean(0).sqrt()
 
 
-# --- kept where it helps ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("rest", [stribeck, cable])
+@pytest.mark.parametrize("rest", thinned([stribeck, cable], [cable]))
 def test_a_residual_that_helps_is_kept_and_brings_the_error_of_unseen_motions_down(rest):
     model = layer(inputs="all" if rest is cable else "joint")
     history = fit(model, [motion(k, rest) for k in range(6)], steps=200, **OPTIONS)
@@ -79,7 +76,7 @@ def test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight():
 def test_other_motions_are_never_worse_with_it(seconds):
     """Trained on little and tested slower and faster; a percent is what chance may do."""
     model = layer()
-    fit(model, motion(5, stribeck, seconds, noise=0.4), steps=200, **OPTIONS)
+    fit(model, motion(5, stribeck, seconds, noise=0.4), steps=150, **OPTIONS)
     for speed in (0.5, 2.0):
         test = motion(77, stribeck, speed=speed, noise=0.4)
         assert (error(model, test) <= 1.01 * error(model.model, test)).all(), speed
@@ -108,7 +105,7 @@ def test_a_motion_that_repeats_itself_does_not_pass_for_others():
     """Its network knows the recorded path, and blocks left out of one pass are in the next; regions are in none."""
     passes = Samples(*(torch.cat(x) for x in zip(*[motion(0, cable, 6.0, noise=0.1)] * 3, strict=True)))
     model = layer()
-    gain = fit(model, passes, steps=150, **OPTIONS).residual
+    gain = fit(model, passes, steps=100, **OPTIONS).residual
     on_blocks, acts = gain.without.square() - gain.error.square(), gain.weight > 0
     assert acts.any() and (gain.gains < 0.5 * on_blocks)[acts].all()  # that of regions counts
     for k in range(3):
@@ -133,6 +130,12 @@ def test_regions_are_judged_by_themselves(sign, kept):
     assert ((gain.gains > 2 * gain.standard_errors) == kept).all()
 
 
+def test_a_network_that_gains_by_chance_is_not_kept():
+    """Five blocks that it explains, and three that it makes worse."""
+    gain = validation_gain(layer(), list(parts(*[1.0] * 5, *[-1.0] * 3)), [], double(1.0, 1.0))
+    assert (gain.gains > 0).all() and not gain.weight.any()
+
+
 @pytest.mark.parametrize(("memory", "kept"), [(1, True), (200, False)])
 def test_rows_that_say_little_keep_no_network(memory, kept):
     """Blocks of 200 rows, all alike where the memory is as long: one independent row for each."""
@@ -148,7 +151,7 @@ def test_of_too_few_rows_none_are_held_out_and_the_residual_is_inactive():
 
 
 def test_validation_samples_choose_the_weights():
-    train, valid = motion(0, stribeck, 10.0), motion(8, stribeck, 10.0)
+    train, valid = motion(0, stribeck, 5.0), motion(8, stribeck, 5.0)
     model = layer()
     history = fit(model, train, valid, steps=300, **OPTIONS)
     assert len(history.valid) == 3 and history.best_step == history.step[history.valid.index(min(history.valid))]
@@ -158,15 +161,12 @@ def test_validation_samples_choose_the_weights():
     assert float(expected) == pytest.approx(min(history.valid), rel=1e-4)
 
 
-# --- beside physics that stay as they are ----------------------------------------------------------------------------
-
-
 @pytest.mark.filterwarnings("ignore")
 def test_the_physics_stay_as_they_are_whatever_they_could_learn():
     physics = torchdq.DQRNEA(TWO.replace(mass=1.2 * TWO.mass), learn=("mass", "friction", "offset"))
     before = {name: x.clone() for name, x in physics.state_dict().items()}
     model = layer(physics)
-    fit(model, motion(0, stribeck, 4.0), steps=20, **OPTIONS)
+    fit(model, motion(0, stribeck, 4.0), steps=5, **OPTIONS)
     assert all(torch.equal(x, before[name]) for name, x in physics.state_dict().items())
     assert all(p.requires_grad and p.grad is None for p in physics.parameters())
 
@@ -183,8 +183,8 @@ def test_the_same_seed_gives_the_same_bits():
 
 def test_a_network_of_ones_own_is_measured_too():
     network = torch.nn.Sequential(torch.nn.Linear(12, 12), torch.nn.Tanh(), torch.nn.Linear(12, 2))
-    model = layer(network=network)
-    assert (fit(model, [motion(k, stribeck, 10.0) for k in range(3)], steps=200, **OPTIONS).residual.weight > 0.5).all()
+    gain = fit(layer(network=network), [motion(k, stribeck, 10.0) for k in range(3)], steps=100, **OPTIONS).residual
+    assert (gain.weight > 0.5).all()
 
 
 def test_rows_of_motions_are_one_after_the_other_and_physics_takes_them_too():
@@ -193,8 +193,7 @@ def test_rows_of_motions_are_one_after_the_other_and_physics_takes_them_too():
     found = []
     for given in (several, whole):
         model = torchdq.DQRNEA(TWO.replace(mass=1.2 * TWO.mass), learn=("mass",))
-        history = fit(model, given, steps=20, batch=64)
-        assert history.residual is None
+        assert fit(model, given, steps=5, batch=64).residual is None
         found.append(model.mass.detach())
     assert torch.equal(*found)
     with refused(torchdq.ArgumentError):

@@ -8,16 +8,15 @@ import torch
 from helpers import all_in_one, random, thinned
 from messages import refused
 from oracles import random_tree
+from robots import F64, on_free_base, two
 
 import torchdq
 from torchdq import Robot, dq, floating
 
-F64 = torch.float64
-N, B = 6, 3
+N, B = 6, 2
 WORST = 1e-11
 
 GEARS = {"j2": {"j0": -1.5}, "j4": {"j3": 0.5}, "j5": {"j3": 2.0}}  # each joint follows one coordinate
-BASE = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
 
 RUNS = [("gears", 0), ("dense", 5), ("gears", 5), ("dense", 0)]
 SEEDS = pytest.mark.parametrize("kind, seed", thinned(RUNS, RUNS[:2]))
@@ -26,8 +25,7 @@ SEEDS = pytest.mark.parametrize("kind, seed", thinned(RUNS, RUNS[:2]))
 def reduced(seed: int, kind: str, free: bool = False) -> tuple[Robot, Robot, torch.Tensor, torch.Tensor]:
     """Random tree with gears or with a map without zeros, the full robot, and S and s0."""
     full = random_tree(N, seed, armature=kind == "gears").robot
-    if free:
-        full = full.replace(**{name: torch.tensor(x, dtype=F64) for name, x in BASE.items()}).bake()
+    full = on_free_base(full) if free else full
     shift = 0.4 * random(N, seed=seed)
     offset = dict(zip(full.joint_names, shift.tolist(), strict=True))
     if kind == "gears":
@@ -91,7 +89,7 @@ def test_the_regressor_and_derivatives_are_the_reduced_ones(kind, seed):
     assert all(close(found, S.T @ expected @ S) for found, expected in pairs)
 
 
-@pytest.mark.parametrize("kind", ["gears", "dense"])
+@all_in_one(thinned(["dense", "gears"], ["dense"]))
 def test_gradients_are_right_to_the_second_order(kind):
     robot = reduced(3, kind)[0]
     rows = [x.clone().requires_grad_() for x in (*random(3, robot.n), robot.mass)]
@@ -99,7 +97,6 @@ def test_gradients_are_right_to_the_second_order(kind):
     def run(function):
         return lambda z, v, a, m: function(robot.replace(mass=m), z, v, a)
 
-    assert torch.autograd.gradcheck(run(torchdq.inverse_dynamics), rows, fast_mode=True)
     assert torch.autograd.gradcheck(run(torchdq.forward_dynamics), rows, fast_mode=True)
     assert torch.autograd.gradgradcheck(run(torchdq.inverse_dynamics), rows, fast_mode=True)
 
@@ -136,7 +133,7 @@ def test_functions_on_a_free_base_are_those_of_the_reduced_system(kind, seed):
     assert close(Y, T.T @ floating.regressor(full, X, q, V, qd, A, qdd))
 
 
-@all_in_one(["gears", "dense"])
+@all_in_one(thinned(["gears", "dense"], ["gears"]))
 def test_gradients_on_a_free_base(kind):
     robot = reduced(3, kind, free=True)[0]
     X, (V, _) = dq.exp(random(6)), random(2, 6, seed=1)
@@ -156,7 +153,6 @@ def test_a_follower_is_no_coordinate():
 
 
 def test_one_number_is_that_of_every_coordinate():
-    robot = torchdq.robots.load("two_link")
     S, names = [[1.0, 0.0], [1.0, 1.0]], ["a", "b"]
-    one, each = (robot.couple(S, names, limits=float("inf"), damping=x, friction=x) for x in (0.5, [0.5, 0.5]))
+    one, each = (two().couple(S, names, limits=float("inf"), damping=x, friction=x) for x in (0.5, [0.5, 0.5]))
     assert torch.equal(one.damping, each.damping) and torch.equal(one.friction, each.friction)

@@ -3,17 +3,20 @@
 An error of torques and of the mass matrix is relative to the largest number of its kind.
 """
 
+import sys
 import warnings
 
 import messages
 import mujoco
 import numpy as np
 import oracles
-import pytest
+import pinocchio as pin
 import torch
 from helpers import all_in_one
 from messages import refused
 from mjcf_text import ARM, COUPLED, FREE, fixed_assets, model_of, random_mjcf
+from robots import noted
+from rotations import tensor
 from urdf_text import codes
 
 import torchdq
@@ -43,15 +46,21 @@ def xpose(data) -> np.ndarray:
     return X
 
 
+def forwarded(model: mujoco.MjModel) -> mujoco.MjData:
+    """Data of a model where it begins."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data
+
+
 @all_in_one(CASES)
 def test_dynamics_agree_with_mujoco(name):
     source = CASES[name]
     model, robot = model_of(source), torchdq.Robot.from_mjcf(source, on_unphysical="ignore")
     data = mujoco.MjData(model)
     assert robot.n == model.nv
-    s = oracles.states(robot)
-    tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, backend="eager")
-    M = torchdq.mass_matrix(robot, s.q, backend="eager")
+    s = oracles.states(robot, batch=2)
+    tau, M = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd), torchdq.mass_matrix(robot, s.q)
     for k in range(len(s.q)):
         data.qpos[:], data.qvel[:] = s.q[k].numpy(), s.qd[k].numpy()
         mujoco.mj_forward(model, data)
@@ -69,14 +78,13 @@ def test_frames_and_jacobians_agree_with_mujoco(name):
     q = oracles.states(robot).q[0]
     data.qpos[:] = q.numpy()
     mujoco.mj_forward(model, data)
-    poses = dict(zip(robot.frame_names, torchdq.forward_kinematics(robot, q, backend="eager"), strict=True))
+    poses = dict(zip(robot.frame_names, torchdq.forward_kinematics(robot, q), strict=True))
     for i in range(model.nbody):
         name = model.body(i).name
         near(transform(poses[name]), xpose(data.body(i)))
         linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         mujoco.mj_jacBody(model, data, linear, angular, i)
-        J = torchdq.jacobian(robot, q, name, expressed="world", backend="eager")
-        near(J, np.concatenate([angular, linear]))
+        near(torchdq.jacobian(robot, q, name, expressed="world"), np.concatenate([angular, linear]))
     for i in range(model.nsite):
         name = model.site(i).name + ("_site" if model.site(i).name == "plate" else "")
         near(transform(poses[name]), xpose(data.site(i)))
@@ -89,9 +97,9 @@ def test_a_robot_from_urdf_is_that_from_mujocos_reading_of_the_urdf(name):
         other = torchdq.Robot.from_mjcf(text, gravity=(0, 0, -9.81))
     robot = oracles.example_case(name).robot
     s, order = oracles.states(robot), [robot.joint_index(joint) for joint in other.joint_names]
-    tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, backend="eager")
-    other_tau = torchdq.inverse_dynamics(other, s.q[:, order], s.qd[:, order], s.qdd[:, order], backend="eager")
-    near(other_tau, tau[:, order], 1e-9)  # MuJoCo's principal axes
+    tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd)[:, order]
+    other_tau = torchdq.inverse_dynamics(other, *(x[:, order] for x in (s.q, s.qd, s.qdd)))
+    near(other_tau, tau, 1e-9)  # MuJoCo's principal axes
 
 
 # --- numbers of the joints -------------------------------------------------------------------------------------------
@@ -99,8 +107,7 @@ def test_a_robot_from_urdf_is_that_from_mujocos_reading_of_the_urdf(name):
 
 def test_numbers_of_joints_are_the_files():
     robot = torchdq.Robot.from_mjcf(ARM)
-    assert robot.name == "arm"
-    assert robot.joint_names == ("turn", "tilt", "slide", "joint3", "yaw")
+    assert robot.name == "arm" and robot.joint_names == ("turn", "tilt", "slide", "joint3", "yaw")
     assert robot.link_names == ("shoulder before turn", "shoulder", "rail", "hand", "tower")
     assert robot.kinds == ("revolute", "revolute", "prismatic", "revolute", "revolute")
     assert robot.parents == (-1, 0, 1, 2, -1)
@@ -110,15 +117,11 @@ def test_numbers_of_joints_are_the_files():
     near(robot.damping, [0.5 + 9 * 0.1, 0.5, 0.5, 0, 0.5])
     near(robot.friction, [0, 0.3, 0, 0, 0])
     near(robot.gravity, [0.3, -1, -9])
-    near(robot.limits.lower[:1], [-90 * degree])
-    near(robot.limits.upper[:1], [120 * degree])
+    near([robot.limits.lower[0], robot.limits.upper[0]], [-90 * degree, 120 * degree])
     assert robot.limits.lower[1:].tolist() == [-inf] * 4
     assert robot.limits.effort.tolist() == [3 * 2 + 2 * 5, inf, inf, inf, inf]
-    assert robot.frame("plate").link == 1
-    assert robot.frame("plate_site").link == 1
-    assert robot.frame("foot").link == -1
-    assert robot.tip is None
-    assert torchdq.Robot.from_mjcf(ARM, tip="mark").tip == "mark"
+    assert [robot.frame(name).link for name in ("plate", "plate_site", "foot")] == [1, 1, -1]
+    assert robot.tip is None and torchdq.Robot.from_mjcf(ARM, tip="mark").tip == "mark"
 
 
 def test_parts_that_are_not_used_are_noted():
@@ -141,14 +144,8 @@ def test_parts_that_are_not_used_are_noted():
       <actuator><general name="pull" tendon="t"/></actuator></mujoco>"""
     with messages.warned(UserWarning):
         robot = torchdq.Robot.from_mjcf(extras)
-    assert codes(robot) >= {
-        ("unsimulated.spring", "j"),
-        ("unsimulated.actuator", "pull"),
-        ("unsimulated.tendon", "t"),
-        ("unsimulated.fluid", "air or water"),
-        ("unsimulated.gravcomp", "b"),
-        ("body.mocap", ""),
-    }
+    left_out = {"spring": "j", "actuator": "pull", "tendon": "t", "fluid": "air or water", "gravcomp": "b"}
+    assert codes(robot) >= {("body.mocap", ""), *((f"unsimulated.{part}", name) for part, name in left_out.items())}
     assert "pull: actuators that act on no joint, not used" in str(robot.report())
 
 
@@ -191,18 +188,14 @@ def test_gravity_is_the_files_unless_it_is_given():
     near(torchdq.Robot.from_mjcf(ARM, gravity=(0, 0, -1)).gravity, [0, 0, -1])
     assert torchdq.Robot.from_mjcf(ARM, gravity=None).gravity is None
     off = ARM.replace('gravity="0.3 -1 -9"/>', '><flag gravity="disable"/></option>')
-    assert (
-        torchdq.Robot.from_mjcf(off).gravity
-        is torchdq.Robot.from_mjcf(ARM.replace("0.3 -1 -9", "0 0 0")).gravity
-        is None
-    )
+    for text in (off, ARM.replace("0.3 -1 -9", "0 0 0")):
+        assert torchdq.Robot.from_mjcf(text).gravity is None
 
 
 def test_bodies_that_are_all_compensated_for_gravity_feel_none():
     text = "<mujoco><worldbody><body gravcomp='1'><joint/><geom size='1'/>{}</body></worldbody></mujoco>"
     robot = torchdq.Robot.from_mjcf(text.format(""))
-    assert robot.gravity is None
-    assert ("gravity.compensated", "") in codes(robot)
+    assert robot.gravity is None and ("gravity.compensated", "") in codes(robot)
     heavy = "<body name='heavy' pos='1 0 0'><joint/><geom size='1'/></body>"
     with messages.warned(UserWarning):
         assert torchdq.Robot.from_mjcf(text.format(heavy)).gravity is not None
@@ -216,9 +209,10 @@ def warned(load, *arguments, **options):
     return found, [line.strip() for warning in seen for line in str(warning.message).splitlines()[1:]]
 
 
-@pytest.mark.parametrize("a, b, named", [("0", "1", "b"), ("0.5", "0.5", "a, b"), ("1", "1", ""), ("0", "0", "")])
-def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, named):
+@all_in_one([("0", "1", "b"), ("0.5", "0.5", "a, b"), ("1", "1", ""), ("0", "0", "")])
+def test_gravity_that_is_compensated_in_part_is_warned_of(bodies):
     """MuJoCo relieves these bodies, and a robot has one gravity for all."""
+    a, b, named = bodies
     geom = "<geom size='1' contype='0' conaffinity='0'/>"
     ball = f"<joint type='slide'/>{geom}"
     bodies = f"<body name='a' gravcomp='{a}'>{ball}<body name='b' gravcomp='{b}'>{ball}</body></body>"
@@ -229,12 +223,8 @@ def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, named):
     assert set(lines) <= {*map(str, robot.notes)}
     for quiet in ({"gravity": None}, {"on_unphysical": "ignore"}):
         assert warned(torchdq.Robot.from_mjcf, text, **quiet)[1] == []
-    model = model_of(text)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    zero = torch.zeros(2, dtype=torch.float64)
-    rises = torchdq.forward_dynamics(robot, zero, zero, zero, backend="eager").numpy()
-    assert np.allclose(rises, data.qacc, atol=1e-9) == (not named)
+    rises = torchdq.forward_dynamics(robot, *torch.zeros(3, 2, dtype=torch.float64))
+    assert np.allclose(rises, forwarded(model_of(text)).qacc, atol=1e-9) == (not named)
 
 
 # --- joints that are locked or coupled -------------------------------------------------------------------------------
@@ -252,7 +242,7 @@ def near_robot(a: torchdq.Robot, b: torchdq.Robot) -> None:
     """Compare the torques of two robots with the same joints."""
     assert a.joint_names == b.joint_names
     s = oracles.states(a)
-    near(*(torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, backend="eager") for robot in (a, b)))
+    near(*(torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd) for robot in (a, b)))
 
 
 def coupled(**arguments) -> torchdq.robot.description.RobotDescription:
@@ -285,37 +275,30 @@ def test_linear_couplings_of_joints_are_a_map_of_coordinates():
 
 def test_joints_that_are_coupled_to_a_locked_one_are_locked():
     found = coupled(lock={"left": 0.4})
-    assert found.joint_names == ("lift",)
-    assert found.joint_map is None
-    (note,) = [note for note in found.notes if note.code == "lock"]
-    assert str(note) == "locked: left at 0.4, tip at 0.075, right at -0.25"
+    assert found.joint_names == ("lift",) and found.joint_map is None
+    assert noted(found, "lock") == ["locked: left at 0.4, tip at 0.075, right at -0.25"]
     assert coupled(kept="right").joint_names == ("left",)
-    still = COUPLED.replace('joint2="left" polycoef="0.05 -2', 'polycoef="0.05 0')
-    assert mjcf.read(still, "file").description.joint_names == ("lift",)
 
 
 def test_a_coupling_that_is_said_twice_holds_no_joint():
     text = COUPLED.replace("0.05 -2", "0.05 -3").replace("0.025 -0.5", "0.0166666667 -0.3333333333")
-    found = mjcf.read(text, "file").description
-    assert found.joint_names == ("lift", "left")
+    assert mjcf.read(text, "file").description.joint_names == ("lift", "left")
 
 
-def test_a_position_beyond_the_range_is_warned_of():
+def test_positions_beyond_the_range_are_warned_of_and_ranges_that_end_before_they_begin_are_noted():
     with messages.warned(UserWarning) as seen:
         torchdq.Robot.from_mjcf(ARM, lock={"turn": 90})
     assert seen[0].filename == __file__
-
-
-def test_a_range_that_ends_before_it_begins_is_noted():
     robot = torchdq.Robot.from_mjcf(ARM.replace('range="-90 120"', 'range="120 -90"'))
     assert ("limits.reversed", "turn") in codes(robot)
 
 
 def test_joints_that_couplings_hold_are_told_from_locked_ones():
     text = COUPLED.replace('joint2="left" polycoef="0.05 -2', 'polycoef="0.05 0')
-    found = {note.code: str(note) for note in torchdq.Robot.from_mjcf(text).notes}
-    assert found["joint.stuck"].endswith("held by equality constraints: left at 0.3, tip at -0.025, right at -0.05")
-    assert "lock" not in found
+    robot = torchdq.Robot.from_mjcf(text)
+    (note,) = noted(robot, "joint.stuck")
+    assert note.endswith("held by equality constraints: left at 0.3, tip at -0.025, right at -0.05")
+    assert robot.joint_names == ("lift",) and not noted(robot, "lock")
 
 
 @all_in_one(["equality", "constraint"])
@@ -331,9 +314,7 @@ def test_couplings_that_a_flag_disables_are_noted_and_not_used(flag):
 
 def test_a_free_joint_makes_a_floating_base():
     found, gravity = mjcf.read(FREE, "file")[:2]
-    assert found.joint_names == ("hip",)
-    assert found.parents == (-1,)
-    assert not codes(found, ("error", "warning"))
+    assert found.joint_names == ("hip",) and found.parents == (-1,) and not codes(found, ("error", "warning"))
     near(gravity, (0, 0, -3.7))
     assert [(frame.name, frame.link) for frame in found.frames] == [("torso", -1), ("head", -1), ("leg", 0)]
     # the mass matrix of the torso and head alone
@@ -342,21 +323,15 @@ def test_a_free_joint_makes_a_floating_base():
     data.qpos[3:] = 1, 0, 0, 0
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, M)
-    m, c = float(found.base_mass), found.base_com.numpy()
-    skew = np.array([[0, -c[2], c[1]], [c[2], 0, -c[0]], [-c[1], c[0], 0]])
-    xx, xy, yy, xz, yz, zz = found.base_inertia.tolist()
-    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    m, skew = float(found.base_mass), pin.skew(found.base_com.numpy())
+    about_com = tensor(found.base_inertia.tolist())
     near(M, np.block([[m * np.eye(3), -m * skew], [m * skew, about_com - m * skew @ skew]]))
 
 
 def test_a_free_base_is_held_on_request():
-    robot = torchdq.Robot.from_mjcf(FREE, base="fixed")
-    assert robot.base_mass is None
-    model = model_of(FREE)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    robot, data = torchdq.Robot.from_mjcf(FREE, base="fixed"), forwarded(model_of(FREE))
+    assert robot.base_mass is None and ("joint.held", "root") in codes(robot)
     near(transform(torchdq.forward_kinematics(robot, torch.zeros(1).double(), "head")), xpose(data.body("head")))
-    assert ("joint.held", "root") in codes(robot)
     assert torchdq.Robot.from_mjcf(FREE, lock=["root"]).base_mass is None
 
 
@@ -380,19 +355,10 @@ CUBE = "<body name='cube'><freejoint name='loose'/><geom size='1'/></body>"
 DOOR = "<body name='door'><joint name='hinge'/><geom size='1'/></body>"
 
 
-OPTIONS = [
-    (ARM, {"base": "floating"}),
-    (ARM, {"base": "flying"}),
-    (ARM, {"lock": "*"}),
-    (ARM, {"lock": ["elbow"]}),
-    (FREE, {"lock": {"root": 0.0}}),
-    (ARM, {"joints": ["turn"], "lock": ["turn"]}),
-    (ARM, {"joints": []}),
-    (ARM, {"tip": "finger"}),
-    (ARM, {"gravity": "moon"}),
-    (3, {}),
-    (COUPLED, {"lock": {"left": 0.4, "tip": 1.0}}),  # against a coupling
-]
+OF_ARM = [{"base": "floating"}, {"base": "flying"}, {"lock": "*"}, {"lock": ["elbow"]}, {"joints": []}]
+OF_ARM += [{"joints": ["turn"], "lock": ["turn"]}, {"tip": "finger"}, {"gravity": "moon"}]
+AGAINST_A_COUPLING = (COUPLED, {"lock": {"left": 0.4, "tip": 1.0}})
+OPTIONS = [*((ARM, x) for x in OF_ARM), (FREE, {"lock": {"root": 0.0}}), (3, {}), AGAINST_A_COUPLING]
 TWICE = "".join(f"<joint name='{x}' joint1='j' joint2='k' polycoef='0 {x} 0 0 0'/>" for x in "12")
 STUCK = f"""<mujoco><worldbody><body name='a'><joint name='j'/><geom size='1'/><body name='b'><joint name='k'/>
 <geom size='1'/></body></body></worldbody><equality>{TWICE}</equality></mujoco>"""
@@ -409,17 +375,13 @@ FAULTY = [
     COUPLED.replace("0 -0.5 0", "0 1e60 0"),
     COUPLED.replace("0.05 -2", "nan -2"),
     COUPLED.replace("0.025 -0.5", "0.1 -0.5"),  # couplings that contradict each other
-    "<mujoco",
-    "<sdf/>",
-    b"\xff<mujoco/>",
-    "<mujoco>\0</mujoco>",
-    "no/such.xml",
+    *("<mujoco", "<sdf/>", b"\xff<mujoco/>", "<mujoco>\0</mujoco>", "no/such.xml"),
 ]
 
 
-@all_in_one(range(len(FAULTY) + len(OPTIONS)))
-def test_files_and_arguments_that_make_no_robot_are_refused(k):
-    text, arguments = [*OPTIONS, *((text, {}) for text in FAULTY)][k]
+@all_in_one([*OPTIONS, *((text, {}) for text in FAULTY)])
+def test_files_and_arguments_that_make_no_robot_are_refused(given):
+    text, arguments = given
     with refused(torchdq.TorchdqError):
         torchdq.Robot.from_mjcf(text, **arguments)
 
@@ -427,8 +389,7 @@ def test_files_and_arguments_that_make_no_robot_are_refused(k):
 def test_a_ball_joint_may_be_locked():
     text = FREE.replace('<body name="leg"', BALL + '<body name="leg"')
     found = mjcf.read(text, "file", None, ["knob"]).description
-    assert found.joint_names == ("hip",)
-    assert ("joint.held", "knob") in codes(found)
+    assert found.joint_names == ("hip",) and ("joint.held", "knob") in codes(found)
 
 
 # --- files -----------------------------------------------------------------------------------------------------------
@@ -454,11 +415,8 @@ MESHES = """
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def test_meshes_that_give_no_mass_are_not_opened():
+def test_meshes_that_give_mass_are_needed_and_no_others_are_opened(tmp_path):
     assert torchdq.Robot.from_mjcf(MESHES).link_names == ("stated", "shown")
-
-
-def test_meshes_that_give_mass_are_needed(tmp_path):
     text = MESHES.replace('<geom size="1"/>', '<geom type="mesh" mesh="b"/>')
     with refused(torchdq.DescriptionError):
         torchdq.Robot.from_mjcf(text)
@@ -481,6 +439,6 @@ def test_files_include_others_beside_them(tmp_path):
 
 
 def test_without_mujoco_a_message_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
     with refused(torchdq.MissingLibraryError):
         torchdq.Robot.from_mjcf(ARM)

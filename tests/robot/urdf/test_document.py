@@ -9,7 +9,8 @@ import pytest
 import torch
 from helpers import all_in_one
 from messages import refused, warned
-from urdf_text import also, arm, fixed, joint, link, torques, urdf
+from robots import torques
+from urdf_text import also, arm, fixed, joint, link, urdf
 
 import torchdq
 from torchdq import ArgumentError, DescriptionError, MissingFileError, Robot
@@ -46,8 +47,8 @@ OPENED = {
 }
 
 
-@pytest.mark.parametrize("kind", OPENED)
-def test_paths_bytes_open_files_and_addresses_are_read(tmp_path, kind):
+@all_in_one(OPENED)
+def test_paths_bytes_open_files_and_addresses_are_read(kind, tmp_path):
     path = tmp_path / "an arm.urdf"
     path.write_text(arm())
     source = OPENED[kind](path)
@@ -62,14 +63,14 @@ def test_the_home_folder_is_written_as_in_a_shell(tmp_path, monkeypatch):
     assert Robot.from_urdf("~/arm.urdf").n == 2
 
 
-@pytest.mark.parametrize(
-    "variable, value, folder",
-    [
-        ("ROS_PACKAGE_PATH", "{0}/none:{0}/src", "src/arm_description"),
-        ("ROS_PACKAGE_PATH", "{0}/src/arm_description", "src/arm_description"),
-        ("AMENT_PREFIX_PATH", "{0}/none:{0}/install", "install/share/arm_description"),
-    ],
-)
+PACKAGES = [
+    ("ROS_PACKAGE_PATH", "{0}/none:{0}/src", "src/arm_description"),
+    ("ROS_PACKAGE_PATH", "{0}/src/arm_description", "src/arm_description"),
+    ("AMENT_PREFIX_PATH", "{0}/none:{0}/install", "install/share/arm_description"),
+]
+
+
+@pytest.mark.parametrize("variable, value, folder", PACKAGES)
 def test_a_package_of_ros_is_found(tmp_path, monkeypatch, variable, value, folder):
     for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
         monkeypatch.delenv(name, raising=False)
@@ -83,35 +84,19 @@ def test_a_package_of_ros_is_found(tmp_path, monkeypatch, variable, value, folde
     assert Robot.from_urdf(address).n == 2
 
 
-UNREADABLE = (
-    "https://host/arm.urdf",
-    "file://other/arm.urdf",
-    "",
-    " \n",
-    b"",
-    "$HOME/arm.urdf",
-    "panda",
-    "no/such/arm.urdf",
-)
-UNREADABLE += ("a\0b", "a/../" * 2000, "a" * 100_000, ".", io.StringIO(""))
+UNREADABLE = ["https://host/arm.urdf", "file://other/arm.urdf", "$HOME/arm.urdf", "panda", "no/such/arm.urdf", "."]
+UNREADABLE += ["", " \n", b"", "a\0b", "a/../" * 2000, "a" * 100_000, io.StringIO("")]
 
 
-@all_in_one(UNREADABLE)
-def test_a_source_that_cannot_be_read_says_what_to_do(source):
-    refuse(source)
-
-
-def test_a_missing_file_is_what_a_caller_expects():
-    with pytest.raises(FileNotFoundError):
+def test_a_source_that_cannot_be_read_says_what_to_do():
+    closed = io.StringIO(arm())
+    closed.close()
+    for source in (*UNREADABLE, closed):
+        refuse(source)
+    with pytest.raises(FileNotFoundError):  # as callers expect
         Robot.from_urdf("no/such/arm.urdf")
-    file = io.StringIO(arm())
-    file.close()
-    refuse(file)
-
-
-@all_in_one([None, 5, True, ["arm.urdf"], {"path": "arm.urdf"}])
-def test_what_is_no_source_is_refused_by_kind(source):
-    refuse(source, ArgumentError)
+    for source in (None, 5, True, ["arm.urdf"], {"path": "arm.urdf"}):
+        refuse(source, ArgumentError)
 
 
 def test_errors_of_a_file_name_it(tmp_path):
@@ -133,12 +118,12 @@ def test_errors_of_a_file_name_it(tmp_path):
 
 
 @pytest.mark.case("U8")
-@pytest.mark.parametrize("prefix", ["", "file://", "package://arm", "http://localhost:1"])
-def test_meshes_are_never_opened(tmp_path, prefix):
+def test_meshes_are_never_opened(tmp_path):
     pipe = tmp_path / "mesh.stl"
     os.mkfifo(pipe)  # nobody writes into it, so whoever opens it waits for ever
-    mesh = f'<geometry><mesh filename="{prefix}{pipe}"/></geometry>'
-    robots, text = [], arm(more=f"<visual>{mesh}</visual><collision>{mesh}</collision>")
+    prefixes = "", "file://", "package://arm", "http://localhost:1"
+    meshes = [f'<geometry><mesh filename="{prefix}{pipe}"/></geometry>' for prefix in prefixes]
+    robots, text = [], arm(more="".join(f"<visual>{x}</visual><collision>{x}</collision>" for x in meshes))
     loading = threading.Thread(target=lambda: robots.append(Robot.from_urdf(text)), daemon=True)
     loading.start()
     loading.join(10)
@@ -147,41 +132,45 @@ def test_meshes_are_never_opened(tmp_path, prefix):
 
 # --- XML -------------------------------------------------------------------------------------------------------------
 
-HEADS = ["\n  ", "<!-- arm -->", '<?xml version="1.0" encoding="utf-8"?>', "\ufeff"]
-HEADS += [
-    f'<?xml version="1.0" encoding="{x}"?>' for x in ("utf-16", "latin-1", "ebcdic-of-no-kind")
-]  # text is decoded
+
+@all_in_one(["utf-8", "utf-16", "latin-1", "ebcdic-of-no-kind"])
+def test_text_is_decoded_whatever_its_declaration_says(encoding):
+    assert is_arm(f'<?xml version="1.0" encoding="{encoding}"?>' + arm())
 
 
-@all_in_one(HEADS)
-def test_text_may_begin_as_xml_may(before):
-    assert is_arm(before + arm())
+BEFORE = ["\n", " \t", "\ufeff", "\ufeff\n", "\n\ufeff", "<!-- a comment, \u00e9 -->\n", "<!--a--><!--b-->\ufeff"]
+DECLARED = "", "<?xml version='1.0' encoding='utf-8'?>\n"
+
+
+@all_in_one([(before, declaration) for before in BEFORE for declaration in DECLARED])
+def test_a_file_may_begin_with_blanks_comments_and_byte_order_marks(head, tmp_path):
+    text, path = "".join(head) + arm(), tmp_path / "arm.urdf"
+    path.write_text(text, encoding="utf-8")
+    robot = Robot.from_urdf(path)
+    assert torch.equal(torques(robot), torques(arm())) and is_arm(text)
+    assert robot.to_urdf(text) == text
+    heavier = robot.replace(mass=2 * robot.mass).to_urdf(text)
+    assert heavier.startswith("".join(head)) and torch.equal(Robot.from_urdf(heavier).mass, 2 * robot.mass)
 
 
 MESHES = '<visual><geometry><sphere radius="nan"/></geometry></visual><visual/><collision><geometry/></collision>'
-UNREAD = {
-    "odd meshes": arm(more=MESHES),
-    "other programs": also(
-        '<transmission name="t"/><gazebo><plugin/></gazebo><material name="m"/><material name="m"/>'
-    ),
-    "elements": also('<drake:x value="1"><drake:y/></drake:x>'),
-    "attributes": arm().replace("<robot", '<robot xsi:schema="x"'),
-    "prefixes in a link": arm(more='<gz:y gz:x="1"/>'),
-    "a namespace": arm().replace("<robot", '<robot xmlns="http://www.ros.org"'),
-    "nesting": arm(more="<a>" * 90_000 + "</a>" * 90_000),
-    **{
-        f"xacro {i}": also(x)
-        for i, x in enumerate(
-            ("<!-- <xacro:arm/> ${x} -->", '<gazebo reference="${x}"/>', "<transmission><xacro:arm/></transmission>")
-        )
-    },
-}
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+UNREAD = [
+    arm(more=MESHES),
+    arm(more='<gz:y gz:x="1"/>'),
+    arm(more="<a>" * 90_000 + "</a>" * 90_000),
+    also('<transmission name="t"/><gazebo><plugin/></gazebo><material name="m"/><material name="m"/>'),
+    also('<drake:x value="1"><drake:y/></drake:x>'),
+    also('<!-- <xacro:arm/> ${x} --><gazebo reference="${x}"/><transmission><xacro:arm/></transmission>'),
+    also('<xacro:property name="x" value="${y}"/><xacro:arg name="hand" default="1"/>'),  # definitions
+    *(arm().replace("<robot", f"<robot {x}") for x in ('xsi:schema="x"', 'xmlns="http://www.ros.org"', XACRO)),
+]
 
 
 @pytest.mark.case("U8")
 @all_in_one(UNREAD)
-def test_what_dynamics_do_not_need_may_be_wrong_and_prefixes_need_no_declaration(case):
-    assert is_arm(UNREAD[case])
+def test_what_dynamics_do_not_need_may_be_wrong_and_prefixes_need_no_declaration(text):
+    assert is_arm(text)
 
 
 BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa">' + "".join(
@@ -203,9 +192,7 @@ HOSTILE = {
     "links in a star": urdf(*LINKS, *(fixed(f"j{i}", "l0", f"l{i + 1}") for i in range(10_000))),
     **{f"cut at {part}": arm()[: int(part * len(arm()))] for part in (0.1, 0.5, 0.9, 0.99)},
     "cut in a character": arm().replace('"arm"', '"ä"').encode()[:14],
-    **{
-        f"in {code}": arm().replace('"arm"', '"bras articulé"').encode(code) for code in ("utf-16", "utf-32", "latin-1")
-    },
+    **{f"in {x}": arm().replace('"arm"', '"bras articulé"').encode(x) for x in ("utf-16", "utf-32", "latin-1")},
     **{repr(bad): also(bad) for bad in ("\0", "\ud800", "<", "&", "&nbsp;", "<!-- ", "]]>")},
 }
 
@@ -225,15 +212,12 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
 
 
 def test_a_long_chain_is_read_in_time_that_grows_with_its_length():
-    def seconds(n):
-        links = [link("l0", None), *(link(f"l{i + 1}", 1.0) for i in range(n))]
-        text = urdf(*links, *(joint(f"j{i}", f"l{i}", f"l{i + 1}", axis=(0, 1, 0)) for i in range(n)))
-        begin = time.thread_time()
-        assert Robot.from_urdf(text).n == n
-        return time.thread_time() - begin
-
-    seconds(50)
-    assert seconds(800) < ENDLESS
+    n = 800
+    links = [link("l0", None), *(link(f"l{i + 1}", 1.0) for i in range(n))]
+    text = urdf(*links, *(joint(f"j{i}", f"l{i}", f"l{i + 1}", axis=(0, 1, 0)) for i in range(n)))
+    begin = time.thread_time()
+    assert Robot.from_urdf(text).n == n
+    assert time.thread_time() - begin < ENDLESS
 
 
 # --- other formats ---------------------------------------------------------------------------------------------------
@@ -247,32 +231,25 @@ def test_other_formats_are_told_by_their_beginning_or_their_root(start):
     refuse(start.encode() if start in STARTS else f"<{start}>{link('base')}</{start}>")
 
 
-XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
-UNEXPANDED = {
-    "a macro that is called": '<xacro:arm prefix="a"/><link name="base"/>',
-    "a file that is included": '<xacro:include filename="arm.xacro"/>',
-    "a macro inside of a link": '<link name="base"><xacro:inertia mass="1"/></link>',
-    "a condition": '<link name="base" xacro:if="true"/>',
-    "an expression in a name": '<link name="${prefix}_base"/>',
-    "an expression in a number": arm(mass="${2 * m}").removeprefix('<robot name="arm">').removesuffix("</robot>"),
-    "a command in a name": '<link name="$(arg prefix)base"/>',
-}
+UNEXPANDED = [
+    '<xacro:arm prefix="a"/><link name="base"/>',
+    '<xacro:include filename="arm.xacro"/>',
+    '<link name="base"><xacro:inertia mass="1"/></link>',
+    '<link name="base" xacro:if="true"/>',
+    '<link name="${prefix}_base"/>',
+    arm(mass="${2 * m}").removeprefix('<robot name="arm">').removesuffix("</robot>"),
+    '<link name="$(arg prefix)base"/>',
+]
 
 
-@pytest.mark.parametrize("case", UNEXPANDED)
-@pytest.mark.parametrize("head", [f'<robot name="a" {XACRO}>', '<robot name="a">'], ids=["declared", "undeclared"])
-def test_unexpanded_xacro_is_refused_with_the_command_that_expands_it(case, head):
-    refuse(head + UNEXPANDED[case] + "</robot>")
-
-
-def test_a_root_of_xacro_is_refused_as_xacro_and_a_declaration_is_none():
+def test_unexpanded_xacro_is_refused_with_the_command_that_expands_it():
+    for content in UNEXPANDED:
+        for head in (f'<robot name="a" {XACRO}>', '<robot name="a">'):
+            refuse(head + content + "</robot>")
     refuse(f'<xacro:robot {XACRO}><link name="base"/></xacro:robot>')
-    assert is_arm(arm().replace("<robot", f"<robot {XACRO}"))
 
 
-def test_calls_of_macros_that_xacro_left_beside_the_links_are_warned_of_and_definitions_are_not():
-    definitions = '<xacro:property name="x" value="${y}"/><xacro:arg name="hand" default="1"/>'
-    assert is_arm(also(definitions))
+def test_calls_of_macros_that_xacro_left_beside_the_links_are_warned_of():
     with warned(UserWarning):
         robot = Robot.from_urdf(also('<xacro:hand_sensors_usb prefix="left"/>' * 2))
     assert torch.equal(torques(robot), torques(arm()))
@@ -281,33 +258,14 @@ def test_calls_of_macros_that_xacro_left_beside_the_links_are_warned_of_and_defi
         refuse(also(inside))
 
 
-BEFORE = ["\n", " \t", "\ufeff\n", "\n\ufeff", "<!-- a comment, \u00e9 -->\n", "<!--a--><!--b-->\ufeff"]
-
-
-@pytest.mark.parametrize("before", BEFORE)
-@pytest.mark.parametrize("declaration", ["", "<?xml version='1.0' encoding='utf-8'?>\n"])
-def test_a_file_may_begin_with_blanks_comments_and_byte_order_marks(before, declaration, tmp_path):
-    text = before + declaration + arm()
-    path = tmp_path / "arm.urdf"
-    path.write_text(text, encoding="utf-8")
-    robot = Robot.from_urdf(path)
-    assert torch.equal(torques(robot), torques(arm())) and is_arm(text)
-    assert robot.to_urdf(text) == text
-    heavier = robot.replace(mass=2 * robot.mass).to_urdf(text)
-    assert heavier.startswith(before + declaration) and torch.equal(Robot.from_urdf(heavier).mass, 2 * robot.mass)
-
-
-def test_a_body_alone_may_have_forces_and_frames_of_drake():
-    robot = Robot.from_urdf(urdf(link("drone"), '<frame name="f"/><force_element name="p"/>'), base="floating")
-    assert robot.base_mass == 1.0 and [x.severity for x in robot.notes if x.code == "element.ignored"] == ["note"] * 2
-
-
 @all_in_one(['<group name="hand"/>', "<robot><link name='c'/></robot>", '<Joint name="j"/>'])
 def test_a_file_of_other_things_is_no_robot_without_joints(more):
     refuse(urdf(link("base", None), more))
 
 
-@all_in_one(["", '<material name="m"/>', "<gazebo/>", '<drake:x value="1"/>', "<ros2_control/>"])
-def test_a_body_alone_may_have_what_robots_have(more):
-    robot = Robot.from_urdf(urdf(link("base"), more))
-    assert robot.n == 0 and "0 joints, chain, 0 kg" in repr(robot)
+def test_a_body_alone_may_have_what_robots_have():
+    for more in ("", '<material name="m"/>', "<gazebo/>", '<drake:x value="1"/>', "<ros2_control/>"):
+        robot = Robot.from_urdf(urdf(link("base"), more))
+        assert robot.n == 0 and "0 joints, chain, 0 kg" in repr(robot)
+    robot = Robot.from_urdf(urdf(link("drone"), '<frame name="f"/><force_element name="p"/>'), base="floating")
+    assert robot.base_mass == 1.0 and [x.severity for x in robot.notes if x.code == "element.ignored"] == ["note"] * 2

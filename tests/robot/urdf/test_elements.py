@@ -5,6 +5,7 @@ import re
 import time
 import tracemalloc
 import warnings
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +13,8 @@ import pytest
 import torch
 from helpers import all_in_one
 from messages import refused, warned
-from urdf_text import ENTRIES, LIMIT, also, arm, fixed, joint, link, same, states, torques, urdf, words
+from robots import F64, same, states, torques
+from urdf_text import ENTRIES, LIMIT, also, arm, codes, fixed, joint, link, urdf, words
 
 import torchdq
 from torchdq import DescriptionError, Robot
@@ -30,15 +32,12 @@ def faults(text, **options):
     return [(x.code, x.subject) for x in caught.value.findings]
 
 
-@all_in_one(["1.5 ", " 1.5", "\t1.5\n", "+1.5", "1.50", "15e-1", "15E-1", "&#49;.5"])
-def test_a_number_may_be_written_in_any_way_that_is_a_number(text):
+def test_numbers_may_be_written_in_any_way_that_is_a_number_and_separated_by_any_blanks():
     # pinocchio takes the link of '1.5 ' for one without inertia, and says nothing
-    assert Robot.from_urdf(arm(mass=text)).mass[0] == 1.5
-
-
-@all_in_one(["0.02 -0.03 0.1", "0.02  -0.03\t0.1", "\n0.02\n-0.03 0.1 "])
-def test_numbers_may_be_separated_by_any_blanks(text):
-    assert torch.equal(torques(arm(xyz=text)), torques(arm()))
+    for text in ("1.5 ", " 1.5", "\t1.5\n", "+1.5", "1.50", "15e-1", "15E-1", "&#49;.5"):
+        assert Robot.from_urdf(arm(mass=text)).mass[0] == 1.5
+    for text in ("0.02 -0.03 0.1", "0.02  -0.03\t0.1", "\n0.02\n-0.03 0.1 "):
+        assert torch.equal(torques(arm(xyz=text)), torques(arm()))
 
 
 NOT_NUMBERS = ["", "nan", "NaN", "inf", "-inf", "1e999", "1_0", "0x10", "1,5", "--1", "1e", ".", "1d0", "1 2"]
@@ -63,9 +62,7 @@ WRONG = {  # code of the fault: words of the arm's file, and others in their pla
         *((LIMIT, LIMIT + x) for x in ('<mimic multiplier="nan"/>', '<mimic offset="x"/>')),
         *((LIMIT, DYNAMICS.format(f'{key}="x"')) for key in ("damping", "friction")),
     ],
-    "number.negative": [
-        *((LIMIT, DYNAMICS.format(f'{key}="-3"')) for key in ("damping", "friction")),
-    ],
+    "number.negative": [(LIMIT, DYNAMICS.format(f'{key}="-3"')) for key in ("damping", "friction")],
     "number.large": [
         ('mass value="1.0"', 'mass value="1e60"'),
         ('ixx="0.04"', 'ixx="1e60"'),
@@ -94,17 +91,16 @@ def test_a_limit_may_be_as_large_as_a_number_can_be():
 
 
 @pytest.mark.case("U8")
-@pytest.mark.parametrize("field", ["mass", "xyz"])
-@pytest.mark.parametrize("blank", [" ", " " * 99, "\n", ""])
-def test_millions_of_numbers_or_digits_are_refused_at_once_and_not_repeated(field, blank):
+@all_in_one([("mass", " "), ("mass", ""), ("xyz", " " * 99), ("xyz", "\n")])
+def test_millions_of_numbers_or_digits_are_refused_at_once_and_not_repeated(numbers):
+    field, blank = numbers
     text = arm(**{field: ("1" + blank) * (9_000_000 // (1 + len(blank))) + "x"})
     tracemalloc.start()
     begin = time.thread_time()
     assert faults(text) == [("number.invalid", "link 'upper'")]
     seconds, (_, most) = time.thread_time() - begin, tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert seconds < ENDLESS
-    assert most < 10 * len(text)  # parsing takes half of that, lists of words far more
+    assert seconds < ENDLESS and most < 10 * len(text)  # parsing takes half of that, lists of words far more
 
 
 @pytest.mark.case("U8")
@@ -115,6 +111,8 @@ def test_a_name_is_not_a_book(old):
 
 # --- trees -----------------------------------------------------------------------------------------------------------
 
+PARENTLESS = fixed("j", "nobody", "x").replace('<parent link="nobody"/>', "")
+PLANAR = fixed("f", "lower", "d_x") + joint("d", "lower", "c", "planar")
 MALFORMED = {
     "two links of a name": (link("upper"), "name.twice", "link 'upper'"),
     "two joints of a name": (link("x") + joint("elbow", "lower", "x"), "name.twice", "joint 'elbow'"),
@@ -126,29 +124,15 @@ MALFORMED = {
     "a joint onto itself": (link("x") + joint("self", "x", "x"), "link.loop", ""),
     "no such parent": (link("x") + joint("j", "nobody", "x"), "link.unknown", "joint 'j'"),
     "no such child": (joint("j", "base", "nobody"), "link.unknown", "joint 'j'"),
-    "no parent": (
-        fixed("j", "nobody", "x").replace('<parent link="nobody"/>', "") + link("x"),
-        "joint.end",
-        "joint 'j'",
-    ),
+    "no parent": (PARENTLESS + link("x"), "joint.end", "joint 'j'"),
     "no child": (fixed("j", "base", "x").replace('<child link="x"/>', ""), "joint.end", "joint 'j'"),
     "a link without a name": ("<link/>", "name.missing", "link"),
     "a joint without a name": (link("x") + fixed("", "base", "x"), "name.missing", "joint"),
-    "a part of a planar joint": (
-        link("d_x") + link("c") + fixed("f", "lower", "d_x") + joint("d", "lower", "c", "planar"),
-        "name.twice",
-        "joint 'd'",
-    ),
-    **{
-        f"a joint of type {kind!r}": (link("x") + joint("j", "base", "x", kind), "joint.type", "joint 'j'")
-        for kind in ("ball", "Revolute", "")
-    },
-    "a floating joint on a link that moves": (
-        link("x") + joint("j", "lower", "x", "floating", more=""),
-        "joint.floating",
-        "joint 'j'",
-    ),
+    "a part of a planar joint": (link("d_x") + link("c") + PLANAR, "name.twice", "joint 'd'"),
+    "on what moves": (link("x") + joint("j", "lower", "x", "floating", more=""), "joint.floating", "joint 'j'"),
 }
+for kind in ("ball", "Revolute", ""):
+    MALFORMED[f"type {kind!r}"] = (link("x") + joint("j", "base", "x", kind), "joint.type", "joint 'j'")
 
 
 @pytest.mark.case("U3", "U5")
@@ -175,18 +159,21 @@ def test_all_faults_are_named_at_once():
 
 @pytest.mark.case("U3")
 def test_two_floating_joints_are_refused():
-    text = urdf(
-        link("world", None), link("a"), link("b"), *(joint(x, "world", x[-1], "floating") for x in ("to_a", "to_b"))
-    )
+    joints = [joint(x, "world", x[-1], "floating") for x in ("to_a", "to_b")]
+    text = urdf(link("world", None), link("a"), link("b"), *joints)
     for base in ("file", "fixed", "floating"):
         assert set(faults(text, base=base)) == {("joint.floating", "joint 'to_a'"), ("joint.floating", "joint 'to_b'")}
 
 
+NOWHERE = 'lower="inf" upper="inf"', 'lower="-inf" upper="-inf"'
 UNUSABLE = {  # words of the limits of a joint: what they are taken for
     'lower="3" upper="2" velocity="3" effort="4"': (-math.inf, math.inf, 3.0, 4.0),
     'lower="1" velocity="3" effort="4"': (-math.inf, math.inf, 3.0, 4.0),  # upper is 0, as the format has it
     'lower="-1" upper="2" velocity="-1e-9" effort="4"': (-1.0, 2.0, math.inf, 4.0),
     'lower="0" upper="-1" velocity="-1" effort="-1"': (-math.inf, math.inf, math.inf, math.inf),
+    # infinite ones as well
+    **{f'{x} velocity="3" effort="4"': (-math.inf, math.inf, 3.0, 4.0) for x in NOWHERE},
+    'lower="-1" upper="2" velocity="3" effort="-inf"': (-1.0, 2.0, 3.0, math.inf),
 }
 
 
@@ -196,7 +183,7 @@ def test_limits_that_no_motion_can_keep_are_none_and_are_warned_of(given):
     with warned(UserWarning):
         robot = Robot.from_urdf(text)
     assert tuple(x[0].item() for x in robot.limits) == UNUSABLE[given]
-    assert ("limits.unusable", "joint 'shoulder'") in {(x.code, x.subject) for x in robot.notes}
+    assert ("limits.unusable", "joint 'shoulder'") in codes(robot)
     assert torch.equal(torques(robot), torques(arm()))
 
 
@@ -209,9 +196,9 @@ ENDLESS_LIMITS = {  # words of the limits of a joint, and what they are
 }
 
 
-@pytest.mark.parametrize("given", ENDLESS_LIMITS)
-@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_an_infinite_limit_is_none(given, kind):
+@all_in_one([*product(ENDLESS_LIMITS, ["revolute", "prismatic"])])
+def test_an_infinite_limit_is_none(case):
+    given, kind = case
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         text = arm().replace(LIMIT, f"<limit {given}/>", 1).replace('type="revolute"', f'type="{kind}"', 1)
@@ -234,18 +221,10 @@ def test_an_infinite_limit_of_a_joint_that_does_not_move_is_nothing():
         assert faults(also(extra.replace("inf", "nan")))[0] == ("number.invalid", "joint 'more_joint'")
 
 
-@all_in_one(['lower="inf" upper="inf"', 'lower="-inf" upper="-inf"', 'lower="-1" upper="2" effort="-inf"'])
-def test_an_infinite_limit_that_no_motion_can_keep_is_warned_of_as_a_finite_one(given):
-    with warned(UserWarning):
-        robot = Robot.from_urdf(arm().replace(LIMIT, f"<limit {given}/>", 1))
-    assert ("limits.unusable", "joint 'shoulder'") in {(x.code, x.subject) for x in robot.notes}
-    assert robot.limits.upper[0] > robot.limits.lower[0] and robot.limits.effort[0] == math.inf
-
-
 def test_inverse_kinematics_takes_limits_on_one_side():
     text = arm().replace('lower="-1" upper="2"', 'lower="-inf" upper="0.5"', 1)
     robot = Robot.from_urdf(text)
-    X = torchdq.forward_kinematics(robot, torch.tensor([-5.0, 0.5], dtype=torch.float64), "lower")
+    X = torchdq.forward_kinematics(robot, torch.tensor([-5.0, 0.5], dtype=F64), "lower")
     found = torchdq.inverse_kinematics(robot, X, "lower", axes=("x",))
     assert bool(found.converged) and found.q[0] <= 0.5 and bool(found.q.isfinite().all())
 
@@ -253,25 +232,28 @@ def test_inverse_kinematics_takes_limits_on_one_side():
 # --- origins ---------------------------------------------------------------------------------------------------------
 
 Q = np.random.default_rng(2).normal(size=(3, 4))  # x y z w, of any length
+
+
+def turned(element, quaternion):
+    """An element whose origin is turned by a quaternion."""
+    return element.replace('rpy="0.0 0.0 0.0"', f'quat_xyzw="{words(quaternion)}"')
+
+
 PLACED = urdf(
     link("base", None),
-    link("upper").replace('rpy="0.0 0.0 0.0"', f'quat_xyzw="{words(Q[0])}"'),
-    link("lower", 0.5).replace('rpy="0.0 0.0 0.0"', f'quat_xyzw="{words(1e-3 * Q[1])}"'),
-    joint("shoulder", "base", "upper", axis=(0, 1, 0), xyz=(0, 0, 0.3)).replace(
-        'rpy="0.0 0.0 0.0"', f'quat_xyzw="{words(1e3 * Q[2])}"'
-    ),
-    fixed("mount", "upper", "lower", (0.1, 0, 0.4)).replace('rpy="0.0 0.0 0.0"', f'quat_xyzw="{words(Q[0])}"'),
+    turned(link("upper"), Q[0]),
+    turned(link("lower", 0.5), 1e-3 * Q[1]),
+    turned(joint("shoulder", "base", "upper", axis=(0, 1, 0), xyz=(0, 0, 0.3)), 1e3 * Q[2]),
+    turned(fixed("mount", "upper", "lower", (0.1, 0, 0.4)), Q[0]),
 ).replace("<robot", '<robot version="1.1"')
 
 
 def test_origins_turned_by_quaternions_are_those_of_pinocchio():
     """x y z w of any length, of joints and of bodies; and written back, with another inertia, they stay."""
     robot, model = Robot.from_urdf(PLACED), pin.buildModelFromXML(PLACED)
-    for q, qd, qdd in zip(*(x.tolist() for x in states(1)), strict=True):
-        theirs = pin.rnea(model, model.createData(), *(np.array(x) for x in (q, qd, qdd)))
-        assert same(
-            torchdq.inverse_dynamics(robot, *(torch.tensor(x, dtype=torch.float64) for x in (q, qd, qdd))), theirs
-        )
+    for q, qd, qdd in zip(*states(1), strict=True):
+        theirs = pin.rnea(model, model.createData(), *(x.numpy() for x in (q, qd, qdd)))
+        assert same(torchdq.inverse_dynamics(robot, q, qd, qdd), theirs)
     other = robot.replace(inertia=1.25 * robot.inertia)
     text = other.to_urdf(PLACED)
     assert text.count("quat_xyzw") == 4 and "rpy" not in text
@@ -301,7 +283,7 @@ def test_a_file_without_one_base_is_refused():
 
 def test_links_without_bodies_that_hang_on_nothing_are_left_out():
     robot = Robot.from_urdf(also(link("map", None) + link("odom", 0.0, (0,) * 6)))
-    assert ("frame.left_out", "map, odom") in {(x.code, x.subject) for x in robot.notes}
+    assert ("frame.left_out", "map, odom") in codes(robot)
     assert robot.frame_names == ("base", "upper", "lower") and torch.equal(torques(robot), torques(arm()))
 
 
@@ -310,7 +292,7 @@ def test_an_inertial_of_a_link_that_never_moves_may_be_unreadable(broken):
     text = arm().replace(link("base", None), link("base", **broken) + link("stand", **broken))
     text = also(fixed("bolt", "base", "stand"), text)
     robot = Robot.from_urdf(text)
-    assert ("inertial.unreadable", "base, stand") in {(x.code, x.subject) for x in robot.notes}
+    assert ("inertial.unreadable", "base, stand") in codes(robot)
     assert torch.equal(torques(robot), torques(arm()))
     assert {subject for _, subject in faults(text, base="floating")} == {"link 'base'", "link 'stand'"}
     assert faults(also(link("tool", **broken) + fixed("mount", "lower", "tool")))[0][1] == "link 'tool'"

@@ -12,37 +12,34 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
-from helpers import all_in_one
+from helpers import all_in_one, thinned
 from messages import refused, warned
-from robots import noted
-from urdf_text import (
-    FOLLOWING,
-    LIMIT,
-    about,
-    accompanied,
-    also,
-    angles,
-    arm,
-    codes,
-    fixed,
-    hand,
-    joint,
-    link,
-    mimic,
-    position,
-    random_elements,
-    rotation,
-    same,
-    states,
-    torques,
-    tree,
-    urdf,
-)
+from robots import F64, noted, same, states, torques
+from rotations import about, angles, rotation
+from urdf_text import LIMIT, also, arm, codes, fixed, joint, link, mimic, position, random_elements, tree, urdf
 
 import torchdq
 from torchdq import ArgumentError, DescriptionError, Robot, UnknownNameError
 
-F64 = torch.float64
+
+def hand(*mimics):
+    """Four fingers that slide on the base, each with a <mimic>, or without."""
+    names = ("thumb", "index", "ring", "little")
+    joints = (
+        joint(name, "base", f"{name}_link", "prismatic", more=LIMIT + more)
+        for name, more in zip(names, (*mimics, "", "", "", ""), strict=False)
+    )
+    return urdf(link("base", None), *(link(f"{name}_link") for name in names), *joints)
+
+
+FOLLOWING = hand("", mimic("thumb", -2, 0.25), mimic("index", 0.5), mimic("thumb"))
+
+
+def accompanied(robot):
+    """A robot and, on its base, a joint that follows none and that none follows."""
+    return also(link("other_link") + joint("other", "base", "other_link", "prismatic"), robot)
+
+
 BESIDE = accompanied(FOLLOWING)
 
 
@@ -96,21 +93,17 @@ def test_a_random_file_of_followers_is_the_reduced_system(seed):
     assert same(torchdq.mass_matrix(found, q, backend="eager"), S.T @ M @ S, 1e-12)
 
 
-@all_in_one(["baxter", "tiago_pro", "panda"])
+@all_in_one(thinned(["baxter", "tiago_pro", "panda"], ["tiago_pro", "panda"]))
 def test_mass_matrices_of_mimic_robots_are_those_of_pinocchio(name):
     path = oracles.urdf_paths()[name]
     found = Robot.from_urdf(path)
     model = pin.buildModelFromUrdf(str(path), mimic=True)
-    pin_joints = [(joint, name) for joint, name in zip(model.joints, model.names, strict=True) if joint.nv == 1]
-    at = {joint_name: (joint.idx_q, joint.idx_v) for joint, joint_name in pin_joints}
-    assert set(found.joint_names) <= set(at)
+    theirs_of = {own: x for own, x in zip(model.names, model.joints, strict=True) if x.nv == 1}
+    joints = [theirs_of[own] for own in found.joint_names]
     q = torch.linspace(-0.7, 0.7, found.n, dtype=F64)
     z = pin.neutral(model)
-    for joint_name, x in zip(found.joint_names, q.tolist(), strict=True):
-        k = at[joint_name][0]
-        z[k : k + 1] = x
-    theirs = pin.crba(model, model.createData(), z)
-    rows = [at[joint_name][1] for joint_name in found.joint_names]
+    z[[x.idx_q for x in joints]] = q
+    theirs, rows = pin.crba(model, model.createData(), z), [x.idx_v for x in joints]
     theirs = (np.triu(theirs) + np.triu(theirs, 1).T)[np.ix_(rows, rows)]
     assert same(torchdq.mass_matrix(found, q, backend="eager"), theirs, 1e-13)
 
@@ -127,7 +120,7 @@ def test_the_order_of_a_chain_of_followers_does_not_matter():
 
 
 def test_a_long_chain_of_followers_is_composed():
-    n = 1500
+    n = 1050  # deeper than Python calls
     links = [link("base", None), *(link(f"l{i}") for i in range(n))]
     follow = [mimic(f"j{i + 1}") for i in range(n - 1)] + [""]
     found = Robot.from_urdf(urdf(*links, *(joint(f"j{i}", "base", f"l{i}", more=LIMIT + follow[i]) for i in range(n))))
@@ -183,13 +176,8 @@ def limits(lower=-1, upper=2, velocity=3, effort=4):
 
 
 def pair(driver, follower, factor=1, offset=0):
-    ends = joint("driver", "base", "a", more=driver)
-    return urdf(
-        *map(link, "ab"),
-        link("base", None),
-        ends,
-        joint("follower", "base", "b", more=follower + mimic("driver", factor, offset)),
-    )
+    follower = joint("follower", "base", "b", more=follower + mimic("driver", factor, offset))
+    return urdf(*map(link, "ab"), link("base", None), joint("driver", "base", "a", more=driver), follower)
 
 
 NARROWED, NO_ROOM = "driver: limits narrowed to those of followers", "follower: limits that leave its driver no room"
@@ -203,8 +191,9 @@ FOLLOWERS = [
 ]
 
 
-@pytest.mark.parametrize("follower, how, expected, note", FOLLOWERS)
-def test_limits_of_a_coordinate_keep_its_followers_within_theirs(follower, how, expected, note):
+@all_in_one(FOLLOWERS)
+def test_limits_of_a_coordinate_keep_its_followers_within_theirs(case):
+    follower, how, expected, note = case
     found = Robot.from_urdf(pair(limits(), follower, *how))
     assert [float(x) for x in found.limits] == [*expected, 4]
     named = noted(found, "limits.narrowed") + noted(found, "limits.no_room")
@@ -222,18 +211,14 @@ def test_friction_of_followers_is_that_of_the_coordinate():
 
 
 def chain_of_three(elbow):
-    return urdf(
-        link("base", None),
-        *(link(name, mass) for name, mass in (("upper", 1.0), ("lower", 0.7), ("hand", 0.3))),
-        joint("shoulder", "base", "upper", axis=(0, 1, 0)),
-        elbow,
-        joint("wrist", "lower", "hand", axis=(1, 0, 0), xyz=(0, 0.1, 0.2)),
-    )
+    links = link("base", None), link("upper", 1.0), link("lower", 0.7), link("hand", 0.3)
+    wrist = joint("wrist", "lower", "hand", axis=(1, 0, 0), xyz=(0, 0.1, 0.2))
+    return urdf(*links, joint("shoulder", "base", "upper", axis=(0, 1, 0)), elbow, wrist)
 
 
-@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
-@pytest.mark.parametrize("length", [1.0, 2.0])
-def test_a_locked_joint_is_a_fixed_joint_at_that_position(kind, length):
+@all_in_one([("revolute", 1.0), ("continuous", 2.0), ("prismatic", 1.0), ("prismatic", 2.0)])
+def test_a_locked_joint_is_a_fixed_joint_at_that_position(axis):
+    kind, length = axis
     p, rpy, value, axis = np.array([0.1, 0.2, 0.3]), (0.4, 0.5, 0.6), 0.7, np.array([2.0, -3.0, 6.0]) / 7.0
     moving = chain_of_three(joint("elbow", "upper", "lower", kind, p, rpy, length * axis))
     R = rotation(rpy)
@@ -257,9 +242,9 @@ def test_a_name_to_lock_goes_before_a_pattern():
     assert Robot.from_urdf(tree(), lock={"left_?": 0.0}).joint_names == ("waist", "right_a")
 
 
-@pytest.mark.parametrize("joints", ["left_*", ["left_a", "left_b"], ("*_b", "left_a")])
-@pytest.mark.parametrize("waist", [0.0, 0.4])
-def test_joints_that_are_not_kept_are_locked_at_zero_or_elsewhere(joints, waist):
+@all_in_one([("left_*", 0.0), (["left_a", "left_b"], 0.4), (("*_b", "left_a"), 0.4)])
+def test_joints_that_are_not_kept_are_locked_at_zero_or_elsewhere(case):
+    joints, waist = case
     robot = Robot.from_urdf(tree(), joints=joints, lock={"waist": waist} if waist else None)
     others = Robot.from_urdf(tree(), lock={"waist": waist, "right_a": 0.0})
     assert robot.joint_names == ("left_a", "left_b") and robot.frame_names == others.frame_names
@@ -287,7 +272,7 @@ REFUSED = [
 
 
 @pytest.mark.filterwarnings("ignore:.*locked beyond")
-@pytest.mark.parametrize("k", range(len(REFUSED)))
+@all_in_one(range(len(REFUSED)))
 def test_what_is_locked_or_kept_is_named(k):
     text, options = REFUSED[k]
     with refused((ArgumentError, UnknownNameError)):
@@ -298,8 +283,9 @@ def test_a_body_alone_has_no_joints_to_keep_or_to_lock():
     assert Robot.from_urdf(ALONE, joints=[]).n == Robot.from_urdf(ALONE, lock=[]).n == 0
 
 
-@pytest.mark.parametrize("value, beyond", [(2.0, False), (2.0000001, False), (2.1, True), (-400.0, True)])
-def test_a_lock_beyond_the_limits_is_warned_of(value, beyond):
+@all_in_one([(2.0, False), (2.0000001, False), (2.1, True), (-400.0, True)])
+def test_a_lock_beyond_the_limits_is_warned_of(lock):
+    value, beyond = lock
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
         robot = Robot.from_urdf(arm(), lock={"elbow": value})
@@ -311,41 +297,33 @@ def test_a_lock_beyond_the_limits_is_warned_of(value, beyond):
 # --- locked followers ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "options, joints, named",
-    [
-        ({"lock": {"thumb": 0.5}}, ("other",), "thumb at 0.5, index at -0.75, ring at -0.375, little at 0.5"),
-        ({"joints": "other"}, ("other",), "thumb at 0, index at 0.25, ring at 0.125, little at 0"),
-        ({"joints": "thumb"}, ("thumb",), "other at 0"),
-        # one that is named itself does not follow
-        ({"lock": {"thumb": 0.5, "index": 0.0}}, ("other",), "thumb at 0.5, index at 0, ring at 0, little at 0.5"),
-        (
-            {"lock": {"thumb": 0.5, "index": 0.0}, "mimic": "independent"},
-            ("other",),
-            "thumb at 0.5, index at 0, ring at 0, little at 0.5",
-        ),
-        (
-            {"joints": "index", "lock": {"thumb": 0.5}, "mimic": "independent"},
-            ("index",),
-            "thumb at 0.5, ring at 0, little at 0.5, other at 0",
-        ),
-        ({"joints": "thumb", "mimic": "independent"}, ("thumb",), "index at 0, ring at 0, little at 0, other at 0"),
-    ],
-)
-def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them(options, joints, named):
+HALF, APART = {"thumb": 0.5}, {"mimic": "independent"}
+BOTH = {"lock": {**HALF, "index": 0.0}}
+LOCKED = [  # options, the joint that is left, and what the note says
+    ({"lock": HALF}, "other", "thumb at 0.5, index at -0.75, ring at -0.375, little at 0.5"),
+    ({"joints": "other"}, "other", "thumb at 0, index at 0.25, ring at 0.125, little at 0"),
+    ({"joints": "thumb"}, "thumb", "other at 0"),
+    # one that is named itself does not follow
+    (BOTH, "other", "thumb at 0.5, index at 0, ring at 0, little at 0.5"),
+    (BOTH | APART, "other", "thumb at 0.5, index at 0, ring at 0, little at 0.5"),
+    ({"joints": "index", "lock": HALF} | APART, "index", "thumb at 0.5, ring at 0, little at 0.5, other at 0"),
+    ({"joints": "thumb"} | APART, "thumb", "index at 0, ring at 0, little at 0, other at 0"),
+]
+
+
+@all_in_one(LOCKED)
+def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them(case):
+    options, left, named = case
     robot = Robot.from_urdf(BESIDE, **options)
-    assert robot.joint_names == joints and locked(robot) == named
-    assert (robot.joint_map is None) == (joints != ("thumb",) or "mimic" in options)
+    assert robot.joint_names == (left,) and locked(robot) == named
+    assert (robot.joint_map is None) == (left != "thumb" or "mimic" in options)
     for name, at in (x.split(" at ") for x in named.split(", ")):
         assert same(position(robot, [0.0] * robot.n, f"{name}_link")[2], float(at)) or float(at) == 0
-    apart = {"thumb": "index, little", "index": "ring"}.get(joints[0], "") if "mimic" in options else ""
+    apart = {"thumb": "index, little", "index": "ring"}.get(left, "") if "mimic" in options else ""
     assert (("lock.mimic", apart) in codes(robot)) == bool(apart)
 
 
-FOLLOWERS_ALONE = [arguments for text, arguments in REFUSED if text is BESIDE]
-
-
-@all_in_one(FOLLOWERS_ALONE)
+@all_in_one([arguments for text, arguments in REFUSED if text is BESIDE])
 def test_independent_followers_are_locked_or_kept_alone(arguments):
     assert Robot.from_urdf(BESIDE, mimic="independent", **arguments).joint_names
 

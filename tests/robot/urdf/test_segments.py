@@ -1,8 +1,6 @@
 """Links and joints of real files stand where Pinocchio puts them, and Pinocchio is not needed for it."""
 
-import subprocess
 import sys
-import textwrap
 from functools import partial
 
 import numpy as np
@@ -10,19 +8,22 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from helpers import thinned
+from rotations import flat
 from urdf_text import fixed, joint, link, urdf
 
-from torchdq import dq
+from torchdq import Robot, dq
 from torchdq.robot.urdf import read as urdf_reader
 
 NAMES = [name for name in oracles.urdf_paths() if name not in oracles.UNREADABLE]
+FEW = (*oracles.REPRESENTATIVE_ROBOTS, *oracles.JOINTLESS, "talos_full_v2", "tiago_dual")
 
 
 def matrix(X):
     return dq.to_matrix(X).numpy()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", thinned(NAMES, FEW))
 def test_links_and_joints_are_placed_as_by_pinocchio(name):
     path = oracles.urdf_paths()[name]
     found = urdf_reader.read(path, mimic="independent")
@@ -39,22 +40,14 @@ def test_links_and_joints_are_placed_as_by_pinocchio(name):
     for i, body in enumerate(list(model.inertias)[1:]):
         np.testing.assert_allclose(found.mass[i], body.mass, rtol=4e-15)
         np.testing.assert_allclose(found.com[i], body.lever, rtol=0, atol=2e-14)
-        I = body.inertia
-        size = 1e-14 * np.abs(I).max() + 1e-14 * body.mass
-        np.testing.assert_allclose(found.inertia[i], [I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]], 0, size)
+        size = 1e-14 * np.abs(body.inertia).max() + 1e-14 * body.mass
+        np.testing.assert_allclose(found.inertia[i], flat(body.inertia), 0, size)
 
 
-def test_a_file_is_read_without_pinocchio():
-    code = """
-        import sys
-        sys.modules["pinocchio"] = None  # an import raises
-        import torchdq
-        robot = torchdq.Robot.from_urdf(sys.argv[1], on_unphysical="ignore", lock="*_w?")
-        print(robot.n)
-    """
-    path = str(oracles.urdf_paths()["baxter"])
-    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code), path], capture_output=True, text=True)
-    assert done.returncode == 0 and int(done.stdout) > 5, done.stderr
+def test_a_file_is_read_without_pinocchio(monkeypatch):
+    """No module that reads files imports it at its top, which `claims/test_architecture.py` holds."""
+    monkeypatch.setitem(sys.modules, "pinocchio", None)  # an import raises
+    assert Robot.from_urdf(oracles.urdf_paths()["baxter"], on_unphysical="ignore", lock="*_w?").n > 5
 
 
 def comb(n, kind):
@@ -66,8 +59,8 @@ def comb(n, kind):
 
 
 def test_a_tree_may_be_deep_and_poses_stay_unit():
-    description = urdf_reader.read(comb(2000, "continuous"))
-    assert len(description.joint_names) == 999 and len(description.frames) == 2000
-    X = torch.stack([frame.X_BF for frame in urdf_reader.read(comb(2000, "fixed")).frames])
+    description = urdf_reader.read(comb(1100, "continuous"))
+    assert len(description.joint_names) == 549 and len(description.frames) == 1100
+    X = torch.stack([frame.X_BF for frame in urdf_reader.read(comb(1100, "fixed")).frames])
     assert float((X[:, :4].norm(dim=-1) - 1).abs().max()) < 1e-15
     assert float((X[:, :4] * X[:, 4:]).sum(-1).abs().max()) < 1e-12 * float(X[:, 4:].abs().max())

@@ -2,13 +2,14 @@
 
 import warnings
 from functools import partial
+from itertools import product
 
 import oracles
 import pytest
 import torch
 from helpers import all_in_one
 from messages import refused
-from urdf_text import mimic, random_elements, urdf
+from urdf_text import fixed, joint, link, mimic, random_elements, urdf
 from written_files import TOLERANCE, changed, differences, require_equal, with_limit, with_rows
 
 import torchdq
@@ -55,7 +56,7 @@ TEXTS = {
 read = partial(torchdq.Robot.from_urdf, on_unphysical="ignore")
 
 
-@pytest.mark.parametrize("name", TEXTS)
+@all_in_one(TEXTS)
 def test_a_robot_is_read_back_as_it_was_written(name):
     """Without changes the text is the original; otherwise all that was there still is."""
     text = TEXTS[name]
@@ -70,10 +71,8 @@ def test_a_robot_is_read_back_as_it_was_written(name):
 def test_the_body_of_a_floating_base_is_written_to_the_link_that_the_joint_carries():
     robot = read(FLOATING)
     written = robot.replace(base_mass=2 * robot.base_mass).to_urdf(FLOATING)
-    assert (
-        read(written).base_mass == 6.0
-        and '<link name="base"><inertial><mass value="6.0" /></inertial></link>' in written
-    )
+    assert read(written).base_mass == 6.0
+    assert '<link name="base"><inertial><mass value="6.0" /></inertial></link>' in written
     held = read(FLOATING, base="fixed")
     assert held.replace(mass=held.mass).to_urdf(FLOATING) == FLOATING
 
@@ -159,9 +158,8 @@ REFUSED = {
 
 @all_in_one(REFUSED)
 def test_a_robot_that_has_no_place_in_the_file_is_refused(name):
-    change = REFUSED[name]
     with refused(torchdq.ArgumentError):
-        change(read(TEXT)).to_urdf(TEXT)
+        REFUSED[name](read(TEXT)).to_urdf(TEXT)
 
 
 def test_a_faulty_original_is_refused_as_by_the_reader():
@@ -173,8 +171,9 @@ def test_a_faulty_original_is_refused_as_by_the_reader():
 
 # --- repairs ---------------------------------------------------------------------------------------------------------
 
-FLAT = ("0.1", "0.1", "0.25")  # principal moments that break the triangle inequality
-NEGATIVE = ("0.1", "0.2", "-0.05")
+FLAT = (0.1, 0.1, 0.25)  # principal moments that break the triangle inequality
+NEGATIVE = (0.1, 0.2, -0.05)
+WHOLE = ("upper", "tool", "hand")
 EDITS = {
     "as it was read": lambda robot: robot,
     "with a payload": lambda robot: robot.with_tip("hand").with_payload(0.2, (0, 0, 0.1)),
@@ -184,46 +183,32 @@ EDITS = {
 }
 
 
-def unsound(moments, turn="", links=("upper", "tool", "hand")):
+def unsound(moments, links=WHOLE, turn='rpy="0.1 0.2 0.3"'):
     """An arm some of whose links, among them two on fixed joints, have inertias that no body has."""
-    rows = []
+    bodies = []
     for name in ("base", "upper", "tool", "hand"):
-        xx, yy, zz = moments if name in links else ("0.1", "0.1", "0.1")
-        inertia = f'<inertia ixx="{xx}" ixy="0" ixz="0" iyy="{yy}" iyz="0" izz="{zz}"/>'
-        rows.append(
-            f'<link name="{name}"><inertial><origin xyz="0.1 0 0" {turn}/><mass value="1"/>{inertia}</inertial></link>'
-        )
-    ends = '<parent link="{}"/><child link="{}"/><origin xyz="0 0.1 0.2" rpy="1 2 3"/>'
-    rows.append(
-        f'<joint name="j" type="revolute">{ends.format("base", "upper")}<axis xyz="0 1 0"/><limit upper="1"/></joint>'
-    )
-    rows += [
-        f'<joint name="to_{b}" type="fixed">{ends.format(a, b)}</joint>'
-        for a, b in (("upper", "tool"), ("tool", "hand"))
-    ]
-    return urdf(*rows)
+        xx, yy, zz = moments if name in links else (0.1, 0.1, 0.1)
+        bodies.append(link(name, 1.0, (xx, 0, yy, 0, 0, zz), (0.1, 0, 0)).replace('rpy="0.0 0.0 0.0"', turn))
+    place = (0, 0.1, 0.2), (1, 2, 3)
+    moved = joint("j", "base", "upper", "revolute", *place, (0, 1, 0), '<limit upper="1"/>')
+    return urdf(*bodies, moved, fixed("to_tool", "upper", "tool", *place), fixed("to_hand", "tool", "hand", *place))
 
 
-@pytest.mark.parametrize("edit", EDITS)
-@pytest.mark.parametrize("moments", [FLAT, NEGATIVE], ids=["triangle", "negative"])
-@pytest.mark.parametrize("links", [("tool",), ("upper", "tool", "hand")], ids=len)
-def test_a_repaired_robot_that_is_written_has_nothing_to_repair(moments, edit, links):
-    text = unsound(moments, 'rpy="0.1 0.2 0.3"', links)
-    robot = EDITS[edit](torchdq.Robot.from_urdf(text, on_unphysical="repair"))
+REPAIRED = [*product([FLAT, NEGATIVE], EDITS, [("tool",), WHOLE], ["fixed"])]
+REPAIRED += [(FLAT, "as it was read", ("base", "hand"), "floating")]
+
+
+@all_in_one(REPAIRED)
+def test_a_repaired_robot_that_is_written_has_nothing_to_repair(case):
+    moments, edit, links, base = case
+    text = unsound(moments, links, 'quat_xyzw="0.1 0.2 0.3 0.9"' if base == "floating" else 'rpy="0.1 0.2 0.3"')
+    robot = EDITS[edit](torchdq.Robot.from_urdf(text, base=base, on_unphysical="repair"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        again = torchdq.Robot.from_urdf(robot.to_urdf(text))
+        again = torchdq.Robot.from_urdf(robot.to_urdf(text), base=base)
     assert not [x for x in again.notes if x.code.startswith("inertia.")]
     again.check()
     require_equal(again.to(robot.mass.dtype), robot)
-
-
-def test_a_repaired_floating_base_is_written():
-    text = unsound(FLAT, 'quat_xyzw="0.1 0.2 0.3 0.9"', ("base", "hand"))
-    robot = torchdq.Robot.from_urdf(text, base="floating", on_unphysical="repair")
-    again = torchdq.Robot.from_urdf(robot.to_urdf(text), base="floating", on_unphysical="error")
-    assert not [x for x in again.notes if x.code.startswith("inertia.")]
-    require_equal(again, robot)
 
 
 def test_only_inertias_of_repaired_links_are_written():

@@ -4,7 +4,7 @@ import sys
 import types
 
 import pytest
-import torch
+from helpers import all_in_one
 from messages import refused
 
 import torchdq
@@ -49,12 +49,11 @@ def folder(tmp_path):
     return urdf
 
 
-@pytest.mark.parametrize("file", ["rod.xacro", "found.xacro"])
-def test_a_xacro_file_is_expanded_with_its_includes(folder, file):
+@all_in_one(["rod.xacro", "found.xacro"])
+def test_a_xacro_file_is_expanded_with_its_includes(file, folder):
     robot = torchdq.Robot.from_xacro(folder / file)
     assert (robot.name, robot.joint_names) == ("rod", ("shoulder",))
-    assert robot.mass.tolist() == [2.0]
-    assert robot.com.tolist() == [[0, 0, 0.2]]
+    assert robot.mass.tolist() == [2.0] and robot.com.tolist() == [[0, 0, 0.2]]
 
 
 def test_arguments_are_those_of_the_file(folder):
@@ -79,30 +78,21 @@ def test_packages_are_searched_where_they_are_said_to_be(folder, monkeypatch):
 
 HEAD = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 TEXTS = ["<robot", f"<robot {HEAD}><xacro:nothing/></robot>", f'<robot name="${{1 / 0}}" {HEAD}/>', "<robot name='r'/>"]
-
-
-@pytest.mark.parametrize("k", range(len(TEXTS)))
-def test_files_that_expand_to_no_robot_are_refused(tmp_path, k):
-    (tmp_path / "robot.xacro").write_text(TEXTS[k])
-    with refused(torchdq.DescriptionError):
-        torchdq.Robot.from_xacro(tmp_path / "robot.xacro")
-
-
 MACRO = '<xacro:macro name="part" params="n"><link name="${n}"/></xacro:macro>'
-ALONE = [
+ALONE = [  # macros without a call
     f"<robot {HEAD}>{MACRO}</robot>",
     f'<robot name="r" {HEAD}>{MACRO}<xacro:property name="x" value="1"/><material name="grey"/></robot>',
     f'<robot {HEAD}><xacro:include filename="more.xacro"/></robot>',
 ]
 
 
-@pytest.mark.parametrize("text", ALONE)
-def test_a_file_of_macros_alone_is_refused_with_the_file_to_expand(tmp_path, text):
+@all_in_one([*TEXTS, *ALONE])
+def test_files_that_expand_to_no_robot_are_refused(text, tmp_path):
     (tmp_path / "more.xacro").write_text(ALONE[0])
-    (tmp_path / "parts.xacro").write_text(text)
+    (tmp_path / "robot.xacro").write_text(text)
     with refused(torchdq.DescriptionError) as caught:
-        torchdq.Robot.from_xacro(tmp_path / "parts.xacro")
-    assert "expand the file that calls them" in str(caught.value)
+        torchdq.Robot.from_xacro(tmp_path / "robot.xacro")
+    assert ("expand the file that calls them" in str(caught.value)) == (text in ALONE)
 
 
 def test_options_are_refused_by_the_function_that_was_called(folder):
@@ -136,16 +126,15 @@ def names(monkeypatch, folder):
     path = folder.parent / "robot_descriptions"
     path.mkdir()
     (path / "__init__.py").write_text("")
-    files = {"urdf": path / "plain.urdf", "mjcf": path / "other.xml", "xacro": folder.parents[1] / "elsewhere.xacro"}
-    files["urdf"].write_text(URDF)
-    files["mjcf"].write_text(MJCF)
+    urdf, mjcf, xacro = path / "plain.urdf", path / "other.xml", folder.parents[1] / "elsewhere.xacro"
+    urdf.write_text(URDF)
+    mjcf.write_text(MJCF)
+    of_rod = f"XACRO_PATH, XACRO_PACKAGE_PATHS = {str(xacro)!r}, {{'rod_description': {str(folder.parent)!r}}}\n"
     modules = {
-        "plain_description": f"URDF_PATH = {str(files['urdf'])!r}",
-        "other_mj_description": f"MJCF_PATH, URDF_PATH = {str(files['mjcf'])!r}, {str(files['urdf'])!r}",
-        "both_description": f"MJCF_PATH, URDF_PATH = {str(files['mjcf'])!r}, {str(files['urdf'])!r}",
-        "rod_description": f"XACRO_PATH = {str(files['xacro'])!r}\n"
-        "XACRO_ARGS = {'mass': '7', 'hand': 'true', 'old': '1'}\n"
-        f"XACRO_PACKAGE_PATHS = {{'rod_description': {str(folder.parent)!r}}}",
+        "plain_description": f"URDF_PATH = {str(urdf)!r}",
+        "other_mj_description": f"MJCF_PATH, URDF_PATH = {str(mjcf)!r}, {str(urdf)!r}",
+        "both_description": f"MJCF_PATH, URDF_PATH = {str(mjcf)!r}, {str(urdf)!r}",
+        "rod_description": of_rod + "XACRO_ARGS = {'mass': '7', 'hand': 'true', 'old': '1'}",
         "empty_description": "SRDF_PATH = ''",
         "broken_description": "raise OSError('no network')",
     }
@@ -165,8 +154,7 @@ def test_a_name_finds_a_file_of_any_format(names):
     assert torchdq.Robot.from_name("plain_description").name == "plain"
     assert torchdq.Robot.from_name("both_description").name == "plain"
     rod = torchdq.Robot.from_name("rod_description", arguments={"hand": False})
-    assert rod.joint_names == ("shoulder",)
-    assert rod.mass.equal(torch.tensor([7.0], dtype=torch.float64))
+    assert rod.joint_names == ("shoulder",) and rod.mass.tolist() == [7.0]
     pytest.importorskip("mujoco")
     assert torchdq.Robot.from_name("other_mj_description", gravity=None).name == "other"
 
