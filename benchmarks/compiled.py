@@ -88,7 +88,10 @@ def main() -> None:
     median, late = called(calls)
     compilers = [compiler for compiler in ("gcc", "clang") if shutil.which(compiler)]
     found = {
-        f"{name}, float{bits}": ratios(name, bits, compilers, 20 if arguments.quick else 200) for name, bits in CASES
+        f"{what if isinstance(what, str) else what.named()}, float{bits}": ratios(
+            what, bits, compilers, 20 if arguments.quick else 200
+        )
+        for what, bits in CASES
     }
     lines = [
         ("call of inverse dynamics from Python, one sample", f"{median:.1f} us"),

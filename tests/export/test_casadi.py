@@ -20,6 +20,7 @@ from messages import refused
 import torchdq
 from torchdq import effects
 from torchdq.errors import ArgumentError
+from torchdq.scene import controllers
 
 ca = pytest.importorskip("casadi", reason="programs in CasADi need casadi")
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
@@ -40,7 +41,7 @@ PROGRAMS = {
     "kinematics": of("two_link", "forward_kinematics"),
     "energy": of("two_link", "kinetic_energy"),
     "regressor": of("two_link", "regressor"),
-    "computed torque": of("two_link", "computed_torque"),
+    "computed torque": of("two_link", controllers.ComputedTorque(torch.ones(2), torch.ones(2))),
     "gradient": lambda: of("two_link", "inverse_dynamics")().vjp(),
     "derivatives": lambda: of("two_link", "inverse_dynamics")().jacobian(["q", "qdd"]),
     "parameters": lambda: torchdq.compile(two_link("mass", "inertia"), "forward_dynamics"),

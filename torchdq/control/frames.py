@@ -92,9 +92,10 @@ class FrameLaw(Law):
 
     def described(self, robot: Robot) -> Self:
         """Copy with the numbers of the frame and a gain for every axis, and a constant copy of its model."""
+        found = super().described(robot)
         name, axes, task = task_of(robot, self.frame, self.expressed, self.axes)
         gains = {gain: _of_axes(getattr(self, gain), len(task.rows)) for gain in self.GAINS}
-        return replace(super().described(robot), frame=name, axes=axes, task=task, **gains)
+        return replace(found, frame=name, axes=axes, task=task, **gains)
 
     def deviation(self, at: Posed, goal: Mapping[str, Any], qd: Row) -> tuple[Task, Deviation]:
         """The task, and the deviation of the frame from its desired motion."""
@@ -143,6 +144,7 @@ class OperationalSpaceControl(FrameLaw):
 
     NAME: ClassVar[str] = "operational_space_control"
     GOAL: ClassVar[Shapes] = {"X_des": (8,), "V_des": (6,), "A_des": (6,)}
+    SWITCHES: ClassVar[frozenset[str]] = frozenset({"limits"})
     UNBOUNDED: ClassVar[frozenset[str]] = frozenset({"limits"})
     DIVIDING: ClassVar[frozenset[str]] = frozenset({"damping"})
     GAINS: ClassVar[tuple[str, str]] = ("kp", "kd")

@@ -51,6 +51,7 @@ class Law(Parametric):
     GOAL: ClassVar[Shapes] = {"q_des": ("n",), "qd_des": ("n",), "qdd_des": ("n",)}  # one after the other: a reference
     OPTIONAL: ClassVar[frozenset[str]] = frozenset()  # rows of the goal that are zero if they are not given
     WRENCHES: ClassVar[tuple[str, ...]] = ()  # wrenches on the environment that may be given beside the goal
+    SWITCHES: ClassVar[frozenset[str]] = frozenset()  # parameters that may be True or False
     FIXED: ClassVar[str] = ""  # reason why a robot with a floating base is refused; "": it is not
     model: Robot | None = field(default=None, kw_only=True)
 
@@ -77,8 +78,18 @@ class Law(Parametric):
     def require_gain(cls, name: str, x: Tensor, given: Tensors) -> None:
         """Raise unless the shape of a parameter is meaningful beside state and goal."""
 
+    def arguments(self) -> tuple[str, ...]:
+        """Parameters that may be tensors; of `SWITCHES` those that are neither True nor False."""
+        switched = [name for name in self.SWITCHES if isinstance(getattr(self, name), bool)]
+        return tuple([name for name in self.SHAPES if name not in switched])
+
     def described(self, robot: Robot) -> Self:
-        """Copy for a robot, with a constant copy of its model."""
+        """Copy for a robot, with a constant copy of its model; raises where its base floats and must not."""
+        if robot.floating and self.FIXED:
+            raise ArgumentError(
+                f"robot {robot.name!r} has a floating base, which {self.named()} does not take: {self.FIXED}; load it "
+                "with base='fixed' for the joints alone"
+            )
         return self if self.model is None else replace(self, model=_copied(self, self.model, robot))
 
     def believed(self, at: Posed, q: Row) -> Posed:
@@ -149,7 +160,7 @@ class Law(Parametric):
         """
         require_tensor("q", q)
         given = {"q": q, "qd": qd, **dict(zip((*self.GOAL, *self.WRENCHES), goal, strict=False))}
-        own = {name: x for name in self.SHAPES if not isinstance(x := getattr(self, name), bool)}
+        own = {name: getattr(self, name) for name in self.arguments()}
         for name, x in own.items():
             own[name] = gain(name, x, q, name in self.DIVIDING, name in self.SIGNED)
             self.require_gain(name, own[name], given)
@@ -187,7 +198,6 @@ class Law(Parametric):
         whole = self.resolved(require_robot(robot))
         tensors, kind = whole.tensors(), self.named()
         what = Function(constants(robot.bake()), kind, (), whole.written(tuple(tensors)))
-        what.require_base()
         usual, taken = [name for name, _, _ in what.recipe.arguments if name not in self.WRENCHES], []
         wanted = names_of("arguments", usual if present is None else present, what.recipe.names, f"argument of {kind}")
         for name, axes, optional in what.recipe.arguments:

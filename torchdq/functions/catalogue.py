@@ -215,13 +215,14 @@ class Function(_Call, Computation):
     def require_base(self) -> None:
         """Raise unless the base of the robot is fixed, or floating, as the function has it."""
         fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
-        why = _FIXED_ONLY.get(plain, "") if self.law is None else self.law.FIXED
-        if fields["base_mass"] is not None and why:
-            raise ArgumentError(
-                f"robot {fields['name']!r} has a floating base, which {plain.removesuffix('_step')} does not take: "
-                f"{why}; load it with base='fixed' for the joints alone"
-            )
-        if (fields["base_mass"] is not None) != (plain != self.name) and self.law is None:
+        if self.written:  # a law says by itself which base it takes
+            return
+        if (fields["base_mass"] is not None) != (plain != self.name):
+            if FLOATING + plain not in RECIPES:
+                raise ArgumentError(
+                    f"robot {fields['name']!r} has a floating base, which {plain.removesuffix('_step')} does not take: "
+                    f"{_FIXED_ONLY[plain]}; load it with base='fixed' for the joints alone"
+                )
             fixed = plain != self.name
             kind, other, way = ("fixed", "floating", "torchdq") if fixed else ("floating", "fixed", "torchdq.floating")
             raise ArgumentError(

@@ -90,8 +90,9 @@ class Parametric:
             raise ArgumentError(f"{what} must have {size} components, found the number {float(value):g}")
         if isinstance(value, Tensor):
             require_tensor(what, value)
-            if not value.is_floating_point():
-                raise ArgumentError(f"{what} must be a floating-point tensor, found {value.dtype}")
+            if value.is_complex() or value.dtype == torch.bool:
+                raise ArgumentError(f"{what} must be a tensor of real numbers, found {value.dtype}")
+            value = value if value.is_floating_point() else value.double()
             if value.ndim < len(shape):
                 value = value.expand(shape)
             if shape and value.shape[-1] not in ((1, size) if per_joint else (size,)):

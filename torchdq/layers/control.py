@@ -76,7 +76,7 @@ class Control(RobotModule):
         known = require_robot(robot if model is None else model.robot)
         require_object("law", law, Law, "torchdq.scene.controllers", "PD(kp=9.0, kd=1.0)")
         whole = law.resolved(known)
-        own = tuple([name for name in whole.SHAPES if not isinstance(getattr(law, name), bool)])
+        own = law.arguments()
         names = (learn,) if isinstance(learn, str) else learn
         others = [name for name in names if name not in own] if isinstance(names, Sequence) else learn
         effects = () if isinstance(friction, bool) else friction
@@ -109,16 +109,15 @@ class Control(RobotModule):
         """Robot with the present parameters of the module or of its model."""
         return self._present() if self.model is None else self.model.robot  # type: ignore[return-value]
 
-    def forward(self, q: Tensor, qd: Tensor, *goal: Tensor | None, **named: Tensor | None) -> Tensor:
+    def forward(self, q: Tensor, qd: Tensor, *goal: Tensor | None) -> Tensor:
         """Joint torques [..., n].
 
         Args:
             q, qd: measured positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
-            goal: rows of the law's goal, and then wrenches, in their order.
-            named: others of them by name.
+            goal: rows of the law's goal, and then wrenches, in their order; None, or left out at the end: absent.
         """
         known = (*self.law.GOAL, *self.law.WRENCHES)
-        rows = {**dict.fromkeys(known), **dict(zip(known, goal, strict=False)), **named}
+        rows = {**dict.fromkeys(known), **dict(zip(known, goal, strict=False))}
         if self.model is None or self._recorded:
             return self._evaluated({"q": q, "qd": qd, **rows})[0]
         return self._of_module(q, qd, rows)
@@ -199,6 +198,12 @@ class ComputedTorque(_Named):
     kp: Tensor
     kd: Tensor
 
+    def forward(  # type: ignore[override]
+        self, q: Tensor, qd: Tensor, q_des: Tensor, qd_des: Tensor, qdd_des: Tensor, f_tip: Tensor | None = None
+    ) -> Tensor:
+        """Joint torques [..., n]; see `torchdq.computed_torque`."""
+        return super().forward(q, qd, q_des, qd_des, qdd_des, f_tip)
+
     def _of_module(self, q: Tensor, qd: Tensor, rows: dict[str, Any]) -> Tensor:
         """Torques of the module at the desired acceleration, with the errors fed back."""
         check(self.robot, ("f_tip",), q=q, qd=qd, **rows)
@@ -226,6 +231,12 @@ class OperationalSpaceControl(_Named):
 
     LAW = frames.OperationalSpaceControl
 
+    def forward(  # type: ignore[override]
+        self, q: Tensor, qd: Tensor, X_des: Tensor, V_des: Tensor | None = None, A_des: Tensor | None = None
+    ) -> Tensor:
+        """Joint torques [..., n]; see `torchdq.operational_space_control`."""
+        return super().forward(q, qd, X_des, V_des, A_des)
+
 
 class CartesianImpedance(_Named):
     """Spring and damper at a frame as a layer: `forward(q, qd, X_des, V_des)` returns tau [..., n].
@@ -240,6 +251,12 @@ class CartesianImpedance(_Named):
     """
 
     LAW = frames.CartesianImpedance
+
+    def forward(  # type: ignore[override]
+        self, q: Tensor, qd: Tensor, X_des: Tensor, V_des: Tensor | None = None
+    ) -> Tensor:
+        """Joint torques [..., n]; see `torchdq.cartesian_impedance`."""
+        return super().forward(q, qd, X_des, V_des)
 
 
 def _require_torques(model: nn.Module, own: tuple[str, ...], learn: Any, effects: Any) -> None:

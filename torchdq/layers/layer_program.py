@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from torch import Tensor
 
@@ -24,6 +24,7 @@ from torchdq.functions.parametric import TENSOR
 from torchdq.layers.layer_friction import LayerFriction
 from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
 from torchdq.robot import Robot
+from torchdq.robot.constants import Constants
 from torchdq.robot.fields import SHAPES, trailing
 from torchdq.robot.robot import arguments, constants
 
@@ -34,7 +35,10 @@ WRENCHES = ("f_tip", "f_ext", "f_base")
 class _LayerFields(NamedTuple):
     """Fields of `LayerFunction`."""
 
-    rigid: Function  # without friction and offset
+    constants: Constants
+    name: str
+    options: tuple[str, ...]
+    written: tuple[Any, ...]
     friction: Templates
 
 
@@ -43,6 +47,11 @@ class LayerFunction(_LayerFields, Computation):
 
     Tensors of friction are named after the position of their effect, "0.coefficient"; the offset is "offset".
     """
+
+    @property
+    def rigid(self) -> Function:
+        """Function without friction and offset."""
+        return Function(*self[:-1])
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an argument or a parameter."""

@@ -159,7 +159,7 @@ class RobotModule(nn.Module):
         if self._rigid:
             return function_of(function, robot, inputs, self.backend, (), self.precision)
         own, _ = self._own_quantities()
-        what = LayerFunction(self._computation(function), friction.fixed.templates)
+        what = LayerFunction(*self._computation(function), friction.fixed.templates)
         parameters = {name: x for name, x in own.items() if name not in friction.learned}
         given = {**with_tensors(robot, inputs), **friction.parts(own).tensors, **parameters}
         return list(evaluate(what, given, self.backend, self.precision == "double").values())

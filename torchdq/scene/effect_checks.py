@@ -106,17 +106,12 @@ def _warn_if_idle(given: Effect, effect: Effect, robot: Robot) -> None:
     )
 
 
-def require_supported_base(robot: Robot, controller: Law | None, integrator: Integrator) -> None:
-    """Raise unless a robot can move, and controller and integrator serve its base: all of them do if it is fixed."""
+def require_supported_base(robot: Robot, integrator: Integrator) -> None:
+    """Raise unless a robot can move, and the integrator serves its base: all of them do if it is fixed."""
     if not (robot.n or robot.floating):
         raise ArgumentError(
             f"robot {robot.name!r} must have a joint that moves or a floating base to be simulated, found neither; "
             "where it is a single body, load it with base='floating'"
-        )
-    if robot.floating and controller is not None and controller.FIXED:
-        raise ArgumentError(
-            f"controller must be one for robots with a floating base, found {type(controller).__name__}: "
-            f"{controller.FIXED}"
         )
     if robot.floating and integrator.FIXED:
         raise ArgumentError(

@@ -72,7 +72,7 @@ class SceneModel:
                 f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
                 f"give them to Repeated, DormandPrince chooses its own"
             )
-        require_supported_base(self.robot, self.controller, self.integrator)
+        require_supported_base(self.robot, self.integrator)
         resolved = resolved_effects(self.effects, self.robot, self.integrator)
         controller = None if self.controller is None else self.controller.resolved(self.robot)
         spec = SceneSpec(
