@@ -368,8 +368,8 @@ FIXED = FREE.replace(robot=FREE.robot.replace(base_mass=None, base_com=None, bas
 MISUSE = {
     "integrator of momenta": lambda m: FREE.replace(integrator=StoermerVerlet()),
     "computed torque": lambda m: FREE.replace(controller=ComputedTorque(100.0, 20.0)),
-    "model of a free robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, FREE.robot)),
-    "model of a fixed robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, FIXED.robot)),
+    "model of a free robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, model=FREE.robot)),
+    "model of a fixed robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, model=FIXED.robot)),
     "pose of a fixed base": lambda m: FIXED.start(m["q"], X_WB=m["X_WB"]),
     "state of a fixed base": lambda m: FREE.step(FIXED.start(m["q"])),
     **{
