@@ -90,7 +90,7 @@ class ArmVectorEnv(VectorEnv):
         action: meaning of the actions. "reference": offsets of the positions that a controller follows, full ones as
             far as a joint moves in 0.2 s at its velocity limit. "target": offsets of the targets of `effects.Servo`,
             full ones 0.25 rad or m. "torque": fractions of the torque limits. "residual": fractions of a fifth of them,
-            added to the torques of the controller. Law and servo follow the reference of the task: in "track"
+            added to the torques of the controller. Controller and servo follow the reference of the task: in "track"
             the motion to track, in "reach" the position at the start of each step. There an offset tells a joint where
             to go from where it is, and without offsets the arm comes to rest. None: "target" if there is a servo, or
             "reference", or "torque" if some joints are passive or the base floats.

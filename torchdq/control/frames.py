@@ -178,7 +178,7 @@ class OperationalSpaceControl(FrameLaw):
         own, others = task_space.torques(inertia.J, F), numbers(at.torques(qd, u, None))
         # a joint that does not move the frame has no part in a force that is NaN, but its row has no torques
         growth = maximum(inertia.growth, select(at_least(dot(F, F), 0.0), 1.0, HUGE))
-        share = 1.0 if self.limits is False else _share(own, others, self.limits)
+        share = 1.0 if self.limits is False else _share(own, others, self.limits)  # type: ignore[arg-type]
         return {"tau": [b + share * t for b, t in zip(others, own, strict=True)], GROWTH: [growth]}
 
 

@@ -178,7 +178,8 @@ class Law(Parametric):
     def found(of: Constants, kind: type[Law], tensors: tuple[str, ...], *others: tuple[str, Any]) -> Law:
         """Law of what `written` returned, for robots with these constants."""
         with with_values():
-            return kind(**dict.fromkeys(tensors, TENSOR), **dict(others)).described(recorded(of))
+            fields: dict[str, Any] = {**dict.fromkeys(tensors, TENSOR), **dict(others)}
+            return kind(**fields).described(recorded(of))
 
     def program(self, robot: Robot, present: Sequence[str] | None = None) -> Program:
         """Program of the law, which takes q, qd, its goal and the parameters that are tensors, for `torchdq.compile`.
@@ -231,9 +232,10 @@ def _copied(law: Law, model: Robot, robot: Robot) -> Robot:
     return recorded(constants(model.bake()))
 
 
-def _size(axes: Sequence[int | str], robot: Robot) -> int:
+def _size(axes: tuple[int | str, ...], robot: Robot) -> int:
     """Numbers in a row with these axes."""
-    return math.prod(trailing(axes, robot.sizes))
+    size: int = math.prod(trailing(axes, robot.sizes))
+    return size
 
 
 def _widths(goal: Shapes, n: int) -> dict[str, int]:

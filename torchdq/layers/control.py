@@ -94,7 +94,8 @@ class Control(RobotModule):
         if friction is True and alone and not self._friction.effects:
             self._friction = described(known, self.sign_width)
         self._own = own
-        self.law = replace(whole, **dict.fromkeys(own, TENSOR))
+        held: dict[str, Any] = dict.fromkeys(own, TENSOR)
+        self.law = replace(whole, **held)
         for name in own:
             given = getattr(law, name)
             single = given.ndim == 0 if isinstance(given, Tensor) else is_number(given)
@@ -207,8 +208,8 @@ class ComputedTorque(_Named):
     def _of_module(self, q: Tensor, qd: Tensor, rows: dict[str, Any]) -> Tensor:
         """Torques of the module at the desired acceleration, with the errors fed back."""
         check(self.robot, ("f_tip",), q=q, qd=qd, **rows)
-        desired = [rows[name] for name in self.law.GOAL]
-        a: Any = commanded(q, qd, *desired, self.kp.to(q), self.kd.to(q))  # type: ignore[arg-type]
+        desired: list[Any] = [rows[name] for name in self.law.GOAL]
+        a: Any = commanded(q, qd, *desired, self.kp.to(q), self.kd.to(q))  # type: ignore[call-arg]
         return self.model(q, qd, a, rows["f_tip"])  # type: ignore[misc]
 
 
