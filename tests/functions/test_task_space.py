@@ -489,6 +489,7 @@ def test_limits_scale_the_torques_of_the_task_and_keep_the_direction():
     X = moved(torchdq.forward_kinematics(ARM, q, "tip"), *(0.2 * random(2, 40, 3, seed=2)))
     free, held = control(q, qd, X, kp=400.0), control(q, qd, X, kp=400.0, limits=True)
     within = (free.abs() <= ARM.limits.effort).all(1)
+    assert within.any() and not within.all()
     assert within.any() and (~within).any() and torch.equal(free[within], held[within])
     assert (held.abs() <= ARM.limits.effort * (1 + 1e-12)).all()
     bias = torchdq.inverse_dynamics(ARM, q, qd)
