@@ -25,10 +25,13 @@ import torch
 
 import torchdq
 from torchdq.backends.c import COMPILED
+from torchdq.scene.controllers import ComputedTorque
 
 FLAGS = ("-std=c99", "-O3", "-march=native", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
 SAMPLES = 4096
-CASES = [(name, dtype) for name in ("inverse_dynamics", "forward_dynamics", "computed_torque") for dtype in (64, 32)]
+GAIN = torch.ones(7, dtype=torch.float64)
+LAW = ComputedTorque(GAIN.expand(1, 7), GAIN.expand(1, 7))  # gains of every sample
+CASES = [(what, dtype) for what in ("inverse_dynamics", "forward_dynamics", LAW) for dtype in (64, 32)]
 
 
 def called(calls: int) -> tuple[float, float]:
@@ -53,10 +56,10 @@ def exported(torques: torchdq.functions.compile.CompiledProgram, compiler: str, 
     return ctypes.CDLL(str(library)).exported_batch
 
 
-def ratios(name: str, bits: int, compilers: list[str], rounds: int) -> dict[str, float]:
+def ratios(what: str | ComputedTorque, bits: int, compilers: list[str], rounds: int) -> dict[str, float]:
     """Times of the exported function by compiler, over that of the kernel."""
     dtype = torch.float64 if bits == 64 else torch.float32
-    torques = torchdq.compile(torchdq.robots.load("panda"), name, dtype)
+    torques = torchdq.compile(torchdq.robots.load("panda"), what, dtype)
     program = torques.program
     rows = [torch.rand(SAMPLES, a.width, dtype=dtype) for a in program.arguments]
     room = [torch.empty(SAMPLES, 7, dtype=dtype)] + ([torch.empty(SAMPLES, 1, dtype=dtype)] if program.growth else [])
@@ -85,7 +88,10 @@ def main() -> None:
     median, late = called(calls)
     compilers = [compiler for compiler in ("gcc", "clang") if shutil.which(compiler)]
     found = {
-        f"{name}, float{bits}": ratios(name, bits, compilers, 20 if arguments.quick else 200) for name, bits in CASES
+        f"{what if isinstance(what, str) else what.named()}, float{bits}": ratios(
+            what, bits, compilers, 20 if arguments.quick else 200
+        )
+        for what, bits in CASES
     }
     lines = [
         ("call of inverse dynamics from Python, one sample", f"{median:.1f} us"),

@@ -12,14 +12,17 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import and_more, is_number, matching, require_choice, require_tensor
+from torchdq.control.frames import FrameLaw, OperationalSpaceControl
+from torchdq.control.joints import ComputedTorque
+from torchdq.control.law import Law
 from torchdq.dq.formulas import computed
 from torchdq.effects import Effect
 from torchdq.envs.pose_actions import POSITION, ROTATION, PoseActions
 from torchdq.envs.tasks import ranges, velocities
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
-from torchdq.scene.controllers import ComputedTorqueController, Controller, OperationalSpace, TaskController
 from torchdq.scene.defaults import nominal_robot
+from torchdq.scene.free_base import POSE
 from torchdq.scene.scene import Scene
 
 Kind = Literal["reference", "target", "torque", "residual", "pose"]
@@ -112,7 +115,7 @@ class Actions:
         """Inputs of a scene for actions [N, n], at the task's reference [N, 3 n]; or [N, k], at a pose [N, 8]."""
         if self.pose is not None:
             X = computed(self.pose.moved, x=reference, action=actions, scale=self.scale)
-            return {"reference": torch.nn.functional.pad(X, (0, 12))}
+            return {"reference": torch.nn.functional.pad(X, (0, self.pose.still))}
         scaled = actions * self.scale
         if self.kind == "torque":
             return {"torque": scaled}
@@ -158,15 +161,15 @@ def kind_of(action: Kind | None, robot: Robot, joints: Sequence[int], effects: S
     return action
 
 
-def with_controller(scene: Scene, kind: Kind, controller: Controller | None) -> Scene:
+def with_controller(scene: Scene, kind: Kind, controller: Law | None) -> Scene:
     """Scene with the controller of the actions; None: one that knows the rigid bodies as described."""
     if kind not in ("reference", "residual", "pose"):
         if controller is not None:
             raise ArgumentError(f"controller must be None for {kind} actions; did you mean action='residual'?")
         return scene
     if controller is not None:
-        if isinstance(controller, TaskController) != (kind == "pose"):
-            wanted = "OperationalSpace" if kind == "pose" else "ComputedTorqueController"
+        if isinstance(controller, FrameLaw) != (kind == "pose"):
+            wanted = "OperationalSpaceControl" if kind == "pose" else "ComputedTorque"
             raise ArgumentError(
                 f"controller must be one of {'a frame' if kind == 'pose' else 'joints'} for {kind} actions, such as "
                 f"{wanted}, found {type(controller).__name__}"
@@ -174,19 +177,20 @@ def with_controller(scene: Scene, kind: Kind, controller: Controller | None) -> 
         return scene.replace(controller=controller)
     model = nominal_robot(scene)
     if kind != "pose":
-        return scene.replace(controller=ComputedTorqueController(KP, KD, model))
+        return scene.replace(controller=ComputedTorque(KP, KD, model=model))
     middle = tuple([r.lower + 0.5 * r.span for r in ranges(scene.robot)])
     rate = min(RATE, 0.5 / scene.dt)  # torques that are held for dt would overshoot beyond
-    firm = OperationalSpace(rate**2, 2 * rate, expressed="world", q_null=middle, model=model)
+    firm = OperationalSpaceControl(rate**2, 2 * rate, expressed="world", q_null=middle, model=model)
     return scene.replace(controller=firm)
 
 
-def pose_of_actions(controller: Controller | None, leash: tuple[float, float]) -> PoseActions | None:
+def pose_of_actions(controller: Law | None, leash: tuple[float, float]) -> PoseActions | None:
     """Actions on the pose of a controller's frame, with a leash [rad, m]; None: they are of joints."""
     if not (isinstance(leash, Sequence) and len(leash) == 2 and all(is_number(x) and x >= 0 for x in leash)):
         raise ArgumentError(f"leash must be two numbers that are not negative [rad, m], found {leash!r}")
-    task = controller.task if isinstance(controller, TaskController) else None
-    return None if task is None else PoseActions(task, (float(leash[0]), float(leash[1])))
+    if not isinstance(controller, FrameLaw) or controller.task is None:
+        return None
+    return PoseActions(controller.task, (float(leash[0]), float(leash[1])), controller.reference(0) - POSE)
 
 
 def full(

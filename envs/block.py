@@ -25,7 +25,6 @@ from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import at_least, clip, maximum, select
 from torchdq.program.loop import Chain, Link
 from torchdq.program.program import Argument, Program, record
-from torchdq.scene.free_base import TWIST
 from torchdq.scene.policies import NetworkForm
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import Rows
@@ -96,7 +95,7 @@ class Block(_BlockFields, Computation):
             action, meant = self._of_joints(action, rows)
         else:
             X = self.pose.moved(form(rows["reference"]), action, rows["scale"])
-            meant = {"reference": [*X[0], *X[1], *[0.0] * (2 * TWIST)]}
+            meant = {"reference": [*X[0], *X[1], *[0.0] * self.pose.still]}
         before, after = (maximum(k * dt, 0.0) for k in (rows["steps"][0], rows["steps"][0] + 1.0))
         found |= {GIVEN + name: row for name, row in meant.items()}
         found |= {GIVEN + "action": action, GIVEN + "time": [after], "over": []}

@@ -26,6 +26,7 @@ class PoseActions(NamedTuple):
 
     task: Task  # the frame and its axes
     leash: tuple[float, float]  # farthest that the desired pose is from the measured one [rad, m]
+    still: int = 12  # zeros after the pose in the controller's reference: its twist, and the rate of that
 
     @property
     def names(self) -> tuple[str, ...]:

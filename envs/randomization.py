@@ -41,10 +41,11 @@ from torchdq.base.checks import is_number
 from torchdq.dynamics.posed import Row
 from torchdq.effects import Gravity, MassScale, Payload, RotorInertia, Viscous
 from torchdq.effects.actuator import Actuator
-from torchdq.effects.effect import MOST_LATE, Effect, Parameter, Shapes
+from torchdq.effects.effect import MOST_LATE, Effect
 from torchdq.envs.rng import SMALLEST, seeded
 from torchdq.envs.row_selection import Indexed, SomeRows
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.functions.parametric import Parameter, Shapes
 from torchdq.numbers.functions import absolute, maximum
 from torchdq.robot.fields import trailing
 from torchdq.scene.scene import Scene

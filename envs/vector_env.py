@@ -41,6 +41,7 @@ from torchdq.base.checks import (
     require_tensor,
     tensor_of,
 )
+from torchdq.control.law import Law
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of, pose_of_actions, with_controller
 from torchdq.envs.block import WORST
@@ -58,7 +59,6 @@ from torchdq.functions.posed import GEOMETRY
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.shipped import load
-from torchdq.scene.controllers import Controller
 from torchdq.scene.defaults import default_effects, mean_robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.loops import loops
@@ -145,7 +145,7 @@ class ArmVectorEnv(VectorEnv):
         robot: str | Path | Robot | None = None,
         effects: Sequence[Effect] | None = None,
         action: Kind | None = None,
-        controller: Controller | None = None,
+        controller: Law | None = None,
         scale: float | Sequence[float] | None = None,
         leash: tuple[float, float] = (0.5, 0.05),
         actuated: str | Sequence[str] | None = None,

@@ -89,7 +89,7 @@ def simulated(robot: torchdq.Robot, at: np.ndarray, frames: int, step: float) ->
     many = robot.replace(mass=robot.mass * (1 + 0.1 * torch.randn(arms, n, dtype=torch.float64)).clamp(0.7, 1.3))
     share = 1 + torch.rand(arms, n, dtype=torch.float64)
     friction = (effects.Viscous(0.5 * share), effects.Stribeck(0.5 * share, 0.8 * share))
-    control = controllers.ComputedTorqueController(KP, KD, model=robot)
+    control = controllers.ComputedTorque(KP, KD, model=robot)
     scene = Scene(
         many, (effects.Gravity(), *friction), integrator=integrators.LinearlyImplicit(), controller=control, dt=step
     )

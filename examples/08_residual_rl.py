@@ -49,7 +49,7 @@ from torch import Tensor, nn
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects
 from torchdq.envs.sb3 import StableBaselinesVecEnv
-from torchdq.scene.controllers import ComputedTorqueController
+from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.defaults import default_effects, nominal_robot
 
 ROBOT = torchdq.robots.load("panda")
@@ -115,7 +115,7 @@ class Base:
     def environments(self, number: int, mode: AutoresetMode = AutoresetMode.SAME_STEP) -> ArmVectorEnv:
         """Environments under it; gains are tensors, so that all of them share one program."""
         gains = (torch.full((N,), self.kp), torch.full((N,), self.kd))
-        controller = ComputedTorqueController(*gains, None if self.true else nominal_robot(Scene(ROBOT, PLANT)))
+        controller = ComputedTorque(*gains, model=None if self.true else nominal_robot(Scene(ROBOT, PLANT)))
         return ArmVectorEnv(
             number,
             "track",

@@ -27,7 +27,7 @@ import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.learning import Identified, Model, Samples, identify
 from torchdq.scene import integrators
-from torchdq.scene.controllers import ComputedTorqueController
+from torchdq.scene.controllers import ComputedTorque
 
 
 @dataclass
@@ -87,7 +87,7 @@ def recorded(scene: Scene, believed: torchdq.Robot, args: Args, motions: int) ->
     """Logged, smoothed and thinned motions of the arm under a controller that believes the description."""
     time = torch.arange(round(args.duration / STEP)).double() * STEP
     wanted = excitation(believed, time, motions)
-    scene = scene.replace(controller=ComputedTorqueController(400.0, 40.0, model=believed))
+    scene = scene.replace(controller=ComputedTorque(400.0, 40.0, model=believed))
     start = scene.start(wanted[0][:, 0], wanted[1][:, 0])
     states = scene.rollout(start, reference=torch.cat(wanted, -1).movedim(1, 0))
     q, qd = (torch.cat([a[:, None], b[:-1].movedim(0, 1)], 1) for a, b in zip(start[:2], states[:2], strict=True))

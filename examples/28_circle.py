@@ -63,7 +63,7 @@ def followed(name: str, seconds: float) -> dict[str, Tensor]:
     reference = circle(robot, middle, t)
     q = posture(robot, reference[0, :8], middle + 0.3)
     qd = torch.linalg.lstsq(torchdq.jacobian(robot, q, robot.tip, "world"), reference[0, 8:14]).solution
-    control = controllers.OperationalSpace(kp=400.0, kd=40.0, expressed="world", q_null=q)
+    control = controllers.OperationalSpaceControl(kp=400.0, kd=40.0, expressed="world", q_null=q)
     scene = Scene(robot, controller=control, integrator=integrators.RungeKutta4(), dt=DT)
     path = scene.rollout(scene.start(q, qd), reference=reference[:-1])
     t, reference = t[1:], reference[1:]  # states are those at the ends of the steps

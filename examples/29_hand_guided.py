@@ -42,7 +42,7 @@ def main(args: Args) -> tuple[Tensor, Tensor, Tensor]:
     pushed = ((t > 0.5) & (t <= 2.0)).to(t)
     observer, start = MomentumObserver(ROBOT, gain=50.0, dt=DT), scene.start(START)
     push = FORCE * pushed[:, None] * torch.eye(6, dtype=torch.float64)[1]
-    reference = control.holding(ROBOT, START).expand(len(t), 20)
+    reference = control.holding(ROBOT, START).expand(len(t), -1)
     carry = torch.cat(observer.start(start.q, start.qd), -1)
     path, rows = scene.rollout(start, reference=reference, push=push, task=observer.task(), carry=carry)
     X = torchdq.forward_kinematics(ROBOT, path.q, ROBOT.tip)

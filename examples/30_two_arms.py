@@ -58,7 +58,7 @@ def main(args: Args) -> tuple[Tensor, Tensor]:
     wanted = hands(dq.sclerp(x_r, closer, s), dq.sclerp(x_a, dq.mul(x_a, turn), s))
     in_bases = dq.mul(dq.conj(BASES), wanted)
     reference = torch.nn.functional.pad(in_bases, (0, 12))
-    control = controllers.OperationalSpace(kp=900.0, kd=60.0, q_null=HOME)
+    control = controllers.OperationalSpaceControl(kp=900.0, kd=60.0, q_null=HOME)
     path = Scene(ARM, controller=control, dt=DT).rollout(Scene(ARM).start(HOME), reference=reference)
     reached = dq.mul(BASES, torchdq.forward_kinematics(ARM, path.q, ARM.tip))
     pairs = zip(relative_and_absolute(reached), relative_and_absolute(wanted), strict=True)

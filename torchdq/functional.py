@@ -19,8 +19,9 @@ from typing import Literal, NamedTuple
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import require_finite, require_tensor
-from torchdq.functions.call import Precision, function_of, gain, of_one_frame, on_links, poses
+from torchdq.base.checks import require_finite
+from torchdq.control.joints import ComputedTorque
+from torchdq.functions.call import Precision, function_of, of_one_frame, on_links, poses
 from torchdq.functions.options import options_of
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
@@ -383,8 +384,4 @@ def computed_torque(
     >>> torchdq.forward_dynamics(robot, q, q, tau)  # kp times the error
     tensor([10.0000, 10.0000], dtype=torch.float64)
     """
-    require_tensor("q", q)
-    given = {"q": q, "qd": qd, "q_des": q_des, "qd_des": qd_des, "qdd_des": qdd_des}
-    gains = {"kp": gain("kp", kp, q), "kd": gain("kd", kd, q)}
-    single = tuple([name for name, x in gains.items() if not x.ndim])
-    return function_of("computed_torque", robot, {**given, **gains, "f_tip": f_tip}, backend, single)[0]
+    return ComputedTorque(kp, kd)(robot, q, qd, q_des, qd_des, qdd_des, f_tip, backend=backend)

@@ -4,15 +4,15 @@ InverseDynamics   joint torques of a motion; `DQRNEA` is its name after the pape
 ForwardDynamics   joint accelerations under torques
 FloatingInverseDynamics, FloatingForwardDynamics
                   the same for robots with a floating base
-ComputedTorque    tracking controller, of a robot or of a trained layer
+Control           any control law of `torchdq.scene.controllers`, of a robot or of a trained layer
+ComputedTorque, OperationalSpaceControl, CartesianImpedance
+                  those of tracking, and of a frame
 MomentumObserver  torques and forces of contacts, from motions and torques of the motors
-OperationalSpaceControl, CartesianImpedance
-                  control of a frame, likewise
 ResidualDynamics  inverse dynamics and a network for the residual torques
 RobotModule       base of those of a robot alone
 """
 
-from torchdq.layers.computed_torque import ComputedTorque
+from torchdq.layers.control import CartesianImpedance, ComputedTorque, Control, OperationalSpaceControl
 from torchdq.layers.dynamics import (
     DQRNEA,
     FloatingForwardDynamics,
@@ -23,12 +23,12 @@ from torchdq.layers.dynamics import (
 from torchdq.layers.momentum_observer import MomentumObserver, ObserverState
 from torchdq.layers.residual import ResidualDynamics
 from torchdq.layers.robot_module import RobotModule
-from torchdq.layers.task_control import CartesianImpedance, OperationalSpaceControl
 
 __all__ = [
     "DQRNEA",
     "CartesianImpedance",
     "ComputedTorque",
+    "Control",
     "FloatingForwardDynamics",
     "FloatingInverseDynamics",
     "ForwardDynamics",

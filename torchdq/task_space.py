@@ -9,14 +9,14 @@ Everything else is as in `torchdq.functional`. The base is fixed.
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import require_choice, require_tensor
-from torchdq.functions.call import function_of, gain, gain_of_axes
+from torchdq.control.frames import CartesianImpedance, OperationalSpaceControl
+from torchdq.functions.call import function_of
 from torchdq.functions.options import axes_of, options_of
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
@@ -236,20 +236,9 @@ def operational_space_control(
     >>> torch.allclose(frame_motion(robot, q, 0 * q, torchdq.forward_dynamics(robot, q, 0 * q, tau)).A, 100 * e)
     True
     """
-    require_tensor("q", q)
-    require_tensor("X_des", X_des)
-    require_choice("limits", limits, (False, True))
-    given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des, "A_des": A_des}
-    gains = {"kp": gain_of_axes("kp", kp, q, X_des), "kd": gain_of_axes("kd", kd, q, X_des)}
-    more = {
-        "q_null": q_null,
-        "k_null": None if q_null is None else gain("k_null", k_null, q),
-        "damping": None if damping is None else gain("damping", damping, q, positive=True),
-    }
-    marks = [name for name, x in gains.items() if not x.ndim] + ["limits"] * limits
-    chosen = (frame or "", expressed, axes_of(axes), *marks)
-    names = options_of(require_robot(robot), "operational_space_control", chosen)
-    return function_of("operational_space_control", robot, {**given, **gains, **more}, backend, names)[0]
+    where: Any = {"frame": frame, "expressed": expressed, "axes": axes_of(axes)}
+    law = OperationalSpaceControl(kp, kd, damping, limits, q_null=q_null, k_null=k_null, **where)
+    return law(robot, q, qd, X_des, V_des, A_des, backend=backend)
 
 
 def cartesian_impedance(
@@ -292,15 +281,6 @@ def cartesian_impedance(
     >>> torch.allclose(tau, torchdq.inverse_dynamics(robot, q))  # at rest at the goal
     True
     """
-    require_tensor("q", q)
-    require_tensor("X_des", X_des)
-    require_choice("coriolis", coriolis, (False, True))
-    given = {"q": q, "qd": qd, "X_des": X_des, "V_des": V_des}
-    gains = {
-        "stiffness": gain_of_axes("stiffness", stiffness, q, X_des),
-        "damping": gain_of_axes("damping", damping, q, X_des),
-    }
-    more = {"q_null": q_null, "k_null": None if q_null is None else gain("k_null", k_null, q)}
-    marks = [*["gravity"] * (not coriolis), *[name for name, x in gains.items() if not x.ndim]]
-    names = options_of(require_robot(robot), "cartesian_impedance", (frame or "", expressed, axes_of(axes), *marks))
-    return function_of("cartesian_impedance", robot, {**given, **gains, **more}, backend, names)[0]
+    where: Any = {"frame": frame, "expressed": expressed, "axes": axes_of(axes), "coriolis": coriolis}
+    law = CartesianImpedance(stiffness, damping, q_null=q_null, k_null=k_null, **where)
+    return law(robot, q, qd, X_des, V_des, backend=backend)

@@ -147,7 +147,6 @@ OPTIONS = (
     ("forward_kinematics", ("hand",)),
     ("closed_form", ("hand",)),
     ("closed_form", ("tip", "")),
-    ("computed_torque", ("ki",)),
     ("inverse_dynamics", ("tip",)),
     ("inverse_dynamics", 3),
 )

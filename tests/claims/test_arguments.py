@@ -137,6 +137,8 @@ def test_a_wrong_tensor_is_named_with_what_was_expected_and_found(key):
     arguments = tensors(key)
     for way, (error, change, *parts) in (WRONG | UNLIKE).items():
         for name in list(arguments)[way in UNLIKE :]:
+            if name == "q_null" and way in ("no axes", "number"):  # one number for all joints
+                continue
             wrong = change(arguments[name])
             expected = [name, *parts]
             if way.endswith("numbers"):

@@ -149,7 +149,6 @@ MISUSE = {
     "negative gain": lambda: torchdq.ComputedTorque(ARM, -1.0, 6.0),
     "gain of nan": lambda: torchdq.ComputedTorque(ARM, 9.0, torch.nan),
     "gains of three": lambda: torchdq.ComputedTorque(ARM, [1.0, 2.0, 3.0], 6.0),
-    "gains of a row": lambda: torchdq.ComputedTorque(ARM, 9.0, torch.ones(1, 2)),
     # learning
     "split a log": lambda: train_test_split(read_log(LOG), 0.5),
     "fit a robot": lambda: fit(ARM, SAMPLES, steps=1),

@@ -15,6 +15,7 @@ import pytest
 from helpers import thinned
 from kinds_of_programs import PROGRAMS, STUDIED, recipes, step, study
 
+from torchdq.command.export import LAWS
 from torchdq.functions.catalogue import RECIPES
 
 TABLE = Path(__file__).with_name("operation_counts.json")
@@ -53,7 +54,7 @@ def test_the_record_is_of_these_programs_in_order():
 
 
 def test_every_public_function_is_on_record():
-    assert {key.split("/")[1].split()[0] for key in recipes("two_link")} == set(RECIPES)
+    assert {key.split("/")[1].split()[0] for key in recipes("two_link")} == {*RECIPES, *LAWS}
 
 
 def test_every_case_and_method_of_the_study_is_on_record():

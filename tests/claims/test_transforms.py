@@ -55,7 +55,10 @@ FRICTION = (
 MODULES = {
     "DQRNEA": (torchdq.DQRNEA, "q qd qdd f_tip"),
     "ForwardDynamics": (torchdq.ForwardDynamics, "q qd tau f_tip"),
-    "ComputedTorque": (lambda robot, learn=(): torchdq.ComputedTorque(robot, 9.0, 6.0, learn), "q qd q qd qdd f_tip"),
+    "ComputedTorque": (
+        lambda robot, learn=(): torchdq.ComputedTorque(robot, 9.0, 6.0, learn=learn),
+        "q qd q qd qdd f_tip",
+    ),
     "DQRNEA with friction": (lambda robot, learn=(): torchdq.DQRNEA(robot, learn, friction=FRICTION), "q qd qdd f_tip"),
     "ForwardDynamics with friction": (
         lambda robot, learn=(): torchdq.ForwardDynamics(robot, learn, friction=FRICTION),

@@ -254,7 +254,7 @@ def test_environments_have_it(action):
 
 def test_a_controller_and_a_rollout_by_a_policy_see_it():
     model = trained()
-    scene = Scene(model.robot, model.effects(), controllers.ComputedTorqueController(100.0, 20.0), dt=0.004)
+    scene = Scene(model.robot, model.effects(), controllers.ComputedTorque(100.0, 20.0), dt=0.004)
     q = double(0.3, -0.4)
     wanted = torch.cat([q, 0 * q, 0 * q])
     control = torchdq.ComputedTorque(model, 100.0, 20.0)

@@ -17,7 +17,7 @@ from torchdq.envs import ArmVectorEnv, controllers, effects
 from torchdq.envs.pose_actions import PoseActions
 from torchdq.errors import ArgumentError
 
-PLANAR = controllers.OperationalSpace(100.0, 20.0, axes=("x", "y"), expressed="world")
+PLANAR = controllers.OperationalSpaceControl(100.0, 20.0, axes=("x", "y"), expressed="world")
 POSE = {"action": "pose", "scale": None, "controller": PLANAR, "dtype": torch.float64, "backend": "auto"}
 ONE = ((1.0, 0.0, 0.0, 0.0), (0.0,) * 4)
 
@@ -98,7 +98,7 @@ def test_blocks_are_steps_and_an_episode_begins_where_the_arm_is(leash):
 
 def test_a_proportional_policy_reaches():
     """The tip of 95 % of Pandas is within 2 cm of its goal after 1.5 s, with friction that the controller ignores."""
-    control = controllers.OperationalSpace(400.0, 40.0, axes="position", expressed="world")
+    control = controllers.OperationalSpaceControl(400.0, 40.0, axes="position", expressed="world")
     envs = ArmVectorEnv(1024, "reach", "panda", action="pose", controller=control, backend="auto")
     observation, _ = envs.reset(seed=1)
     for _ in range(75):

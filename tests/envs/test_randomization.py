@@ -39,7 +39,7 @@ WAYS = {
     "gains": lambda envs: torch.cat([envs.scene.controller.kp / 100, envs.scene.controller.kd / 20], 1),
     "com": lambda envs: envs.scene.robot.com - ROBOT.com,
     "Noise.position": lambda envs: drawn(envs, effects.Noise, "position") / 0.01,
-    "ComputedTorqueController.kp": lambda envs: envs.scene.controller.kp / 100,
+    "ComputedTorque.kp": lambda envs: envs.scene.controller.kp / 100,
     "payload": lambda envs: drawn(envs, effects.Payload, "mass"),
     "delay": lambda envs: next(e.late for e in envs.scene.effects if hasattr(e, "late")),
 }
@@ -109,7 +109,7 @@ ABSOLUTE = {
     "Bias.position": (Absolute(-0.2, 0.1), (-0.2, -0.2), (0.1, 0.1)),
     "Gravity.acceleration": (TILTED, TILTED.lower, TILTED.upper),
     "Coulomb.coulomb": (Absolute([0.0, 1.0], [0.5, 3.0]), (0.0, 1.0), (0.5, 3.0)),
-    "ComputedTorqueController.kp": (Absolute(50.0, 60.0), (50.0, 50.0), (60.0, 60.0)),
+    "ComputedTorque.kp": (Absolute(50.0, 60.0), (50.0, 50.0), (60.0, 60.0)),
 }
 
 
@@ -163,7 +163,7 @@ def test_all_friction_of_a_joint_has_one_factor():
 def test_an_unknown_name_lists_all():
     with refused(UnknownNameError) as caught:
         make({"masses": 7.0})
-    for name in (*SHORT, "Viscous.coefficient", "Noise.velocity", "ComputedTorqueController.kd"):
+    for name in (*SHORT, "Viscous.coefficient", "Noise.velocity", "ComputedTorque.kd"):
         assert name in str(caught.value)
 
 

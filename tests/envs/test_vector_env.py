@@ -145,7 +145,7 @@ def test_robots_of_a_stack_are_each_simulated(task, action):
     """A row moves as its own robot; a controller of the environment knows the mean of all."""
     robot = torchdq.robots.load("panda")
     robots = [robot, robot.replace(mass=1.5 * robot.mass, damping=robot.damping + 2.0)]
-    controller = None if action == "torque" else controllers.ComputedTorqueController(100.0, 20.0, robot)
+    controller = None if action == "torque" else controllers.ComputedTorque(100.0, 20.0, model=robot)
     given = {"task": task, "action": action, "dtype": torch.float64, "controller": controller, "backend": "eager"}
     several = started(2, robot=torchdq.Robot.stack(robots), **given)
     found, *_ = several.step(torch.ones(2, 7))

@@ -50,9 +50,12 @@ PANDA = torchdq.robots.load("panda")
 PROGRAMS = {
     "inverse dynamics": program(PANDA, "inverse_dynamics"),
     "forward dynamics": program(PANDA, "forward_dynamics"),
-    "computed torque": program(PANDA, "computed_torque"),
-    "operational space control": lambda dtype: torchdq.compile(
-        PANDA, "operational_space_control", dtype, options=("tip", "world", "position", "limits", "kp", "kd")
+    "computed torque": program(PANDA, controllers.ComputedTorque(torch.ones(7), torch.ones(7))),
+    "operational space control": program(
+        PANDA,
+        controllers.OperationalSpaceControl(
+            torch.ones(()), torch.ones(()), expressed="world", axes="position", limits=True
+        ),
     ),
     "operational space": lambda dtype: torchdq.compile(TWO, "operational_space", dtype, options=("tip", "body", "x y")),
     "closed form": program(TWO, "closed_form"),
@@ -63,10 +66,8 @@ PROGRAMS = {
     "floating base": program(free(), "floating.forward_dynamics"),
     "scene": scene_step,
     "a trained layer": lambda dtype: torchdq.compile(trained().program(parameters="arguments"), dtype=dtype),
-    "a controller": lambda dtype: torchdq.compile(controllers.PD(9.0, 3.0).program(trained().robot), dtype=dtype),
-    "control of a frame": lambda dtype: torchdq.compile(
-        controllers.OperationalSpace(100.0, 20.0, axes=("x", "y"), q_null=0.5).program(TWO), dtype=dtype
-    ),
+    "a controller": lambda dtype: torchdq.compile(trained().robot, controllers.PD(9.0, 3.0), dtype),
+    "control of a frame": program(TWO, controllers.OperationalSpaceControl(100.0, 20.0, axes=("x", "y"), q_null=0.5)),
 }
 
 
@@ -233,7 +234,7 @@ RUBBED = torchdq.ComputedTorque(TWO, 25.0, 10.0, friction=(effects.Viscous(0.2),
 TOLD = {
     "a controller with friction": lambda: torchdq.compile(RUBBED.program()),
     "a step": scene_step,
-    "computed torque": lambda: torchdq.compile(TWO, "computed_torque", options=("kp", "kd")),
+    "computed torque": lambda: torchdq.compile(TWO, controllers.ComputedTorque(9.0, 6.0)),
 }
 LIBRARIES = list(product(TOLD, ("math.h", "own")))
 

@@ -20,6 +20,7 @@ from messages import refused
 import torchdq
 from torchdq import effects
 from torchdq.errors import ArgumentError
+from torchdq.scene import controllers
 
 ca = pytest.importorskip("casadi", reason="programs in CasADi need casadi")
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
@@ -40,7 +41,7 @@ PROGRAMS = {
     "kinematics": of("two_link", "forward_kinematics"),
     "energy": of("two_link", "kinetic_energy"),
     "regressor": of("two_link", "regressor"),
-    "computed torque": of("two_link", "computed_torque"),
+    "computed torque": of("two_link", controllers.ComputedTorque(torch.ones(2), torch.ones(2))),
     "gradient": lambda: of("two_link", "inverse_dynamics")().vjp(),
     "derivatives": lambda: of("two_link", "inverse_dynamics")().jacobian(["q", "qdd"]),
     "parameters": lambda: torchdq.compile(two_link("mass", "inertia"), "forward_dynamics"),
@@ -342,12 +343,14 @@ def test_a_failure_at_a_knot_is_that_of_the_function(knot, all_knots):
 @pytest.mark.parametrize("library", ["math.h", "own"])
 def test_a_failure_is_told_whatever_is_wanted(library, tmp_path):
     """The growth of errors is not overwritten by results that are not wanted."""
-    built(torchdq.compile(two_link("mass"), "forward_dynamics"), tmp_path, "f", library, derivatives=1)
+    robot = torchdq.robots.load("panda")  # whose memory is larger than that of its results
+    compiled = torchdq.compile(robot.replace(mass=robot.mass), "forward_dynamics")
+    built(compiled, tmp_path, "f", library, derivatives=1)
     library = ctypes.CDLL(str(tmp_path / "f.so"))
     for function, results in (("f", 1), ("jac_f", 4)):
         arg, res, work = needed(library, function)
-        for masses, status in (([1.0, 1.0], 0), ([1.0, -1e3], 1)):
-            given = (POINTERS * arg)(*[None] * 3, (ctypes.c_double * 2)(*masses))
+        for masses, status in (([1.0] * 7, 0), ([1.0] * 6 + [-1e3], 1)):
+            given = (POINTERS * arg)(*[None] * 3, (ctypes.c_double * 7)(*masses))
             wanted, room = (POINTERS * res)(*[None] * results), (ctypes.c_double * work)()
             assert getattr(library, function)(given, wanted, None, room, 0) == status
 

@@ -64,7 +64,7 @@ def needs(robot):
         "ComputedTorque": lambda: torchdq.ComputedTorque(robot, 1.0, 1.0)(q, q, q, q, q),
         "a scene": lambda: scene.step(scene.start(q)),
         "its description": lambda: scene.describe(),
-        "a controller": lambda: controllers.ComputedTorqueController(1.0, 1.0).program(robot),
+        "a controller": lambda: controllers.ComputedTorque(1.0, 1.0).program(robot),
         "an environment": lambda: torchdq.envs.ArmVectorEnv(2, robot=robot.with_tip(robot.frame_names[-1])),
     }
 

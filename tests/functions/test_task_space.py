@@ -445,7 +445,7 @@ SINGLE = [(name, x, axes) for name in ("panda", "ur10e") for x in (2.0**-8, None
 
 
 @pytest.mark.parametrize(
-    ("name", "damping", "expressed"), thinned(SINGLE, [("panda", 2.0**-8, "world"), ("ur10e", None, "body")])
+    ("name", "damping", "expressed"), thinned(SINGLE, [("ur10e", 2.0**-8, "world"), ("ur10e", None, "body")])
 )
 def test_torques_in_single_precision_are_those_in_double(name, damping, expressed):
     """Near singular postures too, where rows whose growth is above the limit are computed in double precision."""
@@ -489,6 +489,7 @@ def test_limits_scale_the_torques_of_the_task_and_keep_the_direction():
     X = moved(torchdq.forward_kinematics(ARM, q, "tip"), *(0.2 * random(2, 40, 3, seed=2)))
     free, held = control(q, qd, X, kp=400.0), control(q, qd, X, kp=400.0, limits=True)
     within = (free.abs() <= ARM.limits.effort).all(1)
+    assert within.any() and not within.all()
     assert within.any() and (~within).any() and torch.equal(free[within], held[within])
     assert (held.abs() <= ARM.limits.effort * (1 + 1e-12)).all()
     bias = torchdq.inverse_dynamics(ARM, q, qd)
@@ -523,7 +524,7 @@ REFUSED = [
     lambda: torchdq.manipulability(ARM, ELBOW, frame="base"),
     lambda: torchdq.frame_motion(ARM.with_tip(None), *torch.zeros(2, 7, dtype=F64)),
     *(partial(served, damping=x) for x in (0.0, "none")),
-    *(partial(served, limits=x) for x in (True, 5.0)),
+    partial(served, limits=True),
     partial(served, kp=-1.0),
     partial(served, expressed="tip"),
     lambda: torchdq.compile(ARM, "operational_space", options=("tip", "body", "pose", "limits")),

@@ -44,7 +44,9 @@ LAYERS = {
     "learned gains": lambda: torchdq.ComputedTorque(
         DESCRIBED, torch.arange(1.0, 8.0), 5.0, learn=("kp", "kd", "mass", "friction")
     ),
-    "controller of a layer": lambda: torchdq.ComputedTorque(shifted(torchdq.DQRNEA(DESCRIBED, LEARN)), 30.0, 9.0, "kd"),
+    "controller of a layer": lambda: torchdq.ComputedTorque(
+        shifted(torchdq.DQRNEA(DESCRIBED, LEARN)), 30.0, 9.0, learn="kd"
+    ),
     "friction": lambda: torchdq.DQRNEA(PANDA, friction=(effects.Stribeck(0.3, 0.4), *RUBBING)),
     "friction forward": lambda: torchdq.ForwardDynamics(PANDA, ("friction", "offset"), friction=RUBBING),
     "friction controlled": lambda: torchdq.ComputedTorque(DESCRIBED, 30.0, 9.0, learn="friction", friction=RUBBING),
@@ -108,8 +110,8 @@ def test_what_has_no_program_is_refused_with_the_way_to_export_it(call):
 
 @all_in_one(
     [
-        lambda robot: controllers.ComputedTorqueController(30.0, (9.0, 8.0)),
-        lambda robot: controllers.ComputedTorqueController(30.0, 9.0, model=robot.replace(mass=1.5 * robot.mass)),
+        lambda robot: controllers.ComputedTorque(30.0, (9.0, 8.0)),
+        lambda robot: controllers.ComputedTorque(30.0, 9.0, model=robot.replace(mass=1.5 * robot.mass)),
         lambda robot: controllers.PD(30.0, torch.tensor([9.0, 8.0])),
         lambda robot: controllers.PD(30.0, 9.0, model=robot),
     ]
@@ -120,11 +122,11 @@ def test_the_program_of_a_controller_is_its_part_of_a_scene(make):
     given = rows("q", "qd", "q_des", "qd_des", "qdd_des", n=2)
     q, qd, *desired = given.values()
     program = controller.program(robot)
-    gains = [torch.tensor([9.0, 8.0], dtype=F64)] if len(program.arguments) == 4 else []
-    (found,) = eager(program, [torch.cat(desired, -1), q, qd, *gains])
+    given["kd"] = torch.tensor([9.0, 8.0], dtype=F64)
+    (found,) = eager(program, [given[a.name] for a in program.arguments])
     kp, kd = (torch.as_tensor(x, dtype=F64) for x in (controller.kp, controller.kd))
     model = controller.model
-    if isinstance(controller, controllers.ComputedTorqueController):
+    if isinstance(controller, controllers.ComputedTorque):
         expected = torchdq.computed_torque(model or robot, q, qd, *desired, kp.expand(2), kd.expand(2))
     else:
         weight = 0.0 if model is None else torchdq.inverse_dynamics(model, q)

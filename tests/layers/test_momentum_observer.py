@@ -219,6 +219,7 @@ MISUSE = {
     "another module": lambda: MomentumObserver(torchdq.ForwardDynamics(TWO), GAIN, 1e-3),
     "no step": lambda: MomentumObserver(TWO, GAIN, 0.0),
     "a negative gain": lambda: MomentumObserver(TWO, -GAIN, 1e-3),
+    "a complex gain": lambda: MomentumObserver(TWO, torch.tensor(1j), 1e-3),
     "axes twice": lambda: MomentumObserver(TWO, GAIN, 1e-3).force(torch.zeros(2), torch.zeros(2), axes=("x", "x")),
 }
 

@@ -143,10 +143,9 @@ WRONG = {
     "learned beside a module": lambda: nn.CartesianImpedance(Learned(), 1.0, 1.0, learn="mass"),
     "unknown axes": lambda: nn.CartesianImpedance(PANDA, 1.0, 1.0, axes="everything"),
     "negative damping": lambda: nn.OperationalSpaceControl(PANDA, 1.0, 1.0, damping=-1.0),
-    "a torque as limits": lambda: nn.OperationalSpaceControl(PANDA, 1.0, 1.0, limits=87.0),
+    "limits of other joints": lambda: nn.OperationalSpaceControl(PANDA, 1.0, 1.0, limits=(87.0, 12.0)),
     "a posture without a gain": lambda: nn.CartesianImpedance(PANDA, 1.0, 1.0, q_null=Q[0], k_null=math.nan),
     "a posture of other joints": lambda: nn.OperationalSpaceControl(PANDA, 1.0, 1.0, q_null=Q[0, :3]),
-    "a posture of one number": lambda: nn.CartesianImpedance(PANDA, 1.0, 1.0, q_null=0.1),
     "no robot": lambda: nn.CartesianImpedance("panda", 1.0, 1.0),
 }
 

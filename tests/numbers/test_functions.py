@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages import refused
 from oracles import EPS
-from precisions import every_backend, every_backend_and_dtype, every_dtype
+from precisions import every_backend, every_dtype, single_compiled
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq
@@ -231,7 +231,7 @@ PAIRS = [(a, b) for a in AWKWARD for b in AWKWARD]
 SIGNS = [(1, 1), (-1, 1), (1, -1), (-1, -1)]
 
 
-@every_backend_and_dtype
+@single_compiled
 def test_comparisons_of_awkward_numbers(dtype, backend):
     """The references are Python's own comparisons; a program carries NaN on."""
     compared = (maximum, minimum, at_least)
@@ -242,7 +242,7 @@ def test_comparisons_of_awkward_numbers(dtype, backend):
             assert same(row[3 * k : 3 * k + 3], expected) and same([f(a, b) for f in compared], expected)
 
 
-@every_backend_and_dtype
+@single_compiled
 def test_clipped_numbers_are_the_bounds_exactly(dtype, backend):
     lower, upper = -0.1, 1 / 3
     p = program(lambda x: [clip(x, lower, upper), -clip(-x, -upper, -lower)], 1)
@@ -253,7 +253,7 @@ def test_clipped_numbers_are_the_bounds_exactly(dtype, backend):
         assert same(y.tolist(), expected.tolist())
 
 
-@every_backend_and_dtype
+@single_compiled
 def test_what_is_not_selected_touches_neither_value_nor_gradient(dtype, backend):
     """A product with a mask would be NaN where the other is not finite; a mask that is NaN is not 0."""
     p = program(lambda m, x, y: [select(m, x, 2.0 * y), select(m, 3.0, -y)], 3)
@@ -307,7 +307,7 @@ def test_a_row_is_bitwise_the_row_alone_whatever_the_others_hold(dtype):
             assert alone.isfinite().all() and torch.equal(together[k], alone[0])
 
 
-@every_backend_and_dtype
+@single_compiled
 def test_numbers_of_a_sample_are_compared_with_those_that_all_share(dtype, backend):
     def algorithm(x, u):
         (x,), (u,) = x, u

@@ -161,5 +161,5 @@ def test_citations_are_read_one_by_one_in_lists_and_in_ranges():
 
 def test_a_place_that_does_not_exist_is_not_found():
     assert found(path_of("algebra.quaternion:mul"), "multiply") is None
-    assert found(path_of("scene.controllers:Feedback"), "Feedback.corrected") is not None
-    assert found(path_of("scene.controllers:Feedback"), "corrected") is None
+    assert found(path_of("control.joints:PD"), "PD.torques") is not None
+    assert found(path_of("control.joints:PD"), "torques") is None

@@ -117,7 +117,7 @@ def test_stiff_joints_are_given_to_the_implicit_integrator():
 
 def test_a_scene_with_a_controller_keeps_its_interval():
     robot = ROBOTS["two_link"]
-    scene = Scene(robot, (effects.Gravity(),), controllers.ComputedTorqueController(400.0, 40.0), dt=0.02)
+    scene = Scene(robot, (effects.Gravity(),), controllers.ComputedTorque(400.0, 40.0), dt=0.02)
     q, qd = others(robot)
     wanted = torch.cat([q + 0.3, 0 * q, 0 * q], -1)
     found = recommend_settings(scene, 1e-6, 0.2, State(q, qd), reference=wanted)

@@ -13,7 +13,7 @@ import torchdq
 from torchdq import dq
 from torchdq.envs import Scene, State, effects
 from torchdq.errors import ArgumentError
-from torchdq.scene.controllers import PD, CartesianImpedance, ComputedTorqueController, OperationalSpace
+from torchdq.scene.controllers import PD, CartesianImpedance, ComputedTorque, OperationalSpaceControl
 from torchdq.scene.integrators import ExplicitEuler, RungeKutta4, SemiImplicitEuler
 
 
@@ -37,7 +37,7 @@ HELD = (effects.Gravity(), effects.RotorInertia(0.2), effects.Payload(double(0.3
 def test_computed_torque_makes_any_arm_a_double_integrator(robot, integrator):
     """Gravity, rotors and payload of the scene included, Euler's steps are those of q'' = commanded, to 1e-9."""
     n, h, q, qd = robot.n, 0.02, random(3, robot.n) * 0.3, random(3, robot.n, seed=1)
-    scene = Scene(robot, HELD, ComputedTorqueController(KP, KD), integrator, dt=h)
+    scene = Scene(robot, HELD, ComputedTorque(KP, KD), integrator, dt=h)
     state = scene.start(q, qd)
     for k in range(50):
         r = reference(k * h, n)
@@ -51,7 +51,7 @@ def test_computed_torque_makes_any_arm_a_double_integrator(robot, integrator):
 
 def tracking_error(dt, integrator):
     """Of the arm after a second, less that of e'' + kd e' + kp e = 0 by a matrix exponential."""
-    scene = Scene(ARM, (effects.Gravity(),), ComputedTorqueController(KP, KD), integrator, dt)
+    scene = Scene(ARM, (effects.Gravity(),), ComputedTorque(KP, KD), integrator, dt)
     state = scene.start(double(0.5, -0.3), double(0.2, 0.1))
     start = torch.stack([reference(0.0, 2)[:2] - state.q, reference(0.0, 2)[2:4] - state.qd])
     for k in range(round(1 / dt)):
@@ -73,7 +73,7 @@ def test_computed_torque_of_a_model_is_the_function(robot):
     believed = robot.replace(mass=1.1 * robot.mass)
     tau = torchdq.computed_torque(believed, q, qd, *r.split(robot.n, -1), 20.0, 5.0)
     gravity = (effects.Gravity(),)
-    found = Scene(robot, gravity, ComputedTorqueController(20.0, 5.0, believed)).step(State(q, qd), reference=r)
+    found = Scene(robot, gravity, ComputedTorque(20.0, 5.0, model=believed)).step(State(q, qd), reference=r)
     expected = Scene(robot, gravity).step(State(q, qd), tau)
     assert torch.allclose(found.qd, expected.qd, rtol=1e-11, atol=1e-11)
 
@@ -84,7 +84,7 @@ def test_pd_is_its_formula_and_torques_add_to_it():
     tau = u + double(*kp) * (r[:, :3] - q) + kd * (r[:, 3:6] - qd)
     gravity = torchdq.inverse_dynamics(TREE, q, torch.zeros_like(q), torch.zeros_like(q))
     for model, more in ((None, 0.0), (TREE, gravity)):
-        found = Scene(TREE, controller=PD(kp, kd, model)).step(State(q, qd), u, reference=r)
+        found = Scene(TREE, controller=PD(kp, kd, model=model)).step(State(q, qd), u, reference=r)
         assert torch.allclose(found.qd, Scene(TREE).step(State(q, qd), tau + more).qd, rtol=1e-12, atol=1e-11)
 
 
@@ -101,7 +101,7 @@ def test_gains_may_be_learned():
     q, qd, r = random(5, 2), random(5, 2, seed=1), random(5, 6, seed=2)
 
     def end(kp, kd):
-        return Scene(ARM, (effects.Gravity(),), ComputedTorqueController(kp, kd)).step(State(q, qd), reference=r).qd
+        return Scene(ARM, (effects.Gravity(),), ComputedTorque(kp, kd)).step(State(q, qd), reference=r).qd
 
     assert torch.autograd.gradcheck(
         end, [double(3.0, 4.0).requires_grad_(), random(5, 2, seed=3).abs().requires_grad_()]
@@ -112,19 +112,19 @@ LEARNED = ARM.replace(mass=ARM.mass.clone().requires_grad_())
 MODELS = {"other joints": PANDA, "several": ARM.replace(mass=ARM.mass * double(1.0, 2.0)[:, None]), "learned": LEARNED}
 
 
-@pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
+@pytest.mark.parametrize("controller", [ComputedTorque, PD])
 @pytest.mark.parametrize("model", MODELS)
 def test_a_model_that_is_not_one_constant_robot_with_these_joints_is_refused(model, controller):
     with refused(ArgumentError):
-        Scene(ARM, controller=controller(1.0, 1.0, MODELS[model]))
-    Scene(ARM, controller=controller(1.0, 1.0, LEARNED.bake()))
+        Scene(ARM, controller=controller(1.0, 1.0, model=MODELS[model]))
+    Scene(ARM, controller=controller(1.0, 1.0, model=LEARNED.bake()))
 
 
-@pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
+@pytest.mark.parametrize("controller", [ComputedTorque, PD])
 def test_a_model_is_copied_when_a_scene_is_made(controller):
     """Writing into its mass changes no scene that is there, and every later one, although the object is the same."""
     mass = ARM.mass.clone()
-    given = controller(20.0, 5.0, ARM.replace(mass=mass))
+    given = controller(20.0, 5.0, model=ARM.replace(mass=mass))
 
     def stepped(scene):
         return scene.step(State(double(0.3, -0.4), double(0.0, 0.0)), reference=random(6)).qd
@@ -147,9 +147,19 @@ def test_a_model_is_copied_when_a_scene_is_made(controller):
 UR = torchdq.robots.load("ur10e")
 SIX = double(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 LAWS = {
-    "pose": (OperationalSpace, ("kp", "kd"), (100.0, 20.0), {}),
-    "gains and posture": (OperationalSpace, ("kp", "kd"), (10 * SIX, 2 * SIX), {"expressed": "world", "q_null": 0.3}),
-    "limits": (OperationalSpace, ("kp", "kd"), (90.0, 9.0), {"axes": ("x", "z"), "limits": True, "damping": 0.1}),
+    "pose": (OperationalSpaceControl, ("kp", "kd"), (100.0, 20.0), {}),
+    "gains and posture": (
+        OperationalSpaceControl,
+        ("kp", "kd"),
+        (10 * SIX, 2 * SIX),
+        {"expressed": "world", "q_null": 0.3},
+    ),
+    "limits": (
+        OperationalSpaceControl,
+        ("kp", "kd"),
+        (90.0, 9.0),
+        {"axes": ("x", "z"), "limits": True, "damping": 0.1},
+    ),
     "spring": (CartesianImpedance, ("stiffness", "damping"), (300.0, 30.0), {"axes": "position", "q_null": 0.3}),
     "body": (CartesianImpedance, ("stiffness", "damping"), (90 * SIX, SIX), {"expressed": "body"}),
     "passive": (CartesianImpedance, ("stiffness", "damping"), (90 * SIX, SIX), {"coriolis": False}),
@@ -162,14 +172,14 @@ def test_control_of_a_frame_is_the_function(case):
     kind, names, gains, more = LAWS[case]
     q, qd, X = random(4, 7), random(4, 7, seed=1), random(4, 8, seed=2)
     V, A = random(4, 6, seed=3), random(4, 6, seed=4)
-    law = torchdq.operational_space_control if kind is OperationalSpace else torchdq.cartesian_impedance
+    law = torchdq.operational_space_control if kind is OperationalSpaceControl else torchdq.cartesian_impedance
     given = {k: q.new_full((7,), x) if k == "q_null" else x for k, x in more.items()} | dict(
         zip(names, gains, strict=True)
     )
     for model in (*([None] if case in ("pose", "spring") else []), PANDA.replace(mass=1.1 * PANDA.mass)):
-        tau = law(model or PANDA, q, qd, X, V, *([A] if kind is OperationalSpace else []), **given)
+        tau = law(model or PANDA, q, qd, X, V, *([A] if kind is OperationalSpaceControl else []), **given)
         controlled = Scene(PANDA, (effects.Gravity(),), kind(*gains, **more, model=model))
-        found = controlled.step(State(q, qd), reference=torch.cat([X, V, A], -1))
+        found = controlled.step(State(q, qd), reference=torch.cat([X, V, A], -1)[:, : controlled.inputs["reference"]])
         expected = Scene(PANDA, (effects.Gravity(),)).step(State(q, qd), tau)
         assert torch.allclose(found.qd, expected.qd, rtol=1e-10, atol=1e-10)
 
@@ -177,7 +187,7 @@ def test_control_of_a_frame_is_the_function(case):
 def test_small_steps_have_the_poles_of_the_error_equation():
     """Six of each root of s^2 + kd s + kp, up to the step, around a pose that is held."""
     q, dt = double(0.1, -1.0, 1.2, 0.3, 0.8, 0.2), 1e-5
-    scene = Scene(UR, (effects.Gravity(),), OperationalSpace(100.0, 29.0), SemiImplicitEuler(), dt)
+    scene = Scene(UR, (effects.Gravity(),), OperationalSpaceControl(100.0, 29.0), SemiImplicitEuler(), dt)
     reference = scene.controller.holding(UR, q)
     assert torch.allclose(scene.step(scene.start(q), reference=reference).q, q, atol=1e-15)
     poles = torch.linalg.eigvals(scene.linearize(scene.start(q), reference=reference).A).log() / dt
@@ -187,7 +197,7 @@ def test_small_steps_have_the_poles_of_the_error_equation():
 
 def test_a_rollout_follows_a_screw_path():
     """Up to the torque that is held over a step, which is of first order in it."""
-    q, worst, control = double(0.1, -1.0, 1.2, 0.3, 0.8, 0.2), [], OperationalSpace(100.0, 20.0)
+    q, worst, control = double(0.1, -1.0, 1.2, 0.3, 0.8, 0.2), [], OperationalSpaceControl(100.0, 20.0)
     X = torchdq.forward_kinematics(UR, q, UR.tip)
     Y = dq.mul(X, dq.exp(double(0.15, -0.2, 0.1, 0.02, 0.05, 0.02)))
     for steps in (100, 200):
@@ -200,14 +210,15 @@ def test_a_rollout_follows_a_screw_path():
     assert worst[0] < 0.01 and worst[0] / worst[1] == pytest.approx(2.0, rel=0.2)
 
 
-@pytest.mark.parametrize("kind", [OperationalSpace, CartesianImpedance], ids=lambda x: x.__name__)
+@pytest.mark.parametrize("kind", [OperationalSpaceControl, CartesianImpedance], ids=lambda x: x.__name__)
 def test_gains_of_a_frame_and_a_posture_may_be_learned(kind):
     """One number for all axes or several, with a gain of the posture for every sample."""
     q, qd, X = random(2, 3), random(2, 3, seed=1), dq.exp(random(2, 6, seed=2))
-    reference = torch.cat([X, random(2, 12, seed=3)], -1)
+    rates = random(2, 12, seed=3)
 
     def end(first, second, q_null, k_null):
         control = kind(first, second, axes="position", q_null=q_null, k_null=k_null)
+        reference = torch.cat([X, rates], -1)[:, : control.reference(TREE.n)]
         return Scene(TREE, (effects.Gravity(),), control).step(State(q, qd), reference=reference).qd
 
     gains = [double(30.0)[0], double(4.0, 5.0, 6.0), random(3), double(3.0, 4.0)]
@@ -221,7 +232,7 @@ def test_kinetic_and_spring_energy_never_grow_where_gravity_alone_is_compensated
     for coriolis in (True, False):
         control = CartesianImpedance(200.0, 1.0, axes=("x", "y"), coriolis=coriolis)
         scene = Scene(ARM, (effects.Gravity(),), control, RungeKutta4(), 1e-3, backend="auto")
-        reference = torch.nn.functional.pad(X, (0, 12)).expand(300, 2, 20)
+        reference = torch.nn.functional.pad(X, (0, 6)).expand(300, 2, 14)
         states = scene.rollout(scene.start(q, qd), reference=reference)
         away = dq.translation(torchdq.forward_kinematics(ARM, states.q, ARM.tip)) - dq.translation(X)
         energies[coriolis] = torchdq.kinetic_energy(ARM, states.q, states.qd) + 100.0 * away.square().sum(-1)
@@ -230,20 +241,20 @@ def test_kinetic_and_spring_energy_never_grow_where_gravity_alone_is_compensated
 
 def test_a_check_of_steps_holds_the_frame():
     start = torch.tensor([0.4, 0.9], dtype=torch.float64)
-    control = OperationalSpace(100.0, 20.0, frame=ARM.tip, axes=("x", "y"), expressed="world")
+    control = OperationalSpaceControl(100.0, 20.0, frame=ARM.tip, axes=("x", "y"), expressed="world")
     scene = Scene(ARM, (effects.Gravity(),), control, dt=0.002)
     assert scene.check(scene.start(start), seconds=0.1).stable
     assert torch.allclose(scene.step(scene.start(start), reference=control.holding(ARM, start)).q, start, atol=1e-14)
 
 
 WRONG_TASKS = {
-    "a floating base": lambda: Scene(torchdq.robots.load("go2"), controller=OperationalSpace(1.0, 1.0)),
-    "more axes than joints": lambda: Scene(ARM, controller=OperationalSpace(1.0, 1.0)),
-    "a gain too few": lambda: Scene(UR, controller=OperationalSpace((1.0, 1.0), 1.0)),
-    "no damping": lambda: Scene(UR, controller=OperationalSpace(1.0, 1.0, damping=0.0)),
+    "a floating base": lambda: Scene(torchdq.robots.load("go2"), controller=OperationalSpaceControl(1.0, 1.0)),
+    "more axes than joints": lambda: Scene(ARM, controller=OperationalSpaceControl(1.0, 1.0)),
+    "a gain too few": lambda: Scene(UR, controller=OperationalSpaceControl((1.0, 1.0), 1.0)),
+    "no damping": lambda: Scene(UR, controller=OperationalSpaceControl(1.0, 1.0, damping=0.0)),
     "a negative stiffness": lambda: Scene(UR, controller=CartesianImpedance(-1.0, 1.0)),
     "coriolis as a number": lambda: Scene(UR, controller=CartesianImpedance(1.0, 1.0, coriolis=0)),
-    "a learned model": lambda: Scene(ARM, controller=OperationalSpace(1.0, 1.0, axes=("x", "y"), model=LEARNED)),
+    "a learned model": lambda: Scene(ARM, controller=OperationalSpaceControl(1.0, 1.0, axes=("x", "y"), model=LEARNED)),
 }
 
 

@@ -15,7 +15,7 @@ from scenes import ARM, PANDA, TREE
 import torchdq
 from torchdq.base import progress
 from torchdq.envs import Scene, effects
-from torchdq.scene.controllers import ComputedTorqueController
+from torchdq.scene.controllers import ComputedTorque
 
 describing = importlib.import_module("torchdq.scene.describe")
 
@@ -28,9 +28,9 @@ def test_a_description_of_a_scene_with_limits_warns_of_nothing():
 
 
 def test_the_cost_of_the_controller_is_described():
-    scene = Scene(TREE, (effects.Gravity(),), ComputedTorqueController(25.0, 10.0))
+    scene = Scene(TREE, (effects.Gravity(),), ComputedTorque(25.0, 10.0))
     costs = scene.describe(batch=2, seconds=0.0).costs
-    assert [cost.effect for cost in costs] == ["bare step", "Gravity", "ComputedTorqueController"]
+    assert [cost.effect for cost in costs] == ["bare step", "Gravity", "ComputedTorque"]
     assert sum(cost.operations for cost in costs) == scene.count().total
 
 

@@ -59,7 +59,7 @@ SENSELESS = [  # effects
         effects.Viscous([1.0, 2.0, 3.0]),
         effects.Viscous(torch.ones(3)),
     ),
-    *(effects.Viscous(torch.ones(2, dtype=torch.int64)), effects.Stribeck(1.0), effects.JointLimits(1.0, -1.0)),
+    *(effects.Viscous(torch.ones(2, dtype=torch.bool)), effects.Stribeck(1.0), effects.JointLimits(1.0, -1.0)),
     effects.Gravity((0.0, 9.81)),
 ]
 TOGETHER = [  # two effects

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import torchdq
 from torchdq import dq, floating
 from torchdq.envs import Scene, effects
-from torchdq.scene.controllers import PD, ComputedTorqueController
+from torchdq.scene.controllers import PD, ComputedTorque
 from torchdq.scene.free_base import EXACT, ORDER_4, rate
 from torchdq.scene.integrators import (
     DormandPrince,
@@ -367,9 +367,9 @@ FREE = Scene(case("tree2").robot)
 FIXED = FREE.replace(robot=FREE.robot.replace(base_mass=None, base_com=None, base_inertia=None))
 MISUSE = {
     "integrator of momenta": lambda m: FREE.replace(integrator=StoermerVerlet()),
-    "computed torque": lambda m: FREE.replace(controller=ComputedTorqueController(100.0, 20.0)),
-    "model of a free robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, FREE.robot)),
-    "model of a fixed robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, FIXED.robot)),
+    "computed torque": lambda m: FREE.replace(controller=ComputedTorque(100.0, 20.0)),
+    "model of a free robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, model=FREE.robot)),
+    "model of a fixed robot": lambda m: FREE.replace(controller=PD(9.0, 6.0, model=FIXED.robot)),
     "pose of a fixed base": lambda m: FIXED.start(m["q"], X_WB=m["X_WB"]),
     "state of a fixed base": lambda m: FREE.step(FIXED.start(m["q"])),
     **{

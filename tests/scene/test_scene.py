@@ -21,7 +21,7 @@ import torchdq
 from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
 from torchdq.scene import recording as plans
-from torchdq.scene.controllers import PD, ComputedTorqueController
+from torchdq.scene.controllers import PD, ComputedTorque
 from torchdq.scene.integrators import DormandPrince, Repeated, RungeKutta4, SemiImplicitEuler, StoermerVerlet
 
 needs_compiler = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
@@ -267,7 +267,7 @@ def test_new_values_of_tensors_need_no_new_recording():
     def scene(k):
         parts = (effects.Viscous(random(2, seed=k).abs()), effects.Payload(random(4, seed=k).abs()))
         gains = random(2, seed=k).abs(), 1.0
-        return Scene(ARM.replace(mass=ARM.mass * (1 + k)), parts, ComputedTorqueController(*gains))
+        return Scene(ARM.replace(mass=ARM.mass * (1 + k)), parts, ComputedTorque(*gains))
 
     def step(k):
         return scene(k).step(State(random(4, 2), random(4, 2, seed=1)), reference=random(6)).qd

@@ -16,7 +16,7 @@ from torchdq import dq
 from torchdq.envs import Scene, effects
 from torchdq.robot import ContactPoint
 from torchdq.scene import stability
-from torchdq.scene.controllers import PD, ComputedTorqueController
+from torchdq.scene.controllers import PD, ComputedTorque
 from torchdq.scene.integrators import (
     DormandPrince,
     ExplicitEuler,
@@ -139,7 +139,7 @@ def test_rows_diverge_one_by_one():
 def test_controllers_hold_the_start_and_are_run(monkeypatch):
     """Gains that a sampled controller cannot have are not a stiffness of the joints, but the rows diverge."""
     monkeypatch.setattr(stability, "FEW", 64)  # of trials of shorter steps
-    calm, wild = (Scene(ARM, (effects.Gravity(),), ComputedTorqueController(100.0, kd)) for kd in (20.0, 500.0))
+    calm, wild = (Scene(ARM, (effects.Gravity(),), ComputedTorque(100.0, kd)) for kd in (20.0, 500.0))
     assert calm.check(calm.start(double(0.3, 0.4)))
     found = wild.check(wild.start(double(0.3, 0.4), double(0.1, 0.1)), seconds=6.0)
     assert not found and found.growth <= 1.001 and bool(found.diverged)
@@ -233,7 +233,7 @@ def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta(monkey
     assert not check and bool(check.diverged) and str(check).endswith("integrator=RungeKutta4(), steps of 0.02 s")
 
 
-@pytest.mark.parametrize("make", [PD, ComputedTorqueController], ids=["PD", "computed torque"])
+@pytest.mark.parametrize("make", [PD, ComputedTorque], ids=["PD", "computed torque"])
 def test_a_controller_too_stiff_for_the_step_is_named_with_the_joint(make):
     """Torques held over a step: kp h^2 / I + 2 kd h / I = 4 is the edge (Jury's criterion)."""
     inertia = INERTIA if make is PD else 1.0

@@ -28,7 +28,7 @@ from torchdq.backends import call, choice
 from torchdq.backends.cuda import Cuda
 from torchdq.envs import ArmVectorEnv, Scene, TorchTask, effects
 from torchdq.program import transforms
-from torchdq.scene.controllers import ComputedTorqueController
+from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.defaults import default_effects
 
 _setup_privateuseone_for_python_backend("far")
@@ -255,7 +255,7 @@ def steps_of_a_task_in_torch():
 
 
 def steps_with_tensors_that_were_given_on_the_cpu():
-    controller = ComputedTorqueController(torch.full((2,), 50.0), torch.full((2,), 10.0), None)
+    controller = ComputedTorque(torch.full((2,), 50.0), torch.full((2,), 10.0))
     parts = (effects.Viscous(torch.ones(2)), effects.Payload(torch.tensor(0.5)))
     robot = ROBOT.replace(mass=ROBOT.mass.clone())
     same_steps(robot=robot, action="residual", controller=controller, effects=parts)

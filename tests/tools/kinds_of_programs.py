@@ -5,15 +5,17 @@ import sys
 from collections.abc import Callable
 from functools import cache, partial
 
+import torch
 from places import BENCHMARKS
 from robots import on_free_base as free
 
 import torchdq
+from torchdq.control import Law
 from torchdq.envs import ArmVectorEnv, Scene, effects
 from torchdq.envs.tasks import Checked
 from torchdq.functions.catalogue import FLOATING
 from torchdq.program.program import Program
-from torchdq.scene import integrators
+from torchdq.scene import controllers, integrators
 
 ROBOTS = ("two_link", "panda", "ur10e", "puma560")
 
@@ -26,10 +28,10 @@ WRENCHES = ("f_tip", "f_ext")
 STILL = ("q", "qd", "X_des", "kp", "kd", "damping")  # control with a goal at rest and without a posture
 OF_BOTH_BASES = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "coriolis_matrix", "error_growth", "regressor")
 OF_BOTH_BASES += ("kinetic_energy", "potential_energy")
-PLAIN = (*OF_BOTH_BASES, "inverse_dynamics_jacobian", "dynamics_jacobian", "computed_torque", "joint_momentum")
+PLAIN = (*OF_BOTH_BASES, "inverse_dynamics_jacobian", "dynamics_jacobian", "joint_momentum")
 PLAIN += tuple(f"floating.{name}" for name in (*OF_BOTH_BASES, "closed_form", "centre_of_mass", "momentum"))
 PLAIN += ("floating.momentum_rate",)
-OF_AXES = ("manipulability", "operational_space", "operational_space_control", "contact_force")
+OF_AXES = ("manipulability", "operational_space", "contact_force")
 OF_AXES += ("inverse_kinematics_step", "inverse_kinematics_newton")
 
 
@@ -51,7 +53,6 @@ def recipe(name: str, function: str, present=None, options=(), fields=(), deriva
 def recipes(name: str) -> dict[str, Callable[[], Program]]:
     """Programs of a robot by the function, and by what of it is asked for."""
     tip = robot(name).tip or robot(name).frame_names[-1]
-    limits = ("limits",) if name in ("panda", "ur10e") else ()
     axes = "x y" if name == "two_link" else "pose"
     found = {
         **{function: {} for function in PLAIN},
@@ -72,12 +73,6 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
         "external_wrenches": {"options": ("world", tip)},
         "frame_motion": {"options": (tip,)},
         **{function: {"options": (tip, "body", axes)} for function in OF_AXES},
-        "operational_space_control still": {"options": (tip, "body", axes), "present": STILL},
-        "operational_space_control limits": {"options": (tip, "world", axes, *limits), "present": STILL},
-        "cartesian_impedance": {
-            "options": (tip, "world", axes),
-            "present": ("q", "qd", "X_des", "stiffness", "damping"),
-        },
         "differential_inverse_kinematics": {"options": (tip, "body", axes, "bounded")},
         "floating.inverse_dynamics vjp": {"derivative": True},
         "floating.forward_dynamics vjp": {"derivative": True},
@@ -85,7 +80,27 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
         "floating.jacobian": {"options": (tip,)},
         "floating.external_wrenches": {"options": ("world", tip)},
     }
-    return {f"{name}/{key}": partial(recipe, name, key.split()[0], **of) for key, of in found.items()}
+    known = {f"{name}/{key}": partial(recipe, name, key.split()[0], **of) for key, of in found.items()}
+    return known | {f"{name}/{key}": partial(law.program, robot(name), of) for key, (law, of) in laws(name).items()}
+
+
+def laws(name: str) -> dict[str, tuple[Law, tuple[str, ...] | None]]:
+    """Control laws of a robot whose gains are arguments, and the arguments that are present."""
+    n, pose = robot(name).n, name != "two_link"
+    joints, axes, one = (torch.ones(shape, dtype=torch.float64) for shape in (n, 6 if pose else 2, ()))
+    where = {"frame": robot(name).tip or robot(name).frame_names[-1], "axes": "pose" if pose else "x y"}
+    osc = partial(controllers.OperationalSpaceControl, axes, axes, **where)
+    limits = {"limits": name in ("panda", "ur10e"), "expressed": "world"}
+    return {
+        "computed_torque": (controllers.ComputedTorque(joints, joints), None),
+        "operational_space_control": (osc(one, q_null=joints, k_null=one), None),
+        "operational_space_control still": (osc(one), STILL),
+        "operational_space_control limits": (osc(one, **limits), STILL),
+        "cartesian_impedance": (
+            controllers.CartesianImpedance(axes, axes, **where),
+            (*STILL[:3], "stiffness", "damping"),
+        ),
+    }
 
 
 # --- steps of scenes -------------------------------------------------------------------------------------------------

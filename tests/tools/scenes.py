@@ -7,7 +7,7 @@ from helpers import double, random
 from oracles import random_tree, shipped
 
 from torchdq.envs import Scene, State, effects
-from torchdq.scene.controllers import ComputedTorqueController
+from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.integrators import LinearlyImplicit
 
 ARM = shipped("two_link").robot
@@ -33,7 +33,7 @@ RICH = (
 
 def rich(robot, **fields):
     """Scene with effects of every slot and a controller."""
-    return Scene(robot, RICH, ComputedTorqueController(KP, KD), LinearlyImplicit(), **fields)
+    return Scene(robot, RICH, ComputedTorque(KP, KD), LinearlyImplicit(), **fields)
 
 
 def inputs_of(scene, *batch, seed=0, dtype=torch.float64):

@@ -3,7 +3,7 @@
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 import tyro
@@ -13,14 +13,16 @@ from torchdq.base.files import write_atomically
 from torchdq.base.progress import Progress
 from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
+from torchdq.control import CartesianImpedance, ComputedTorque, OperationalSpaceControl
 from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
 from torchdq.functions.catalogue import FLOATING, RECIPES
-from torchdq.functions.compile import compile
+from torchdq.functions.compile import CompiledProgram, compile
 from torchdq.nn import ForwardDynamics, InverseDynamics
 from torchdq.robot import Robot
 
 FUNCTIONS = tuple(name for name in RECIPES if not name.startswith(FLOATING) and name != "error_growth")
+LAWS = {law.NAME: law for law in (ComputedTorque, OperationalSpaceControl, CartesianImpedance)}
 LAYERS = {"inverse_dynamics": InverseDynamics, "forward_dynamics": ForwardDynamics}  # functions that torch.export takes
 
 
@@ -41,7 +43,7 @@ class ExportCommand(RobotCommand):
     language: Literal["c", "casadi", "torch"] = "c"
     """c: .c and .h; casadi: .c for casadi.external; torch: .pt2 for torch.export.load."""
     options: tuple[str, ...] = ()
-    """Frames of forward_kinematics; frame and body or world of jacobian; see torchdq.compile."""
+    """Frames of forward_kinematics; frame and body or world of jacobian; frame, body or world, and axes of a law."""
     name: str = ""
     """Name of the function; by default its own and the robot's."""
     dtype: Dtype = "float64"
@@ -57,14 +59,13 @@ class ExportCommand(RobotCommand):
 
     def outcome(self) -> Outcome:
         """Names of the files."""
-        names_of("function", self.function, FUNCTIONS, "function")
+        names_of("function", self.function, (*FUNCTIONS, *LAWS), "function")
         robot = self.load().robot
         with Progress(f"exporting {self.function}"):
             if self.language == "torch":
                 files, function = [self._graph(robot)], self.function
             else:
-                full = FLOATING * robot.floating + self.function
-                program = compile(robot, full, self.dtype, options=self.options)
+                program = self._program(robot)
                 done = program.export(
                     *(self.out, self.name, self.sines, self.language), batch=self.batch, knots=self.knots
                 )
@@ -76,6 +77,14 @@ class ExportCommand(RobotCommand):
         )
         data = {"robot": robot.name, "function": function, "language": self.language, "files": files}
         return Outcome(text, data)
+
+    def _program(self, robot: Robot) -> CompiledProgram:
+        """Compiled function, or control law whose gains are arguments, one number for all joints or axes."""
+        if self.function not in LAWS:
+            return compile(robot, FLOATING * robot.floating + self.function, self.dtype, options=self.options)
+        where: Any = dict(zip(("frame", "expressed", "axes"), self.options, strict=False))
+        gain = torch.ones((), dtype=torch.float64)
+        return compile(robot, LAWS[self.function](gain, gain, **where), self.dtype)
 
     def _graph(self, robot: Robot) -> Path:
         """File of a layer's graph, for any number of samples."""

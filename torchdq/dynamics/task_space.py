@@ -31,6 +31,11 @@ ROUNDED = 2.0**-20  # share of the scale of a pivot that counts beside its own d
 AXES = {"pose": COMPONENTS, "orientation": COMPONENTS[:3], "position": COMPONENTS[3:]}
 
 
+def rows_of(axes: str) -> tuple[int, ...]:
+    """Numbers of the components that a choice of axes names."""
+    return tuple(COMPONENTS.index(axis) for axis in AXES.get(axes, axes.split()))
+
+
 class Task(NamedTuple):
     """Components of the twist of a frame, in its own or in world axes."""
 

@@ -11,8 +11,9 @@ from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
-from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded, undefined
+from torchdq.effects.effect import Effect, Late, unbounded
 from torchdq.errors import ArgumentError
+from torchdq.functions.parametric import Parameter, Shapes, undefined
 from torchdq.numbers.functions import below, clip, exp, floor, maximum, polynomial, select
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot

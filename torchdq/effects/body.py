@@ -20,8 +20,9 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.point_mass import PointMass
 from torchdq.dynamics.posed import Point, Posed, Row
-from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link, undefined
+from torchdq.effects.effect import Effect, Inputs, on_a_link
 from torchdq.errors import ArgumentError
+from torchdq.functions.parametric import Parameter, Shapes, undefined
 from torchdq.functions.posed import frame
 from torchdq.numbers.functions import sqrt
 from torchdq.robot import Robot

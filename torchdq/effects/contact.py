@@ -45,10 +45,11 @@ from torchdq.dynamics.error_growth import NoInertiaError
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
-from torchdq.effects.effect import TENSOR, Inputs, Parameter, Shapes
+from torchdq.effects.effect import Inputs
 from torchdq.effects.surface import HeightMap, tangent
 from torchdq.errors import ArgumentError
 from torchdq.functions.inverse_kinematics import ranges, start
+from torchdq.functions.parametric import TENSOR, Parameter, Shapes
 from torchdq.functions.posed import frame as frame_of
 from torchdq.functions.posed import posed
 from torchdq.numbers.functions import absolute, below, clip, maximum, minimum, select, sqrt

@@ -16,9 +16,10 @@ from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import is_number
 from torchdq.dynamics.friction import smooth_speed
 from torchdq.dynamics.posed import Row
-from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes
+from torchdq.effects.effect import Effect, Inputs
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.errors import ArgumentError
+from torchdq.functions.parametric import Parameter, Shapes
 from torchdq.numbers.functions import absolute, cos, exp, maximum, sin
 from torchdq.robot import Robot
 

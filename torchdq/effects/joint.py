@@ -18,8 +18,9 @@ import torch
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import tensor_of
 from torchdq.dynamics.posed import Row
-from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded, undefined
+from torchdq.effects.effect import Effect, Inputs, unbounded
 from torchdq.errors import ArgumentError
+from torchdq.functions.parametric import Parameter, Shapes, undefined
 from torchdq.numbers.functions import absolute, at_least, maximum, minimum
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot

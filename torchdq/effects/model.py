@@ -10,8 +10,9 @@ from torchdq.algebra.inertia import RigidBody
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import tensor_of
 from torchdq.dynamics.tree import BASE
-from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link, undefined
+from torchdq.effects.effect import Effect, on_a_link
 from torchdq.errors import ArgumentError
+from torchdq.functions.parametric import Parameter, Shapes, undefined
 from torchdq.functions.posed import Overrides, constant_pose, field
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot

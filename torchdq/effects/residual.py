@@ -10,9 +10,10 @@ from torch import Tensor, nn
 
 from torchdq.base.checks import require_tensor
 from torchdq.dynamics.posed import Row
-from torchdq.effects.effect import TENSOR, Inputs
+from torchdq.effects.effect import Inputs
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.errors import ArgumentError
+from torchdq.functions.parametric import TENSOR
 from torchdq.robot import Robot
 
 NAME = "residual"  # row of the torques in the programs of a scene

@@ -11,7 +11,8 @@ from typing import ClassVar
 
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import rounded
-from torchdq.effects.effect import Effect, Late, Parameter, Shapes, undefined
+from torchdq.effects.effect import Effect, Late
+from torchdq.functions.parametric import Parameter, Shapes, undefined
 from torchdq.numbers.functions import log, sqrt
 
 

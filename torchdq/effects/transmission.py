@@ -12,7 +12,8 @@ from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
-from torchdq.effects.effect import Effect, Parameter, Shapes
+from torchdq.effects.effect import Effect
+from torchdq.functions.parametric import Parameter, Shapes
 
 
 class Rotors(NamedTuple):

@@ -78,8 +78,8 @@ def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | Non
     return common_batch([*inputs, *parameters], f" for the {robot.n} joints of robot {robot.name!r}")
 
 
-def gain(name: str, value: Tensor | float, q: Tensor, positive: bool = False) -> Tensor:
-    """Gain of a controller as a tensor, one number in the dtype of q; entries of a tensor are not checked."""
+def gain(name: str, value: Tensor | float, q: Tensor, positive: bool = False, signed: bool = False) -> Tensor:
+    """Parameter as a tensor, one number in the dtype of q; entries of a tensor are not checked."""
     if isinstance(value, Tensor) and value.ndim:
         return value
     if isinstance(value, Tensor):
@@ -89,19 +89,8 @@ def gain(name: str, value: Tensor | float, q: Tensor, positive: bool = False) ->
     if not isinstance(value, REAL):
         cure = "; use torch.as_tensor" if isinstance(value, list | tuple | np.ndarray) else ""
         raise ArgumentError(f"{name} must be a number or a tensor, found {type(value).__name__}{cure}")
-    require_number(name, value, positive, least=0.0)
+    require_number(name, value, positive, **({} if signed else {"least": 0.0}))
     return torch.full((), value, dtype=q.dtype, device=q.device)
-
-
-def gain_of_axes(name: str, value: Tensor | float, q: Tensor, X_des: Tensor) -> Tensor:
-    """Gain as a tensor, after a check that it is no matrix where q and X_des have one row."""
-    found = gain(name, value, q)
-    if found.ndim > max(q.ndim, X_des.ndim):
-        raise ArgumentError(
-            f"{name} must be a number or one for each of the axes, without batch axes that q and X_des lack, found "
-            f"shape {tuple(found.shape)}; of a diagonal matrix give the diagonal, and for more gains expand q"
-        )
-    return found
 
 
 def poses(

@@ -14,12 +14,12 @@ from torchdq.algebra.quaternion import Number
 from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import require_tensor
+from torchdq.dynamics.task_space import rows_of
 from torchdq.errors import ArgumentError
 from torchdq.functions import floating as free
 from torchdq.functions import formulas as fixed
 from torchdq.functions import inverse_kinematics as ik
 from torchdq.functions import task_space_formulas as task
-from torchdq.functions.formulas import TRACKING
 from torchdq.functions.recipe import (
     BASE_WRENCH,
     RATES,
@@ -37,23 +37,12 @@ from torchdq.robot.constants import Constants
 from torchdq.robot.fields import SHAPES, Axes, trailing
 from torchdq.robot.robot import recorded
 
-GOAL: tuple[ArgumentSpec, ...] = (("X_des", (8,), False), ("V_des", (6,), True))
-POSTURE: tuple[ArgumentSpec, ...] = (("q_null", ("n",), True), ("k_null", (), True))
-
-
-def _gains(*names: str) -> tuple[ArgumentSpec, ...]:
-    return tuple((name, ("axes",), False) for name in names)
-
-
 RECIPES: dict[str, Recipe] = {
     "inverse_dynamics": Recipe((*joints("q"), *RATES, *WRENCHES), (fixed.inverse_dynamics,), lambda: (("n",),)),
     "inverse_dynamics_jacobian": Recipe(
         joints("q", "qd", "qdd"), (fixed.inverse_dynamics,), lambda: (("n", "n"), ("n", "n"))
     ),
     "dynamics_jacobian": Recipe(joints("q", "qd", "qdd"), (), lambda: (("n", "n"), ("n", "n"), ("n", "n"))),
-    "computed_torque": Recipe(
-        (*joints(*TRACKING), WRENCHES[0]), (fixed.computed_torque,), lambda *single: (("n",),), single=("kp", "kd")
-    ),
     "mass_matrix": Recipe(joints("q"), (fixed.mass_matrix,), lambda: (("n", "n"),)),
     "forward_dynamics": Recipe(
         (*joints("q"), RATES[0], *joints("tau"), *WRENCHES),
@@ -86,18 +75,6 @@ RECIPES: dict[str, Recipe] = {
         joints("q", "qd"),
         (task.operational_space,),
         lambda *task: (("axes", "axes"), ("axes",), ("axes",), ("axes", "n"), ("axes",), ("n", "axes"), ()),
-    ),
-    "operational_space_control": Recipe(
-        (*joints("q", "qd"), *GOAL, ("A_des", (6,), True), *_gains("kp", "kd"), *POSTURE, ("damping", (), True)),
-        (task.operational_space_control,),
-        lambda *task: (("n",),),
-        single=("kp", "kd"),
-    ),
-    "cartesian_impedance": Recipe(
-        (*joints("q", "qd"), *GOAL, *_gains("stiffness", "damping"), *POSTURE),
-        (task.cartesian_impedance,),
-        lambda *task: (("n",),),
-        single=("stiffness", "damping"),
     ),
     "inverse_kinematics_step": Recipe(
         (*joints("q", "best"), ("state", (5,), False), ("X", (8,), False), ("settings", (4,), False)),
@@ -157,15 +134,12 @@ _FIXED_ONLY = {  # why a function has no form for robots with a floating base
     "contact_force": "what acts on its base is not measured",
     "manipulability": "its base moves every frame in all directions; torchdq.floating.jacobian has the joints' columns",
     "operational_space": _NO_MOTOR,
-    "operational_space_control": _NO_MOTOR,
-    "cartesian_impedance": _NO_MOTOR,
     "inverse_kinematics_step": "its base alone reaches every pose",
     "inverse_kinematics_newton": "its base alone reaches every pose",
     "differential_inverse_kinematics": _NO_MOTOR,
 }
 _OF_AXES = {  # third option: axes of a frame
-    *("operational_space", "operational_space_control", "cartesian_impedance"),
-    *("inverse_kinematics_newton", "differential_inverse_kinematics", "contact_force"),
+    *("operational_space", "contact_force", "inverse_kinematics_newton", "differential_inverse_kinematics"),
 }
 # arguments that a result is differentiated by
 DERIVATIVES = {"inverse_dynamics_jacobian": ("q", "qd"), "coriolis_matrix": ("V_WB_B", "qd")}
@@ -176,24 +150,35 @@ class _Call(NamedTuple):
 
     constants: Constants
     name: str
-    options: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()  # of a control law: gains that are one number for all of their axes
+    written: tuple[Any, ...] = ()  # class and fields of a control law, which has the recipe; (): that of the catalogue
 
 
 class Function(_Call, Computation):
     """Public function for robots with the same constants, as a computation of `torchdq.backends.call`."""
 
     @property
+    def law(self) -> Any:
+        """Control law; None: the function is in the catalogue."""
+        return self.written[0].found(self.constants, *self.written) if self.written else None
+
+    @property
+    def recipe(self) -> Recipe:
+        """Arguments, formulas and results."""
+        return RECIPES[self.name] if self.law is None else self.law.recipe
+
+    @property
     def sizes(self) -> dict[str, int]:
         """Sizes of axes, by name; see `Robot.sizes`."""
         fields = self.constants.fields
         n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
-        axes = {"axes": len(task.rows_of(self.options[2]))} if self.name in _OF_AXES else {}
+        axes = {"axes": len(rows_of(self.options[2]))} if self.name in _OF_AXES else {}
         axes["frames"] = len(self.options) - 1  # of "external_wrenches"
         return {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating), **axes}
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an argument, or of a tensor of the robot."""
-        recipe = RECIPES[self.name]
+        recipe = self.recipe
         if name in recipe.single and name in self.options:
             return ()
         known = {argument: axes for argument, axes, _ in recipe.arguments}
@@ -201,7 +186,7 @@ class Function(_Call, Computation):
 
     def shared(self, name: str) -> bool:
         """True for a tensor of the robot, a gain that is one number, and what all samples have in common."""
-        return name in SHAPES or name in RECIPES[self.name].shared or not self.axes(name)
+        return name in SHAPES or name in self.recipe.shared or not self.axes(name)
 
     def label(self, name: str) -> str:
         """Name of a tensor in error messages."""
@@ -209,13 +194,15 @@ class Function(_Call, Computation):
 
     def subject(self) -> str:
         """Text about the robot after a shape in error messages."""
-        task = f"{self.sizes['axes']} axes of frame {self.options[0]!r} and " if self.name in _OF_AXES else ""
+        task = "" if self.law is None else self.law.subject()
+        if self.name in _OF_AXES:
+            task = f"{self.sizes['axes']} axes of frame {self.options[0]!r} and "
         return f" for {task}the {self.sizes['n']} joints of robot {self.constants.fields['name']!r}"
 
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise unless all required arguments are present."""
         self.require_base()
-        for name, _, optional in RECIPES[self.name].arguments:
+        for name, _, optional in self.recipe.arguments:
             if not optional:
                 require_tensor(name, tensors.get(name))
         first = next(iter(tensors.values()))
@@ -228,6 +215,8 @@ class Function(_Call, Computation):
     def require_base(self) -> None:
         """Raise unless the base of the robot is fixed, or floating, as the function has it."""
         fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
+        if self.written:  # a law says by itself which base it takes
+            return
         if (fields["base_mass"] is not None) != (plain != self.name):
             if FLOATING + plain not in RECIPES:
                 raise ArgumentError(
@@ -242,7 +231,7 @@ class Function(_Call, Computation):
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results."""
-        return tuple([trailing(axes, self.sizes) for axes in RECIPES[self.name].results(*self.options)])
+        return tuple([trailing(axes, self.sizes) for axes in self.recipe.results(*self.options)])
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the function, cached."""
@@ -260,7 +249,7 @@ def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
         return _with_mass_matrix(what, arguments)
     if what.name == "joint_momentum":
         return _momentum(what, arguments)
-    robot, recipe = recorded(what.constants), RECIPES[what.name]
+    robot, recipe = recorded(what.constants), what.recipe
     per_sample = tuple(a.name for a in arguments if a.name in SHAPES and not a.uniform)
     taken = (*arguments, task.HELD) if what.name == "floating.coriolis_matrix" else arguments
 

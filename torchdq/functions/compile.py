@@ -296,7 +296,7 @@ def _require_compilable(x: Any) -> None:
 
 def compile(
     robot: Robot | Program,
-    function: str = "",
+    function: Any = "",
     dtype: torch.dtype | str = torch.float64,
     arguments: Sequence[str] | None = None,
     options: Sequence[str] = (),
@@ -308,18 +308,16 @@ def compile(
             recorded already, such as the step of a scene, `scene.program()`, which needs no other argument but dtype.
         function: "inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor", "jacobian",
             "forward_kinematics", "kinetic_energy", "potential_energy", "dynamics_jacobian",
-            "inverse_dynamics_jacobian" (the same without the mass matrix), "computed_torque",
-            "frame_motion", "operational_space", "operational_space_control", "cartesian_impedance", "manipulability",
-            "coriolis_matrix", "differential_inverse_kinematics", "inverse_kinematics_step" and
+            "inverse_dynamics_jacobian" (the same without the mass matrix), "frame_motion", "operational_space",
+            "manipulability", "coriolis_matrix", "differential_inverse_kinematics", "inverse_kinematics_step" and
             "inverse_kinematics_newton" (parts of the solver); of a robot with a floating base,
-            "floating.inverse_dynamics" and so on.
+            "floating.inverse_dynamics" and so on. Or a control law of `torchdq.scene.controllers`, whose gains are
+            constants where they are numbers, and arguments where they are tensors.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
-            "world" for "jacobian"; the tip or "" for "closed_form", by default the robot's; "kp" and "kd" for
-            "computed_torque" if they are one number for all joints. Of a frame's control: its name, "body" or "world",
-            and axes such as "pose" or "x y rz", as far as they differ from the defaults; the gains that are one number
-            for all axes; "limits"; "gravity" for an impedance with coriolis=False.
+            "world" for "jacobian"; the tip or "" for "closed_form", by default the robot's. Of the dynamics of a frame:
+            its name, "body" or "world", and axes such as "pose" or "x y rz", as far as they differ from the defaults.
     Raises:
         UnknownNameError: there is no such function, argument or frame.
         ArgumentError: an option means nothing to the function.
@@ -337,6 +335,12 @@ def compile(
             )
         return replace(_ready(robot, dtype_of("dtype", dtype)), about=robot.about)
     _require_compilable(robot)
+    if callable(getattr(function, "program", None)):
+        if options:
+            raise ArgumentError(f"options must be empty for a control law, whose fields they are, found {options!r}")
+        recorded = function.program(robot, arguments)
+        values = {name: x for name, x in function.resolved(robot).tensors().items()}
+        return replace(_ready(recorded, dtype_of("dtype", dtype)), about=recorded.about, examples=values)
     if not isinstance(function, str) or not function:
         names = ", ".join(RECIPES)
         raise ArgumentError(f"function must be the name of one, found {function!r}; known: {names}")

@@ -10,12 +10,9 @@ from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
-from torchdq.dynamics.tracking import commanded
 from torchdq.functions.posed import BASE, as_screw, factors, frame, general, solve
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.program.program import GROWTH, Value
-
-TRACKING = ("q", "qd", "q_des", "qd_des", "qdd_des", "kp", "kd")  # arguments of computed torque control
 
 
 def inverse_dynamics(x: RecipeInputs) -> Results:
@@ -25,14 +22,6 @@ def inverse_dynamics(x: RecipeInputs) -> Results:
     if x.base() is None:
         return {"tau": forces}
     return {"F_B": [*forces[3:BASE], *forces[:3]], "tau": forces[BASE:]}
-
-
-def computed_torque(x: RecipeInputs, *single: str) -> Results:
-    """Torques tau of the desired acceleration, errors fed back; gains in `single` are one number for all joints."""
-    given = {name: tuple(row) * x.robot.n if name in single else row for name, row in x.arguments.items()}
-    a = list(map(commanded, *[given[name] for name in TRACKING]))
-    at = x.posed()
-    return {"tau": at.torques(given["qd"], a, x.exerted(at))}  # (73), (74)
 
 
 def mass_matrix(x: RecipeInputs) -> Results:

@@ -1,13 +1,12 @@
 """Options of public functions: names that a program depends on, checked, with the defaults of the functions."""
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.dynamics.task_space import AXES, COMPONENTS, Task
+from torchdq.dynamics.task_space import AXES, COMPONENTS, Task, rows_of
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function
 from torchdq.functions.posed import frame, posed
@@ -50,14 +49,7 @@ def _tip(robot: Robot, *given: str) -> Options:
     return (robot.frame(tip).name if tip else "",)
 
 
-def _single_gains(robot: Robot, *given: str) -> Options:
-    """Names of gains that are one number for all joints."""
-    if not set(given) <= {"kp", "kd"}:
-        raise ArgumentError(f"options of 'computed_torque' must be among 'kp' and 'kd', found {given}")
-    return given
-
-
-def _task(default: str, *marks: str, served: bool = True) -> Callable[..., Options]:
+def _task(*marks: str, served: bool = True) -> Callable[..., Options]:
     """Reader of a frame, the axes that its twist is in, and its components, followed by those of some marks.
 
     `served`: whether the joints must move all of these components.
@@ -70,17 +62,21 @@ def _task(default: str, *marks: str, served: bool = True) -> Callable[..., Optio
                 f"options must be a frame, 'body' or 'world', and axes{', and ' if marks else ''}{', '.join(marks)}, "
                 f"found {given}"
             )
-        tip, expressed, axes = (*named, *("", default, "pose")[len(named) :])
+        tip, expressed, axes = (*named, *("", "body", "pose")[len(named) :])
         name, expressed = _frame_and_axes(robot, tip or robot.end_effector().name, expressed)
         if served:
             require_served(robot, name, expressed, axes)
         else:
             _distinct(axes)
-        if "limits" in given and not any(0 < most < math.inf for most in robot.limits.effort.tolist()):
-            raise ArgumentError(f"limits must be False for robot {robot.name!r}, which has no torque limits")
         return (name, expressed, axes, *[mark for mark in marks if mark in given])
 
     return read
+
+
+def task_of(robot: Robot, name: str | None, expressed: str, axes: str | Sequence[str]) -> tuple[str, str, Task]:
+    """Name of a frame, its axes, and both as a task; raises unless the joints move these axes independently."""
+    name, expressed, axes = _task()(robot, name or "", expressed, axes_of(axes))
+    return name, axes, Task(*frame(robot, name), expressed == "world", rows_of(axes))
 
 
 def axes_of(axes: str | Sequence[str]) -> str:
@@ -143,16 +139,13 @@ _READERS: dict[str, Callable[..., Options]] = {
     "external_wrenches": _axes_and_frames,
     "floating.external_wrenches": _axes_and_frames,
     "closed_form": _tip,
-    "computed_torque": _single_gains,
     "frame_motion": lambda robot, *given: _frame_and_axes(robot, *(given or (robot.end_effector().name,))),
-    "operational_space": _task("body"),
-    "operational_space_control": _task("body", "limits", "kp", "kd"),
-    "cartesian_impedance": _task("world", "gravity", "stiffness", "damping"),
-    "manipulability": _task("body"),
-    "inverse_kinematics_step": _task("body"),
-    "inverse_kinematics_newton": _task("body"),
-    "differential_inverse_kinematics": _task("body", "bounded"),
-    "contact_force": _task("body", served=False),
+    "operational_space": _task(),
+    "manipulability": _task(),
+    "inverse_kinematics_step": _task(),
+    "inverse_kinematics_newton": _task(),
+    "differential_inverse_kinematics": _task("bounded"),
+    "contact_force": _task(served=False),
 }
 
 

@@ -107,6 +107,11 @@ class Recipe(NamedTuple):
     single: tuple[str, ...] = ()  # arguments that are one number for all joints if they are among the options
     shared: tuple[str, ...] = ()  # arguments that are one row for all samples
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arguments."""
+        return tuple([name for name, _, _ in self.arguments])
+
 
 def joints(*names: str) -> tuple[ArgumentSpec, ...]:
     """Arguments with a number per coordinate, which may not be absent."""

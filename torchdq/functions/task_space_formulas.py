@@ -1,36 +1,19 @@
-"""Formulas of the functions of a frame's motion, of its dynamics, and of its control."""
+"""Formulas of the functions of a frame's motion and of its dynamics."""
 
 from __future__ import annotations
-
-import math
-from collections.abc import Sequence
 
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics import observer, task_space
 from torchdq.dynamics import posed as mechanics
-from torchdq.dynamics.posed import Row, dot
-from torchdq.dynamics.task_space import AXES, COMPONENTS, Task
+from torchdq.dynamics.posed import dot
+from torchdq.dynamics.task_space import Task, rows_of
 from torchdq.functions.posed import as_screw, factors, frame
 from torchdq.functions.recipe import RecipeInputs, Results
-from torchdq.functions.task_space import (
-    Gains,
-    Goal,
-    impedance_torques,
-    numbers,
-    operational_space_torques,
-    pose_of,
-    pose_of_any_norm,
-)
+from torchdq.functions.task_space import numbers, pose_of
 from torchdq.program.program import GROWTH, Argument
 
 HELD = Argument("held", 6)  # the twist of a floating base, where derivatives by it are wanted elsewhere
-DAMPING = 2.0**-8  # of a posture beside a spring, where the inertia of the frame serves the projection alone
-
-
-def rows_of(axes: str) -> tuple[int, ...]:
-    """Numbers of the components that a choice of axes names."""
-    return tuple(COMPONENTS.index(axis) for axis in AXES.get(axes, axes.split()))
 
 
 def task_of(x: RecipeInputs, name: str, expressed: str, axes: str = "pose") -> Task:
@@ -65,36 +48,6 @@ def operational_space(x: RecipeInputs, name: str, expressed: str, axes: str) -> 
         "growth": [found.growth],
         GROWTH: [found.growth],
     }
-
-
-def _law(x: RecipeInputs, task: Task, single: Sequence[str], *names: str) -> tuple[Row, Row, Goal, Gains]:
-    """State, goal and gains of a control law; gains in `single` are one number for all components."""
-    given, m = x.arguments, len(task.rows)
-    p, d = (tuple(given[name]) * m if name in single else given[name] for name in names)
-    k_null = given.get("k_null")
-    gains = Gains(p, d) if k_null is None else Gains(p, d, given["q_null"], k_null[0])
-    X, zero = pose_of_any_norm(given["X_des"]), (0.0,) * 6
-    goal = Goal(X, *[as_screw(given.get(name, zero)) for name in ("V_des", "A_des")])
-    return given["q"], given["qd"], goal, gains
-
-
-def operational_space_control(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
-    """Torques under which the error of a frame obeys e'' + kd e' + kp e = 0."""
-    x.require_inertia()
-    task, damping = task_of(x, name, expressed, axes), x.arguments.get("damping")
-    effort = [e if e > 0 else math.inf for e in x.robot.limits.effort.tolist()] if "limits" in marks else None
-    law = _law(x, task, marks, "kp", "kd")
-    tau, growth = operational_space_torques(x.posed(), task, *law, damping and damping[0], effort)
-    return {"tau": tau, GROWTH: [growth]}
-
-
-def cartesian_impedance(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
-    """Torques of a spring and a damper at a frame, with those that hold the robot."""
-    x.require_inertia()
-    task = task_of(x, name, expressed, axes)
-    law = _law(x, task, marks, "stiffness", "damping")
-    tau, growth = impedance_torques(x.posed(), task, *law, DAMPING, "gravity" not in marks)
-    return {"tau": tau, GROWTH: [growth]}
 
 
 def coriolis_matrix(x: RecipeInputs) -> Results:

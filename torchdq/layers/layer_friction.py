@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import tensor_of
-from torchdq.effects.effect import TENSOR
 from torchdq.effects.friction import Coulomb, Friction, Viscous, of_layers
 from torchdq.effects.resistance import Parts, parts
 from torchdq.errors import ArgumentError
+from torchdq.functions.parametric import TENSOR
 from torchdq.layers.parametrizations import Fraction, Positive
 from torchdq.robot import Robot
 

@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import names_of, require_choice
-from torchdq.effects.effect import TENSOR
 from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import Templates, loads, torques
 from torchdq.effects.steady import lines
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import constants as constants_of
 from torchdq.export.meaning import heading, part
-from torchdq.functions.catalogue import RECIPES, Function
+from torchdq.functions.catalogue import Function
+from torchdq.functions.parametric import TENSOR
 from torchdq.layers.layer_friction import LayerFriction
 from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
 from torchdq.robot import Robot
@@ -28,8 +29,6 @@ from torchdq.robot.fields import SHAPES, trailing
 from torchdq.robot.robot import arguments, constants
 
 Parameters = Literal["constants", "arguments"]
-CONTROL = ("kp", "kd", "stiffness", "damping", "q_null", "k_null")  # parameters of control laws
-OWN = (*CONTROL, "offset")  # parameters of a layer that are neither of its robot nor of its friction
 WRENCHES = ("f_tip", "f_ext", "f_base")
 
 
@@ -39,10 +38,11 @@ class _LayerFields(NamedTuple):
     constants: Constants
     name: str
     options: tuple[str, ...]
+    written: tuple[Any, ...]
     friction: Templates
 
 
-class LayerFunction(_LayerFields, Function):  # type: ignore[misc]  # of two plain tuples the first has the fields
+class LayerFunction(_LayerFields, Computation):
     """Function of rigid bodies with friction and offset, as a computation of `torchdq.backends.call`.
 
     Tensors of friction are named after the position of their effect, "0.coefficient"; the offset is "offset".
@@ -51,22 +51,35 @@ class LayerFunction(_LayerFields, Function):  # type: ignore[misc]  # of two pla
     @property
     def rigid(self) -> Function:
         """Function without friction and offset."""
-        return Function(self.constants, self.name, self.options)
+        return Function(*self[:-1])
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an argument or a parameter."""
         owner, dot, parameter = name.partition(".")
         if dot:
-            return trailing(self.friction.effects[int(owner)].SHAPES[parameter], self.sizes)
-        return (self.sizes["n"],) if name == "offset" else super().axes(name)
+            return trailing(self.friction.effects[int(owner)].SHAPES[parameter], self.rigid.sizes)
+        return (self.rigid.sizes["n"],) if name == "offset" else self.rigid.axes(name)
 
     def shared(self, name: str) -> bool:
         """True for parameters."""
-        return "." in name or name in OWN or super().shared(name)
+        law = () if self.rigid.law is None else self.rigid.law.SHAPES
+        return "." in name or name == "offset" or name in law or self.rigid.shared(name)
 
     def label(self, name: str) -> str:
         """Name of a tensor in error messages."""
-        return name.partition(".")[2] or super().label(name)
+        return name.partition(".")[2] or self.rigid.label(name)
+
+    def subject(self) -> str:
+        """Text about the robot after a shape in error messages."""
+        return self.rigid.subject()
+
+    def check(self, tensors: Mapping[str, Tensor]) -> None:
+        """Raise unless all required arguments are present."""
+        self.rigid.check(tensors)
+
+    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
+        """Trailing axes of the results."""
+        return self.rigid.results(program)
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the layer, recorded once."""
@@ -111,37 +124,32 @@ def with_motors(
 
 def program(
     robot: Robot,
-    function: str,
+    what: Function,
     wrenches: Sequence[str],
     parameters: Parameters,
     own: Mapping[str, Tensor],
     learned: Sequence[str],
     friction: LayerFriction,
-    options: tuple[str, ...] = (),
 ) -> Program:
     """Program of a layer to compile and export, in which quantities have the names of the layer.
 
     Args:
         robot: the robot with the layer's present parameters.
-        function: "inverse_dynamics", "forward_dynamics", or a control law.
+        what: its function of rigid bodies.
         wrenches: names of those that are arguments.
         parameters: whether what is learned, and what was replaced in the robot, is constant or an argument.
-        own: values of the offset, of `CONTROL` and of what friction learns, those that there are.
+        own: values of the offset, of the parameters of a control law, and of what friction learns, if there are any.
         learned: names of those that the layer learns.
         friction: the layer's.
-        options: those of the function.
     """
     require_choice("parameters", parameters, ("constants", "arguments"))
-    known = [name for name, _, optional in RECIPES[function].arguments if optional and name in WRENCHES]
-    wanted = names_of("wrenches", wrenches, known, f"wrench of {function}")
+    known = [name for name, _, _ in what.recipe.arguments]
+    wanted = names_of("wrenches", wrenches, [name for name in known if name in WRENCHES], f"wrench of {what.name}")
     if parameters == "constants":
         robot, learned = robot.bake(), ()
-    what, known = Function(constants(robot), function, options), [name for name, _, _ in RECIPES[function].arguments]
-    inputs = [
-        Argument(name, math.prod(what.axes(name)))
-        for name in known
-        if name in wanted or name not in (*CONTROL, *WRENCHES)
-    ]
+    what = what._replace(constants=constants(robot))
+    taken_as_given = [name for name in known if name in wanted or name not in (*own, *WRENCHES)]
+    inputs = [Argument(name, math.prod(what.axes(name))) for name in taken_as_given]
     replaced = [
         Argument(name, math.prod(what.axes(name)), getattr(robot, name).ndim == len(SHAPES[name]))
         for name in arguments(robot)
@@ -157,10 +165,10 @@ def program(
 
     motors = " with the motors' torques" if friction.effects or "offset" in own else ""
     effects = friction.present({name: numbers.get(name, TENSOR) for name in friction.learned})
-    written = {name: numbers[name] for name in OWN if name in numbers}
+    written = {name: x for name, x in numbers.items() if name not in friction.learned}
     if robot.gravity is not None and "gravity" not in arguments(robot):
         written["gravity"] = _numbers("gravity", robot.gravity)
-    about = (*heading(f"{function}{motors}", robot.name, robot.joint_names), *constants_of(written))
+    about = (*heading(f"{what.name}{motors}", robot.name, robot.joint_names), *constants_of(written))
     acting = [one for effect in effects if not (one := _of_numbers(effect)).idle()]
     said = [f"friction: {part(effect)}" for effect in acting] or ["friction: none"]
     return replace(record(rigid.name, taken, algorithm), about=(*about, *said, *lines(acting, robot.n)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -16,15 +17,16 @@ from torchdq.base.checks import require_number, require_object, require_tensor
 from torchdq.dynamics.observer import step
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import function_of, gain
+from torchdq.functions.catalogue import Function
 from torchdq.functions.options import axes_of, options_of
 from torchdq.layers import layer_program
-from torchdq.layers.control_module import gain_of
 from torchdq.layers.dynamics import InverseDynamics
 from torchdq.layers.layer_friction import described
 from torchdq.numbers.functions import exp
 from torchdq.program.program import Argument, Program, record, replay, results
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_motors, require_robot
+from torchdq.robot.robot import constants
 
 FUNCTION = "joint_momentum"
 
@@ -71,7 +73,7 @@ class MomentumObserver(nn.Module):
             model = InverseDynamics(model, friction=described(require_robot(model), 1e-2).effects)
         require_number("dt", dt, positive=True)
         self.model, self.dt = model, float(dt)
-        self.register_buffer("gain", gain_of("gain", gain, model.robot.n).clone())
+        self.register_buffer("gain", _of_joints(gain, model.robot.n).clone())
 
     @property
     def robot(self) -> Robot:
@@ -191,7 +193,9 @@ class MomentumObserver(nn.Module):
     def program(self) -> Program:
         """Program of one step, which takes q, qd, tau, and returns and takes a state, for `torchdq.compile`."""
         own, _ = self.model._own_quantities()
-        inner = layer_program.program(self.robot, FUNCTION, (), "constants", own, (), self.model._friction)
+        inner = layer_program.program(
+            self.robot, Function(constants(self.robot), FUNCTION), (), "constants", own, (), self.model._friction
+        )
         gains = self.gain.expand(self.robot.n).tolist()
 
         def algorithm(*rows: Sequence[Number]) -> dict[str, Sequence[Number]]:
@@ -237,3 +241,13 @@ class Observing:
         given = (view.reading[:n], view.reading[n:], view.torque, state[:n], state[n : 2 * n], state[2 * n :])
         found = results(self.program, replay(self.program, given))
         return {"r": found["r"], "carry": [x for row in found.values() for x in row]}
+
+
+def _of_joints(gain: Any, n: int) -> Tensor:
+    """Gain as float64 numbers, one or n; raises unless they are real, finite and not negative."""
+    with suppress(TypeError, ValueError):  # words, and rows of different lengths
+        x = gain if isinstance(gain, Tensor) else torch.from_numpy(np.array(gain))
+        real = x.dtype != torch.bool and not x.is_complex()
+        if real and x.shape in ((), (n,)) and bool((x.isfinite() & (x >= 0)).all()):
+            return x.double()
+    raise ArgumentError(f"gain must be a finite non-negative number or {n} of them, found {gain!r}")

@@ -16,9 +16,9 @@ from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import friction
 from torchdq.errors import ArgumentError, nearest
 from torchdq.functions.call import Precision, function_of, with_tensors
-from torchdq.functions.catalogue import FLOATING
+from torchdq.functions.catalogue import FLOATING, Function
 from torchdq.layers.layer_friction import layer_friction
-from torchdq.layers.layer_program import OWN, LayerFunction, Parameters, program
+from torchdq.layers.layer_program import LayerFunction, Parameters, program
 from torchdq.layers.parametrizations import PhysicalInertia, Positive, restored
 from torchdq.program.program import Program
 from torchdq.robot import Robot
@@ -159,8 +159,8 @@ class RobotModule(nn.Module):
         if self._rigid:
             return function_of(function, robot, inputs, self.backend, (), self.precision)
         own, _ = self._own_quantities()
-        what = LayerFunction(constants(robot), function, self._options(), friction.fixed.templates)
-        parameters = {name: own[name] for name in OWN if name in own}
+        what = LayerFunction(*self._computation(function), friction.fixed.templates)
+        parameters = {name: x for name, x in own.items() if name not in friction.learned}
         given = {**with_tensors(robot, inputs), **friction.parts(own).tensors, **parameters}
         return list(evaluate(what, given, self.backend, self.precision == "double").values())
 
@@ -180,12 +180,12 @@ class RobotModule(nn.Module):
         ['q', 'qd', 'qdd', 'mass', 'viscous', 'coulomb']
         """
         own, learned = self._own_quantities()
-        options = self._options()
-        return program(self.robot, self._function, wrenches, parameters, own, learned, self._friction, options)
+        what = self._computation(self._function)
+        return program(self.robot, what, wrenches, parameters, own, learned, self._friction)
 
-    def _options(self) -> tuple[str, ...]:
-        """Options of its function."""
-        return ()
+    def _computation(self, function: str) -> Function:
+        """Function of its rigid bodies."""
+        return Function(constants(self.robot), function)
 
     def _own_quantities(self) -> tuple[dict[str, Tensor], list[str]]:
         """Parameters of its program that are not the robot's, and the names of those that are learned."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchdq import effects as kinds
 from torchdq.effects import Effect
-from torchdq.effects.effect import owned
+from torchdq.functions.parametric import owned
 from torchdq.functions.posed import no_dynamics
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES

@@ -12,6 +12,7 @@ from torch import nn
 
 from torchdq.algebra.screw import Screw
 from torchdq.base.caches import PROGRAMS, Bounded
+from torchdq.control.law import Law
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect, PointImpedance
@@ -23,7 +24,6 @@ from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES, trailing
-from torchdq.scene.controllers import Controller
 from torchdq.scene.integrators import Integrator, LinearlyImplicit, Repeated
 
 SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
@@ -73,7 +73,7 @@ def _require_compatible(effects: Sequence[Effect]) -> None:
             raise ArgumentError(
                 f"effects must be objects of torchdq.effects, found {effect!r}"
                 + ("; it is a class; call it to make an object" if isinstance(effect, type) else "")
-                + ("; give it by controller=..." if isinstance(effect, Controller) else "")
+                + ("; give it by controller=..." if isinstance(effect, Law) else "")
                 + ("; what a module learned acts as effects.Residual(module)" if isinstance(effect, nn.Module) else "")
             )
         if not isinstance(effect, SLOTS):
@@ -106,17 +106,12 @@ def _warn_if_idle(given: Effect, effect: Effect, robot: Robot) -> None:
     )
 
 
-def require_supported_base(robot: Robot, controller: Controller | None, integrator: Integrator) -> None:
-    """Raise unless a robot can move, and controller and integrator serve its base: all of them do if it is fixed."""
+def require_supported_base(robot: Robot, integrator: Integrator) -> None:
+    """Raise unless a robot can move, and the integrator serves its base: all of them do if it is fixed."""
     if not (robot.n or robot.floating):
         raise ArgumentError(
             f"robot {robot.name!r} must have a joint that moves or a floating base to be simulated, found neither; "
             "where it is a single body, load it with base='floating'"
-        )
-    if robot.floating and controller is not None and controller.FIXED:
-        raise ArgumentError(
-            f"controller must be one for robots with a floating base, found {type(controller).__name__}: "
-            f"{controller.FIXED}"
         )
     if robot.floating and integrator.FIXED:
         raise ArgumentError(

@@ -19,6 +19,7 @@ from torchdq.backends.choice import BackendName
 from torchdq.backends.loop_call import repeat, repeatable
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_choice, require_count, require_number, require_object
+from torchdq.control.law import Law
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.effect import Effect
@@ -30,7 +31,6 @@ from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import arguments, constants, recorded
-from torchdq.scene.controllers import Controller
 from torchdq.scene.effect_checks import require_supported_base, resolved_effects
 from torchdq.scene.equations_of_motion import TensorSystem
 from torchdq.scene.integrators import Integrator, LinearlyImplicit, Unrecorded
@@ -47,7 +47,7 @@ class SceneModel:
 
     robot: Robot
     effects: Sequence[Effect] = ()
-    controller: Controller | None = None
+    controller: Law | None = None
     integrator: Integrator = field(default_factory=LinearlyImplicit)
     dt: float = 0.01
     substeps: int = 1
@@ -61,7 +61,7 @@ class SceneModel:
     def __post_init__(self) -> None:
         require_robot(self.robot)
         if self.controller is not None:
-            require_object("controller", self.controller, Controller, "torchdq.scene.controllers", "PD(kp=9.0, kd=1.0)")
+            require_object("controller", self.controller, Law, "torchdq.scene.controllers", "PD(kp=9.0, kd=1.0)")
         require_object("integrator", self.integrator, Integrator, "torchdq.scene.integrators", "RungeKutta4()")
         require_number("dt", self.dt, positive=True)
         require_count("substeps", self.substeps)
@@ -72,7 +72,7 @@ class SceneModel:
                 f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
                 f"give them to Repeated, DormandPrince chooses its own"
             )
-        require_supported_base(self.robot, self.controller, self.integrator)
+        require_supported_base(self.robot, self.integrator)
         resolved = resolved_effects(self.effects, self.robot, self.integrator)
         controller = None if self.controller is None else self.controller.resolved(self.robot)
         spec = SceneSpec(

@@ -45,7 +45,7 @@ def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
     u: Row = inputs.get("torque") or [0.0] * n
     if spec.controller is not None:
         reading, reference = inputs.get("reading", (*q, *qd)), inputs["reference"]
-        control = spec.controller.torques(scene.posed(reading[:n]), reference, reading[:n], reading[n:])
+        control = spec.controller.following(scene.posed(reading[:n]), reference, reading[:n], reading[n:])
         if len(control) != n:
             raise ArgumentError(
                 f"torques of {type(spec.controller).__name__} must return {n} numbers, found {len(control)}"

@@ -8,21 +8,22 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Pure
+from torchdq.control.law import Law
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
 from torchdq.effects.contact import Contact, Contacts
-from torchdq.effects.effect import Effect, Shapes
+from torchdq.effects.effect import Effect
 from torchdq.effects.joint import JointEffect
 from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError
+from torchdq.functions.parametric import Shapes
 from torchdq.functions.posed import Overrides, posed
 from torchdq.functions.posed import field as tensor
 from torchdq.robot import Robot
 from torchdq.robot.fields import BODIES, SHAPES
 from torchdq.scene import free_base
-from torchdq.scene.controllers import Controller
 from torchdq.scene.effect_checks import changes
 from torchdq.scene.free_base import POSE, START, TWIST
 from torchdq.scene.integrators import Integrator
@@ -62,7 +63,7 @@ class SceneSpec:
     robot: Robot  # whose constants are the programs'
     arguments: tuple[str, ...]  # tensors of the robot that are arguments
     effects: tuple[Effect, ...]
-    controller: Controller | None
+    controller: Law | None
     integrator: Integrator
     dt: float
     substeps: int

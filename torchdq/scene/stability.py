@@ -23,10 +23,10 @@ from torch.nn.functional import pad
 
 from torchdq.base.checks import require_number, tensor_of
 from torchdq.base.progress import Progress
+from torchdq.control.joints import ComputedTorque, Feedback
 from torchdq.dynamics.posed import Row
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.errors import ArgumentError
-from torchdq.scene.controllers import ComputedTorqueController, Feedback
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RecordedSystem, Repeated, RungeKutta4
 from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
@@ -135,7 +135,7 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
     """Whether the steps are stable under the stiffness and damping that is there; if not, which are.
 
     A step must let the springs and dampers at the joints settle, as they are at the state and along a trial run
-    from it, with the torques of `PD` and `ComputedTorqueController` held over it, too; and all rows of that run must
+    from it, with the torques of `PD` and `ComputedTorque` held over it, too; and all rows of that run must
     stay below 1e6 rad or m, and 1e6 rad/s or m/s. Computed in float64. Stable steps need not be accurate: compare with
     steps half as long. Contacts are checked where points touch the ground during the run, and the result says how many
     rows did not.
@@ -291,7 +291,7 @@ class _Trial:
             rows = self.scene.evaluate("frozen", {"x": x, "v": v, **system.inputs})
         control, n = self.scene.controller, self.scene.n
         if isinstance(control, Feedback):
-            accelerates = isinstance(control, ComputedTorqueController)  # the others' gains are torques
+            accelerates = isinstance(control, ComputedTorque)  # the others' gains are torques
             weight = rows["M"].unflatten(-1, (n, n)) if accelerates else torch.eye(n).to(rows["M"])
             gains = {name: tensor_of(getattr(control, name)).detach().to(rows["D"]) for name in ("kp", "kd")}
             rows |= {name: (weight * x.expand_as(rows["D"])[..., None, :]).flatten(-2) for name, x in gains.items()}

@@ -27,7 +27,11 @@ def faulty(kind, j=0, size=0.0):
     return robot, data
 
 
-FAULTS = [("joint.zero", 3, -0.2), ("torque.factor", 2, 0.7), ("base.tilt", 0, math.radians(10))]
+FAULTS = [
+    ("joint.zero", 3, -0.2),
+    ("torque.factor", 2, 0.7),
+    ("base.tilt", 0, math.radians(40)),
+]  # an angle that is not its sine
 
 
 @pytest.mark.parametrize(("kind", "j", "size"), thinned([("joint.zero", 1, 0.3), *FAULTS], FAULTS))

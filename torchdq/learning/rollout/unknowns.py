@@ -18,8 +18,9 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import tensor_of
-from torchdq.effects.effect import Effect, Parametric
+from torchdq.effects.effect import Effect
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.functions.parametric import Parametric
 from torchdq.layers.parametrizations import PhysicalInertia
 from torchdq.robot.fields import trailing
 from torchdq.scene.scene import Scene
