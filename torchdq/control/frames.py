@@ -21,10 +21,10 @@ from torchdq.control.law import Law
 from torchdq.dynamics import task_space
 from torchdq.dynamics.error_growth import HUGE
 from torchdq.dynamics.posed import Posed, Row, dot
-from torchdq.dynamics.task_space import Task, rows_of
+from torchdq.dynamics.task_space import AXES, Task
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import function_of
-from torchdq.functions.options import axes_of, task_of
+from torchdq.functions.options import task_of
 from torchdq.functions.parametric import Parameter, Shapes
 from torchdq.functions.posed import as_screw
 from torchdq.functions.recipe import Results
@@ -64,7 +64,8 @@ class FrameLaw(Law):
     @property
     def SHAPES(self) -> Shapes:  # type: ignore[override]  # gains have as many numbers as there are axes
         """Trailing axes of the parameters that are not absent."""
-        found: dict[str, tuple[int | str, ...]] = dict.fromkeys(self.GAINS, (len(rows_of(axes_of(self.axes))),))
+        named = AXES.get(self.axes, self.axes.split()) if isinstance(self.axes, str) else self.axes
+        found: dict[str, tuple[int | str, ...]] = dict.fromkeys(self.GAINS, (len(named),))
         for name, axes in self.OTHERS.items():
             x = getattr(self, "q_null" if name == "k_null" else name)
             if x is not None and x is not False:

@@ -78,10 +78,10 @@ class Law(Parametric):
     def require_gain(cls, name: str, x: Tensor, given: Tensors) -> None:
         """Raise unless the shape of a parameter is meaningful beside state and goal."""
 
-    def arguments(self) -> tuple[str, ...]:
-        """Parameters that may be tensors; of `SWITCHES` those that are neither True nor False."""
+    def arguments(self, axes: Shapes) -> tuple[str, ...]:
+        """Parameters, of those in SHAPES, that may be tensors; of `SWITCHES` those that are neither True nor False."""
         switched = [name for name in self.SWITCHES if isinstance(getattr(self, name), bool)]
-        return tuple([name for name in self.SHAPES if name not in switched])
+        return tuple([name for name in axes if name not in switched])
 
     def described(self, robot: Robot) -> Self:
         """Copy for a robot, with a constant copy of its model; raises where its base floats and must not."""
@@ -160,11 +160,12 @@ class Law(Parametric):
         """
         require_tensor("q", q)
         given = {"q": q, "qd": qd, **dict(zip((*self.GOAL, *self.WRENCHES), goal, strict=False))}
-        own = {name: getattr(self, name) for name in self.arguments()}
+        axes = self.SHAPES
+        own = {name: getattr(self, name) for name in self.arguments(axes)}
         for name, x in own.items():
             own[name] = gain(name, x, q, name in self.DIVIDING, name in self.SIGNED)
             self.require_gain(name, own[name], given)
-        single = tuple([name for name, x in own.items() if self.SHAPES[name] and not x.ndim])
+        single = tuple([name for name, x in own.items() if axes[name] and not x.ndim])
         what = Function(constants(require_robot(robot)), self.named(), single, self.written(tuple(own)))
         return evaluate(what, with_tensors(robot, {**given, **own}), backend)["tau"]
 

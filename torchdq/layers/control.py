@@ -76,7 +76,7 @@ class Control(RobotModule):
         known = require_robot(robot if model is None else model.robot)
         require_object("law", law, Law, "torchdq.scene.controllers", "PD(kp=9.0, kd=1.0)")
         whole = law.resolved(known)
-        own = law.arguments()
+        own = law.arguments(whole.SHAPES)
         names = (learn,) if isinstance(learn, str) else learn
         others = [name for name in names if name not in own] if isinstance(names, Sequence) else learn
         effects = () if isinstance(friction, bool) else friction
@@ -96,6 +96,7 @@ class Control(RobotModule):
         self._own = own
         held: dict[str, Any] = dict.fromkeys(own, TENSOR)
         self.law = replace(whole, **held)
+        self._axes, self._written = self.law.SHAPES, self.law.written(own)
         for name in own:
             given = getattr(law, name)
             single = given.ndim == 0 if isinstance(given, Tensor) else is_number(given)
@@ -133,8 +134,8 @@ class Control(RobotModule):
         """Function of the law, or another one."""
         if function != self._function:
             return super()._computation(function)
-        single = tuple([name for name in self._own if self.law.SHAPES[name] and not getattr(self, name).ndim])
-        return Function(constants(self.robot), function, single, self.law.written(self._own))
+        single = tuple([name for name in self._own if self._axes[name] and not getattr(self, name).ndim])
+        return Function(constants(self.robot), function, single, self._written)
 
     def _own_quantities(self) -> tuple[dict[str, Tensor], list[str]]:
         """Parameters of its program that are not the robot's, its model's or its own, and names of the learned."""
