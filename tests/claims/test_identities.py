@@ -1,4 +1,4 @@
-"""What must hold for any robot, whatever its numbers: structure, energy and symmetry.
+"""Identities of the dynamics of any robot: structure, energy and symmetry.
 
 No reference implementation is asked. The robots are the shipped ones and random trees of revolute, prismatic and
 helical joints with nothing aligned, one of them with rotors. Differences are measured in roundings of the largest

@@ -11,7 +11,7 @@ from functools import cache
 
 import pytest
 import torch
-from helpers import EVERYTHING, exhaustive, random, thinned
+from helpers import EVERYTHING, exhaustive, fresh, random, thinned  # noqa: F401
 from messages import refused
 from torch import library as operators
 from torch import nn
@@ -26,17 +26,12 @@ from torchdq.scene import controllers, integrators
 F32, F64 = torch.float32, torch.float64
 BACKEND = "auto"  # see conftest.py
 
-pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
+pytestmark = [
+    pytest.mark.usefixtures("fresh"),
+    pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"),
+]
 
 TWO = torchdq.robots.load("two_link")
-
-
-@pytest.fixture(autouse=True)
-def fresh():
-    """A compiler that remembers nothing of other tests."""
-    torch._dynamo.reset()
-    yield
-    torch._dynamo.reset()
 
 
 def distance(found, expected):

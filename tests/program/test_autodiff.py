@@ -171,7 +171,7 @@ def test_second_derivatives_are_those_of_finite_differences(key, names, where):
 @pytest.mark.case("D11")
 @pytest.mark.parametrize("where", STATES)
 def test_derivatives_of_torque_are_the_mass_matrix_the_transposed_jacobian_and_the_regressor(where):
-    """Those in the masses alone combine the regressor's columns by (1, c, -[c][c])."""
+    """Derivatives by the masses combine the regressor's columns by (1, c, -[c][c])."""
     robot, bare, x = tree(), tree().replace(armature=None), state(tree(), where)
     at, bound = (x["q"], x["qd"], x["qdd"]), 16 * robot.n * EPS
     found = jacrev(lambda qdd: torchdq.inverse_dynamics(robot, *at[:2], qdd))(x["qdd"])

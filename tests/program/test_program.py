@@ -249,7 +249,7 @@ DERIVATIVES = pytest.mark.parametrize("derivative", [derive.vjp, derive.jvp])
 
 @DERIVATIVES
 def test_derivatives_equal_autograd(derivative):
-    """Those of derivatives also in the cotangents and tangents, which the first derivative takes as arguments."""
+    """Derivatives of first and second derivatives; the second are also by the cotangents and tangents of the first."""
     for program in (mixed(), derive.vjp(mixed(), (0, 1)), derive.jvp(mixed(), (0, 1))):
         assert same_as_autograd(program, derivative)
 

@@ -258,6 +258,11 @@ WRONG_TASKS = {
 }
 
 
+def test_more_rows_than_a_goal_has_are_refused():
+    with refused(ArgumentError):
+        PD(1.0, 1.0)(ARM, *torch.zeros(6, 2))
+
+
 @pytest.mark.parametrize("case", WRONG_TASKS)
 def test_control_of_a_frame_that_cannot_be_is_refused(case):
     with refused(ArgumentError):

@@ -82,7 +82,10 @@ class ExportCommand(RobotCommand):
         """Compiled function, or control law whose gains are arguments, one number for all joints or axes."""
         if self.function not in LAWS:
             return compile(robot, FLOATING * robot.floating + self.function, self.dtype, options=self.options)
-        where: Any = dict(zip(("frame", "expressed", "axes"), self.options, strict=False))
+        names = ("frame", "expressed", "axes")
+        if len(self.options) > len(names):
+            raise ArgumentError(f"options of a law must be at most {', '.join(names)}, found {self.options}")
+        where: Any = dict(zip(names, self.options, strict=False))
         gain = torch.ones((), dtype=torch.float64)
         return compile(robot, LAWS[self.function](gain, gain, **where), self.dtype)
 

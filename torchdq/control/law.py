@@ -138,11 +138,12 @@ class Law(Parametric):
             for name, axes in self.SHAPES.items():
                 if getattr(self, name) is TENSOR:
                     own[name] = tuple(given[name]) * (_size(axes, x.robot) if name in single else 1)
-            law, goal = self.bound(own), {name: given.get(name) for name in self.GOAL}
+            law, goal = self.bound(own), dict[str, Any]()
             for name, axes in self.GOAL.items():
                 goal[name] = given.get(name) or (0.0,) * _size(axes, x.robot)
-            wrenches = {"exerted": x.exerted(at)} if self.WRENCHES else {}
-            return law.torques(law.believed(at, given["q"]), {**goal, **wrenches}, given["q"], given["qd"])
+            if self.WRENCHES:
+                goal["exerted"] = x.exerted(at)
+            return law.torques(law.believed(at, given["q"]), goal, given["q"], given["qd"])
 
         formula.__name__ = self.named()
         return formula
@@ -159,7 +160,7 @@ class Law(Parametric):
             backend: as in `torchdq.functional`.
         """
         require_tensor("q", q)
-        given = {"q": q, "qd": qd, **dict(zip((*self.GOAL, *self.WRENCHES), goal, strict=False))}
+        given = {"q": q, "qd": qd, **self.rows(goal)}
         axes = self.SHAPES
         own = {name: getattr(self, name) for name in self.arguments(axes)}
         for name, x in own.items():
@@ -168,6 +169,15 @@ class Law(Parametric):
         single = tuple([name for name, x in own.items() if axes[name] and not x.ndim])
         what = Function(constants(require_robot(robot)), self.named(), single, self.written(tuple(own)))
         return evaluate(what, with_tensors(robot, {**given, **own}), backend)["tau"]
+
+    def rows(self, goal: Sequence[Tensor | None]) -> dict[str, Tensor | None]:
+        """Rows of the goal and wrenches by name, None where they are left out at the end; raises if there are more."""
+        known = (*self.GOAL, *self.WRENCHES)
+        if len(goal) > len(known):
+            raise ArgumentError(
+                f"goal of {self.named()} must be at most {', '.join(known)}, in this order, found {len(goal)}"
+            )
+        return {**dict.fromkeys(known), **dict(zip(known, goal, strict=False))}
 
     def written(self, tensors: tuple[str, ...]) -> tuple[Any, ...]:
         """Class and fields of the law with `TENSOR` for some parameters, as plain values that graphs may keep."""

@@ -339,8 +339,8 @@ def compile(
         if options:
             raise ArgumentError(f"options must be empty for a control law, whose fields they are, found {options!r}")
         recorded = function.program(robot, arguments)
-        values = {name: x for name, x in function.resolved(robot).tensors().items()}
-        return replace(_ready(recorded, dtype_of("dtype", dtype)), about=recorded.about, examples=values)
+        ready = _ready(recorded, dtype_of("dtype", dtype))
+        return replace(ready, about=recorded.about, examples=function.resolved(robot).tensors())
     if not isinstance(function, str) or not function:
         names = ", ".join(RECIPES)
         raise ArgumentError(f"function must be the name of one, found {function!r}; known: {names}")

@@ -118,8 +118,7 @@ class Control(RobotModule):
             q, qd: measured positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
             goal: rows of the law's goal, and then wrenches, in their order; None, or left out at the end: absent.
         """
-        known = (*self.law.GOAL, *self.law.WRENCHES)
-        rows = {**dict.fromkeys(known), **dict(zip(known, goal, strict=False))}
+        rows = self.law.rows(goal)
         if self.model is None or self._recorded:
             return self._evaluated({"q": q, "qd": qd, **rows})[0]
         return self._of_module(q, qd, rows)
