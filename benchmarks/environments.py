@@ -24,7 +24,7 @@ from pages import environment_index, environment_page
 from pages.command import command
 from pages.environment_cases import ENVIRONMENTS
 
-from torchdq.envs import ArmVectorEnv
+from torchdq.envs import RobotVectorEnv
 
 FOLDER = environment_page.ROOT / "docs" / "environments"
 BATCHES = (1, 64, 4096)
@@ -55,7 +55,7 @@ def single(id: str) -> Callable[[], object]:
 
 def batched(task: str, batch: int) -> Callable[[], object]:
     """A step of many, each at another time of its episode."""
-    envs = ArmVectorEnv(batch, task, environment_page.robot_of(task))
+    envs = RobotVectorEnv(batch, task, environment_page.robot_of(task))
     envs.reset(seed=0)
     state = envs.get_state()
     ages = torch.randint(250, state["steps"].shape, generator=torch.Generator().manual_seed(0))
@@ -70,7 +70,7 @@ def measured(seconds: float, tasks: Sequence[str]) -> dict[str, list[tuple[str, 
     for task in tasks:
         id = environment_page.newest(task).id
         rows = [("`gymnasium.make`, numpy", 1, 1 / fastest(single(id), seconds))]
-        rows += [("`ArmVectorEnv`, torch", k, k / fastest(batched(task, k), seconds)) for k in BATCHES]
+        rows += [("`RobotVectorEnv`, torch", k, k / fastest(batched(task, k), seconds)) for k in BATCHES]
         for what, batch, rate in rows:
             print(f"{task:8s} {what:26s} {batch:6d} {rate:12.0f} per second", flush=True)
         found[task] = rows

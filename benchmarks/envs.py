@@ -26,7 +26,7 @@ from peers import bare, urdf
 
 import torchdq
 from torchdq.base.timing import measure
-from torchdq.envs import ArmVectorEnv, Scene, effects
+from torchdq.envs import RobotVectorEnv, Scene, effects
 from torchdq.scene import integrators
 
 BATCH, DT, STEPS = 4096, 2e-3, 5
@@ -91,7 +91,7 @@ def gradient_steps(scene: Scene, dtype: torch.dtype, steps: int):
     return call
 
 
-def environment_steps(env: ArmVectorEnv):
+def environment_steps(env: RobotVectorEnv):
     """One step of an environment, rewards, observations and resets included, some in every step."""
     env.reset(seed=0)
     state = env.get_state()
@@ -146,7 +146,7 @@ def main() -> None:
             compared.append((f"{name}, {dtype}", ours, theirs, without))
 
     for task in ("reach", "track"):
-        env = ArmVectorEnv(BATCH, task=task, robot=robot, effects=parts, action="torque", dt=DT)
+        env = RobotVectorEnv(BATCH, task=task, robot=robot, effects=parts, action="torque", dt=DT)
         (row,) = rows(measure({"torchdq": environment_steps(env)}, BATCH, seconds), f"environment, {task}", "float32")
         found.append(row)
         lines.append((f"{task} environment, steps per second, float32", f"{1e3 / row.nanoseconds:.1f} million"))

@@ -30,7 +30,7 @@ import torchdq
 from torchdq.backends import nvrtc
 from torchdq.backends.cuda_source import source
 from torchdq.base.timing import measure
-from torchdq.envs import ArmVectorEnv
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.tasks import Checked
 from torchdq.program.autograd import vjp
 from torchdq.program.program import Program
@@ -46,7 +46,7 @@ def programs() -> dict[str, list[Program]]:
     """Programs by task; those of a task run one after the other."""
     panda = torchdq.robots.load("panda")
     dynamics, forward = (torchdq.compile(panda, f).program for f in ("inverse_dynamics", "forward_dynamics"))
-    envs = ArmVectorEnv(2, "reach", "panda", action="torque")
+    envs = RobotVectorEnv(2, "reach", "panda", action="torque")
     step = envs.scene.program("torque", *envs.task.inputs(envs.scene.n), task=Checked(envs.task))
     return {
         "inverse dynamics": [dynamics],
@@ -190,7 +190,7 @@ def calls(batch: int, dtype: torch.dtype, device: torch.device, backend: str) ->
         "dynamics jacobian": lambda: torchdq.dynamics_jacobian(panda, *x, backend=backend),
         "inverse dynamics, 32 joints": lambda: torchdq.inverse_dynamics(long, *y, backend=backend),
     }
-    envs = ArmVectorEnv(batch, "reach", "panda", action="torque", dtype=dtype, device=device, output="torch")
+    envs = RobotVectorEnv(batch, "reach", "panda", action="torque", dtype=dtype, device=device, output="torch")
     envs.reset(seed=0)
     actions = torch.zeros(batch, 7, dtype=dtype, device=device)
 

@@ -31,7 +31,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
 
-from torchdq.envs import ArmVectorEnv
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.sb3 import StableBaselinesVecEnv
 
 # the guide's, to the letter
@@ -42,7 +42,7 @@ BLOCKS = {"epochs": 3, "value_epochs": 3, "parts": 4, "gamma": 0.95, "entropy": 
 BLOCKS |= {"change": 0.03, "std": 1.0, "unit": 0.5}
 WIDE, SHORT, OFTEN, SEEDS = 512, 30.0, 2.0, 5  # arms, seconds of training and between tests, and seeds of PPO on blocks
 GOOD = -14.9  # mean return of a policy that has learned to come near
-Policy = Callable[[ArmVectorEnv, torch.Tensor], torch.Tensor]
+Policy = Callable[[RobotVectorEnv, torch.Tensor], torch.Tensor]
 
 
 class Tested(NamedTuple):
@@ -57,7 +57,7 @@ class Tested(NamedTuple):
 
 def tested(policy: Policy, seconds: float = 0.0, steps: int = 0) -> Tested:
     """Result of a policy after so much training."""
-    envs = ArmVectorEnv(TESTS, TASK)
+    envs = RobotVectorEnv(TESTS, TASK)
     observation, _ = envs.reset(seed=UNSEEN)
     total = torch.zeros(TESTS)
     for _ in range(envs.max_episode_steps or 0):
@@ -68,12 +68,12 @@ def tested(policy: Policy, seconds: float = 0.0, steps: int = 0) -> Tested:
     return Tested(seconds, steps, float(last["distance"].nanmedian()), success, float(total.mean()))
 
 
-def nothing(envs: ArmVectorEnv, observation: torch.Tensor) -> torch.Tensor:
+def nothing(envs: RobotVectorEnv, observation: torch.Tensor) -> torch.Tensor:
     """No action: the arm stands still."""
     return torch.zeros(envs.action_space.shape)
 
 
-def kinematic(envs: ArmVectorEnv, observation: torch.Tensor) -> torch.Tensor:
+def kinematic(envs: RobotVectorEnv, observation: torch.Tensor) -> torch.Tensor:
     """Towards the goal by the damped inverse of the Jacobian."""
     return towards(situation(envs))
 
@@ -94,7 +94,7 @@ class Watch(BaseCallback):
         """Test the policy now, off the clock."""
         before = self.spent()
 
-        def greedy(envs: ArmVectorEnv, observation: torch.Tensor) -> torch.Tensor:
+        def greedy(envs: RobotVectorEnv, observation: torch.Tensor) -> torch.Tensor:
             return torch.as_tensor(self.model.predict(observation.numpy(), deterministic=True)[0])
 
         self.curve.append(found := tested(greedy, before, self.num_timesteps))
@@ -117,7 +117,7 @@ def words(found: Tested) -> str:
 def train(seed: int, seconds: float) -> list[Tested]:
     """Results of the policy of the guide while it learns."""
     set_random_seed(seed)
-    vec = StableBaselinesVecEnv(ArmVectorEnv(ARMS, TASK, "panda"))
+    vec = StableBaselinesVecEnv(RobotVectorEnv(ARMS, TASK, "panda"))
     vec.seed(seed * 1000)
     model, watch = eval(LINE, {"PPO": PPO, "vec": vec}), Watch(seconds)
     model.learn(10**9, callback=watch)
@@ -129,9 +129,9 @@ def train_on_blocks(seed: int, seconds: float) -> list[Tested]:
     """Results of the policy of PPO on blocks while it learns."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
     ppo = import_module("21_walk_ppo")
-    learner = ppo.PPO(ArmVectorEnv(WIDE, TASK, "panda"), seed, ppo.Settings(**BLOCKS))
+    learner = ppo.PPO(RobotVectorEnv(WIDE, TASK, "panda"), seed, ppo.Settings(**BLOCKS))
 
-    def greedy(envs: ArmVectorEnv, observation: torch.Tensor) -> torch.Tensor:
+    def greedy(envs: RobotVectorEnv, observation: torch.Tensor) -> torch.Tensor:
         with torch.no_grad():
             return BLOCKS["unit"] * learner.policy(observation)
 

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.envs import ArmVectorEnv, Scene, State, effects, policies
+from torchdq.envs import RobotVectorEnv, Scene, State, effects, policies
 
 SCENE = Scene(torchdq.robots.load("panda"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.002)
 N, F64 = 7, torch.float64
@@ -131,7 +131,7 @@ def linearizations(states: int, seconds: float) -> Row:
 
 def environments(robots: int, seconds: float) -> Row:
     """Rollout of environments under a policy, resets included."""
-    envs = ArmVectorEnv(robots, "reach", "panda")
+    envs = RobotVectorEnv(robots, "reach", "panda")
     observation, _ = envs.reset(seed=0)
     policy = nn.Sequential(nn.Linear(observation.shape[1], 64), nn.ELU(), nn.Linear(64, N))
 

@@ -3,18 +3,18 @@
 from gymnasium import register
 
 from torchdq import effects
-from torchdq.envs.env import ArmEnv
+from torchdq.envs.env import RobotEnv
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Absolute
 from torchdq.envs.torch_task import TorchTask
-from torchdq.envs.vector_env import ArmVectorEnv
+from torchdq.envs.vector_env import RobotVectorEnv
 from torchdq.scene import Scene, State, controllers, integrators, policies
 
 __all__ = [
     "Absolute",
-    "ArmEnv",
-    "ArmVectorEnv",
     "Pushes",
+    "RobotEnv",
+    "RobotVectorEnv",
     "Scene",
     "State",
     "TorchTask",
@@ -27,7 +27,7 @@ __all__ = [
 for _task, _steps in {"Reach": 250, "Track": 250, "Walk": 1000, "Wipe": 250}.items():
     register(
         f"torchdq/{_task}-v0",
-        entry_point="torchdq.envs.env:ArmEnv",
+        entry_point="torchdq.envs.env:RobotEnv",
         vector_entry_point="torchdq.envs.vector_env:made_by_gymnasium",
         max_episode_steps=_steps,
         kwargs={"task": _task.lower()},

@@ -10,22 +10,22 @@ from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
 from torchdq.envs.rng import seeds_of
-from torchdq.envs.vector_env import ArmVectorEnv
+from torchdq.envs.vector_env import RobotVectorEnv
 from torchdq.errors import ArgumentError, UnknownNameError
 
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 50}
 
 
-class ArmEnv(gymnasium.Env):
-    """One environment, bit for bit the row of an `ArmVectorEnv` with the same seed.
+class RobotEnv(gymnasium.Env):
+    """One environment, bit for bit the row of an `RobotVectorEnv` with the same seed.
 
     Args:
         max_episode_steps: steps after which an episode is truncated; None: never, since `gymnasium.make` does it.
-        render_mode: as in `ArmVectorEnv`; `render` returns one frame.
-        arguments: arguments of `ArmVectorEnv`, except `num_envs`, `autoreset_mode` and `output`.
+        render_mode: as in `RobotVectorEnv`; `render` returns one frame.
+        arguments: arguments of `RobotVectorEnv`, except `num_envs`, `autoreset_mode` and `output`.
 
-    >>> from torchdq.envs import ArmEnv
-    >>> observation, info = ArmEnv(task="reach", robot="panda").reset(seed=0)
+    >>> from torchdq.envs import RobotEnv
+    >>> observation, info = RobotEnv(task="reach", robot="panda").reset(seed=0)
     >>> observation.shape
     (27,)
     """
@@ -35,8 +35,8 @@ class ArmEnv(gymnasium.Env):
     def __init__(self, max_episode_steps: int | None = None, render_mode: str | None = None, **arguments: Any) -> None:
         for name in ("num_envs", "autoreset_mode", "output"):
             if name in arguments:
-                raise ArgumentError(f"{name} is not an argument of a single environment; use ArmVectorEnv")
-        self.envs = ArmVectorEnv(
+                raise ArgumentError(f"{name} is not an argument of a single environment; use RobotVectorEnv")
+        self.envs = RobotVectorEnv(
             num_envs=1,
             max_episode_steps=max_episode_steps,
             render_mode=render_mode,  # type: ignore[arg-type]

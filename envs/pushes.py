@@ -30,9 +30,9 @@ class Pushes:
         every: shortest and longest time from the start of the episode, or the end of a push, to the next one [s].
         duration: of a push [s].
 
-    >>> from torchdq.envs import ArmVectorEnv, Pushes, effects
+    >>> from torchdq.envs import RobotVectorEnv, Pushes, effects
     >>> pushed = {"push": Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0), every=(0.5, 2.0))}
-    >>> envs = ArmVectorEnv(64, "reach", "panda", effects=(effects.Gravity(), effects.Push()), pushes=pushed)
+    >>> envs = RobotVectorEnv(64, "reach", "panda", effects=(effects.Gravity(), effects.Push()), pushes=pushed)
     """
 
     wrench: Sequence[float]

@@ -62,9 +62,9 @@ class Absolute:
         upper: largest number, likewise.
 
     >>> import torchdq
-    >>> from torchdq.envs import Absolute, ArmVectorEnv, effects
+    >>> from torchdq.envs import Absolute, RobotVectorEnv, effects
     >>> tilted = Absolute([-1.0, -1.0, -9.81], [1.0, 1.0, -9.81])
-    >>> envs = ArmVectorEnv(64, "reach", "panda", randomise={"Gravity.acceleration": tilted})
+    >>> envs = RobotVectorEnv(64, "reach", "panda", randomise={"Gravity.acceleration": tilted})
     """
 
     lower: float | Sequence[float] | Distribution

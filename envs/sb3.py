@@ -10,7 +10,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 from torchdq.base.optional import imported
-from torchdq.envs.vector_env import ArmVectorEnv
+from torchdq.envs.vector_env import RobotVectorEnv
 from torchdq.errors import ArgumentError
 
 __all__ = ["StableBaselinesVecEnv"]
@@ -23,7 +23,7 @@ VecEnv: Any = imported(
 class StableBaselinesVecEnv(VecEnv):
     """A vector environment of Stable-Baselines3, numpy in and out.
 
-    model = stable_baselines3.PPO("MlpPolicy", StableBaselinesVecEnv(ArmVectorEnv(256, "reach")))
+    model = stable_baselines3.PPO("MlpPolicy", StableBaselinesVecEnv(RobotVectorEnv(256, "reach")))
 
     The info of an environment has its row of everything in `info`. At the end of an episode it also has "is_success",
     whether a row or term named "success" is above zero, if the task has one: Stable-Baselines3 logs its mean as
@@ -33,7 +33,7 @@ class StableBaselinesVecEnv(VecEnv):
         envs: in the mode SAME_STEP.
     """
 
-    def __init__(self, envs: ArmVectorEnv) -> None:
+    def __init__(self, envs: RobotVectorEnv) -> None:
         if envs.autoreset_mode != AutoresetMode.SAME_STEP:
             raise ArgumentError(f"envs must have the autoreset_mode SAME_STEP, found {envs.autoreset_mode}")
         self.envs = envs

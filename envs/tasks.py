@@ -9,7 +9,7 @@ reward, and the reference that the robot follows without the policy. A task of o
             rows, energy = super().rows(view), sum((v * v for v in view.qd), 0.0)
             return {**rows, "reward": [rows["reward"][0] - 0.01 * energy], "energy": [energy]}
 
-    envs = ArmVectorEnv(4096, Gentle(), "panda")
+    envs = RobotVectorEnv(4096, Gentle(), "panda")
 
 Its numbers are recorded, so it uses + - * /, and the functions of `torchdq.numbers.functions` instead of torch's,
 and no comparisons; `torchdq.envs.torch_task` has no such limits, and is slower.
@@ -65,7 +65,7 @@ class EpisodeTask(Task, Protocol):
     A task is recorded once, when its first environment is reset, and its numbers are part of the program from then on.
     Its class and its fields tell programs apart: make a number that may change a field. A change of anything else, such
     as a global or an attribute of the class, has no effect until `torchdq.clear_caches()`. A field that only `spans`
-    reads is no part of the program: `field(compare=False)` says so, and `ArmVectorEnv.set` changes it.
+    reads is no part of the program: `field(compare=False)` says so, and `RobotVectorEnv.set` changes it.
     """
 
     POINT: ClassVar[bool] = True

@@ -17,7 +17,7 @@ step and needs no number-generic code. It may name a recorded task, from which i
         return {"q": robot.limits.lower + (robot.limits.upper - robot.limits.lower) * u}
 
     task = TorchTask("reach", reward, observation, terminated, start, bounds=[(-10, 10)] * 13, draws=7)
-    envs = ArmVectorEnv(4096, task, "panda")
+    envs = RobotVectorEnv(4096, task, "panda")
 
 or stand alone: `TorchTask(reward=..., observation=..., start=..., bounds=..., draws=...)`.
 """
@@ -105,9 +105,9 @@ class TorchTask:
         draws: random numbers that `start` takes for each episode.
 
     >>> import torch
-    >>> from torchdq.envs import ArmVectorEnv, TorchTask
+    >>> from torchdq.envs import RobotVectorEnv, TorchTask
     >>> still = TorchTask(reward=lambda now: -now.qd.square().sum(1))
-    >>> envs = ArmVectorEnv(3, still, "panda")
+    >>> envs = RobotVectorEnv(3, still, "panda")
     >>> observations, info = envs.reset(seed=0)
     >>> envs.step(torch.zeros(3, 7))[1].shape
     torch.Size([3])

@@ -1,17 +1,17 @@
 """Many robots at once as one gymnasium vector environment.
 
-    envs = ArmVectorEnv(4096, "reach", "ur10e")  # tensors in, tensors out
+    envs = RobotVectorEnv(4096, "reach", "ur10e")  # tensors in, tensors out
     envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=4096, robot="ur10e")  # numpy, as gymnasium's wrappers ask
     observations, info = envs.reset(seed=0)
     observations, rewards, terminated, truncated, info = envs.step(actions)
 
-Other libraries take an `ArmVectorEnv`:
+Other libraries take an `RobotVectorEnv`:
 
     TorchRL               torchrl.envs.GymWrapper(envs, convert_actions_to_numpy=False, device=envs.device)
     skrl                  skrl.envs.wrappers.torch.wrap_env(envs, wrapper="gymnasium")
     Stable-Baselines3     torchdq.envs.sb3.StableBaselinesVecEnv(envs)
-    numpy                 ArmVectorEnv(..., output="numpy")
-    gymnasium's wrappers  gymnasium.make_vec, or ArmVectorEnv(..., output="numpy", autoreset_mode="NextStep")
+    numpy                 RobotVectorEnv(..., output="numpy")
+    gymnasium's wrappers  gymnasium.make_vec, or RobotVectorEnv(..., output="numpy", autoreset_mode="NextStep")
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ _HELD = ("observation", "finished")  # buffers that callers may hold, and that a
 _RESTORED = (*STATE, *KEPT)  # buffers set back after a failed step
 
 
-class ArmVectorEnv(VectorEnv):
+class RobotVectorEnv(VectorEnv):
     """Environments of one robot and one task, stepped by one program.
 
     Actions are in [-1, 1]^k, one number for each actuated joint, in the order of `actuated`. Others are clipped, and
@@ -129,7 +129,7 @@ class ArmVectorEnv(VectorEnv):
         backend: as in `torchdq.functional`.
 
     >>> import torch
-    >>> envs = ArmVectorEnv(3, "reach", "panda")
+    >>> envs = RobotVectorEnv(3, "reach", "panda")
     >>> observations, info = envs.reset(seed=0)
     >>> observations.shape
     torch.Size([3, 27])
@@ -340,7 +340,7 @@ class ArmVectorEnv(VectorEnv):
             unit: an output of the policy, as an action.
 
         >>> import torch
-        >>> envs = ArmVectorEnv(64, "reach", "panda")
+        >>> envs = RobotVectorEnv(64, "reach", "panda")
         >>> _ = envs.reset(seed=0)
         >>> policy = torch.nn.Sequential(torch.nn.Linear(27, 32), torch.nn.ELU(), torch.nn.Linear(32, 7))
         >>> found = envs.rollout(policy, 25, noise=0.1 * torch.randn(25, 64, 7))
@@ -376,7 +376,7 @@ class ArmVectorEnv(VectorEnv):
             X: poses of the controller's frame in the base, of any norm, [N, 8] or [8]; where `action` is "pose".
 
         >>> import torch, torchdq
-        >>> envs = ArmVectorEnv(2, "reach", "panda", action="pose")
+        >>> envs = RobotVectorEnv(2, "reach", "panda", action="pose")
         >>> _ = envs.reset(seed=0)
         >>> up = torchdq.dq.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 0.01]))  # by 0.02 m
         >>> envs.pose_action(torchdq.dq.mul(up, envs.get_state()["reference"]))[:, 5]
@@ -443,7 +443,7 @@ class ArmVectorEnv(VectorEnv):
             ArgumentError: it would need another program, such as one for a parameter that was not drawn before.
 
         >>> from torchdq.envs.walk import Walk
-        >>> envs = ArmVectorEnv(64, Walk(forward=(0.0, 0.3)), "go2")
+        >>> envs = RobotVectorEnv(64, Walk(forward=(0.0, 0.3)), "go2")
         >>> envs.set(task=Walk(forward=(0.0, 1.0)), randomise={"mass": 0.2})
         """
         self._open()
@@ -665,6 +665,6 @@ def _check_scene(scene: Scene, num_envs: int, pushes: Mapping[str, Pushes]) -> N
             raise ArgumentError(f"{name} must be one for all or have {num_envs} rows, found the batch axes {batch}")
 
 
-def made_by_gymnasium(**arguments: Any) -> ArmVectorEnv:
+def made_by_gymnasium(**arguments: Any) -> RobotVectorEnv:
     """Environments of `gymnasium.make_vec`: numpy, and finished rows reset at the next step, unless asked otherwise."""
-    return ArmVectorEnv(**{"output": "numpy", "autoreset_mode": AutoresetMode.NEXT_STEP, **arguments})
+    return RobotVectorEnv(**{"output": "numpy", "autoreset_mode": AutoresetMode.NEXT_STEP, **arguments})

@@ -80,9 +80,9 @@ class Walk(EpisodeTask):
         stiffness: kp of the servos, in m g times the height of the base per rad; fewer than four feet need 1.5 or more.
         weights: weights that replace those of `WEIGHTS`.
 
-    >>> from torchdq.envs import ArmVectorEnv
+    >>> from torchdq.envs import RobotVectorEnv
     >>> from torchdq.envs.walk import Walk
-    >>> envs = ArmVectorEnv(64, Walk(forward=(0.0, 1.0)), "go2", max_episode_steps=1000)
+    >>> envs = RobotVectorEnv(64, Walk(forward=(0.0, 1.0)), "go2", max_episode_steps=1000)
     """
 
     POINT: ClassVar[bool] = False

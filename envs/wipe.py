@@ -56,8 +56,8 @@ class Wipe(EpisodeTask):
         home: joint positions [rad or m], with the end effector on the table where paths are.
         press: depth of the reference below the table [m], which without a policy makes the force.
 
-    >>> from torchdq.envs import ArmVectorEnv
-    >>> envs = ArmVectorEnv(64, "wipe", "panda")
+    >>> from torchdq.envs import RobotVectorEnv
+    >>> envs = RobotVectorEnv(64, "wipe", "panda")
     """
 
     home: tuple[float, ...] = HOME

@@ -47,7 +47,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.envs import ArmVectorEnv, Scene, effects
+from torchdq.envs import RobotVectorEnv, Scene, effects
 from torchdq.envs.sb3 import StableBaselinesVecEnv
 from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.defaults import default_effects, nominal_robot
@@ -112,11 +112,11 @@ class Base:
     true: bool = False  # True: it knows payload and masses of every episode
     device: str = "cpu"  # device of the environments
 
-    def environments(self, number: int, mode: AutoresetMode = AutoresetMode.SAME_STEP) -> ArmVectorEnv:
+    def environments(self, number: int, mode: AutoresetMode = AutoresetMode.SAME_STEP) -> RobotVectorEnv:
         """Environments under it; gains are tensors, so that all of them share one program."""
         gains = (torch.full((N,), self.kp), torch.full((N,), self.kd))
         controller = ComputedTorque(*gains, model=None if self.true else nominal_robot(Scene(ROBOT, PLANT)))
-        return ArmVectorEnv(
+        return RobotVectorEnv(
             number,
             "track",
             ROBOT,

@@ -32,7 +32,7 @@ from torch import Tensor, nn
 
 import torchdq
 from torchdq import Robot
-from torchdq.envs import ArmVectorEnv, Pushes
+from torchdq.envs import Pushes, RobotVectorEnv
 from torchdq.envs.walk import Walk
 
 HORIZON, LAMBDA, CLIP = 24, 0.95, 0.2  # steps of a rollout
@@ -142,7 +142,7 @@ def mean_of_all(*tensors: Tensor) -> None:
 class PPO:
     """Learner on a vector environment with tensors."""
 
-    def __init__(self, envs: ArmVectorEnv, seed: int, settings: Settings = Settings()) -> None:
+    def __init__(self, envs: RobotVectorEnv, seed: int, settings: Settings = Settings()) -> None:
         rank, processes = (dist.get_rank(), dist.get_world_size()) if dist.is_initialized() else (0, 1)
         torch.manual_seed(seed)  # the same policy in all processes, and different robots
         self.envs, self.settings, device = envs, settings, envs.device
@@ -232,7 +232,7 @@ class Test:
         self, task: Walk, robot: Robot, turning: float, device: torch.device | str = "cpu", friction: float = 1.0
     ) -> None:
         # the same parameters as in training, so that the program is the same
-        self.envs = ArmVectorEnv(EACH * len(SPEEDS), task, robot, device=device, max_episode_steps=None)
+        self.envs = RobotVectorEnv(EACH * len(SPEEDS), task, robot, device=device, max_episode_steps=None)
         same = {"Contact.friction": (friction, friction), "Contact.stiffness": (1.0, 1.0), "mass": (1.0, 1.0)}
         self.envs.set(randomise=same, pushes=dict.fromkeys(task.defaults(robot)["pushes"], Pushes((0.0,) * 6)))
         self.commands = torch.zeros(self.envs.num_envs, 3, device=device)
@@ -264,7 +264,7 @@ def main(args: Args) -> float | None:
     processes, first = (dist.get_world_size(), dist.get_rank() == 0) if dist.is_initialized() else (1, True)
     robot, task = args.load(), args.task(forward=args.forward, turning=(-args.turning, args.turning))
     robots = args.robots // processes
-    learner = PPO(ArmVectorEnv(robots, task, robot, max_episode_steps=1000, device=args.place), args.seed)
+    learner = PPO(RobotVectorEnv(robots, task, robot, max_episode_steps=1000, device=args.place), args.seed)
     test = Test(task, robot, args.turning, args.place)
     test(learner.policy.actor, 0.04)  # compiles
     begin, walks, k, spent = time.process_time(), None, 0, 0.0

@@ -21,7 +21,7 @@ from torch import Tensor
 
 import torchdq
 from torchdq import dq
-from torchdq.envs import ArmVectorEnv
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.render import Skeleton
 from torchdq.envs.walk import Walk
 
@@ -63,7 +63,7 @@ def places(count: int) -> np.ndarray:
 @torch.no_grad()
 def simulated(policy: torch.nn.Module, at: np.ndarray, frames: int, chosen: int) -> tuple[Tensor, Tensor, int]:
     """Joint positions [frame, robot, joint] and poses [frame, robot, 8], and the number of robots that fell."""
-    envs = ArmVectorEnv(len(at), Walk(), "go2", max_episode_steps=None)
+    envs = RobotVectorEnv(len(at), Walk(), "go2", max_episode_steps=None)
     observation, _ = envs.reset(seed=0)
     state, generator = envs.get_state(), torch.Generator().manual_seed(0)
     moved = dq.from_pose(torch.tensor([1.0, 0.0, 0.0, 0.0]), torch.from_numpy(at).float())

@@ -18,7 +18,7 @@ from matplotlib import pyplot as plt
 from pictures import BLUE, ORANGE, prepare, save
 
 import torchdq
-from torchdq.envs import ArmVectorEnv
+from torchdq.envs import RobotVectorEnv
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Wiped:
 def main(args: Args) -> Wiped:
     """Forces and distances of arms that wipe along ellipses."""
     torch.set_num_threads(1)
-    envs = ArmVectorEnv(args.arms, "wipe", "panda", max_episode_steps=None)
+    envs = RobotVectorEnv(args.arms, "wipe", "panda", max_episode_steps=None)
     robot, controller, scale, found = envs.robot, envs.scene.controller, 0.2, []
     observation, _ = envs.reset(seed=args.seed)
     lead = torch.zeros(args.arms, 3)  # shift of the end effector

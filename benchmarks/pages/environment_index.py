@@ -11,7 +11,7 @@ from pages.docstrings import documented
 from pages.environment_cases import ENVIRONMENTS
 from pages.environment_page import SCRIPT, measured, newest, rate_words, rates, robot_of
 from pages.text import MADE, sentence, table, wrapped
-from torchdq.envs import ArmVectorEnv, randomization, vector_env
+from torchdq.envs import RobotVectorEnv, randomization, vector_env
 
 INTRODUCTION = """\
 An environment is a [scene](../effects/index.md), a task, and random numbers. Thousands of environments run as one
@@ -28,7 +28,7 @@ import torchdq.envs
 
 one = gymnasium.make("torchdq/Reach-v0")  # numpy, one arm
 many = gymnasium.make_vec("torchdq/Reach-v0", num_envs=64, robot="ur10e")  # numpy, reset at the next step
-envs = torchdq.envs.ArmVectorEnv(64, "reach", "ur10e")  # torch tensors, reset at once
+envs = torchdq.envs.RobotVectorEnv(64, "reach", "ur10e")  # torch tensors, reset at once
 
 observation, info = envs.reset(seed=0)
 observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
@@ -47,14 +47,14 @@ a registered task, if it names one. Without, as in [the guide](../guides/million
 starts at rest and the observation is the measured state.
 
 ```python
-from torchdq.envs import ArmVectorEnv, TorchTask
+from torchdq.envs import RobotVectorEnv, TorchTask
 
 
 def reward(now):  # tensors [N, ...] after a step
     return -now.rows["distance"] - 0.01 * now.qd.square().sum(1)
 
 
-envs = ArmVectorEnv(64, TorchTask("reach", reward), "panda")
+envs = RobotVectorEnv(64, TorchTask("reach", reward), "panda")
 observation, info = envs.reset(seed=0)
 observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 7))
 ```
@@ -74,7 +74,7 @@ from torchdq.envs import Pushes, effects
 
 parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.Servo(300.0, 30.0), effects.Push())
 pushes = {"push": Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0), every=(0.5, 2.0))}  # [N, N m], between two pushes [s]
-envs = ArmVectorEnv(64, "reach", "panda", effects=parts, pushes=pushes)
+envs = RobotVectorEnv(64, "reach", "panda", effects=parts, pushes=pushes)
 observation, info = envs.reset(seed=0)
 observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 7))
 ```"""
@@ -91,7 +91,7 @@ from torchdq.envs import Absolute
 
 tilted = Absolute([-1.0, -1.0, -9.81], [1.0, 1.0, -9.81])  # [m/s^2]
 drawn = {"mass": 0.1, "friction": (0.5, 1.5), "payload": 1.0, "Gravity.acceleration": tilted}
-envs = ArmVectorEnv(64, "reach", "panda", randomise=drawn)
+envs = RobotVectorEnv(64, "reach", "panda", randomise=drawn)
 observation, info = envs.reset(seed=0)
 ```
 
@@ -133,7 +133,7 @@ def index() -> str:
         f"{table(head, rows)}\n\nOf the default robots. {measured(stored)}",
         WAYS,
         "## Arguments",
-        "All three take the arguments of `ArmVectorEnv`, listed here with their defaults.",
+        "All three take the arguments of `RobotVectorEnv`, listed here with their defaults.",
         arguments(),
         TASKS,
         SERVOS,
@@ -147,10 +147,10 @@ def index() -> str:
 
 
 def arguments() -> str:
-    """Table of the arguments of `ArmVectorEnv`."""
-    said = documented(ArmVectorEnv).arguments
+    """Table of the arguments of `RobotVectorEnv`."""
+    said = documented(RobotVectorEnv).arguments
     rows = []
-    for name, parameter in inspect.signature(ArmVectorEnv).parameters.items():
+    for name, parameter in inspect.signature(RobotVectorEnv).parameters.items():
         default = parameter.default
         value = str(default) if isinstance(default, torch.dtype) else repr(getattr(default, "value", default))
         text, unit = said[name].meaning, said[name].unit

@@ -22,7 +22,7 @@ from pages.formulas import tex
 from pages.pictures import Curve, Picture, svg
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.effects import Contact
-from torchdq.envs import ArmVectorEnv, vector_env
+from torchdq.envs import RobotVectorEnv, vector_env
 from torchdq.envs.actions import Kind, full
 from torchdq.envs.render import Painter
 from torchdq.envs.task_names import task_of
@@ -78,7 +78,7 @@ def learned(task: str) -> dict[str, Any] | None:
 def page(task: str) -> str:
     """Page of an environment."""
     case, spec, robot = ENVIRONMENTS[task], newest(task), robot_of(task)
-    said, envs = documented(case.task, frozenset({"action"})), ArmVectorEnv(1, task, robot)
+    said, envs = documented(case.task, frozenset({"action"})), RobotVectorEnv(1, task, robot)
     limit, dt = spec.max_episode_steps or 0, envs.scene.dt
     start = documented(case.task.start)
     joints = f"`{robot.name}`, {robot.n} joints"
@@ -87,7 +87,7 @@ def page(task: str) -> str:
         MADE.format(script=SCRIPT),
         sentence(said.summary),
         f'`gymnasium.make("{spec.id}")` creates one environment, `gymnasium.make_vec` many, and '
-        f'`torchdq.envs.ArmVectorEnv(4096, "{task}")` many on tensors.',
+        f'`torchdq.envs.RobotVectorEnv(4096, "{task}")` many on tensors.',
         f"![One arm at five moments of an episode]({task}.png)",
         f"One episode, after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s.",
         "## Task",
@@ -157,13 +157,13 @@ def _observation(task: str, robot: Robot) -> str:
 
 def widths(task: str) -> list[int]:
     """Number of entries of each part of an observation, of the default robot."""
-    envs = ArmVectorEnv(1, task, robot_of(task))
+    envs = RobotVectorEnv(1, task, robot_of(task))
     envs.reset(seed=0)
     now = situation(envs)
     return [entries.value(now).shape[1] for entries in ENVIRONMENTS[task].observation]
 
 
-def situation(envs: ArmVectorEnv) -> Any:
+def situation(envs: RobotVectorEnv) -> Any:
     """State of environments without sensors."""
     from pages.environment_cases import Situation
 
@@ -179,9 +179,9 @@ def _range(numbers: tuple[float, ...]) -> str:
 
 
 def _actions(task: str, robot: Robot) -> str:
-    rows, own = [], ArmVectorEnv(1, task, robot)._actions
+    rows, own = [], RobotVectorEnv(1, task, robot)._actions
     for kind in (own.kind,) if own.kind == "target" else (kind for kind in get_args(Kind) if kind != "target"):
-        made = own if kind == own.kind else ArmVectorEnv(1, task, robot, action=kind)._actions
+        made = own if kind == own.kind else RobotVectorEnv(1, task, robot, action=kind)._actions
         numbers, default = ", ".join(f"{x:.3g}" for x in made.scale.tolist()), " (default)" if made is own else ""
         rows.append((f'`"{kind}"`{default}', ACTIONS[kind], numbers, ACTION_UNITS[kind]))
     return table(("`action`", "meaning", "a full action, joint by joint", "unit"), rows)
@@ -239,10 +239,10 @@ def _learning_code(task: str, found: dict[str, Any]) -> str:
     return f'''```python
 from stable_baselines3 import PPO
 
-from torchdq.envs import ArmVectorEnv
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.sb3 import StableBaselinesVecEnv
 
-vec = StableBaselinesVecEnv(ArmVectorEnv({found["arms"]}, "{task}", "{ROBOT}"))
+vec = StableBaselinesVecEnv(RobotVectorEnv({found["arms"]}, "{task}", "{ROBOT}"))
 model = {found["line"]}
 # model.learn(5_000_000)
 ```'''
@@ -293,7 +293,7 @@ env = gymnasium.make("{id}")  # one, in numpy
 observation, info = env.reset(seed=0)
 observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
 
-envs = torchdq.envs.ArmVectorEnv(64, "{task}", "{other}", action="{hint}")  # 64, in tensors
+envs = torchdq.envs.RobotVectorEnv(64, "{task}", "{other}", action="{hint}")  # 64, in tensors
 observation, info = envs.reset(seed=0)
 total = torch.zeros(64)
 for _ in range(50):
@@ -309,7 +309,7 @@ def picture(task: str) -> bytes:
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    envs = ArmVectorEnv(1, task, robot_of(task), action=ENVIRONMENTS[task].hint)  # type: ignore[arg-type]
+    envs = RobotVectorEnv(1, task, robot_of(task), action=ENVIRONMENTS[task].hint)  # type: ignore[arg-type]
     envs.reset(seed=SEED)
     painter, frames, positions = Painter(envs.robot, (240, 280)), [], []
     for step in range(MOMENTS[-1] + 1):

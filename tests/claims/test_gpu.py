@@ -15,7 +15,7 @@ from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq
 from torchdq.backends.choice import choose
-from torchdq.envs import ArmVectorEnv, Scene, effects
+from torchdq.envs import RobotVectorEnv, Scene, effects
 from torchdq.program.program import LARGEST_GROWTH
 from torchdq.scene import integrators
 
@@ -227,7 +227,7 @@ def test_several_devices():
 
 @pytest.mark.parametrize("task", ["reach", "track"])
 def test_environments_are_those_of_the_cpu(task):
-    envs = [ArmVectorEnv(300, task, "panda", device=device, output="torch") for device in ("cpu", GPU)]
+    envs = [RobotVectorEnv(300, task, "panda", device=device, output="torch") for device in ("cpu", GPU)]
     observations = [env.reset(seed=0)[0].cpu() for env in envs]
     agree(observations[1:], observations[:1], 1024)
     for k in range(20):
@@ -241,7 +241,7 @@ def test_environments_are_those_of_the_cpu(task):
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep", "Disabled"])
 def test_a_step_asks_the_gpu_nothing_and_is_repeated_by_a_graph(mode):
     options = {"max_episode_steps": 5, "randomise": {"mass": 0.1, "payload": 1.0}, "autoreset_mode": mode}
-    envs, plain = (ArmVectorEnv(300, "reach", "panda", device=GPU, **options) for _ in "ab")
+    envs, plain = (RobotVectorEnv(300, "reach", "panda", device=GPU, **options) for _ in "ab")
     actions = torch.zeros(300, 7, device=GPU)
     for each in (envs, plain):
         each.reset(seed=0)

@@ -13,7 +13,7 @@ from precisions import eager_first
 
 import torchdq
 from torchdq import ArgumentError, Robot, UnknownNameError, dq
-from torchdq.envs import ArmVectorEnv, Scene, effects
+from torchdq.envs import RobotVectorEnv, Scene, effects
 from torchdq.envs.render import Skeleton
 from torchdq.learning import Model, Samples, identify
 from torchdq.recommend.recommend import recommend_settings
@@ -402,7 +402,7 @@ def gripper() -> Robot:
 
 def test_an_environment_of_a_mimic_gripper():
     robot = gripper()
-    envs = ArmVectorEnv(3, "reach", robot, randomise={"mass": (0.8, 1.2)}, render_mode="rgb_array", dtype=F64)
+    envs = RobotVectorEnv(3, "reach", robot, randomise={"mass": (0.8, 1.2)}, render_mode="rgb_array", dtype=F64)
     envs.reset(seed=0)
     for _ in range(3):
         seen, reward, *_ = envs.step(torch.zeros(3, 8, dtype=F64))
@@ -411,7 +411,7 @@ def test_an_environment_of_a_mimic_gripper():
     tip = dq.translation(torchdq.forward_kinematics(robot, state["q"], robot.tip))
     assert torch.allclose(seen[..., -3:], tip, rtol=1e-9, atol=1e-9)
     assert [picture.shape for picture in envs.render()] == [(400, 400, 3)] * 3
-    tracking = ArmVectorEnv(2, "track", robot)
+    tracking = RobotVectorEnv(2, "track", robot)
     tracking.reset(seed=0)
     assert tracking.step(torch.zeros(2, 8))[1].isfinite().all()
 

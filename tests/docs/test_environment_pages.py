@@ -13,7 +13,7 @@ from pages.docstrings import documented
 from pages.environment_cases import ENVIRONMENTS
 from pages.environment_page import DATA, learned, newest, picture, rates, registered, robot_of, situation, towards
 
-from torchdq.envs import ArmVectorEnv
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.walk import WEIGHTS
 
 REMEDY = "write it again with `python benchmarks/environments.py --write`"
@@ -26,7 +26,7 @@ BACKEND = "auto"  # many steps
 
 def moving(task, robot=None):
     """Environments after some random actions, their last observation and what `step` returned."""
-    envs = ArmVectorEnv(8, task, robot or robot_of(task), dtype=F64)
+    envs = RobotVectorEnv(8, task, robot or robot_of(task), dtype=F64)
     envs.reset(seed=4)
     generator = torch.Generator().manual_seed(2)
     for _ in range(30):
@@ -103,7 +103,7 @@ def test_the_line_of_the_guide_is_the_one_that_was_measured_and_it_learns():
     found = learned("reach")
     guide = (FOLDER.parent / "guides" / "million.md").read_text(encoding="utf-8")
     assert found["line"] in guide and repr(found["line"]) in (FOLDER.parents[1] / "benchmarks/learn.py").read_text()
-    assert f'ArmVectorEnv({found["arms"]}, "reach", "panda")' in guide
+    assert f'RobotVectorEnv({found["arms"]}, "reach", "panda")' in guide
     for curve in found["seeds"]:
         seconds, _, distance, success = curve[-1]
         assert seconds < 182 and distance < 0.025 and success > 0.7
@@ -111,11 +111,11 @@ def test_the_line_of_the_guide_is_the_one_that_was_measured_and_it_learns():
 
 def test_the_table_of_arguments_has_all_of_them():
     page = (FOLDER / "index.md").read_text(encoding="utf-8")
-    assert all(f"| `{name}` | `" in page for name in inspect.signature(ArmVectorEnv).parameters)
+    assert all(f"| `{name}` | `" in page for name in inspect.signature(RobotVectorEnv).parameters)
 
 
 def test_the_policy_of_the_picture_reaches_its_goal():
-    envs = ArmVectorEnv(4, "reach", "panda", action="reference")
+    envs = RobotVectorEnv(4, "reach", "panda", action="reference")
     envs.reset(seed=0)
     first = situation(envs)
     for _ in range(100):

@@ -12,7 +12,7 @@ from torch import nn
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.envs import ArmVectorEnv, Scene, State, effects
+from torchdq.envs import RobotVectorEnv, Scene, State, effects
 from torchdq.errors import ArgumentError
 from torchdq.scene import controllers, stability
 from torchdq.scene.integrators import DormandPrince, ExplicitEuler, LinearlyImplicit, Repeated, RungeKutta4
@@ -241,13 +241,13 @@ def test_a_check_of_the_step_counts_its_torques(monkeypatch):
 @pytest.mark.parametrize("action", ["torque", "residual"])
 def test_environments_have_it(action):
     parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.Residual(trained((), PANDA)))
-    envs = ArmVectorEnv(3, "reach", PANDA, effects=parts, action=action, dtype="float64")
-    others = ArmVectorEnv(3, "reach", PANDA, effects=parts[:2], action=action, dtype="float64")
+    envs = RobotVectorEnv(3, "reach", PANDA, effects=parts, action=action, dtype="float64")
+    others = RobotVectorEnv(3, "reach", PANDA, effects=parts[:2], action=action, dtype="float64")
     first, second = (x.reset(seed=0)[0] for x in (envs, others))
     assert torch.equal(first, second)
     first, second = (x.step(torch.full((3, 7), 0.1))[0] for x in (envs, others))
     assert first.isfinite().all() and not torch.allclose(first, second)
-    alone = ArmVectorEnv(1, "reach", PANDA, effects=parts, action=action, dtype="float64")
+    alone = RobotVectorEnv(1, "reach", PANDA, effects=parts, action=action, dtype="float64")
     alone.reset(seed=2)
     assert torch.allclose(alone.step(torch.full((1, 7), 0.1))[0][0], first[2], rtol=1e-9, atol=1e-9)
 

@@ -7,7 +7,7 @@ import torch
 from messages import refused
 from small_envs import ON_FOUR, PUSHES, policy_of, same, started, steps, stool
 
-from torchdq.envs import Absolute, ArmVectorEnv, Pushes, TorchTask, effects
+from torchdq.envs import Absolute, Pushes, RobotVectorEnv, TorchTask, effects
 from torchdq.errors import ArgumentError, TorchdqError, UnknownNameError
 from torchdq.program import program
 
@@ -52,7 +52,7 @@ def test_pushes_follow_new_ranges_from_the_next_one_on():
 
 
 def test_commands_of_a_walk_grow_without_a_new_program(monkeypatch):
-    envs = ArmVectorEnv(64, replace(ON_FOUR, forward=(0.0, 0.1)), stool(), substeps=1)
+    envs = RobotVectorEnv(64, replace(ON_FOUR, forward=(0.0, 0.1)), stool(), substeps=1)
     envs.reset(seed=0)
     envs.step(torch.zeros(64, 4))
     monkeypatch.delattr(program, "recording")
@@ -83,7 +83,7 @@ REFUSED = {
 
 
 def test_a_task_with_other_fields_is_refused_by_their_names():
-    envs = ArmVectorEnv(2, replace(ON_FOUR, forward=(0.0, 0.1)), stool())
+    envs = RobotVectorEnv(2, replace(ON_FOUR, forward=(0.0, 0.1)), stool())
     with refused(ArgumentError) as caught:
         envs.set(task=replace(ON_FOUR, forward=(0.0, 1.0), stiffness=1.5, feet="foot[01]"))
     assert "another feet and stiffness;" in str(caught.value)

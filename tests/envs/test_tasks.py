@@ -10,7 +10,7 @@ from small_envs import FREE, ROBOT, make, started, steps
 
 import torchdq
 from torchdq import dq, floating
-from torchdq.envs import ArmVectorEnv, State, TorchTask, effects
+from torchdq.envs import RobotVectorEnv, State, TorchTask, effects
 from torchdq.envs.render import Painter
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError
@@ -23,7 +23,7 @@ BACKEND = "auto"
 
 def test_an_episode_starts_within_limits_and_its_goal_is_within_reach():
     """Observation and reward are held by docs/test_environment_pages.py."""
-    envs = ArmVectorEnv(200, robot="panda", dtype=torch.float64, backend="eager")
+    envs = RobotVectorEnv(200, robot="panda", dtype=torch.float64, backend="eager")
     envs.reset(seed=0)
     found, (lower, upper, *_) = envs.get_state(), envs.robot.limits
     shoulder = torch.tensor([0, 0, 0.333])
@@ -47,7 +47,7 @@ def test_what_is_seen_is_measured_and_what_is_rewarded_is_true():
 
 def test_a_goal_can_be_reached():
     # by the damped inverse of the Jacobian, with offsets as actions
-    envs = ArmVectorEnv(50, robot="panda", action="reference")
+    envs = RobotVectorEnv(50, robot="panda", action="reference")
     observations, _ = envs.reset(seed=0)
     for _ in range(150):
         way, q = observations[:, -6:-3, None], envs._buffers["q"]
@@ -187,7 +187,7 @@ def test_a_task_whose_attributes_are_no_fields_is_refused():
             object.__setattr__(self, "weight", weight)
 
     with refused(ArgumentError):
-        ArmVectorEnv(2, Weighted(5.0), "two_link", scale=10.0)
+        RobotVectorEnv(2, Weighted(5.0), "two_link", scale=10.0)
 
 
 # --- floating bases, servos, limits, and what a task remembers --------------------------------------------------------

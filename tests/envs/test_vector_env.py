@@ -22,7 +22,7 @@ from small_envs import ALL_DRAWN, FREE, PARTS, PUSHES, ROBOT, actions_of, make, 
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.envs import Absolute, ArmEnv, ArmVectorEnv, TorchTask, effects
+from torchdq.envs import Absolute, RobotEnv, RobotVectorEnv, TorchTask, effects
 from torchdq.envs.tasks import Reach
 from torchdq.robot import ContactPoint
 from torchdq.scene import controllers
@@ -82,7 +82,7 @@ def test_results_have_their_shapes_and_are_within_their_spaces(task, action):
 @pytest.mark.parametrize("robot", thinned(["panda", "ur10e", "puma560"], ["puma560"]))
 def test_shipped_arms_need_no_arguments(robot):
     # the Puma's description has no limits of torque
-    envs = ArmVectorEnv(2, robot=robot, backend="eager", **({"scale": 50.0} if robot == "puma560" else {}))
+    envs = RobotVectorEnv(2, robot=robot, backend="eager", **({"scale": 50.0} if robot == "puma560" else {}))
     envs.reset(seed=0)
     assert not any(bool(terminated.any()) for _, _, terminated, _, _ in steps(envs, 10))
 
@@ -164,7 +164,7 @@ def test_gymnasium_makes_them():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=7, robot="ur10e", backend="eager")
-        assert isinstance(envs, ArmVectorEnv) and envs.max_episode_steps == 250
+        assert isinstance(envs, RobotVectorEnv) and envs.max_episode_steps == 250
         assert envs.output == "numpy" and envs.autoreset_mode == AutoresetMode.NEXT_STEP  # gymnasium's contract
         assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         envs.reset(seed=0)
@@ -183,7 +183,7 @@ def test_gymnasium_makes_them():
 def test_gymnasiums_checker_has_nothing_to_say(task):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(ArmEnv(task=task, robot=ROBOT, scale=20.0), skip_render_check=True)
+        check_env(RobotEnv(task=task, robot=ROBOT, scale=20.0), skip_render_check=True)
 
 
 def test_gymnasiums_wrappers_accept_them():
@@ -298,7 +298,7 @@ def test_a_row_is_the_single_environment(kind):
     arguments = {"robot": ROBOT, "action": "torque", "scale": 20.0, "max_episode_steps": 30, **KINDS[kind]}
     many = make(21, **arguments)
     rows = (0, 7, 20)
-    single = [ArmEnv(**arguments) for _ in rows]
+    single = [RobotEnv(**arguments) for _ in rows]
     observations, _ = many.reset(seed=100)
     for k, env in zip(rows, single, strict=True):
         assert same(env.reset(seed=100 + k)[0], observations[k])
@@ -355,7 +355,7 @@ def test_a_torque_limit_of_zero_is_none():
     limits = ROBOT.limits
     still = ROBOT.replace(limits=limits._replace(effort=torch.tensor([0.0, 5.0], dtype=torch.float64)))
     assert effects.Saturation((math.inf, 5.0)) in default_effects(still)
-    envs = ArmVectorEnv(2, "reach", still)
+    envs = RobotVectorEnv(2, "reach", still)
     envs.reset(seed=0)
     after, *_ = envs.step(torch.tensor([[1.0, 0.0], [-1.0, 0.0]]))
     assert after[0, 4] > 0.01 and after[1, 4] < -0.01  # velocity of the first joint
@@ -458,7 +458,7 @@ def test_a_mode_of_resets_may_be_named_in_both_ways(mode):
 @pytest.mark.parametrize("single", [False, True], ids=["five", "one"])
 @pytest.mark.parametrize("seed", ["a", 1.5, -1, True, 2**63, [1, 2, 3], [1, "a", 2, 3, 4], [0.5], [True] * 5])
 def test_a_seed_that_is_none_is_refused_by_name(seed, single):
-    envs = ArmEnv(robot="panda") if single else make()
+    envs = RobotEnv(robot="panda") if single else make()
     with refused(torchdq.ArgumentError):
         envs.reset(seed=seed)
 
@@ -543,7 +543,7 @@ def test_actions_out_of_range_are_clipped_and_counted():
 
 
 def test_a_full_action_is_the_limit_of_the_torque():
-    envs = ArmVectorEnv(1, robot="panda", effects=(), action="torque")
+    envs = RobotVectorEnv(1, robot="panda", effects=(), action="torque")
     assert envs._actions.scale.tolist() == torchdq.robots.load("panda").limits.effort.tolist()
 
 
@@ -675,7 +675,7 @@ def test_stable_baselines_trains():
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        checker.check_env(ArmEnv(robot=ROBOT, scale=20.0))
+        checker.check_env(RobotEnv(robot=ROBOT, scale=20.0))
     envs = StableBaselinesVecEnv(make(4, max_episode_steps=10))
     envs.seed(3)
     assert same(envs.reset(), make(4).reset(seed=3)[0])

@@ -20,7 +20,7 @@ from small_envs import ON_FOUR, stool
 
 import torchdq
 from torchdq import Robot, dq
-from torchdq.envs import ArmVectorEnv, Pushes, effects
+from torchdq.envs import Pushes, RobotVectorEnv, effects
 from torchdq.envs.walk import WEIGHTS, Walk
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot.shipped import go2
@@ -45,7 +45,7 @@ BIPED = f"""<mujoco model="biped"><compiler angle="radian"/><default><joint axis
 def walkers(num_envs, task=None, robot="go2", **arguments):
     """Robots on the nominal ground, without pushes, reset; all share a program."""
     arguments = {"randomise": NOMINAL, "pushes": STILL, "max_episode_steps": None, **arguments}
-    envs = ArmVectorEnv(num_envs, task or Walk(), robot, **arguments)
+    envs = RobotVectorEnv(num_envs, task or Walk(), robot, **arguments)
     envs.reset(seed=0)
     return envs
 
@@ -80,7 +80,7 @@ def test_an_episode_starts_with_the_lowest_foot_on_the_ground():
         data, model = in_mujoco(state, k), player().model
         feet = [g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
         assert abs(min(data.geom_xpos[g, 2] - model.geom_size[g, 0] for g in feet)) < 1e-6
-    goal = ArmVectorEnv(500, Walk((0.2, 0.6), (-0.3, 0.1), (-2.0, 1.0)), "go2", randomise=NOMINAL, pushes=STILL)
+    goal = RobotVectorEnv(500, Walk((0.2, 0.6), (-0.3, 0.1), (-2.0, 1.0)), "go2", randomise=NOMINAL, pushes=STILL)
     goal.reset(seed=0)
     low, high = goal.get_state()["goal"].aminmax(dim=0)
     assert torch.allclose(low, torch.tensor([0.2, -0.3, -2.0]), atol=0.05)
@@ -215,17 +215,17 @@ def test_mujoco_has_the_bodies_of_a_published_file():
 
 def test_what_walks_has_feet_on_a_floating_base():
     for cause in (
-        lambda: ArmVectorEnv(1, "walk", go2.urdf()),
+        lambda: RobotVectorEnv(1, "walk", go2.urdf()),
         lambda: Walk().inputs(12),
         lambda: Walk(weights={"speed": 1.0}),
         lambda: Walk(turning=1.0),
         lambda: Walk(stiffness=0.0),
-        lambda: ArmVectorEnv(1, "walk", effects=(effects.Servo(40.0, 1.0), effects.Contact("F?_foot"))).reset(),
+        lambda: RobotVectorEnv(1, "walk", effects=(effects.Servo(40.0, 1.0), effects.Contact("F?_foot"))).reset(),
     ):
         with refused(ArgumentError):
             cause()
     with refused(UnknownNameError):
-        ArmVectorEnv(1, Walk(stand={"knee": 1.0}), "go2")
+        RobotVectorEnv(1, Walk(stand={"knee": 1.0}), "go2")
 
 
 def test_a_policy_walks_at_the_commanded_speeds():
@@ -254,7 +254,7 @@ def test_robots_on_maps_of_their_own_are_reset_one_by_one():
     heights = torch.tensor([0.0, 0.01, 0.02]).reshape(3, 1, 1).expand(3, 2, 2)
     ground = effects.Contact("foot?", surface=effects.HeightMap(heights, 10.0, (-5.0, -5.0)))
     held = (effects.Gravity(), effects.Servo(40.0, 1.0), ground)
-    envs = ArmVectorEnv(3, ON_FOUR, stool(), effects=held, substeps=1, dt=0.005)
+    envs = RobotVectorEnv(3, ON_FOUR, stool(), effects=held, substeps=1, dt=0.005)
     envs.reset(seed=0)
     envs.reset(options={"reset_mask": torch.tensor([False, True, False])})
     for _ in range(50):

@@ -6,7 +6,7 @@ from helpers import thinned
 from messages import refused
 
 import torchdq
-from torchdq.envs import ArmVectorEnv, effects
+from torchdq.envs import RobotVectorEnv, effects
 from torchdq.envs.wipe import Wipe
 
 BACKEND = "auto"
@@ -22,7 +22,7 @@ def tips(envs, q):
 def test_the_reference_follows_an_ellipse_below_the_table(arm):
     """From the start above the path, and sweeping equal areas in equal times."""
     task, _ = ARMS[arm]
-    envs = ArmVectorEnv(40, task, arm, dtype="float64")
+    envs = RobotVectorEnv(40, task, arm, dtype="float64")
     envs.reset(seed=0)
     now, table = envs.get_state(), Wipe.table(task, envs.robot)
     start, goal = tips(envs, now["q"]), now["goal"]
@@ -47,7 +47,7 @@ def test_the_reference_follows_an_ellipse_below_the_table(arm):
 
 
 def test_without_a_policy_the_arm_presses_and_stays_near_the_path():
-    envs = ArmVectorEnv(50, "wipe", "panda")
+    envs = RobotVectorEnv(50, "wipe", "panda")
     envs.reset(seed=0)
     for k in range(120):
         *_, info = envs.step(torch.zeros(50, 7))
@@ -56,7 +56,7 @@ def test_without_a_policy_the_arm_presses_and_stays_near_the_path():
 
 
 def test_an_episode_ends_far_from_the_path_and_where_the_force_is_large():
-    envs = ArmVectorEnv(3, "wipe", "panda", dtype="float64", max_episode_steps=None)
+    envs = RobotVectorEnv(3, "wipe", "panda", dtype="float64", max_episode_steps=None)
     envs.reset(seed=0)
     for _ in range(50):
         envs.step(torch.zeros(3, 7))
@@ -73,7 +73,7 @@ def test_an_episode_ends_far_from_the_path_and_where_the_force_is_large():
 
 
 def test_what_is_random_are_the_table_and_the_path_unless_other_effects_are_given():
-    envs = ArmVectorEnv(500, "wipe", "panda")
+    envs = RobotVectorEnv(500, "wipe", "panda")
     envs.reset(seed=0)
     drawn = {name.partition(".")[2]: x for name, x in envs.get_state().items() if name.startswith("5.")}
     ranges = {"friction": (0.25, 0.75), "stiffness": (6e3, 6e4), "height": (0.245, 0.255)}
@@ -81,11 +81,11 @@ def test_what_is_random_are_the_table_and_the_path_unless_other_effects_are_give
     for name, (low, high) in ranges.items():
         x = drawn[name]
         assert low - 1e-4 < x.min() < low + 0.05 * (high - low) and high - 0.05 * (high - low) < x.max() < high + 1e-4
-    plain = ArmVectorEnv(5, "wipe", "panda", effects=(effects.Gravity(), effects.Contact(height=0.25)))
+    plain = RobotVectorEnv(5, "wipe", "panda", effects=(effects.Gravity(), effects.Contact(height=0.25)))
     plain.reset(seed=0)
     assert not any("." in name for name in plain.get_state())
 
 
 def test_another_arm_needs_another_home():
     with refused(torchdq.ArgumentError):
-        ArmVectorEnv(2, "wipe", "ur10e")
+        RobotVectorEnv(2, "wipe", "ur10e")

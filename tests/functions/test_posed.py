@@ -65,7 +65,7 @@ def needs(robot):
         "a scene": lambda: scene.step(scene.start(q)),
         "its description": lambda: scene.describe(),
         "a controller": lambda: controllers.ComputedTorque(1.0, 1.0).program(robot),
-        "an environment": lambda: torchdq.envs.ArmVectorEnv(2, robot=robot.with_tip(robot.frame_names[-1])),
+        "an environment": lambda: torchdq.envs.RobotVectorEnv(2, robot=robot.with_tip(robot.frame_names[-1])),
     }
 
 

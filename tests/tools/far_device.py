@@ -26,7 +26,7 @@ from torch.utils.backend_registration import _setup_privateuseone_for_python_bac
 import torchdq
 from torchdq.backends import call, choice
 from torchdq.backends.cuda import Cuda
-from torchdq.envs import ArmVectorEnv, Scene, TorchTask, effects
+from torchdq.envs import RobotVectorEnv, Scene, TorchTask, effects
 from torchdq.program import transforms
 from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.defaults import default_effects
@@ -188,7 +188,7 @@ N = 7
 
 def environment(**options):
     """Environments that never look at the numbers of actions."""
-    envs = ArmVectorEnv(N, **options)
+    envs = RobotVectorEnv(N, **options)
     envs._looks = False
     return envs
 

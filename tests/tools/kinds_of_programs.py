@@ -11,7 +11,7 @@ from robots import on_free_base as free
 
 import torchdq
 from torchdq.control import Law
-from torchdq.envs import ArmVectorEnv, Scene, effects
+from torchdq.envs import RobotVectorEnv, Scene, effects
 from torchdq.envs.tasks import Checked
 from torchdq.functions.catalogue import FLOATING
 from torchdq.program.program import Program
@@ -142,7 +142,7 @@ def linearization(name: str) -> Program:
 
 def environment(name: str, task: str) -> Program:
     """Program of a step of an environment, its rewards and observations included."""
-    envs = ArmVectorEnv(2, task, name, action="torque")
+    envs = RobotVectorEnv(2, task, name, action="torque")
     return envs.scene.program("torque", *envs.task.inputs(envs.scene.n), task=Checked(envs.task))
 
 

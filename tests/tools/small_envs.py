@@ -6,7 +6,7 @@ import torch
 from torch.distributions import LogNormal
 
 import torchdq
-from torchdq.envs import ArmVectorEnv, Pushes, effects
+from torchdq.envs import Pushes, RobotVectorEnv, effects
 from torchdq.envs.walk import Walk
 
 ROBOT = torchdq.robots.load("two_link")
@@ -39,7 +39,7 @@ def stool():
 
 def make(num_envs=5, task="reach", **arguments):
     """Vector environment of a small robot."""
-    return ArmVectorEnv(num_envs, task, **{"robot": ROBOT, "action": "torque", "scale": 20.0, **arguments})
+    return RobotVectorEnv(num_envs, task, **{"robot": ROBOT, "action": "torque", "scale": 20.0, **arguments})
 
 
 def started(num_envs=5, task="reach", **arguments):

@@ -20,7 +20,7 @@ from precisions import F32, F64, C, every_backend, every_backend_and_dtype, ever
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 import torchdq
-from torchdq.envs import ArmVectorEnv, Scene, State, effects
+from torchdq.envs import RobotVectorEnv, Scene, State, effects
 from torchdq.envs.render import Skeleton
 from torchdq.errors import ArgumentError
 from torchdq.scene.defaults import default_effects
@@ -165,7 +165,7 @@ def test_a_scene_of_a_free_body_without_joints_takes_steps(backend):
 
 @pytest.mark.case("P1")
 def test_nothing_that_moves_is_no_scene_no_environment_and_no_picture():
-    for make in (lambda: Scene(ROCK), lambda: ArmVectorEnv(2, "track", ROCK)):
+    for make in (lambda: Scene(ROCK), lambda: RobotVectorEnv(2, "track", ROCK)):
         with refused(ArgumentError):
             make()
     with refused(ArgumentError):
