@@ -8,8 +8,13 @@ Sine and cosine are those of the C backend. Angles that are very large or not fi
 """
 
 from torchdq.backends.c_constants import DOUBLE, FLOAT
+from torchdq.backends.emitter import Dialect, functions
 
-_LIBRARY = ("sincos", "sqrt", "exp", "log", "tanh", "floor")
+# the same words in single and in double precision
+CUDA = Dialect(
+    *("S", lambda x: f"((S){x.hex()})", "real(NAN_BITS)", "real(INFINITE_BITS)", "library_{}".format),
+    turn="const Turn t{sin} = turn({angle}); const S {sin} = t{sin}.sin, {cos} = t{sin}.cos;",
+)
 _BITS_DOUBLE = """#define NAN_BITS 0x7ff8000000000000LL
 #define INFINITE_BITS 0x7ff0000000000000LL
 """
@@ -56,7 +61,7 @@ DEVICE S real(N i){return __longlong_as_double(i);}
 # the library's function returns a pair: a pointer to the results would put every sine into memory
 _FUNCTIONS = """
 typedef struct{S sin,cos;}Turn;
-APART Turn rare(S x){Turn y;LIBRARY_SINCOS(x,&y.sin,&y.cos);return y;}
+APART Turn rare(S x){Turn y;library_sincos(x,&y.sin,&y.cos);return y;}
 DEVICE Turn turn(S x){
   S t=x*TWO_OVER_PI+ROUND,k=t-ROUND;
   N q=bits(t);
@@ -74,5 +79,5 @@ DEVICE Turn turn(S x){
 def text(single: bool, block: int) -> str:
     """Text at the top of a kernel in single or double precision, with blocks of so many threads."""
     constants, bits = (FLOAT, _BITS_FLOAT) if single else (DOUBLE, _BITS_DOUBLE)
-    library = "".join(f"#define LIBRARY_{name.upper()} {name}{'f' if single else ''}\n" for name in _LIBRARY)
+    library = "".join(f"#define library_{name} {name}{'f' if single else ''}\n" for name in ("sincos", *functions()))
     return f"{constants}{library}{bits}#define BLOCK {block}\n{_TARGET}{_FUNCTIONS}"

@@ -5,3 +5,6 @@ from torchdq.control.joints import PD, ComputedTorque
 from torchdq.control.law import Law
 
 __all__ = ["PD", "CartesianImpedance", "ComputedTorque", "Law", "OperationalSpaceControl"]
+
+# those that have a function of their own, by its name
+LAWS = {law.NAME: law for law in (ComputedTorque, OperationalSpaceControl, CartesianImpedance, PD) if law.NAME}
