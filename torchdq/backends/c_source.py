@@ -72,22 +72,16 @@ class Printer:
 
     def prelude(self) -> list[str]:
         """Statements for the values that are the same for all samples."""
-        lines, copied = list[str](), 0  # numbers that the last statement copies
+        ops, lines, copied = self.program.ops, list[str](), 0  # numbers that the last statement copies
         for i in self.schedule.prelude:
-            op = self.program.ops[i]
-            follows = copied and op.code == "in" and self._continues(i)
-            copied = copied + 1 if follows else op.code == "in"
+            k, j = ops[i].payload or (0, 0)
+            follows = copied and ops[i - 1] == ops[i]._replace(payload=(k, j - 1))
+            copied = copied + 1 if follows else int(ops[i].code == "in")
             if follows:
-                (k, j), first = op.payload, i - copied + 1
-                lines[-1] = f"for(int j=0;j<{copied};j++)u[{first}+j]=in{k}[{j - copied + 1}+j];"
+                lines[-1] = f"for(int j=0;j<{copied};j++)u[{i - copied + 1}+j]=in{k}[{j - copied + 1}+j];"
             else:
                 lines += self.shared.statements([i])
-        return [f"S u[{len(self.program.ops)}];", *lines] if lines else []
-
-    def _continues(self, i: int) -> bool:
-        """Whether an input is the next one of the same argument after the value before it."""
-        op, (k, j) = self.program.ops[i], self.program.ops[i].payload
-        return self.program.ops[i - 1] == op._replace(payload=(k, j - 1))
+        return [f"S u[{len(ops)}];", *lines] if lines else []
 
     def statements(self, part: Part) -> list[str]:
         """Statements on vectors."""

@@ -55,7 +55,7 @@ class Emitter:
     ):
         self.program, self.dialect = program, dialect
         self.read = read  # expression for a number of an argument
-        self.shared, self.pairs = shared, pairs(program)
+        self.shared, self.pairs = shared, pairs(program) if dialect.turn else {}
 
     def name(self, i: int) -> str:
         """Expression for a value that has been computed."""

@@ -6,5 +6,4 @@ from torchdq.control.law import Law
 
 __all__ = ["PD", "CartesianImpedance", "ComputedTorque", "Law", "OperationalSpaceControl"]
 
-# those that have a function of their own, by its name
-LAWS = {law.NAME: law for law in (ComputedTorque, OperationalSpaceControl, CartesianImpedance, PD) if law.NAME}
+LAWS = {law.NAME: law for law in (ComputedTorque, OperationalSpaceControl, CartesianImpedance)}  # by their function

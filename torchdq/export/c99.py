@@ -219,9 +219,10 @@ class CFunction(NamedTuple):
 
         `among`: the values; None: all of the program.
         """
+        if not self.own_sines:
+            return ""
         first = [k for k, same in pairs(self.program).items() if k == same[0] and (among is None or k in among)]
-        sines = [f"x{k}" if self.program.ops[k].code == "sin" else f"x{k}_" for k in first]
-        return " + ".join(sines) if self.own_sines else ""
+        return " + ".join(f"x{k}" if self.program.ops[k].code == "sin" else f"x{k}_" for k in first)
 
     def growth(self, place: str = "{}[0]") -> str:
         """Place of the error growth; "": there is none."""
