@@ -1,11 +1,14 @@
-"""Kernels of the GPU backend, run on the host, against torch operations: values, gradients, sums, rows and scenes."""
+"""Kernels of the GPU backend, run on the host, against torch operations: rows, sums, shared memory and scenes.
+
+Values and gradients of functions are those of test_backends.py and test_derivatives.py.
+"""
 
 import pytest
 import torch
-from helpers import random, thinned
+from helpers import random
 from host_gpu import BACKWARDS, HOST, host_backends  # noqa: F401
-from oracles import EPS, states
-from programs import FUNCTIONS, KINDS, MIXED, PANDA, TREE, TWO, agree, condition, mixed, on, same
+from oracles import EPS
+from programs import MIXED, PANDA, TREE, TWO, agree, mixed, same
 
 import torchdq
 from torchdq.backends import cuda_source
@@ -21,24 +24,6 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compil
 
 F32, F64 = torch.float32, torch.float64
 each_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=str)
-
-
-# --- values ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "name, robot, dtype",
-    thinned(
-        [(name, robot, dtype) for name in FUNCTIONS for robot in (TWO, TREE) for dtype in (F64, F32)],
-        [*((name, TREE, F32) for name in KINDS), ("forward_dynamics", TREE, F64), ("DQRNEA", TREE, F64)],
-    ),
-    ids=lambda x: getattr(x, "name", str(x)),
-)
-def test_functions_equal_torch_operations(name, robot, dtype):
-    s = states(robot, 150, dtype=dtype)
-    found = on("host", FUNCTIONS[name], robot, s)
-    agree(found, on("eager", FUNCTIONS[name], robot, s), 64 * condition(name, robot, s))
-    same(on("backwards", FUNCTIONS[name], robot, s), found)
 
 
 def test_kernels_write_only_into_their_results():
@@ -95,28 +80,6 @@ def test_sums_contain_the_recomputed_rows(batch):
     errors = [(gradient(backend) - exact).norm() for backend in ("host", "eager")]
     assert errors[0] <= 4 * errors[1] + EPS[F32] * exact.norm()
     same([gradient("backwards")], [gradient("host")])
-
-
-# --- gradients -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("robot", "dtype"),
-    thinned([(robot, dtype) for robot in (TREE, PANDA) for dtype in (F64, F32)], [(TREE, F32)]),
-    ids=lambda x: getattr(x, "name", str(x)),
-)
-def test_gradients_equal_those_of_torch_operations(robot, dtype):
-    s = states(robot, 70, dtype=dtype)
-
-    def gradients(backend):
-        layer = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia"))
-        x = [v.clone().requires_grad_() for v in (s.q, s.qd, s.qdd)]
-        with torchdq.backend(backend):
-            (layer(*x) ** 2).sum().backward()
-        return [*(v.grad for v in x), *(p.grad for p in layer.parameters())]
-
-    agree(gradients("host"), gradients("eager"), 512, dtype)
-    same(gradients("backwards"), gradients("host"))
 
 
 # --- values that all samples share ------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ lanes whose angle is very large or not finite. Operations without a function of 
 other.
 """
 
-from torchdq.backends.c_constants import DOUBLE, FLOAT
+from torchdq.backends.c_constants import DOUBLE, FLOAT, TURN
 from torchdq.backends.emitter import Dialect, functions
 from torchdq.numbers.ops import OPS
 from torchdq.program.order import TOGETHER
@@ -47,11 +47,8 @@ static __attribute__((noinline)) void rare(T x,T*s,T*c){
 }
 
 static inline void sincos_(T x,T*s,T*c){
-  T t=x*TWO_OVER_PI+ROUND,k=t-ROUND;
-  M q=(M)t;
-  T r=((x-k*HALF_PI_1)-k*HALF_PI_2)-k*HALF_PI_3,z=r*r;
-  T sr=r+r*z*SIN(z),h=z*(S)0.5,w=1-h,cr=w+(((1-w)-h)+z*z*COS(z));
-  M odd=-(q&1);
+@TURN@
+  M q=(M)t,odd=-(q&1);
   T a=choose(odd,cr,sr),b=choose(odd,sr,cr);
   const int top=8*sizeof(S)-1;
   *s=(T)((M)a^((q>>1&1)<<top));
@@ -105,7 +102,7 @@ static inline T log_(T x){
   T other=choose(x<(T){},(T){}+(S)__builtin_nan(""),choose(x==(T){},(T){}-(S)__builtin_inf(),x));
   return choose((x>(T){})&(x<=(T){}+GREATEST),y,other);
 }
-"""
+""".replace("@TURN@\n", TURN)
 
 
 def text(single: bool, few: bool = False) -> str:

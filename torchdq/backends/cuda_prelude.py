@@ -7,7 +7,7 @@ threads from the last to the first, and must give the same bits.
 Sine and cosine are those of the C backend. Angles that are very large or not finite take the library's.
 """
 
-from torchdq.backends.c_constants import DOUBLE, FLOAT
+from torchdq.backends.c_constants import DOUBLE, FLOAT, TURN
 from torchdq.backends.emitter import Dialect, functions
 
 # the same words in single and in double precision
@@ -63,17 +63,15 @@ _FUNCTIONS = """
 typedef struct{S sin,cos;}Turn;
 APART Turn rare(S x){Turn y;library_sincos(x,&y.sin,&y.cos);return y;}
 DEVICE Turn turn(S x){
-  S t=x*TWO_OVER_PI+ROUND,k=t-ROUND;
+@TURN@
   N q=bits(t);
-  S r=((x-k*HALF_PI_1)-k*HALF_PI_2)-k*HALF_PI_3,z=r*r;
-  S sr=r+r*z*SIN(z),h=z*(S)0.5,w=1-h,cr=w+(((1-w)-h)+z*z*COS(z));
   S a=q&1?cr:sr,b=q&1?sr:cr;
   const int top=8*sizeof(S)-1;
   Turn y={real(bits(a)^((q>>1&1)<<top)),real(bits(b)^(((q+1)>>1&1)<<top))};
   if(!(x<=LARGEST&&x>=-LARGEST))y=rare(x);
   return y;
 }
-"""
+""".replace("@TURN@\n", TURN.replace("T ", "S "))
 
 
 def text(single: bool, block: int) -> str:

@@ -21,7 +21,7 @@ def functions() -> list[str]:
 
 
 class Dialect(NamedTuple):
-    """Words of a language."""
+    """Language in which operations are printed: its words for them."""
 
     number: str  # type of a number
     finite: Callable[[float], str]  # exact constant

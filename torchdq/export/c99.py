@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from torchdq.backends.c_constants import SINES_DOUBLE, SINES_FLOAT
+from torchdq.backends.c_constants import SINES_DOUBLE, SINES_FLOAT, TURN
 from torchdq.backends.emitter import Dialect, Emitter, functions
 from torchdq.errors import ArgumentError
 from torchdq.export.names import distinct
@@ -45,17 +45,14 @@ _EXACT = """#include <float.h>
 _SINE_AND_COSINE = """
 static void sine_and_cosine(S x, S *s, S *c)
 {
-    const S t = x * TWO_OVER_PI + ROUND, k = t - ROUND;
-    const S r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3, z = r * r;
-    const S sr = r + r * z * SIN(z), h = z * (S)0.5, w = 1 - h, cr = w + (((1 - w) - h) + z * z * COS(z));
-    const S zero = 0, none = zero / zero;
+@TURN@    const S zero = 0, none = zero / zero;
     const int inside = x <= LARGEST && x >= -LARGEST;
     const int q = inside ? (int)k : 0;
     const S a = (q & 1) ? cr : sr, b = (q & 1) ? sr : cr;
     *s = inside ? ((q & 2) ? -a : a) : none;
     *c = inside ? (((q + 1) & 2) ? -b : b) : none;
 }
-"""
+""".replace("@TURN@", TURN.replace("  T ", "    const S "))
 
 # square root by exact scaling, Newton's method, and one corrected step. The first guess of 1/sqrt(x) has half of the
 # exponent's bits of x (Lomont 2003, "Fast inverse square root"); Newton's steps double its digits. The remainder
@@ -148,7 +145,7 @@ class CFunction(NamedTuple):
 
     @property
     def dialect(self) -> Dialect:
-        """Words of C99."""
+        """Dialect of C99."""
         number, zero, f, own = self.number, f"({self.number})0", "f" * self.single, self.library == "own"
         return Dialect(
             number,
