@@ -58,9 +58,8 @@ def lanes(single: bool) -> int:
 
 def stack(function: CFunction) -> int:
     """Memory of the blocks [bytes]."""
-    taken, given = c99.arrays(function.program)
-    numbers = sum(a.size for a in taken.values() if not a.shared)
-    numbers += sum(a.size * (2 if a.shared else 1) for a in given.values())
+    numbers = sum(a.size for a in function.taken if not a.shared)
+    numbers += sum(a.size * (2 if a.shared else 1) for a in function.given)
     numbers += sum(a.size for a in parts.parts(function._replace(vectors=True), _IN_LANES).own)
     return numbers * lanes(function.single) * (4 if function.single else 8)
 
@@ -93,8 +92,7 @@ def text(function: CFunction, linkage: str = "", finite: bool = True) -> str:
 
     `linkage`: words before its declaration; `finite`: whether its status reports results that are not.
     """
-    taken, given = (list(side.values()) for side in c99.arrays(function.program))
-    several = [a for a in taken if not a.shared]
+    given, several = function.given, [a for a in function.taken if not a.shared]
     block = parts.parts(function._replace(name=f"{function.name}_block", vectors=True), _IN_LANES)
     local = {a.name: f"lanes_of_{a.name}" for a in (*several, *given)}  # names in the function for batches
     sums = [a for a in given if a.shared]

@@ -111,11 +111,11 @@ def in_rows(array: Array, component: int, uniform: bool) -> str:
 
 def arrays(program: Program) -> tuple[dict[int, Array], dict[int, Array]]:
     """Arguments and outputs of the function of a program, by their positions; those without numbers are left out."""
-    taken = {k: (a.name, a.width, a.uniform) for k, a in enumerate(program.arguments) if a.width}
-    given = {k: (r.name, len(r.values), r.summed) for k, r in enumerate(outputs(program)) if r.values}
-    names = iter(distinct(name for name, *_ in (*taken.values(), *given.values())))
-    found = [{k: Array(next(names), *rest) for k, (_, *rest) in side.items()} for side in (taken, given)]
-    return found[0], found[1]
+    taken = {k: Array(a.name, a.width, a.uniform) for k, a in enumerate(program.arguments) if a.width}
+    given = {k: Array(r.name, len(r.values), r.summed) for k, r in enumerate(outputs(program)) if r.values}
+    names = iter(distinct(a.name for side in (taken, given) for a in side.values()))
+    taken, given = ({k: a._replace(name=next(names)) for k, a in side.items()} for side in (taken, given))
+    return taken, given
 
 
 class CFunction(NamedTuple):
@@ -138,10 +138,14 @@ class CFunction(NamedTuple):
         return "float" if self.single else "double"
 
     @property
-    def every(self) -> list[Array]:
-        """Arguments, then outputs."""
-        taken, given = arrays(self.program)
-        return [*taken.values(), *given.values()]
+    def taken(self) -> list[Array]:
+        """Arguments, but for those without numbers."""
+        return list(arrays(self.program)[0].values())
+
+    @property
+    def given(self) -> list[Array]:
+        """Outputs, but for those without numbers."""
+        return list(arrays(self.program)[1].values())
 
     @property
     def dialect(self) -> Dialect:
@@ -158,12 +162,11 @@ class CFunction(NamedTuple):
 
     def declaration(self, many: str = "") -> str:
         """Declaration without the semicolon, of one sample or of `MANY` rows, the arrays one after the other."""
-        shown = [f"*{a.name}" if many else f"{a.name}[{a.size}]" for a in self.every]
-        inputs = len(arrays(self.program)[0])
-        parameters = [f"{'const ' * (k < inputs)}{self.number} {text}" for k, text in enumerate(shown)]
-        if many:
-            return f"int {self.name}_{many}({', '.join([f'size_t {MANY[many]}', *parameters])})"
-        return f"int {self.name}({', '.join(parameters) or 'void'})"
+        shown = "{0} *{1.name}" if many else "{0} {1.name}[{1.size}]"
+        parameters = [f"size_t {MANY[many]}"] if many else []
+        parameters += [shown.format(f"const {self.number}", a) for a in self.taken]
+        parameters += [shown.format(self.number, a) for a in self.given]
+        return f"int {self.name}{f'_{many}' if many else ''}({', '.join(parameters) or 'void'})"
 
     def emitter(self, place: Placed = in_rows) -> Emitter:
         """Printer of its values; `place` is where numbers of its arguments stand."""
@@ -223,7 +226,7 @@ class CFunction(NamedTuple):
 
     def growth(self, place: str = "{}[0]") -> str:
         """Place of the error growth; "": there is none."""
-        return "" if self.program.growth is None else place.format(self.every[-1].name)
+        return "" if self.program.growth is None else place.format(self.given[-1].name)
 
     def status(self, growth: str, angles: str, wrong: str = "") -> str:
         """Expression for what a function returns: 1 where a result is not to be used, or 0.

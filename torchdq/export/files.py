@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -124,7 +124,7 @@ class Export(NamedTuple):
 
     def _about_batches(self) -> list[str]:
         """Lines about the function for batches."""
-        taken, given = ([a.name for a in side.values() if a.shared] for side in c99.arrays(self.program))
+        taken, given = ([a.name for a in side if a.shared] for side in (self.function.taken, self.function.given))
         return [
             "",
             f"{self.name}_batch takes the rows of all samples one after the other, q[samples][n], and writes likewise.",
@@ -150,21 +150,21 @@ class Export(NamedTuple):
 
     def spans(self) -> str:
         """Header in C++20 whose functions take spans."""
-        every, inputs = self.function.every, len(c99.arrays(self.program)[0])
-        passed = ", ".join(f"{a.name}.data()" for a in every)
+        taken, given, number = self.function.taken, self.function.given, self.function.number
+        passed = ", ".join(f"{a.name}.data()" for a in (*taken, *given))
 
-        def spans(extents: Sequence[str]) -> str:
-            kinds = [f"{'const ' * (k < inputs)}{self.function.number}{extent}" for k, extent in enumerate(extents)]
-            return ", ".join(f"std::span<{kind}> {a.name}" for kind, a in zip(kinds, every, strict=True))
+        def spans(any_size: bool) -> str:
+            """Parameters, of any size but for rows that all samples share."""
+            kinds = [*((f"const {number}", a) for a in taken), *((number, a) for a in given)]
+            extents = ["" if any_size and not a.shared else f", {a.size}" for _, a in kinds]
+            return ", ".join(f"std::span<{kind}{x}> {a.name}" for (kind, a), x in zip(kinds, extents, strict=True))
 
-        fixed = [f", {a.size}" for a in every]
-        text = f"inline int {self.name}({spans(fixed)})\n{{\n    return ::{self.name}({passed});\n}}\n\n"
+        text = f"inline int {self.name}({spans(False)})\n{{\n    return ::{self.name}({passed});\n}}\n\n"
         if self.batch:
-            short = " || ".join(f"{a.name}.size() / {a.size} < samples" for a in every if not a.shared)
+            short = " || ".join(f"{a.name}.size() / {a.size} < samples" for a in (*taken, *given) if not a.shared)
             text += (
                 "/* Returns 2, and does nothing, if a span is shorter than the rows of all samples. */\n"
-                f"inline int {self.name}_batch(std::size_t samples, "
-                f"{spans([x if a.shared else '' for x, a in zip(fixed, every, strict=True)])})\n{{\n"
+                f"inline int {self.name}_batch(std::size_t samples, {spans(True)})\n{{\n"
                 f"{f'    if ({short}) return 2;{chr(10)}' if short else ''}"
                 f"    return ::{self.name}_batch(samples, {passed});\n}}\n\n"
             )

@@ -49,7 +49,7 @@ def test(function: CFunction, batches: bool, examples: Mapping[str, Tensor]) -> 
     `examples` are values of some of the arguments; the others are random.
     """
     program, name, number = function.program, function.name, function.number
-    taken, given = (list(side.values()) for side in c99.arrays(program))
+    taken, given = function.taken, function.given
     bound, dtype = ("1e-5f", torch.float32) if function.single else ("1e-12", torch.float64)
     inputs = [_example(a.name, a.width, a.uniform, examples, k).to(dtype) for k, a in enumerate(program.arguments)]
     over = rollout.loop(program)
@@ -79,14 +79,14 @@ def test(function: CFunction, batches: bool, examples: Mapping[str, Tensor]) -> 
 
 def _batch(function: CFunction) -> str:
     """Function that compares a batch, in which the golden vectors come again and again, with these."""
-    number, (taken, given) = function.number, (list(side.values()) for side in c99.arrays(function.program))
-    sums, rows = [a for a in given if a.shared], [a for a in given if not a.shared]
-    passed = [str(SAMPLES), *(f"found_{a.name}[0]" for a in function.every)]
-    arrays = [f"static {number} found_{a.name}[{1 if a.shared else SAMPLES}][{a.size}];" for a in function.every]
+    number, given = function.number, function.given
+    sums, rows, every = [a for a in given if a.shared], [a for a in given if not a.shared], [*function.taken, *given]
+    passed = [str(SAMPLES), *(f"found_{a.name}[0]" for a in every)]
+    arrays = [f"static {number} found_{a.name}[{1 if a.shared else SAMPLES}][{a.size}];" for a in every]
     arrays += [f"{number} sum_of_{a.name}[{a.size}] = {{0}};" for a in sums]
     filled = [
         f"for (j = 0; j < {a.size}; j++) found_{a.name}[{0 if a.shared else 'k'}][j] = in_{a.name}[k % {CASES}][j];"
-        for a in taken
+        for a in function.taken
     ]
     filled += [f"for (j = 0; j < {a.size}; j++) sum_of_{a.name}[j] += out_{a.name}[k % {CASES}][j];" for a in sums]
     compared = [f"compare(found_{a.name}[k], out_{a.name}[k % {CASES}], {a.size}, worst);" for a in rows]
@@ -98,7 +98,7 @@ def _batch(function: CFunction) -> str:
 
 def _rollout(function: CFunction) -> str:
     """Function that compares a rollout, whose inputs are the golden vectors, with what follows from them."""
-    taken, given = (list(side.values()) for side in c99.arrays(function.program))
+    taken, given = function.taken, function.given
     passed = ", ".join([str(STEPS), *(f"in_{a.name}[0]" for a in taken), *(f"found_{a.name}[0]" for a in given)])
     lines = [*(f"{function.number} found_{a.name}[{STEPS}][{a.size}];" for a in given), "int k;"]
     lines += [f"(void){function.name}_rollout({passed});"]

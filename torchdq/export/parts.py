@@ -76,9 +76,8 @@ def text(function: CFunction) -> str:
     whole = parts(function._replace(name=f"{function.name}_part"), SampleText())
     if len(whole.calls) == 1:
         return f"static {function.text(finite=False)}"
-    taken, _ = c99.arrays(function.program)
     passed = {array for _, arrays in whole.calls for array in arrays}
-    lines = [f"(void){array.name};" for array in taken.values() if array not in passed]
+    lines = [f"(void){array.name};" for array in function.taken if array not in passed]
     lines += [f"{function.number} {array.name}[{array.size}];" for array in whole.own]
     lines += [f"{called}({', '.join(array.name for array in arrays)});" for called, arrays in whole.calls]
     sines = "angles[0]" if any(array.name == "angles" for array in whole.own) else ""
