@@ -12,7 +12,7 @@ import torch
 from helpers import eager, random, thinned, threads  # noqa: F401
 from host_gpu import host_backends  # noqa: F401
 from oracles import EPS, states
-from programs import FUNCTIONS, KINDS, PANDA, TREE, TWO, agree, condition, on
+from programs import FUNCTIONS, KINDS, PANDA, TREE, TWO, agree, condition, on, same
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -30,25 +30,35 @@ pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C 
 RPH = TREE.bake()
 
 
-# the kernels of the GPU backend are compiled for the host here
+# kernels of the GPU backend are compiled for the host, also with the threads of a block backwards
 every_kernel = pytest.mark.parametrize("backend", ["c", "host"])
 
 
 # --- values ----------------------------------------------------------------------------------------------------------
 
 
-EVERY = [(name, robot, dtype) for name in FUNCTIONS for robot in (TWO, TREE) for dtype in (F64, F32)]
-OF_AN_ARM = [("inverse_dynamics", PANDA, F64), ("mass_matrix", PANDA, F64)]
-FEW = [*((name, TREE, F64) for name in KINDS), ("forward_dynamics", TREE, F32), ("DQRNEA", TREE, F32), *OF_AN_ARM]
+# backend, function, robot, precision
+EVERY = list(itertools.product(("c", "host"), FUNCTIONS, (TWO, TREE), (F64, F32)))
+OF_AN_ARM = [("c", "inverse_dynamics", PANDA, F64), ("c", "mass_matrix", PANDA, F64)]
+FEW = [(backend, name, TREE, dtype) for backend, dtype in (("c", F64), ("host", F32)) for name in KINDS]
+FEW += [
+    (backend, name, TREE, dtype)
+    for backend, dtype in (("c", F32), ("host", F64))
+    for name in ("forward_dynamics", "DQRNEA")
+]
 
 
 @pytest.mark.parametrize(
-    "name, robot, dtype", thinned([*EVERY, *OF_AN_ARM], FEW), ids=lambda x: getattr(x, "name", str(x))
+    "backend, name, robot, dtype",
+    thinned([*EVERY, *OF_AN_ARM], [*FEW, *OF_AN_ARM]),
+    ids=lambda x: getattr(x, "name", str(x)),
 )
-def test_compiled_functions_equal_torch_operations(name, robot, dtype):
-    s = states(robot, 19, dtype=dtype)
-    expected = on("eager", FUNCTIONS[name], robot, s)
-    agree(on("c", FUNCTIONS[name], robot, s), expected, 256.0 * condition(name, robot, s))
+def test_compiled_functions_equal_torch_operations(backend, name, robot, dtype):
+    s = states(robot, 150, dtype=dtype)
+    found, expected = (on(one, FUNCTIONS[name], robot, s) for one in (backend, "eager"))
+    agree(found, expected, 256.0 * condition(name, robot, s))
+    if backend == "host":
+        same(on("backwards", FUNCTIONS[name], robot, s), found)
 
 
 FIELDS = (("mass",), ("gravity", "home"), ("com", "inertia", "armature"), ("X_PB_home", "screw"))

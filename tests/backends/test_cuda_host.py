@@ -1,13 +1,14 @@
-"""Kernels of the GPU backend, run on the host, against torch operations: values, gradients, sums, rows and scenes."""
+"""Kernels of the GPU backend, run on the host, against torch operations: rows, sums, shared memory and scenes.
 
-import math
+Values and gradients of functions are those of test_backends.py and test_derivatives.py.
+"""
 
 import pytest
 import torch
-from helpers import random, thinned
+from helpers import random
 from host_gpu import BACKWARDS, HOST, host_backends  # noqa: F401
-from oracles import EPS, states
-from programs import FUNCTIONS, KINDS, MIXED, PANDA, TREE, TWO, agree, condition, mixed, on, same
+from oracles import EPS
+from programs import MIXED, PANDA, TREE, TWO, agree, mixed, same
 
 import torchdq
 from torchdq.backends import cuda_source
@@ -15,7 +16,6 @@ from torchdq.backends.compiler import compiler
 from torchdq.backends.precision import run
 from torchdq.backends.torch import EAGER
 from torchdq.envs import Pushes, RobotVectorEnv, Scene, effects
-from torchdq.numbers.ops import OPS
 from torchdq.numbers.ops import apply as applied
 from torchdq.program.program import LARGEST_GROWTH, Argument, record
 from torchdq.program.uniform import split
@@ -24,24 +24,6 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compil
 
 F32, F64 = torch.float32, torch.float64
 each_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=str)
-
-
-# --- values ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "name, robot, dtype",
-    thinned(
-        [(name, robot, dtype) for name in FUNCTIONS for robot in (TWO, TREE) for dtype in (F64, F32)],
-        [*((name, TREE, F32) for name in KINDS), ("forward_dynamics", TREE, F64), ("DQRNEA", TREE, F64)],
-    ),
-    ids=lambda x: getattr(x, "name", str(x)),
-)
-def test_functions_equal_torch_operations(name, robot, dtype):
-    s = states(robot, 150, dtype=dtype)
-    found = on("host", FUNCTIONS[name], robot, s)
-    agree(found, on("eager", FUNCTIONS[name], robot, s), 64 * condition(name, robot, s))
-    same(on("backwards", FUNCTIONS[name], robot, s), found)
 
 
 def test_kernels_write_only_into_their_results():
@@ -54,41 +36,6 @@ def test_kernels_write_only_into_their_results():
         kernel._run([x], [y, z[1:2]], [], 45, x.device)
         assert (room[:10] == 9).all() and (room[55:] == 9).all() and z[[0, 2]].tolist() == [[9.0], [9.0]]
         same([y], [torch.stack([x[:, 0] + x[:, 1], x[:, 2]], -1)])
-
-
-SPECIAL = (0.0, -0.0, 1.0, -2.5, 1e-30, math.inf, -math.inf, math.nan, 700.0, -700.0)
-
-
-@each_dtype
-def test_every_operation_has_the_values_of_torch(dtype):
-    widths = {code: len(OPS[code].partials) for code in OPS}
-    most = max(widths.values())
-    program = record(
-        "all", [Argument("x", most)], lambda x: {code: [applied(code, *x[:k])] for code, k in widths.items()}
-    )
-    x = torch.cartesian_prod(*[torch.tensor(SPECIAL, dtype=dtype)] * most)
-    for code, found, expected in zip(OPS, run(program, [x], HOST), run(program, [x], EAGER), strict=True):
-        torch.testing.assert_close(
-            found, expected, rtol=4 * EPS[dtype], atol=0, equal_nan=True, msg=lambda text, code=code: f"{code}: {text}"
-        )
-
-
-@each_dtype
-def test_sine_and_cosine_of_any_angle_are_those_of_torch(dtype):
-    program = record("turn", [Argument("x", 1)], lambda x: {"y": [applied("sin", x[0]), applied("cos", x[0])]})
-    far, near = 10 ** torch.linspace(0, 30, 301), -(10 ** torch.linspace(-30, 4, 99))
-    x = torch.cat([torch.linspace(-1e4, 1e4, 20001), far, near]).to(dtype).unsqueeze(-1)
-    found = run(program, [x], HOST)[0].double()
-    exact = torch.cat([x.double().sin(), x.double().cos()], -1)
-    assert (found - exact).abs().max() <= EPS[dtype]
-    same([run(program, [x], BACKWARDS)[0].double()], [found])
-
-
-def test_constants_that_are_not_finite_are_exact():
-    numbers = [math.inf, -math.inf, math.nan, 1 / 3, 1e-310, -0.0]
-    program = record("constants", [Argument("x", 1)], lambda x: {"y": [x[0] * 0 + c for c in numbers]})
-    x = torch.ones(5, 1, dtype=F64)
-    same(run(program, [x], HOST), run(program, [x], EAGER))
 
 
 # --- rows that would lose their digits -------------------------------------------------------------------------------
@@ -133,28 +80,6 @@ def test_sums_contain_the_recomputed_rows(batch):
     errors = [(gradient(backend) - exact).norm() for backend in ("host", "eager")]
     assert errors[0] <= 4 * errors[1] + EPS[F32] * exact.norm()
     same([gradient("backwards")], [gradient("host")])
-
-
-# --- gradients -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("robot", "dtype"),
-    thinned([(robot, dtype) for robot in (TREE, PANDA) for dtype in (F64, F32)], [(TREE, F32)]),
-    ids=lambda x: getattr(x, "name", str(x)),
-)
-def test_gradients_equal_those_of_torch_operations(robot, dtype):
-    s = states(robot, 70, dtype=dtype)
-
-    def gradients(backend):
-        layer = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia"))
-        x = [v.clone().requires_grad_() for v in (s.q, s.qd, s.qdd)]
-        with torchdq.backend(backend):
-            (layer(*x) ** 2).sum().backward()
-        return [*(v.grad for v in x), *(p.grad for p in layer.parameters())]
-
-    agree(gradients("host"), gradients("eager"), 512, dtype)
-    same(gradients("backwards"), gradients("host"))
 
 
 # --- values that all samples share ------------------------------------------------------------------------------------

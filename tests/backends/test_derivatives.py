@@ -5,7 +5,7 @@ import torch
 from helpers import random, thinned
 from host_gpu import host_backends  # noqa: F401
 from oracles import states
-from programs import PANDA, TWO, agree, on, tree
+from programs import PANDA, TWO, agree, on, same, tree
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq
@@ -44,12 +44,16 @@ LEARNED = ("com", "inertia", "gravity", "armature", "home", "X_PB_home", "screw"
 
 @pytest.mark.parametrize("learn", [("mass",), LEARNED], ids=str)
 def test_gradients_of_what_is_learned_equal_torch_operations(learn):
-    s, layer = states(RPH, 21), torchdq.DQRNEA(RPH.replace(armature=torch.ones(3, dtype=F64)), learn=learn)
-    gradients = []
-    for backend in ("c", "eager"):
+    s, layer = states(RPH, 70), torchdq.DQRNEA(RPH.replace(armature=torch.ones(3, dtype=F64)), learn=learn)
+    gradients = {}
+    for backend in ("c", "host", "backwards", "eager"):
+        x = [v.clone().requires_grad_() for v in s[:3]]
         with torchdq.backend(backend):
-            gradients.append(torch.autograd.grad((layer(s.q, s.qd, s.qdd, s.f_tip) ** 2).sum(), layer.parameters()))
-    agree(*gradients, 1024)
+            total = (layer(*x, s.f_tip) ** 2).sum()
+            gradients[backend] = torch.autograd.grad(total, (*x, *layer.parameters()))
+    for backend in ("c", "host"):
+        agree(gradients[backend], gradients["eager"], 1024)
+    same(gradients["backwards"], gradients["host"])
 
 
 def tau(q, qd, qdd):

@@ -15,7 +15,7 @@ import pytest
 from helpers import thinned
 from kinds_of_programs import PROGRAMS, STUDIED, recipes, step, study
 
-from torchdq.command.export import LAWS
+from torchdq.control import LAWS
 from torchdq.functions.catalogue import RECIPES
 
 TABLE = Path(__file__).with_name("operation_counts.json")

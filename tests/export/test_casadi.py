@@ -13,14 +13,12 @@ from importlib import import_module
 import numpy as np
 import pytest
 import torch
-from exporting import COMPILERS, F64, STRICT, free, run, step, two_link
+from exporting import COMPILERS, F64, PROGRAMS, STRICT, run
 from helpers import all_in_one, thinned
 from messages import refused
 
 import torchdq
-from torchdq import effects
 from torchdq.errors import ArgumentError
-from torchdq.scene import controllers
 
 ca = pytest.importorskip("casadi", reason="programs in CasADi need casadi")
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
@@ -28,30 +26,10 @@ pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
 EPS = 2.0**-52
 
 
-def of(robot, function, **options):
-    return lambda: torchdq.compile(torchdq.robots.load(robot), function, **options)
-
-
-PROGRAMS = {
-    "inverse dynamics": of("panda", "inverse_dynamics"),
-    "forward dynamics": of("two_link", "forward_dynamics"),
-    "mass matrix": of("two_link", "mass_matrix"),
-    "closed form": of("two_link", "closed_form"),
-    "jacobian": of("panda", "jacobian", options=("tip", "world")),
-    "kinematics": of("two_link", "forward_kinematics"),
-    "energy": of("two_link", "kinetic_energy"),
-    "regressor": of("two_link", "regressor"),
-    "computed torque": of("two_link", controllers.ComputedTorque(torch.ones(2), torch.ones(2))),
-    "gradient": lambda: of("two_link", "inverse_dynamics")().vjp(),
-    "derivatives": lambda: of("two_link", "inverse_dynamics")().jacobian(["q", "qdd"]),
-    "parameters": lambda: torchdq.compile(two_link("mass", "inertia"), "forward_dynamics"),
-    "floating base": lambda: torchdq.compile(free(), "floating.inverse_dynamics"),
-    # friction has roots and comparisons, and no memory
-    "scene": lambda: torchdq.compile(step(effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5))),
-}
+SMALL = list(PROGRAMS)[: list(PROGRAMS).index("scene") + 1]
 # the results of the others are among those of these, or are as short
-AMONG_OTHERS = ("mass matrix", "kinematics", "regressor", "computed torque")
-EACH = pytest.mark.parametrize("name", thinned(PROGRAMS, [name for name in PROGRAMS if name not in AMONG_OTHERS]))
+AMONG_OTHERS = ("mass matrix", "kinematics", "regressor", "computed torque", "gradient in parameters")
+EACH = pytest.mark.parametrize("name", thinned(SMALL, [name for name in SMALL if name not in AMONG_OTHERS]))
 
 
 def built(compiled, folder, name="f", library="math.h", **options):
@@ -398,7 +376,7 @@ def test_a_solver_steps_back_from_where_a_function_fails(ready):
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("name", thinned(PROGRAMS, ("parameters", "floating base", "scene")))
+@pytest.mark.parametrize("name", thinned(SMALL, ("parameters", "floating base", "scene")))
 def test_the_file_is_strict_c99(name, compiler, ready, tmp_path):
     compiled, _ = ready(name)
     for knots in (0, KNOTS):
@@ -432,7 +410,7 @@ REFUSED = {
 def test_other_names_and_options_are_refused(name, tmp_path):
     options = {"language": "casadi", "dtype": "float64", **REFUSED[name]}
     with refused(ArgumentError):
-        of("two_link", "kinetic_energy", dtype=options.pop("dtype"))().export(tmp_path, **options)
+        PROGRAMS["energy"](options.pop("dtype")).export(tmp_path, **options)
 
 
 # --- the example -----------------------------------------------------------------------------------------------------

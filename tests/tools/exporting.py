@@ -9,7 +9,8 @@ import torch
 from robots import on_free_base
 
 import torchdq
-from torchdq.scene import integrators
+from torchdq import effects
+from torchdq.scene import controllers, integrators
 from torchdq.scene.scene import Scene
 
 F64 = torch.float64
@@ -60,6 +61,52 @@ def free():
     return on_free_base(TWO)
 
 
-def step(*effects):
+def step(*parts):
     """Program of a step of a scene under a torque."""
-    return Scene(TWO, effects, integrator=integrators.RungeKutta4()).program("torque")
+    return Scene(TWO, parts, integrator=integrators.RungeKutta4()).program("torque")
+
+
+PANDA = torchdq.robots.load("panda")
+FRICTION = (effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5))  # it has roots and comparisons, no memory
+FRAME_CONTROL = controllers.OperationalSpaceControl(
+    torch.ones(()), torch.ones(()), expressed="world", axes="position", limits=True
+)
+
+
+def of(robot, function="", derived=lambda compiled: compiled, **options):
+    """Function that compiles a program of a robot, or a derivative of it, in a precision."""
+    return lambda dtype="float64": derived(torchdq.compile(robot, function, dtype, **options))
+
+
+def trained():
+    """Layer whose parameters are arguments of its program."""
+    return torchdq.ForwardDynamics(TWO, ("mass", "inertia", "armature", "friction"))
+
+
+# every kind of program that is exported, by precision
+PROGRAMS = {
+    "inverse dynamics": of(PANDA, "inverse_dynamics"),
+    "forward dynamics": of(TWO, "forward_dynamics"),
+    "mass matrix": of(TWO, "mass_matrix"),
+    "closed form": of(TWO, "closed_form"),
+    "jacobian": of(PANDA, "jacobian", options=("tip", "world")),
+    "kinematics": of(TWO, "forward_kinematics"),
+    "energy": of(TWO, "kinetic_energy"),
+    "regressor": of(TWO, "regressor"),
+    "computed torque": of(TWO, controllers.ComputedTorque(torch.ones(2), torch.ones(2))),
+    "gradient": of(TWO, "inverse_dynamics", lambda compiled: compiled.vjp()),
+    "derivatives": of(TWO, "inverse_dynamics", lambda compiled: compiled.jacobian(["q", "qdd"])),
+    "parameters": of(two_link("mass", "inertia"), "forward_dynamics"),
+    "gradient in parameters": of(two_link("mass"), "inverse_dynamics", lambda compiled: compiled.vjp()),
+    "floating base": of(free(), "floating.inverse_dynamics"),
+    "scene": of(step(*FRICTION)),
+    "scene with limits": of(step(*FRICTION, effects.JointLimits(-1.0, 1.0))),
+    "operational space": of(TWO, "operational_space", options=("tip", "body", "x y")),
+    "control of a frame": of(TWO, controllers.OperationalSpaceControl(100.0, 20.0, axes=("x", "y"), q_null=0.5)),
+    "a controller": of(TWO, controllers.PD(9.0, 3.0)),
+    "a trained layer": lambda dtype="float64": of(trained().program(parameters="arguments"))(dtype),
+    "forward dynamics of an arm": of(PANDA, "forward_dynamics"),
+    "computed torque of an arm": of(PANDA, controllers.ComputedTorque(torch.ones(7), torch.ones(7))),
+    "control of an arm's frame": of(PANDA, FRAME_CONTROL),
+    "parameters of an arm": of(PANDA.replace(mass=PANDA.mass, com=PANDA.com), "inverse_dynamics"),
+}

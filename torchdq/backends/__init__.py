@@ -5,6 +5,7 @@ precision  the function by which callers run a program, and recomputation in flo
            too large
 choice     list of backends, and choice of one by name and device
 backend    interface of a backend
+emitter    the operations of a program as text, in any dialect
 c          compiled C on the CPU: c_prelude, c_source and c_loop print it, compiler runs the compiler, c_library
            makes functions of it, threads share a batch
 cuda       CUDA C++ on NVIDIA GPUs: cuda_prelude, cuda_source and cuda_loop print it, nvrtc compiles it, cuda_driver

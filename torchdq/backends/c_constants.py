@@ -1,5 +1,11 @@
 """C constants of the elementary functions, for kernels of vectors and of single numbers alike."""
 
+# sine sr and cosine cr of what is left of an angle x after k quarters of a turn; T is a number or a vector
+TURN = """  T t = x * TWO_OVER_PI + ROUND, k = t - ROUND;
+  T r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3, z = r * r;
+  T sr = r + r * z * SIN(z), h = z * (S)0.5, w = 1 - h, cr = w + (((1 - w) - h) + z * z * COS(z));
+"""
+
 # fdlibm's minimax polynomials (Sun Microsystems 1993): sine and cosine on [-pi/4, pi/4], with pi/2 in three parts;
 # r (exp r + 1)/(exp r - 1) on [-ln2/2, ln2/2] and (log(1 + s) - log(1 - s))/s on [0, 0.1716], with ln2 in two parts;
 # (tanh x - x)/x^3 on [0, 5/8] as P/Q (Cephes, Moshier 1992)

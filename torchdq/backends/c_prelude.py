@@ -2,12 +2,23 @@
 
 It is the same for every processor: the number of lanes follows from the compiler's target. It needs nothing but the
 compiler. Sine, cosine, exponential and logarithm are computed for all lanes at once; the C library is called only for
-lanes whose angle is very large or not finite.
+lanes whose angle is very large or not finite. Operations without a function of vectors here take one lane after the
+other.
 """
 
-from torchdq.backends.c_constants import DOUBLE, FLOAT
+from torchdq.backends.c_constants import DOUBLE, FLOAT, TURN
+from torchdq.backends.emitter import Dialect, functions
+from torchdq.numbers.ops import OPS
+from torchdq.program.order import TOGETHER
 
-_LIBRARY = ("sin", "cos", "sqrt", "exp", "log", "tanh", "floor")
+# numbers, and vectors of them; the same words in single and in double precision
+SINGLE = Dialect("S", lambda x: f"((S){x.hex()})", '(S)__builtin_nan("")', "(S)__builtin_inf()", "library_{}".format)
+VECTORS = SINGLE._replace(
+    number="T",
+    call="{}_".format,
+    turn="T {sin}, {cos}; sincos_({angle}, &{sin}, &{cos});",
+    spread="(T){{}}+{0}",
+)
 
 _PRELUDE = """
 #if defined(__AVX512F__)&&!defined(FEW)
@@ -32,15 +43,12 @@ typedef T U __attribute__((aligned(SIZE)));
 static inline T choose(M m,T a,T b){return (T)(((M)a&m)|((M)b&~m));}
 
 static __attribute__((noinline)) void rare(T x,T*s,T*c){
-  for(int l=0;l<LANES;l++)if(!(x[l]<=LARGEST&&x[l]>=-LARGEST)){(*s)[l]=LIBRARY_SIN(x[l]);(*c)[l]=LIBRARY_COS(x[l]);}
+  for(int l=0;l<LANES;l++)if(!(x[l]<=LARGEST&&x[l]>=-LARGEST)){(*s)[l]=library_sin(x[l]);(*c)[l]=library_cos(x[l]);}
 }
 
 static inline void sincos_(T x,T*s,T*c){
-  T t=x*TWO_OVER_PI+ROUND,k=t-ROUND;
-  M q=(M)t;
-  T r=((x-k*HALF_PI_1)-k*HALF_PI_2)-k*HALF_PI_3,z=r*r;
-  T sr=r+r*z*SIN(z),h=z*(S)0.5,w=1-h,cr=w+(((1-w)-h)+z*z*COS(z));
-  M odd=-(q&1);
+@TURN@
+  M q=(M)t,odd=-(q&1);
   T a=choose(odd,cr,sr),b=choose(odd,sr,cr);
   const int top=8*sizeof(S)-1;
   *s=(T)((M)a^((q>>1&1)<<top));
@@ -54,7 +62,6 @@ static inline T max_(T a,T b){return choose((a>=b)|(a!=a),a,b);}
 static inline T min_(T a,T b){return choose((a<=b)|(a!=a),a,b);}
 static inline T select_(T m,T a,T b){return choose(m!=(T){},a,b);}
 static inline T ge_(T a,T b){return (T)((a>=b)&(M)((T){}+1));}
-static inline T sqrt_(T x){T y;for(int l=0;l<LANES;l++)y[l]=LIBRARY_SQRT(x[l]);return y;}
 
 /* rounded by adding what leaves no bits after the point; without it compilers take one lane at a time */
 static inline T floor_(T x){
@@ -95,14 +102,28 @@ static inline T log_(T x){
   T other=choose(x<(T){},(T){}+(S)__builtin_nan(""),choose(x==(T){},(T){}-(S)__builtin_inf(),x));
   return choose((x>(T){})&(x<=(T){}+GREATEST),y,other);
 }
-"""
+""".replace("@TURN@\n", TURN)
 
 
 def text(single: bool, few: bool = False) -> str:
     """C code at the top of a program in single or double precision, with shorter vectors for a few samples."""
     constants, suffix = (FLOAT, "f") if single else (DOUBLE, "")
-    library = "".join(f"#define LIBRARY_{name.upper()} __builtin_{name}{suffix}\n" for name in _LIBRARY)
-    return f"{'#define FEW' * few}\n{constants}{library}\n{_PRELUDE.replace('@TURNS@', _turns())}"
+    library = "".join(f"#define library_{name} __builtin_{name}{suffix}\n" for name in functions())
+    return f"{'#define FEW' * few}\n{constants}{library}\n{_PRELUDE.replace('@TURNS@', _turns())}{_lane_by_lane()}"
+
+
+def _lane_by_lane() -> str:
+    """C functions of vectors for the operations that have none above."""
+    lines = []
+    for code, row in OPS.items():
+        if not row.infix and code not in TOGETHER and f"T {code}_(" not in _PRELUDE:
+            operands = [f"x{k}" for k in range(len(row.partials))]
+            value = SINGLE.applied(code, [f"{x}[l]" for x in operands])
+            lines.append(
+                f"static inline T {code}_({', '.join(f'T {x}' for x in operands)})"
+                f"{{T y;for(int l=0;l<LANES;l++)y[l]={value};return y;}}\n"
+            )
+    return "".join(lines)
 
 
 def _turns() -> str:

@@ -1,11 +1,10 @@
 """C source of a program: one sample per lane of the compiler's vector type; rows [batch, n] are read and written."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from torchdq.backends import c_prelude
-from torchdq.numbers.ops import OPS, Operation
-from torchdq.program.order import TOGETHER
-from torchdq.program.program import Output, Program, outputs
+from torchdq.backends.emitter import Emitter
+from torchdq.program.program import Program, outputs
 from torchdq.program.schedule import Part, schedule
 
 LONGEST = 1500  # operations of a C function; compile time grows faster than its length
@@ -24,20 +23,6 @@ def source(program: Program, single: bool) -> str:
 def pieces_of(source: str) -> int:
     """Number of pieces that a source can be compiled in: it is one file, of which -DPIECES=n -DPIECE=k is piece k."""
     return max(1, source.count(PIECE))
-
-
-def _literal(x: float) -> str:
-    """Exact C literal of a constant."""
-    if x != x:
-        return '(S)__builtin_nan("")'
-    if abs(x) == float("inf"):
-        return "(S)__builtin_inf()" if x > 0 else "(S)-__builtin_inf()"
-    return f"(S){float(x).hex()}"
-
-
-def _applied(row: Operation, function: str, operands: Iterable[str]) -> str:
-    """Expression for an operation."""
-    return row.infix.join(operands) if row.infix else function.format(*operands)
 
 
 # --- statements on the samples b, b + 1, ..., of which `here` are in the lanes of a vector ---------------------------
@@ -79,71 +64,33 @@ class Printer:
         self.program, self.single, self.first = program, single, first  # the number of the first part
         self.schedule = schedule(program, LONGEST)
         self.home = {i: part for part in self.schedule.parts for i in part.values}
-
-    # --- values ---
-
-    def name(self, i: int) -> str:
-        """Expression for a value that has been computed."""
-        op = self.program.ops[i]
-        if op.code == "const":
-            return f"({_literal(op.payload)})"
-        return f"u[{i}]" if self.schedule.uniform[i] else f"x{i}"
-
-    def vector(self, i: int) -> str:
-        """Vector expression for a value that has been computed; a uniform value is the same in all lanes."""
-        return f"(T){{}}+({self.name(i)})" if self.schedule.uniform[i] else self.name(i)
-
-    def output(self, v: Output) -> str:
-        """Expression for a number of a result."""
-        if isinstance(v, float):
-            return f"(T){{}}+{_literal(v)}"
-        index, negative = v
-        # a difference, so that the negative of zero is no -0
-        return f"(T){{}}-({self.vector(index)})" if negative else self.vector(index)
+        uniform = self.schedule.uniform
+        self.vectors = Emitter(program, c_prelude.VECTORS, lambda k, j: f"I{k}[{j}]", uniform)
+        self.shared = Emitter(program, c_prelude.SINGLE, lambda k, j: f"in{k}[{j}]", uniform)
 
     # --- statements ---
 
     def prelude(self) -> list[str]:
         """Statements for the values that are the same for all samples."""
-        lines, copied = list[str](), 0  # numbers that the last statement copies
+        ops, lines, copied = self.program.ops, list[str](), 0  # numbers that the last statement copies
         for i in self.schedule.prelude:
-            op = self.program.ops[i]
-            if op.code != "in":
-                right = _applied(OPS[op.code], OPS[op.code].c_single, map(self.name, op.operands))
-                lines.append(f"u[{i}]={right};")
-                copied = 0
-                continue
-            k, j = op.payload
-            follows = copied and self.program.ops[i - 1] == op._replace(payload=(k, j - 1))
-            copied = copied + 1 if follows else 1
-            i, j = i - copied + 1, j - copied + 1
-            lines = lines[: len(lines) - bool(follows)]
-            lines.append(f"for(int j=0;j<{copied};j++)u[{i}+j]=in{k}[{j}+j];" if follows else f"u[{i}]=in{k}[{j}];")
-        return [f"S u[{len(self.program.ops)}];", *lines] if lines else []
+            k, j = ops[i].payload or (0, 0)
+            follows = copied and ops[i - 1] == ops[i]._replace(payload=(k, j - 1))
+            copied = copied + 1 if follows else int(ops[i].code == "in")
+            if follows:
+                lines[-1] = f"for(int j=0;j<{copied};j++)u[{i - copied + 1}+j]=in{k}[{j - copied + 1}+j];"
+            else:
+                lines += self.shared.statements([i])
+        return [f"S u[{len(ops)}];", *lines] if lines else []
 
     def statements(self, part: Part) -> list[str]:
-        """Statements on vectors; one call, at the first of the two, computes sine and cosine of the same angle."""
-        lines = []
-        for i in part.values:
-            op = self.program.ops[i]
-            if op.code == "in":
-                lines.append("const T x{}=I{}[{}];".format(i, *op.payload))
-            elif op.code in TOGETHER:
-                pair = self.schedule.pairs[i]
-                if i == pair[0]:
-                    names = {self.program.ops[k].code: f"x{k}" for k in pair}
-                    sine, cosine = names.get("sin", f"unused{i}"), names.get("cos", f"unused{i}")
-                    lines.append(f"T {sine},{cosine};sincos_({self.name(op.operands[0])},&{sine},&{cosine});")
-            else:
-                row = OPS[op.code]
-                operands = map(self.name if row.infix else self.vector, op.operands)
-                lines.append(f"const T x{i}={_applied(row, row.c, operands)};")
-        return lines
+        """Statements on vectors."""
+        return self.vectors.statements(part.values)
 
     def results(self, part: Part | None) -> list[str]:
         """Statements that write the results among a part's values; None: those that are the same for all samples."""
         return [
-            f"O{k}[{j}]={self.output(v)};"
+            f"O{k}[{j}]={self.vectors.output(v)};"
             for k, result in enumerate(outputs(self.program))
             for j, v in enumerate(result.values)
             if (None if isinstance(v, float) else self.home.get(v[0])) is part

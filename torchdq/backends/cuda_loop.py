@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from torchdq.backends.cuda_source import KernelPrinter, Staged, marks
 from torchdq.program.loop import Loop
+from torchdq.program.order import narrowest
 
 BLOCK = 64  # threads of a block: few, since the samples of a loop are often few
 
@@ -57,7 +58,7 @@ class _LoopPrinter(KernelPrinter):
         added = {r: i for i, k in enumerate(loop.added, len(self.arguments)) for r in states if states[r] == k}
         once = [
             *(self.row(r, f"c{states[r]}_#+=in{i}[at*@+#];") for r, i in added.items()),
-            *self.values.statements(),
+            *self.values.statements(narrowest(self.program)),
             *self.over(),
             *(f"const S y{r}_{j}={self.value(v)};" for r, x in enumerate(results) for j, v in enumerate(x.values)),
             "gone|=over;" if marked else "",

@@ -7,9 +7,14 @@ threads from the last to the first, and must give the same bits.
 Sine and cosine are those of the C backend. Angles that are very large or not finite take the library's.
 """
 
-from torchdq.backends.c_constants import DOUBLE, FLOAT
+from torchdq.backends.c_constants import DOUBLE, FLOAT, TURN
+from torchdq.backends.emitter import Dialect, functions
 
-_LIBRARY = ("sincos", "sqrt", "exp", "log", "tanh", "floor")
+# the same words in single and in double precision
+CUDA = Dialect(
+    *("S", lambda x: f"((S){x.hex()})", "real(NAN_BITS)", "real(INFINITE_BITS)", "library_{}".format),
+    turn="const Turn t{sin} = turn({angle}); const S {sin} = t{sin}.sin, {cos} = t{sin}.cos;",
+)
 _BITS_DOUBLE = """#define NAN_BITS 0x7ff8000000000000LL
 #define INFINITE_BITS 0x7ff0000000000000LL
 """
@@ -56,23 +61,21 @@ DEVICE S real(N i){return __longlong_as_double(i);}
 # the library's function returns a pair: a pointer to the results would put every sine into memory
 _FUNCTIONS = """
 typedef struct{S sin,cos;}Turn;
-APART Turn rare(S x){Turn y;LIBRARY_SINCOS(x,&y.sin,&y.cos);return y;}
+APART Turn rare(S x){Turn y;library_sincos(x,&y.sin,&y.cos);return y;}
 DEVICE Turn turn(S x){
-  S t=x*TWO_OVER_PI+ROUND,k=t-ROUND;
+@TURN@
   N q=bits(t);
-  S r=((x-k*HALF_PI_1)-k*HALF_PI_2)-k*HALF_PI_3,z=r*r;
-  S sr=r+r*z*SIN(z),h=z*(S)0.5,w=1-h,cr=w+(((1-w)-h)+z*z*COS(z));
   S a=q&1?cr:sr,b=q&1?sr:cr;
   const int top=8*sizeof(S)-1;
   Turn y={real(bits(a)^((q>>1&1)<<top)),real(bits(b)^(((q+1)>>1&1)<<top))};
   if(!(x<=LARGEST&&x>=-LARGEST))y=rare(x);
   return y;
 }
-"""
+""".replace("@TURN@\n", TURN.replace("T ", "S "))
 
 
 def text(single: bool, block: int) -> str:
     """Text at the top of a kernel in single or double precision, with blocks of so many threads."""
     constants, bits = (FLOAT, _BITS_FLOAT) if single else (DOUBLE, _BITS_DOUBLE)
-    library = "".join(f"#define LIBRARY_{name.upper()} {name}{'f' if single else ''}\n" for name in _LIBRARY)
+    library = "".join(f"#define library_{name} {name}{'f' if single else ''}\n" for name in ("sincos", *functions()))
     return f"{constants}{library}{bits}#define BLOCK {block}\n{_TARGET}{_FUNCTIONS}"

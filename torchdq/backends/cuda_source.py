@@ -10,12 +10,12 @@ marked rows in float64; so that the host has nothing to ask. A kernel in float64
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 from torchdq.backends import cuda_prelude
-from torchdq.numbers.ops import OPS
-from torchdq.program.order import TOGETHER, narrowest, pairs
+from torchdq.backends.cuda_prelude import CUDA
+from torchdq.backends.emitter import Emitter
+from torchdq.program.order import narrowest
 from torchdq.program.program import LARGEST_GROWTH, Output, Program
 from torchdq.program.uniform import split
 
@@ -82,53 +82,6 @@ def staged(program: Program, single: bool) -> Staged:
     return Staged(block, *map(frozenset, chosen))
 
 
-def literal(x: float) -> str:
-    """Exact literal of a constant."""
-    if x != x:
-        return "real(NAN_BITS)"
-    if abs(x) == float("inf"):
-        return f"({'-' if x < 0 else ''}real(INFINITE_BITS))"
-    return f"((S){float(x).hex()})"
-
-
-class _Values(NamedTuple):
-    """Text of the values of a program."""
-
-    program: Program
-    read: Callable[[int, int], str]  # expression for a number of an argument
-
-    def name(self, i: int) -> str:
-        """Expression for a value that has been computed."""
-        op = self.program.ops[i]
-        return literal(op.payload) if op.code == "const" else f"x{i}"
-
-    def output(self, v: Output) -> str:
-        """Expression for a number of a result; a difference, so that the negative of zero is no -0."""
-        if isinstance(v, float):
-            return literal(v)
-        index, negative = v
-        return f"(S)0-{self.name(index)}" if negative else self.name(index)
-
-    def statements(self) -> list[str]:
-        """Statements of all operations; one call computes sine and cosine of the same angle."""
-        lines, done, together = [], set[int](), pairs(self.program)
-        for i in narrowest(self.program):
-            op = self.program.ops[i]
-            if op.code == "const" or i in done:
-                continue
-            if op.code == "in":
-                lines.append(f"const S x{i}={self.read(*op.payload)};")
-            elif op.code in TOGETHER:
-                done.update(together[i])
-                lines.append(f"const Turn y{i}=turn({self.name(op.operands[0])});")
-                lines += [f"const S x{k}=y{i}.{self.program.ops[k].code};" for k in together[i]]
-            else:
-                row, operands = OPS[op.code], [self.name(k) for k in op.operands]
-                value = row.infix.join(operands) if row.infix else row.c_single.format(*operands)
-                lines.append(f"const S x{i}={value};")
-        return lines
-
-
 class KernelPrinter:
     """Text of the values of a program, and of its kernel."""
 
@@ -137,7 +90,7 @@ class KernelPrinter:
         parts = None if recomputing else split(program)  # few rows compute all of their values
         self.program = program if parts is None else parts.rest
         self.common = None if parts is None else parts.common
-        self.values = _Values(self.program, self.input)
+        self.values = Emitter(self.program, CUDA, self.input)
         self.single, self.recomputing = single, recomputing
         self.number = "float" if recomputing else "S"  # type in memory; the arithmetic is in S
         if recomputing:  # few rows, which are read and written where they are; sums are those of all threads
@@ -159,9 +112,15 @@ class KernelPrinter:
         """Statements of the first thread of a block: values that are common to all samples."""
         if self.common is None:
             return []
-        values, (row,) = _Values(self.common, self.input), self.common.results
+        values, (row,) = Emitter(self.common, CUDA, self.input), self.common.results
         stored = [f"common[{j}]={values.output(v)};" for j, v in enumerate(row.values)]
-        return [f"STAGE S common[{len(stored)}];", "EACH{if(t==0){", *values.statements(), *stored, "}}"]
+        return [
+            f"STAGE S common[{len(stored)}];",
+            "EACH{if(t==0){",
+            *values.statements(narrowest(self.common)),
+            *stored,
+            "}}",
+        ]
 
     def over(self) -> list[str]:
         """Statement that tells whether the errors of a sample grow too much."""
@@ -169,12 +128,12 @@ class KernelPrinter:
             return []
         factor = self.values.output(self.program.growth.values[0])
         limit = LARGEST_GROWTH.single if self.single else LARGEST_GROWTH.double
-        return [f"const int over=!({factor}<={literal(limit)});"]
+        return [f"const int over=!({factor}<={CUDA.literal(limit)});"]
 
     def value(self, v: Output) -> str:
         """Expression for a number of a result."""
         nan = self.program.growth is not None and not self.single
-        return f"over?real(NAN_BITS):{self.values.output(v)}" if nan else self.values.output(v)
+        return f"over?{CUDA.nan}:{self.values.output(v)}" if nan else self.values.output(v)
 
     def results(self) -> list[str]:
         """Statements that write all results of a sample."""
@@ -224,7 +183,7 @@ class KernelPrinter:
                 stores.append(f"EACH{{for(int j=t;j<{w};j+=BLOCK){{{total}}}}}")
             else:
                 stores.append(_moved(w, f"out{k}[first*{w}+i]=o{k}[{{0}}]"))
-        body = ["{", *self.values.statements(), *self.results(), "}"]
+        body = ["{", *self.values.statements(narrowest(self.program)), *self.results(), "}"]
         if self.recomputing:
             sums = [(k, j) for k in sorted(stage.results) for j in range(len(p.results[k].values))]
             body = ["if(lost[b])", *body, "else{", *(f"{self.place(k, j)}=0;" for k, j in sums), "}"]

@@ -114,12 +114,8 @@ def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> lis
             values.append(number(payload, inputs[0]))
         else:
             row = OPS[code]
-            if row.infix:
-                values.append(row.value(*[values[k] for k in operands]))
-            elif row.tensor is None:
-                values.append(row.value(*[tensor(k) for k in operands]))
-            else:
-                values.append(row.tensor(torch, *[tensor(k) for k in operands]))
+            x = [values[k] if row.infix else tensor(k) for k in operands]
+            values.append(row.value(*x) if row.tensor is None else row.tensor(torch, *x))
 
     nothing = inputs[0][..., :0]  # added to constants, so that they have gradients, which are zero
 

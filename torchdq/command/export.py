@@ -13,7 +13,7 @@ from torchdq.base.files import write_atomically
 from torchdq.base.progress import Progress
 from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
-from torchdq.control import CartesianImpedance, ComputedTorque, OperationalSpaceControl
+from torchdq.control import LAWS
 from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
 from torchdq.functions.catalogue import FLOATING, RECIPES
@@ -22,7 +22,6 @@ from torchdq.nn import ForwardDynamics, InverseDynamics
 from torchdq.robot import Robot
 
 FUNCTIONS = tuple(name for name in RECIPES if not name.startswith(FLOATING) and name != "error_growth")
-LAWS = {law.NAME: law for law in (ComputedTorque, OperationalSpaceControl, CartesianImpedance)}
 LAYERS = {"inverse_dynamics": InverseDynamics, "forward_dynamics": ForwardDynamics}  # functions that torch.export takes
 
 

@@ -5,3 +5,5 @@ from torchdq.control.joints import PD, ComputedTorque
 from torchdq.control.law import Law
 
 __all__ = ["PD", "CartesianImpedance", "ComputedTorque", "Law", "OperationalSpaceControl"]
+
+LAWS = {law.NAME: law for law in (ComputedTorque, OperationalSpaceControl, CartesianImpedance)}  # by their function

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from torchdq.export import c99, parts
-from torchdq.export.c99 import Array, Library
+from torchdq.export.c99 import Array, CFunction
 from torchdq.export.parts import SampleText
 from torchdq.program.program import Program, outputs
 
@@ -51,41 +51,32 @@ static void added(const S *lanes, size_t width, size_t here, S *sums)
 """
 
 
-def declaration(program: Program, name: str, single: bool) -> str:
-    """Declaration of the function for batches, without the semicolon."""
-    scalar = "float" if single else "double"
-    taken, given = c99.arrays(program)
-    parameters = [f"const {scalar} *{a.name}" for a in taken] + [f"{scalar} *{a.name}" for a in given]
-    return f"int {name}_batch({', '.join(['size_t samples', *parameters])})"
-
-
 def lanes(single: bool) -> int:
     """Samples of a block: the numbers of the widest vector."""
     return 16 if single else 8
 
 
-def stack(program: Program, single: bool) -> int:
+def stack(function: CFunction) -> int:
     """Memory of the blocks [bytes]."""
-    taken, given = c99.arrays(program)
-    numbers = sum(a.size for a in taken if not a.shared) + sum(a.size * (2 if a.shared else 1) for a in given)
-    numbers += sum(a.size for a in parts.parts(program, "", single, "own", _in_lanes(single, "own")).own)
-    return numbers * lanes(single) * (4 if single else 8)
+    numbers = sum(a.size for a in function.taken if not a.shared)
+    numbers += sum(a.size * (2 if a.shared else 1) for a in function.given)
+    numbers += sum(a.size for a in parts.parts(function._replace(vectors=True), _IN_LANES).own)
+    return numbers * lanes(function.single) * (4 if function.single else 8)
 
 
 def _place(array: Array, component: int, shared: bool) -> str:
     return f"{array.name}[{component}]{'' if shared else '[lane]'}"
 
 
-def _parameter(array: Array, read: bool, shared: bool) -> str:
-    return f"const S *{array.name}" if read and shared else f"S {array.name}[restrict {array.size}][LANES]"
+def _parameter(number: str, array: Array, shared: bool) -> str:
+    return f"const S *{array.name}" if shared else f"S {array.name}[restrict {array.size}][LANES]"
 
 
 def _body(lines: Sequence[str]) -> str:
     return f"    int lane;\n    for (lane = 0; lane < LANES; lane++) {{\n{c99.indented(lines, 8)}    }}\n"
 
 
-def _in_lanes(single: bool, library: Library) -> SampleText:
-    return SampleText(_place, _parameter, _body, c99.root(single, library))
+_IN_LANES = SampleText(_place, _parameter, _body)
 
 
 def copies(programs: Sequence[Program], single: bool) -> str:
@@ -96,16 +87,13 @@ def copies(programs: Sequence[Program], single: bool) -> str:
     return f"enum {{ LANES = {lanes(single)} }};\n{''.join(texts)}\n"
 
 
-def function(
-    program: Program, name: str, single: bool, library: Library, linkage: str = "", finite: bool = True
-) -> str:
-    """Text of the function for batches, and of its parts, without `c99.preamble` and `copies`.
+def text(function: CFunction, linkage: str = "", finite: bool = True) -> str:
+    """Text of the function for batches, and of its parts, without preamble and `copies`.
 
     `linkage`: words before its declaration; `finite`: whether its status reports results that are not.
     """
-    taken, given = c99.arrays(program)
-    several = [a for a in taken if not a.shared]
-    block = parts.parts(program, f"{name}_block", single, "own", _in_lanes(single, library))
+    given, several = function.given, [a for a in function.taken if not a.shared]
+    block = parts.parts(function._replace(name=f"{function.name}_block", vectors=True), _IN_LANES)
     local = {a.name: f"lanes_of_{a.name}" for a in (*several, *given)}  # names in the function for batches
     sums = [a for a in given if a.shared]
     declared = [f"S lanes_of_{a.name}[{a.size}][LANES];" for a in (*several, *given)]
@@ -120,11 +108,11 @@ def function(
             else f"lanes_to_rows(lanes_of_{a.name}[0], {a.size}, here, {a.name} + {a.size} * first);"
         )
     sines = any(a.name == "angles" for a in block.own)
-    growth = f"lanes_of_{given[-1].name}[0][lane]" if program.growth is not None else ""
+    growth = function.growth("lanes_of_{}[0][lane]")
     if growth or sines:
-        good = c99.status(single, growth, "angles[0][lane]" if sines else "")
+        good = function.status(growth, "angles[0][lane]" if sines else "")
         steps.append(f"for (lane = 0; lane < here; lane++) status |= {good};")
-    results = given[: len(given) - (program.growth is not None)] if finite else []
+    results = given[: len(given) - bool(growth)] if finite else []
     steps += [
         f"for (place = 0; place < {a.size}; place++)\n"
         f"            for (lane = 0; lane < here; lane++)\n"
@@ -140,7 +128,7 @@ def function(
     counters = [name for name, used in (("lane", growth or sines or sums or results), ("place", results)) if used]
     return (
         f"{block.text}\n"
-        f"{linkage}{declaration(program, name, single)}\n{{\n    size_t {', '.join(['first', *counters])};\n"
+        f"{linkage}{function.declaration('batch')}\n{{\n    size_t {', '.join(['first', *counters])};\n"
         f"    int status = 0;\n{c99.indented(declared, 4)}"
         f"    for (first = 0; first < samples; first += LANES) {{\n"
         f"        const size_t here = samples - first < LANES ? samples - first : LANES;\n"

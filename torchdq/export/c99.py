@@ -11,28 +11,15 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from torchdq.backends.c_constants import SINES_DOUBLE, SINES_FLOAT
+from torchdq.backends.c_constants import SINES_DOUBLE, SINES_FLOAT, TURN
+from torchdq.backends.emitter import Dialect, Emitter, functions
 from torchdq.errors import ArgumentError
 from torchdq.export.names import distinct
-from torchdq.numbers.ops import OPS
 from torchdq.program.order import TOGETHER, pairs, recorded
 from torchdq.program.program import LARGEST_GROWTH, Output, Program, outputs
 
 Library = Literal["math.h", "own"]
-
-# operations in C; those with an infix need no entry
-_CALLS = {
-    "sqrt": "{root}({0})",
-    "exp": "exp{f}({0})",
-    "log": "log{f}({0})",
-    "tanh": "tanh{f}({0})",
-    "floor": "floor{f}({0})",
-    "max": "({0} >= {1} || {0} != {0}) ? {0} : {1}",
-    "min": "({0} <= {1} || {0} != {0}) ? {0} : {1}",
-    "ge": "({0} >= {1}) ? {one} : {zero}",
-    "select": "({0} != {zero}) ? {1} : {2}",
-}
-_OF_MATH = ("sqrt", "exp", "log", "tanh", "floor")
+MANY = {"batch": "samples", "rollout": "steps"}  # functions of many rows, and their number
 
 # with which compilers leave out the check of results
 _WITH_NAN = """#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
@@ -58,17 +45,14 @@ _EXACT = """#include <float.h>
 _SINE_AND_COSINE = """
 static void sine_and_cosine(S x, S *s, S *c)
 {
-    const S t = x * TWO_OVER_PI + ROUND, k = t - ROUND;
-    const S r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3, z = r * r;
-    const S sr = r + r * z * SIN(z), h = z * (S)0.5, w = 1 - h, cr = w + (((1 - w) - h) + z * z * COS(z));
-    const S zero = 0, none = zero / zero;
+@TURN@    const S zero = 0, none = zero / zero;
     const int inside = x <= LARGEST && x >= -LARGEST;
     const int q = inside ? (int)k : 0;
     const S a = (q & 1) ? cr : sr, b = (q & 1) ? sr : cr;
     *s = inside ? ((q & 2) ? -a : a) : none;
     *c = inside ? (((q + 1) & 2) ? -b : b) : none;
 }
-"""
+""".replace("@TURN@", TURN.replace("  T ", "    const S "))
 
 # square root by exact scaling, Newton's method, and one corrected step. The first guess of 1/sqrt(x) has half of the
 # exponent's bits of x (Lomont 2003, "Fast inverse square root"); Newton's steps double its digits. The remainder
@@ -116,33 +100,154 @@ class Array(NamedTuple):
     shared: bool = False  # whether it is one row for all samples: a uniform argument, or a sum
 
 
-def arrays(program: Program) -> tuple[list[Array], list[Array]]:
-    """Arguments and outputs of the function of a program, in its order."""
-    wide = [a for a in program.arguments if a.width]
-    results = [r for r in outputs(program) if r.values]
-    names = distinct([*(a.name for a in wide), *(f"{r.name}" for r in results)])
-    rest = [*((a.width, a.uniform) for a in wide), *((len(r.values), r.summed) for r in results)]
-    found = [Array(name, size, shared) for name, (size, shared) in zip(names, rest, strict=True)]
-    return found[: len(wide)], found[len(wide) :]
+# place of a number: array, component, and whether it is the same for all samples
+Placed = Callable[[Array, int, bool], str]
 
 
-def declaration(program: Program, name: str, single: bool) -> str:
-    """Declaration of the function of a program, without the semicolon."""
-    scalar = "float" if single else "double"
-    taken, given = arrays(program)
-    parameters = [f"const {scalar} {a.name}[{a.size}]" for a in taken] + [f"{scalar} {a.name}[{a.size}]" for a in given]
-    return f"int {name}({', '.join(parameters) or 'void'})"
+def in_rows(array: Array, component: int, uniform: bool) -> str:
+    """Place of a number of one sample."""
+    return f"{array.name}[{component}]"
 
 
-def literal(x: float, single: bool) -> str:
-    """Shortest C literal that is read as this number."""
-    if not np.isfinite(x):
-        scalar = "float" if single else "double"
-        zero = f"({scalar})0"
-        return f"({zero} / {zero})" if x != x else f"({'-' if x < 0 else ''}({scalar})1 / {zero})"
-    text = repr(float(x)) if not single else str(np.float32(x))
-    text = text if any(mark in text for mark in ".e") else f"{text}.0"
-    return f"{text}f" if single else text
+def arrays(program: Program) -> tuple[dict[int, Array], dict[int, Array]]:
+    """Arguments and outputs of the function of a program, by their positions; those without numbers are left out."""
+    taken = {k: Array(a.name, a.width, a.uniform) for k, a in enumerate(program.arguments) if a.width}
+    given = {k: Array(r.name, len(r.values), r.summed) for k, r in enumerate(outputs(program)) if r.values}
+    names = iter(distinct(a.name for side in (taken, given) for a in side.values()))
+    taken, given = ({k: a._replace(name=next(names)) for k, a in side.items()} for side in (taken, given))
+    return taken, given
+
+
+class CFunction(NamedTuple):
+    """Program as a function of one sample in C99."""
+
+    program: Program
+    name: str
+    single: bool
+    library: Library  # where sine, cosine and roots come from
+    vectors: bool = False  # whether sine and cosine are its own in any case, since compilers have no vectors of others
+
+    @property
+    def own_sines(self) -> bool:
+        """Whether sine and cosine are its own."""
+        return self.library == "own" or self.vectors
+
+    @property
+    def number(self) -> str:
+        """Type of a number."""
+        return "float" if self.single else "double"
+
+    @property
+    def taken(self) -> list[Array]:
+        """Arguments, but for those without numbers."""
+        return list(arrays(self.program)[0].values())
+
+    @property
+    def given(self) -> list[Array]:
+        """Outputs, but for those without numbers."""
+        return list(arrays(self.program)[1].values())
+
+    @property
+    def dialect(self) -> Dialect:
+        """Dialect of C99."""
+        number, zero, f, own = self.number, f"({self.number})0", "f" * self.single, self.library == "own"
+        return Dialect(
+            number,
+            lambda x: f"{np.float32(x)!s}f" if f else repr(x),  # the shortest that is read as this number
+            nan=f"({zero} / {zero})",
+            infinite=f"({number})1 / {zero}",
+            call=lambda code: "root" if own and code == "sqrt" else f"{code}{f}",
+            turn=f"{number} {{sin}}, {{cos}}; sine_and_cosine({{angle}}, &{{sin}}, &{{cos}});" * self.own_sines,
+        )
+
+    def declaration(self, many: str = "") -> str:
+        """Declaration without the semicolon, of one sample or of `MANY` rows, the arrays one after the other."""
+        shown = "{0} *{1.name}" if many else "{0} {1.name}[{1.size}]"
+        parameters = [f"size_t {MANY[many]}"] if many else []
+        parameters += [shown.format(f"const {self.number}", a) for a in self.taken]
+        parameters += [shown.format(self.number, a) for a in self.given]
+        return f"int {self.name}{f'_{many}' if many else ''}({', '.join(parameters) or 'void'})"
+
+    def emitter(self, place: Placed = in_rows) -> Emitter:
+        """Printer of its values; `place` is where numbers of its arguments stand."""
+        taken, _ = arrays(self.program)
+        return Emitter(self.program, self.dialect, lambda k, j: place(taken[k], j, taken[k].shared))
+
+    def preamble(self) -> str:
+        """Text in front of such functions: what they include, and their own sine, cosine and root if they have them."""
+        single, own, codes = self.single, self.library == "own", {op.code for op in self.program.ops}
+        wanted = [code for code in functions() if code in codes]
+        lacks = sorted(set(wanted) - {"sqrt", *TOGETHER})
+        if own and lacks:
+            raise ArgumentError(
+                f"library must be 'math.h' for {self.program.name}, which takes {', '.join(lacks)}; 'own' has sine, "
+                "cosine and square root"
+            )
+        sines, root = self.own_sines and not codes.isdisjoint(TOGETHER), own and "sqrt" in codes
+        # gcc makes vectors of a loop only if nothing in it is called
+        inline = "inline " * self.vectors
+        texts = [
+            "#include <math.h>\n" if wanted and not own else "",
+            "#include <stdint.h>\n" if root else "",
+            _WITH_NAN,
+            _EXACT if sines or root else "",
+            f"typedef {self.number} S;\n" if sines or root or self.vectors else "",
+            f"{(SINES_FLOAT if single else SINES_DOUBLE).strip()}\n" if sines else "",
+            _SINE_AND_COSINE.replace("static ", f"static {inline}") if sines else "",
+            _ROOT.format(inline=inline, **_ROOT_CONSTANTS[single]) if root else "",
+        ]
+        return "".join(texts)
+
+    def text(self, finite: bool = True) -> str:
+        """Text of the function, without `preamble`; its status reports results that are not `finite`."""
+        program, (taken, given), emitter = self.program, arrays(self.program), self.emitter()
+        read = {op.payload[0] for op in program.ops if op.code == "in"}
+        lines = [f"(void){array.name};" for k, array in taken.items() if k not in read]
+        lines += emitter.statements(recorded(program))
+        for k, array in given.items():
+            lines += written(emitter, in_rows, array, dict(enumerate(outputs(program)[k].values)))
+        if sines := self.angles():
+            lines.append(f"const {self.number} angles = {sines};")
+        wrong = " + ".join(f"(x{k} - x{k})" for k in computed_results(program)) if finite else ""
+        if wrong:
+            lines.append(f"const {self.number} wrong = {wrong};")
+        lines.append(f"return {self.status(self.growth(), 'angles' * bool(sines), 'wrong' * bool(wrong))};")
+        return f"{self.declaration()}\n{{\n{indented(lines)}}}\n"
+
+    def angles(self, among: Container[int] | None = None) -> str:
+        """Sum of the own sines among some values, which is NaN if an angle is out of reach; "" if there are none.
+
+        `among`: the values; None: all of the program.
+        """
+        if not self.own_sines:
+            return ""
+        first = [k for k, same in pairs(self.program).items() if k == same[0] and (among is None or k in among)]
+        return " + ".join(f"x{k}" if self.program.ops[k].code == "sin" else f"x{k}_" for k in first)
+
+    def growth(self, place: str = "{}[0]") -> str:
+        """Place of the error growth; "": there is none."""
+        return "" if self.program.growth is None else place.format(self.given[-1].name)
+
+    def status(self, growth: str, angles: str, wrong: str = "") -> str:
+        """Expression for what a function returns: 1 where a result is not to be used, or 0.
+
+        Names, or "" where there is none: of the error growth, of the sum of `angles`, which is NaN if one is out of
+        reach, and of a number that is NaN if a result is wrong.
+        """
+        limit = self.dialect.literal(LARGEST_GROWTH.single if self.single else LARGEST_GROWTH.double)
+        good = [*([f"{growth} <= {limit}"] if growth else []), *([f"{x} == {x}" for x in (angles, wrong) if x])]
+        return f"({' && '.join(good)}) ? 0 : 1" if good else "0"
+
+
+def written(emitter: Emitter, place: Placed, array: Array, numbers: Mapping[int, Output]) -> list[str]:
+    """Statements that write numbers of an output, by their place in it."""
+    return [f"{place(array, j, False)} = {emitter.output(v)};" for j, v in numbers.items()]
+
+
+def computed_results(program: Program) -> list[int]:
+    """Values of a program that are results and no constants, each once."""
+    found = (v[0] for r in program.results for v in r.values if not isinstance(v, float))
+    return [k for k in dict.fromkeys(found) if program.ops[k].code != "const"]
 
 
 def comment(lines: Iterable[str]) -> str:
@@ -156,154 +261,3 @@ def comment(lines: Iterable[str]) -> str:
 def indented(lines: Iterable[str], by: int = 4) -> str:
     """Text of lines."""
     return "".join(f"{' ' * by}{line}\n" for line in lines)
-
-
-def preamble(program: Program, single: bool, library: Library, batch: bool = False) -> str:
-    """Text in front of the functions of programs: what it includes, and its own sine, cosine and root if it has them.
-
-    `batch`: whether one of them is that of `torchdq.export.batch`.
-    """
-    codes = {op.code for op in program.ops}
-    wanted, angles = sorted(codes & set(_OF_MATH)), bool(codes & set(TOGETHER))
-    lacks = [code for code in wanted if code != "sqrt"]
-    if library == "own" and lacks:
-        raise ArgumentError(
-            f"library must be 'math.h' for {program.name}, which takes {', '.join(lacks)}; 'own' has sine, cosine and "
-            "square root"
-        )
-    included = "#include <math.h>\n" if library == "math.h" and (wanted or angles) else ""
-    scalar, constants = ("float", SINES_FLOAT) if single else ("double", SINES_DOUBLE)
-    sines, root = angles and (library == "own" or batch), library == "own" and "sqrt" in codes
-    kind = f"typedef {scalar} S;\n" if sines or root or batch else ""
-    included += "#include <stdint.h>\n" if root else ""
-    included += _WITH_NAN
-    included += _EXACT if sines or root else ""
-    # gcc makes vectors of a loop only if nothing in it is called
-    function = _SINE_AND_COSINE.replace("static", "static inline") if batch else _SINE_AND_COSINE
-    functions = f"{constants.strip()}\n{function}" if sines else ""
-    own = _ROOT.format(inline="inline " * batch, **_ROOT_CONSTANTS[single]) if root else ""
-    return f"{included}{kind}{functions}{own}"
-
-
-# which values of a program stand where: array, component, and whether it is the same for all samples
-Placed = Callable[[Array, int, bool], str]
-
-
-class Printer(NamedTuple):
-    """Statements in C of one sample of a program."""
-
-    program: Program
-    single: bool
-    sines: Library  # where sine and cosine come from
-    place: Placed
-    root: str  # name of the function for square roots
-
-    @property
-    def scalar(self) -> str:
-        """Type of a number."""
-        return "float" if self.single else "double"
-
-    def computed(self, values: Iterable[int]) -> list[str]:
-        """Statements that compute values of the program, each from those before it."""
-        program, single, scalar = self.program, self.single, self.scalar
-        suffix = "f" if single else ""
-        taken, _ = arrays(program)
-        by_position = dict(zip((k for k, a in enumerate(program.arguments) if a.width), taken, strict=True))
-        together = pairs(program)
-        words: Mapping[str, str] = {
-            "f": suffix,
-            "root": self.root,
-            "one": literal(1.0, single),
-            "zero": literal(0.0, single),
-        }
-        lines = []
-        for i in values:
-            op = program.ops[i]
-            if op.code == "in":
-                argument, component = op.payload
-                where = self.place(by_position[argument], component, program.arguments[argument].uniform)
-                lines.append(f"const {scalar} x{i} = {where};")
-            elif op.code in TOGETHER and self.sines == "own":
-                if i == together[i][0]:
-                    known = {program.ops[k].code: f"x{k}" for k in together[i]}
-                    s, c = known.get("sin", f"x{i}_"), known.get("cos", f"x{i}_")
-                    lines.append(f"{scalar} {s}, {c}; sine_and_cosine({self._at(op.operands[0])}, &{s}, &{c});")
-            elif op.code in TOGETHER:
-                lines.append(f"const {scalar} x{i} = {op.code}{suffix}({self._at(op.operands[0])});")
-            else:
-                sign, operands = OPS[op.code].infix, [self._at(k) for k in op.operands]
-                text = f" {sign} ".join(operands) if sign else _CALLS[op.code].format(*operands, **words)
-                lines.append(f"const {scalar} x{i} = {text};")
-        return lines
-
-    def written(self, array: Array, numbers: Mapping[int, Output]) -> list[str]:
-        """Statements that write numbers of an output, by their place in it."""
-        return [f"{self.place(array, j, False)} = {self._shown(v)};" for j, v in numbers.items()]
-
-    def _at(self, i: int) -> str:
-        op = self.program.ops[i]
-        return literal(op.payload, self.single) if op.code == "const" else f"x{i}"
-
-    def _shown(self, v: Output) -> str:
-        if isinstance(v, float):
-            return literal(v, self.single)
-        index, negative = v
-        return f"{literal(0.0, self.single)} - {self._at(index)}" if negative else self._at(index)
-
-
-def root(single: bool, library: Library) -> str:
-    """Name of the function for square roots."""
-    return "root" if library == "own" else "sqrtf" if single else "sqrt"
-
-
-def angles(program: Program, library: Library, among: Container[int] | None = None) -> str:
-    """Sum of the sines among some values, which is NaN if an angle is out of reach; "": there are none, or none can be.
-
-    `among`: the values; None: all of the program.
-    """
-    if library != "own":
-        return ""
-    first = [k for k, same in pairs(program).items() if k == same[0] and (among is None or k in among)]
-    return " + ".join(f"x{k}" if program.ops[k].code == "sin" else f"x{k}_" for k in first)
-
-
-def in_rows(array: Array, component: int, uniform: bool) -> str:
-    """Place of a number of one sample."""
-    return f"{array.name}[{component}]"
-
-
-def function(program: Program, name: str, single: bool, library: Library = "math.h", finite: bool = True) -> str:
-    """Text of the function of a program, without `preamble`; its status reports results that are not `finite`."""
-    taken, given = arrays(program)
-    printer = Printer(program, single, library, in_rows, root(single, library))
-    read = {op.payload[0] for op in program.ops if op.code == "in"}
-    wide = [k for k, a in enumerate(program.arguments) if a.width]
-    lines = [f"(void){array.name};" for k, array in zip(wide, taken, strict=True) if k not in read]
-    lines += printer.computed(recorded(program, {i for i, op in enumerate(program.ops) if op.code == "const"}))
-    for array, result in zip(given, [r for r in outputs(program) if r.values], strict=True):
-        lines += printer.written(array, dict(enumerate(result.values)))
-    if sines := angles(program, library):
-        lines.append(f"const {printer.scalar} angles = {sines};")
-    wrong = " + ".join(f"(x{k} - x{k})" for k in computed_results(program)) if finite else ""
-    if wrong:
-        lines.append(f"const {printer.scalar} wrong = {wrong};")
-    growth = f"{given[-1].name}[0]" if program.growth is not None else ""
-    lines.append(f"return {status(single, growth, 'angles' if sines else '', 'wrong' if wrong else '')};")
-    return f"{declaration(program, name, single)}\n{{\n{indented(lines)}}}\n"
-
-
-def computed_results(program: Program) -> list[int]:
-    """Values of a program that are results and no constants, each once."""
-    found = (v[0] for r in program.results for v in r.values if not isinstance(v, float))
-    return [k for k in dict.fromkeys(found) if program.ops[k].code != "const"]
-
-
-def status(single: bool, growth: str, angles: str, wrong: str = "") -> str:
-    """Expression for what a function returns: 1 where a result is not to be used, or 0.
-
-    Names, or "" where there is none: of the error growth, of the sum of `angles`, which is NaN if one is out of reach,
-    and of a number that is NaN if a result is wrong.
-    """
-    limit = literal(LARGEST_GROWTH.single if single else LARGEST_GROWTH.double, single)
-    good = [*([f"{growth} <= {limit}"] if growth else []), *([f"{x} == {x}" for x in (angles, wrong) if x])]
-    return f"({' && '.join(good)}) ? 0 : 1" if good else "0"

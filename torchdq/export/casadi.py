@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 from torchdq.errors import ArgumentError
 from torchdq.export import batch, c99, names, parts
-from torchdq.export.c99 import Library
+from torchdq.export.c99 import CFunction, Library
 from torchdq.export.files import Exported, write
 from torchdq.export.meaning import described
 from torchdq.program.autodiff import jacobian, vjp, vjp_jacobian
@@ -85,10 +85,8 @@ class Interface(NamedTuple):
         """
         name = self.name
         inputs, results = self.of_knots(max(knots, 1))
-        if knots:
-            numbers = batch.function(self.program, f"{name}_numbers", False, library, "static ", finite=False)
-        else:
-            numbers = parts.function(self.program, f"{name}_numbers", library)
+        function = CFunction(self.program, f"{name}_numbers", False, library)
+        numbers = batch.text(function, "static ", finite=False) if knots else parts.text(function)
         called = f"{name}_numbers_batch({knots}, " if knots else f"{name}_numbers("
         room = max(knots, 1) * (max(len(r.values) for r in outputs(self.program)) + 1)
         return (
@@ -142,7 +140,7 @@ class CasadiExport(NamedTuple):
         patterns = {code: f"pattern{k}" for k, code in enumerate(dict.fromkeys(m.sparsity() for m in matrices))}
         widest = max(m.rows for m in values.inputs) * max(self.knots, 1)
         # all have the same preamble, or some have none
-        before = [c99.preamble(f.program, False, self.functions, self.knots > 0) for f in functions]
+        before = [CFunction(f.program, f.name, False, self.functions, self.knots > 0).preamble() for f in functions]
         pieces = [
             "#include <stddef.h>\n" if self.knots else "",
             max(before, key=len),
@@ -180,8 +178,8 @@ class CasadiExport(NamedTuple):
             f"{derived}; CasADi finds them by itself. No heap, no state: threads may share it.",
         ]
         causes = ["rounding errors are too large"] if self.program.growth else []
-        library: Library = "own" if several else self.functions
-        causes += ["an angle is NaN or beyond 1e5 rad"] if c99.angles(values.program, library) else []
+        function = CFunction(values.program, self.name, False, self.functions, several)
+        causes += ["an angle is NaN or beyond 1e5 rad"] if function.angles() else []
         if causes:
             where = " at any knot" if several else ""
             about.append(f"Fails where {' or '.join(causes)}{where}: a call raises, a solver takes a shorter step.")
@@ -194,8 +192,8 @@ class CasadiExport(NamedTuple):
         results = [_by_columns(r, *shape) for (r, _), shape in zip(wide, shapes, strict=True)]
         program = per_sample(replace(self.program, results=tuple(results)))
         taken, given = c99.arrays(program)
-        inputs = tuple(_dense(a.name, a.size, 1) for a in taken)
-        found = tuple(_dense(a.name, *shape) for a, shape in zip(given, shapes, strict=False))  # without the growth
+        inputs = tuple(_dense(a.name, a.size, 1) for a in taken.values())
+        found = tuple(_dense(a.name, *shape) for a, shape in zip(given.values(), shapes, strict=False))  # no growth
         return Interface(self.name, program, inputs, found)
 
     def derivatives(self, values: Interface) -> Interface:

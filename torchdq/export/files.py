@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdq.base.files import write_atomically
 from torchdq.errors import ArgumentError
 from torchdq.export import batch, c99, golden, rollout
-from torchdq.export.c99 import Library
+from torchdq.export.c99 import Array, CFunction
 from torchdq.export.meaning import described
 from torchdq.program.loop import Loop
 from torchdq.program.program import Program, outputs
@@ -60,12 +60,19 @@ def write(folder: Path, texts: Mapping[str, str]) -> list[Path]:
 class Export(NamedTuple):
     """A program as it is exported."""
 
-    program: Program
-    name: str  # name of its function
-    single: bool
-    functions: Library  # where sine, cosine and roots come from
+    function: CFunction
     about: tuple[str, ...]  # lines about the robot
     batch: bool = False  # whether there is a function for batches, too
+
+    @property
+    def program(self) -> Program:
+        """Program of the function."""
+        return self.function.program
+
+    @property
+    def name(self) -> str:
+        """Name of the function."""
+        return self.function.name
 
     @property
     def steps(self) -> Loop | None:
@@ -81,40 +88,35 @@ class Export(NamedTuple):
             "if the compiler fuses no multiplication with an addition (-ffp-contract=off). Calls from Python fuse them",
             "and differ in the last bits.",
         ]
-        before = c99.preamble(self.program, self.single, self.functions, self.batch)
-        functions = [c99.function(self.program, self.name, self.single, self.functions)]
+        before = self.function._replace(vectors=self.batch).preamble()
+        functions = [self.function.text()]
         if self.steps:
-            functions.append(rollout.function(self.steps, self.name, self.single))
+            functions.append(rollout.text(self.steps, self.function))
         if self.batch:
-            text = batch.function(self.program, self.name, self.single, self.functions)
-            functions.append(batch.copies([self.program], self.single) + text)
+            functions.append(batch.copies([self.program], self.function.single) + batch.text(self.function))
         text = "\n".join(functions)
         return f'{c99.comment(about)}#include "{self.name}.h"\n{before}\n{text}'
 
     def header(self) -> str:
         """Header in C99, which C++ can include."""
         taken, given = c99.arrays(self.program)
-        names = [a.name for a in self.program.arguments if a.width], [r.name for r in outputs(self.program) if r.values]
         count = self.program.count()._asdict()
         about = [
             *self.about,
             "",
-            *described([f"{a.name}[{a.size}]" for a in taken], names[0], "in "),
-            *described([f"{a.name}[{a.size}]" for a in given], names[1], "out"),
+            *described([_shown(a) for a in taken.values()], [self.program.arguments[k].name for k in taken], "in "),
+            *described([_shown(a) for a in given.values()], [outputs(self.program)[k].name for k in given], "out"),
             "",
             f"{', '.join(f'{number} {kind}' for kind, number in count.items() if number) or 'no operations'}.",
             "An output may be the same array as an input.",
-            self._returned(self.functions),
+            self._returned(self.function),
             *(rollout.about(self.steps, self.name) if self.steps else ()),
             *(self._about_batches() if self.batch else ()),
         ]
         guard = f"{self.name.upper()}_H"
-        declared = f"{c99.declaration(self.program, self.name, self.single)};"
-        if self.steps:
-            declared += f"\n{rollout.declaration(self.program, self.name, self.single)};"
-        if self.batch:
-            declared += f"\n{batch.declaration(self.program, self.name, self.single)};"
-        included = "#include <stddef.h>\n\n" if self.batch or self.steps else ""
+        many = ["rollout"] * bool(self.steps) + ["batch"] * self.batch
+        declared = "\n".join(f"{self.function.declaration(kind)};" for kind in ("", *many))
+        included = "#include <stddef.h>\n\n" if many else ""
         return (
             f"{c99.comment(about)}#ifndef {guard}\n#define {guard}\n\n{included}"
             f'#ifdef __cplusplus\nextern "C" {{\n#endif\n\n{declared}\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n'
@@ -122,53 +124,47 @@ class Export(NamedTuple):
 
     def _about_batches(self) -> list[str]:
         """Lines about the function for batches."""
-        taken, given = c99.arrays(self.program)
-        shared = [a.name for a in taken if a.shared]
-        sums = [a.name for a in given if a.shared]
+        taken, given = ([a.name for a in side if a.shared] for side in (self.function.taken, self.function.given))
         return [
             "",
             f"{self.name}_batch takes the rows of all samples one after the other, q[samples][n], and writes likewise.",
-            *([f"One row for all samples: {', '.join(shared)}."] if shared else []),
-            *([f"Sums over the samples: {', '.join(sums)}."] if sums else []),
+            *([f"One row for all samples: {', '.join(taken)}."] if taken else []),
+            *([f"Sums over the samples: {', '.join(given)}."] if given else []),
             "Compilers make vector instructions of it at -O3 with -march=native and -fno-math-errno; it is faster with",
-            f"-ffp-contract=fast. It takes {batch.stack(self.program, self.single)} bytes of stack. Its sine and",
+            f"-ffp-contract=fast. It takes {batch.stack(self.function)} bytes of stack. Its sine and",
             f"cosine are its own, and NaN where an angle is beyond {self._reach()}. An output may be the whole array",
             "of an input whose rows have the same size.",
-            self._returned("own").replace(" where ", " where, in any sample, "),
+            self._returned(self.function._replace(vectors=True)).replace(" where ", " where, in any sample, "),
         ]
 
     def _reach(self) -> str:
         """Largest angle that the own sine and cosine take."""
-        return "4e3 rad" if self.single else "1e5 rad"
+        return "4e3 rad" if self.function.single else "1e5 rad"
 
-    def _returned(self, functions: Library) -> str:
-        """Sentence on the status that the function returns."""
+    def _returned(self, function: CFunction) -> str:
+        """Sentence on the status that a function returns."""
         causes = ["a result is not finite"] if c99.computed_results(self.program) else []
         causes += ["the rounding errors are too large"] if self.program.growth is not None else []
-        causes += [f"an angle is NaN or beyond {self._reach()}"] if c99.angles(self.program, functions) else []
+        causes += [f"an angle is NaN or beyond {self._reach()}"] if function.angles() else []
         return f"Returns 1 where {' or '.join(causes)}, else 0." if causes else "Returns 0."
 
     def spans(self) -> str:
         """Header in C++20 whose functions take spans."""
-        scalar = "float" if self.single else "double"
-        taken, given = c99.arrays(self.program)
-        every = (*taken, *given)
-        passed = ", ".join(f"{a.name}.data()" for a in every)
+        taken, given, number = self.function.taken, self.function.given, self.function.number
+        passed = ", ".join(f"{a.name}.data()" for a in (*taken, *given))
 
-        def spans(extents: Sequence[str]) -> str:
-            kinds = [f"const {scalar}"] * len(taken) + [scalar] * len(given)
-            return ", ".join(
-                f"std::span<{kind}{extent}> {a.name}" for kind, extent, a in zip(kinds, extents, every, strict=True)
-            )
+        def spans(any_size: bool) -> str:
+            """Parameters, of any size but for rows that all samples share."""
+            kinds = [*((f"const {number}", a) for a in taken), *((number, a) for a in given)]
+            extents = ["" if any_size and not a.shared else f", {a.size}" for _, a in kinds]
+            return ", ".join(f"std::span<{kind}{x}> {a.name}" for (kind, a), x in zip(kinds, extents, strict=True))
 
-        fixed = [f", {a.size}" for a in every]
-        text = f"inline int {self.name}({spans(fixed)})\n{{\n    return ::{self.name}({passed});\n}}\n\n"
+        text = f"inline int {self.name}({spans(False)})\n{{\n    return ::{self.name}({passed});\n}}\n\n"
         if self.batch:
-            short = " || ".join(f"{a.name}.size() / {a.size} < samples" for a in every if not a.shared)
+            short = " || ".join(f"{a.name}.size() / {a.size} < samples" for a in (*taken, *given) if not a.shared)
             text += (
                 "/* Returns 2, and does nothing, if a span is shorter than the rows of all samples. */\n"
-                f"inline int {self.name}_batch(std::size_t samples, "
-                f"{spans([x if a.shared else '' for x, a in zip(fixed, every, strict=True)])})\n{{\n"
+                f"inline int {self.name}_batch(std::size_t samples, {spans(True)})\n{{\n"
                 f"{f'    if ({short}) return 2;{chr(10)}' if short else ''}"
                 f"    return ::{self.name}_batch(samples, {passed});\n}}\n\n"
             )
@@ -182,7 +178,7 @@ class Export(NamedTuple):
 
     def cmake(self) -> str:
         """CMake file with the function as a library, and its test."""
-        name, math = self.name, " m" if self.functions == "math.h" else ""
+        name, math = self.name, " m" if self.function.library == "math.h" else ""
         library, test = f"exported_{name}", f"test_exported_{name}"  # a bare name may be one that CMake reserves
         vectors = (
             'if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")\n'
@@ -208,8 +204,12 @@ class Export(NamedTuple):
             f"{self.name}.c": self.source(),
             f"{self.name}.h": self.header(),
             f"{self.name}.hpp": self.spans(),
-            f"test_{self.name}.c": golden.test(self.program, self.name, self.single, self.batch, examples),
+            f"test_{self.name}.c": golden.test(self.function, self.batch, examples),
             "CMakeLists.txt": _CMAKE,
             f"exported_{self.name}.cmake": self.cmake(),
         }
         return Exported(self.name, *write(folder, texts)[:-1])
+
+
+def _shown(array: Array) -> str:
+    return f"{array.name}[{array.size}]"

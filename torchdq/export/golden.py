@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchdq.backends.choice import choose
 from torchdq.export import c99, rollout
-from torchdq.export.c99 import Array
+from torchdq.export.c99 import CFunction
 from torchdq.program.autograd import per_sample
 from torchdq.program.loop import Loop
 from torchdq.program.program import Program
@@ -37,35 +37,39 @@ static void compare(const {0} *found, const {0} *expected, int size, {0} *worst)
 
 def variables(program: Program) -> frozenset[str]:
     """Names of the files' own, so that no function can have them."""
-    taken, given = c99.arrays(program)
-    own = [a.name for a in (*taken, *given)] if rollout.loop(program) else []
-    derived = (f"{part}_{a.name}" for a in (*taken, *given) for part in ("in", "out", "found", "sum_of", "after"))
+    names = [a.name for side in c99.arrays(program) for a in side.values()]
+    derived = (f"{part}_{name}" for name in names for part in ("in", "out", "found", "sum_of", "after"))
+    own = names if rollout.loop(program) else []
     return frozenset(["batch", "rollout", "compare", "worst", "j", "k", *own, *derived])
 
 
-def test(program: Program, name: str, single: bool, batches: bool, examples: Mapping[str, Tensor]) -> str:
+def test(function: CFunction, batches: bool, examples: Mapping[str, Tensor]) -> str:
     """Program in C99 that returns 1 if the functions do not agree with the results of this machine.
 
     `examples` are values of some of the arguments; the others are random.
     """
-    taken, given = c99.arrays(program)
-    scalar, f = ("float", "f") if single else ("double", "")
-    bound = "1e-5f" if single else "1e-12"
-    dtype = torch.float32 if single else torch.float64
+    program, name, number = function.program, function.name, function.number
+    taken, given = function.taken, function.given
+    bound, dtype = ("1e-5f", torch.float32) if function.single else ("1e-12", torch.float64)
     inputs = [_example(a.name, a.width, a.uniform, examples, k).to(dtype) for k, a in enumerate(program.arguments)]
     over = rollout.loop(program)
-    tables = _tables("in", taken, inputs, scalar) + _tables("out", given, _results(program, inputs), scalar)
-    tables += _tables("after", given, _rolled(over, inputs), scalar) if over else []
-    locals_ = " ".join(f"{scalar} found_{a.name}[{a.size}];" for a in given)
+    known = {"in": (taken, inputs), "out": (given, _results(program, inputs))}
+    known |= {"after": (given, _rolled(over, inputs))} if over else {}
+    tables = [
+        _table(function, f"{kind}_{a.name}", x)
+        for kind, (arrays, rows) in known.items()
+        for a, x in zip(arrays, [x for x in rows if x.shape[1]], strict=True)
+    ]
+    locals_ = " ".join(f"{number} found_{a.name}[{a.size}];" for a in given)
     passed = ", ".join([*(f"in_{a.name}[k]" for a in taken), *(f"found_{a.name}" for a in given)])
     called = ("    rollout(&worst);\n" if over else "") + ("    batch(&worst);\n" if batches else "")
     checks = "\n".join(f"        compare(found_{a.name}, out_{a.name}[k], {a.size}, &worst);" for a in given)
     return (
         f"/* {name} against golden vectors; returns 0 if they agree to {bound} */\n"
-        f'#include <math.h>\n#include <stdio.h>\n#include "{name}.h"\n\n{"".join(tables)}{_COMPARE.format(scalar, f)}'
-        f"{_rollout(name, scalar, taken, given) if over else ''}"
-        f"{_batch(name, scalar, taken, given) if batches else ''}\n"
-        f"int main(void)\n{{\n    {scalar} worst = 0;\n    int k;\n    for (k = 0; k < {CASES}; k++) {{\n"
+        f'#include <math.h>\n#include <stdio.h>\n#include "{name}.h"\n\n{"".join(tables)}'
+        f"{_COMPARE.format(number, 'f' * function.single)}"
+        f"{_rollout(function) if over else ''}{_batch(function) if batches else ''}\n"
+        f"int main(void)\n{{\n    {number} worst = 0;\n    int k;\n    for (k = 0; k < {CASES}; k++) {{\n"
         f"        {locals_}\n        (void){name}({passed});\n{checks}\n    }}\n"
         f"{called}"
         f'    printf("{name}: largest relative difference %g\\n", (double)worst);\n'
@@ -73,40 +77,38 @@ def test(program: Program, name: str, single: bool, batches: bool, examples: Map
     )
 
 
-def _batch(name: str, scalar: str, taken: Sequence[Array], given: Sequence[Array]) -> str:
+def _batch(function: CFunction) -> str:
     """Function that compares a batch, in which the golden vectors come again and again, with these."""
-    arrays = [f"static {scalar} found_{a.name}[{1 if a.shared else SAMPLES}][{a.size}];" for a in (*taken, *given)]
-    arrays += [f"{scalar} sum_of_{a.name}[{a.size}] = {{0}};" for a in given if a.shared]
+    number, given = function.number, function.given
+    sums, rows, every = [a for a in given if a.shared], [a for a in given if not a.shared], [*function.taken, *given]
+    passed = [str(SAMPLES), *(f"found_{a.name}[0]" for a in every)]
+    arrays = [f"static {number} found_{a.name}[{1 if a.shared else SAMPLES}][{a.size}];" for a in every]
+    arrays += [f"{number} sum_of_{a.name}[{a.size}] = {{0}};" for a in sums]
     filled = [
         f"for (j = 0; j < {a.size}; j++) found_{a.name}[{0 if a.shared else 'k'}][j] = in_{a.name}[k % {CASES}][j];"
-        for a in taken
+        for a in function.taken
     ]
-    filled += [
-        f"for (j = 0; j < {a.size}; j++) sum_of_{a.name}[j] += out_{a.name}[k % {CASES}][j];" for a in given if a.shared
-    ]
-    compared = [
-        f"compare(found_{a.name}[k], out_{a.name}[k % {CASES}], {a.size}, worst);" for a in given if not a.shared
-    ]
-    sums = [f"compare(found_{a.name}[0], sum_of_{a.name}, {a.size}, worst);" for a in given if a.shared]
-    several = f"    for (k = 0; k < {SAMPLES}; k++) {{\n{c99.indented(compared, 8)}    }}\n" if compared else ""
-    return (
-        f"\nstatic void batch({scalar} *worst)\n{{\n{c99.indented(arrays, 4)}    int j, k;\n"
-        f"    for (k = 0; k < {SAMPLES}; k++) {{\n{c99.indented(filled, 8)}    }}\n"
-        f"    (void){name}_batch({', '.join([str(SAMPLES), *(f'found_{a.name}[0]' for a in (*taken, *given))])});\n"
-        f"{several}{c99.indented(sums, 4)}}}\n"
-    )
+    filled += [f"for (j = 0; j < {a.size}; j++) sum_of_{a.name}[j] += out_{a.name}[k % {CASES}][j];" for a in sums]
+    compared = [f"compare(found_{a.name}[k], out_{a.name}[k % {CASES}], {a.size}, worst);" for a in rows]
+    lines = [*arrays, "int j, k;", *_for_each(SAMPLES, filled)]
+    lines += [f"(void){function.name}_batch({', '.join(passed)});", *_for_each(SAMPLES, compared)]
+    lines += [f"compare(found_{a.name}[0], sum_of_{a.name}, {a.size}, worst);" for a in sums]
+    return f"\nstatic void batch({number} *worst)\n{{\n{c99.indented(lines)}}}\n"
 
 
-def _rollout(name: str, scalar: str, taken: Sequence[Array], given: Sequence[Array]) -> str:
+def _rollout(function: CFunction) -> str:
     """Function that compares a rollout, whose inputs are the golden vectors, with what follows from them."""
-    arrays = [f"{scalar} found_{a.name}[{STEPS}][{a.size}];" for a in given]
+    taken, given = function.taken, function.given
     passed = ", ".join([str(STEPS), *(f"in_{a.name}[0]" for a in taken), *(f"found_{a.name}[0]" for a in given)])
-    compared = [f"compare(found_{a.name}[k], after_{a.name}[k], {a.size}, worst);" for a in given]
-    return (
-        f"\nstatic void rollout({scalar} *worst)\n{{\n{c99.indented([*arrays, 'int k;'], 4)}"
-        f"    (void){name}_rollout({passed});\n"
-        f"    for (k = 0; k < {STEPS}; k++) {{\n{c99.indented(compared, 8)}    }}\n}}\n"
-    )
+    lines = [*(f"{function.number} found_{a.name}[{STEPS}][{a.size}];" for a in given), "int k;"]
+    lines += [f"(void){function.name}_rollout({passed});"]
+    lines += _for_each(STEPS, [f"compare(found_{a.name}[k], after_{a.name}[k], {a.size}, worst);" for a in given])
+    return f"\nstatic void rollout({function.number} *worst)\n{{\n{c99.indented(lines)}}}\n"
+
+
+def _for_each(count: int, lines: Sequence[str]) -> list[str]:
+    """Lines of a loop over k; none around nothing."""
+    return [f"for (k = 0; k < {count}; k++) {{", *(f"    {line}" for line in lines), "}"] if lines else []
 
 
 def _rolled(over: Loop, inputs: Sequence[Tensor]) -> list[Tensor]:
@@ -121,15 +123,11 @@ def _rolled(over: Loop, inputs: Sequence[Tensor]) -> list[Tensor]:
     return [torch.cat(rows) for rows in zip(*steps, strict=True)]
 
 
-def _tables(kind: str, arrays: Sequence[Array], rows: Sequence[Tensor], scalar: str) -> list[str]:
-    """Tables of the rows that have numbers."""
-    return [_table(f"{kind}_{a.name}", scalar, x) for a, x in zip(arrays, [x for x in rows if x.shape[1]], strict=True)]
-
-
-def _table(name: str, scalar: str, rows: Tensor) -> str:
-    lines = [", ".join(c99.literal(x, scalar == "float") for x in row) for row in rows.tolist()]
+def _table(function: CFunction, name: str, rows: Tensor) -> str:
+    """Constant array of rows."""
+    lines = [", ".join(map(function.dialect.literal, row)) for row in rows.tolist()]
     listed = ",\n".join(f"    {{{line}}}" for line in lines)
-    return f"static const {scalar} {name}[{len(rows)}][{rows.shape[1]}] = {{\n{listed}\n}};\n"
+    return f"static const {function.number} {name}[{len(rows)}][{rows.shape[1]}] = {{\n{listed}\n}};\n"
 
 
 def _results(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:

@@ -14,9 +14,8 @@ _WORDS = (
     "template this throw true try typename using virtual main "
 )
 _USED = (
-    "S LANES samples steps first here lane status sqrt sqrtf exp expf log logf floor floorf sin sinf cos cosf "
-    "sine_and_cosine rows_to_lanes lanes_to_rows added angles slots wrong place zeros root "
-    "HALF_PI_1 HALF_PI_2 HALF_PI_3 TWO_OVER_PI ROUND LARGEST SIN COS NAN INFINITY HUGE_VAL EOF NULL "
+    "S LANES samples steps first here lane status sine_and_cosine rows_to_lanes lanes_to_rows added angles slots wrong "
+    "place zeros root HALF_PI_1 HALF_PI_2 HALF_PI_3 TWO_OVER_PI ROUND LARGEST SIN COS NAN INFINITY HUGE_VAL EOF NULL "
 )
 KEYWORDS = frozenset((_WORDS + _USED).split())  # words of C, of C++ and of the text here, which cannot be names
 
@@ -47,7 +46,8 @@ _LIBRARY = (
     "complex ctype fenv inttypes iso646 limits locale math setjmp stdarg stdbool stddef stdint stdio stdlib string "
     "tgmath wchar wctype"
 )
-_LIBRARY_NAMES = frozenset([*_LIBRARY.split(), *(f"{name}{kind}" for name in _MATH.split() for kind in ("", "f", "l"))])
+_MATH_NAMES = frozenset(f"{name}{kind}" for name in _MATH.split() for kind in ("", "f", "l"))
+_LIBRARY_NAMES = _MATH_NAMES | set(_LIBRARY.split())
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
 
@@ -63,12 +63,13 @@ def identifier(name: str, what: str, variables: Collection[str] = ()) -> str:
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Names that C accepts instead of those of a program, all different."""
+    """Names that C accepts instead of those of a program, all different, and none of a function that may be called."""
     found: list[str] = []
     for name in names:
         last = name.rpartition(".")[2].replace("'", "_bar")
         plain = re.sub(r"\W", "_", last, flags=re.ASCII).strip("_") or "x"
-        plain = f"{plain}_" if plain in KEYWORDS or plain[0].isdigit() or re.fullmatch(r"x\d+", plain) else plain
+        taken = plain in KEYWORDS or plain in _MATH_NAMES or re.fullmatch(r"\d.*|x\d+", plain)
+        plain = f"{plain}_" if taken else plain
         number, unique = 2, plain
         while unique in found:
             unique, number = f"{plain}_{number}", number + 1

@@ -7,8 +7,9 @@ arguments are given for every step, those that are uniform once; results are wri
 from __future__ import annotations
 
 from torchdq.export import c99
+from torchdq.export.c99 import CFunction
 from torchdq.program.loop import Loop
-from torchdq.program.program import Program, outputs
+from torchdq.program.program import Program
 
 
 def loop(program: Program) -> Loop | None:
@@ -21,29 +22,19 @@ def loop(program: Program) -> Loop | None:
     return Loop(program, carried, tuple(stepped), tuple(range(len(program.results)))) if carried else None
 
 
-def declaration(program: Program, name: str, single: bool) -> str:
-    """Declaration of the rollout, without the semicolon."""
-    scalar = "float" if single else "double"
-    taken, given = c99.arrays(program)
-    parameters = [f"const {scalar} *{a.name}" for a in taken] + [f"{scalar} *{a.name}" for a in given]
-    return f"int {name}_rollout({', '.join(['size_t steps', *parameters])})"
-
-
-def function(over: Loop, name: str, single: bool) -> str:
+def text(over: Loop, step: CFunction) -> str:
     """Text of the rollout, which follows the function of the step."""
-    taken, given = c99.arrays(over.body)
-    wide = [k for k, a in enumerate(over.body.arguments) if a.width]
-    after = dict(zip([r for r, x in enumerate(outputs(over.body)) if x.values], given, strict=True))
-    passed, states = [], {k: after[r] for k, r in over.carried}
-    for k, a in zip(wide, taken, strict=True):
+    taken, given = c99.arrays(step.program)
+    passed, states = [], {k: given[r] for k, r in over.carried if r in given}
+    for k, a in taken.items():
         if k in states:
             passed.append(f"place ? {states[k].name} + {a.size} * (place - 1) : {a.name}")
         else:
             passed.append(f"{a.name} + {a.size} * place" if k in over.stepped else a.name)
-    passed += [f"{a.name} + {a.size} * place" for a in given]
+    passed += [f"{a.name} + {a.size} * place" for a in given.values()]
     lines = ["size_t place;", "int status = 0;", "for (place = 0; place < steps; place++)"]
-    lines += [f"    status |= {name}({', '.join(passed)});", "return status;"]
-    return f"{declaration(over.body, name, single)}\n{{\n{c99.indented(lines)}}}\n"
+    lines += [f"    status |= {step.name}({', '.join(passed)});", "return status;"]
+    return f"{step.declaration('rollout')}\n{{\n{c99.indented(lines)}}}\n"
 
 
 def about(over: Loop, name: str) -> list[str]:

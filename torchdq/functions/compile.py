@@ -20,7 +20,7 @@ from torchdq.backends.one_sample import one_sample
 from torchdq.base.checks import dtype_of, names_of, require_choice, require_count, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.export import casadi, golden
-from torchdq.export.c99 import Library
+from torchdq.export.c99 import CFunction, Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported
 from torchdq.export.meaning import heading
@@ -188,8 +188,8 @@ class CompiledProgram:
             raise ArgumentError(
                 f"knots are for language 'casadi', found {knots!r}; in 'c', batch=True takes any number"
             )
-        whole = Export(self.program, named, self.dtype == torch.float32, library, self.about, batch)
-        return whole.write(Path(folder), self.examples)
+        function = CFunction(self.program, named, self.dtype == torch.float32, library)
+        return Export(function, self.about, batch).write(Path(folder), self.examples)
 
     def _casadi(self, name: str, library: Library, knots: int, derivatives: int) -> CasadiExport:
         """Source for CasADi; raises unless the program and the options have one."""

@@ -1,8 +1,8 @@
 """Table of the operations of programs: cost, value, derivatives, torch and C of each, in one row.
 
-The recorder, the derivatives, the torch backend and the C printer read this table. By name they know only the four
-operations of arithmetic, whose signs the recorder simplifies. A new operation is a new row, and a function in
-`numbers.functions`.
+The recorder, the derivatives, the torch backend and the printer of all languages read this table. By name they know
+only the four operations of arithmetic, whose signs the recorder simplifies, and sine and cosine, which are computed
+together. A new operation is a new row and nothing else; formulas call it through `apply`.
 """
 
 import math
@@ -32,8 +32,7 @@ class Operation(NamedTuple):
     cost: str  # class of cost, a field of `program.Count`
     value: Callable[..., Value]  # on plain numbers
     partials: tuple[Callable[..., Value] | None, ...]
-    c: str = ""  # in C, of vectors; sine and cosine are printed in pairs
-    c_single: str = ""  # in C, of single numbers
+    c: str = ""  # expression in C, of single numbers; "": `infix`, or the function of math.h with the operation's name
     divisor: Callable[..., Value] | None = None  # common divisor of the partial derivatives, from value and operands
     tensor: Callable[..., Any] | None = None  # on tensors, the module `torch` is handed over first; None: `value`
     infix: str = ""  # operator between the operands, in C and in printed programs
@@ -55,14 +54,14 @@ def apply(code: str, *x: Value) -> Value:
     return row.value(*x)
 
 
-def _own(name: str, of_float: Callable[[float], float]) -> Callable[[Value], Value]:
-    """Function of one number: the number's own method, or that of floats."""
+def _own(name: str, of_floats: Callable[..., float]) -> Callable[..., Value]:
+    """Function of numbers: the method of the first, or that of floats."""
 
-    def value(x: Value) -> Value:
+    def value(x: Value, *others: Value) -> Value:
         if callable(getattr(type(x), name, None)):
-            return getattr(x, name)()
+            return getattr(x, name)(*others)
         if isinstance(x, float | int):
-            return of_float(float(x))
+            return of_floats(float(x), *others)
         raise TypeError(f"{name} is not defined for numbers of type {type(x).__name__}; it needs a method {name}()")
 
     return value
@@ -128,14 +127,12 @@ OPS: Mapping[str, Operation] = {
         cost="sines",
         value=_own("sin", _finite(math.sin)),
         partials=(lambda g, y, x: g * apply("cos", x),),
-        c_single="LIBRARY_SIN({0})",
         mirror=Mirror("sin", negative=True),
     ),
     "cos": Operation(
         cost="sines",
         value=_own("cos", _finite(math.cos)),
         partials=(lambda g, y, x: -(g * apply("sin", x)),),
-        c_single="LIBRARY_COS({0})",
         even=(0,),
     ),
     "sqrt": Operation(
@@ -143,38 +140,28 @@ OPS: Mapping[str, Operation] = {
         value=_own("sqrt", lambda x: math.sqrt(x) if x >= 0 else math.nan),
         partials=(lambda g, y, x: g,),
         divisor=lambda y, x: 2.0 * y,
-        c="sqrt_({0})",
-        c_single="LIBRARY_SQRT({0})",
     ),
     "exp": Operation(
         cost="exponentials",
         value=_own("exp", _exp),
         partials=(lambda g, y, x: g * y,),
-        c="exp_({0})",
-        c_single="LIBRARY_EXP({0})",
     ),
     "log": Operation(
         cost="exponentials",
         value=_own("log", lambda x: math.log(x) if x > 0 else -math.inf if x == 0 else math.nan),
         partials=(lambda g, y, x: g,),
         divisor=lambda y, x: x,
-        c="log_({0})",
-        c_single="LIBRARY_LOG({0})",
     ),
     "tanh": Operation(
         cost="exponentials",
         value=_own("tanh", math.tanh),
         partials=(lambda g, y, x: g * (1.0 - y * y),),
-        c="tanh_({0})",
-        c_single="LIBRARY_TANH({0})",
         mirror=Mirror("tanh", negative=True),
     ),
     "floor": Operation(
         cost="comparisons",
         value=_own("floor", lambda x: float(math.floor(x)) if math.isfinite(x) else x),
         partials=(None,),  # constant wherever it has a derivative
-        c="floor_({0})",
-        c_single="LIBRARY_FLOOR({0})",
     ),
     # maximum and minimum: the first if both are equal, NaN if one is NaN; torch.maximum would share the gradient among
     # equal numbers
@@ -183,8 +170,7 @@ OPS: Mapping[str, Operation] = {
         value=lambda a, b: a if a >= b or a != a else b,
         partials=_gate(larger=True),
         tensor=lambda torch, a, b: torch.where((a >= b) | (a != a), a, b),
-        c="max_({0},{1})",
-        c_single="{0}>={1}||{0}!={0}?{0}:{1}",
+        c="({0} >= {1} || {0} != {0}) ? {0} : {1}",
         mirror=Mirror("min", negative=True),
         idempotent=True,
     ),
@@ -193,8 +179,7 @@ OPS: Mapping[str, Operation] = {
         value=lambda a, b: a if a <= b or a != a else b,
         partials=_gate(larger=False),
         tensor=lambda torch, a, b: torch.where((a <= b) | (a != a), a, b),
-        c="min_({0},{1})",
-        c_single="{0}<={1}||{0}!={0}?{0}:{1}",
+        c="({0} <= {1} || {0} != {0}) ? {0} : {1}",
         mirror=Mirror("max", negative=True),
         idempotent=True,
     ),
@@ -204,8 +189,7 @@ OPS: Mapping[str, Operation] = {
         value=lambda a, b: 1.0 if a >= b else 0.0,
         partials=(None, None),
         tensor=lambda torch, a, b: (a >= b).to(a.dtype),
-        c="ge_({0},{1})",
-        c_single="(S)({0}>={1})",
+        c="({0} >= {1}) ? 1 : 0",
         mirror=Mirror("ge", reverse=True),
     ),
     # the second where the first is not 0, otherwise the third; value and gradient do not depend on the one not taken
@@ -214,8 +198,7 @@ OPS: Mapping[str, Operation] = {
         value=lambda mask, a, b: a if mask != 0 else b,
         partials=(None, lambda g, y, mask, a, b: _select(mask, g, 0.0), lambda g, y, mask, a, b: _select(mask, 0.0, g)),
         tensor=lambda torch, mask, a, b: torch.where(mask != 0, a, b),
-        c="select_({0},{1},{2})",
-        c_single="{0}!=0?{1}:{2}",
+        c="({0} != 0) ? {1} : {2}",
         even=(0,),
         mirror=Mirror("select", negative=True),
         idempotent=True,

@@ -29,7 +29,6 @@ class Schedule(NamedTuple):
 
     uniform: tuple[bool, ...]  # whether a value is the same for all samples
     prelude: tuple[int, ...]  # values computed once, constants left out
-    pairs: dict[int, tuple[int, ...]]  # by the index of a sine or cosine: those of the same angle
     parts: tuple[Part, ...]  # computed per sample
     slots: int  # number of slots that parts pass values in
 
@@ -38,16 +37,16 @@ def schedule(program: Program, longest: int) -> Schedule:
     """Schedule of a program, in parts of at most `longest` values."""
     uniform = shared(program)
     prelude = tuple(i for i, op in enumerate(program.ops) if uniform[i] and op.code != "const")
-    together = pairs(program)
     body = recorded(program, {i for i, known in enumerate(uniform) if known})
     if len(body) <= longest:
-        return Schedule(uniform, prelude, together, (Part(tuple(body)),), 0)
+        return Schedule(uniform, prelude, (Part(tuple(body)),), 0)
+    together = pairs(program)
     cut = [body[k : k + longest] for k in range(0, len(body), longest)]
     for earlier, later in pairwise(cut):
         first = later[0]
         if first in together and together[first][0] != first:  # second of a pair; it stays in the part of the first
             earlier.append(later.pop(0))
-    return Schedule(uniform, prelude, together, *_in_slots(program, cut))
+    return Schedule(uniform, prelude, *_in_slots(program, cut))
 
 
 def _in_slots(program: Program, cut: Sequence[Sequence[int]]) -> tuple[tuple[Part, ...], int]:
