@@ -23,7 +23,6 @@ from torchdq.functions import call
 from torchdq.learning import MotionLimits, Samples, excitation_trajectory, fit, read_log
 from torchdq.program import autodiff
 from torchdq.program import program as programs
-from torchdq.scene import recording
 
 
 @pytest.fixture(autouse=True)

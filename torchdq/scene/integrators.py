@@ -1,7 +1,7 @@
 """Integrators: the state at the end of a step from the state at its start.
 
-They are recorded into programs of a scene, so their formulas are written for numbers of any type. A system has positions
-x and velocities v (of the joints, and of the rotors of elastic joints) and accelerations.
+They are recorded into programs of a scene, so their formulas are written for numbers of any type. A system has
+positions x and velocities v (of the joints, and of the rotors of elastic joints) and accelerations.
 
 | integrator | order | evaluations | energy of a conservative arm |
 |---|---|---|---|

@@ -1,8 +1,8 @@
 """The flow of a step as a loop over one program: of a substep, or of an attempt of a step of `DormandPrince`.
 
-Where a backend compiles, many evaluations of the program are one call. Adaptive rows go on until all have arrived, which
-the host looks at after blocks of attempts; a row that has arrived stands still. Gradients are those of the accepted
-steps, which are taken once more with the sizes that were found.
+Where a backend compiles, many evaluations of the program are one call. Adaptive rows go on until all have arrived,
+which the host looks at after blocks of attempts; a row that has arrived stands still. Gradients are those of the
+accepted steps, which are taken once more with the sizes that were found.
 """
 
 from __future__ import annotations

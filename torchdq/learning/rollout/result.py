@@ -28,7 +28,7 @@ class RolloutFit(NamedTuple):
     the scene are not among them: where residuals are correlated, the parameters are less certain than they say.
     """
 
-    scene: Scene  # with integrator and substeps of the fit, chosen for accuracy; `replace` gives it those for simulation
+    scene: Scene  # with the steps of the fit, a choice for accuracy; `replace` gives it those for simulation
     values: dict[str, Tensor]  # by name in `learn`; NaN where unidentifiable
     errors: dict[str, Tensor]  # standard errors of the values; NaN where unidentifiable
     names: tuple[str, ...]  # [p] of single numbers, such as "Viscous.coefficient[elbow]"
