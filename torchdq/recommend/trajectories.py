@@ -160,7 +160,7 @@ def reference(trial: Trial, error: float) -> Reference:
     pair, limit, closest, spent = trial.with_shifted(), "", math.inf, False
     for integrator in trial.integrators[:2]:
         row, times, stuck = list[Tensor](), 1, 0
-        while stuck < 3 and not (spent := times * pair.intervals > trial.most_steps):
+        while stuck < 3 and times * pair.intervals <= trial.most_steps:
             # an error that is a series in the step, from the power of the order on, loses a term with every column
             before, row, times = row, [pair.path(integrator, times, EXACT)], 2 * times
             for j, coarser in enumerate(before[:4]):
@@ -183,6 +183,7 @@ def reference(trial: Trial, error: float) -> Reference:
                     return Reference(trial, row[k].chunk(2, 1)[0], float(growth[len(row[0]) - 1]), limit)
             stuck = stuck + 1 if not min(changes) < closest and closest < 1e-6 else 0
             closest = min(closest, *changes)
+        spent = spent or stuck < 3
     name = f"trajectories of {trial.scene.robot.name!r} over {trial.horizon:.3g} s"
     steps, cure = (f"in {trial.most_steps} steps", "give more steps, ") if spent else ("however short the steps", "")
     if not closest < 1e3:
