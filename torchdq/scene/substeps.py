@@ -60,7 +60,7 @@ def _adaptive(
     rows = {"x": x, "v": v, "clock": x.new_tensor([0.0, T / 16, 1.0]).expand(*x.shape[:-1], -1)}
     found, count, block = list[Tensor](), 0, FIRST if repeatable(x, backend) else 1
     with torch.no_grad(), Progress(f"steps of DormandPrince over {T:g} s") as notice:
-        while count < most and bool(rows["clock"][..., 2].any()):
+        while count < most and bool((rows["clock"][..., 2] > 0).any()):  # NaN in rows without a mass matrix
             notice.at(f"{count} of at most {most}")
             times = min(block, most - count)
             rows = _repeated(Stage(spec, "attempt"), times, rows, {}, {"goal": goal, **held}, backend)
