@@ -148,7 +148,7 @@ def _step(scene: SceneModel, batch: int, dtype: torch.dtype) -> Callable[[], Sta
 
     # not `start`, which warns of positions outside the limits
     moved = initial_motion(scene.spec, {"q": random(scene.n), "qd": random(scene.n)})
-    state, _ = scene.begin(moved, {}, random(scene.noises))
+    state, _ = scene._begin(moved, {}, random(scene.noises))
     inputs = {name: random(width) for name, width in scene.inputs.items()}
     noise = random(scene.noises)
     return lambda: scene.step(state, noise=noise, **inputs)

@@ -66,9 +66,9 @@ def linearize(
     given = {"torque": torque, **{name: x for name, x in inputs.items() if x is not None}}
     if scene.looped or scene.computed:
         return _by_reverse_mode(scene, state, given, noise)
-    given = scene.with_noise({**state.rows(), **given}, noise)
+    given = scene._with_noise({**state.rows(), **given}, noise)
     if _short(scene):
-        found = scene.evaluate("step", given, wrt=("torque",))
+        found = scene._evaluate("step", given, wrt=("torque",))
         return Linearization(found["A"], found["torque"])
     return _by_columns(scene, given)
 
@@ -86,7 +86,7 @@ def _by_columns(scene: SceneModel, given: Mapping[str, Tensor]) -> Linearization
     sizes, q = (sum(scene.spec.displaced.values()), scene.n), given["q"]
     batch = batch_of(Stage(scene.spec, "step"), {**given, **scene.parameters})
     units = torch.eye(sum(sizes), dtype=q.dtype, device=q.device).unflatten(0, (-1, *(1,) * len(batch)))
-    found = scene.evaluate("step", {**given, "direction": units}, wrt=("torque",))["A"]
+    found = scene._evaluate("step", {**given, "direction": units}, wrt=("torque",))["A"]
     return Linearization(*found.squeeze(-1).movedim(0, -1).split(sizes, -1))
 
 

@@ -69,7 +69,7 @@ def looped(scene: SceneModel, series: Mapping[str, Tensor], steps: int, plan: Pl
     constants(scene.robot)  # raises if they were changed in place
     fixed, policy = scene.parameters, plan.recorded
     if scene.noises and "noise" not in series:
-        series = {**series, "noise": scene.random(like, steps)}
+        series = {**series, "noise": scene._random(like, steps)}
     if policy is not None:
         fixed = {**fixed, **{f"{POLICY}.{name}": x for name, x in policy.weights().items()}}
         series = {**series, **policy.stepped()}

@@ -163,9 +163,9 @@ class SceneModel:
         moved = initial_motion(self.spec, {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B})
         if message := outside_limits(moved["q"], self.effects, self.robot):
             warnings.warn(message, stacklevel=2)
-        return self.begin(moved, {}, noise)[0]
+        return self._begin(moved, {}, noise)[0]
 
-    def begin(
+    def _begin(
         self,
         moved: Mapping[str, Tensor],
         inputs: Mapping[str, Tensor],
@@ -176,12 +176,12 @@ class SceneModel:
 
         Args:
             moved: positions and velocities, by their names in a state.
-            inputs, noise, task: as in `advance`.
+            inputs, noise, task: as in `_advance`.
         """
         if task is None and not self.spec.senses and not self.spec.remembers:
             return State(**moved), {}
-        given = {**moved, **inputs, **self.grounds(State(**moved))}
-        state, rows = _split(self.evaluate("begin", self.with_noise(given, noise), task))
+        given = {**moved, **inputs, **self._grounds(State(**moved))}
+        state, rows = _split(self._evaluate("begin", self._with_noise(given, noise), task))
         return state._replace(**moved), rows
 
     def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
@@ -195,9 +195,9 @@ class SceneModel:
                 sensors need them.
             inputs: inputs of controller and effects, by name; see `inputs`.
         """
-        return self.advance(state, {"torque": torque, **inputs}, noise)[0]
+        return self._advance(state, {"torque": torque, **inputs}, noise)[0]
 
-    def advance(
+    def _advance(
         self,
         state: State,
         inputs: Mapping[str, Tensor | None],
@@ -209,20 +209,20 @@ class SceneModel:
         self.spec.require_inputs(inputs, task)
         present = {name: x for name, x in inputs.items() if x is not None}
         if not self.looped:
-            present |= self.outside(state)
-            return _split(self.evaluate("step", self.with_noise({**state.rows(), **present}, noise), task))
+            present |= self._outside(state)
+            return _split(self._evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
         dtype = state.q.dtype
         if self.precision == "double" and dtype == torch.float32:
             # the integrator's own arithmetic is double as well
             present, state = {name: x.double() for name, x in present.items()}, state.to(torch.float64)
             noise = None if noise is None else noise.double()
-        rows, outside = self.evaluate("drive", {**state.rows(), **present}, task), self.outside(state)
+        rows, outside = self._evaluate("drive", {**state.rows(), **present}, task), self._outside(state)
         x, v = rows.pop("x"), rows.pop("v")
         acting = {name: present[name] for e in self.effects for name in e.inputs(self.n) if name in present}
         held = {**acting, **outside, **{name: rows[name] for name in ("u", "X_WB") if name in rows}}
         x, v = flow(self.spec, x, v, {**held, **self.parameters}, self.backend)
         given = {"x": x, "v": v, **rows, **present, **{name: outside[name] for name in self.computed}}
-        sensed = self.evaluate("sense", self.with_noise(given, noise), task)
+        sensed = self._evaluate("sense", self._with_noise(given, noise), task)
         return _split({name: x.to(dtype) for name, x in sensed.items()})
 
     @property
@@ -232,20 +232,20 @@ class SceneModel:
             return isinstance(self.integrator, DormandPrince)
         return not self.unroll if self.unroll is not None else _length(self) > MOST_OPERATIONS
 
-    def outside(self, state: State) -> dict[str, Tensor]:
+    def _outside(self, state: State) -> dict[str, Tensor]:
         """Rows that torch computes outside the program, from the state at the start of a step, by name."""
         of = self.spec.of(JointEffect) if self.computed else ()
         learning: dict[str, Any] = {name: self.effects[i] for i, effect in of for name in effect.computed(self.n)}
-        return self.grounds(state) | {name: effect.torques(state.q, state.qd) for name, effect in learning.items()}
+        return self._grounds(state) | {name: effect.torques(state.q, state.qd) for name, effect in learning.items()}
 
-    def grounds(self, state: State) -> dict[str, Tensor]:
+    def _grounds(self, state: State) -> dict[str, Tensor]:
         """Rows that effects on bodies look up below their points in a state, by name."""
         if not self.computed:
             return {}
         of = self.spec.of(BodyEffect)
         looking: dict[str, Any] = {name: self.effects[i] for i, effect in of for name in effect.computed(self.n)}
         moving = {name: x for name, x in state.rows().items() if name in self.spec.moving}
-        places = self.evaluate("places", moving) if looking else {}
+        places = self._evaluate("places", moving) if looking else {}
         return {name: looking[name].looked_up(x) for name, x in places.items()}
 
     def finite(self, state: State) -> Tensor:
@@ -256,7 +256,7 @@ class SceneModel:
     def energy(self, state: State) -> Tensor:
         """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
         require_state(state)
-        return self.evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
+        return self._evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
 
     def contacts(self, state: State) -> Contacts:
         """Contact of every point; with stiction the forces are those of the last step, as the state remembers.
@@ -275,7 +275,7 @@ class SceneModel:
             raise ArgumentError(
                 f"contacts need an effects.Contact in the scene of robot {self.robot.name!r}, found none"
             )
-        rows = self.evaluate("contacts", {**state.rows(), **self.grounds(state)})
+        rows = self._evaluate("contacts", {**state.rows(), **self._grounds(state)})
         force = rows.pop("force").unflatten(-1, (-1, 3))
         return Contacts(force, touching=rows.pop("touching") != 0, **rows)
 
@@ -300,7 +300,7 @@ class SceneModel:
         """Operations of a step."""
         return self.program().count()
 
-    def evaluate(
+    def _evaluate(
         self, stage: str, given: Mapping[str, Tensor], task: Task | None = None, wrt: tuple[str, ...] | None = None
     ) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
@@ -315,13 +315,13 @@ class SceneModel:
         own |= {i for i, _ in self.spec.of(Sensor)}
         return {name: x if int(name.partition(".")[0]) in own else x.detach() for name, x in self.parameters.items()}
 
-    def with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
+    def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
         """Inputs with the random numbers that the sensors need."""
         if not self.noises:
             return given
-        return {**given, "noise": self.random(next(iter(given.values()))) if noise is None else noise}
+        return {**given, "noise": self._random(next(iter(given.values()))) if noise is None else noise}
 
-    def random(self, like: Tensor, *steps: int) -> Tensor:
+    def _random(self, like: Tensor, *steps: int) -> Tensor:
         """Random numbers that the sensors need for states like the rows of a tensor, [*steps, ..., noises]."""
         # 1 - [0, 1) lies in (0, 1], and the logarithm of 0 is infinite
         return 1 - torch.rand(*steps, *like.shape[:-1], self.noises, dtype=like.dtype, device=like.device)

@@ -285,7 +285,7 @@ class _Trial:
         """Springs and dampers in those of some states that are finite."""
         inputs = {name: x for name, x in self._inputs().items() if name != "noise"}
         with torch.no_grad():
-            rows = self.scene.evaluate("frozen", {**states.rows(), **inputs, **self.scene.outside(states)})
+            rows = self.scene._evaluate("frozen", {**states.rows(), **inputs, **self.scene._outside(states)})
         control, n = self.scene.controller, self.scene.n
         if isinstance(control, Feedback):
             accelerates = isinstance(control, ComputedTorque)  # the others' gains are torques

@@ -130,7 +130,7 @@ class Problem:
         """Nodes where the measurements are."""
         found = shooting.first_guess(self.pieces, self.logs)
         q, qd = torch.from_numpy(found).split(self.pieces.n, -1)
-        memory = self.scene.begin({"q": q, "qd": qd}, {})[0].memory
+        memory = self.scene._begin({"q": q, "qd": qd}, {})[0].memory
         return found if memory is None else np.concatenate([found, memory.numpy()], -1)
 
     @cached_property
@@ -159,7 +159,7 @@ class Problem:
         # not `with_parameters`: what no robot has is no error in a trial
         object.__setattr__(scene, "parameters", self.scene.parameters | self.unknowns.parameters(values))
         given = {name: torch.from_numpy(x) for name, x in inputs.items()}
-        after = scene.advance(State(**self._rows(nodes)), given)[0].rows()
+        after = scene._advance(State(**self._rows(nodes)), given)[0].rows()
         return np.concatenate([after[name].numpy() for name in self.scene.spec.state], -1)
 
     def _rows(self, nodes: np.ndarray) -> dict[str, Tensor]:
