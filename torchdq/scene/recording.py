@@ -34,6 +34,9 @@ from torchdq.scene.free_base import POSE, TWIST, displacement, rate_of
 from torchdq.scene.integrators import DormandPrince, Integrator
 from torchdq.scene.spec import POLICY, Formula, Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 
+# of adaptive steps, see `DormandPrince.attempt`; names that no input has
+TAKEN, CLOCK, GOAL = "size of a step", "clock of a step", "goal of a step"
+
 
 def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
     """Actuator torques u, positions x and velocities v to integrate, and the memory, by controller and actuators."""
@@ -160,7 +163,7 @@ def _substep(scene: RecordedScene, task: Task | None) -> Rows:
     given = scene.inputs
 
     def rows(system: SceneSystem) -> Rows:
-        (h,) = given["h"] if "h" in given else given["taken"]
+        (h,) = given["h"] if "h" in given else given[TAKEN]
         x, v = scene.spec.integrator.step(system, given["x"], given["v"], h)
         return {"x": x, "v": v}
 
@@ -172,8 +175,8 @@ def _attempt(scene: RecordedScene, task: Task | None) -> Rows:
     given = scene.inputs
 
     def rows(system: SceneSystem) -> Rows:
-        x, v, clock, taken = DormandPrince().attempt(system, *[given[name] for name in ("x", "v", "clock", "goal")])
-        return {"x": x, "v": v, "clock": clock, "taken": [taken]}
+        x, v, clock, taken = DormandPrince().attempt(system, *[given[name] for name in ("x", "v", CLOCK, GOAL)])
+        return {"x": x, "v": v, CLOCK: clock, TAKEN: [taken]}
 
     return with_growths(scene, given["u"], rows)
 
@@ -196,10 +199,6 @@ DRIVEN = ("step", "drive", "frozen")  # stages with controller and actuators
 
 
 # --- programs --------------------------------------------------------------------------------------------------------
-
-
-# inputs of a substep: its size, of all samples or of each; clock and goal of adaptive ones
-CLOCK = {"h": 1, "taken": 1, "clock": 3, "goal": 4}
 
 
 class _StageFields(NamedTuple):
@@ -238,7 +237,8 @@ class Stage(_StageFields, Computation):
         moving = n + spec.transmission[1].memory(n) // 2
         asked = {} if self.task is None else self.task.inputs(n)
         poses, twists = (POSE, TWIST) if spec.robot.floating else (0, 0)
-        evaluated = {"u": n, "x": moving + poses, "v": moving + spec.inner + twists, **CLOCK}
+        evaluated = {"u": n, "x": moving + poses, "v": moving + spec.inner + twists, "h": 1}
+        evaluated |= {TAKEN: 1, CLOCK: 3, GOAL: 4}
         known = {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
         return known if self.wrt is None else {**known, "direction": sum(spec.displaced.values()) + n}
 
@@ -256,7 +256,7 @@ class Stage(_StageFields, Computation):
 
     def shared(self, name: str) -> bool:
         """True for a parameter, and for a step size or a goal that all samples have."""
-        return "." in name or name in ("h", "goal")
+        return "." in name or name in ("h", GOAL)
 
     def label(self, name: str) -> str:
         """Name without its owner."""

@@ -20,7 +20,7 @@ from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.program.autograd import in_a_graph
 from torchdq.scene.integrators import DormandPrince
-from torchdq.scene.recording import Stage
+from torchdq.scene.recording import CLOCK, GOAL, TAKEN, Stage
 from torchdq.scene.spec import SceneSpec
 
 FIRST, MOST = 8, 64  # attempts in the first block and, doubled from one to the next, in the largest
@@ -57,20 +57,20 @@ def _adaptive(
         warnings.warn(f"rtol {integrator.rtol:g} is below the rounding of {x.dtype}; {rtol:.1g} is used", stacklevel=2)
     goal = x.new_tensor([T, rtol, integrator.atol, rounding])
     # a sixteenth of the way as first step
-    rows = {"x": x, "v": v, "clock": x.new_tensor([0.0, T / 16, 1.0]).expand(*x.shape[:-1], -1)}
+    rows = {"x": x, "v": v, CLOCK: x.new_tensor([0.0, T / 16, 1.0]).expand(*x.shape[:-1], -1)}
     found, count, block = list[Tensor](), 0, FIRST if repeatable(x, backend) else 1
     with torch.no_grad(), Progress(f"steps of DormandPrince over {T:g} s") as notice:
-        while count < most and bool((rows["clock"][..., 2] > 0).any()):  # NaN in rows without a mass matrix
+        while count < most and bool((rows[CLOCK][..., 2] > 0).any()):  # NaN in rows without a mass matrix
             notice.at(f"{count} of at most {most}")
             times = min(block, most - count)
-            rows = _repeated(Stage(spec, "attempt"), times, rows, {}, {"goal": goal, **held}, backend)
-            found.append(rows.pop("taken"))
+            rows = _repeated(Stage(spec, "attempt"), times, rows, {}, {GOAL: goal, **held}, backend)
+            found.append(rows.pop(TAKEN))
             count, block = count + times, min(2 * block, MOST) if block > 1 else 1
-    arrived = rows["clock"][..., :1] >= goal[0] * (1.0 - goal[3])
+    arrived = rows[CLOCK][..., :1] >= goal[0] * (1.0 - goal[3])
     if found and in_a_graph([x, v, *held.values()]):
         sizes = torch.cat(found)
         sizes = sizes[sizes.flatten(1).any(1)]
-        rows = _repeated(Stage(spec, "substep"), len(sizes), {"x": x, "v": v}, {"taken": sizes}, held, backend)
+        rows = _repeated(Stage(spec, "substep"), len(sizes), {"x": x, "v": v}, {TAKEN: sizes}, held, backend)
     return torch.where(arrived, rows["x"], torch.nan), torch.where(arrived, rows["v"], torch.nan)
 
 
