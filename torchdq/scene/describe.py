@@ -108,7 +108,7 @@ def describe(
 def _times(
     steps: Sequence[Callable[[], Callable[[], State]]], batch: int, end: float, notice: Progress
 ) -> list[list[float]]:
-    """Times of steps that take turns [ns], one in each round; none of those that there was no time to compile."""
+    """Times of steps that take turns [ns], one in each round; without those that there was no time to compile."""
     calls: dict[str, Callable[[], object]] = {}
     order = [len(steps) - 1, *range(len(steps) - 1)]  # the whole scene first
     longest = 0.0

@@ -87,7 +87,7 @@ class SceneSystem(System):
         return [*free_base.twist(x[-POSE:], v[-TWIST:], scene.base_com), *v[:n]] if self._free else v[:n]
 
     def _still(self, x: Row, v: Row) -> Row:
-        """Motion seen by one who flies along with the centre of mass of a floating base: the forces are the same."""
+        """Motion in a frame that moves with the centre of mass of a floating base, where the forces are the same."""
         return self._motion(x, [*v[:-3], 0.0, 0.0, 0.0]) if self._free else self._motion(x, v)
 
     def _acting(self, at: Posed, x: Row, v: Row, h: Number = 0.0) -> _Acting:

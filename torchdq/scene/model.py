@@ -219,8 +219,8 @@ class SceneModel:
         rows, outside = self._evaluate("drive", {**state.rows(), **present}, task), self._outside(state)
         x, v = rows.pop("x"), rows.pop("v")
         acting = {name: present[name] for e in self.effects for name in e.inputs(self.n) if name in present}
-        held = {**acting, **outside, **{name: rows[name] for name in ("u", "X_WB") if name in rows}}
-        x, v = flow(self.spec, x, v, {**held, **self.parameters}, self.backend)
+        held = acting | outside | {name: rows[name] for name in ("u", "X_WB") if name in rows} | self.parameters
+        x, v = flow(self.spec, x, v, held, self.backend)
         given = {"x": x, "v": v, **rows, **present, **{name: outside[name] for name in self.computed}}
         sensed = self._evaluate("sense", self._with_noise(given, noise), task)
         return _split({name: x.to(dtype) for name, x in sensed.items()})
@@ -310,7 +310,7 @@ class SceneModel:
 
     @property
     def _at_rest(self) -> dict[str, Tensor]:
-        """Parameters, without gradients where no start depends on them: rollouts from one share no graph of those."""
+        """Parameters, detached where no start depends on them, so that rollouts from one start share no graph."""
         own = {i for i, x in enumerate(self.effects) if type(x).start != Effect.start}
         own |= {i for i, _ in self.spec.of(Sensor)}
         return {name: x if int(name.partition(".")[0]) in own else x.detach() for name, x in self.parameters.items()}
