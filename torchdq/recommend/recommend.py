@@ -141,9 +141,9 @@ def _for_trajectories(trial: Trial, error: float, divisible: bool) -> SceneRecom
     if limit:
         warnings.warn(f"{limit}; the recommendation is for {tried.horizon:.3g} s", stacklevel=3)
     best = found[0]
-    within = best.times if tried.sampled else 1
-    scene = tried.scene.replace(integrator=best.integrator, precision=best.arithmetic.precision, substeps=within)
-    scene = scene.replace(dt=best.step * within, unroll=False if within > UNROLLED else None)
+    within, dt = (best.times, tried.scene.dt) if tried.sampled else (1, best.step)
+    scene = tried.scene.replace(integrator=best.integrator, precision=best.arithmetic.precision)
+    scene = scene.replace(dt=dt, substeps=within, unroll=False if within > UNROLLED else None)
     tried.report("time of the recommended step")
     return SceneRecommendation(
         **_common(found, scene.robot, scene, _step(scene, best.arithmetic.dtype, tried), within),
