@@ -248,11 +248,6 @@ class SceneModel:
         places = self._evaluate("places", moving) if looking else {}
         return {name: looking[name].looked_up(x) for name, x in places.items()}
 
-    def finite(self, state: State) -> Tensor:
-        """True for every row of a state whose numbers are all finite, shape [...]."""
-        require_state(state)
-        return state.finite()
-
     def energy(self, state: State) -> Tensor:
         """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
         require_state(state)

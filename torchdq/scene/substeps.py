@@ -56,19 +56,20 @@ def _adaptive(
     if rtol > integrator.rtol:
         warnings.warn(f"rtol {integrator.rtol:g} is below the rounding of {x.dtype}; {rtol:.1g} is used", stacklevel=2)
     goal = x.new_tensor([T, rtol, integrator.atol, rounding])
+    fixed = {GOAL: goal, **{name: y.detach() for name, y in held.items()}}
     # a sixteenth of the way as first step
-    rows = {"x": x, "v": v, CLOCK: x.new_tensor([0.0, T / 16, 1.0]).expand(*x.shape[:-1], -1)}
+    rows = {"x": x.detach(), "v": v.detach(), CLOCK: x.new_tensor([0.0, T / 16, 1.0]).expand(*x.shape[:-1], -1)}
     found, count, block = list[Tensor](), 0, FIRST if repeatable(x, backend) else 1
     with torch.no_grad(), Progress(f"steps of DormandPrince over {T:g} s") as notice:
         while count < most and bool((rows[CLOCK][..., 2] > 0).any()):  # NaN in rows without a mass matrix
             notice.at(f"{count} of at most {most}")
             times = min(block, most - count)
-            rows = _repeated(Stage(spec, "attempt"), times, rows, {}, {GOAL: goal, **held}, backend)
+            rows = _repeated(Stage(spec, "attempt"), times, rows, {}, fixed, backend)
             found.append(rows.pop(TAKEN))
             count, block = count + times, min(2 * block, MOST) if block > 1 else 1
     arrived = rows[CLOCK][..., :1] >= goal[0] * (1.0 - goal[3])
-    if found and in_a_graph([x, v, *held.values()]):
-        sizes = torch.cat(found)
+    if in_a_graph([x, v, *held.values()]):
+        sizes = torch.cat(found) if found else x.new_empty(0, *x.shape[:-1], 1)
         sizes = sizes[sizes.flatten(1).any(1)]
         rows = _repeated(Stage(spec, "substep"), len(sizes), {"x": x, "v": v}, {TAKEN: sizes}, held, backend)
     return torch.where(arrived, rows["x"], torch.nan), torch.where(arrived, rows["v"], torch.nan)
