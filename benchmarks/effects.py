@@ -43,7 +43,7 @@ def stepped(scene: Scene) -> Callable[[], object]:
         return torch.rand(BATCH, width, generator=generator, dtype=torch.float64)
 
     q, qd, noise = (random(width) for width in (scene.n, scene.n, scene.noises))
-    state, _ = scene.begin({"q": q, "qd": qd}, {}, noise)
+    state, _ = scene._begin({"q": q, "qd": qd}, {}, noise)
     inputs = {name: random(width) for name, width in scene.inputs.items()}
     return lambda: scene.step(state, noise=noise, **inputs)
 

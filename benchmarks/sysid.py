@@ -191,7 +191,8 @@ def noisy(runs: int, dt: float, dry: bool) -> Errors:
         begin = time.process_time()
         fit: RolloutFit = fit_rollout(guess, log._replace(q=q), learn)
         times.append(time.process_time() - begin)
-        rules.append(str(fit.scene.integrator))
+        steps = fit.scene.substeps
+        rules.append(f"`{fit.scene.integrator}`" + (f", {steps} substeps" if steps > 1 else ""))
         off = fit.estimate - true
         squares.append(float(off @ torch.linalg.solve(fit.covariance, off)))
     return Errors(squares, statistics.median(times[1:]), statistics.mode(rules))
@@ -217,7 +218,7 @@ def main() -> tuple[dict[str, float], dict[str, Errors]]:
     print("|---|---|---|---|")
     for name, case in cases.items():
         size = np.mean(case.squares) / DEGREES
-        print(f"| {name} | {size:.2f} | `{case.integrator}` | {case.seconds:.2g} s |")
+        print(f"| {name} | {size:.2f} | {case.integrator} | {case.seconds:.2g} s |")
     whole = [x for case in cases.values() for x in case.squares]
     p = float(stats.kstest(whole, stats.chi2(DEGREES).cdf).pvalue)
     print(f"\nprobability of a distribution as far from chi-square: {p:.2g}")

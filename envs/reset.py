@@ -84,7 +84,7 @@ class Reset:
         opening = _of_rows(self.opening, rows)
         given = task_inputs(task, fresh, opening)
         moved = {name: fresh[name] for name in self.scene.spec.moving}
-        state, seen = opening.begin(moved, given, noise, self.checked)
+        state, seen = opening._begin(moved, given, noise, self.checked)
         if own is not None:
             now = own.now(state, fresh["goal"], steps, seen, scene=lambda: _of_rows(self.scene, rows))
             seen["observation"] = own.observed(now)

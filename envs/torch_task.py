@@ -195,7 +195,7 @@ class Functions(NamedTuple):
             if not self.differing:
                 return self.simulated
             simulated_scene = self.scene if scene is None else scene()
-            bodies = simulated_scene.evaluate("bodies", {"q": state.q})
+            bodies = simulated_scene._evaluate("bodies", {"q": state.q})
             shapes = {name: trailing(SHAPES[name], self.robot.sizes) for name in self.differing}
             return self.simulated._with(**{name: bodies[name].reshape(-1, *shape) for name, shape in shapes.items()})
 

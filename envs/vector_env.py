@@ -572,7 +572,7 @@ class RobotVectorEnv(VectorEnv):
             noise, after = streams.column(NOISE).uniform(self._scene.noises, self.dtype)
             streams = streams.with_column(NOISE, after)
         buffers |= streams._asdict()
-        state, rows = self._scene.advance(self._state, given, noise, self._reset.checked)
+        state, rows = self._scene._advance(self._state, given, noise, self._reset.checked)
         if (functions := self._reset.functions) is not None:
             rows = functions.after(functions.now(state, buffers["goal"].clone(), buffers["steps"], rows, actions))
         buffers.update(state.rows(), **{name: rows.pop(name) for name in KEPT if name in buffers})

@@ -68,12 +68,6 @@ def step_program(case: Case, integrator: Integrator) -> Program:
     )
 
 
-@lru_cache
-def rates_program(case: Case) -> Program:
-    """Program of the accelerations, with the same arguments."""
-    return _recorded(case, "rates", lambda motion, x, v, h: {"a": motion.accelerations(x, v)})
-
-
 def _recorded(case: Case, name: str, of: Callable[..., dict[str, Any]]) -> Program:
     n, spec = case.robot.n, case.scene.spec
     arguments = [Argument(x, n) for x in ("q", "qd", "torque", *case.inputs)] + [Argument("dt", 1, uniform=True)]
@@ -164,32 +158,17 @@ def flown(case: Case, integrator: str, precision: str, steps: int, runner: Runne
     return end + torch.cat([x.double() for x in state[2:]], -1) if len(state) > 2 else end
 
 
-@dataclass
-class _Bodies(System):
-    """Accelerations of rows of tensors, counted."""
-
-    program: Program
-    others: Sequence[Tensor]
-    asked: int = 0
-
-    def accelerations(self, x: Row, v: Row) -> list[Number]:
-        """Accelerations in a state."""
-        self.asked += 1
-        return [compiled(self.program, [*x, *v, *self.others])[0]]
-
-
-def adaptive(case: Case, precision: str, rtol: float, batch: int | None = None) -> Callable[[], tuple[Tensor, int]]:
-    """Call for the state at the horizon by DormandPrince, and the number of evaluations that it takes."""
-    (q, qd), torques, others = initial(case, precision, batch)
+def adaptive(case: Case, precision: str, rtol: float, batch: int | None = None) -> Callable[[], Tensor]:
+    """Call for the state at the horizon by DormandPrince."""
+    (q, qd), torques, _ = initial(case, precision, batch)
     method = integrators.DormandPrince(rtol, 1e-3 * rtol)
-    program, h = rates_program(case), q.new_ones(1)
+    scene = case.scene.replace(integrator=method, dt=case.horizon / PERIODS)
+    inputs = {name: x.to(q.dtype) for name, x in case.inputs.items()}
 
-    def call() -> tuple[Tensor, int]:
-        x, v, asked = q, qd, 0
+    def call() -> Tensor:
+        state = scene.start(q, qd)
         for torque in torques:
-            bodies = _Bodies(program, [torque, *others, h])
-            x, v = method.flow(bodies, x, v, case.horizon / PERIODS)
-            asked += bodies.asked
-        return torch.cat([x, v], -1).double(), asked
+            state = scene.step(state, torque, **inputs)
+        return torch.cat(state[:2], -1).double()
 
     return call

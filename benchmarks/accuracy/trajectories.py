@@ -117,13 +117,10 @@ def _tolerances(case: Case, precision: str, truth: references.Truth, quick: bool
     """Points of the adaptive integrator at its tolerances."""
     # below a hundred times the rounding of the state a tolerance has no meaning
     tolerances = [t for t in TOLERANCES if t > 100 * torch.finfo(dtype_of(precision)).eps]
-    # an evaluation costs the same at every tolerance, and what the loosest one takes in all says how much
-    call = adaptive(case, precision, tolerances[0], BATCH)
-    each = clock(call, BATCH, repeats=5 if quick else 20).times(1 / call()[1])
     curve = []
     for rtol in tolerances[:: 2 if quick else 1]:
-        end, evaluations = adaptive(case, precision, rtol)()
-        curve.append(_point(DORMAND_PRINCE, precision, evaluations, rtol, end, truth, each))
+        each = clock(adaptive(case, precision, rtol, BATCH), BATCH, repeats=5 if quick else 20).times(1 / PERIODS)
+        curve.append(_point(DORMAND_PRINCE, precision, PERIODS, rtol, adaptive(case, precision, rtol)(), truth, each))
     return [p for p in curve if np.isfinite(p["error_max"])]
 
 

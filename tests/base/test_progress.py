@@ -23,8 +23,6 @@ from torchdq.functions import call
 from torchdq.learning import MotionLimits, Samples, excitation_trajectory, fit, read_log
 from torchdq.program import autodiff
 from torchdq.program import program as programs
-from torchdq.scene import recording
-from torchdq.scene.integrators import LinearlyImplicit, Repeated
 
 
 @pytest.fixture(autouse=True)
@@ -141,21 +139,6 @@ def test_programs_that_take_long_to_record_and_to_write_are_told_with_their_oper
         number, words = shown[f"recording step_two_link{ending}"].split()
         assert int(number) > 100 and words == "operations"
     assert shown["writing step_two_link in C"] == ""
-
-
-def test_substeps_that_no_program_can_hold_are_refused_after_the_first(monkeypatch):
-    monkeypatch.setattr(recording, "MOST_OPERATIONS", 1000)
-    scene = Scene(torchdq.robots.load("two_link"), substeps=20)
-    state = scene.start(torch.ones(2))
-    with refused(torchdq.ArgumentError):
-        scene.step(state)
-    monkeypatch.undo()
-    alike = scene.replace(substeps=1, integrator=Repeated(LinearlyImplicit(), 20))
-    torch.testing.assert_close(scene.step(state).q, alike.step(state).q)
-    start = time.monotonic()
-    with refused(torchdq.ArgumentError):
-        scene.replace(substeps=10**6).step(state)
-    assert time.monotonic() - start < 5
 
 
 # --- work that shows how far it is ----------------------------------------------------------------------------------

@@ -145,7 +145,7 @@ SCENES = {
     "bare": lambda: Scene(TWO),
     "integrators": lambda: Scene(TWO, FELT, integrator=integrators.RungeKutta4()),
     "conserving": lambda: Scene(TWO, FELT[:1], integrator=integrators.StoermerVerlet()),
-    "repeated": lambda: Scene(TWO, FELT, integrator=integrators.Repeated(integrators.SemiImplicitEuler(), 3)),
+    "substeps in a loop": lambda: Scene(TWO, FELT, substeps=3, unroll=False),
     "sensors": lambda: Scene(TWO, (*FELT, effects.Bias(0.01), effects.QuantisedReading(0.01))),
     "learned": lambda: Scene(TWO, (effects.Gravity(), effects.Viscous(torch.tensor([0.1, 0.2], dtype=F64)))),
     "controlled with memory": lambda: Scene(

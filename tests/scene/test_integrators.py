@@ -20,15 +20,14 @@ from scipy.integrate import solve_ivp
 import torchdq
 from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
+from torchdq.scene import model
 from torchdq.scene.integrators import (
     DormandPrince,
     ExplicitEuler,
     LinearlyImplicit,
-    Repeated,
     RungeKutta4,
     SemiImplicitEuler,
     StoermerVerlet,
-    System,
 )
 
 PANDA = shipped("panda")
@@ -88,6 +87,17 @@ def test_the_error_falls_with_the_stated_order(integrator, compiled, margin):
     margin(abs(math.log2(coarse / fine) - order), 0.15, called(integrator))
 
 
+def test_many_substeps_are_a_loop(monkeypatch):
+    """Whose program is that of one, so that a thousand of them are at hand at once."""
+    monkeypatch.setattr(model, "MOST_OPERATIONS", 1000)
+    scene = Scene(ARM, (effects.Gravity(), effects.Viscous(0.1)), dt=0.04, substeps=1000)
+    start, torque = State(*random(2, 3, 2)), double(1.0, -1.0)
+    assert not scene.replace(substeps=2).looped and scene.looped
+    with torchdq.backend("auto"):
+        exact = scene.replace(integrator=RungeKutta4()).step(start, torque)
+        assert distance(scene.step(start, torque), exact) < 1e-3
+
+
 def test_substeps_are_steps():
     scene = Scene(ARM, (effects.Gravity(), effects.Viscous(0.1)), dt=0.04, substeps=4)
     start, torque = State(*random(2, 3, 2)), double(1.0, -1.0)
@@ -116,62 +126,62 @@ def test_dormand_prince_agrees_with_scipy_on_pinocchios_accelerations(case, comp
     assert np.abs(np.concatenate(found[:2]) - solution.y[:, -1]).max() < 1e-9
 
 
-class Pendulum(System):
-    """x'' = -x, which counts its evaluations."""
-
-    def __init__(self, calls):
-        self.calls = calls
-
-    def accelerations(self, x, v):
-        self.calls.append(1)
-        return [-x[0]]
+def attempts(end):
+    """Least number of attempts with which an adaptive step arrives."""
+    low, high = 0, 4096
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if bool(end(middle).q.isfinite()) else (middle, high)
+    return high
 
 
-def test_dormand_prince_meets_its_tolerance_with_steps_of_its_order():
+def test_dormand_prince_meets_its_tolerance_with_steps_of_its_order(compiled):
     """On x'' = -x, ten times the work buys five digits."""
-    errors, evaluations = [], []
+    errors, numbers = [], []
+    scene = Scene(WHEEL, (effects.Spring(INERTIA),), dt=5.0)
     for rtol in (1e-6, 1e-11):
-        calls = []
-        spring = Pendulum(calls)
-        x, v = DormandPrince(rtol, rtol).flow(spring, double(1.0)[None], double(0.0)[None], 5.0)
-        errors.append(max(abs(float(x) - math.cos(5.0)), abs(float(v) + math.sin(5.0))) / rtol)
-        evaluations.append(len(calls))
+
+        def end(most, rtol=rtol):
+            return scene.replace(integrator=DormandPrince(rtol, rtol, most)).step(State(double(1.0), double(0.0)))
+
+        found = end(4096)
+        errors.append(max(abs(float(found.q) - math.cos(5.0)), abs(float(found.qd) + math.sin(5.0))) / rtol)
+        numbers.append(attempts(end))
     assert all(0.01 < error < 20 for error in errors)
-    assert 7 < evaluations[1] / evaluations[0] < 14
+    assert 7 < numbers[1] / numbers[0] < 14
 
 
 @pytest.mark.parametrize("integrator", thinned(FIXED, FIXED[2:4]), ids=called)
-def test_repeated_steps_are_the_recorded_ones(integrator):
-    """One loop of compiled steps or the steps of torch one by one, with their gradients."""
+def test_substeps_in_a_loop_are_those_of_one_program(integrator):
+    """Compiled, or one by one by torch, with their gradients."""
     coefficient = double(0.5, 0.3).requires_grad_()
     parts = (effects.Gravity(), effects.Viscous(coefficient), effects.Spring(20.0))
-    recorded = Scene(ARM, parts, integrator=integrator, dt=0.03, substeps=3)
-    called = recorded.replace(integrator=Repeated(integrator, 3), substeps=1)
+    unrolled = Scene(ARM, parts, integrator=integrator, dt=0.03, substeps=3)
+    looped = unrolled.replace(unroll=False)
     given = [x.requires_grad_() for x in (*random(2, 4, 2, seed=2), random(4, 2, seed=3))]
 
     def found(scene):
         q, qd = scene.step(State(*given[:2]), given[2])[:2]
         return [q, qd, *torch.autograd.grad((q + qd * q).sum(), [*given, coefficient])]
 
-    expected = found(recorded)
+    expected = found(unrolled)
     for backend in ("auto", "eager") if integrator.order == 4 or EVERYTHING else ("eager",):
-        for a, b in zip(expected, found(called.replace(backend=backend)), strict=True):
+        for a, b in zip(expected, found(looped.replace(backend=backend)), strict=True):
             torch.testing.assert_close(a, b, rtol=1e-13, atol=1e-13)
 
 
 @pytest.mark.case("T5", "T6")
-def test_repeated_steps_in_double_precision_round_once():
+def test_substeps_in_double_precision_round_once():
     q, qd = (x.float() for x in random(2, 4, 2, seed=2))
     scene = Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4(), dt=0.1, substeps=4, precision="double")
-    called = scene.replace(integrator=Repeated(RungeKutta4(), 4), substeps=1)
-    for a, b in zip(scene.step(State(q, qd))[:2], called.step(State(q, qd))[:2], strict=True):
+    looped = scene.replace(unroll=False)
+    for a, b in zip(scene.step(State(q, qd))[:2], looped.step(State(q, qd))[:2], strict=True):
         torch.testing.assert_close(a, b, rtol=2 * 2.0**-24, atol=0)
 
 
 MISUSE = {
-    "half a repetition": lambda: Repeated(RungeKutta4(), 2.5),
-    "repeated class": lambda: Repeated(RungeKutta4, 3),
-    "repeated adaptive steps": lambda: Repeated(DormandPrince(), 3),
+    "half a substep": lambda: Scene(ARM, substeps=2.5),
+    "count of substeps in a loop": lambda: Scene(ARM, substeps=2, unroll=False).count(),
     "adaptive substeps": lambda: Scene(ARM, integrator=DormandPrince(), substeps=2),
     "no tolerance": lambda: DormandPrince(0.0, 1e-9),
     "negative tolerance": lambda: DormandPrince(1e-9, -1.0),

@@ -17,7 +17,7 @@ from torchdq import dq
 from torchdq.envs import Scene, State, effects
 from torchdq.scene import linearize
 from torchdq.scene.controllers import PD
-from torchdq.scene.integrators import ExplicitEuler, Repeated, RungeKutta4
+from torchdq.scene.integrators import ExplicitEuler, RungeKutta4
 from torchdq.scene.spec import ORDER
 
 EPS = torch.finfo(torch.float64).eps
@@ -79,7 +79,7 @@ LINEARIZED = {
         Scene(ARM, (effects.Contact(stiffness=20.0, surface=effects.HeightMap(random(9, 9), 0.5, (-2.0, -2.0))),)),
         {},
     ),
-    "Repeated": (Scene(ARM, (effects.Gravity(),), integrator=Repeated(RungeKutta4(), 3)), {}),
+    "substeps in a loop": (Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4(), substeps=3, unroll=False), {}),
 }
 
 
@@ -112,7 +112,7 @@ def test_gradients_of_steps_that_are_called_one_by_one_are_the_same_derivatives(
     torque = random(4, scene.n, seed=3)
     found, expected = (
         torch.cat(one.linearize(start(one), torque), -1)
-        for one in (scene.replace(integrator=Repeated(scene.integrator, 1)), scene)
+        for one in (scene.replace(substeps=2, unroll=unroll) for unroll in (False, True))
     )
     assert (found - expected).abs().max() <= 1e3 * EPS * expected.abs().max()
 

@@ -95,7 +95,7 @@ def test_loops_are_steps_to_the_bit(name):
     state, carry, states, heard = type(start)(**rows), inputs["carry"], [], []
     for k in range(STEPS):
         given = {"carry": carry, **{key: x[k] for key, x in inputs.items() if key != "carry"}}
-        state, more = scene.advance(state, given, noise[k], Effort())
+        state, more = scene._advance(state, given, noise[k], Effort())
         carry = more["carry"]
         states.append(state)
         heard.append(more)

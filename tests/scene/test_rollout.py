@@ -82,10 +82,10 @@ def start():
 
 def test_rows_are_finite_one_by_one():
     q, qd = double((0.0, 0.0), (math.inf, 0.0), (0.0, 0.0)), double((0.0, 0.0), (0.0, 0.0), (math.nan, 0.0))
-    assert Scene(ARM).finite(State(q, qd)).tolist() == [True, False, False]
+    assert State(q, qd).finite().tolist() == [True, False, False]
     remembering = Scene(ARM, (effects.FirstOrderLag(0.1),))
     state = remembering.start(torch.zeros(2, 2, dtype=torch.float64))
-    assert remembering.finite(state._replace(memory=double((0.0, 0.0), (0.0, math.nan)))).tolist() == [True, False]
+    assert state._replace(memory=double((0.0, 0.0), (0.0, math.nan))).finite().tolist() == [True, False]
 
 
 def test_a_rollout_of_which_rows_diverge_warns():

@@ -22,7 +22,7 @@ from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
 from torchdq.scene import recording as plans
 from torchdq.scene.controllers import PD, ComputedTorque
-from torchdq.scene.integrators import DormandPrince, Repeated, RungeKutta4, SemiImplicitEuler, StoermerVerlet
+from torchdq.scene.integrators import DormandPrince, RungeKutta4, SemiImplicitEuler, StoermerVerlet
 
 needs_compiler = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
 
@@ -286,12 +286,12 @@ def test_equal_scenes_share_their_programs():
     assert Scene(ARM, (effects.Viscous(double(0.1)),)).spec is Scene(ARM, (effects.Viscous(double(0.2)),)).spec
 
 
-def test_an_integrator_that_is_repeated_changes_the_program_of_its_steps_alone(monkeypatch):
+def test_substeps_in_a_loop_change_the_program_of_a_substep_alone(monkeypatch):
     scene = Scene(ARM, (effects.Viscous(0.0123), effects.Bias(0.1)), PD(9.0, 1.0))
     names, record = [], plans.record
     monkeypatch.setattr(plans, "record", lambda name, *given: names.append(name) or record(name, *given))
-    for integrator in (Repeated(RungeKutta4(), 2), Repeated(RungeKutta4(), 4), Repeated(SemiImplicitEuler(), 4)):
-        other = scene.replace(integrator=integrator)
+    for integrator, substeps in ((RungeKutta4(), 2), (RungeKutta4(), 4), (SemiImplicitEuler(), 4)):
+        other = scene.replace(integrator=integrator, substeps=substeps, unroll=False)
         other.step(other.start(ZERO), reference=double(*[0.1] * 6))
     stages = ("begin", "drive", "sense", "substep", "substep")
     assert sorted(names) == [f"{stage}_two_link" for stage in stages]

@@ -68,7 +68,7 @@ def test_rows_that_are_not_finite_at_the_start_are_named(value):
 
 def test_a_check_takes_no_state_that_is_not_finite():
     for q in (moved(1, 2, math.nan), moved(0, 3, math.inf)):
-        state = SCENE.begin({"q": q, "qd": torch.zeros_like(q)}, {})[0]
+        state = SCENE._begin({"q": q, "qd": torch.zeros_like(q)}, {})[0]
         with warned(UserWarning):
             SCENE.check(state, seconds=0.05)
         bad = state._replace(q=state.q[[0, 1]] + math.nan, qd=state.qd[[0, 1]])

@@ -7,7 +7,7 @@ from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Outcome
 from torchdq.recommend.recommend import recommend_settings
 from torchdq.recommend.recommendation import SceneRecommendation
-from torchdq.recommend.trials import MOST_STEPS
+from torchdq.recommend.trajectories import MOST_STEPS
 
 
 @dataclass(kw_only=True)

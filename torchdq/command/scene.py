@@ -22,7 +22,7 @@ from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.scene import controllers, integrators
 from torchdq.scene.defaults import default_effects
-from torchdq.scene.integrators import Integrator, Repeated, Unrecorded
+from torchdq.scene.integrators import DormandPrince, Integrator
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
@@ -34,8 +34,7 @@ STEPPERS = {
     for name, kind in vars(integrators).items()
     if isinstance(kind, type)
     and issubclass(kind, Integrator)
-    and kind is not Integrator
-    and not issubclass(kind, Unrecorded)
+    and kind not in (Integrator, DormandPrince)
     and all(entry.default is not MISSING for entry in fields(kind))
 }
 DEFAULT = "default"
@@ -166,7 +165,7 @@ class _Path(NamedTuple):
                 found = of.rollout(start, nonfinite="ignore", **series).rows()
             return State(**{name: torch.cat([x[None], found[name]]) for name, x in start.rows().items()})
 
-        return cls(scene, states(scene), states(scene.replace(integrator=Repeated(scene.integrator, 2))).last)
+        return cls(scene, states(scene), states(scene.replace(substeps=2, unroll=False)).last)
 
     @property
     def end(self) -> State:

@@ -1,23 +1,22 @@
 """Recommendation of precision, integrator and step for a requested error, found by trials on the scene itself.
 
 Trajectories from random states are compared with ones of steps so small that smaller ones change nothing, as far as
-these can be held. Every integrator is refined until it meets the error in float64, the cheapest attempt first; then it
-is tried whether float32 still does. The one with the fewest operations per simulated second is recommended, an
-operation in float32 counting half.
+these can be held. The steps of every integrator are halved until it meets the error in float64; then it is tried
+whether float32 still does. The one with the fewest operations per simulated second is recommended, an operation in
+float32 counting half.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchdq.backends.choice import BackendName, choose
+from torchdq.backends.choice import choose
 from torchdq.base.checks import require_count, require_number
 from torchdq.base.progress import Progress
 from torchdq.base.timing import medians
@@ -25,29 +24,16 @@ from torchdq.effects import Gravity, RotorInertia
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functional import error_growth, forward_dynamics, inverse_dynamics
 from torchdq.functions.compile import compile
-from torchdq.program.program import LARGEST_GROWTH, Program
-from torchdq.recommend.recommendation import Candidate, Recommendation, SceneRecommendation, Stepping
-from torchdq.recommend.reference import Reference, predictable, reference
-from torchdq.recommend.trials import (
-    ARITHMETICS,
-    EXACT,
-    MOST_STEPS,
-    SAFETY,
-    Attempt,
-    Search,
-    Trial,
-    random_states,
-    steps_needed,
-)
+from torchdq.program.program import LARGEST_GROWTH
+from torchdq.recommend.recommendation import EXACT, MIXED, SINGLE, Candidate, Recommendation, SceneRecommendation
+from torchdq.recommend.trajectories import MOST_STEPS, SAFETY, Trial, candidates, random_states, reference
 from torchdq.robot import Robot
-from torchdq.scene.integrators import Integrator, Repeated
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
 STATES = 256  # states at which accelerations are tried
 TYPICAL = 100.0  # errors of accelerations in units of eps times `error_growth`; measured on robots and chains
-MOST_SUBSTEPS = 16  # substeps in one program
-PRUNE = 4.0  # candidates costing more than this times the best are dropped
+UNROLLED = 16  # substeps in one program
 BATCH = 4096  # samples per timed call
 SECONDS = 0.05  # time of measuring [s]
 
@@ -113,8 +99,8 @@ def recommend_settings(
     with torch.no_grad(), Progress(f"recommend for {scene.robot.name!r}") as notice:
         if horizon is None:
             return _for_accelerations(scene.robot, error)
-        trial = replace(Trial.of(scene, horizon, state, inputs, most_steps), report=notice.at)
-        return _for_trajectories(trial, error, what is not scene)
+        trial = Trial.of(scene, horizon, state, inputs, most_steps, notice.at)
+        return _for_trajectories(trial, SAFETY * error, what is not scene)
 
 
 def _require_supported(scene: Scene, inputs: Mapping[str, Tensor]) -> None:
@@ -146,107 +132,29 @@ def _require_supported(scene: Scene, inputs: Mapping[str, Tensor]) -> None:
         )
 
 
-# --- trajectories -----------------------------------------------------------------------------------------------------
-
-
 def _for_trajectories(trial: Trial, error: float, divisible: bool) -> SceneRecommendation:
     """Recommendation for a trial; `divisible`: the duration of an interval may be shortened."""
-    trial, limit = predictable(trial) if divisible else (trial, "")
-    exact = reference(trial, SAFETY * error)
+    trial, limit = trial.predictable() if divisible else (trial, "")
+    exact = reference(trial, error)
     tried, limit = exact.trial, "; ".join(filter(None, (limit, exact.limit)))
-    found = _steppings(exact, SAFETY * error)
+    found = candidates(exact, error, _repeated_share(tried.scene.robot, tried.state.q))
     if limit:
         warnings.warn(f"{limit}; the recommendation is for {tried.horizon:.3g} s", stacklevel=3)
     best = found[0]
-    times, precision = best.times, best.arithmetic.precision
-    scene = tried.scene.replace(integrator=best.integrator, precision=precision, substeps=1)
-    if not tried.sampled:
-        scene = scene.replace(dt=best.step)
-    elif times <= MOST_SUBSTEPS:
-        scene = scene.replace(substeps=times)
-    else:  # more than a program should hold
-        scene = scene.replace(integrator=Repeated(best.integrator, times))
+    within, dt = (best.times, tried.scene.dt) if tried.sampled else (1, best.step)
+    scene = tried.scene.replace(integrator=best.integrator, precision=best.arithmetic.precision)
+    scene = scene.replace(dt=dt, substeps=within, unroll=False if within > UNROLLED else None)
     tried.report("time of the recommended step")
-    (nanoseconds,) = medians([_step(scene, best.arithmetic.dtype, tried)], BATCH, SECONDS)
     return SceneRecommendation(
-        **_common(best, scene.robot, scene.backend),
-        nanoseconds=nanoseconds / times if tried.sampled else nanoseconds,
-        others=found,
-        integrator=best.integrator,
+        **_common(found, scene.robot, scene, _step(scene, best.arithmetic.dtype, tried), within),
+        integrator=scene.integrator,
         step=best.step,
         scene=scene,
-        repeats=1 if tried.sampled else times,
+        repeats=best.times // within,
         horizon=tried.horizon,
         limit=limit,
         growth=exact.growth,
     )
-
-
-class _Searched(NamedTuple):
-    """Integrator whose number of steps is being searched for."""
-
-    integrator: Integrator
-    per_step: int  # operations
-    known: Mapping[int, float]  # errors by the number of steps per interval
-    search: Search
-    next: Attempt
-
-    @property
-    def operations(self) -> int:
-        """Operations of the next attempt in an interval."""
-        return self.next.times * self.per_step
-
-
-def _steppings(exact: Reference, error: float) -> tuple[Stepping, ...]:
-    """Candidates that meet the error, the cheapest first.
-
-    The attempt of fewest operations is always the next, so that none is made that costs far more than the best so far.
-    """
-    trial, dt = exact.trial, exact.trial.scene.dt
-    found: list[Stepping] = []
-    searches: list[_Searched] = []
-    for integrator in trial.integrators:
-        known = exact.known[1] if integrator == exact.known[0] else {}
-        per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
-        search = steps_needed(integrator.order, error, known)
-        searches.append(_Searched(integrator, per_step, known, search, next(search)))
-    while searches:
-        one = min(searches, key=lambda s: s.operations)
-        searches.remove(one)
-        most = trial.most_steps // trial.intervals
-        if found:
-            most = min(most, max(1, int(PRUNE * found[0].operations * dt / one.per_step)))
-        if one.next.too_few >= most:
-            continue
-        times = min(one.next.times, most)
-        made = one.known.get(times)
-        if made is None:
-            made = trial.error(one.integrator, times, EXACT, exact.positions)
-        try:
-            searches.append(one._replace(next=one.search.send((times, made))))
-        except StopIteration as end:
-            found += _meeting(exact, error, one, *end.value)
-            found.sort(key=lambda c: c.operations)
-    if not found:
-        raise ArgumentError(
-            f"no candidate was found in {trial.most_steps} steps that keeps {trial.name} over {trial.horizon:.3g} s to "
-            f"{error / SAFETY:.1e}; give more steps, shorten the horizon or raise the error"
-        )
-    return tuple(found)
-
-
-def _meeting(exact: Reference, error: float, of: _Searched, times: int, in_float64: float) -> list[Stepping]:
-    """Candidates of an integrator with a number of steps that meets the error in float64."""
-    trial, found = exact.trial, []
-    repeated = _repeated_share(trial.scene.robot, trial.state.q)
-    for arithmetic in ARITHMETICS:
-        exactly = arithmetic is EXACT
-        made = in_float64 if exactly else trial.error(of.integrator, times, arithmetic, exact.positions)
-        if made <= error:
-            dt = trial.scene.dt
-            operations = arithmetic.cost(repeated) * of.per_step * times / dt
-            found.append(Stepping(arithmetic, made, operations, of.integrator, dt / times, times))
-    return found
 
 
 def _repeated_share(robot: Robot, q: Tensor) -> float:
@@ -265,9 +173,6 @@ def _step(scene: Scene, dtype: torch.dtype, trial: Trial) -> Callable[[], State]
     return lambda: scene.step(state, **inputs)
 
 
-# --- accelerations ----------------------------------------------------------------------------------------------------
-
-
 def _for_accelerations(robot: Robot, error: float) -> Recommendation:
     q, qd = random_states(robot, STATES)
     generator = torch.Generator().manual_seed(1)
@@ -276,9 +181,9 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
     x = [y.float().double() for y in (q, qd, inverse_dynamics(robot, q, qd, wanted))]
     exact = forward_dynamics(robot, x[0], x[1], x[2])
     rounding = TYPICAL * 2.0**-53 * float(error_growth(robot, q).max())
-    operations, repeated = _program(robot).count().total, _repeated_share(robot, q)
+    operations, repeated = compile(robot, "forward_dynamics").program.count().total, _repeated_share(robot, q)
     found = []
-    for arithmetic in ARITHMETICS:
+    for arithmetic in (SINGLE, MIXED, EXACT):
         made = rounding
         if arithmetic.dtype == torch.float32:
             q, qd, tau = (y.float() for y in x)
@@ -291,26 +196,23 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
             f"accelerations of robot {robot.name!r} can be found to {min(c.error for c in found) / SAFETY:.1e} at "
             f"best, not to {error:.1e}"
         )
-    best = good[0]
-    q, qd, tau = (y.to(best.arithmetic.dtype).repeat(BATCH // STATES, 1) for y in x)
-    call = partial(forward_dynamics, robot, q, qd, tau, precision=best.arithmetic.precision)
-    (nanoseconds,) = medians([call], BATCH, SECONDS)
-    return Recommendation(**_common(best, robot, None), nanoseconds=nanoseconds, others=tuple(good))
+    best = good[0].arithmetic
+    q, qd, tau = (y.to(best.dtype).repeat(BATCH // STATES, 1) for y in x)
+    call = partial(forward_dynamics, robot, q, qd, tau, precision=best.precision)
+    return Recommendation(**_common(good, robot, None, call))
 
 
-# --- both -------------------------------------------------------------------------------------------------------------
-
-
-def _program(robot: Robot) -> Program:
-    return compile(robot, "forward_dynamics").program
-
-
-def _common(best: Candidate, robot: Robot, backend: BackendName | None) -> dict[str, Any]:
-    """Fields that both recommendations have."""
+def _common(
+    found: Sequence[Candidate], robot: Robot, scene: Scene | None, call: Callable[[], object], steps: int = 1
+) -> dict[str, Any]:
+    """Fields that both recommendations have; `call` takes a number of steps."""
+    best, program = found[0], compile(robot, "forward_dynamics").program
     return {
         "dtype": best.arithmetic.dtype,
         "precision": best.arithmetic.precision,
-        "backend": choose(backend, torch.device("cpu")).name,
-        "method": "articulated bodies" if "articulated" in _program(robot).name else "mass matrix",
+        "backend": choose(None if scene is None else scene.backend, torch.device("cpu")).name,
+        "method": "articulated bodies" if "articulated" in program.name else "mass matrix",
         "error": best.error / SAFETY,
+        "nanoseconds": medians([call], BATCH, SECONDS)[0] / steps,
+        "others": tuple(found),
     }

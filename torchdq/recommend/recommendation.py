@@ -3,37 +3,52 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 
 from torchdq.functions.call import Precision
-from torchdq.recommend.trials import Arithmetic
 from torchdq.scene.integrators import Integrator
 from torchdq.scene.scene import Scene
+
+REPEATED = 1.5  # cost of an operation that is repeated in float64, with gathering and scattering, relative to float64
+
+
+class Arithmetic(NamedTuple):
+    """Precision of the states, and of the operations on them."""
+
+    dtype: torch.dtype
+    precision: Precision
+    weight: float  # cost of an operation, relative to float64
+
+    def cost(self, repeated: float) -> float:
+        """Cost of an operation if that share of the samples is recomputed in float64."""
+        again = self.dtype == torch.float32 and self.precision == "auto"
+        return self.weight + repeated * REPEATED if again else self.weight
+
+    def __str__(self) -> str:
+        state = str(self.dtype).removeprefix("torch.")
+        return f"{state} states, computed in float64" if self.precision == "double" else state
+
+
+SINGLE, MIXED = Arithmetic(torch.float32, "auto", 0.5), Arithmetic(torch.float32, "double", 1.1)
+EXACT = Arithmetic(torch.float64, "auto", 1.0)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An arithmetic with its cost and its error."""
+    """An arithmetic and, for trajectories, an integrator and its step, with cost and error."""
 
     arithmetic: Arithmetic
     error: float
     operations: float  # weighted; per simulated second, or per call
+    integrator: Integrator | None = None
+    step: float = 0.0  # [s]
+    times: int = 1  # steps in an interval of the scene
 
     def __str__(self) -> str:
-        return f"{self.arithmetic}: error {self.error:.1e}, {self.operations:.2e} operations"
-
-
-@dataclass(frozen=True)
-class Stepping(Candidate):
-    """An arithmetic with an integrator and its step."""
-
-    integrator: Integrator
-    step: float  # [s]
-    times: int  # steps in an interval of the scene
-
-    def __str__(self) -> str:
-        return f"{type(self.integrator).__name__}, steps of {self.step:.3g} s, {super().__str__()}"
+        stepping = f"{type(self.integrator).__name__}, steps of {self.step:.3g} s, " if self.integrator else ""
+        return f"{stepping}{self.arithmetic}: error {self.error:.1e}, {self.operations:.2e} operations"
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ def describe(
 def _times(
     steps: Sequence[Callable[[], Callable[[], State]]], batch: int, end: float, notice: Progress
 ) -> list[list[float]]:
-    """Times of steps that take turns [ns], one in each round; none of those that there was no time to compile."""
+    """Times of steps that take turns [ns], one in each round; without those that there was no time to compile."""
     calls: dict[str, Callable[[], object]] = {}
     order = [len(steps) - 1, *range(len(steps) - 1)]  # the whole scene first
     longest = 0.0
@@ -148,7 +148,7 @@ def _step(scene: SceneModel, batch: int, dtype: torch.dtype) -> Callable[[], Sta
 
     # not `start`, which warns of positions outside the limits
     moved = initial_motion(scene.spec, {"q": random(scene.n), "qd": random(scene.n)})
-    state, _ = scene.begin(moved, {}, random(scene.noises))
+    state, _ = scene._begin(moved, {}, random(scene.noises))
     inputs = {name: random(width) for name, width in scene.inputs.items()}
     noise = random(scene.noises)
     return lambda: scene.step(state, noise=noise, **inputs)

@@ -24,7 +24,7 @@ from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES, trailing
-from torchdq.scene.integrators import Integrator, LinearlyImplicit, Repeated
+from torchdq.scene.integrators import Integrator, LinearlyImplicit
 
 SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
 OWN = ("q", "qd", "X_WB", "V_WB_B", "memory", "reading", "torque", "reference", "noise")  # inputs of every scene
@@ -34,9 +34,8 @@ _warned: Bounded[tuple[str, type[Effect]], bool] = Bounded(PROGRAMS)  # idle eff
 def resolved_effects(effects: Sequence[Effect], robot: Robot, integrator: Integrator) -> tuple[Effect, ...]:
     """Effects with the numbers of a robot; raises if they cannot be those of one scene."""
     _require_compatible(effects)
-    within = integrator.integrator if isinstance(integrator, Repeated) else integrator
     for effect in effects:
-        if effect.IMPLICIT and not isinstance(within, LinearlyImplicit):
+        if effect.IMPLICIT and not isinstance(integrator, LinearlyImplicit):
             raise ArgumentError(
                 f"integrator must be LinearlyImplicit in a scene with {type(effect).__name__}, found {integrator}: "
                 f"{effect.IMPLICIT}"

@@ -1,17 +1,13 @@
-"""Equations of motion of a scene, which integrators integrate: recorded into a program, and on tensors."""
+"""Equations of motion of a scene, which integrators integrate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import add as plus
 from operator import mul
 from typing import Any, NamedTuple
 
-import torch
-from torch import Tensor
-
-from torchdq import dq
 from torchdq.algebra import matrix
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
@@ -29,8 +25,8 @@ from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
 from torchdq.scene import effect_checks, free_base
 from torchdq.scene.free_base import POSE, START, TWIST
-from torchdq.scene.integrators import RecordedSystem, System
-from torchdq.scene.spec import RecordedScene, Rows, SceneSpec
+from torchdq.scene.integrators import System
+from torchdq.scene.spec import RecordedScene, Rows
 
 
 class _Forces(NamedTuple):
@@ -52,7 +48,7 @@ class _Acting(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SceneSystem(RecordedSystem):
+class SceneSystem(System):
     """Joints, and rotors behind them, under actuator torques u that are constant over a step."""
 
     scene: RecordedScene
@@ -74,7 +70,13 @@ class SceneSystem(RecordedSystem):
         if not self.scene.spec.robot.floating:
             return v
         displacement = [h * x for x in rate[-TWIST:]]
-        return [*v[:-TWIST], *free_base.rate(displacement, v[-TWIST:])]
+        series = free_base.EXACT if self.scene.spec.integrator.order > 4 else free_base.ORDER_4
+        return [*v[:-TWIST], *free_base.rate(displacement, v[-TWIST:], series)]
+
+    def sizes(self, x: Row) -> Row:
+        """Sizes of the positions of joints and rotors; 1 for the twist of a base, and for memory."""
+        n, others = self._moving, self.scene.spec.inner + len(self._free)
+        return [*super().sizes(x[:n]), *[1.0] * others]
 
     def _at(self, x: Row) -> Posed:
         return self.scene.posed(x[: self._n], self.scene.base_of(x))
@@ -85,7 +87,7 @@ class SceneSystem(RecordedSystem):
         return [*free_base.twist(x[-POSE:], v[-TWIST:], scene.base_com), *v[:n]] if self._free else v[:n]
 
     def _still(self, x: Row, v: Row) -> Row:
-        """Motion seen by one who flies along with the centre of mass of a floating base: the forces are the same."""
+        """Motion in a frame that moves with the centre of mass of a floating base, where the forces are the same."""
         return self._motion(x, [*v[:-3], 0.0, 0.0, 0.0]) if self._free else self._motion(x, v)
 
     def _acting(self, at: Posed, x: Row, v: Row, h: Number = 0.0) -> _Acting:
@@ -297,56 +299,3 @@ def lagrangian_gradient(scene: RecordedScene, q: Row, qd: Row) -> list[Number]:
     values = replay(program, [q, qd, [given[name][k] for name, k in known]])
     found = derive.gradient(program, values, program.results[0].values[0])
     return [found.get((0, i), 0.0) for i in range(robot.n)]
-
-
-# --- on tensors ------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class TensorSystem(System):
-    """Equations of motion on rows that are lists of one tensor [..., n]; each evaluation is a program of its own.
-
-    For integrators that are not recorded into the program of a step, and for the analysis of their stability.
-    """
-
-    spec: SceneSpec
-    evaluate: Callable[..., Mapping[str, Tensor]]  # rows of a stage of the scene
-    repeat: Callable[..., Mapping[str, Tensor]]  # rows of a stage after a number of times
-    inputs: Mapping[str, Tensor]
-
-    def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
-        """Positions at a displacement."""
-        displacement, joints = h * rate[0], self._joints(x[0])
-        joints = joints + displacement[..., : joints.shape[-1]]
-        if not self.spec.robot.floating:
-            return [joints]
-        angular, linear = (0.5 * displacement[..., -TWIST:]).split(3, -1)
-        none = torch.zeros_like(linear)
-        turn, flight = dq.exp(torch.cat([angular, none], -1)), dq.exp(torch.cat([none, linear], -1))
-        return [torch.cat([joints, dq.mul(flight, dq.mul(x[0][..., -POSE:], turn))], -1)]
-
-    def _joints(self, x: Tensor) -> Tensor:
-        """Positions of joints and rotors."""
-        return x[..., :-POSE] if self.spec.robot.floating else x
-
-    def rates(self, h: Number, rate: Row, v: Row) -> Row:
-        """Rates of the displacement."""
-        if not self.spec.robot.floating:
-            return v
-        displacement, twist = (y[..., -TWIST:].unbind(-1) for y in (h * rate[0], v[0]))
-        base = torch.stack(free_base.rate(displacement, twist, free_base.EXACT), -1)
-        return [torch.cat([v[0][..., :-TWIST].expand(*base.shape[:-1], -1), base], -1)]
-
-    def sizes(self, x: Row) -> Row:
-        """Sizes of positions; 1 for a twist and for the memory of joint effects."""
-        joints, others = self._joints(x[0]).abs(), self.spec.inner + (TWIST if self.spec.robot.floating else 0)
-        return [torch.cat([joints, joints.new_ones(*joints.shape[:-1], others)], -1)]
-
-    def accelerations(self, x: Row, v: Row) -> list[Tensor]:
-        """Accelerations in a state."""
-        return [self.evaluate("accelerations", {"x": x[0], "v": v[0], **self.inputs})["a"]]
-
-    def repeated(self, x: Tensor, v: Tensor, h: float, times: int) -> tuple[Tensor, Tensor]:
-        """State after a number of steps h."""
-        found = self.repeat("substep", times, {"x": x, "v": v}, {"h": x.new_full((1,), h), **self.inputs})
-        return found["x"], found["v"]

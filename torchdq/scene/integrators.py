@@ -1,7 +1,7 @@
 """Integrators: the state at the end of a step from the state at its start.
 
-All but the last two are recorded into the program of a scene, so their formulas are written for numbers of any type. A
-system has positions x and velocities v (of the joints, and of the rotors of elastic joints) and accelerations.
+They are recorded into programs of a scene, so their formulas are written for numbers of any type. A system has
+positions x and velocities v (of the joints, and of the rotors of elastic joints) and accelerations.
 
 | integrator | order | evaluations | energy of a conservative arm |
 |---|---|---|---|
@@ -10,8 +10,7 @@ system has positions x and velocities v (of the joints, and of the rotors of ela
 | LinearlyImplicit (default) | 1 | 1 | drifts; damping, stiffness and friction of joints cannot make it unstable |
 | RungeKutta4 | 4 | 4 | falls slowly |
 | StoermerVerlet | 2 | about 2 + 2 iterations | stays within a band of width dt^2: symplectic in (q, p) |
-| Repeated | that of another | its times a number | that of another |
-| DormandPrince | 5 | adaptive | to tolerance |
+| DormandPrince | 5 | 7 in every attempt of a step, whose size adapts | to tolerance |
 
 All but StoermerVerlet serve robots with a floating base; see `free_base`. They keep the linear momentum of a single
 body up to rounding; its angular momentum, and both of a robot with joints, to their order.
@@ -19,26 +18,20 @@ body up to rounding; its angular momentum, and both of a robot with joints, to t
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Protocol
-
-import torch
-from torch import Tensor
+from typing import ClassVar, Protocol
 
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import require_count, require_number
-from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
-from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import absolute, at_least, below, clip, exp, log, maximum, minimum, select, sqrt
 
 __all__ = [
     "DormandPrince",
     "ExplicitEuler",
     "Integrator",
     "LinearlyImplicit",
-    "Repeated",
     "RungeKutta4",
     "SemiImplicitEuler",
     "StoermerVerlet",
@@ -62,14 +55,10 @@ class System(Protocol):
 
     def sizes(self, x: Row) -> Row:
         """Sizes that errors of a displacement from x are relative to."""
-        return [abs(y) for y in x]
+        return [absolute(y) for y in x]
 
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
-
-
-class RecordedSystem(System, Protocol):
-    """Equations of motion, as integrators that are recorded evaluate them."""
 
     def implicit_velocities(self, x: Row, v: Row, h: Number) -> list[Number]:
         """Velocities at the end of a step h whose impedances act on the state at its end."""
@@ -81,13 +70,6 @@ class RecordedSystem(System, Protocol):
         """Velocities at the positions `to` that have the momentum of (x, v)."""
 
 
-class RepeatedSystem(System, Protocol):
-    """Equations of motion on tensors, with the step of the integrator in `Repeated`."""
-
-    def repeated(self, x: Tensor, v: Tensor, h: float, times: int) -> tuple[Tensor, Tensor]:
-        """State [..., n] after a number of steps h."""
-
-
 @dataclass(frozen=True)
 class Integrator:
     """Base of the integrators."""
@@ -95,7 +77,7 @@ class Integrator:
     order: ClassVar[int]
     FIXED: ClassVar[str] = ""  # reason why it is for robots with a fixed base only; "": it is for all
 
-    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+    def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """State after a step h [s]."""
         raise NotImplementedError
 
@@ -111,7 +93,7 @@ class ExplicitEuler(Integrator):
 
     order = 1
 
-    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+    def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Positions and velocities, both with the rates at the start of the step."""
         return system.moved(x, h, v), _plus(v, h, system.accelerations(x, v))
 
@@ -126,7 +108,7 @@ class SemiImplicitEuler(Integrator):
 
     order = 1
 
-    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+    def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Velocities first, positions with the new ones."""
         v = _plus(v, h, system.accelerations(x, v))
         return system.moved(x, h, v), v
@@ -150,7 +132,7 @@ class LinearlyImplicit(Integrator):
 
     order = 1
 
-    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+    def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Velocities first, the impedances acting on the end of the step; positions with the new ones."""
         v = system.implicit_velocities(x, v, h)
         return system.moved(x, h, v), v
@@ -167,7 +149,7 @@ class RungeKutta4(Integrator):
 
     order = 4
 
-    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+    def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """State plus increments."""
         dx, dv = self.increments(system, x, v, h)
         return system.moved(x, 1.0, dx), _plus(v, 1.0, dv)
@@ -216,7 +198,7 @@ class StoermerVerlet(Integrator):
     def __post_init__(self) -> None:
         require_count(f"iterations of {type(self).__name__}", self.iterations)
 
-    def step(self, system: RecordedSystem, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+    def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Half a kick, a drift with the velocities of both ends, half a kick."""
         v1: Row = v
         for _ in range(self.iterations):
@@ -228,42 +210,9 @@ class StoermerVerlet(Integrator):
         return to, _plus(v2, 0.5 * h, system.momentum_accelerations(to, v2))
 
 
-class Unrecorded(Integrator):
-    """An integrator that is not recorded into the program of a scene's step."""
-
-    def flow(self, system: RepeatedSystem, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
-        """State [..., n] after the time T [s]; the rows of the system are lists of one tensor [..., n]."""
-        raise NotImplementedError
-
-
 @dataclass(frozen=True)
-class Repeated(Unrecorded):
-    """A recorded integrator in a number of equal steps: one program of a step in a loop, whatever their number.
-
-    For more steps than a program can hold, and to find the number that is needed (`recommend_settings`).
-    """
-
-    integrator: Integrator
-    times: int
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.integrator, Integrator) or isinstance(self.integrator, Unrecorded):
-            raise ArgumentError(f"integrator of Repeated must be one that can be recorded, found {self.integrator!r}")
-        require_count("times of Repeated", self.times)
-
-    @property
-    def order(self) -> int:  # type: ignore[override]
-        """Order of the repeated integrator."""
-        return self.integrator.order
-
-    def flow(self, system: RepeatedSystem, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
-        """State after all steps."""
-        return system.repeated(x, v, T / self.times, self.times)
-
-
-@dataclass(frozen=True)
-class DormandPrince(Unrecorded):
-    """The embedded pair of order 5(4), every sample with steps of its own; for references, not for speed.
+class DormandPrince(Integrator):
+    """The embedded pair of order 5(4), every sample with steps of its own.
 
     The step sizes are not differentiated: gradients are those of the steps that were taken.
 
@@ -272,8 +221,8 @@ class DormandPrince(Unrecorded):
     Args:
         rtol, atol: tolerated error of a step, relative to the state and absolute; an rtol below 100 roundings cannot be
             met: it is raised to that, with a warning.
-        most: number of steps after which a sample that has not reached the end becomes NaN, as does one that fails
-            at any step size.
+        most: number of attempts of a step after which a sample that has not reached the end becomes NaN, as does one
+            that fails at any step size.
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
@@ -290,89 +239,53 @@ class DormandPrince(Unrecorded):
         require_number("atol", self.atol, positive=True)
         require_count("most", self.most)
 
-    def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
-        """State after the time T, of rows [..., n]; rows that have arrived wait for the others."""
-        if torch.compiler.is_compiling():
-            raise ArgumentError(
-                "integrator must not be DormandPrince in a graph of torch.compile or torch.export: its steps depend on "
-                "values, of which a graph has none; RungeKutta4 has steps of one size"
-            )
-        floor = 100 * torch.finfo(x.dtype).eps
-        rtol = max(self.rtol, floor)
-        if rtol > self.rtol:
-            warnings.warn(f"rtol {self.rtol:g} is below the rounding of {x.dtype}; {rtol:.1g} is used", stacklevel=2)
-        n = v.shape[-1]  # numbers of velocities, and of displacements of the positions over a step
+    def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+        """State by the formula of order 5."""
+        increment, _ = _increments(system, x, v, h)
+        n = len(v)
+        return system.moved(x, 1.0, increment[:n]), _plus(v, 1.0, increment[n:])
 
-        def slope(increment: Tensor) -> Tensor:
-            d, w = [increment[..., :n]], [v + increment[..., n:]]
-            return torch.cat([*system.rates(1.0, d, w), *system.accelerations(system.moved([x], 1.0, d), w)], -1)
+    def attempt(self, system: System, x: Row, v: Row, clock: Row, goal: Row) -> tuple[Row, Row, Row, Number]:
+        """State and clock after an attempt of a step, and the size of the step if its error is tolerated, otherwise 0.
 
-        sizes = _StepSizes.start(T, x.new_zeros(x.shape[:-1]), floor)
-        with Progress(f"steps of DormandPrince over {T:g} s") as notice:
-            for count in range(self.most):
-                notice.at(f"{count} of at most {self.most}")
-                if not bool(sizes.going.any()):
-                    break
-                step = sizes.step[..., None]
-                end = v.new_zeros(*v.shape[:-1], 2 * n)
-                k = [slope(end)]
-                for row in _TABLEAU:
-                    end = step * _combined(row, k)
-                    k.append(slope(end))
-                (to,), w = system.moved([x], 1.0, [end[..., :n]]), v + end[..., n:]
-                with torch.no_grad():
-                    states = [torch.cat([*system.sizes([y]), u.abs()], -1) for y, u in ((x, v), (to, w))]
-                    error = step * _combined(_ERROR, k) / (self.atol + rtol * torch.maximum(*states))
-                    good, sizes = sizes.after(error.square().mean(-1).sqrt())
-                x, v = (torch.where(good[..., None], new, old) for new, old in ((to, x), (w, v)))
-        stuck = ~sizes.arrived[..., None]
-        return torch.where(stuck, torch.nan, x), torch.where(stuck, torch.nan, v)
-
-
-class _StepSizes(NamedTuple):
-    """Time that each sample has reached on its way to T, and the size of its next step, by the errors so far."""
-
-    T: float  # [s]
-    t: Tensor  # [...] time reached [s]
-    h: Tensor  # [...] size that the next step would have, were it not cut at T [s]
-    failed: Tensor  # [...] samples whose error is too large at any step size
-    floor: float  # relative rounding of times
-
-    @classmethod
-    def start(cls, T: float, t: Tensor, floor: float) -> _StepSizes:
-        """Sixteenths of the way as first steps."""
-        return cls(T, t, torch.full_like(t, T / 16), torch.zeros_like(t, dtype=torch.bool), floor)
-
-    @property
-    def going(self) -> Tensor:
-        """Samples that go on."""
-        return ~self.failed & (self.t < self.T * (1 - self.floor))
-
-    @property
-    def arrived(self) -> Tensor:
-        """Samples that have reached T."""
-        return ~self.failed & (self.t >= self.T * (1 - self.floor))
-
-    @property
-    def step(self) -> Tensor:
-        """Sizes of the next steps, zero for samples that do not go on."""
-        return torch.where(self.going, torch.minimum(self.h, self.T - self.t), 0.0)
-
-    def after(self, error: Tensor) -> tuple[Tensor, _StepSizes]:
-        """Samples whose step is accepted, its error being at most 1, and the sizes after it."""
-        going, step = self.going, self.step
-        good = going & (error <= 1)
-        factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
+        Args:
+            clock: time reached [s], size of the next step unless it is cut at the end [s], and 1 while it goes on.
+            goal: time to reach [s], `rtol`, `atol`, and relative rounding of times.
+        """
+        (t, h, going), (end, rtol, atol, rounding) = clock, goal
+        step = select(going, minimum(h, end - t), 0.0)
+        increment, error = _increments(system, x, v, step)
+        to, w = system.moved(x, 1.0, increment[: len(v)]), _plus(v, 1.0, increment[len(v) :])
+        now, then = ([*system.sizes(y), *map(absolute, u)] for y, u in ((x, v), (to, w)))
+        sizes = [atol + rtol * maximum(a, b) for a, b in zip(now, then, strict=True)]
+        squares = [(e / size) * (e / size) for e, size in zip(error, sizes, strict=True)]
+        size = sqrt(sum(squares[1:], squares[0]) / float(len(squares)))
+        good = going * at_least(1.0, size)
+        factor = clip(0.9 * exp(-0.2 * log(maximum(size, 1e-10))), 0.2, 5.0)
+        factor = select(at_least(size, 0.0), factor, 0.2)  # of an error that is NaN
         # the last step was cut to end on time, and does not suggest the size of the next
-        kept = ~going | (good & (step < self.h))
-        h = torch.where(kept, self.h, step * torch.where(error.isfinite(), factor, 0.2))
-        failed = self.failed | (going & ~good & (step <= self.floor * self.T))
-        return good, self._replace(t=torch.where(good, self.t + step, self.t), h=h, failed=failed)
+        kept = select(going, good * below(step, h), 1.0)
+        failed = (1.0 - good) * at_least(rounding * end, step)
+        t = select(good, t + step, t)
+        going = going * below(t, end * (1.0 - rounding)) * (1.0 - failed)
+        x, v = ([select(good, a, b) for a, b in zip(*rows, strict=True)] for rows in ((to, x), (w, v)))
+        return x, v, [t, select(kept, h, step * factor), going], select(good, step, 0.0)
 
 
-def _combined(weights: Sequence[float], k: Sequence[Tensor]) -> Tensor:
-    """Weighted sum of slopes."""
-    return sum((w * s for w, s in zip(weights, k, strict=True) if w), torch.zeros_like(k[0]))
+def _increments(system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+    """Displacement and increments of the velocities over a step of Dormand and Prince, and their errors."""
+    n, k = len(v), [[*v, *system.accelerations(x, v)]]
+
+    def combined(weights: Sequence[float]) -> list[Number]:
+        terms = [[h * weight * s for s in slope] for weight, slope in zip(weights, k, strict=True) if weight]
+        return [sum(row[1:], row[0]) for row in zip(*terms, strict=True)]
+
+    increment: Row = ()
+    for weights in _TABLEAU:
+        increment = combined(weights)
+        moved, w = increment[:n], _plus(v, 1.0, increment[n:])
+        k.append([*system.rates(1.0, moved, w), *system.accelerations(system.moved(x, 1.0, moved), w)])
+    return increment, combined(_ERROR)
 
 
 _TABLEAU = (

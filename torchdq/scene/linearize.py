@@ -17,7 +17,6 @@ from torchdq.backends.call import batch_of
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.program.transforms import constant_in_graphs
 from torchdq.scene.free_base import POSE
-from torchdq.scene.integrators import Unrecorded
 from torchdq.scene.model import SceneModel
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import SceneSpec
@@ -48,8 +47,8 @@ def linearize(
     A is larger than [2 n, 2 n] if effects have memory, as elastic joints, or there are sensors, whose numbers are part
     of the state: see `Linearization`. `2 * dq.log_shortest(dq.mul(dq.conj(X), X_WB))` is the displacement xi of a
     floating base from a pose X. The first call compiles a program of all columns of A and B, or of one where that would
-    take longer than 20 s; where torch computes a part of a step (`HeightMap`, `Residual`, `Repeated`, `DormandPrince`),
-    there are gradients instead.
+    take longer than 20 s; where torch computes a part of a step (`HeightMap`, `Residual`) or it is a loop (of many
+    substeps, or of `DormandPrince`), there are gradients instead.
 
     Args:
         state: states, shape [..., n]; derivatives are those of every row by itself.
@@ -65,11 +64,11 @@ def linearize(
     scene.spec.require_inputs(inputs)
     torque = torch.zeros_like(state.q) if torque is None else torque
     given = {"torque": torque, **{name: x for name, x in inputs.items() if x is not None}}
-    if isinstance(scene.integrator, Unrecorded) or scene.computed:
+    if scene.looped or scene.computed:
         return _by_reverse_mode(scene, state, given, noise)
-    given = scene.with_noise({**state.rows(), **given}, noise)
+    given = scene._with_noise({**state.rows(), **given}, noise)
     if _short(scene):
-        found = scene.evaluate("step", given, wrt=("torque",))
+        found = scene._evaluate("step", given, wrt=("torque",))
         return Linearization(found["A"], found["torque"])
     return _by_columns(scene, given)
 
@@ -87,7 +86,7 @@ def _by_columns(scene: SceneModel, given: Mapping[str, Tensor]) -> Linearization
     sizes, q = (sum(scene.spec.displaced.values()), scene.n), given["q"]
     batch = batch_of(Stage(scene.spec, "step"), {**given, **scene.parameters})
     units = torch.eye(sum(sizes), dtype=q.dtype, device=q.device).unflatten(0, (-1, *(1,) * len(batch)))
-    found = scene.evaluate("step", {**given, "direction": units}, wrt=("torque",))["A"]
+    found = scene._evaluate("step", {**given, "direction": units}, wrt=("torque",))["A"]
     return Linearization(*found.squeeze(-1).movedim(0, -1).split(sizes, -1))
 
 

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from torchdq.backends.loop_call import repeat, repeatable
 from torchdq.robot.robot import constants
-from torchdq.scene.integrators import Unrecorded
 from torchdq.scene.model import SceneModel
 from torchdq.scene.policies import Linear, Network
 from torchdq.scene.recording import Stage
@@ -58,7 +57,7 @@ def loops(scene: SceneModel, state: State, policy: Linear | Network | None = Non
     learns = torch.is_grad_enabled() and any([x.requires_grad for x in weights])
     return not (
         (learns and q.numel() > MANY * q.shape[-1])
-        or isinstance(scene.integrator, Unrecorded)
+        or scene.looped
         or scene.computed
         or (scene.precision == "double" and q.dtype == torch.float32)
         or not repeatable(q, scene.backend)
@@ -70,7 +69,7 @@ def looped(scene: SceneModel, series: Mapping[str, Tensor], steps: int, plan: Pl
     constants(scene.robot)  # raises if they were changed in place
     fixed, policy = scene.parameters, plan.recorded
     if scene.noises and "noise" not in series:
-        series = {**series, "noise": scene.random(like, steps)}
+        series = {**series, "noise": scene._random(like, steps)}
     if policy is not None:
         fixed = {**fixed, **{f"{POLICY}.{name}": x for name, x in policy.weights().items()}}
         series = {**series, **policy.stepped()}

@@ -16,7 +16,6 @@ from torch import Tensor
 
 from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
-from torchdq.backends.loop_call import repeat, repeatable
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_choice, require_count, require_number, require_object
 from torchdq.control.law import Law
@@ -28,16 +27,19 @@ from torchdq.effects.sensor import Sensor
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import Precision, check_precision
 from torchdq.program.program import Argument, Count, Program
+from torchdq.program.transforms import constant_in_graphs
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import arguments, constants, recorded
 from torchdq.scene.effect_checks import require_supported_base, resolved_effects
-from torchdq.scene.equations_of_motion import TensorSystem
-from torchdq.scene.integrators import Integrator, LinearlyImplicit, Unrecorded
+from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import CONTROLLER, ROBOT, SceneSpec, Task
 from torchdq.scene.state import State, initial_motion, outside_limits, require_state
+from torchdq.scene.substeps import flow
 
+MOST_OPERATIONS = 150_000  # of substeps up to which they are one program, which then compiles within 20 s
+_lengths: Bounded[SceneSpec, int] = Bounded(PROGRAMS)  # operations of all substeps in one program
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
 
 
@@ -53,6 +55,7 @@ class SceneModel:
     substeps: int = 1
     backend: BackendName | None = None
     precision: Precision = "auto"
+    unroll: bool | None = None
     spec: SceneSpec = field(init=False, repr=False)
     noises: int = field(init=False, repr=False)  # random numbers that a step consumes
     computed: dict[str, int] = field(init=False, repr=False)  # rows that a scene computes before a step, with widths
@@ -67,11 +70,9 @@ class SceneModel:
         require_count("substeps", self.substeps)
         check_precision(self.precision)
         require_choice("backend", self.backend, (None, *get_args(BackendName)))
-        if self.substeps > 1 and isinstance(self.integrator, Unrecorded):
-            raise ArgumentError(
-                f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
-                f"give them to Repeated, DormandPrince chooses its own"
-            )
+        require_choice("unroll", self.unroll, (None, True, False))
+        if self.substeps > 1 and isinstance(self.integrator, DormandPrince):
+            raise ArgumentError(f"substeps must be 1 with DormandPrince, which chooses its own, found {self.substeps}")
         require_supported_base(self.robot, self.integrator)
         resolved = resolved_effects(self.effects, self.robot, self.integrator)
         controller = None if self.controller is None else self.controller.resolved(self.robot)
@@ -162,9 +163,9 @@ class SceneModel:
         moved = initial_motion(self.spec, {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B})
         if message := outside_limits(moved["q"], self.effects, self.robot):
             warnings.warn(message, stacklevel=2)
-        return self.begin(moved, {}, noise)[0]
+        return self._begin(moved, {}, noise)[0]
 
-    def begin(
+    def _begin(
         self,
         moved: Mapping[str, Tensor],
         inputs: Mapping[str, Tensor],
@@ -175,12 +176,12 @@ class SceneModel:
 
         Args:
             moved: positions and velocities, by their names in a state.
-            inputs, noise, task: as in `advance`.
+            inputs, noise, task: as in `_advance`.
         """
         if task is None and not self.spec.senses and not self.spec.remembers:
             return State(**moved), {}
-        given = {**moved, **inputs, **self.grounds(State(**moved))}
-        state, rows = _split(self.evaluate("begin", self.with_noise(given, noise), task))
+        given = {**moved, **inputs, **self._grounds(State(**moved))}
+        state, rows = _split(self._evaluate("begin", self._with_noise(given, noise), task))
         return state._replace(**moved), rows
 
     def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
@@ -194,9 +195,9 @@ class SceneModel:
                 sensors need them.
             inputs: inputs of controller and effects, by name; see `inputs`.
         """
-        return self.advance(state, {"torque": torque, **inputs}, noise)[0]
+        return self._advance(state, {"torque": torque, **inputs}, noise)[0]
 
-    def advance(
+    def _advance(
         self,
         state: State,
         inputs: Mapping[str, Tensor | None],
@@ -207,55 +208,50 @@ class SceneModel:
         require_state(state)
         self.spec.require_inputs(inputs, task)
         present = {name: x for name, x in inputs.items() if x is not None}
-        if not isinstance(self.integrator, Unrecorded):
-            present |= self.outside(state)
-            return _split(self.evaluate("step", self.with_noise({**state.rows(), **present}, noise), task))
+        if not self.looped:
+            present |= self._outside(state)
+            return _split(self._evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
         dtype = state.q.dtype
         if self.precision == "double" and dtype == torch.float32:
             # the integrator's own arithmetic is double as well
             present, state = {name: x.double() for name, x in present.items()}, state.to(torch.float64)
             noise = None if noise is None else noise.double()
-        system, x, v, rows = self.drive(state, present, task)
-        x, v = self.integrator.flow(system, x, v, self.dt)
-        given = {"x": x, "v": v, **rows, **present, **{name: system.inputs[name] for name in self.computed}}
-        sensed = self.evaluate("sense", self.with_noise(given, noise), task)
+        rows, outside = self._evaluate("drive", {**state.rows(), **present}, task), self._outside(state)
+        x, v = rows.pop("x"), rows.pop("v")
+        acting = {name: present[name] for e in self.effects for name in e.inputs(self.n) if name in present}
+        held = acting | outside | {name: rows[name] for name in ("u", "X_WB") if name in rows} | self.parameters
+        x, v = flow(self.spec, x, v, held, self.backend)
+        given = {"x": x, "v": v, **rows, **present, **{name: outside[name] for name in self.computed}}
+        sensed = self._evaluate("sense", self._with_noise(given, noise), task)
         return _split({name: x.to(dtype) for name, x in sensed.items()})
 
-    def drive(
-        self, state: State, inputs: Mapping[str, Tensor], task: Task | None = None
-    ) -> tuple[TensorSystem, Tensor, Tensor, dict[str, Tensor]]:
-        """Equations of motion over a step, the positions x and velocities v to integrate, and the rows for `sense`."""
-        rows = self.evaluate("drive", {**state.rows(), **inputs}, task)
-        x, v = rows.pop("x"), rows.pop("v")
-        acting = {name: inputs[name] for effect in self.effects for name in effect.inputs(self.n) if name in inputs}
-        held = self.outside(state) | {k: rows[k] for k in ("u", "X_WB") if k in rows}
-        return TensorSystem(self.spec, self.evaluate, self._repeat, {**acting, **held}), x, v, rows
+    @property
+    def looped(self) -> bool:
+        """Whether a step is a loop over a program of its substeps, and no program of its own."""
+        if self.substeps == 1:
+            return isinstance(self.integrator, DormandPrince)
+        return not self.unroll if self.unroll is not None else _length(self) > MOST_OPERATIONS
 
-    def outside(self, state: State) -> dict[str, Tensor]:
+    def _outside(self, state: State) -> dict[str, Tensor]:
         """Rows that torch computes outside the program, from the state at the start of a step, by name."""
         of = self.spec.of(JointEffect) if self.computed else ()
         learning: dict[str, Any] = {name: self.effects[i] for i, effect in of for name in effect.computed(self.n)}
-        return self.grounds(state) | {name: effect.torques(state.q, state.qd) for name, effect in learning.items()}
+        return self._grounds(state) | {name: effect.torques(state.q, state.qd) for name, effect in learning.items()}
 
-    def grounds(self, state: State) -> dict[str, Tensor]:
+    def _grounds(self, state: State) -> dict[str, Tensor]:
         """Rows that effects on bodies look up below their points in a state, by name."""
         if not self.computed:
             return {}
         of = self.spec.of(BodyEffect)
         looking: dict[str, Any] = {name: self.effects[i] for i, effect in of for name in effect.computed(self.n)}
         moving = {name: x for name, x in state.rows().items() if name in self.spec.moving}
-        places = self.evaluate("places", moving) if looking else {}
+        places = self._evaluate("places", moving) if looking else {}
         return {name: looking[name].looked_up(x) for name, x in places.items()}
-
-    def finite(self, state: State) -> Tensor:
-        """True for every row of a state whose numbers are all finite, shape [...]."""
-        require_state(state)
-        return state.finite()
 
     def energy(self, state: State) -> Tensor:
         """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
         require_state(state)
-        return self.evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
+        return self._evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
 
     def contacts(self, state: State) -> Contacts:
         """Contact of every point; with stiction the forces are those of the last step, as the state remembers.
@@ -274,7 +270,7 @@ class SceneModel:
             raise ArgumentError(
                 f"contacts need an effects.Contact in the scene of robot {self.robot.name!r}, found none"
             )
-        rows = self.evaluate("contacts", {**state.rows(), **self.grounds(state)})
+        rows = self._evaluate("contacts", {**state.rows(), **self._grounds(state)})
         force = rows.pop("force").unflatten(-1, (-1, 3))
         return Contacts(force, touching=rows.pop("touching") != 0, **rows)
 
@@ -282,9 +278,9 @@ class SceneModel:
 
     def program(self, *present: str, task: Task | None = None, wrt: tuple[str, ...] | None = None) -> Program:
         """Program of a step at which the inputs of those names are given, by default all; `wrt` as in `Stage`."""
-        if isinstance(self.integrator, Unrecorded):
-            name = type(self.integrator).__name__
-            raise ArgumentError(f"a step of {name} is not one program, and has no count of operations")
+        if self.looped:
+            steps = "DormandPrince" if self.substeps == 1 else f"{self.substeps} substeps"
+            raise ArgumentError(f"a step of {steps} is a loop, not one program, and has no count of operations")
         stage = Stage(self.spec, "step", task, wrt)
         wanted = [*self.spec.state, *(present or self.inputs), *self.computed, *["noise"] * bool(self.noises)]
         taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
@@ -299,7 +295,7 @@ class SceneModel:
         """Operations of a step."""
         return self.program().count()
 
-    def evaluate(
+    def _evaluate(
         self, stage: str, given: Mapping[str, Tensor], task: Task | None = None, wrt: tuple[str, ...] | None = None
     ) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
@@ -309,32 +305,29 @@ class SceneModel:
 
     @property
     def _at_rest(self) -> dict[str, Tensor]:
-        """Parameters, without gradients where no start depends on them: rollouts from one share no graph of those."""
+        """Parameters, detached where no start depends on them, so that rollouts from one start share no graph."""
         own = {i for i, x in enumerate(self.effects) if type(x).start != Effect.start}
         own |= {i for i, _ in self.spec.of(Sensor)}
         return {name: x if int(name.partition(".")[0]) in own else x.detach() for name, x in self.parameters.items()}
 
-    def _repeat(
-        self, stage: str, times: int, carried: Mapping[str, Tensor], fixed: Mapping[str, Tensor]
-    ) -> Mapping[str, Tensor]:
-        """Carried rows after a stage's program was applied a number of times: one call, where programs are compiled."""
-        if repeatable(next(iter(carried.values())), self.backend):
-            what = Stage(self.spec, stage)
-            return repeat(what, times, carried, {}, {**fixed, **self.parameters}, ends=True, backend=self.backend)
-        for _ in range(times):
-            carried = self.evaluate(stage, {**carried, **fixed})
-        return carried
-
-    def with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
+    def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
         """Inputs with the random numbers that the sensors need."""
         if not self.noises:
             return given
-        return {**given, "noise": self.random(next(iter(given.values()))) if noise is None else noise}
+        return {**given, "noise": self._random(next(iter(given.values()))) if noise is None else noise}
 
-    def random(self, like: Tensor, *steps: int) -> Tensor:
+    def _random(self, like: Tensor, *steps: int) -> Tensor:
         """Random numbers that the sensors need for states like the rows of a tensor, [*steps, ..., noises]."""
         # 1 - [0, 1) lies in (0, 1], and the logarithm of 0 is infinite
         return 1 - torch.rand(*steps, *like.shape[:-1], self.noises, dtype=like.dtype, device=like.device)
+
+
+@constant_in_graphs
+def _length(scene: SceneModel) -> int:
+    """Operations of the substeps in one program."""
+    if scene.spec not in _lengths:
+        _lengths[scene.spec] = scene.replace(substeps=1).count().total * scene.substeps
+    return _lengths[scene.spec]
 
 
 AnyScene = TypeVar("AnyScene", bound=SceneModel)

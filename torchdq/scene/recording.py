@@ -2,13 +2,13 @@
 
 A step has three stages. `drive` turns commands into torques at the transmission: controller, then actuators. `flow`
 carries positions x and velocities v over the step under those torques. `sense` makes a state of them and reads it. They
-are recorded as one program, unless the integrator is not recorded: then `drive` and `sense` are programs, and so is
-an evaluation of the equations of motion, or a substep, which is repeated.
+are recorded as one program; or each by itself, where `flow` is a loop, whose body is a substep or, of an adaptive
+integrator, an attempt of one: see `substeps`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import islice
 from typing import Any, NamedTuple, NoReturn
@@ -31,10 +31,11 @@ from torchdq.robot.fields import trailing
 from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
 from torchdq.scene.free_base import POSE, TWIST, displacement, rate_of
-from torchdq.scene.integrators import Integrator, Repeated
+from torchdq.scene.integrators import DormandPrince, Integrator
 from torchdq.scene.spec import POLICY, Formula, Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 
-MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
+# of adaptive steps, see `DormandPrince.attempt`; names that no input has
+TAKEN, CLOCK, GOAL = "size of a step", "clock of a step", "goal of a step"
 
 
 def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
@@ -60,16 +61,9 @@ def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
 
 def flow(system: SceneSystem, x: Row, v: Row) -> tuple[Row, Row]:
     """Positions and velocities at the end of a step."""
-    spec, operations = system.scene.spec, v[0].tape.ops if v else ()
-    before = len(operations)
-    for k in range(spec.substeps):
+    spec = system.scene.spec
+    for _ in range(spec.substeps):
         x, v = spec.integrator.step(system, x, v, spec.dt / spec.substeps)
-        if not k and (expected := (len(operations) - before) * spec.substeps) > MOST_OPERATIONS:
-            raise ArgumentError(
-                f"substeps must be few enough for a program of {MOST_OPERATIONS} operations, found {spec.substeps}, "
-                f"which would record {expected}; give substeps=1 and "
-                f"integrator=integrators.Repeated({spec.integrator}, {spec.substeps}), a loop over one step"
-            )
     return x, v
 
 
@@ -158,27 +152,35 @@ def _bodies(scene: RecordedScene, task: Task | None) -> Rows:
     return {name: row for name, row in scene.overrides.items() if row is not None}
 
 
-def _evaluation(rows: Callable[[SceneSystem, Row, Row], Rows]) -> Callable[[RecordedScene, Task | None], Rows]:
-    """Stage of an evaluation of the equations of motion at positions and velocities."""
-
-    def stage(scene: RecordedScene, task: Task | None) -> Rows:
-        x, v = scene.inputs["x"], scene.inputs["v"]
-        return with_growths(scene, scene.inputs["u"], lambda system: rows(system, x, v))
-
-    return stage
+def _frozen(scene: RecordedScene, task: Task | None) -> Rows:
+    """Mass matrix, damping and stiffness of the joints in a state."""
+    u, x, v, _ = drive(scene)
+    return with_growths(scene, u, lambda system: system.frozen(x, v))
 
 
-def _substep(system: SceneSystem, x: Row, v: Row) -> Rows:
-    """State after a step of the integrator, the length of which is an input."""
-    x, v = system.scene.spec.integrator.step(system, x, v, system.scene.inputs["h"][0])
-    return {"x": x, "v": v}
+def _substep(scene: RecordedScene, task: Task | None) -> Rows:
+    """State after a step of the integrator, whose size is an input, of all samples or of each."""
+    given = scene.inputs
+
+    def rows(system: SceneSystem) -> Rows:
+        (h,) = given["h"] if "h" in given else given[TAKEN]
+        x, v = scene.spec.integrator.step(system, given["x"], given["v"], h)
+        return {"x": x, "v": v}
+
+    return with_growths(scene, given["u"], rows)
 
 
-EVALUATIONS = {
-    "frozen": _evaluation(SceneSystem.frozen),
-    "accelerations": _evaluation(lambda system, x, v: {"a": system.accelerations(x, v)}),
-    "substep": _evaluation(_substep),
-}
+def _attempt(scene: RecordedScene, task: Task | None) -> Rows:
+    """State after an attempt of a step of `DormandPrince`."""
+    given = scene.inputs
+
+    def rows(system: SceneSystem) -> Rows:
+        x, v, clock, taken = DormandPrince().attempt(system, *[given[name] for name in ("x", "v", CLOCK, GOAL)])
+        return {"x": x, "v": v, CLOCK: clock, TAKEN: [taken]}
+
+    return with_growths(scene, given["u"], rows)
+
+
 STAGES = {
     "step": _step,
     "drive": _drive,
@@ -188,8 +190,12 @@ STAGES = {
     "contacts": _contacts,
     "places": _places,
     "bodies": _bodies,
-    **EVALUATIONS,
+    "frozen": _frozen,
+    "substep": _substep,
+    "attempt": _attempt,
 }
+BODIES_OF_LOOPS = ("substep", "attempt")
+DRIVEN = ("step", "drive", "frozen")  # stages with controller and actuators
 
 
 # --- programs --------------------------------------------------------------------------------------------------------
@@ -232,6 +238,7 @@ class Stage(_StageFields, Computation):
         asked = {} if self.task is None else self.task.inputs(n)
         poses, twists = (POSE, TWIST) if spec.robot.floating else (0, 0)
         evaluated = {"u": n, "x": moving + poses, "v": moving + spec.inner + twists, "h": 1}
+        evaluated |= {TAKEN: 1, CLOCK: 3, GOAL: 4}
         known = {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
         return known if self.wrt is None else {**known, "direction": sum(spec.displaced.values()) + n}
 
@@ -248,8 +255,8 @@ class Stage(_StageFields, Computation):
         return tuple([(width,) if width > 1 or name in rows else () for name, width in widths])
 
     def shared(self, name: str) -> bool:
-        """True for a parameter, and for the step that all samples take."""
-        return "." in name or name == "h"
+        """True for a parameter, and for a step size or a goal that all samples have."""
+        return "." in name or name in ("h", GOAL)
 
     def label(self, name: str) -> str:
         """Name without its owner."""
@@ -262,13 +269,13 @@ class Stage(_StageFields, Computation):
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise, naming the input that is missing, or the parameter that would broadcast against the batch."""
         spec, known = self.spec, self.widths()
-        if self.stage in ("step", "drive", "contacts"):
+        if self.stage in (*DRIVEN, "contacts"):
             for name in spec.state:
                 if name not in tensors:
                     raise ArgumentError(f"{name} must be part of the state; `start` makes one that has it")
-        if self.stage in ("step", "drive", *EVALUATIONS):
+        if self.stage in (*DRIVEN, *BODIES_OF_LOOPS):
             needed = [name for effect in spec.effects for name in effect.needs(spec.robot.n)]
-            needed += ["reference"] if spec.controller is not None and self.stage not in EVALUATIONS else []
+            needed += ["reference"] if spec.controller is not None and self.stage in DRIVEN else []
             for name in needed:
                 if name not in tensors:
                     raise ArgumentError(f"{name} must be given, shape [..., {known[name]}]; the scene needs it")
@@ -291,10 +298,10 @@ class Stage(_StageFields, Computation):
         if self.stage == "step":
             return _program(self, arguments)
         spec = replace(self.spec, integrator=Integrator(), substeps=1)  # which the others do not depend on
-        if self.stage in EVALUATIONS:  # nor on controller and time step
-            spec = replace(spec, dt=1.0, controller=None)
-        if self.stage == "substep" and isinstance(self.spec.integrator, Repeated):
-            spec = replace(spec, integrator=self.spec.integrator.integrator)
+        if self.stage in BODIES_OF_LOOPS:  # nor on controller and time step, nor on tolerances
+            adaptive = isinstance(self.spec.integrator, DormandPrince)
+            integrator = DormandPrince() if adaptive else self.spec.integrator
+            spec = replace(spec, dt=1.0, controller=None, integrator=integrator)
         return _program(self._replace(spec=spec), arguments)
 
 

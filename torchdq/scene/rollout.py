@@ -275,7 +275,7 @@ class _Steps(NamedTuple):
                 raise ArgumentError(
                     f"policy must return torques, a tensor [..., {n}] of {dtype}, found {_kind(torque)}"
                 )
-        after, rows = self.scene.advance(state, given, noise, self.plan.task)
+        after, rows = self.scene._advance(state, given, noise, self.plan.task)
         return {**after.rows(), **rows}
 
 

@@ -29,11 +29,13 @@ class Scene(SceneModel):
         integrator: see `torchdq.scene.integrators`. The default holds damping, friction, springs, servos and limits of
             joints at any step; `check` says which steps an explicit one holds.
         dt: duration of a step [s]; torques are constant over it.
-        substeps: steps of the integrator within a step, in one program; for hundreds, `integrators.Repeated`.
+        substeps: steps of the integrator within a step, any number.
         backend: as in `torchdq.functional`.
         precision: "auto": in the dtype of the state; a sample whose mass matrix would cost float32 half of its digits
             takes that step in float64, one whose mass matrix is singular becomes NaN. "double": a float32 state, and
             everything computed in float64.
+        unroll: whether the substeps are one program, or a loop over one of a single substep, which compiles faster, but
+            is not part of the loop that a rollout is; None: one program of up to 150 000 operations.
 
     >>> import torch, torchdq
     >>> from torchdq import Scene, effects

@@ -27,7 +27,7 @@ from torchdq.control.joints import ComputedTorque, Feedback
 from torchdq.dynamics.posed import Row
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.errors import ArgumentError
-from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RecordedSystem, Repeated, RungeKutta4
+from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RungeKutta4, System
 from torchdq.scene.model import SceneModel
 from torchdq.scene.rollout import rollout
 from torchdq.scene.state import State, nonfinite_rows, require_state
@@ -166,8 +166,6 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
     given = {name: x.double() for name, x in inputs.items() if x is not None}
     trial = _Trial(scene, state.to(torch.float64), given, intervals)
     integrator, times = scene.integrator, scene.substeps
-    if isinstance(scene.integrator, Repeated):
-        integrator, times = scene.integrator.integrator, scene.integrator.times
     with Progress(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
         found = trial.run(scene, integrator, times)
         if found.stable or found.held > GROWTH:  # which no shorter steps of the integrator mend
@@ -203,7 +201,7 @@ class _Trial:
                 break
             # a look at the start alone saves most trial runs
             well = all(self._growth(integrator, times, self.state, held)[0] <= GROWTH for held in (False, True))
-            scene = self.scene.replace(substeps=1, integrator=Repeated(integrator, times))
+            scene = self.scene.replace(substeps=times, integrator=integrator, unroll=False)
             if well and replace(self, intervals=intervals).run(scene, integrator, times):
                 return [Steps(integrator, times, self.scene.dt / times)]
             times *= 2
@@ -287,8 +285,7 @@ class _Trial:
         """Springs and dampers in those of some states that are finite."""
         inputs = {name: x for name, x in self._inputs().items() if name != "noise"}
         with torch.no_grad():
-            system, x, v, _ = self.scene.drive(states, inputs)
-            rows = self.scene.evaluate("frozen", {"x": x, "v": v, **system.inputs})
+            rows = self.scene._evaluate("frozen", {**states.rows(), **inputs, **self.scene._outside(states)})
         control, n = self.scene.controller, self.scene.n
         if isinstance(control, Feedback):
             accelerates = isinstance(control, ComputedTorque)  # the others' gains are torques
@@ -300,7 +297,7 @@ class _Trial:
 
 
 @dataclass(frozen=True)
-class _Frozen(RecordedSystem):
+class _Frozen(System):
     """Linear system M a + D v + K x = 0 of the springs and dampers in some states; its rows are one tensor [..., m]."""
 
     M: Tensor  # [samples, m, m]

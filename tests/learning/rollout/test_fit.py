@@ -258,7 +258,7 @@ def test_errors_are_those_of_a_motion_in_continuous_time(dt, coulomb):
     start = found.scene.start(torch.from_numpy(log.q[0]))
     again = found.scene.rollout(start, torch.from_numpy(log.inputs["torque"])[:-1]).q
     assert float((again - torch.from_numpy(log.q[1:])).square().mean().sqrt()) < 2e-3
-    assert (found.scene.integrator == RULE) == (not any(coulomb))
+    assert (found.scene.substeps == 1) == (not any(coulomb))
 
 
 def test_first_order_steps_are_told_by_correlated_residuals():
@@ -276,7 +276,7 @@ def test_errors_that_shorter_steps_contradict_are_wider(monkeypatch):
     log = with_noise(by_mujoco(100, 0.02, 40, "RK4", coulomb), 0)
     learn = ("Viscous.coefficient", "Coulomb.coulomb")
     fine = fit_rollout(scene, log, learn)
-    monkeypatch.setattr(fit, "_rules", lambda scene: [RULE, integrators.Repeated(RULE, 64)])
+    monkeypatch.setattr(fit, "FINER", (64,))
     with warned(LogWarning):
         coarse = fit_rollout(scene, log, learn)
     by_fine, by_coarse = (chi_square_of(coarse.estimate - fine.estimate, x) for x in (fine, coarse))
@@ -292,11 +292,10 @@ def test_stiff_friction():
     dt = 0.005
     time = dt * torch.arange(301, dtype=torch.float64)
     both = ((effects.Viscous(0.2), effects.Coulomb(level, 0.005)) for level in ((1.5, 1.0), 0.2))
-    fine = integrators.Repeated(RULE, 64)
-    real, wrong = (Scene(ROBOT, parts, integrator=fine, dt=dt) for parts in both)
+    real, wrong = (Scene(ROBOT, parts, integrator=RULE, dt=dt, substeps=64, unroll=False) for parts in both)
     inputs = {"torque": driving(time)}
     log = Recording(time, noisy(moved(real, inputs), 1, 1e-4), inputs)
-    found = fit_rollout(wrong, log, ("Coulomb.coulomb", "Viscous.coefficient"), integrator=fine)
+    found = fit_rollout(wrong, log, ("Coulomb.coulomb", "Viscous.coefficient"), integrator=RULE)
     assert worst_z(found, 1.5, 1.0, 0.2, 0.2) < 4
     assert float(found.rms.max()) < 1.1e-4
 

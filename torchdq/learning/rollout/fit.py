@@ -26,7 +26,7 @@ from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import Unknowns, changed, unknowns
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
-from torchdq.scene.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, Unrecorded
+from torchdq.scene.integrators import Integrator, LinearlyImplicit, RungeKutta4
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 
@@ -39,6 +39,7 @@ STILL = 1e-6  # length of a step that does so too, relative to the parameters: f
 GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the likelihood
 ACCURATE = 0.1  # shift of the parameters by shorter steps that counts as none, in standard errors
 NEARLY = 1e-5  # defects before a last step
+FINER = (4, 16, 64, 256)  # substeps that are tried one after the other
 APART = (
     "the scene does not move as recorded, so nothing is identifiable and all values are NaN; check signs, units and "
     "order of positions and inputs; take shorter segments, as sharp friction needs, or start from a nearer scene"
@@ -110,9 +111,9 @@ def fit_rollout(
     whole = changed(scene, variables.parameters(variables.start))
     _require_derivatives(whole, data[0].inputs)
     pieces = shooting.segments(data, scene.dt, segment)
-    rule, *finer = _rules(scene) if integrator is None else [integrator]
-    exact = not finer and not isinstance(rule, Unrecorded)
-    problem = Problem(whole.replace(integrator=rule), variables, data, pieces, exact)
+    finer = FINER if integrator is None else ()
+    whole = whole.replace(integrator=integrator or _rule(scene), **({"substeps": 1} if finer else {}))
+    problem = Problem(whole, variables, data, pieces, not (finer or whole.looped))
     named = ", ".join(part.name for part in variables.parts)
     # a trial step may diverge: its numbers are not finite then
     with torch.no_grad(), np.errstate(all="ignore"), Progress(f"fitting {named}") as notice:
@@ -147,14 +148,13 @@ def _require_driven(scene: Scene, variables: Unknowns, data: Sequence[CheckedRec
             raise ArgumentError(f"{part.name} cannot be learned: {cause}, so that nothing goes through its actuator")
 
 
-def _rules(scene: Scene) -> list[Integrator]:
-    """Integrators for a scene, each with four times the steps of the one before."""
-    rule = LinearlyImplicit() if any(e.IMPLICIT for e in scene.effects) else RungeKutta4()
-    return [rule, *(Repeated(rule, times) for times in (4, 16, 64, 256))]
+def _rule(scene: Scene) -> Integrator:
+    """Integrator for a scene."""
+    return LinearlyImplicit() if any(e.IMPLICIT for e in scene.effects) else RungeKutta4()
 
 
-def _search(problem: Problem, finer: Sequence[Integrator], iterations: int, notice: Progress) -> End:
-    """Best iterate by Gauss-Newton, with the first integrator that the next finer one does not contradict."""
+def _search(problem: Problem, finer: Sequence[int], iterations: int, notice: Progress) -> End:
+    """Best iterate by Gauss-Newton, with the first steps that the next shorter ones do not contradict."""
     at, count, shift = problem.first(), 0, 0.0
     linear, tried = problem.linearised(at), [at]
     try:

@@ -17,7 +17,7 @@ from torchdq.learning.rollout import shooting
 from torchdq.learning.rollout.recordings import CheckedRecording
 from torchdq.learning.rollout.shooting import Linear, Motions, Segments
 from torchdq.learning.rollout.unknowns import Unknowns
-from torchdq.scene.integrators import Integrator, LinearlyImplicit
+from torchdq.scene.integrators import LinearlyImplicit
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
@@ -56,7 +56,7 @@ class Change(NamedTuple):
 class End(NamedTuple):
     """End of a search."""
 
-    problem: "Problem"  # with the integrator that was used
+    problem: "Problem"  # with the integrator and substeps that were used
     at: Iterate
     linear: Linear
     steps: int
@@ -74,13 +74,13 @@ class Problem:
     pieces: Segments
     exact: bool = False  # whether derivatives are those of the scene's own step, rather than of implicit ones
 
-    def by(self, integrator: Integrator) -> "Problem":
-        """Problem with another integrator of the motions."""
-        return replace(self, scene=self.scene.replace(integrator=integrator, substeps=1))
+    def by(self, substeps: int) -> "Problem":
+        """Problem with another number of substeps of the motions."""
+        return replace(self, scene=self.scene.replace(substeps=substeps, unroll=False))
 
-    def shift(self, at: Iterate, linear: Linear, integrator: Integrator) -> float:
-        """Change of the parameters by another integrator, in standard errors."""
-        there = self.by(integrator).at(at.values, at.motions.nodes)
+    def shift(self, at: Iterate, linear: Linear, substeps: int) -> float:
+        """Change of the parameters by another number of substeps, in standard errors."""
+        there = self.by(substeps).at(at.values, at.motions.nodes)
         other = self.linearised(there)
         change = self.step(there, other, 0.0).values - self.step(at, linear, 0.0).values
         found = float(np.linalg.norm(self.information(there, other)[:, :-1] @ change))
@@ -130,7 +130,7 @@ class Problem:
         """Nodes where the measurements are."""
         found = shooting.first_guess(self.pieces, self.logs)
         q, qd = torch.from_numpy(found).split(self.pieces.n, -1)
-        memory = self.scene.begin({"q": q, "qd": qd}, {})[0].memory
+        memory = self.scene._begin({"q": q, "qd": qd}, {})[0].memory
         return found if memory is None else np.concatenate([found, memory.numpy()], -1)
 
     @cached_property
@@ -159,7 +159,7 @@ class Problem:
         # not `with_parameters`: what no robot has is no error in a trial
         object.__setattr__(scene, "parameters", self.scene.parameters | self.unknowns.parameters(values))
         given = {name: torch.from_numpy(x) for name, x in inputs.items()}
-        after = scene.advance(State(**self._rows(nodes)), given)[0].rows()
+        after = scene._advance(State(**self._rows(nodes)), given)[0].rows()
         return np.concatenate([after[name].numpy() for name in self.scene.spec.state], -1)
 
     def _rows(self, nodes: np.ndarray) -> dict[str, Tensor]:
@@ -247,10 +247,10 @@ class Problem:
         """Scenes whose steps have the derivatives; implicit ones are about as short as those of the integrator."""
         if self.exact:
             return [self.scene]
-        scene = self.scene.replace(integrator=LinearlyImplicit())
+        scene = self.scene.replace(integrator=LinearlyImplicit(), substeps=1)
         if scene.controller is not None or scene.spec.of(Actuator):  # which act once per dt
             return [scene, scene.replace(substeps=2)]
-        most = min(max(getattr(self.scene.integrator, "times", 1), 2), MOST)
+        most = min(max(self.scene.substeps, 2), MOST)
         return [scene.replace(dt=scene.dt / times) for times in (most // 2, most)]
 
     def _linear_steps(

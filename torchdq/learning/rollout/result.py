@@ -28,7 +28,7 @@ class RolloutFit(NamedTuple):
     the scene are not among them: where residuals are correlated, the parameters are less certain than they say.
     """
 
-    scene: Scene  # with the integrator of the fit, a choice for accuracy; `replace` gives it the one for simulation
+    scene: Scene  # with the steps of the fit, a choice for accuracy; `replace` gives it those for simulation
     values: dict[str, Tensor]  # by name in `learn`; NaN where unidentifiable
     errors: dict[str, Tensor]  # standard errors of the values; NaN where unidentifiable
     names: tuple[str, ...]  # [p] of single numbers, such as "Viscous.coefficient[elbow]"
@@ -57,7 +57,7 @@ class RolloutFit(NamedTuple):
             (name, f"{x:.4g}", f"{e:.2g}") if x == x else (name, "unidentifiable", "-")
             for name, x, e in zip(self.names, values.tolist(), errors.tolist(), strict=True)
         ]
-        title = f"{known}\nby steps of {self.scene.dt:.4g} s with {self.scene.integrator}"
+        title = f"{known}\nby steps of {self.scene.dt / self.scene.substeps:.4g} s with {self.scene.integrator}"
         parts = [title, table(("parameter", "estimate", "standard error"), rows)]
         if self.unidentifiable:
             parts.append("\n".join(("unidentifiable changes:", *self.unidentifiable)))
