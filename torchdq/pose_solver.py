@@ -17,7 +17,7 @@ from torchdq.backends.call import arranged, common_batch, recorded, row_of
 from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.loop_call import loop_of
 from torchdq.backends.torch import InterpretedLoop
-from torchdq.base.checks import require_choice, require_count, require_number, require_tensor
+from torchdq.base.checks import POSITIVE, require_choice, require_count, require_number, require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functions import inverse_kinematics as formulas
 from torchdq.functions.call import function_of, gain, with_tensors
@@ -215,7 +215,7 @@ def differential_inverse_kinematics(
     require_choice("limits", limits, (False, True))
     chosen = (frame or require_robot(robot).end_effector().name, expressed, axes_of(axes), *["bounded"] * limits)
     names = options_of(robot, "differential_inverse_kinematics", chosen)
-    step = None if dt is None else gain("dt", dt, q, positive=True)
+    step = None if dt is None else gain("dt", dt, q, POSITIVE)
     qd, scale = function_of(
         "differential_inverse_kinematics", robot, {"q": q, "V_des": V_des, "dt": step}, backend, names
     )

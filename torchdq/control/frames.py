@@ -15,7 +15,7 @@ from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.backends.call import Tensors
-from torchdq.base.checks import is_number, require_choice, require_tensor
+from torchdq.base.checks import POSITIVE, REAL, Interval, OneOf, is_number, require_tensor
 from torchdq.control.deviation import Deviation, Goal, deviation
 from torchdq.control.law import Law
 from torchdq.dynamics import task_space
@@ -27,7 +27,8 @@ from torchdq.functions.call import function_of
 from torchdq.functions.options import task_of
 from torchdq.functions.parametric import Parameter, Shapes
 from torchdq.functions.posed import as_screw
-from torchdq.functions.recipe import Results
+from torchdq.functions.recipe import EXPRESSED, Results
+from torchdq.functions.signature import option, parameter
 from torchdq.functions.task_space import numbers, pose_of, pose_of_any_norm, six
 from torchdq.numbers.functions import at_least, below, maximum, minimum, select, sqrt
 from torchdq.program.program import GROWTH
@@ -51,25 +52,23 @@ class FrameLaw(Law):
 
     OPTIONAL: ClassVar[frozenset[str]] = frozenset({"V_des", "A_des"})
     FIXED: ClassVar[str] = "no motor moves its base, so its joints alone cannot give a frame every acceleration"
-    SIGNED: ClassVar[frozenset[str]] = frozenset({"q_null"})
-    OTHERS: ClassVar[Shapes] = {"q_null": ("n",), "k_null": ()}  # trailing axes of parameters that may be absent
     GAINS: ClassVar[tuple[str, str]]  # of the error and of its rate, a number for each of the axes
     frame: str | None = None
-    expressed: Literal["body", "world"] = "body"
+    expressed: Literal["body", "world"] = option(EXPRESSED.check, "body")
     axes: str | tuple[str, ...] = "pose"
-    q_null: Parameter | None = None
-    k_null: Parameter = 10.0
+    q_null: Parameter | None = parameter("n", default=None, check=REAL, optional=True)
+    k_null: Parameter = parameter(default=10.0, optional=True)  # where there is no posture
     task: Task | None = field(default=None, repr=False)  # the frame and its axes, found for a robot
 
     @property
     def SHAPES(self) -> Shapes:  # type: ignore[override]  # gains have as many numbers as there are axes
         """Trailing axes of the parameters that are not absent."""
         named = AXES.get(self.axes, self.axes.split()) if isinstance(self.axes, str) else self.axes
-        found: dict[str, tuple[int | str, ...]] = dict.fromkeys(self.GAINS, (len(named),))
-        for name, axes in self.OTHERS.items():
+        found: dict[str, tuple[int | str, ...]] = {}
+        for name, (_, axes, optional, *_) in self.PARAMETERS.items():
             x = getattr(self, "q_null" if name == "k_null" else name)
-            if x is not None and x is not False:
-                found[name] = axes
+            if not (optional and (x is None or x is False)):
+                found[name] = (len(named),) if axes == ("axes",) else axes
         return found
 
     @classmethod
@@ -146,14 +145,11 @@ class OperationalSpaceControl(FrameLaw):
     NAME: ClassVar[str] = "operational_space_control"
     GOAL: ClassVar[Shapes] = {"X_des": (8,), "V_des": (6,), "A_des": (6,)}
     SWITCHES: ClassVar[frozenset[str]] = frozenset({"limits"})
-    UNBOUNDED: ClassVar[frozenset[str]] = frozenset({"limits"})
-    DIVIDING: ClassVar[frozenset[str]] = frozenset({"damping"})
     GAINS: ClassVar[tuple[str, str]] = ("kp", "kd")
-    OTHERS: ClassVar[Shapes] = {**FrameLaw.OTHERS, "damping": (), "limits": ("n",)}
-    kp: Parameter
-    kd: Parameter
-    damping: Parameter | None = DAMPING
-    limits: Parameter | bool = False
+    kp: Parameter = parameter("axes")
+    kd: Parameter = parameter("axes")
+    damping: Parameter | None = parameter(default=DAMPING, check=POSITIVE, optional=True)
+    limits: Parameter | bool = parameter("n", default=False, check=Interval(0.0, infinite=True), optional=True)
 
     def described(self, robot: Robot) -> Self:
         """Copy with the robot's limits, too."""
@@ -209,15 +205,10 @@ class CartesianImpedance(FrameLaw):
     NAME: ClassVar[str] = "cartesian_impedance"
     GOAL: ClassVar[Shapes] = {"X_des": (8,), "V_des": (6,)}
     GAINS: ClassVar[tuple[str, str]] = ("stiffness", "damping")
-    stiffness: Parameter
-    damping: Parameter
-    expressed: Literal["body", "world"] = field(default="world", kw_only=True)
-    coriolis: bool = field(default=True, kw_only=True)
-
-    def described(self, robot: Robot) -> Self:
-        """Copy with the numbers of the frame; raises unless `coriolis` is True or False."""
-        require_choice("coriolis", self.coriolis, (False, True))
-        return super().described(robot)
+    stiffness: Parameter = parameter("axes")
+    damping: Parameter = parameter("axes")
+    expressed: Literal["body", "world"] = option(EXPRESSED.check, "world", kw_only=True)
+    coriolis: bool = option(OneOf((False, True)), True, kw_only=True)
 
     def torques(self, at: Posed, goal: Mapping[str, Any], q: Row, qd: Row) -> Results:
         """Torques J^T (K e + D e') + c + g, and the growth of the inertia that the posture is projected with."""

@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 from torchdq.control.law import Law
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.tracking import commanded
-from torchdq.functions.parametric import Parameter, Shapes
+from torchdq.functions.parametric import Parameter
 from torchdq.functions.recipe import Results
+from torchdq.functions.signature import parameter
 
 
 @dataclass(frozen=True)
@@ -21,9 +22,8 @@ class Feedback(Law):
         kp, kd: gains of the errors of positions and velocities, shape [..., n].
     """
 
-    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
-    kp: Parameter
-    kd: Parameter
+    kp: Parameter = parameter("n")
+    kd: Parameter = parameter("n")
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import zip_longest
 from typing import Any, ClassVar, Self
 
 import torch
@@ -26,9 +27,10 @@ from torchdq.functions.call import gain, with_tensors
 from torchdq.functions.catalogue import Function
 from torchdq.functions.parametric import TENSOR, Parametric, Shapes, undefined
 from torchdq.functions.posed import posed
-from torchdq.functions.recipe import Recipe, RecipeInputs, Results, joints
+from torchdq.functions.recipe import Recipe, RecipeInputs, Results
+from torchdq.functions.signature import Field, joints
 from torchdq.program.program import Argument, Program
-from torchdq.program.transforms import with_values
+from torchdq.program.transforms import constant_in_graphs, with_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.constants import Constants
@@ -119,15 +121,11 @@ class Law(Parametric):
     @property
     def recipe(self) -> Recipe:
         """Recipe of its function of state, goal, parameters that are tensors, and wrenches."""
-        goal = [(name, axes, name in self.OPTIONAL) for name, axes in self.GOAL.items()]
-        own = [(name, axes, False) for name, axes in self.SHAPES.items() if getattr(self, name) is TENSOR]
-        wrenches = [(name, (6,), True) for name in self.WRENCHES]
-        return Recipe(
-            (*joints("q", "qd"), *goal, *own, *wrenches),
-            (self._formula(),),
-            lambda *single: (("n",),),
-            single=tuple(self.SHAPES),
-        )
+        goal = [Field(name, axes, name in self.OPTIONAL) for name, axes in self.GOAL.items()]
+        held = [(name, axes) for name, axes in self.SHAPES.items() if getattr(self, name) is TENSOR]
+        own = [self.PARAMETERS[name]._replace(axes=axes, optional=False) for name, axes in held]
+        wrenches = [Field(name, (6,), optional=True) for name in self.WRENCHES]
+        return Recipe((*joints("q", "qd"), *goal, *own, *wrenches), (self._formula(),), lambda *single: (("n",),))
 
     def _formula(self) -> Any:
         """Formula of the recipe; parameters in `single` are one number for all of their axes."""
@@ -160,15 +158,26 @@ class Law(Parametric):
             backend: as in `torchdq.functional`.
         """
         require_tensor("q", q)
-        given = {"q": q, "qd": qd, **self.rows(goal)}
-        axes = self.SHAPES
-        own = {name: getattr(self, name) for name in self.arguments(axes)}
-        for name, x in own.items():
-            own[name] = gain(name, x, q, name in self.DIVIDING, name in self.SIGNED)
-            self.require_gain(name, own[name], given)
-        single = tuple([name for name, x in own.items() if axes[name] and not x.ndim])
-        what = Function(constants(require_robot(robot)), self.named(), single, self.written(tuple(own)))
-        return evaluate(what, with_tensors(robot, {**given, **own}), backend)["tau"]
+        given, single = {"q": q, "qd": qd, **self.rows(goal)}, []
+        own, written = _form(type(self), self._form())
+        for name, axes in own.items():
+            x = gain(name, getattr(self, name), q, self.PARAMETERS[name].check)
+            self.require_gain(name, x, given)
+            if axes and not x.ndim:
+                single.append(name)
+            given[name] = x
+        what = Function(constants(require_robot(robot)), self.named(), tuple(single), written)
+        return evaluate(what, with_tensors(robot, given), backend)["tau"]
+
+    def _form(self) -> tuple[Any, ...]:
+        """Its fields in order, with `TENSOR` for the parameters: everything but their values."""
+        own = self.PARAMETERS
+        return tuple(
+            [
+                TENSOR if name in own and not (x is None or x is True or x is False) else x
+                for name, x in vars(self).items()
+            ]
+        )
 
     def rows(self, goal: Sequence[Tensor | None]) -> dict[str, Tensor | None]:
         """Rows of the goal and wrenches by name, None where they are left out at the end; raises if there are more."""
@@ -177,7 +186,7 @@ class Law(Parametric):
             raise ArgumentError(
                 f"goal of {self.named()} must be at most {', '.join(known)}, in this order, found {len(goal)}"
             )
-        return {**dict.fromkeys(known), **dict(zip(known, goal, strict=False))}
+        return dict(zip_longest(known, goal))
 
     def written(self, tensors: tuple[str, ...]) -> tuple[Any, ...]:
         """Class and fields of the law with `TENSOR` for some parameters, as plain values that graphs may keep."""
@@ -210,9 +219,9 @@ class Law(Parametric):
         whole = self.resolved(require_robot(robot))
         tensors, kind = whole.tensors(), self.named()
         what = Function(constants(robot.bake()), kind, (), whole.written(tuple(tensors)))
-        usual, taken = [name for name, _, _ in what.recipe.arguments if name not in self.WRENCHES], []
+        usual, taken = [name for name in what.recipe.names if name not in self.WRENCHES], []
         wanted = names_of("arguments", usual if present is None else present, what.recipe.names, f"argument of {kind}")
-        for name, axes, optional in what.recipe.arguments:
+        for name, axes, optional, *_ in what.recipe.arguments:
             if not (optional or name in wanted):
                 raise ArgumentError(f"arguments of {kind!r} must hold {name!r}, found {[*wanted]}; add it")
             if name in wanted:
@@ -241,6 +250,20 @@ def _copied(law: Law, model: Robot, robot: Robot) -> Robot:
                 "model.bake(), or learn with torques from the layer torchdq.nn.Control"
             )
     return recorded(constants(model.bake()))
+
+
+@constant_in_graphs
+def _form(kind: type[Law], form: tuple[Any, ...]) -> tuple[Shapes, tuple[Any, ...]]:
+    """Axes of the parameters that may be tensors, and what `written` returns, for all laws of a form."""
+    return _written(kind, form)
+
+
+@remembered(PROGRAMS)
+def _written(kind: type[Law], form: tuple[Any, ...]) -> tuple[Shapes, tuple[Any, ...]]:
+    law = kind(**dict(zip([x.name for x in fields(kind)], form, strict=False)))
+    axes = law.SHAPES
+    own = {name: axes[name] for name in law.arguments(axes)}
+    return own, law.written(tuple(own))
 
 
 def _size(axes: tuple[int | str, ...], robot: Robot) -> int:

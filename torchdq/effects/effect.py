@@ -14,17 +14,16 @@ from typing import Any, ClassVar, Self
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import require_count
+from torchdq.base.checks import Count
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.functions.parametric import Parameter, Parametric
+from torchdq.functions.signature import option
 from torchdq.robot import Robot
 
 Inputs = Mapping[str, Row]  # inputs of a step by name
-
-
-MOST_LATE = 500  # steps of a delay; the compile time of its program is then half a minute
+MOST_LATE = 500  # steps of a delay, each a row in the program; its compile time is then half a minute
 
 
 @dataclass(frozen=True)
@@ -84,17 +83,7 @@ class Late(Effect):
     """
 
     PER_JOINT: ClassVar[int]  # numbers in a row for each joint
-    steps: int
-
-    def described(self, robot: Robot) -> Self:
-        """The effect; raises unless the number of steps is a positive integer."""
-        require_count(f"steps of {type(self).__name__}", self.steps)
-        if self.steps > MOST_LATE:  # every step is a row in the program
-            raise ArgumentError(
-                f"steps of {type(self).__name__} must be at most {MOST_LATE}, found {self.steps}; a longer delay needs "
-                "longer time steps, or a buffer outside the scene"
-            )
-        return self
+    steps: int = option(Count(1, MOST_LATE, "a longer delay needs longer time steps, or a buffer outside the scene"))
 
     def memory(self, n: int) -> int:
         """Length of the delayed rows."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 from torchdq.algebra.inertia import RigidBody
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import tensor_of
+from torchdq.base.checks import REAL, tensor_of
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.effect import Effect, on_a_link
 from torchdq.errors import ArgumentError
-from torchdq.functions.parametric import Parameter, Shapes, undefined
+from torchdq.functions.parametric import Parameter, undefined
 from torchdq.functions.posed import Overrides, constant_pose, field
+from torchdq.functions.signature import parameter
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.arrays import matrices
@@ -42,11 +43,8 @@ class Gravity(ModelEffect):
             tilted base, tilt the vector.
     """
 
-    SHAPES: ClassVar[Shapes] = {"acceleration": (3,)}
-    SIGNED = frozenset({"acceleration"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"acceleration": "gravity"}
     ONCE = "there is one acceleration"
-    acceleration: Parameter = None
+    acceleration: Parameter = parameter(3, default=None, check=REAL, described="gravity")
 
     def described(self, robot: Robot) -> Self:
         """Copy with the robot's gravity, or 9.81 downwards if it has none."""
@@ -68,9 +66,7 @@ class RotorInertia(ModelEffect):
         inertia: J [kg m^2 or kg], shape [..., n]; None: that of the robot's description.
     """
 
-    SHAPES: ClassVar[Shapes] = {"inertia": ("n",)}
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
-    inertia: Parameter = None
+    inertia: Parameter = parameter("n", default=None, described="armature")
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Rotor inertia, added to that of earlier effects."""
@@ -97,11 +93,9 @@ class Payload(ModelEffect):
     """
 
     LATE = True
-    SHAPES: ClassVar[Shapes] = {"mass": (), "com": (3,), "inertia": (6,)}
-    SIGNED = frozenset({"com", "inertia"})
-    mass: Parameter
-    com: Parameter = 0.0
-    inertia: Parameter = 0.0
+    mass: Parameter = parameter()
+    com: Parameter = parameter(3, default=0.0, check=REAL)
+    inertia: Parameter = parameter(6, default=0.0, check=REAL)
     frame: str | None = None
 
     def described(self, robot: Robot) -> Self:
@@ -149,8 +143,7 @@ class MassScale(ModelEffect):
         factor: k, shape [..., links].
     """
 
-    SHAPES: ClassVar[Shapes] = {"factor": ("links",)}
-    factor: Parameter
+    factor: Parameter = parameter("links")
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Masses and inertias of the links times their factors."""

@@ -14,7 +14,7 @@ from torch.compiler import is_compiling
 from torchdq.backends.call import Tensors, common_batch, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
-from torchdq.base.checks import REAL, names_of, require_number, require_tensor
+from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, Check, names_of, require, require_tensor
 from torchdq.base.progress import FIRST, warn_once
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, recordings
@@ -78,7 +78,7 @@ def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | Non
     return common_batch([*inputs, *parameters], f" for the {robot.n} joints of robot {robot.name!r}")
 
 
-def gain(name: str, value: Tensor | float, q: Tensor, positive: bool = False, signed: bool = False) -> Tensor:
+def gain(name: str, value: Tensor | float, q: Tensor, check: Check = NOT_NEGATIVE) -> Tensor:
     """Parameter as a tensor, one number in the dtype of q; entries of a tensor are not checked."""
     if isinstance(value, Tensor) and value.ndim:
         return value
@@ -86,10 +86,10 @@ def gain(name: str, value: Tensor | float, q: Tensor, positive: bool = False, si
         if value.is_complex() or value.dtype == torch.bool:
             raise ArgumentError(f"{name} must be a real number, found {value}")
         return value.to(q)
-    if not isinstance(value, REAL):
+    if not isinstance(value, NUMBERS):
         cure = "; use torch.as_tensor" if isinstance(value, list | tuple | np.ndarray) else ""
         raise ArgumentError(f"{name} must be a number or a tensor, found {type(value).__name__}{cure}")
-    require_number(name, value, positive, **({} if signed else {"least": 0.0}))
+    require(name, value, check)
     return torch.full((), value, dtype=q.dtype, device=q.device)
 
 

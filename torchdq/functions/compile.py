@@ -357,7 +357,7 @@ def compile(
 
 def _present(function: str, arguments: Sequence[str] | None) -> list[str]:
     """Arguments of a function that calls will pass, in its order; None: all but the wrenches."""
-    known = {name: optional for name, _, optional in RECIPES[function].arguments}
+    known = {field.name: field.optional for field in RECIPES[function].arguments}
     if arguments is None:
         return [name for name in known if name not in ("f_tip", "f_ext", "f_base")]
     present = names_of("arguments", arguments, known, f"argument of {function}")

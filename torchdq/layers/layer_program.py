@@ -143,7 +143,7 @@ def program(
         friction: the layer's.
     """
     require_choice("parameters", parameters, ("constants", "arguments"))
-    known = [name for name, _, _ in what.recipe.arguments]
+    known = what.recipe.names
     wanted = names_of("wrenches", wrenches, [name for name in known if name in WRENCHES], f"wrench of {what.name}")
     if parameters == "constants":
         robot, learned = robot.bake(), ()

@@ -172,7 +172,9 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
     """Term of one parameter of an effect: a known one if it has that law, or one like it."""
     name = type(law).__name__
     own = {key: getattr(law, key) for key in law.SHAPES if key not in (*law.LINEAR, "warming")}
-    alike = Term(f"{name.lower()} {parameter}", ("", ""), parameter=parameter, signed=parameter in law.SIGNED)
+    alike = Term(
+        f"{name.lower()} {parameter}", ("", ""), parameter=parameter, signed=law.PARAMETERS[parameter].check.signed
+    )
     # first, since saturating friction may have the same width; and last, since it is like all dry friction
     for term in (COULOMB, *reversed(SHAPES), COULOMB, VISCOUS):
         known = term.effect(width)
