@@ -157,7 +157,7 @@ class OperationalSpaceControl(FrameLaw):
         if self.limits is not True:
             return found
         if not any(0 < most < math.inf for most in effort):
-            raise ArgumentError(f"limits must be False for robot {robot.name!r}, which has no torque limits")
+            raise ArgumentError(f"limits must be False for robot {robot.name!r}, which has no torque limits, found True")
         return replace(found, limits=tuple([x if x > 0 else math.inf for x in effort]))
 
     def torques(self, at: Posed, goal: Mapping[str, Any], q: Row, qd: Row) -> Results:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from torchdq.algebra.quaternion import Number
 from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import OneOf, require_tensor
+from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, OneOf, require_tensor
 from torchdq.dynamics.task_space import rows_of
 from torchdq.errors import ArgumentError
 from torchdq.functions import floating as free
@@ -117,7 +117,7 @@ RECIPES: dict[str, Recipe] = {
     ),
     "differential_inverse_kinematics": Recipe(
         (
-            *(*joints("q"), Field("V_des", ("axes",)), Field("dt", optional=True, kind="shared"), *TASK),
+            *(*joints("q"), Field("V_des", ("axes",)), Field("dt", (), True, "parameter", POSITIVE), *TASK),
             Field("bounded", kind="option", check=OneOf(("", "bounded")), default=""),
         ),
         (ik.differential,),
@@ -126,7 +126,7 @@ RECIPES: dict[str, Recipe] = {
     ),
     "joint_momentum": Recipe(joints("q", "qd", "tau"), (), lambda: (("n",), ("n",)), fixed_only=_UNMEASURED),
     "contact_force": Recipe(
-        (*joints("q", "r"), Field("damping", kind="shared"), *TASK),
+        (*joints("q", "r"), Field("damping", kind="parameter", check=NOT_NEGATIVE), *TASK),
         (task.contact_force,),
         lambda *task: (("axes",), ("axes",)),
         fixed_only=_UNMEASURED,
