@@ -101,10 +101,10 @@ def call(key, robot, arguments):
     return (result,) if isinstance(result, torch.Tensor) else tuple(x for x in result if x is not None)
 
 
-def require_named(error, parts, function, *arguments):
+def require_named(error, parts, function, *arguments, **named):
     """The error of the package that a function must raise holds every part, names as whole words."""
     with pytest.raises(error) as raised:
-        function(*arguments)
+        function(*arguments, **named)
     message = str(raised.value)
     assert isinstance(raised.value, TorchdqError)
     assert [part for part in parts if not re.search(rf"(?<!\w){re.escape(part)}(?!\w)", message)] == [], message
@@ -185,6 +185,13 @@ def test_every_parameter_of_an_effect_is_refused_by_name_in_every_way(at):
         require_named(
             ArgumentError, [f"{name} of {kind}", "found"], dataclasses.replace(effect, **{name: wrong}).resolved, robot
         )
+
+
+@all_in_one([torchdq.DQRNEA, torchdq.ForwardDynamics, partial(torchdq.ComputedTorque, kp=9.0, kd=6.0)])
+def test_every_option_of_a_layer_is_refused_by_name_in_every_way(layer):
+    for name, field in getattr(layer, "func", layer).OPTIONS.items():
+        for _, wrong in field.wrong():
+            require_named(ArgumentError, [name, "found"], layer, arm(), **{name: wrong})
 
 
 # parameters of laws and effects that may be negative, must be positive, or may be infinite

@@ -4,7 +4,6 @@ The closed loop is the two-link arm, pressing on something with its tip, trackin
 All its variants are rows of one batch. The error's own equation is solved by a matrix exponential.
 """
 
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence, Set, Sized
 from fnmatch import fnmatchcase
 from numbers import Real
-from typing import Any, NamedTuple, NoReturn, Protocol, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import torch
 from torch import Tensor
@@ -112,24 +112,6 @@ def is_number(x: Any) -> bool:
 # --- checks as values ------------------------------------------------------------------------------------------------
 
 
-class Check(Protocol):
-    """What a value may be, as a value: `require` raises by it, and tests generate values that it refuses."""
-
-    @property
-    def expected(self) -> str:
-        """Words for it, which stand after "must be"."""
-
-    @property
-    def cure(self) -> str:
-        """What to do otherwise, which ends the sentence; "" where it is clear."""
-
-    def holds(self, x: Any) -> bool:
-        """Whether x is such a value."""
-
-    def wrong(self) -> tuple[Any, ...]:
-        """Values that are refused."""
-
-
 class Interval(NamedTuple):
     """Check of a number: a finite one within bounds."""
 
@@ -207,6 +189,7 @@ class OneOf(NamedTuple):
         return ("another", 3, ("x",))
 
 
+Check = Interval | Count | OneOf  # what a value may be: `require` raises by it, and tests generate what it refuses
 REAL, NOT_NEGATIVE, POSITIVE = Interval(), Interval(0.0), Interval(0.0, open=True)
 
 

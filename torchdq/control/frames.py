@@ -126,11 +126,10 @@ class OperationalSpaceControl(FrameLaw):
     [..., 20] is X_des [8], V_des [6] and A_des [6].
 
     Args:
-        kp, kd: gains of the error [1/s^2] and of its rate [1/s], a number or one for each of the axes, [..., m].
-        damping: share of a diagonal of J J^T below which a pivot counts as singular [1], shape []; None: none does.
+        kp, kd, damping, frame, expressed, axes, q_null, k_null: as in the function.
         limits: largest torques, within which those of the task are scaled as a whole [N m or N], shape [..., n]; True:
             those of the robot; False: none.
-        frame, expressed, axes, q_null, k_null, model: as in `CartesianImpedance`.
+        model: the controller's model of the robot, copied when a scene is made; None: as it is in the scene.
 
     >>> import torch, torchdq
     >>> from torchdq.scene import Scene, controllers
@@ -157,7 +156,9 @@ class OperationalSpaceControl(FrameLaw):
         if self.limits is not True:
             return found
         if not any(0 < most < math.inf for most in effort):
-            raise ArgumentError(f"limits must be False for robot {robot.name!r}, which has no torque limits, found True")
+            raise ArgumentError(
+                f"limits must be False for robot {robot.name!r}, which has no torque limits, found True"
+            )
         return replace(found, limits=tuple([x if x > 0 else math.inf for x in effort]))
 
     def torques(self, at: Posed, goal: Mapping[str, Any], q: Row, qd: Row) -> Results:
@@ -186,14 +187,9 @@ class CartesianImpedance(FrameLaw):
     See `torchdq.cartesian_impedance`. Its reference [..., 14] is X_des [8] and V_des [6].
 
     Args:
-        stiffness, damping: K and D [N m/rad or N/m, N m s/rad or N s/m], a number or one for each axis, [..., m].
-        frame: name of the frame; None: the tip.
-        expressed: axes of the error, "body" or "world".
-        axes: "pose", "position", "orientation" or names among rx ry rz x y z.
-        q_null: posture of the joints where the task leaves them free [rad or m], shape [..., n]; None: none.
-        k_null: gain of the posture [1/s^2], shape [...].
-        coriolis: whether c is compensated; False: the spring is passive, up to the torque being held over a step.
-        model: the controller's model of the robot, copied when a scene is made; None: as it is in the scene.
+        stiffness, damping, frame, expressed, axes, q_null, k_null, coriolis: as in the function; without `coriolis` the
+            spring is passive, up to the torque being held over a step.
+        model: as in `OperationalSpaceControl`.
 
     >>> import torchdq
     >>> from torchdq.scene import controllers

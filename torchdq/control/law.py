@@ -8,7 +8,7 @@ numbers. A call evaluates it on tensors, `program` records it, a scene takes it 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import zip_longest
 from typing import Any, ClassVar, Self
@@ -19,7 +19,7 @@ from torch import Tensor
 from torchdq.backends.call import Tensors, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import names_of, require_tensor
+from torchdq.base.checks import require_tensor
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
@@ -34,7 +34,7 @@ from torchdq.program.transforms import constant_in_graphs, with_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.constants import Constants
-from torchdq.robot.fields import SHAPES, trailing
+from torchdq.robot.fields import SHAPES, Axes, trailing
 from torchdq.robot.robot import arguments, constants, recorded
 
 
@@ -42,8 +42,8 @@ from torchdq.robot.robot import arguments, constants, recorded
 class Law(Parametric):
     """Control law: joint torques of a goal, from measured positions and velocities.
 
-    A law of one's own derives from it: a frozen dataclass with the axes of its parameters in SHAPES, the rows of its
-    goal in GOAL, and `torques`.
+    A law of one's own derives from it: a frozen dataclass of parameters (`torchdq.functions.signature.parameter`), with
+    the rows of its goal in GOAL, and `torques`.
 
     Args:
         model: the controller's model of the robot, whose numbers are copied; None: the robot that is controlled.
@@ -81,7 +81,7 @@ class Law(Parametric):
         """Raise unless the shape of a parameter is meaningful beside state and goal."""
 
     def arguments(self, axes: Shapes) -> tuple[str, ...]:
-        """Parameters, of those in SHAPES, that may be tensors; of `SWITCHES` those that are neither True nor False."""
+        """Parameters that may be tensors; of `SWITCHES` those that are neither True nor False."""
         switched = [name for name in self.SWITCHES if isinstance(getattr(self, name), bool)]
         return tuple([name for name in axes if name not in switched])
 
@@ -159,25 +159,16 @@ class Law(Parametric):
         """
         require_tensor("q", q)
         given, single = {"q": q, "qd": qd, **self.rows(goal)}, []
-        own, written = _form(type(self), self._form())
-        for name, axes in own.items():
+        held = [name for name in self.PARAMETERS if not ((x := getattr(self, name)) is None or isinstance(x, bool))]
+        form = self.form(held)
+        for name, axes in _arguments(*form):
             x = gain(name, getattr(self, name), q, self.PARAMETERS[name].check)
             self.require_gain(name, x, given)
             if axes and not x.ndim:
                 single.append(name)
             given[name] = x
-        what = Function(constants(require_robot(robot)), self.named(), tuple(single), written)
+        what = Function(constants(require_robot(robot)), self.named(), tuple(single), form)
         return evaluate(what, with_tensors(robot, given), backend)["tau"]
-
-    def _form(self) -> tuple[Any, ...]:
-        """Its fields in order, with `TENSOR` for the parameters: everything but their values."""
-        own = self.PARAMETERS
-        return tuple(
-            [
-                TENSOR if name in own and not (x is None or x is True or x is False) else x
-                for name, x in vars(self).items()
-            ]
-        )
 
     def rows(self, goal: Sequence[Tensor | None]) -> dict[str, Tensor | None]:
         """Rows of the goal and wrenches by name, None where they are left out at the end; raises if there are more."""
@@ -188,18 +179,16 @@ class Law(Parametric):
             )
         return dict(zip_longest(known, goal))
 
-    def written(self, tensors: tuple[str, ...]) -> tuple[Any, ...]:
-        """Class and fields of the law with `TENSOR` for some parameters, as plain values that graphs may keep."""
-        others = [(x.name, getattr(self, x.name), x.default) for x in fields(self) if x.name not in tensors]
-        return (type(self), tensors, *[(name, x) for name, x, usual in others if x is not usual])
+    def form(self, tensors: Collection[str]) -> tuple[Any, ...]:
+        """Class and fields of the law, an ellipsis for some parameters, as plain values that graphs may keep."""
+        return (type(self), *[... if name in tensors else x for name, x in vars(self).items()])
 
     @staticmethod
     @remembered(PROGRAMS)
-    def found(of: Constants, kind: type[Law], tensors: tuple[str, ...], *others: tuple[str, Any]) -> Law:
-        """Law of what `written` returned, for robots with these constants."""
+    def found(of: Constants, *form: Any) -> Law:
+        """Law of a form whose ellipses are tensors, for robots with these constants."""
         with with_values():
-            fields: dict[str, Any] = {**dict.fromkeys(tensors, TENSOR), **dict(others)}
-            return kind(**fields).described(recorded(of))
+            return _of_form(*form).described(recorded(of))
 
     def program(self, robot: Robot, present: Sequence[str] | None = None) -> Program:
         """Program of the law, which takes q, qd, its goal and the parameters that are tensors, for `torchdq.compile`.
@@ -218,15 +207,11 @@ class Law(Parametric):
         """
         whole = self.resolved(require_robot(robot))
         tensors, kind = whole.tensors(), self.named()
-        what = Function(constants(robot.bake()), kind, (), whole.written(tuple(tensors)))
-        usual, taken = [name for name in what.recipe.names if name not in self.WRENCHES], []
-        wanted = names_of("arguments", usual if present is None else present, what.recipe.names, f"argument of {kind}")
-        for name, axes, optional, *_ in what.recipe.arguments:
-            if not (optional or name in wanted):
-                raise ArgumentError(f"arguments of {kind!r} must hold {name!r}, found {[*wanted]}; add it")
-            if name in wanted:
-                uniform = name in tensors and tensors[name].ndim == len(axes)
-                taken.append(Argument(name, _size(axes, robot), uniform))
+        what = Function(constants(robot.bake()), kind, (), whole.form(tensors))
+        taken = []
+        for name, axes, *_ in what.recipe.present(kind, present):
+            uniform = name in tensors and tensors[name].ndim == len(axes)
+            taken.append(Argument(name, _size(axes, robot), uniform))
         about = (*heading(kind, robot.name, robot.joint_names), part(whole.template()))
         return replace(what.program(tuple(taken)), about=about)
 
@@ -252,18 +237,22 @@ def _copied(law: Law, model: Robot, robot: Robot) -> Robot:
     return recorded(constants(model.bake()))
 
 
+def _of_form(kind: type[Law], *values: Any) -> Law:
+    """Law of a form, with `TENSOR` for its ellipses."""
+    return kind(**{x.name: TENSOR if value is ... else value for x, value in zip(fields(kind), values, strict=False)})
+
+
 @constant_in_graphs
-def _form(kind: type[Law], form: tuple[Any, ...]) -> tuple[Shapes, tuple[Any, ...]]:
-    """Axes of the parameters that may be tensors, and what `written` returns, for all laws of a form."""
-    return _written(kind, form)
+def _arguments(*form: Any) -> tuple[tuple[str, Axes], ...]:
+    """Parameters of a form that may be tensors, with their axes."""
+    return _found_arguments(*form)
 
 
 @remembered(PROGRAMS)
-def _written(kind: type[Law], form: tuple[Any, ...]) -> tuple[Shapes, tuple[Any, ...]]:
-    law = kind(**dict(zip([x.name for x in fields(kind)], form, strict=False)))
+def _found_arguments(*form: Any) -> tuple[tuple[str, Axes], ...]:
+    law = _of_form(*form)
     axes = law.SHAPES
-    own = {name: axes[name] for name in law.arguments(axes)}
-    return own, law.written(tuple(own))
+    return tuple([(name, axes[name]) for name in law.arguments(axes)])
 
 
 def _size(axes: tuple[int | str, ...], robot: Robot) -> int:

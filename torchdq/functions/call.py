@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from torch.compiler import is_compiling
 from torchdq.backends.call import Tensors, common_batch, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
-from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, Check, names_of, require, require_tensor
+from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, Check, OneOf, names_of, require, require_tensor
 from torchdq.base.progress import FIRST, warn_once
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, recordings
@@ -26,6 +26,7 @@ from torchdq.robot.fields import SHAPES, trailing
 from torchdq.robot.robot import arguments, constants
 
 Precision = Literal["auto", "double"]
+PRECISION = OneOf(get_args(Precision))
 FEW = 2  # programs of single frames of a robot that need no warning
 _built: Bounded[tuple[str, Constants], tuple[int, float]] = Bounded(PROGRAMS)  # programs of single frames, and seconds
 
@@ -44,6 +45,11 @@ def function_of(
     return list(evaluate(what, with_tensors(robot, given), backend, double).values())
 
 
+def with_options(name: str, robot: Robot, given: Tensors, backend: BackendName | None, *options: Any) -> list[Tensor]:
+    """Results of a function with options, None where they are absent."""
+    return function_of(name, robot, given, backend, options_of(require_robot(robot), name, options))
+
+
 def with_tensors(robot: Robot, given: Tensors) -> Tensors:
     """Arguments of a function, together with the tensors of the robot that are arguments of its programs."""
     names = arguments(robot)
@@ -52,8 +58,7 @@ def with_tensors(robot: Robot, given: Tensors) -> Tensors:
 
 def check_precision(precision: Precision) -> Precision:
     """Precision, after a check of its name."""
-    if precision not in get_args(Precision):
-        raise ArgumentError(f"precision must be 'auto' or 'double', found {precision!r}")
+    require("precision", precision, PRECISION)
     return precision
 
 

@@ -177,7 +177,8 @@ class _Call(NamedTuple):
     constants: Constants
     name: str
     options: tuple[str, ...] = ()  # of a control law: gains that are one number for all of their axes
-    written: tuple[Any, ...] = ()  # class and fields of a control law, which has the recipe; (): that of the catalogue
+    form: tuple[Any, ...] = ()  # class and fields of a control law, which has the recipe; (): that of the catalogue
+    motors: Any = None  # friction and offset of a layer (`torchdq.effects.resistance.Templates`), which has more fields
 
 
 class Function(_Call, Computation):
@@ -186,7 +187,7 @@ class Function(_Call, Computation):
     @property
     def law(self) -> Any:
         """Control law; None: the function is in the catalogue."""
-        return self.written[0].found(self.constants, *self.written) if self.written else None
+        return self.form[0].found(self.constants, *self.form) if self.form else None
 
     @property
     def recipe(self) -> Recipe:
@@ -216,16 +217,19 @@ class Function(_Call, Computation):
 
     def _field(self, name: str) -> Field | None:
         """Field of an argument; None: it is a tensor of the robot."""
-        return next((field for field in self.recipe.arguments if field.name == name and name not in SHAPES), None)
+        known = (*self.recipe.arguments, *([] if self.motors is None else self.motors.fields()))
+        return next((field for field in known if field.name == name and name not in SHAPES), None)
 
     def shared(self, name: str) -> bool:
-        """True for a tensor of the robot, a gain that is one number, and what all samples have in common."""
+        """True for a tensor of the robot, a parameter of a layer, one number, and what all samples have in common."""
         field = self._field(name)
-        return field is None or field.kind == "shared" or not self.axes(name)
+        if field is None or field.kind == "shared" or not self.axes(name):
+            return True
+        return self.motors is not None and field.kind == "parameter"
 
     def label(self, name: str) -> str:
         """Name of a tensor in error messages."""
-        return f"robot.{name}" if name in SHAPES else name
+        return f"robot.{name}" if name in SHAPES else name.rpartition(".")[2]
 
     def subject(self) -> str:
         """Text about the robot after a shape in error messages."""
@@ -250,7 +254,7 @@ class Function(_Call, Computation):
     def require_base(self) -> None:
         """Raise unless the base of the robot is fixed, or floating, as the function has it."""
         fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
-        if self.written:  # a law says by itself which base it takes
+        if self.form:  # a law says by itself which base it takes
             return
         if (fields["base_mass"] is not None) != (plain != self.name):
             if FLOATING + plain not in RECIPES:
@@ -270,6 +274,8 @@ class Function(_Call, Computation):
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the function, cached."""
+        if self.motors is not None:
+            return self.motors.program(self._replace(motors=None), arguments)  # type: ignore[no-any-return]
         return _program(self, arguments)
 
 

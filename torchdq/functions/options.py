@@ -26,8 +26,9 @@ def _read(robot: Robot, fields: Sequence[Field], given: Sequence[Any], subject: 
     """Options, None where they are absent, with the defaults of a robot; raises unless they are meaningful."""
     single = [field for field in fields if field.name != "frames"]
     if len(given) > len(single) == len(fields):
-        names = ", ".join(field.name for field in fields) or "none"
-        raise ArgumentError(f"options of {subject} must be at most {names}, in this order, found {given!r}")
+        names = ", ".join(field.name for field in fields)
+        expected = f"must be at most {names}, in this order" if names else "must be left out: there are none"
+        raise ArgumentError(f"options of {subject} {expected}, found {given!r}")
     found = [_one(robot, field, x) for field, x in zip(single, (*given, *[None] * len(single)), strict=False)]
     for field in fields[len(single) :]:
         frames = given[len(single) :] or ([robot.end_effector().name] if field.default == TIP else robot.frame_names)

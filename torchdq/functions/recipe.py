@@ -9,11 +9,11 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
-from torchdq.base.checks import OneOf
+from torchdq.base.checks import OneOf, names_of
 from torchdq.dynamics.coupling import Coupled
 from torchdq.dynamics.general.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
-from torchdq.errors import SingularInertiaError
+from torchdq.errors import ArgumentError, SingularInertiaError
 from torchdq.functions.posed import GEOMETRY, Massless, Overrides, as_screw, frame, posed
 from torchdq.functions.signature import Field
 from torchdq.program.program import Value
@@ -115,6 +115,17 @@ class Recipe(NamedTuple):
     def options(self) -> tuple[Field, ...]:
         """Fields that are names, on which the program depends."""
         return tuple([field for field in self.fields if field.kind == "option"])
+
+    def present(self, function: str, names: Sequence[str] | None) -> list[Field]:
+        """Arguments that calls will pass, in order, those that are named; None: all but the wrenches."""
+        usual = [name for name in self.names if name not in ("f_tip", "f_ext", "f_base")]
+        present = names_of("arguments", usual if names is None else names, self.names, f"argument of {function}")
+        for field in self.arguments:
+            if not (field.optional or field.name in present):
+                raise ArgumentError(
+                    f"arguments of {function!r} must hold {field.name!r}, found {list(present)}; add it"
+                )
+        return [field for field in self.arguments if field.name in present]
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -67,7 +67,7 @@ class Term(NamedTuple):
     @property
     def fraction(self) -> bool:
         """Whether the number is below one."""
-        return self.law is not None and self.parameter in self.law.FRACTIONS
+        return self.law is not None and self.law.PARAMETERS[self.parameter].check.below == 1.0
 
     def size(self, unit: Tensor, torque: Tensor, identifiable: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
