@@ -47,13 +47,14 @@ def face(key):
 
 
 def fields_of(key):
-    """Fields of a function that are tensors or numbers, by name."""
+    """Fields of a function that are arguments of its face, by name."""
     if key not in LAWS:
-        return {field.name: field for field in RECIPES[key].arguments}
+        options = [field for field in RECIPES[key].options if field.name == "expressed"]
+        return {field.name: field for field in (*RECIPES[key].arguments, *options)}
     law = LAWS[key]
     goal = [Field(name, axes, name in law.OPTIONAL) for name, axes in law.GOAL.items()]
-    wrenches = [Field(name, (6,), optional=True) for name in law.WRENCHES]
-    return {field.name: field for field in (*joints("q", "qd"), *goal, *wrenches, *law.PARAMETERS.values())}
+    wrenches, own = [Field(name, (6,), optional=True) for name in law.WRENCHES], {**law.PARAMETERS, **law.OPTIONS}
+    return {field.name: field for field in (*joints("q", "qd"), *goal, *wrenches, *own.values())}
 
 
 FUNCTIONS = [key for key in (*RECIPES, *LAWS) if face(key)]
@@ -84,7 +85,7 @@ def floating_arm():
 def tensors(key, batch=(3,)):
     """Inputs of a function, and those parameters of a law that are rows of joints."""
     g, sizes = torch.Generator().manual_seed(0), {**robot_of(key).sizes, "axes": 2}
-    kept = {name: field for name, field in fields_of(key).items() if field.kind != "parameter" or name == "q_null"}
+    kept = {name: field for name, field in fields_of(key).items() if field.kind == "input" or name == "q_null"}
     return {name: torch.randn(*batch, *trailing(x.axes, sizes), dtype=F64, generator=g) for name, x in kept.items()}
 
 
@@ -115,7 +116,7 @@ def test_every_public_function_takes_the_fields_that_it_declares():
     assert public == {key for key in FUNCTIONS if not key.startswith(FLOATING)}
     for key in FUNCTIONS:
         taken = set(inspect.signature(face(key)).parameters) - {"robot", "backend", "precision"}
-        assert set(fields_of(key)) <= taken <= {*fields_of(key), *OPTIONS, "expressed", "limits", "coriolis"}, key
+        assert set(fields_of(key)) <= taken <= {*fields_of(key), *OPTIONS, "limits"}, key
 
 
 def test_errors_are_those_that_python_has_for_them():

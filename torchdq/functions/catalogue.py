@@ -58,7 +58,7 @@ RECIPES: dict[str, Recipe] = {
     "closed_form": Recipe(
         (*joints("q", "qd"), FRAME._replace(name="tip")),
         (fixed.closed_form,),
-        lambda tip: (("n", "n"), ("n",), ("n",), *((("n", 6),) if tip else ())),
+        lambda *tip: (("n", "n"), ("n",), ("n",), *((("n", 6),) if any(tip) else ())),
     ),
     "regressor": Recipe((*joints("q"), *_MOVED), (fixed.regressor,), lambda: (("n", "parameters"),)),
     "kinetic_energy": Recipe(joints("q", "qd"), (fixed.kinetic_energy,), lambda: ((),)),
@@ -138,31 +138,36 @@ _BEHIND = Field("f_base", (6,), optional=True)
 
 
 def _free(name: str, *results: Axes, formula: Callable[..., Results] | None = None) -> Recipe:
-    """Recipe of a function with a floating base: that of `name`, each argument of the base before that of joints."""
+    """Recipe of a function with a floating base: that of `name`, each argument of the base before that of joints.
+
+    So are rows and columns of its results, unless these are given.
+    """
     like, found = RECIPES[name], list[Field]()
     for field in like.fields:
-        found += (
-            [field._replace(name=x, axes=axes) for x, axes in [_BEFORE[field.name]]] if field.name in _BEFORE else []
-        )
+        if field.name in _BEFORE:
+            found.append(Field(*_BEFORE[field.name], field.optional))
         found += [field] if field.name != "tip" else []
         found += [_BEHIND] if field.name == "f_ext" else []
-    shapes = (lambda *options: results) if results else like.results
+
+    def shapes(*options: str) -> tuple[Axes, ...]:
+        return results or tuple([tuple("all" if x == "n" else x for x in axes) for axes in like.results(*options)])
+
     return like._replace(fields=tuple(found), formulas=(formula,) if formula else like.formulas, results=shapes)
 
 
+_ALIKE = (
+    "mass_matrix",
+    "coriolis_matrix",
+    "closed_form",
+    "error_growth",
+    "regressor",
+    "forward_kinematics",
+    "jacobian",
+)
 _FREE: dict[str, Recipe] = {
-    "inverse_dynamics": _free("inverse_dynamics", (6,), ("n",)),
-    "forward_dynamics": _free("forward_dynamics", (6,), ("n",)),
-    "mass_matrix": _free("mass_matrix", ("all", "all")),
-    "coriolis_matrix": _free("coriolis_matrix", ("all", "all")),
-    "closed_form": _free("closed_form", ("all", "all"), ("all",), ("all",)),
-    "error_growth": _free("error_growth"),
-    "regressor": _free("regressor", ("all", "parameters")),
-    "forward_kinematics": _free("forward_kinematics"),
-    "jacobian": _free("jacobian", (6, "all")),
+    **{name: _free(name) for name in (*_ALIKE, "kinetic_energy", "potential_energy")},
+    **{name: _free(name, (6,), ("n",)) for name in ("inverse_dynamics", "forward_dynamics")},
     "external_wrenches": _free("external_wrenches", ("links", 6), (6,)),
-    "kinetic_energy": _free("kinetic_energy"),
-    "potential_energy": _free("potential_energy"),
     "centre_of_mass": _free("mass_matrix", (3,), formula=free.centre_of_mass),
     "momentum": _free("kinetic_energy", (3,), (3,), formula=free.momentum),
     "momentum_rate": _free("regressor", (3,), (3,), formula=free.momentum_rate),
