@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -146,7 +146,7 @@ class DrawnDelay(Actuator):
         steps: number of remembered steps.
     """
 
-    late: Parameter = signature.parameter()
+    late: Parameter = field(metadata=signature.parameter())
     steps: int
 
     def memory(self, n: int) -> int:
@@ -275,9 +275,7 @@ def _targets(scene: Scene, own: Sequence[int], name: str) -> list[list[Owned]]:
         found, missing = list(shared.values()), "effects with friction, found none; add Viscous()"
     elif name == "gains":
         control = [part for i, part in parts.items() if i == CONTROLLER]
-        found = [
-            [(CONTROLLER, gain)] for part in control for gain in part.SHAPES if not part.PARAMETERS[gain].check.signed
-        ]
+        found = [[(CONTROLLER, gain)] for part in control for gain in part.SHAPES if not part.interval(gain).signed]
         missing = "a controller with gains, found none; choose action='residual' or 'reference'"
     else:
         kind, parameter = KINDS[name]

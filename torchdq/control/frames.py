@@ -54,10 +54,10 @@ class FrameLaw(Law):
     FIXED: ClassVar[str] = "no motor moves its base, so its joints alone cannot give a frame every acceleration"
     GAINS: ClassVar[tuple[str, str]]  # of the error and of its rate, a number for each of the axes
     frame: str | None = None
-    expressed: Literal["body", "world"] = option(EXPRESSED.check, "body")
+    expressed: Literal["body", "world"] = field(default="body", metadata=option(EXPRESSED.check))
     axes: str | tuple[str, ...] = "pose"
-    q_null: Parameter | None = parameter("n", default=None, check=REAL, optional=True)
-    k_null: Parameter = parameter(default=10.0, optional=True)  # where there is no posture
+    q_null: Parameter | None = field(default=None, metadata=parameter("n", check=REAL, optional=True))
+    k_null: Parameter = field(default=10.0, metadata=parameter(optional=True))  # where there is no posture
     task: Task | None = field(default=None, repr=False)  # the frame and its axes, found for a robot
 
     @property
@@ -145,10 +145,12 @@ class OperationalSpaceControl(FrameLaw):
     GOAL: ClassVar[Shapes] = {"X_des": (8,), "V_des": (6,), "A_des": (6,)}
     SWITCHES: ClassVar[frozenset[str]] = frozenset({"limits"})
     GAINS: ClassVar[tuple[str, str]] = ("kp", "kd")
-    kp: Parameter = parameter("axes")
-    kd: Parameter = parameter("axes")
-    damping: Parameter | None = parameter(default=DAMPING, check=POSITIVE, optional=True)
-    limits: Parameter | bool = parameter("n", default=False, check=Interval(0.0, infinite=True), optional=True)
+    kp: Parameter = field(metadata=parameter("axes"))
+    kd: Parameter = field(metadata=parameter("axes"))
+    damping: Parameter | None = field(default=DAMPING, metadata=parameter(check=POSITIVE, optional=True))
+    limits: Parameter | bool = field(
+        default=False, metadata=parameter("n", check=Interval(0.0, infinite=True), optional=True)
+    )
 
     def described(self, robot: Robot) -> Self:
         """Copy with the robot's limits, too."""
@@ -201,10 +203,10 @@ class CartesianImpedance(FrameLaw):
     NAME: ClassVar[str] = "cartesian_impedance"
     GOAL: ClassVar[Shapes] = {"X_des": (8,), "V_des": (6,)}
     GAINS: ClassVar[tuple[str, str]] = ("stiffness", "damping")
-    stiffness: Parameter = parameter("axes")
-    damping: Parameter = parameter("axes")
-    expressed: Literal["body", "world"] = option(EXPRESSED.check, "world", kw_only=True)
-    coriolis: bool = option(OneOf((False, True)), True, kw_only=True)
+    stiffness: Parameter = field(metadata=parameter("axes"))
+    damping: Parameter = field(metadata=parameter("axes"))
+    expressed: Literal["body", "world"] = field(default="world", kw_only=True, metadata=option(EXPRESSED.check))
+    coriolis: bool = field(default=True, kw_only=True, metadata=option(OneOf((False, True))))
 
     def torques(self, at: Posed, goal: Mapping[str, Any], q: Row, qd: Row) -> Results:
         """Torques J^T (K e + D e') + c + g, and the growth of the inertia that the posture is projected with."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from torchdq.control.law import Law
@@ -22,8 +22,8 @@ class Feedback(Law):
         kp, kd: gains of the errors of positions and velocities, shape [..., n].
     """
 
-    kp: Parameter = parameter("n")
-    kd: Parameter = parameter("n")
+    kp: Parameter = field(metadata=parameter("n"))
+    kd: Parameter = field(metadata=parameter("n"))
 
 
 @dataclass(frozen=True)

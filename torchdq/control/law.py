@@ -188,7 +188,9 @@ class Law(Parametric):
     def found(of: Constants, *form: Any) -> Law:
         """Law of a form whose ellipses are tensors, for robots with these constants."""
         with with_values():
-            return _of_form(*form).described(recorded(of))
+            law = _of_form(*form)
+            law.require_options()
+            return law.described(recorded(of))
 
     def program(self, robot: Robot, present: Sequence[str] | None = None) -> Program:
         """Program of the law, which takes q, qd, its goal and the parameters that are tensors, for `torchdq.compile`.
@@ -239,7 +241,9 @@ def _copied(law: Law, model: Robot, robot: Robot) -> Robot:
 
 def _of_form(kind: type[Law], *values: Any) -> Law:
     """Law of a form, with `TENSOR` for its ellipses."""
-    return kind(**{x.name: TENSOR if value is ... else value for x, value in zip(fields(kind), values, strict=False)})
+    pairs = zip(fields(kind), values, strict=False)
+    given: dict[str, Any] = {x.name: TENSOR if value is ... else value for x, value in pairs}
+    return kind(**given)
 
 
 @constant_in_graphs

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
 from torch import Tensor
@@ -39,7 +39,9 @@ class Saturation(Actuator):
         limit: [N m or N], shape [..., n]; None: the effort limits of the robot's description, infinite if absent.
     """
 
-    limit: Parameter = parameter("n", default=None, check=Interval(0.0, infinite=True), described="limits.effort")
+    limit: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(0.0, infinite=True), described="limits.effort")
+    )
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         """The torques within their limits."""
@@ -59,9 +61,12 @@ class TorqueSpeed(Actuator):
         speed: no-load speed [rad/s or m/s], shape [..., n]; None: the velocity limits of the description.
     """
 
-    stall: Parameter = parameter("n", default=None, check=Interval(0.0, infinite=True), described="limits.effort")
-    speed: Parameter = parameter(
-        "n", default=None, check=Interval(0.0, open=True, infinite=True), described="limits.velocity"
+    stall: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(0.0, infinite=True), described="limits.effort")
+    )
+    speed: Parameter = field(
+        default=None,
+        metadata=parameter("n", check=Interval(0.0, open=True, infinite=True), described="limits.velocity"),
     )
 
     def resolved(self, robot: Robot) -> Self:
@@ -102,7 +107,7 @@ class FirstOrderLag(Actuator):
         time: T [s], shape [..., n]; zero disables it.
     """
 
-    time: Parameter = parameter("n")
+    time: Parameter = field(metadata=parameter("n"))
 
     def memory(self, n: int) -> int:
         """The torques at the end of the last step."""
@@ -141,7 +146,7 @@ class DeadBand(Actuator):
         width: half-width of the band [N m or N], shape [..., n].
     """
 
-    width: Parameter = parameter("n")
+    width: Parameter = field(metadata=parameter("n"))
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         """Commands minus the part inside the band."""
@@ -158,7 +163,7 @@ class QuantisedCommand(Actuator):
         step: [N m or N], shape [..., n], positive.
     """
 
-    step: Parameter = parameter("n", check=POSITIVE)
+    step: Parameter = field(metadata=parameter("n", check=POSITIVE))
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         """The nearest multiples of the step."""

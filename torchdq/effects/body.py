@@ -8,7 +8,7 @@ coefficients are, the force cannot overshoot.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal, NamedTuple, Self
 
 from torch import Tensor
@@ -120,7 +120,7 @@ class Push(BodyEffect):
     """
 
     frame: str | None = None
-    axes: Literal["world", "body"] = option(OneOf(("world", "body")), "world")
+    axes: Literal["world", "body"] = field(default="world", metadata=option(OneOf(("world", "body"))))
     name: str = "push"
 
     def described(self, robot: Robot) -> Self:
@@ -162,10 +162,10 @@ class Drag(BodyEffect):
         sign_width: speed below which |v| is smooth [m/s], a number or [...].
     """
 
-    linear: Parameter = parameter("links", default=0.0)
-    quadratic: Parameter = parameter("links", default=0.0)
-    angular: Parameter = parameter("links", default=0.0)
-    sign_width: Parameter = parameter(default=1e-3, check=POSITIVE)
+    linear: Parameter = field(default=0.0, metadata=parameter("links"))
+    quadratic: Parameter = field(default=0.0, metadata=parameter("links"))
+    angular: Parameter = field(default=0.0, metadata=parameter("links"))
+    sign_width: Parameter = field(default=1e-3, metadata=parameter(check=POSITIVE))
 
     def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
         """The drag on every link."""
@@ -193,9 +193,9 @@ class PointSpring(BodyEffect):
     """
 
     frame: str | None = None
-    anchor: Parameter = parameter(3, default=(0.0, 0.0, 0.0), check=REAL)
-    stiffness: Parameter = parameter(default=1e3)
-    damping: Parameter = parameter(default=0.0)
+    anchor: Parameter = field(default=(0.0, 0.0, 0.0), metadata=parameter(3, check=REAL))
+    stiffness: Parameter = field(default=1e3, metadata=parameter())
+    damping: Parameter = field(default=0.0, metadata=parameter())
 
     def described(self, robot: Robot) -> Self:
         """Copy with the name of its frame."""

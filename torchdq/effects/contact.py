@@ -28,7 +28,7 @@ for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple, Self
 
@@ -152,14 +152,14 @@ class Contact(BodyEffect):
 
     IMPLICIT = "its stiff forces act at the end of a step"
     points: Any = None
-    height: Parameter = parameter(default=0.0, check=REAL)
-    normal: Parameter = parameter(3, default=(0.0, 0.0, 1.0), check=REAL)
+    height: Parameter = field(default=0.0, metadata=parameter(check=REAL))
+    normal: Parameter = field(default=(0.0, 0.0, 1.0), metadata=parameter(3, check=REAL))
     surface: Any = None
-    stiffness: Parameter = parameter(default=None)
-    dissipation: Parameter = parameter(default=1.0)
-    friction: Parameter = parameter(default=0.8)
+    stiffness: Parameter = field(default=None, metadata=parameter())
+    dissipation: Parameter = field(default=1.0, metadata=parameter())
+    friction: Parameter = field(default=0.8, metadata=parameter())
     stiction: bool = True
-    settling: Parameter = parameter(default=1e-3)
+    settling: Parameter = field(default=1e-3, metadata=parameter())
 
     # --- parameters ---
 

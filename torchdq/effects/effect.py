@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 from torch import Tensor
@@ -83,7 +83,9 @@ class Late(Effect):
     """
 
     PER_JOINT: ClassVar[int]  # numbers in a row for each joint
-    steps: int = option(Count(1, MOST_LATE, "a longer delay needs longer time steps, or a buffer outside the scene"))
+    steps: int = field(
+        metadata=option(Count(1, MOST_LATE, "a longer delay needs longer time steps, or a buffer outside the scene"))
+    )
 
     def memory(self, n: int) -> int:
         """Length of the delayed rows."""

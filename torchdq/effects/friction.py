@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 from torchdq.algebra.quaternion import Number
@@ -41,7 +41,7 @@ class Friction(JointEffect):
     SHARED: ClassVar[frozenset[str]] = frozenset({TEMPERATURE})
     LINEAR: ClassVar[tuple[str, ...]] = ()  # parameters in which the torque is linear; zero if all are zero
     LEARNED_AS: ClassVar[Mapping[str, str]] = {}  # names of the learned parameters of a layer
-    warming: Parameter = parameter("n", default=0.0, check=REAL, kw_only=True)
+    warming: Parameter = field(default=0.0, kw_only=True, metadata=parameter("n", check=REAL))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """Impedance of one joint, with numbers as parameters."""
@@ -94,7 +94,7 @@ class Viscous(Friction):
 
     LINEAR = SCALES = ("coefficient",)
     LEARNED_AS: ClassVar[Mapping[str, str]] = {"coefficient": "viscous"}
-    coefficient: Parameter = parameter("n", default=None, described="damping")
+    coefficient: Parameter = field(default=None, metadata=parameter("n", described="damping"))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """D = d."""
@@ -111,7 +111,7 @@ class Quadratic(Friction):
     """
 
     LINEAR = SCALES = ("coefficient",)
-    coefficient: Parameter = parameter("n", default=None)
+    coefficient: Parameter = field(default=None, metadata=parameter("n"))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """D = c |qd|."""
@@ -135,8 +135,8 @@ class Coulomb(Friction):
 
     LINEAR = SCALES = ("coulomb",)
     LEARNED_AS: ClassVar[Mapping[str, str]] = {"coulomb": "coulomb"}
-    coulomb: Parameter = parameter("n", default=None, described="friction")
-    sign_width: Parameter = parameter(default=1e-2, check=POSITIVE)
+    coulomb: Parameter = field(default=None, metadata=parameter("n", described="friction"))
+    sign_width: Parameter = field(default=1e-2, metadata=parameter(check=POSITIVE))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """D = c / sqrt(qd^2 + w^2)."""
@@ -157,9 +157,9 @@ class Directional(Friction):
     """
 
     LINEAR = SCALES = ("forward", "backward")
-    forward: Parameter = parameter("n", default=None)
-    backward: Parameter = parameter("n", default=None)
-    sign_width: Parameter = parameter(default=1e-2, check=POSITIVE)
+    forward: Parameter = field(default=None, metadata=parameter("n"))
+    backward: Parameter = field(default=None, metadata=parameter("n"))
+    sign_width: Parameter = field(default=1e-2, metadata=parameter(check=POSITIVE))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """D = (forward (1 + s) + backward (1 - s)) / (2 sqrt(qd^2 + w^2))."""
@@ -186,10 +186,10 @@ class Stribeck(Friction):
 
     ORDERED = ("coulomb", "static")
     LINEAR = SCALES = ("coulomb", "static")
-    coulomb: Parameter = parameter("n", default=None, described="friction")
-    static: Parameter = parameter("n", default=None)
-    velocity: Parameter = parameter("n", default=0.1, check=POSITIVE)
-    sign_width: Parameter = parameter(default=1e-2, check=POSITIVE)
+    coulomb: Parameter = field(default=None, metadata=parameter("n", described="friction"))
+    static: Parameter = field(default=None, metadata=parameter("n"))
+    velocity: Parameter = field(default=0.1, metadata=parameter("n", check=POSITIVE))
+    sign_width: Parameter = field(default=1e-2, metadata=parameter(check=POSITIVE))
 
     def parts(self) -> list[tuple[Friction, str]]:
         """Coulomb friction, and the excess near rest, so that static friction is at least Coulomb friction."""
@@ -218,10 +218,10 @@ class LoadDependent(Friction):
 
     LINEAR = SCALES = ("coefficient",)
     ONCE = "their coefficients add up to one"
-    coefficient: Parameter = parameter(
-        "n", default=None, check=Interval(0.0, below=1.0, cure="such a joint would lock")
+    coefficient: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(0.0, below=1.0, cure="such a joint would lock"))
     )
-    sign_width: Parameter = parameter(default=1e-2, check=POSITIVE)
+    sign_width: Parameter = field(default=1e-2, metadata=parameter(check=POSITIVE))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """g / sqrt(qd^2 + w^2) per load."""
@@ -243,9 +243,9 @@ class Ripple(Friction):
     """
 
     LINEAR = SCALES = ("sine", "cosine")
-    period: Parameter = parameter("n", check=POSITIVE)
-    sine: Parameter = parameter("n", default=None, check=REAL)
-    cosine: Parameter = parameter("n", default=None, check=REAL)
+    period: Parameter = field(metadata=parameter("n", check=POSITIVE))
+    sine: Parameter = field(default=None, metadata=parameter("n", check=REAL))
+    cosine: Parameter = field(default=None, metadata=parameter("n", check=REAL))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """Force f, and K = df/dq where that is positive."""
@@ -288,11 +288,11 @@ class LuGre(Friction):
     """
 
     LINEAR = SCALES = ("coulomb",)
-    coulomb: Parameter = parameter("n", default=None, described="friction")
-    deflection: Parameter = parameter("n", default=5e-4, check=POSITIVE)
-    ratio: Parameter = parameter("n", default=1.0, check=Interval(1.0))
-    velocity: Parameter = parameter("n", default=0.1, check=POSITIVE)
-    settling: Parameter = parameter("n", default=0.0)
+    coulomb: Parameter = field(default=None, metadata=parameter("n", described="friction"))
+    deflection: Parameter = field(default=5e-4, metadata=parameter("n", check=POSITIVE))
+    ratio: Parameter = field(default=1.0, metadata=parameter("n", check=Interval(1.0)))
+    velocity: Parameter = field(default=0.1, metadata=parameter("n", check=POSITIVE))
+    settling: Parameter = field(default=0.0, metadata=parameter("n"))
 
     def steady(self, sign_width: float) -> Friction:
         """Coulomb friction of the same size, without the excess near rest."""
@@ -350,9 +350,7 @@ def _zero(x: Any) -> bool:
 def resisting(effects: Sequence[Effect]) -> list[Friction]:
     """Friction among effects that acts against the motion, and is not zero."""
     friction = [one for one in effects if isinstance(one, Friction)]
-    return [
-        one for one in friction if not (one.idle() or any(one.PARAMETERS[name].check.signed for name in one.LINEAR))
-    ]
+    return [one for one in friction if not (one.idle() or any(one.interval(name).signed for name in one.LINEAR))]
 
 
 def parts_of(friction: Any, robot: Robot) -> list[tuple[Friction, str]]:

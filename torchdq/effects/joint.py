@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple, Self
 
 import torch
@@ -110,8 +110,8 @@ class Spring(JointEffect):
         rest: equilibrium position [rad or m], shape [..., n].
     """
 
-    stiffness: Parameter = parameter("n")
-    rest: Parameter = parameter("n", default=0.0, check=REAL)
+    stiffness: Parameter = field(metadata=parameter("n"))
+    rest: Parameter = field(default=0.0, metadata=parameter("n", check=REAL))
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """Impedances with f = k (q - rest)."""
@@ -138,9 +138,9 @@ class Servo(JointEffect):
         limit: largest torque [N m or N], shape [..., n]; None: infinite, which costs nothing.
     """
 
-    kp: Parameter = parameter("n")
-    kd: Parameter = parameter("n", default=0.0)
-    limit: Parameter = parameter("n", default=None, check=Interval(0.0, open=True, infinite=True))
+    kp: Parameter = field(metadata=parameter("n"))
+    kd: Parameter = field(default=0.0, metadata=parameter("n"))
+    limit: Parameter = field(default=None, metadata=parameter("n", check=Interval(0.0, open=True, infinite=True)))
 
     def inputs(self, n: int) -> dict[str, int]:
         """The target [n]."""
@@ -176,10 +176,14 @@ class JointLimits(JointEffect):
     """
 
     ORDERED = ("lower", "upper")
-    lower: Parameter = parameter("n", default=None, check=Interval(infinite=True), described="limits.lower")
-    upper: Parameter = parameter("n", default=None, check=Interval(infinite=True), described="limits.upper")
-    stiffness: Parameter = parameter("n", default=1e4)
-    dissipation: Parameter = parameter("n", default=1.0)
+    lower: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(infinite=True), described="limits.lower")
+    )
+    upper: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(infinite=True), described="limits.upper")
+    )
+    stiffness: Parameter = field(default=1e4, metadata=parameter("n"))
+    dissipation: Parameter = field(default=1.0, metadata=parameter("n"))
 
     def free_range(self) -> tuple[Parameter, Parameter]:
         """The limits."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 from torchdq.algebra.inertia import RigidBody
@@ -13,7 +13,8 @@ from torchdq.dynamics.tree import BASE
 from torchdq.effects.effect import Effect, on_a_link
 from torchdq.errors import ArgumentError
 from torchdq.functions.parametric import Parameter, undefined
-from torchdq.functions.posed import Overrides, constant_pose, field
+from torchdq.functions.posed import Overrides, constant_pose
+from torchdq.functions.posed import field as row_of
 from torchdq.functions.signature import parameter
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
@@ -44,7 +45,7 @@ class Gravity(ModelEffect):
     """
 
     ONCE = "there is one acceleration"
-    acceleration: Parameter = parameter(3, default=None, check=REAL, described="gravity")
+    acceleration: Parameter = field(default=None, metadata=parameter(3, check=REAL, described="gravity"))
 
     def described(self, robot: Robot) -> Self:
         """Copy with the robot's gravity, or 9.81 downwards if it has none."""
@@ -66,7 +67,7 @@ class RotorInertia(ModelEffect):
         inertia: J [kg m^2 or kg], shape [..., n]; None: that of the robot's description.
     """
 
-    inertia: Parameter = parameter("n", default=None, described="armature")
+    inertia: Parameter = field(default=None, metadata=parameter("n", described="armature"))
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Rotor inertia, added to that of earlier effects."""
@@ -93,9 +94,9 @@ class Payload(ModelEffect):
     """
 
     LATE = True
-    mass: Parameter = parameter()
-    com: Parameter = parameter(3, default=0.0, check=REAL)
-    inertia: Parameter = parameter(6, default=0.0, check=REAL)
+    mass: Parameter = field(metadata=parameter())
+    com: Parameter = field(default=0.0, metadata=parameter(3, check=REAL))
+    inertia: Parameter = field(default=0.0, metadata=parameter(6, check=REAL))
     frame: str | None = None
 
     def described(self, robot: Robot) -> Self:
@@ -124,7 +125,7 @@ class Payload(ModelEffect):
         """Inertial parameters, those of one link merged with the payload."""
         frame = robot.frame(str(self.frame))
         i, held = frame.link, RigidBody(self.mass, self.com, self.inertia).moved(constant_pose(frame.X_BF))
-        masses, coms, inertias = (list(field(robot, name, overrides)) for name in ("mass", "com", "inertia"))
+        masses, coms, inertias = (list(row_of(robot, name, overrides)) for name in ("mass", "com", "inertia"))
         share = self.mass / (masses[i] + self.mass)
         masses[i], coms[i], inertias[i] = RigidBody(masses[i], coms[i], inertias[i]).plus(held, share)
         return {"mass": masses, "com": flat(coms), "inertia": flat(inertias)}
@@ -143,11 +144,11 @@ class MassScale(ModelEffect):
         factor: k, shape [..., links].
     """
 
-    factor: Parameter = parameter("links")
+    factor: Parameter = field(metadata=parameter("links"))
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Masses and inertias of the links times their factors."""
-        mass, inertia = field(robot, "mass", overrides), field(robot, "inertia", overrides)
+        mass, inertia = row_of(robot, "mass", overrides), row_of(robot, "inertia", overrides)
         return {
             "mass": [k * m for k, m in zip(self.factor, mass, strict=True)],
             "inertia": [k * x for k, row in zip(self.factor, inertia, strict=True) for x in row],

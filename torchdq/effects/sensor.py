@@ -6,7 +6,7 @@ The controller of a scene with sensors uses the measurements, and so should any 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 from torchdq.base.checks import REAL
@@ -45,8 +45,8 @@ class Noise(Sensor):
         velocity: s of velocities [rad/s or m/s], shape [..., n].
     """
 
-    position: Parameter = parameter("n", default=0.0)
-    velocity: Parameter = parameter("n", default=0.0)
+    position: Parameter = field(default=0.0, metadata=parameter("n"))
+    velocity: Parameter = field(default=0.0, metadata=parameter("n"))
 
     def noises(self, n: int) -> int:
         """Two per joint, for two independent normal numbers."""
@@ -74,8 +74,8 @@ class Bias(Sensor):
         velocity: b of velocities [rad/s or m/s], shape [..., n].
     """
 
-    position: Parameter = parameter("n", default=0.0, check=REAL)
-    velocity: Parameter = parameter("n", default=0.0, check=REAL)
+    position: Parameter = field(default=0.0, metadata=parameter("n", check=REAL))
+    velocity: Parameter = field(default=0.0, metadata=parameter("n", check=REAL))
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
         """Measurements with bias."""
@@ -93,8 +93,8 @@ class QuantisedReading(Sensor):
         velocity: step s of velocities [rad/s or m/s], shape [..., n].
     """
 
-    position: Parameter = parameter("n", default=0.0)
-    velocity: Parameter = parameter("n", default=0.0)
+    position: Parameter = field(default=0.0, metadata=parameter("n"))
+    velocity: Parameter = field(default=0.0, metadata=parameter("n"))
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
         """The nearest multiples of the steps."""

@@ -7,7 +7,7 @@ records nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
@@ -82,9 +82,9 @@ class Elastic(Transmission):
     SOLE: ClassVar[Mapping[str, str]] = {
         "armature": "the rotor inertia of the description; behind a spring it does not turn with the link"
     }
-    stiffness: Parameter = parameter("n")
-    damping: Parameter = parameter("n", default=0.0)
-    inertia: Parameter = parameter("n", default=None, check=POSITIVE, described="armature")
+    stiffness: Parameter = field(metadata=parameter("n"))
+    damping: Parameter = field(default=0.0, metadata=parameter("n"))
+    inertia: Parameter = field(default=None, metadata=parameter("n", check=POSITIVE, described="armature"))
 
     def memory(self, n: int) -> int:
         """Position and velocity of every rotor."""

@@ -280,7 +280,7 @@ class Function(_Call, Computation):
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the function, cached."""
         if self.motors is not None:
-            return self.motors.program(self._replace(motors=None), arguments)  # type: ignore[no-any-return]
+            return self.motors.program(self._replace(motors=None), arguments)
         return _program(self, arguments)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import is_number, require, require_tensor
+from torchdq.base.checks import Interval, is_number, require, require_tensor
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
 from torchdq.functions.signature import Field, declared
@@ -77,20 +77,31 @@ class Parametric:
 
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot: described and checked, every parameter a tuple of floats, a float, or a tensor."""
+        self.require_options()
         whole = self.described(robot)
         for entry in fields(whole):
             value = getattr(whole, entry.name)
             if entry.name not in whole.SHAPES and isinstance(value, dict | list | set | np.ndarray | Tensor):
                 raise ArgumentError(
                     f"{entry.name} of {type(self).__name__} is a {type(value).__name__}, which can change after it was "
-                    "recorded; use a number or a tuple, or name a tensor in SHAPES"
+                    "recorded; use a number or a tuple, or declare it by `parameter`"
                 )
-            if entry.name in self.OPTIONS:
-                require(f"{entry.name} of {type(self).__name__}", value, self.OPTIONS[entry.name].check)
         return replace(whole, **{name: whole._checked(name, getattr(whole, name), robot) for name in whole.SHAPES})
 
+    @classmethod
+    def interval(cls, name: str) -> Interval:
+        """What the numbers of a parameter may be."""
+        check = cls.PARAMETERS[name].check
+        assert isinstance(check, Interval)
+        return check
+
+    def require_options(self) -> None:
+        """Raise unless the options are what they may be."""
+        for name, field in self.OPTIONS.items():
+            require(f"{name} of {type(self).__name__}", getattr(self, name), field.check)
+
     def _checked(self, name: str, value: Any, robot: Robot) -> Any:
-        what, check = f"{name} of {type(self).__name__}", self.PARAMETERS[name].check
+        what, check = f"{name} of {type(self).__name__}", self.interval(name)
         axes = self.SHAPES[name]
         shape = trailing(axes, robot.sizes)
         size = math.prod(shape)
@@ -127,7 +138,7 @@ class Parametric:
         """Parameters from the description, if all are constants without effect: zeros, or absent limits."""
 
         def none(name: str, row: Any) -> bool:
-            limit = self.PARAMETERS[name].check.infinite
+            limit = self.interval(name).infinite
             return isinstance(row, tuple) and all(math.isinf(x) if limit else x == 0 for x in row)
 
         return tuple(self.DESCRIBED) if all(none(name, getattr(self, name)) for name in self.DESCRIBED) else ()

@@ -6,13 +6,13 @@ Checks, shapes in error messages, arguments of programs and generated tests foll
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import NOT_NEGATIVE, REAL, Check
+from torchdq.base.checks import NOT_NEGATIVE, REAL, Check, Interval
 from torchdq.robot.fields import Axes
 
 Kind = Literal["input", "shared", "parameter", "option"]
@@ -52,30 +52,22 @@ def joints(*names: str, optional: bool = False) -> tuple[Field, ...]:
 
 
 def parameter(
-    *axes: int | str,
-    default: Any = dataclasses.MISSING,
-    check: Check = NOT_NEGATIVE,
-    described: str = "",
-    optional: bool = False,
-    kw_only: Any = dataclasses.MISSING,
-) -> Any:
-    """Field of a dataclass for a parameter: numbers, or a tensor with these trailing axes.
+    *axes: int | str, check: Interval = NOT_NEGATIVE, described: str = "", optional: bool = False
+) -> Mapping[Any, Field]:
+    """Metadata of a dataclass's field for a parameter: numbers, or a tensor with these trailing axes.
 
     Args:
         axes: the trailing axes, numbers or names of `Robot.sizes`.
-        default: as in `dataclasses.field`.
         check: what each of its numbers may be.
         described: attribute of the robot that replaces None.
         optional: whether it may be None or False, absent.
-        kw_only: as in `dataclasses.field`.
     """
-    entry = Field("", axes, optional, "parameter", check, described)
-    return dataclasses.field(default=default, kw_only=kw_only, metadata={Field: entry})
+    return {Field: Field("", axes, optional, "parameter", check, described)}
 
 
-def option(check: Check, default: Any = dataclasses.MISSING, kw_only: Any = dataclasses.MISSING) -> Any:
-    """Field of a dataclass for what is no tensor, on which the program depends."""
-    return dataclasses.field(default=default, kw_only=kw_only, metadata={Field: Field("", (), False, "option", check)})
+def option(check: Check) -> Mapping[Any, Field]:
+    """Metadata of a dataclass's field for what is no tensor, on which the program depends."""
+    return {Field: Field("", (), False, "option", check)}
 
 
 def declared(kind: type) -> dict[str, Field]:

@@ -48,7 +48,7 @@ class LayerFriction(NamedTuple):
     def constraint(self, quantity: str) -> type[Positive | Fraction] | None:
         """Parametrisation of a learned quantity; None: it may have any value."""
         k, parameter = self.learned[quantity]
-        check = self.effects[k].PARAMETERS[parameter].check
+        check = self.effects[k].interval(parameter)
         return Fraction if check.below < math.inf else None if check.signed else Positive
 
 
