@@ -142,7 +142,8 @@ def test_every_field_of_a_function_is_refused_by_name_in_every_way(key):
         for way, wrong in field.wrong(given.get(name)):
             if name in given or "numbers" not in way:  # gains have the axes of the joints
                 arguments = {**given, name: wrong}
-                require_named(TorchdqError, [name, "found"], call, key, robot_of(key), arguments)
+                found = str(tuple(wrong.shape)) if "numbers" in way else "found"
+                require_named(TorchdqError, [name, found], call, key, robot_of(key), arguments)
     first, *others = given
     for error, change, *parts in UNLIKE.values():
         for name in others:

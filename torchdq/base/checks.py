@@ -113,60 +113,42 @@ def is_number(x: Any) -> bool:
 
 
 class Interval(NamedTuple):
-    """Check of a number: a finite one within bounds."""
+    """Check of a number: a finite one, or an integer, within bounds."""
 
     least: float = -math.inf
     open: bool = False  # whether it must be greater than `least`
     below: float = math.inf
     infinite: bool = False  # whether it may be infinite, too
+    whole: bool = False  # whether it must be an integer
     cure: str = ""
 
     @property
     def signed(self) -> bool:
-        """Whether it may be negative."""
+        """True if it may be negative."""
         return self.least < 0
 
     @property
     def expected(self) -> str:
-        """Words for the interval."""
+        """Text after "must be"."""
+        if self.whole and self.below < math.inf:
+            return f"an integer from {self.least:g} to {self.below - 1:g}"
         bounds = [f"of at least {self.least:g}"] * (not self.open and self.least > -math.inf)
         bounds += [f"below {self.below:g}"] * (self.below < math.inf)
-        kind = "positive number" if self.open else "number" if self.infinite else "finite number"
-        return f"a {kind} {' and '.join(bounds)}".rstrip()
+        kind = "an integer" if self.whole else "a positive number" if self.open else "a finite number"
+        return f"{kind.replace('finite ', '') if self.infinite else kind} {' and '.join(bounds)}".rstrip()
 
     def holds(self, x: Any) -> bool:
         """Whether x is a number in the interval."""
-        if not is_number(x) or math.isnan(x) or (math.isinf(x) and not self.infinite):
+        if not is_number(x) or (self.whole and not isinstance(x, int)):
             return False
-        return self.least < x or (x == self.least and not self.open) if x < self.below else x == self.below == math.inf
+        inside = self.least < x < self.below or (x == self.least and not self.open)
+        return math.isfinite(x) and inside if not (math.isinf(x) and self.infinite) else x > 0 or self.signed
 
     def wrong(self) -> tuple[Any, ...]:
-        """Numbers beyond the bounds, and what is no number."""
+        """Numbers beyond the bounds, and what is no such number."""
         beyond = (self.least - 1.0,) * (self.least > -math.inf) + (self.least,) * self.open
         beyond += (self.below,) * (self.below < math.inf) + (math.inf,) * (not self.infinite)
-        return (*beyond, math.nan, "1", True, 1j, 10**400)
-
-
-class Count(NamedTuple):
-    """Check of an integer within bounds."""
-
-    least: int = 1
-    most: int | None = None
-    cure: str = ""
-
-    @property
-    def expected(self) -> str:
-        """Words for the bounds."""
-        bounds = f"of at least {self.least}" if self.most is None else f"from {self.least} to {self.most}"
-        return f"an integer {bounds}"
-
-    def holds(self, x: Any) -> bool:
-        """Whether x is an integer within the bounds."""
-        return isinstance(x, int) and not isinstance(x, bool) and self.least <= x and not (self.most or x) < x
-
-    def wrong(self) -> tuple[Any, ...]:
-        """Integers beyond the bounds, and what is no integer."""
-        return (self.least - 1, *([] if self.most is None else [self.most + 1]), self.least + 0.5, "1", True, None)
+        return (*beyond, math.nan, "1", True, 1j, 10**400, *[self.least + 0.5] * self.whole)
 
 
 class OneOf(NamedTuple):
@@ -177,7 +159,7 @@ class OneOf(NamedTuple):
 
     @property
     def expected(self) -> str:
-        """Words for the values."""
+        """Text after "must be"."""
         return f"one of {', '.join(map(repr, self.known))}"
 
     def holds(self, x: Any) -> bool:
@@ -189,7 +171,7 @@ class OneOf(NamedTuple):
         return ("another", 3, ("x",))
 
 
-Check = Interval | Count | OneOf  # what a value may be: `require` raises by it, and tests generate what it refuses
+Check = Interval | OneOf  # what a value may be: `require` raises by it, and tests generate what it refuses
 REAL, NOT_NEGATIVE, POSITIVE = Interval(), Interval(0.0), Interval(0.0, open=True)
 
 
@@ -206,7 +188,7 @@ def require_choice(name: str, x: Any, known: Sequence[Any]) -> None:
 
 def require_count(name: str, x: Any, least: int = 1) -> None:
     """Raise unless x is an integer of at least `least`."""
-    require(name, x, Count(least))
+    require(name, x, Interval(least, whole=True))
 
 
 def require_number(name: str, x: Any, positive: bool = False, least: float = -math.inf) -> None:

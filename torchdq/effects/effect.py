@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import Count
+from torchdq.base.checks import Interval
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
@@ -23,6 +23,7 @@ from torchdq.functions.signature import option
 from torchdq.robot import Robot
 
 Inputs = Mapping[str, Row]  # inputs of a step by name
+BUFFER = "a longer delay needs longer time steps, or a buffer outside the scene"
 MOST_LATE = 500  # steps of a delay, each a row in the program; its compile time is then half a minute
 
 
@@ -83,9 +84,7 @@ class Late(Effect):
     """
 
     PER_JOINT: ClassVar[int]  # numbers in a row for each joint
-    steps: int = field(
-        metadata=option(Count(1, MOST_LATE, "a longer delay needs longer time steps, or a buffer outside the scene"))
-    )
+    steps: int = field(metadata=option(Interval(1, below=MOST_LATE + 1, whole=True, cure=BUFFER)))
 
     def memory(self, n: int) -> int:
         """Length of the delayed rows."""

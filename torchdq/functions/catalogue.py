@@ -210,7 +210,7 @@ class Function(_Call, Computation):
 
     @property
     def _of_axes(self) -> bool:
-        """Whether it is about some axes of a frame."""
+        """True if it is about some axes of a frame."""
         return self.recipe.options[:3] == TASK
 
     def axes(self, name: str) -> tuple[int, ...]:

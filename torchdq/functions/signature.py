@@ -1,4 +1,4 @@
-"""What a caller can pass, each declared once as a value: the fields of functions, layers, control laws and effects.
+"""Fields of functions, layers, control laws and effects: everything that a caller can pass, declared once as a value.
 
 Checks, shapes in error messages, arguments of programs and generated tests follow from them.
 """
@@ -24,7 +24,7 @@ class Field(NamedTuple):
     name: str
     axes: Axes = ()  # trailing axes of a tensor
     optional: bool = False  # whether it may be absent
-    # a row per sample; one row for all samples; one row for all or per sample, or one number; or what is no tensor, on
+    # a row per sample; one row for all samples; one row for all or per sample, or one number; or what is not a tensor, on
     # which the program depends
     kind: Kind = "input"
     check: Check = REAL
@@ -37,7 +37,8 @@ class Field(NamedTuple):
             yield from ((repr(x), x) for x in ("1", b"1", 1j, [True], ["1"], [[1.0], [2.0, 3.0]], {"joint1": 1.0}))
             x = torch.ones(3, 2, dtype=torch.float64) if good is None else good
             yield from ((str(dtype), x.to(dtype)) for dtype in (torch.bool, torch.complex128))
-            yield from ((f"{k} numbers", x[..., :1].expand(*x.shape[:-1], k)) for k in (0, 5, 9) if self.axes)
+            sizes = (0, 1, 5, 9) if self.kind == "input" else (0, 5, 9)  # one number of a parameter is that of all
+            yield from ((f"{k} numbers", x[..., :1].expand(*x.shape[:-1], k)) for k in sizes if self.axes)
         if self.kind in ("input", "shared"):
             yield from ((type(x).__name__, x) for x in (1.0, x.tolist(), x.numpy()))
             yield from ((str(dtype), x.to(dtype)) for dtype in (torch.int64, torch.float16, torch.bfloat16))
@@ -66,7 +67,7 @@ def parameter(
 
 
 def option(check: Check) -> Mapping[Any, Field]:
-    """Metadata of a dataclass's field for what is no tensor, on which the program depends."""
+    """Metadata of a dataclass's field for what is not a tensor, on which the program depends."""
     return {Field: Field("", (), False, "option", check)}
 
 
