@@ -24,8 +24,8 @@ class Field(NamedTuple):
     name: str
     axes: Axes = ()  # trailing axes of a tensor
     optional: bool = False  # whether it may be absent
-    # a row per sample; one row for all samples; one row for all or per sample, or one number; or what is not a tensor, on
-    # which the program depends
+    # a row per sample; one row for all samples; one row for all or per sample, or one number; or what the program
+    # depends on, which is not a tensor
     kind: Kind = "input"
     check: Check = REAL
     described: str = ""  # attribute of the robot that replaces None
