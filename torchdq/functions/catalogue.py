@@ -165,8 +165,8 @@ _ALIKE = (
     "jacobian",
 )
 _FREE: dict[str, Recipe] = {
-    **{name: _free(name) for name in (*_ALIKE, "kinetic_energy", "potential_energy")},
     **{name: _free(name, (6,), ("n",)) for name in ("inverse_dynamics", "forward_dynamics")},
+    **{name: _free(name) for name in (*_ALIKE, "kinetic_energy", "potential_energy")},
     "external_wrenches": _free("external_wrenches", ("links", 6), (6,)),
     "centre_of_mass": _free("mass_matrix", (3,), formula=free.centre_of_mass),
     "momentum": _free("kinetic_energy", (3,), (3,), formula=free.momentum),
