@@ -30,8 +30,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -45,7 +45,8 @@ from torchdq.effects.effect import MOST_LATE, Effect
 from torchdq.envs.rng import SMALLEST, seeded
 from torchdq.envs.row_selection import Indexed, SomeRows
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.functions.parametric import Parameter, Shapes
+from torchdq.functions import signature
+from torchdq.functions.parametric import Parameter
 from torchdq.numbers.functions import absolute, maximum
 from torchdq.robot.fields import trailing
 from torchdq.scene.scene import Scene
@@ -145,8 +146,7 @@ class DrawnDelay(Actuator):
         steps: number of remembered steps.
     """
 
-    SHAPES: ClassVar[Shapes] = {"late": ()}
-    late: Parameter
+    late: Parameter = field(metadata=signature.parameter())
     steps: int
 
     def memory(self, n: int) -> int:
@@ -275,7 +275,7 @@ def _targets(scene: Scene, own: Sequence[int], name: str) -> list[list[Owned]]:
         found, missing = list(shared.values()), "effects with friction, found none; add Viscous()"
     elif name == "gains":
         control = [part for i, part in parts.items() if i == CONTROLLER]
-        found = [[(CONTROLLER, gain)] for part in control for gain in part.SHAPES if gain not in part.SIGNED]
+        found = [[(CONTROLLER, gain)] for part in control for gain in part.SHAPES if not part.interval(gain).signed]
         missing = "a controller with gains, found none; choose action='residual' or 'reference'"
     else:
         kind, parameter = KINDS[name]

@@ -21,10 +21,8 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_finite
 from torchdq.control.joints import ComputedTorque
-from torchdq.functions.call import Precision, function_of, of_one_frame, on_links, poses
-from torchdq.functions.options import options_of
+from torchdq.functions.call import Precision, function_of, of_one_frame, on_links, poses, with_options
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_robot
 
 __all__ = [
     "ClosedForm",
@@ -190,8 +188,7 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
     >>> closed_form(robot, q, torch.zeros_like(q)).g
     tensor([18.5756,  4.5178], dtype=torch.float64)
     """
-    options = options_of(require_robot(robot), "closed_form", ())
-    M, c, g, *Jt = function_of("closed_form", robot, {"q": q, "qd": qd}, backend, options)
+    M, c, g, *Jt = with_options("closed_form", robot, {"q": q, "qd": qd}, backend)
     return ClosedForm(M, c, g, Jt[0] if Jt else None)
 
 

@@ -17,12 +17,12 @@ from torchdq.backends.call import arranged, common_batch, recorded, row_of
 from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.loop_call import loop_of
 from torchdq.backends.torch import InterpretedLoop
-from torchdq.base.checks import require_choice, require_count, require_number, require_tensor
+from torchdq.base.checks import POSITIVE, require_choice, require_count, require_number, require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functions import inverse_kinematics as formulas
-from torchdq.functions.call import function_of, gain, with_tensors
+from torchdq.functions.call import function_of, gain, with_options, with_tensors
 from torchdq.functions.catalogue import Function
-from torchdq.functions.options import axes_of, options_of
+from torchdq.functions.options import options_of
 from torchdq.program.autograd import in_a_graph
 from torchdq.program.program import Program
 from torchdq.program.transforms import mapped, outside_of_graphs, transforming, without_values
@@ -91,8 +91,7 @@ def inverse_kinematics(
     >>> bool(found.converged), bool((torchdq.forward_kinematics(robot, found.q, robot.tip) - X).abs().max() < 1e-8)
     (True, True)
     """
-    chosen = (frame or require_robot(robot).end_effector().name, expressed, axes_of(axes))
-    names = options_of(robot, "inverse_kinematics_step", chosen)
+    names = options_of(require_robot(robot), "inverse_kinematics_step", (frame, expressed, axes))
     given = {"X": (X, 8), **({} if start is None else {"start": (start, robot.n)})}
     common_batch([(name, x, (width,), False) for name, (x, width) in given.items()], f" for robot {robot.name!r}")
     require_count("starts", starts)
@@ -213,10 +212,7 @@ def differential_inverse_kinematics(
     """
     require_tensor("q", q)
     require_choice("limits", limits, (False, True))
-    chosen = (frame or require_robot(robot).end_effector().name, expressed, axes_of(axes), *["bounded"] * limits)
-    names = options_of(robot, "differential_inverse_kinematics", chosen)
-    step = None if dt is None else gain("dt", dt, q, positive=True)
-    qd, scale = function_of(
-        "differential_inverse_kinematics", robot, {"q": q, "V_des": V_des, "dt": step}, backend, names
-    )
+    given = {"q": q, "V_des": V_des, "dt": None if dt is None else gain("dt", dt, q, POSITIVE)}
+    bounded = "bounded" if limits else ""
+    qd, scale = with_options("differential_inverse_kinematics", robot, given, backend, frame, expressed, axes, bounded)
     return qd, scale

@@ -16,10 +16,9 @@ from torch import Tensor
 
 from torchdq.backends.choice import BackendName
 from torchdq.control.frames import CartesianImpedance, OperationalSpaceControl
-from torchdq.functions.call import function_of
-from torchdq.functions.options import axes_of, options_of
+from torchdq.functions.call import function_of, with_options
+from torchdq.functions.options import axes_of
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_robot
 
 __all__ = [
     "FrameMotion",
@@ -71,8 +70,7 @@ def frame_motion(
     >>> frame_motion(torchdq.robots.load("two_link"), q, q + 1, expressed="world").A  # towards both joints
     tensor([ 0.,  0.,  0., -5.,  0.,  0.])
     """
-    names = options_of(require_robot(robot), "frame_motion", (frame or robot.end_effector().name, expressed))
-    return FrameMotion(*function_of("frame_motion", robot, {"q": q, "qd": qd, "qdd": qdd}, backend, names))
+    return FrameMotion(*with_options("frame_motion", robot, {"q": q, "qd": qd, "qdd": qdd}, backend, frame, expressed))
 
 
 class OperationalSpace(NamedTuple):
@@ -124,8 +122,8 @@ def operational_space(
     >>> torch.allclose(at.Lambda, torch.linalg.inv(moved))
     True
     """
-    names = options_of(require_robot(robot), "operational_space", (frame or "", expressed, axes_of(axes)))
-    return OperationalSpace(*function_of("operational_space", robot, {"q": q, "qd": qd}, backend, names))
+    given = {"q": q, "qd": qd}
+    return OperationalSpace(*with_options("operational_space", robot, given, backend, frame, expressed, axes))
 
 
 def manipulability(
@@ -149,8 +147,7 @@ def manipulability(
     >>> manipulability(torchdq.robots.load("two_link"), torch.tensor([0.3, 0.0]), axes=("x", "y"))
     tensor(0.)
     """
-    names = options_of(require_robot(robot), "manipulability", (frame or "", expressed, axes_of(axes)))
-    return function_of("manipulability", robot, {"q": q}, backend, names)[0]
+    return with_options("manipulability", robot, {"q": q}, backend, frame, expressed, axes)[0]
 
 
 def coriolis_matrix(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> Tensor:

@@ -177,7 +177,7 @@ def test_a_compiled_program_needs_its_arguments(function):
     options = ["tip"] if function in ("jacobian", "floating.jacobian") else ()
     if function.startswith(("operational", "cartesian", "manipulability", "inverse_kin", "differential")):
         options = ["tip", "body", "x y"]
-    others = [name for name, _, optional in RECIPES[function].arguments if not optional][:-1]
+    others = [field.name for field in RECIPES[function].arguments if not field.optional][:-1]
     robot = free(TWO) if function.startswith(FLOATING) else TWO
     with refused(ArgumentError):
         torchdq.compile(robot, function, arguments=others, options=options)

@@ -1,66 +1,65 @@
 """Bad input is refused by name, and good input comes back untouched.
 
-Every function of the dynamics is called with every one of its tensors wrong in every way; the error must be one of the
-package's, name the argument, and say what was expected and what was found. A function that is public and not in
-`FUNCTIONS`, or takes an argument that is not listed there, fails the first test.
+Functions, control laws and effects declare what they take as fields. Every field is wrong in every way here; the error
+must be one of the package's, name the argument, and say what was expected and what was found.
 """
 
 import contextlib
+import dataclasses
 import inspect
+import math
 import re
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 import torch
+from effect_harness import CASES, EVERY
 from helpers import all_in_one, thinned
 from messages import refused
+from robots import on_free_base
 
 import torchdq
-from torchdq import ArgumentError, DtypeError, TorchdqError
+from torchdq import ArgumentError, DtypeError, TorchdqError, floating
 from torchdq.envs import Scene, effects
+from torchdq.functions.catalogue import FLOATING, RECIPES
+from torchdq.functions.signature import Field, joints
 from torchdq.learning import Samples, fit, identify
+from torchdq.robot.fields import trailing
+from torchdq.scene import controllers
 
 F64 = torch.float64
 N = 2
 FIELDS = ("mass", "com", "inertia", "gravity", "armature", "home", "X_PB_home", "screw")
-TRAILING = {"f_tip": (6,), "f_ext": (N, 6), "X_des": (8,), "V_des": (6,), "A_des": (6,)}  # of the others: (N,)
-
-FRAME, AXES = {"frame": None, "expressed": "body"}, ("x", "y")
-
-# function -> its tensors, those that may be None, and its other arguments
-FUNCTIONS = {
-    "inverse_dynamics": ("q qd qdd f_tip f_ext", "qd qdd f_tip f_ext", {}),
-    "forward_dynamics": ("q qd tau f_tip f_ext", "qd f_tip f_ext", {"precision": "auto"}),
-    "error_growth": ("q", "", {}),
-    "mass_matrix": ("q", "", {}),
-    "closed_form": ("q qd", "", {}),
-    "forward_kinematics": ("q", "", {"frame": None}),
-    "jacobian": ("q", "", {"frame": "tip", "expressed": "world"}),
-    "regressor": ("q qd qdd", "qd qdd", {}),
-    "dynamics_jacobian": ("q qd qdd", "", {}),
-    "kinetic_energy": ("q qd", "", {}),
-    "potential_energy": ("q", "", {}),
-    "coriolis_matrix": ("q qd", "", {}),
-    "frame_motion": ("q qd qdd", "qdd", {"frame": None, "expressed": "world"}),
-    "manipulability": ("q", "", {**FRAME, "axes": AXES}),
-    "operational_space": ("q qd", "", {**FRAME, "axes": AXES}),
-    "operational_space_control": (
-        "q qd X_des V_des A_des q_null",
-        "V_des A_des q_null",
-        {**FRAME, "axes": AXES, "kp": 9.0, "kd": 6.0, "k_null": 1.0, "damping": 0.01, "limits": False},
-    ),
-    "cartesian_impedance": (
-        "q qd X_des V_des q_null",
-        "V_des q_null",
-        {**FRAME, "axes": AXES, "stiffness": 9.0, "damping": 6.0, "k_null": 1.0, "coriolis": False},
-    ),
-    "computed_torque": ("q qd q_des qd_des qdd_des f_tip", "f_tip", {"kp": 9.0, "kd": 6.0}),
-}
+LAWS = {getattr(controllers, name).named(): getattr(controllers, name) for name in controllers.__all__ if name != "Law"}
+OPTIONS = {"axes": ("x", "y"), "frame": "tip"}  # of a planar arm
 NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend", "clear_caches", "recommend_settings"}
-NOT_DYNAMICS |= {"external_wrenches"}  # whose tensors are in a dictionary
-NOT_DYNAMICS |= {"inverse_kinematics", "differential_inverse_kinematics"}  # whose rows have conditions of their own
-every_function = all_in_one(FUNCTIONS)
+NOT_DYNAMICS |= {
+    "external_wrenches",
+    "inverse_kinematics",
+}  # a dictionary of tensors; rows have conditions of their own
+
+
+def face(key):
+    """Public function of a name in the catalogue, or of a law."""
+    owner, name = (floating, key.removeprefix(FLOATING)) if key.startswith(FLOATING) else (torchdq, key)
+    return None if name in NOT_DYNAMICS else getattr(owner, name, None)
+
+
+def fields_of(key):
+    """Fields of a function that are arguments of its face, by name."""
+    if key not in LAWS:
+        options = [field for field in RECIPES[key].options if field.name == "expressed"]
+        return {field.name: field for field in (*RECIPES[key].arguments, *options)}
+    law = LAWS[key]
+    goal = [Field(name, axes, name in law.OPTIONAL) for name, axes in law.GOAL.items()]
+    wrenches, own = [Field(name, (6,), optional=True) for name in law.WRENCHES], {**law.PARAMETERS, **law.OPTIONS}
+    return {field.name: field for field in (*joints("q", "qd"), *goal, *wrenches, *own.values())}
+
+
+FUNCTIONS = [key for key in (*RECIPES, *LAWS) if face(key)]
+FIXED = [key for key in FUNCTIONS if not key.startswith(FLOATING)]
+every_function, of_fixed_bases = all_in_one(FUNCTIONS), all_in_one(FIXED)
 
 
 @cache
@@ -74,31 +73,50 @@ def full():
     return arm().replace(armature=torch.ones(N, dtype=F64), home=torch.ones(N, dtype=F64))
 
 
+def robot_of(key):
+    return floating_arm() if key.startswith(FLOATING) else arm()
+
+
+@cache
+def floating_arm():
+    return on_free_base(arm())
+
+
 def tensors(key, batch=(3,)):
-    g = torch.Generator().manual_seed(0)
-    names = FUNCTIONS[key][0].split()
-    return {name: torch.randn(*batch, *TRAILING.get(name, (N,)), dtype=F64, generator=g) for name in names}
+    """Inputs of a function, and those parameters of a law that are rows of joints."""
+    g, sizes = torch.Generator().manual_seed(0), {**robot_of(key).sizes, "axes": 2}
+    kept = {name: field for name, field in fields_of(key).items() if field.kind == "input" or name == "q_null"}
+    return {name: torch.randn(*batch, *trailing(x.axes, sizes), dtype=F64, generator=g) for name, x in kept.items()}
 
 
 def call(key, robot, arguments):
     """Results of a function as a tuple."""
-    result = getattr(torchdq, key)(robot, **arguments, **FUNCTIONS[key][2])
-    return (result,) if isinstance(result, torch.Tensor) else tuple(result)
+    known = inspect.signature(face(key)).parameters
+    options = {name: x for name, x in OPTIONS.items() if name in known}
+    gains = {
+        name: 9.0
+        for name, x in known.items()
+        if x.default is x.empty and name in getattr(LAWS.get(key), "PARAMETERS", ())
+    }
+    result = face(key)(robot, **{**options, **gains, **arguments})
+    return (result,) if isinstance(result, torch.Tensor) else tuple(x for x in result if x is not None)
 
 
-def require_named(error, parts, function, *arguments):
+def require_named(error, parts, function, *arguments, **named):
     """The error of the package that a function must raise holds every part, names as whole words."""
     with pytest.raises(error) as raised:
-        function(*arguments)
+        function(*arguments, **named)
     message = str(raised.value)
     assert isinstance(raised.value, TorchdqError)
     assert [part for part in parts if not re.search(rf"(?<!\w){re.escape(part)}(?!\w)", message)] == [], message
 
 
-def test_every_public_function_is_listed_with_its_arguments():
+def test_every_public_function_takes_the_fields_that_it_declares():
     public = {name for name in dir(torchdq) if inspect.isfunction(getattr(torchdq, name))} - NOT_DYNAMICS
-    listed = {key: {"robot", *names.split(), *rest} for key, (names, _, rest) in FUNCTIONS.items()}
-    assert {key: set(inspect.signature(getattr(torchdq, key)).parameters) - {"backend"} for key in public} == listed
+    assert public == {key for key in FUNCTIONS if not key.startswith(FLOATING)}
+    for key in FUNCTIONS:
+        taken = set(inspect.signature(face(key)).parameters) - {"robot", "backend", "precision"}
+        assert set(fields_of(key)) <= taken <= {*fields_of(key), *OPTIONS, "limits"}, key
 
 
 def test_errors_are_those_that_python_has_for_them():
@@ -108,42 +126,93 @@ def test_errors_are_those_that_python_has_for_them():
 
 # --- tensors ---------------------------------------------------------------------------------------------------------
 
-# error, what becomes of a tensor, and what is said besides its name; one number would broadcast to every joint
-WRONG = {
-    **{
-        f"{k} numbers": (ArgumentError, lambda x, k=k: x[..., :1].expand(*x.shape[:-1], k), "two_link")
-        for k in (0, 1, 5, 9)
-    },
-    "no axes": (ArgumentError, lambda x: x.new_tensor(1.0), "found ()"),
-    "list": (ArgumentError, torch.Tensor.tolist, "tensor", "list"),
-    "array": (ArgumentError, torch.Tensor.numpy, "tensor", "ndarray"),
-    "number": (ArgumentError, lambda x: 1.0, "tensor", "float"),
-    **{
-        str(dtype): (DtypeError, lambda x, dtype=dtype: x.to(dtype), "float32", "float64", str(dtype))
-        for dtype in (torch.int64, torch.bool, torch.float16, torch.bfloat16, torch.complex128)
-    },
-}
 # of all but the first tensor, which decides the batch, the dtype and the device
 UNLIKE = {
-    "batch": (ArgumentError, lambda x: x[:1].expand(4, *x.shape[1:]), "broadcast", "q", "(3,)", "(4,)"),
-    "dtype": (DtypeError, torch.Tensor.float, "torch.float32", "q", "torch.float64"),
-    "device": (ArgumentError, lambda x: x.to("meta"), "meta", "q", "cpu"),
+    "batch": (ArgumentError, lambda x: x[:1].expand(4, *x.shape[1:]), "broadcast", "(3,)", "(4,)"),
+    "dtype": (DtypeError, torch.Tensor.float, "torch.float32", "torch.float64"),
+    "device": (ArgumentError, lambda x: x.to("meta"), "meta", "cpu"),
 }
 
 
 @pytest.mark.case("P5", "P7", "P8", "P14")
 @every_function
-def test_a_wrong_tensor_is_named_with_what_was_expected_and_found(key):
-    arguments = tensors(key)
-    for way, (error, change, *parts) in (WRONG | UNLIKE).items():
-        for name in list(arguments)[way in UNLIKE :]:
-            if name == "q_null" and way in ("no axes", "number"):  # one number for all joints
-                continue
-            wrong = change(arguments[name])
-            expected = [name, *parts]
-            if way.endswith("numbers"):
-                expected += [", ".join(map(str, ("...", *TRAILING.get(name, (N,))))), str(tuple(wrong.shape))]
-            require_named(error, expected, call, key, arm(), arguments | {name: wrong})
+def test_every_field_of_a_function_is_refused_by_name_in_every_way(key):
+    given = tensors(key)
+    for name, field in fields_of(key).items():
+        for way, wrong in field.wrong(given.get(name)):
+            if name in given or "numbers" not in way:  # gains have the axes of the joints
+                arguments = {**given, name: wrong}
+                found = str(tuple(wrong.shape)) if "numbers" in way else "found"
+                require_named(TorchdqError, [name, found], call, key, robot_of(key), arguments)
+    first, *others = given
+    for error, change, *parts in UNLIKE.values():
+        for name in others:
+            require_named(error, [name, first, *parts], call, key, robot_of(key), given | {name: change(given[name])})
+
+
+@all_in_one(LAWS)
+def test_every_parameter_of_a_law_is_refused_by_name_in_every_way(key):
+    """By the layer and by the controller of a scene, as by the function."""
+    law, axes = LAWS[key], {"axes": ("x", "y")} if "axes" in inspect.signature(LAWS[key]).parameters else {}
+    for name, field in {**law.PARAMETERS, **law.OPTIONS}.items():
+        for _, wrong in field.wrong():
+            given = {**axes, **{x.name: 9.0 for x in dataclasses.fields(law) if x.default is x.default_factory}}
+            given |= {"q_null": 0.1} if name == "k_null" else {}
+            made = partial(law, **{**given, name: wrong})
+            for home in (torchdq.nn.Control, lambda robot, law: Scene(robot, controller=law)):
+                require_named(TorchdqError, [name, "found"], lambda home=home, made=made: home(arm(), made()))
+
+
+PARAMETERS = [
+    (kind, name) for kind in EVERY for name in (*getattr(effects, kind).PARAMETERS, *getattr(effects, kind).OPTIONS)
+]
+
+
+@pytest.mark.case("P5", "P7", "P8")
+@all_in_one(PARAMETERS)
+def test_every_parameter_of_an_effect_is_refused_by_name_in_every_way(at):
+    """Also one bad entry among good ones, in a batch, in both precisions."""
+    kind, name = at
+    effect, robot = EVERY[kind]()[0], CASES["two_link"].robot
+    field = {**effect.PARAMETERS, **effect.OPTIONS}[name]
+    good = getattr(effect, name)
+    ways = [x for _, x in field.wrong(good.detach() if field.kind == "parameter" else None)]
+    for bad in [x for x in field.check.wrong() if isinstance(x, float) and field.kind == "parameter"]:
+        rows = good.detach().expand(4, 3, *good.shape).clone()
+        rows[(2, 1, *(0,) * good.ndim)] = bad
+        ways += [rows, rows.float()]
+    for wrong in ways:
+        require_named(
+            ArgumentError, [f"{name} of {kind}", "found"], dataclasses.replace(effect, **{name: wrong}).resolved, robot
+        )
+
+
+@all_in_one([torchdq.DQRNEA, torchdq.ForwardDynamics, partial(torchdq.ComputedTorque, kp=9.0, kd=6.0)])
+def test_every_option_of_a_layer_is_refused_by_name_in_every_way(layer):
+    for name, field in getattr(layer, "func", layer).OPTIONS.items():
+        for _, wrong in field.wrong():
+            require_named(ArgumentError, [name, "found"], layer, arm(), **{name: wrong})
+
+
+# parameters of laws and effects that may be negative, must be positive, or may be infinite
+NEGATIVE = {
+    *("warming", "rest", "lower", "upper", "sine", "cosine", "acceleration", "com", "height", "normal", "anchor")
+}
+NEGATIVE |= {"Payload.inertia", "Bias.position", "Bias.velocity", "q_null"}
+ABOVE_ZERO = {*("sign_width", "step", "Stribeck.velocity", "LuGre.velocity", "deflection", "period", "speed")}
+ABOVE_ZERO |= {"Servo.limit", "Elastic.inertia", "operational_space_control.damping"}
+INFINITE = {"limit", "limits", "stall", "speed", "lower", "upper"}
+
+
+def test_what_divides_must_be_positive_limits_may_be_infinite_and_little_may_be_negative():
+    for owner, of in {**{kind: getattr(effects, kind) for kind in EVERY}, **LAWS}.items():
+        for name, field in of.PARAMETERS.items():
+            names, check = {name, f"{owner}.{name}"}, field.check
+            assert check.signed == bool(names & NEGATIVE), names
+            assert check.open == bool(names & ABOVE_ZERO), names
+            assert check.infinite == bool(names & INFINITE), names
+            assert check.below == (1 if (owner, name) == ("LoadDependent", "coefficient") else math.inf)
+            assert check.least == (1 if (owner, name) == ("LuGre", "ratio") else -math.inf if check.signed else 0)
 
 
 @pytest.mark.case("P14")
@@ -158,13 +227,13 @@ def test_link_wrenches_of_the_wrong_rank_are_named(key):
 def test_a_missing_tensor_is_named_unless_it_may_be_absent(key):
     for name in tensors(key):
         arguments = tensors(key) | {name: None}
-        if name in FUNCTIONS[key][1].split():
-            assert all(bool(y.isfinite().all()) for y in call(key, arm(), arguments))
+        if fields_of(key)[name].optional:
+            assert all(bool(y.isfinite().all()) for y in call(key, robot_of(key), arguments))
         else:
-            require_named(ArgumentError, [name, "tensor", "NoneType"], call, key, arm(), arguments)
+            require_named(ArgumentError, [name, "tensor", "NoneType"], call, key, robot_of(key), arguments)
 
 
-@every_function
+@of_fixed_bases
 def test_a_wrong_robot_is_named(key):
     require_named(ArgumentError, ["robot", "torchdq.Robot", "Tensor"], call, key, torch.zeros(3, N), tensors(key))
     for field in FIELDS:
@@ -177,22 +246,22 @@ def test_a_wrong_robot_is_named(key):
 
 
 @pytest.mark.case("P4")
-@pytest.mark.parametrize("key", thinned(FUNCTIONS, ("inverse_dynamics",)))
+@pytest.mark.parametrize("key", thinned(FIXED, ("inverse_dynamics",)))
 def test_a_function_is_exported_for_any_batch_with_what_all_rows_share(key):
-    robot, options = arm().lock({"joint2": 0.5}), FUNCTIONS[key][2]  # never called with
-    options = {name: ("x",) if name == "axes" else x for name, x in options.items()}
-    given = {name: x[0] if name in TRAILING else x[:, :1] for name, x in tensors(key).items()}
-    given = {name: x[:1] if name == "f_ext" else x for name, x in given.items()}
+    robot, of_all = arm().lock({"joint2": 0.5}), {x.name for x in fields_of(key).values() if x.axes != ("n",)}
+    given = {name: x[0] if name in of_all else x[:, :1] for name, x in tensors(key).items()}  # never called with
+    given |= {name: x[:1] for name, x in given.items() if name == "f_ext" or fields_of(key)[name].axes == ("axes",)}
 
     class Traced(torch.nn.Module):
         def forward(self, *x):
-            return getattr(torchdq, key)(robot, **dict(zip(given, x, strict=True)), **options)
+            return call(key, robot, dict(zip(given, x, strict=True)) | one_axis)
 
-    shapes = [None if name in TRAILING else {0: torch.export.Dim("batch")} for name in given]
+    one_axis = {"axes": ("x",)} if "axes" in inspect.signature(face(key)).parameters else {}
+    shapes = [None if name in of_all else {0: torch.export.Dim("batch")} for name in given]
     torch.export.export(Traced(), tuple(given.values()), dynamic_shapes=(tuple(shapes),))  # raises for guarded sizes
 
 
-@every_function
+@of_fixed_bases
 def test_the_robot_follows_the_device_of_the_inputs(key):
     results = call(key, arm(), {name: x.to("meta") for name, x in tensors(key).items()})
     assert {y.device.type for y in results} == {"meta"}
@@ -238,7 +307,7 @@ def untouched(arguments, before):
     ]
 
 
-@every_function
+@of_fixed_bases
 def test_results_are_tensors_of_their_own(key):
     """Writing to a result changes no input, nothing of the robot, no other entry, and not the next call."""
     robot, arguments = full(), tensors(key)
@@ -251,7 +320,7 @@ def test_results_are_tensors_of_their_own(key):
     assert all(torch.equal(a, b) for a, b in zip(call(key, robot, arguments), expected, strict=True))
 
 
-@every_function
+@of_fixed_bases
 def test_backward_writes_to_nothing_but_gradients(key):
     arguments = {name: x.requires_grad_() for name, x in tensors(key).items()}
     before = remember(arguments)

@@ -80,11 +80,6 @@ LOG = {"time": TIME, "q": Q, "qd": Q, "tau": Q}
 SAMPLES = Samples(*4 * [torch.tensor(Q)])
 
 
-def tracked(**gains):
-    """Computed torque with gains as tensors, for two joints and three rows."""
-    return torchdq.computed_torque(ARM, *torch.ones(5, 3, 2, dtype=F64), **{"kp": 9.0, "kd": 6.0} | gains)
-
-
 MISUSE = {
     # what is compiled
     "compile a controller": lambda: torchdq.compile(controllers.PD(kp=9.0, kd=1.0)),
@@ -116,11 +111,6 @@ MISUSE = {
     "stack of numbers": lambda: dq.stack((1.0, 2.0)),
     "stack of nothing": lambda: dq.stack(()),
     # functions
-    "axes": lambda: torchdq.jacobian(ARM, ROW, "tip", "local"),
-    "kp of a list": lambda: tracked(kp=[9.0, 9.0]),
-    "kp of three": lambda: tracked(kp=torch.ones(3, dtype=F64)),
-    "kd of a column": lambda: tracked(kd=torch.ones(2, 1, dtype=F64)),
-    "kd of another batch": lambda: tracked(kd=torch.ones(4, 2, dtype=F64)),
     "infinite": lambda: torchdq.require_finite(q=ROW, qd=bad(torch.inf)),
     "negative infinite": lambda: torchdq.require_finite(q=ROW, qd=bad(-torch.inf, torch.nan)),
     "not a number": lambda: torchdq.require_finite(qd=bad(torch.nan, torch.nan)),
@@ -146,9 +136,6 @@ MISUSE = {
     "learn home": lambda: torchdq.ComputedTorque(ARM, 9.0, 6.0, learn=("mass", "home")),
     "learn values": lambda: torchdq.DQRNEA(ARM, learn={"mass": [1.0]}),
     "learn gains": lambda: torchdq.DQRNEA(ARM, learn="kp"),
-    "negative gain": lambda: torchdq.ComputedTorque(ARM, -1.0, 6.0),
-    "gain of nan": lambda: torchdq.ComputedTorque(ARM, 9.0, torch.nan),
-    "gains of three": lambda: torchdq.ComputedTorque(ARM, [1.0, 2.0, 3.0], 6.0),
     # learning
     "split a log": lambda: train_test_split(read_log(LOG), 0.5),
     "fit a robot": lambda: fit(ARM, SAMPLES, steps=1),
@@ -211,7 +198,6 @@ UNKNOWN_NAMES = {
 }
 DTYPES = {
     "linearize by integers": lambda: Scene(ARM).linearize(STATE, torch.zeros(2, dtype=torch.int64)),
-    "gain of float32": lambda: tracked(kp=torch.ones(2)),
     **{
         f"{layer.__name__} in half precision": lambda layer=layer: layer(ARM, learn="mass").half()(*3 * [ROW.float()])
         for layer in (torchdq.DQRNEA, torchdq.ForwardDynamics)

@@ -13,11 +13,9 @@ import torchdq
 from torchdq import floating, functional, task_space
 from torchdq.export.meaning import WORDS
 from torchdq.functions.catalogue import FLOATING, RECIPES
-from torchdq.functions.recipe import WRENCHES
 
 # arguments that are no tensors
 OTHERS = {"robot", "backend", "precision", "frame", "expressed", "axes", "limits", "coriolis"}
-NUMBERS = {"k_null", "damping"}  # optional arguments whose default is a number
 FUNCTIONS = {
     **{name: getattr(functional, name) for name in RECIPES if hasattr(functional, name)},
     **{name: getattr(task_space, name) for name in RECIPES if hasattr(task_space, name)},
@@ -47,23 +45,14 @@ def test_a_signature_is_that_of_the_catalogue(key):
     parameters = dict(inspect.signature(FUNCTIONS[key]).parameters)
     assert next(iter(parameters)) == "robot" and parameters["backend"].default is None
     tensors = {name: x for name, x in parameters.items() if name not in OTHERS}
-    recipe = RECIPES[key].arguments
-    # gains come before the wrench, everything else in the order of the table
-    assert [x for x in tensors if x not in RECIPES[key].single] == [
-        x for x, _, _ in recipe if x not in RECIPES[key].single
-    ]
-    # gains that come by their names only stand behind what may be absent
-    by_name = {name for name, x in tensors.items() if x.kind is inspect.Parameter.KEYWORD_ONLY}
-    required = [k for k, (name, _, optional) in enumerate(recipe) if not (optional or name in by_name)]
-    for k, (name, _, optional) in enumerate(recipe):
-        allowed = (
-            tensors[name].annotation if isinstance(tensors[name].annotation, str) else str(tensors[name].annotation)
-        )
-        assert ("None" in allowed) == (optional and name != "k_null")
-        if name in NUMBERS:
-            continue
+    fields = RECIPES[key].arguments
+    assert list(tensors) == [field.name for field in fields]
+    required = [k for k, field in enumerate(fields) if not field.optional]
+    for k, field in enumerate(fields):
+        given = tensors[field.name]
+        assert ("None" in str(given.annotation)) == field.optional
         # an argument that may be None has that default, unless one that must be given follows
-        assert (tensors[name].default is None) == (optional and k > max(required))
+        assert (given.default is None) == (field.optional and k > max(required))
 
 
 @all_in_one([key for key in FUNCTIONS if FLOATING + key in FUNCTIONS])
@@ -72,7 +61,7 @@ def test_a_free_base_adds_an_argument_before_that_of_the_joints(name):
     fixed, free = (list(inspect.signature(FUNCTIONS[key]).parameters) for key in (name, FLOATING + name))
     assert [x for x in free if x not in before] == fixed
     for base, joints in before.items():
-        assert (base in free) == (joints in fixed if joints else WRENCHES[1][0] in fixed)
+        assert (base in free) == (joints in fixed if joints else "f_ext" in fixed)
         assert base not in free or free[free.index(base) + 1] == (joints or "backend")
 
 

@@ -110,10 +110,10 @@ def test_values_that_a_parameter_may_have_are_those_that_the_effect_states(name)
         if axes and not any(isinstance(axis, str) for axis in axes):
             assert words == f"{axes[0]} numbers"
             continue
-        assert words.startswith("any") == (parameter in effect.SIGNED), parameter
-        assert words.startswith("> 0") == (parameter in effect.DIVIDING), parameter
-        assert words.endswith("infinite") == (parameter in effect.UNBOUNDED), parameter
-        assert ("< 1" in words) == (parameter in getattr(effect, "FRACTIONS", ())), parameter
+        assert words.startswith("any") == effect.PARAMETERS[parameter].check.signed, parameter
+        assert words.startswith("> 0") == effect.PARAMETERS[parameter].check.open, parameter
+        assert words.endswith("infinite") == effect.PARAMETERS[parameter].check.infinite, parameter
+        assert ("< 1" in words) == (effect.PARAMETERS[parameter].check.below == 1), parameter
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if CASES[name].off])

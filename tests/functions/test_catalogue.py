@@ -31,7 +31,7 @@ def test_derivatives_and_mass_matrix_are_one_program_that_shares_what_depends_on
 
 def test_every_recipe_names_its_arguments_once():
     for recipe in RECIPES.values():
-        names = [name for name, _, _ in recipe.arguments]
+        names = [field.name for field in recipe.fields]
         assert len(set(names)) == len(names) and names[0] in ("q", "X_WB")
 
 

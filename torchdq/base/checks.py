@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence, Set, Sized
 from fnmatch import fnmatchcase
 from numbers import Real
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,7 +16,7 @@ from torchdq.errors import ArgumentError, DtypeError, FrozenError, UnknownNameEr
 
 DTYPES = (torch.float32, torch.float64)  # supported for inputs, parameters and programs
 LARGEST = sys.float_info.max  # whole numbers may be larger
-REAL = (float, int, Real)  # an abstract class alone takes ten times as long
+NUMBERS = (float, int, Real)  # an abstract class alone takes ten times as long
 
 Class = TypeVar("Class", bound=type)
 
@@ -96,12 +96,6 @@ def floating(name: str, x: Any) -> Tensor:
     return x
 
 
-def require_choice(name: str, x: Any, known: Sequence[Any]) -> None:
-    """Raise unless x is among the known values."""
-    if not any(x is value or (isinstance(x, type(value)) and x == value) for value in known):
-        raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}, found {x!r}")
-
-
 def require_object(name: str, x: Any, kind: type, module: str, example: str) -> None:
     """Raise unless x is an object of a class, which those of a module are, such as the example."""
     if not isinstance(x, kind):
@@ -112,22 +106,94 @@ def require_object(name: str, x: Any, kind: type, module: str, example: str) -> 
 
 def is_number(x: Any) -> bool:
     """True for a real number of Python or numpy; a truth value is none, nor is a whole number beyond any float."""
-    return isinstance(x, REAL) and not isinstance(x, bool) and not (isinstance(x, int) and abs(x) > LARGEST)
+    return isinstance(x, NUMBERS) and not isinstance(x, bool) and not (isinstance(x, int) and abs(x) > LARGEST)
+
+
+# --- checks as values ------------------------------------------------------------------------------------------------
+
+
+class Interval(NamedTuple):
+    """Check of a number: a finite one, or an integer, within bounds."""
+
+    least: float = -math.inf
+    open: bool = False  # whether it must be greater than `least`
+    below: float = math.inf
+    infinite: bool = False  # whether it may be infinite, too
+    whole: bool = False  # whether it must be an integer
+    cure: str = ""
+
+    @property
+    def signed(self) -> bool:
+        """True if it may be negative."""
+        return self.least < 0
+
+    @property
+    def expected(self) -> str:
+        """Text after "must be"."""
+        if self.whole and self.below < math.inf:
+            return f"an integer from {self.least:g} to {self.below - 1:g}"
+        bounds = [f"of at least {self.least:g}"] * (not self.open and self.least > -math.inf)
+        bounds += [f"below {self.below:g}"] * (self.below < math.inf)
+        kind = "an integer" if self.whole else "a positive number" if self.open else "a finite number"
+        return f"{kind.replace('finite ', '') if self.infinite else kind} {' and '.join(bounds)}".rstrip()
+
+    def holds(self, x: Any) -> bool:
+        """Whether x is a number in the interval."""
+        if not is_number(x) or (self.whole and not isinstance(x, int)):
+            return False
+        inside = self.least < x < self.below or (x == self.least and not self.open)
+        return math.isfinite(x) and inside if not (math.isinf(x) and self.infinite) else x > 0 or self.signed
+
+    def wrong(self) -> tuple[Any, ...]:
+        """Numbers beyond the bounds, and what is no such number."""
+        beyond = (self.least - 1.0,) * (self.least > -math.inf) + (self.least,) * self.open
+        beyond += (self.below,) * (self.below < math.inf) + (math.inf,) * (not self.infinite)
+        return (*beyond, math.nan, "1", True, 1j, 10**400, *[self.least + 0.5] * self.whole)
+
+
+class OneOf(NamedTuple):
+    """Check of a value among some."""
+
+    known: tuple[Any, ...]
+    cure: str = ""
+
+    @property
+    def expected(self) -> str:
+        """Text after "must be"."""
+        return f"one of {', '.join(map(repr, self.known))}"
+
+    def holds(self, x: Any) -> bool:
+        """Whether x is one of them, of the same type."""
+        return any(x is value or (isinstance(x, type(value)) and x == value) for value in self.known)
+
+    def wrong(self) -> tuple[Any, ...]:
+        """Other names, and what is none."""
+        return ("another", 3, ("x",))
+
+
+Check = Interval | OneOf  # what a value may be: `require` raises by it, and tests generate what it refuses
+REAL, NOT_NEGATIVE, POSITIVE = Interval(), Interval(0.0), Interval(0.0, open=True)
+
+
+def require(name: str, x: Any, check: Check) -> None:
+    """Raise unless x is what a check expects."""
+    if not check.holds(x):
+        raise ArgumentError(f"{name} must be {check.expected}, found {x!r}" + f"; {check.cure}" * bool(check.cure))
+
+
+def require_choice(name: str, x: Any, known: Sequence[Any]) -> None:
+    """Raise unless x is among the known values."""
+    require(name, x, OneOf(tuple(known)))
 
 
 def require_count(name: str, x: Any, least: int = 1) -> None:
     """Raise unless x is an integer of at least `least`."""
-    if not isinstance(x, int) or isinstance(x, bool) or x < least:
-        raise ArgumentError(f"{name} must be an integer of at least {least}, found {x!r}")
+    require(name, x, Interval(least, whole=True))
 
 
-def require_number(name: str, x: Any, positive: bool = False, least: float = -LARGEST) -> None:
+def require_number(name: str, x: Any, positive: bool = False, least: float = -math.inf) -> None:
     """Raise unless x is a finite number of at least `least`, and greater than zero if `positive`."""
-    value = float(x) if is_number(x) else math.nan
-    if not least <= value <= LARGEST or (positive and value <= 0):
-        bound = f" of at least {least:g}" if least > -LARGEST else ""
-        expected = "positive number" if positive else f"finite number{bound}"
-        raise ArgumentError(f"{name} must be a {expected}, found {x!r}")
+    require(name, x, POSITIVE if positive else Interval(least))
 
 
 def names_of(name: str, x: Any, known: Iterable[str], kind: str) -> tuple[str, ...]:

@@ -20,7 +20,6 @@ from torchdq.robot.check.report import HEADER
 from torchdq.robot.robot import constants
 
 SHOWN = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor")
-WRENCHES = ("f_tip", "f_ext", "f_base")
 POSITIONS = 100  # number of random positions
 COUNTED = ("multiplications", "additions", "divisions", "sines", "roots")
 UNDEFINED = ("undefined: a joint moves no inertia", *[""] * (len(COUNTED) - 1))
@@ -93,8 +92,7 @@ def _counted(robot: Robot, name: str) -> Count | None:
     """Operations of a function; None: undefined, since a joint moves no inertia."""
     full = FLOATING + name if robot.floating else name
     what = Function(constants(robot), full, options_of(robot, name, ()) if not robot.floating else ())
-    wanted = [argument for argument, _, _ in RECIPES[full].arguments if argument not in WRENCHES]
-    taken = tuple(Argument(argument, math.prod(what.axes(argument))) for argument in wanted)
+    taken = tuple(Argument(x.name, math.prod(what.axes(x.name))) for x in RECIPES[full].present(full, None))
     try:
         return what.program(taken).count()
     except SingularInertiaError:

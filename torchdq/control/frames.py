@@ -15,7 +15,7 @@ from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.backends.call import Tensors
-from torchdq.base.checks import is_number, require_choice, require_tensor
+from torchdq.base.checks import POSITIVE, REAL, Interval, OneOf, is_number, require_tensor
 from torchdq.control.deviation import Deviation, Goal, deviation
 from torchdq.control.law import Law
 from torchdq.dynamics import task_space
@@ -27,7 +27,8 @@ from torchdq.functions.call import function_of
 from torchdq.functions.options import task_of
 from torchdq.functions.parametric import Parameter, Shapes
 from torchdq.functions.posed import as_screw
-from torchdq.functions.recipe import Results
+from torchdq.functions.recipe import EXPRESSED, Results
+from torchdq.functions.signature import option, parameter
 from torchdq.functions.task_space import numbers, pose_of, pose_of_any_norm, six
 from torchdq.numbers.functions import at_least, below, maximum, minimum, select, sqrt
 from torchdq.program.program import GROWTH
@@ -51,25 +52,23 @@ class FrameLaw(Law):
 
     OPTIONAL: ClassVar[frozenset[str]] = frozenset({"V_des", "A_des"})
     FIXED: ClassVar[str] = "no motor moves its base, so its joints alone cannot give a frame every acceleration"
-    SIGNED: ClassVar[frozenset[str]] = frozenset({"q_null"})
-    OTHERS: ClassVar[Shapes] = {"q_null": ("n",), "k_null": ()}  # trailing axes of parameters that may be absent
     GAINS: ClassVar[tuple[str, str]]  # of the error and of its rate, a number for each of the axes
     frame: str | None = None
-    expressed: Literal["body", "world"] = "body"
+    expressed: Literal["body", "world"] = field(default="body", metadata=option(EXPRESSED.check))
     axes: str | tuple[str, ...] = "pose"
-    q_null: Parameter | None = None
-    k_null: Parameter = 10.0
+    q_null: Parameter | None = field(default=None, metadata=parameter("n", check=REAL, optional=True))
+    k_null: Parameter = field(default=10.0, metadata=parameter(optional=True))  # where there is no posture
     task: Task | None = field(default=None, repr=False)  # the frame and its axes, found for a robot
 
     @property
     def SHAPES(self) -> Shapes:  # type: ignore[override]  # gains have as many numbers as there are axes
         """Trailing axes of the parameters that are not absent."""
         named = AXES.get(self.axes, self.axes.split()) if isinstance(self.axes, str) else self.axes
-        found: dict[str, tuple[int | str, ...]] = dict.fromkeys(self.GAINS, (len(named),))
-        for name, axes in self.OTHERS.items():
+        found: dict[str, tuple[int | str, ...]] = {}
+        for name, (_, axes, optional, *_) in self.PARAMETERS.items():
             x = getattr(self, "q_null" if name == "k_null" else name)
-            if x is not None and x is not False:
-                found[name] = axes
+            if not (optional and (x is None or x is False)):
+                found[name] = (len(named),) if axes == ("axes",) else axes
         return found
 
     @classmethod
@@ -127,11 +126,10 @@ class OperationalSpaceControl(FrameLaw):
     [..., 20] is X_des [8], V_des [6] and A_des [6].
 
     Args:
-        kp, kd: gains of the error [1/s^2] and of its rate [1/s], a number or one for each of the axes, [..., m].
-        damping: share of a diagonal of J J^T below which a pivot counts as singular [1], shape []; None: none does.
+        kp, kd, damping, frame, expressed, axes, q_null, k_null: as in the function.
         limits: largest torques, within which those of the task are scaled as a whole [N m or N], shape [..., n]; True:
             those of the robot; False: none.
-        frame, expressed, axes, q_null, k_null, model: as in `CartesianImpedance`.
+        model: the controller's model of the robot, copied when a scene is made; None: as it is in the scene.
 
     >>> import torch, torchdq
     >>> from torchdq.scene import Scene, controllers
@@ -146,14 +144,13 @@ class OperationalSpaceControl(FrameLaw):
     NAME: ClassVar[str] = "operational_space_control"
     GOAL: ClassVar[Shapes] = {"X_des": (8,), "V_des": (6,), "A_des": (6,)}
     SWITCHES: ClassVar[frozenset[str]] = frozenset({"limits"})
-    UNBOUNDED: ClassVar[frozenset[str]] = frozenset({"limits"})
-    DIVIDING: ClassVar[frozenset[str]] = frozenset({"damping"})
     GAINS: ClassVar[tuple[str, str]] = ("kp", "kd")
-    OTHERS: ClassVar[Shapes] = {**FrameLaw.OTHERS, "damping": (), "limits": ("n",)}
-    kp: Parameter
-    kd: Parameter
-    damping: Parameter | None = DAMPING
-    limits: Parameter | bool = False
+    kp: Parameter = field(metadata=parameter("axes"))
+    kd: Parameter = field(metadata=parameter("axes"))
+    damping: Parameter | None = field(default=DAMPING, metadata=parameter(check=POSITIVE, optional=True))
+    limits: Parameter | bool = field(
+        default=False, metadata=parameter("n", check=Interval(0.0, infinite=True), optional=True)
+    )
 
     def described(self, robot: Robot) -> Self:
         """Copy with the robot's limits, too."""
@@ -161,7 +158,9 @@ class OperationalSpaceControl(FrameLaw):
         if self.limits is not True:
             return found
         if not any(0 < most < math.inf for most in effort):
-            raise ArgumentError(f"limits must be False for robot {robot.name!r}, which has no torque limits")
+            raise ArgumentError(
+                f"limits must be False for robot {robot.name!r}, which has no torque limits, found True"
+            )
         return replace(found, limits=tuple([x if x > 0 else math.inf for x in effort]))
 
     def torques(self, at: Posed, goal: Mapping[str, Any], q: Row, qd: Row) -> Results:
@@ -190,14 +189,9 @@ class CartesianImpedance(FrameLaw):
     See `torchdq.cartesian_impedance`. Its reference [..., 14] is X_des [8] and V_des [6].
 
     Args:
-        stiffness, damping: K and D [N m/rad or N/m, N m s/rad or N s/m], a number or one for each axis, [..., m].
-        frame: name of the frame; None: the tip.
-        expressed: axes of the error, "body" or "world".
-        axes: "pose", "position", "orientation" or names among rx ry rz x y z.
-        q_null: posture of the joints where the task leaves them free [rad or m], shape [..., n]; None: none.
-        k_null: gain of the posture [1/s^2], shape [...].
-        coriolis: whether c is compensated; False: the spring is passive, up to the torque being held over a step.
-        model: the controller's model of the robot, copied when a scene is made; None: as it is in the scene.
+        stiffness, damping, frame, expressed, axes, q_null, k_null, coriolis: as in the function; without `coriolis` the
+            spring is passive, up to the torque being held over a step.
+        model: as in `OperationalSpaceControl`.
 
     >>> import torchdq
     >>> from torchdq.scene import controllers
@@ -209,15 +203,10 @@ class CartesianImpedance(FrameLaw):
     NAME: ClassVar[str] = "cartesian_impedance"
     GOAL: ClassVar[Shapes] = {"X_des": (8,), "V_des": (6,)}
     GAINS: ClassVar[tuple[str, str]] = ("stiffness", "damping")
-    stiffness: Parameter
-    damping: Parameter
-    expressed: Literal["body", "world"] = field(default="world", kw_only=True)
-    coriolis: bool = field(default=True, kw_only=True)
-
-    def described(self, robot: Robot) -> Self:
-        """Copy with the numbers of the frame; raises unless `coriolis` is True or False."""
-        require_choice("coriolis", self.coriolis, (False, True))
-        return super().described(robot)
+    stiffness: Parameter = field(metadata=parameter("axes"))
+    damping: Parameter = field(metadata=parameter("axes"))
+    expressed: Literal["body", "world"] = field(default="world", kw_only=True, metadata=option(EXPRESSED.check))
+    coriolis: bool = field(default=True, kw_only=True, metadata=option(OneOf((False, True))))
 
     def torques(self, at: Posed, goal: Mapping[str, Any], q: Row, qd: Row) -> Results:
         """Torques J^T (K e + D e') + c + g, and the growth of the inertia that the posture is projected with."""

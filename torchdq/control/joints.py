@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from torchdq.control.law import Law
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.tracking import commanded
-from torchdq.functions.parametric import Parameter, Shapes
+from torchdq.functions.parametric import Parameter
 from torchdq.functions.recipe import Results
+from torchdq.functions.signature import parameter
 
 
 @dataclass(frozen=True)
@@ -21,9 +22,8 @@ class Feedback(Law):
         kp, kd: gains of the errors of positions and velocities, shape [..., n].
     """
 
-    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
-    kp: Parameter
-    kd: Parameter
+    kp: Parameter = field(metadata=parameter("n"))
+    kd: Parameter = field(metadata=parameter("n"))
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ numbers. A call evaluates it on tensors, `program` records it, a scene takes it 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import zip_longest
 from typing import Any, ClassVar, Self
 
 import torch
@@ -18,7 +19,7 @@ from torch import Tensor
 from torchdq.backends.call import Tensors, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import names_of, require_tensor
+from torchdq.base.checks import require_tensor
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
@@ -26,13 +27,14 @@ from torchdq.functions.call import gain, with_tensors
 from torchdq.functions.catalogue import Function
 from torchdq.functions.parametric import TENSOR, Parametric, Shapes, undefined
 from torchdq.functions.posed import posed
-from torchdq.functions.recipe import Recipe, RecipeInputs, Results, joints
+from torchdq.functions.recipe import Recipe, RecipeInputs, Results
+from torchdq.functions.signature import Field, joints
 from torchdq.program.program import Argument, Program
-from torchdq.program.transforms import with_values
+from torchdq.program.transforms import constant_in_graphs, with_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.constants import Constants
-from torchdq.robot.fields import SHAPES, trailing
+from torchdq.robot.fields import SHAPES, Axes, trailing
 from torchdq.robot.robot import arguments, constants, recorded
 
 
@@ -40,8 +42,8 @@ from torchdq.robot.robot import arguments, constants, recorded
 class Law(Parametric):
     """Control law: joint torques of a goal, from measured positions and velocities.
 
-    A law of one's own derives from it: a frozen dataclass with the axes of its parameters in SHAPES, the rows of its
-    goal in GOAL, and `torques`.
+    A law of one's own derives from it: a frozen dataclass of parameters (`torchdq.functions.signature.parameter`), with
+    the rows of its goal in GOAL, and `torques`.
 
     Args:
         model: the controller's model of the robot, whose numbers are copied; None: the robot that is controlled.
@@ -79,7 +81,7 @@ class Law(Parametric):
         """Raise unless the shape of a parameter is meaningful beside state and goal."""
 
     def arguments(self, axes: Shapes) -> tuple[str, ...]:
-        """Parameters, of those in SHAPES, that may be tensors; of `SWITCHES` those that are neither True nor False."""
+        """Parameters that may be tensors; of `SWITCHES` those that are neither True nor False."""
         switched = [name for name in self.SWITCHES if isinstance(getattr(self, name), bool)]
         return tuple([name for name in axes if name not in switched])
 
@@ -119,15 +121,11 @@ class Law(Parametric):
     @property
     def recipe(self) -> Recipe:
         """Recipe of its function of state, goal, parameters that are tensors, and wrenches."""
-        goal = [(name, axes, name in self.OPTIONAL) for name, axes in self.GOAL.items()]
-        own = [(name, axes, False) for name, axes in self.SHAPES.items() if getattr(self, name) is TENSOR]
-        wrenches = [(name, (6,), True) for name in self.WRENCHES]
-        return Recipe(
-            (*joints("q", "qd"), *goal, *own, *wrenches),
-            (self._formula(),),
-            lambda *single: (("n",),),
-            single=tuple(self.SHAPES),
-        )
+        goal = [Field(name, axes, name in self.OPTIONAL) for name, axes in self.GOAL.items()]
+        held = [(name, axes) for name, axes in self.SHAPES.items() if getattr(self, name) is TENSOR]
+        own = [self.PARAMETERS[name]._replace(axes=axes, optional=False) for name, axes in held]
+        wrenches = [Field(name, (6,), optional=True) for name in self.WRENCHES]
+        return Recipe((*joints("q", "qd"), *goal, *own, *wrenches), (self._formula(),), lambda *single: (("n",),))
 
     def _formula(self) -> Any:
         """Formula of the recipe; parameters in `single` are one number for all of their axes."""
@@ -160,15 +158,17 @@ class Law(Parametric):
             backend: as in `torchdq.functional`.
         """
         require_tensor("q", q)
-        given = {"q": q, "qd": qd, **self.rows(goal)}
-        axes = self.SHAPES
-        own = {name: getattr(self, name) for name in self.arguments(axes)}
-        for name, x in own.items():
-            own[name] = gain(name, x, q, name in self.DIVIDING, name in self.SIGNED)
-            self.require_gain(name, own[name], given)
-        single = tuple([name for name, x in own.items() if axes[name] and not x.ndim])
-        what = Function(constants(require_robot(robot)), self.named(), single, self.written(tuple(own)))
-        return evaluate(what, with_tensors(robot, {**given, **own}), backend)["tau"]
+        given, single = {"q": q, "qd": qd, **self.rows(goal)}, []
+        held = [name for name in self.PARAMETERS if not ((x := getattr(self, name)) is None or isinstance(x, bool))]
+        form = self.form(held)
+        for name, axes in _arguments(*form):
+            x = gain(name, getattr(self, name), q, self.PARAMETERS[name].check)
+            self.require_gain(name, x, given)
+            if axes and not x.ndim:
+                single.append(name)
+            given[name] = x
+        what = Function(constants(require_robot(robot)), self.named(), tuple(single), form)
+        return evaluate(what, with_tensors(robot, given), backend)["tau"]
 
     def rows(self, goal: Sequence[Tensor | None]) -> dict[str, Tensor | None]:
         """Rows of the goal and wrenches by name, None where they are left out at the end; raises if there are more."""
@@ -177,20 +177,20 @@ class Law(Parametric):
             raise ArgumentError(
                 f"goal of {self.named()} must be at most {', '.join(known)}, in this order, found {len(goal)}"
             )
-        return {**dict.fromkeys(known), **dict(zip(known, goal, strict=False))}
+        return dict(zip_longest(known, goal))
 
-    def written(self, tensors: tuple[str, ...]) -> tuple[Any, ...]:
-        """Class and fields of the law with `TENSOR` for some parameters, as plain values that graphs may keep."""
-        others = [(x.name, getattr(self, x.name), x.default) for x in fields(self) if x.name not in tensors]
-        return (type(self), tensors, *[(name, x) for name, x, usual in others if x is not usual])
+    def form(self, tensors: Collection[str]) -> tuple[Any, ...]:
+        """Class and fields of the law, an ellipsis for some parameters, as plain values that graphs may keep."""
+        return (type(self), *[... if name in tensors else x for name, x in vars(self).items()])
 
     @staticmethod
     @remembered(PROGRAMS)
-    def found(of: Constants, kind: type[Law], tensors: tuple[str, ...], *others: tuple[str, Any]) -> Law:
-        """Law of what `written` returned, for robots with these constants."""
+    def found(of: Constants, *form: Any) -> Law:
+        """Law of a form whose ellipses are tensors, for robots with these constants."""
         with with_values():
-            fields: dict[str, Any] = {**dict.fromkeys(tensors, TENSOR), **dict(others)}
-            return kind(**fields).described(recorded(of))
+            law = _of_form(*form)
+            law.require_options()
+            return law.described(recorded(of))
 
     def program(self, robot: Robot, present: Sequence[str] | None = None) -> Program:
         """Program of the law, which takes q, qd, its goal and the parameters that are tensors, for `torchdq.compile`.
@@ -209,15 +209,11 @@ class Law(Parametric):
         """
         whole = self.resolved(require_robot(robot))
         tensors, kind = whole.tensors(), self.named()
-        what = Function(constants(robot.bake()), kind, (), whole.written(tuple(tensors)))
-        usual, taken = [name for name, _, _ in what.recipe.arguments if name not in self.WRENCHES], []
-        wanted = names_of("arguments", usual if present is None else present, what.recipe.names, f"argument of {kind}")
-        for name, axes, optional in what.recipe.arguments:
-            if not (optional or name in wanted):
-                raise ArgumentError(f"arguments of {kind!r} must hold {name!r}, found {[*wanted]}; add it")
-            if name in wanted:
-                uniform = name in tensors and tensors[name].ndim == len(axes)
-                taken.append(Argument(name, _size(axes, robot), uniform))
+        what = Function(constants(robot.bake()), kind, (), whole.form(tensors))
+        taken = []
+        for name, axes, *_ in what.recipe.present(kind, present):
+            uniform = name in tensors and tensors[name].ndim == len(axes)
+            taken.append(Argument(name, _size(axes, robot), uniform))
         about = (*heading(kind, robot.name, robot.joint_names), part(whole.template()))
         return replace(what.program(tuple(taken)), about=about)
 
@@ -241,6 +237,26 @@ def _copied(law: Law, model: Robot, robot: Robot) -> Robot:
                 "model.bake(), or learn with torques from the layer torchdq.nn.Control"
             )
     return recorded(constants(model.bake()))
+
+
+def _of_form(kind: type[Law], *values: Any) -> Law:
+    """Law of a form, with `TENSOR` for its ellipses."""
+    pairs = zip(fields(kind), values, strict=False)
+    given: dict[str, Any] = {x.name: TENSOR if value is ... else value for x, value in pairs}
+    return kind(**given)
+
+
+@constant_in_graphs
+def _arguments(*form: Any) -> tuple[tuple[str, Axes], ...]:
+    """Parameters of a form that may be tensors, with their axes."""
+    return _found_arguments(*form)
+
+
+@remembered(PROGRAMS)
+def _found_arguments(*form: Any) -> tuple[tuple[str, Axes], ...]:
+    law = _of_form(*form)
+    axes = law.SHAPES
+    return tuple([(name, axes[name]) for name in law.arguments(axes)])
 
 
 def _size(axes: tuple[int | str, ...], robot: Robot) -> int:

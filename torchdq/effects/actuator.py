@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.base.checks import POSITIVE, Interval
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Late, unbounded
 from torchdq.errors import ArgumentError
-from torchdq.functions.parametric import Parameter, Shapes, undefined
+from torchdq.functions.parametric import Parameter, undefined
+from torchdq.functions.signature import parameter
 from torchdq.numbers.functions import below, clip, exp, floor, maximum, polynomial, select
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
@@ -38,10 +39,9 @@ class Saturation(Actuator):
         limit: [N m or N], shape [..., n]; None: the effort limits of the robot's description, infinite if absent.
     """
 
-    SHAPES: ClassVar[Shapes] = {"limit": ("n",)}
-    UNBOUNDED = frozenset({"limit"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"limit": "limits.effort"}
-    limit: Parameter = None
+    limit: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(0.0, infinite=True), described="limits.effort")
+    )
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         """The torques within their limits."""
@@ -61,12 +61,13 @@ class TorqueSpeed(Actuator):
         speed: no-load speed [rad/s or m/s], shape [..., n]; None: the velocity limits of the description.
     """
 
-    SHAPES: ClassVar[Shapes] = {"stall": ("n",), "speed": ("n",)}
-    UNBOUNDED = frozenset({"stall", "speed"})
-    DIVIDING = frozenset({"speed"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"stall": "limits.effort", "speed": "limits.velocity"}
-    stall: Parameter = None
-    speed: Parameter = None
+    stall: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(0.0, infinite=True), described="limits.effort")
+    )
+    speed: Parameter = field(
+        default=None,
+        metadata=parameter("n", check=Interval(0.0, open=True, infinite=True), described="limits.velocity"),
+    )
 
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises if a stall torque that is a tensor is infinite, which only a number can be."""
@@ -106,8 +107,7 @@ class FirstOrderLag(Actuator):
         time: T [s], shape [..., n]; zero disables it.
     """
 
-    SHAPES: ClassVar[Shapes] = {"time": ("n",)}
-    time: Parameter
+    time: Parameter = field(metadata=parameter("n"))
 
     def memory(self, n: int) -> int:
         """The torques at the end of the last step."""
@@ -146,8 +146,7 @@ class DeadBand(Actuator):
         width: half-width of the band [N m or N], shape [..., n].
     """
 
-    SHAPES: ClassVar[Shapes] = {"width": ("n",)}
-    width: Parameter
+    width: Parameter = field(metadata=parameter("n"))
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         """Commands minus the part inside the band."""
@@ -164,9 +163,7 @@ class QuantisedCommand(Actuator):
         step: [N m or N], shape [..., n], positive.
     """
 
-    SHAPES: ClassVar[Shapes] = {"step": ("n",)}
-    DIVIDING = frozenset({"step"})
-    step: Parameter
+    step: Parameter = field(metadata=parameter("n", check=POSITIVE))
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         """The nearest multiples of the step."""

@@ -8,7 +8,7 @@ coefficients are, the force cannot overshoot.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal, NamedTuple, Self
 
 from torch import Tensor
@@ -18,12 +18,13 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
+from torchdq.base.checks import POSITIVE, REAL, OneOf
 from torchdq.dynamics.point_mass import PointMass
 from torchdq.dynamics.posed import Point, Posed, Row
 from torchdq.effects.effect import Effect, Inputs, on_a_link
-from torchdq.errors import ArgumentError
-from torchdq.functions.parametric import Parameter, Shapes, undefined
+from torchdq.functions.parametric import Parameter, undefined
 from torchdq.functions.posed import frame
+from torchdq.functions.signature import option, parameter
 from torchdq.numbers.functions import sqrt
 from torchdq.robot import Robot
 
@@ -119,13 +120,11 @@ class Push(BodyEffect):
     """
 
     frame: str | None = None
-    axes: Literal["world", "body"] = "world"
+    axes: Literal["world", "body"] = field(default="world", metadata=option(OneOf(("world", "body"))))
     name: str = "push"
 
     def described(self, robot: Robot) -> Self:
         """Copy with the name of its frame."""
-        if self.axes not in ("world", "body"):
-            raise ArgumentError(f"axes of Push must be 'world' or 'body', found {self.axes!r}")
         return on_a_link(self, robot)
 
     def inputs(self, n: int) -> dict[str, int]:
@@ -163,12 +162,10 @@ class Drag(BodyEffect):
         sign_width: speed below which |v| is smooth [m/s], a number or [...].
     """
 
-    SHAPES: ClassVar[Shapes] = {"linear": ("links",), "quadratic": ("links",), "angular": ("links",), "sign_width": ()}
-    DIVIDING = frozenset({"sign_width"})
-    linear: Parameter = 0.0
-    quadratic: Parameter = 0.0
-    angular: Parameter = 0.0
-    sign_width: Parameter = 1e-3
+    linear: Parameter = field(default=0.0, metadata=parameter("links"))
+    quadratic: Parameter = field(default=0.0, metadata=parameter("links"))
+    angular: Parameter = field(default=0.0, metadata=parameter("links"))
+    sign_width: Parameter = field(default=1e-3, metadata=parameter(check=POSITIVE))
 
     def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
         """The drag on every link."""
@@ -195,12 +192,10 @@ class PointSpring(BodyEffect):
         damping: b [N s/m], a number or [...].
     """
 
-    SHAPES: ClassVar[Shapes] = {"anchor": (3,), "stiffness": (), "damping": ()}
-    SIGNED = frozenset({"anchor"})
     frame: str | None = None
-    anchor: Parameter = (0.0, 0.0, 0.0)
-    stiffness: Parameter = 1e3
-    damping: Parameter = 0.0
+    anchor: Parameter = field(default=(0.0, 0.0, 0.0), metadata=parameter(3, check=REAL))
+    stiffness: Parameter = field(default=1e3, metadata=parameter())
+    damping: Parameter = field(default=0.0, metadata=parameter())
 
     def described(self, robot: Robot) -> Self:
         """Copy with the name of its frame."""

@@ -28,9 +28,9 @@ for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -40,7 +40,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.inertia import rotated
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import tensor_of
+from torchdq.base.checks import REAL, tensor_of
 from torchdq.dynamics.error_growth import NoInertiaError
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
@@ -49,9 +49,10 @@ from torchdq.effects.effect import Inputs
 from torchdq.effects.surface import HeightMap, tangent
 from torchdq.errors import ArgumentError
 from torchdq.functions.inverse_kinematics import ranges, start
-from torchdq.functions.parametric import TENSOR, Parameter, Shapes
+from torchdq.functions.parametric import TENSOR, Parameter
 from torchdq.functions.posed import frame as frame_of
 from torchdq.functions.posed import posed
+from torchdq.functions.signature import parameter
 from torchdq.numbers.functions import absolute, below, clip, maximum, minimum, select, sqrt
 from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
@@ -149,25 +150,16 @@ class Contact(BodyEffect):
     >>> scene = torchdq.Scene(torchdq.robots.load("panda"), (effects.Contact(height=0.2, friction=0.5),), dt=0.005)
     """
 
-    SHAPES: ClassVar[Shapes] = {
-        "height": (),
-        "normal": (3,),
-        "stiffness": (),
-        "dissipation": (),
-        "friction": (),
-        "settling": (),
-    }
-    SIGNED = frozenset({"height", "normal"})
     IMPLICIT = "its stiff forces act at the end of a step"
     points: Any = None
-    height: Parameter = 0.0
-    normal: Parameter = (0.0, 0.0, 1.0)
+    height: Parameter = field(default=0.0, metadata=parameter(check=REAL))
+    normal: Parameter = field(default=(0.0, 0.0, 1.0), metadata=parameter(3, check=REAL))
     surface: Any = None
-    stiffness: Parameter = None
-    dissipation: Parameter = 1.0
-    friction: Parameter = 0.8
+    stiffness: Parameter = field(default=None, metadata=parameter())
+    dissipation: Parameter = field(default=1.0, metadata=parameter())
+    friction: Parameter = field(default=0.8, metadata=parameter())
     stiction: bool = True
-    settling: Parameter = 1e-3
+    settling: Parameter = field(default=1e-3, metadata=parameter())
 
     # --- parameters ---
 

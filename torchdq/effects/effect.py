@@ -8,23 +8,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import require_count
+from torchdq.base.checks import Interval
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.functions.parametric import Parameter, Parametric
+from torchdq.functions.signature import option
 from torchdq.robot import Robot
 
 Inputs = Mapping[str, Row]  # inputs of a step by name
-
-
-MOST_LATE = 500  # steps of a delay; the compile time of its program is then half a minute
+BUFFER = "a longer delay needs longer time steps, or a buffer outside the scene"
+MOST_LATE = 500  # steps of a delay, each a row in the program; its compile time is then half a minute
 
 
 @dataclass(frozen=True)
@@ -84,17 +84,7 @@ class Late(Effect):
     """
 
     PER_JOINT: ClassVar[int]  # numbers in a row for each joint
-    steps: int
-
-    def described(self, robot: Robot) -> Self:
-        """The effect; raises unless the number of steps is a positive integer."""
-        require_count(f"steps of {type(self).__name__}", self.steps)
-        if self.steps > MOST_LATE:  # every step is a row in the program
-            raise ArgumentError(
-                f"steps of {type(self).__name__} must be at most {MOST_LATE}, found {self.steps}; a longer delay needs "
-                "longer time steps, or a buffer outside the scene"
-            )
-        return self
+    steps: int = field(metadata=option(Interval(1, below=MOST_LATE + 1, whole=True, cure=BUFFER)))
 
     def memory(self, n: int) -> int:
         """Length of the delayed rows."""

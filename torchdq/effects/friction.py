@@ -13,13 +13,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import is_number
+from torchdq.base.checks import POSITIVE, REAL, Interval, is_number
 from torchdq.dynamics.friction import smooth_speed
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Inputs
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.errors import ArgumentError
-from torchdq.functions.parametric import Parameter, Shapes
+from torchdq.functions.parametric import Parameter
+from torchdq.functions.signature import parameter
 from torchdq.numbers.functions import absolute, cos, exp, maximum, sin
 from torchdq.robot import Robot
 
@@ -37,24 +38,14 @@ class Friction(JointEffect):
         warming: relative change of the coefficients [1/K], shape [..., n]; negative if friction falls with temperature.
     """
 
-    SHAPES: ClassVar[Shapes] = {"warming": ("n",)}
-    SIGNED: ClassVar[frozenset[str]] = frozenset({"warming"})
     SHARED: ClassVar[frozenset[str]] = frozenset({TEMPERATURE})
     LINEAR: ClassVar[tuple[str, ...]] = ()  # parameters in which the torque is linear; zero if all are zero
-    FRACTIONS: ClassVar[frozenset[str]] = frozenset()  # parameters that are below 1
     LEARNED_AS: ClassVar[Mapping[str, str]] = {}  # names of the learned parameters of a layer
-    warming: Parameter = field(default=0.0, kw_only=True)
+    warming: Parameter = field(default=0.0, kw_only=True, metadata=parameter("n", check=REAL))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """Impedance of one joint, with numbers as parameters."""
         raise NotImplementedError
-
-    def _check_values(self, name: str, numbers: Sequence[float]) -> None:
-        super()._check_values(name, numbers)
-        if name in self.FRACTIONS and max(numbers) >= 1:
-            raise ArgumentError(
-                f"{name} of {type(self).__name__} must be below 1, found {max(numbers):g}: such a joint would lock"
-            )
 
     def steady(self, sign_width: float) -> Friction:
         """Memoryless friction with the same torque in steady motion, of the given `sign_width`."""
@@ -101,11 +92,9 @@ class Viscous(Friction):
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), **Friction.SHAPES}
     LINEAR = SCALES = ("coefficient",)
     LEARNED_AS: ClassVar[Mapping[str, str]] = {"coefficient": "viscous"}
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
-    coefficient: Parameter = None
+    coefficient: Parameter = field(default=None, metadata=parameter("n", described="damping"))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """D = d."""
@@ -121,9 +110,8 @@ class Quadratic(Friction):
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), **Friction.SHAPES}
     LINEAR = SCALES = ("coefficient",)
-    coefficient: Parameter = None
+    coefficient: Parameter = field(default=None, metadata=parameter("n"))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """D = c |qd|."""
@@ -145,13 +133,10 @@ class Coulomb(Friction):
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {"coulomb": ("n",), "sign_width": (), **Friction.SHAPES}
     LINEAR = SCALES = ("coulomb",)
     LEARNED_AS: ClassVar[Mapping[str, str]] = {"coulomb": "coulomb"}
-    DIVIDING = frozenset({"sign_width"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
-    coulomb: Parameter = None
-    sign_width: Parameter = 1e-2
+    coulomb: Parameter = field(default=None, metadata=parameter("n", described="friction"))
+    sign_width: Parameter = field(default=1e-2, metadata=parameter(check=POSITIVE))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """D = c / sqrt(qd^2 + w^2)."""
@@ -171,12 +156,10 @@ class Directional(Friction):
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {"forward": ("n",), "backward": ("n",), "sign_width": (), **Friction.SHAPES}
     LINEAR = SCALES = ("forward", "backward")
-    DIVIDING = frozenset({"sign_width"})
-    forward: Parameter = None
-    backward: Parameter = None
-    sign_width: Parameter = 1e-2
+    forward: Parameter = field(default=None, metadata=parameter("n"))
+    backward: Parameter = field(default=None, metadata=parameter("n"))
+    sign_width: Parameter = field(default=1e-2, metadata=parameter(check=POSITIVE))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """D = (forward (1 + s) + backward (1 - s)) / (2 sqrt(qd^2 + w^2))."""
@@ -201,21 +184,12 @@ class Stribeck(Friction):
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {
-        "coulomb": ("n",),
-        "static": ("n",),
-        "velocity": ("n",),
-        "sign_width": (),
-        **Friction.SHAPES,
-    }
     ORDERED = ("coulomb", "static")
     LINEAR = SCALES = ("coulomb", "static")
-    DIVIDING = frozenset({"velocity", "sign_width"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
-    coulomb: Parameter = None
-    static: Parameter = None
-    velocity: Parameter = 0.1
-    sign_width: Parameter = 1e-2
+    coulomb: Parameter = field(default=None, metadata=parameter("n", described="friction"))
+    static: Parameter = field(default=None, metadata=parameter("n"))
+    velocity: Parameter = field(default=0.1, metadata=parameter("n", check=POSITIVE))
+    sign_width: Parameter = field(default=1e-2, metadata=parameter(check=POSITIVE))
 
     def parts(self) -> list[tuple[Friction, str]]:
         """Coulomb friction, and the excess near rest, so that static friction is at least Coulomb friction."""
@@ -242,13 +216,12 @@ class LoadDependent(Friction):
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), "sign_width": (), **Friction.SHAPES}
     LINEAR = SCALES = ("coefficient",)
-    DIVIDING = frozenset({"sign_width"})
-    FRACTIONS = frozenset({"coefficient"})
     ONCE = "their coefficients add up to one"
-    coefficient: Parameter = None
-    sign_width: Parameter = 1e-2
+    coefficient: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(0.0, below=1.0, cure="such a joint would lock"))
+    )
+    sign_width: Parameter = field(default=1e-2, metadata=parameter(check=POSITIVE))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """g / sqrt(qd^2 + w^2) per load."""
@@ -269,13 +242,10 @@ class Ripple(Friction):
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {"period": ("n",), "sine": ("n",), "cosine": ("n",), **Friction.SHAPES}
-    SIGNED = Friction.SIGNED | {"sine", "cosine"}
     LINEAR = SCALES = ("sine", "cosine")
-    DIVIDING = frozenset({"period"})
-    period: Parameter
-    sine: Parameter = None
-    cosine: Parameter = None
+    period: Parameter = field(metadata=parameter("n", check=POSITIVE))
+    sine: Parameter = field(default=None, metadata=parameter("n", check=REAL))
+    cosine: Parameter = field(default=None, metadata=parameter("n", check=REAL))
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """Force f, and K = df/dq where that is positive."""
@@ -317,23 +287,12 @@ class LuGre(Friction):
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {
-        **{name: ("n",) for name in ("coulomb", "deflection", "ratio", "velocity", "settling")},
-        **Friction.SHAPES,
-    }
     LINEAR = SCALES = ("coulomb",)
-    DIVIDING = frozenset({"deflection", "velocity"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
-    coulomb: Parameter = None
-    deflection: Parameter = 5e-4
-    ratio: Parameter = 1.0
-    velocity: Parameter = 0.1
-    settling: Parameter = 0.0
-
-    def _check_values(self, name: str, numbers: Sequence[float]) -> None:
-        super()._check_values(name, numbers)
-        if name == "ratio" and min(numbers) < 1:
-            raise ArgumentError(f"ratio of LuGre must be at least 1, found {min(numbers):g}")
+    coulomb: Parameter = field(default=None, metadata=parameter("n", described="friction"))
+    deflection: Parameter = field(default=5e-4, metadata=parameter("n", check=POSITIVE))
+    ratio: Parameter = field(default=1.0, metadata=parameter("n", check=Interval(1.0)))
+    velocity: Parameter = field(default=0.1, metadata=parameter("n", check=POSITIVE))
+    settling: Parameter = field(default=0.0, metadata=parameter("n"))
 
     def steady(self, sign_width: float) -> Friction:
         """Coulomb friction of the same size, without the excess near rest."""
@@ -391,7 +350,7 @@ def _zero(x: Any) -> bool:
 def resisting(effects: Sequence[Effect]) -> list[Friction]:
     """Friction among effects that acts against the motion, and is not zero."""
     friction = [one for one in effects if isinstance(one, Friction)]
-    return [one for one in friction if not one.idle() and one.SIGNED.isdisjoint(one.LINEAR)]
+    return [one for one in friction if not (one.idle() or any(one.interval(name).signed for name in one.LINEAR))]
 
 
 def parts_of(friction: Any, robot: Robot) -> list[tuple[Friction, str]]:

@@ -9,18 +9,19 @@ reverse a motion. Explicit integrators evaluate the torque itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple, Self
 
 import torch
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import tensor_of
+from torchdq.base.checks import REAL, Interval, tensor_of
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Inputs, unbounded
 from torchdq.errors import ArgumentError
-from torchdq.functions.parametric import Parameter, Shapes, undefined
+from torchdq.functions.parametric import Parameter, undefined
+from torchdq.functions.signature import parameter
 from torchdq.numbers.functions import absolute, at_least, maximum, minimum
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
@@ -109,10 +110,8 @@ class Spring(JointEffect):
         rest: equilibrium position [rad or m], shape [..., n].
     """
 
-    SHAPES: ClassVar[Shapes] = {"stiffness": ("n",), "rest": ("n",)}
-    SIGNED = frozenset({"rest"})
-    stiffness: Parameter
-    rest: Parameter = 0.0
+    stiffness: Parameter = field(metadata=parameter("n"))
+    rest: Parameter = field(default=0.0, metadata=parameter("n", check=REAL))
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """Impedances with f = k (q - rest)."""
@@ -139,12 +138,9 @@ class Servo(JointEffect):
         limit: largest torque [N m or N], shape [..., n]; None: infinite, which costs nothing.
     """
 
-    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",), "limit": ("n",)}
-    UNBOUNDED = frozenset({"limit"})
-    DIVIDING = frozenset({"limit"})
-    kp: Parameter
-    kd: Parameter = 0.0
-    limit: Parameter = None
+    kp: Parameter = field(metadata=parameter("n"))
+    kd: Parameter = field(default=0.0, metadata=parameter("n"))
+    limit: Parameter = field(default=None, metadata=parameter("n", check=Interval(0.0, open=True, infinite=True)))
 
     def inputs(self, n: int) -> dict[str, int]:
         """The target [n]."""
@@ -179,15 +175,15 @@ class JointLimits(JointEffect):
         dissipation: c [s/rad or s/m], shape [..., n].
     """
 
-    SHAPES: ClassVar[Shapes] = {"lower": ("n",), "upper": ("n",), "stiffness": ("n",), "dissipation": ("n",)}
     ORDERED = ("lower", "upper")
-    SIGNED = frozenset({"lower", "upper"})
-    UNBOUNDED = frozenset({"lower", "upper"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"lower": "limits.lower", "upper": "limits.upper"}
-    lower: Parameter = None
-    upper: Parameter = None
-    stiffness: Parameter = 1e4
-    dissipation: Parameter = 1.0
+    lower: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(infinite=True), described="limits.lower")
+    )
+    upper: Parameter = field(
+        default=None, metadata=parameter("n", check=Interval(infinite=True), described="limits.upper")
+    )
+    stiffness: Parameter = field(default=1e4, metadata=parameter("n"))
+    dissipation: Parameter = field(default=1.0, metadata=parameter("n"))
 
     def free_range(self) -> tuple[Parameter, Parameter]:
         """The limits."""

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 from torchdq.algebra.inertia import RigidBody
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import tensor_of
+from torchdq.base.checks import REAL, tensor_of
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.effect import Effect, on_a_link
 from torchdq.errors import ArgumentError
-from torchdq.functions.parametric import Parameter, Shapes, undefined
-from torchdq.functions.posed import Overrides, constant_pose, field
+from torchdq.functions.parametric import Parameter, undefined
+from torchdq.functions.posed import Overrides, constant_pose
+from torchdq.functions.posed import field as row_of
+from torchdq.functions.signature import parameter
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.arrays import matrices
@@ -42,11 +44,8 @@ class Gravity(ModelEffect):
             tilted base, tilt the vector.
     """
 
-    SHAPES: ClassVar[Shapes] = {"acceleration": (3,)}
-    SIGNED = frozenset({"acceleration"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"acceleration": "gravity"}
     ONCE = "there is one acceleration"
-    acceleration: Parameter = None
+    acceleration: Parameter = field(default=None, metadata=parameter(3, check=REAL, described="gravity"))
 
     def described(self, robot: Robot) -> Self:
         """Copy with the robot's gravity, or 9.81 downwards if it has none."""
@@ -68,9 +67,7 @@ class RotorInertia(ModelEffect):
         inertia: J [kg m^2 or kg], shape [..., n]; None: that of the robot's description.
     """
 
-    SHAPES: ClassVar[Shapes] = {"inertia": ("n",)}
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
-    inertia: Parameter = None
+    inertia: Parameter = field(default=None, metadata=parameter("n", described="armature"))
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Rotor inertia, added to that of earlier effects."""
@@ -97,11 +94,9 @@ class Payload(ModelEffect):
     """
 
     LATE = True
-    SHAPES: ClassVar[Shapes] = {"mass": (), "com": (3,), "inertia": (6,)}
-    SIGNED = frozenset({"com", "inertia"})
-    mass: Parameter
-    com: Parameter = 0.0
-    inertia: Parameter = 0.0
+    mass: Parameter = field(metadata=parameter())
+    com: Parameter = field(default=0.0, metadata=parameter(3, check=REAL))
+    inertia: Parameter = field(default=0.0, metadata=parameter(6, check=REAL))
     frame: str | None = None
 
     def described(self, robot: Robot) -> Self:
@@ -130,7 +125,7 @@ class Payload(ModelEffect):
         """Inertial parameters, those of one link merged with the payload."""
         frame = robot.frame(str(self.frame))
         i, held = frame.link, RigidBody(self.mass, self.com, self.inertia).moved(constant_pose(frame.X_BF))
-        masses, coms, inertias = (list(field(robot, name, overrides)) for name in ("mass", "com", "inertia"))
+        masses, coms, inertias = (list(row_of(robot, name, overrides)) for name in ("mass", "com", "inertia"))
         share = self.mass / (masses[i] + self.mass)
         masses[i], coms[i], inertias[i] = RigidBody(masses[i], coms[i], inertias[i]).plus(held, share)
         return {"mass": masses, "com": flat(coms), "inertia": flat(inertias)}
@@ -149,12 +144,11 @@ class MassScale(ModelEffect):
         factor: k, shape [..., links].
     """
 
-    SHAPES: ClassVar[Shapes] = {"factor": ("links",)}
-    factor: Parameter
+    factor: Parameter = field(metadata=parameter("links"))
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Masses and inertias of the links times their factors."""
-        mass, inertia = field(robot, "mass", overrides), field(robot, "inertia", overrides)
+        mass, inertia = row_of(robot, "mass", overrides), row_of(robot, "inertia", overrides)
         return {
             "mass": [k * m for k, m in zip(self.factor, mass, strict=True)],
             "inertia": [k * x for k, row in zip(self.factor, inertia, strict=True) for x in row],

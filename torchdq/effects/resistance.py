@@ -13,13 +13,15 @@ from torchdq.algebra.quaternion import Number
 from torchdq.backends.call import Computation, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.base.checks import REAL
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Inputs
 from torchdq.effects.friction import TEMPERATURE, Friction
 from torchdq.effects.joint import load_size, total
 from torchdq.errors import ArgumentError
+from torchdq.functions.signature import Field
 from torchdq.numbers.functions import absolute
-from torchdq.program.program import Argument, Program, record
+from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
 from torchdq.robot import Robot
 from torchdq.robot.fields import trailing
 
@@ -55,6 +57,9 @@ def loads(effects: Sequence[Friction], q: Row, qd: Row, tau: Row) -> list[Number
     return result
 
 
+OFFSET = Field("offset", ("n",), kind="parameter", check=REAL)  # constant torques of the motors
+
+
 @dataclass(frozen=True)
 class Templates:
     """Effects of n joints without tensors; an object that graphs of torch.compile can hold, but not construct."""
@@ -69,6 +74,15 @@ class Templates:
             return {name.partition(".")[2]: row for name, row in rows.items() if name.startswith(f"{k}.")}
 
         return [effect.bound(own(k)) for k, effect in enumerate(self.effects)]
+
+    def fields(self) -> list[Field]:
+        """Parameters of the effects, and the offset of the motors."""
+        own = [(k, field) for k, effect in enumerate(self.effects) for field in effect.PARAMETERS.values()]
+        return [*[field._replace(name=f"{k}.{field.name}") for k, field in own], OFFSET]
+
+    def program(self, rigid: Any, arguments: tuple[Argument, ...]) -> Program:
+        """Program of a function of rigid bodies with friction and offset, recorded once."""
+        return _with_motors(self, rigid, arguments)
 
 
 class Parts(NamedTuple):
@@ -205,6 +219,40 @@ class _Along(_AlongFields, Computation):
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program, recorded once."""
         return _program(self, arguments)
+
+
+@remembered(PROGRAMS)
+def _with_motors(of: Templates, rigid: Any, arguments: tuple[Argument, ...]) -> Program:
+    bodies = rigid.program(tuple([a for a in arguments if "." not in a.name and a.name != "offset"]))
+    if len(bodies.arguments) == len(arguments) and not of.effects:
+        return bodies
+
+    def algorithm(*rows: Row) -> Mapping[str, Row]:
+        named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
+        return with_motors(bodies, named, of.bound(named))
+
+    return record(bodies.name, arguments, algorithm)
+
+
+def with_motors(rigid: Program, given: Mapping[str, Row], effects: Sequence[Friction]) -> Mapping[str, Row]:
+    """Results of a program with the torques of the motors, which overcome friction and hold the offset.
+
+    Args:
+        rigid: program that takes or returns the torques of the rigid bodies, "tau".
+        given: its arguments, and "offset" if there is one.
+        effects: the friction, its tensors being numbers.
+    """
+    named, q = dict(given), given["q"]
+    qd, offset = given.get("qd", (0.0,) * len(q)), given.get("offset", (0.0,) * len(q))
+    if "tau" in named:
+        net = [tau - t for tau, t in zip(named["tau"], offset, strict=True)]
+        named["tau"] = loads(effects, q, qd, net)
+    values = replay(rigid, [named[a.name] for a in rigid.arguments])
+    found = results(rigid, values)
+    if "tau" in found:
+        friction = torques(effects, q, qd, found["tau"], {})
+        found["tau"] = [tau + (t + c) for tau, t, c in zip(found["tau"], friction, offset, strict=True)]
+    return {**found, GROWTH: growths(rigid, values)}
 
 
 @remembered(PROGRAMS)

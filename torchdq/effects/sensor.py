@@ -6,13 +6,15 @@ The controller of a scene with sensors uses the measurements, and so should any 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
+from torchdq.base.checks import REAL
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import rounded
 from torchdq.effects.effect import Effect, Late
-from torchdq.functions.parametric import Parameter, Shapes, undefined
+from torchdq.functions.parametric import Parameter, undefined
+from torchdq.functions.signature import parameter
 from torchdq.numbers.functions import log, sqrt
 
 
@@ -43,9 +45,8 @@ class Noise(Sensor):
         velocity: s of velocities [rad/s or m/s], shape [..., n].
     """
 
-    SHAPES: ClassVar[Shapes] = {"position": ("n",), "velocity": ("n",)}
-    position: Parameter = 0.0
-    velocity: Parameter = 0.0
+    position: Parameter = field(default=0.0, metadata=parameter("n"))
+    velocity: Parameter = field(default=0.0, metadata=parameter("n"))
 
     def noises(self, n: int) -> int:
         """Two per joint, for two independent normal numbers."""
@@ -73,10 +74,8 @@ class Bias(Sensor):
         velocity: b of velocities [rad/s or m/s], shape [..., n].
     """
 
-    SHAPES: ClassVar[Shapes] = {"position": ("n",), "velocity": ("n",)}
-    SIGNED = frozenset({"position", "velocity"})
-    position: Parameter = 0.0
-    velocity: Parameter = 0.0
+    position: Parameter = field(default=0.0, metadata=parameter("n", check=REAL))
+    velocity: Parameter = field(default=0.0, metadata=parameter("n", check=REAL))
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
         """Measurements with bias."""
@@ -94,9 +93,8 @@ class QuantisedReading(Sensor):
         velocity: step s of velocities [rad/s or m/s], shape [..., n].
     """
 
-    SHAPES: ClassVar[Shapes] = {"position": ("n",), "velocity": ("n",)}
-    position: Parameter = 0.0
-    velocity: Parameter = 0.0
+    position: Parameter = field(default=0.0, metadata=parameter("n"))
+    velocity: Parameter = field(default=0.0, metadata=parameter("n"))
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
         """The nearest multiples of the steps."""

@@ -7,13 +7,15 @@ records nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
+from torchdq.base.checks import POSITIVE
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect
-from torchdq.functions.parametric import Parameter, Shapes
+from torchdq.functions.parametric import Parameter
+from torchdq.functions.signature import parameter
 
 
 class Rotors(NamedTuple):
@@ -77,15 +79,12 @@ class Elastic(Transmission):
         inertia: J of the rotor, reflected to the joint [kg m^2 or kg], shape [..., n]; None: the robot's rotor inertia.
     """
 
-    SHAPES: ClassVar[Shapes] = {"stiffness": ("n",), "damping": ("n",), "inertia": ("n",)}
-    DIVIDING = frozenset({"inertia"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
     SOLE: ClassVar[Mapping[str, str]] = {
         "armature": "the rotor inertia of the description; behind a spring it does not turn with the link"
     }
-    stiffness: Parameter
-    damping: Parameter = 0.0
-    inertia: Parameter = None
+    stiffness: Parameter = field(metadata=parameter("n"))
+    damping: Parameter = field(default=0.0, metadata=parameter("n"))
+    inertia: Parameter = field(default=None, metadata=parameter("n", check=POSITIVE, described="armature"))
 
     def memory(self, n: int) -> int:
         """Position and velocity of every rotor."""

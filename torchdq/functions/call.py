@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from torch.compiler import is_compiling
 from torchdq.backends.call import Tensors, common_batch, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
-from torchdq.base.checks import REAL, names_of, require_number, require_tensor
+from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, Check, OneOf, names_of, require, require_tensor
 from torchdq.base.progress import FIRST, warn_once
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, recordings
@@ -26,6 +26,7 @@ from torchdq.robot.fields import SHAPES, trailing
 from torchdq.robot.robot import arguments, constants
 
 Precision = Literal["auto", "double"]
+PRECISION = OneOf(get_args(Precision))
 FEW = 2  # programs of single frames of a robot that need no warning
 _built: Bounded[tuple[str, Constants], tuple[int, float]] = Bounded(PROGRAMS)  # programs of single frames, and seconds
 
@@ -44,6 +45,11 @@ def function_of(
     return list(evaluate(what, with_tensors(robot, given), backend, double).values())
 
 
+def with_options(name: str, robot: Robot, given: Tensors, backend: BackendName | None, *options: Any) -> list[Tensor]:
+    """Results of a function with options, None where they are absent."""
+    return function_of(name, robot, given, backend, options_of(require_robot(robot), name, options))
+
+
 def with_tensors(robot: Robot, given: Tensors) -> Tensors:
     """Arguments of a function, together with the tensors of the robot that are arguments of its programs."""
     names = arguments(robot)
@@ -52,8 +58,7 @@ def with_tensors(robot: Robot, given: Tensors) -> Tensors:
 
 def check_precision(precision: Precision) -> Precision:
     """Precision, after a check of its name."""
-    if precision not in get_args(Precision):
-        raise ArgumentError(f"precision must be 'auto' or 'double', found {precision!r}")
+    require("precision", precision, PRECISION)
     return precision
 
 
@@ -78,7 +83,7 @@ def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | Non
     return common_batch([*inputs, *parameters], f" for the {robot.n} joints of robot {robot.name!r}")
 
 
-def gain(name: str, value: Tensor | float, q: Tensor, positive: bool = False, signed: bool = False) -> Tensor:
+def gain(name: str, value: Tensor | float, q: Tensor, check: Check = NOT_NEGATIVE) -> Tensor:
     """Parameter as a tensor, one number in the dtype of q; entries of a tensor are not checked."""
     if isinstance(value, Tensor) and value.ndim:
         return value
@@ -86,10 +91,10 @@ def gain(name: str, value: Tensor | float, q: Tensor, positive: bool = False, si
         if value.is_complex() or value.dtype == torch.bool:
             raise ArgumentError(f"{name} must be a real number, found {value}")
         return value.to(q)
-    if not isinstance(value, REAL):
+    if not isinstance(value, NUMBERS):
         cure = "; use torch.as_tensor" if isinstance(value, list | tuple | np.ndarray) else ""
         raise ArgumentError(f"{name} must be a number or a tensor, found {type(value).__name__}{cure}")
-    require_number(name, value, positive, **({} if signed else {"least": 0.0}))
+    require(name, value, check)
     return torch.full((), value, dtype=q.dtype, device=q.device)
 
 

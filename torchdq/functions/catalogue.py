@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from torchdq.algebra.quaternion import Number
 from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import require_tensor
+from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, OneOf, require_tensor
 from torchdq.dynamics.task_space import rows_of
 from torchdq.errors import ArgumentError
 from torchdq.functions import floating as free
@@ -21,128 +21,159 @@ from torchdq.functions import formulas as fixed
 from torchdq.functions import inverse_kinematics as ik
 from torchdq.functions import task_space_formulas as task
 from torchdq.functions.recipe import (
-    BASE_WRENCH,
-    RATES,
+    EXPRESSED,
+    FRAME,
+    TASK,
     WRENCHES,
-    ArgumentSpec,
     Recipe,
     RecipeInputs,
     Results,
     alternatives_to_record,
-    joints,
 )
+from torchdq.functions.signature import Field, joints
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, record, replay, results
 from torchdq.robot.constants import Constants
 from torchdq.robot.fields import SHAPES, Axes, trailing
 from torchdq.robot.robot import recorded
 
+_MOVED = joints("qd", "qdd", optional=True)
+_NO_MOTOR = "no motor moves its base, so torques of the joints alone cannot give a frame every acceleration"
+_UNMEASURED = "what acts on its base is not measured"
+_ANYWHERE = "its base alone reaches every pose"
+
 RECIPES: dict[str, Recipe] = {
-    "inverse_dynamics": Recipe((*joints("q"), *RATES, *WRENCHES), (fixed.inverse_dynamics,), lambda: (("n",),)),
+    "inverse_dynamics": Recipe((*joints("q"), *_MOVED, *WRENCHES), (fixed.inverse_dynamics,), lambda: (("n",),)),
     "inverse_dynamics_jacobian": Recipe(
-        joints("q", "qd", "qdd"), (fixed.inverse_dynamics,), lambda: (("n", "n"), ("n", "n"))
+        joints("q", "qd", "qdd"), (fixed.inverse_dynamics,), lambda: (("n", "n"), ("n", "n")), wrt=("q", "qd")
     ),
     "dynamics_jacobian": Recipe(joints("q", "qd", "qdd"), (), lambda: (("n", "n"), ("n", "n"), ("n", "n"))),
     "mass_matrix": Recipe(joints("q"), (fixed.mass_matrix,), lambda: (("n", "n"),)),
     "forward_dynamics": Recipe(
-        (*joints("q"), RATES[0], *joints("tau"), *WRENCHES),
+        (*joints("q"), _MOVED[0], *joints("tau"), *WRENCHES),
         (fixed.forward_dynamics, fixed.forward_dynamics_articulated),
         lambda: (("n",),),
     ),
     "error_growth": Recipe(joints("q"), (fixed.error_growth, fixed.error_growth_articulated), lambda: ((),)),
     "closed_form": Recipe(
-        joints("q", "qd"), (fixed.closed_form,), lambda tip: (("n", "n"), ("n",), ("n",), *((("n", 6),) if tip else ()))
+        (*joints("q", "qd"), FRAME._replace(name="tip")),
+        (fixed.closed_form,),
+        lambda *tip: (("n", "n"), ("n",), ("n",), *((("n", 6),) if any(tip) else ())),
     ),
-    "regressor": Recipe((*joints("q"), *RATES), (fixed.regressor,), lambda: (("n", "parameters"),)),
+    "regressor": Recipe((*joints("q"), *_MOVED), (fixed.regressor,), lambda: (("n", "parameters"),)),
     "kinetic_energy": Recipe(joints("q", "qd"), (fixed.kinetic_energy,), lambda: ((),)),
     "potential_energy": Recipe(joints("q"), (fixed.potential_energy,), lambda: ((),)),
     "forward_kinematics": Recipe(
-        joints("q"),
+        (*joints("q"), FRAME._replace(name="frames", default=None)),
         (fixed.forward_kinematics, fixed.forward_kinematics_in_link_frames, fixed.forward_kinematics_from_base),
         lambda *frames: ((len(frames), 8),),
         each=True,
     ),
-    "jacobian": Recipe(joints("q"), (fixed.jacobian,), lambda frame, expressed: ((6, "n"),)),
+    "jacobian": Recipe(
+        (*joints("q"), FRAME._replace(default=None), EXPRESSED),
+        (fixed.jacobian,),
+        lambda frame, expressed: ((6, "n"),),
+    ),
     "external_wrenches": Recipe(
-        (*joints("q"), ("wrenches", ("frames", 6), False)), (fixed.external_wrenches,), lambda *frames: (("links", 6),)
+        (
+            *joints("q"),
+            Field("wrenches", ("frames", 6)),
+            EXPRESSED._replace(default="world"),
+            FRAME._replace(name="frames"),
+        ),
+        (fixed.external_wrenches,),
+        lambda *frames: (("links", 6),),
     ),
-    "coriolis_matrix": Recipe(joints("q", "qd"), (task.coriolis_matrix,), lambda: (("n", "n"),)),
+    "coriolis_matrix": Recipe(joints("q", "qd"), (task.coriolis_matrix,), lambda: (("n", "n"),), wrt=("V_WB_B", "qd")),
     "frame_motion": Recipe(
-        (*joints("q", "qd"), RATES[1]), (task.frame_motion,), lambda frame, expressed: ((8,), (6,), (6,))
+        (*joints("q", "qd"), _MOVED[1], FRAME, EXPRESSED),
+        (task.frame_motion,),
+        lambda frame, expressed: ((8,), (6,), (6,)),
+        fixed_only="floating.forward_kinematics and floating.jacobian give the pose and the twist of a frame",
     ),
-    "manipulability": Recipe(joints("q"), (task.manipulability,), lambda *task: ((),)),
+    "manipulability": Recipe(
+        (*joints("q"), *TASK),
+        (task.manipulability,),
+        lambda *task: ((),),
+        fixed_only="its base moves every frame in all directions; torchdq.floating.jacobian has the joints' columns",
+    ),
     "operational_space": Recipe(
-        joints("q", "qd"),
+        (*joints("q", "qd"), *TASK),
         (task.operational_space,),
         lambda *task: (("axes", "axes"), ("axes",), ("axes",), ("axes", "n"), ("axes",), ("n", "axes"), ()),
+        fixed_only=_NO_MOTOR,
     ),
     "inverse_kinematics_step": Recipe(
-        (*joints("q", "best"), ("state", (5,), False), ("X", (8,), False), ("settings", (4,), False)),
+        (*joints("q", "best"), Field("state", (5,)), Field("X", (8,)), Field("settings", (4,), kind="shared"), *TASK),
         (ik.step,),
         lambda *task: (("n",), ("n",), (5,)),
-        shared=("settings",),
+        fixed_only=_ANYWHERE,
     ),
     "inverse_kinematics_newton": Recipe(
-        (*joints("q"), ("X", (8,), False)), (ik.newton,), lambda *task: (("axes",), ("n", "axes"))
+        (*joints("q"), Field("X", (8,)), *TASK),
+        (ik.newton,),
+        lambda *task: (("axes",), ("n", "axes")),
+        fixed_only=_ANYWHERE,
     ),
     "differential_inverse_kinematics": Recipe(
-        (*joints("q"), ("V_des", ("axes",), False), ("dt", (), True)), (ik.differential,), lambda *task: (("n",), ())
+        (
+            *(*joints("q"), Field("V_des", ("axes",)), Field("dt", (), True, "parameter", POSITIVE), *TASK),
+            Field("bounded", kind="option", check=OneOf(("", "bounded")), default=""),
+        ),
+        (ik.differential,),
+        lambda *task: (("n",), ()),
+        fixed_only=_NO_MOTOR,
     ),
-    "joint_momentum": Recipe(joints("q", "qd", "tau"), (), lambda: (("n",), ("n",))),
+    "joint_momentum": Recipe(joints("q", "qd", "tau"), (), lambda: (("n",), ("n",)), fixed_only=_UNMEASURED),
     "contact_force": Recipe(
-        (*joints("q", "r"), ("damping", (), False)), (task.contact_force,), lambda *task: (("axes",), ("axes",))
+        (*joints("q", "r"), Field("damping", kind="parameter", check=NOT_NEGATIVE), *TASK),
+        (task.contact_force,),
+        lambda *task: (("axes",), ("axes",)),
+        fixed_only=_UNMEASURED,
     ),
 }
-_BEFORE = {"q": ("X_WB", (8,)), "qd": ("V_WB_B", (6,)), "qdd": ("A_WB_B", (6,))}  # what the base has before the joints
+# what the base has before the joints, and behind the wrenches on the links
+_BEFORE = {"q": ("X_WB", (8,)), "qd": ("V_WB_B", (6,)), "qdd": ("A_WB_B", (6,))}
+_BEHIND = Field("f_base", (6,), optional=True)
 
 
-def _free(
-    name: str, *formulas: Callable[..., Results], results: Callable[..., tuple[Axes, ...]] | None = None
-) -> Recipe:
-    """Recipe of a function with a floating base: that of `name`, each argument of the base before that of joints."""
-    found: list[ArgumentSpec] = []
-    for argument, axes, optional in (like := RECIPES[name]).arguments:
-        found += [(*_BEFORE[argument], optional)] if argument in _BEFORE else []
-        found.append((argument, axes, optional))
-    wrench = BASE_WRENCH if WRENCHES[1] in found else ()
-    return Recipe((*found, *wrench), formulas or like.formulas, results or like.results, like.each)
+def _free(name: str, *results: Axes, formula: Callable[..., Results] | None = None) -> Recipe:
+    """Recipe of a function with a floating base: that of `name`, each argument of the base before that of joints.
+
+    So are rows and columns of its results, unless these are given.
+    """
+    like, found = RECIPES[name], list[Field]()
+    for field in like.fields:
+        if field.name in _BEFORE:
+            found.append(Field(*_BEFORE[field.name], field.optional))
+        found += [field] if field.name != "tip" else []
+        found += [_BEHIND] if field.name == "f_ext" else []
+
+    def shapes(*options: str) -> tuple[Axes, ...]:
+        return results or tuple([tuple("all" if x == "n" else x for x in axes) for axes in like.results(*options)])
+
+    return like._replace(fields=tuple(found), formulas=(formula,) if formula else like.formulas, results=shapes)
 
 
+_ALIKE = (
+    "mass_matrix",
+    "coriolis_matrix",
+    "closed_form",
+    "error_growth",
+    "regressor",
+    "forward_kinematics",
+    "jacobian",
+)
 _FREE: dict[str, Recipe] = {
-    "inverse_dynamics": _free("inverse_dynamics", results=lambda: ((6,), ("n",))),
-    "forward_dynamics": _free("forward_dynamics", results=lambda: ((6,), ("n",))),
-    "mass_matrix": _free("mass_matrix", results=lambda: (("all", "all"),)),
-    "coriolis_matrix": _free("coriolis_matrix", results=lambda: (("all", "all"),)),
-    "closed_form": _free("closed_form", results=lambda: (("all", "all"), ("all",), ("all",))),
-    "error_growth": _free("error_growth"),
-    "regressor": _free("regressor", results=lambda: (("all", "parameters"),)),
-    "forward_kinematics": _free("forward_kinematics"),
-    "jacobian": _free("jacobian", results=lambda frame, expressed: ((6, "all"),)),
-    "external_wrenches": _free("external_wrenches", results=lambda *frames: (("links", 6), (6,))),
-    "kinetic_energy": _free("kinetic_energy"),
-    "potential_energy": _free("potential_energy"),
-    "centre_of_mass": _free("mass_matrix", free.centre_of_mass, results=lambda: ((3,),)),
-    "momentum": _free("kinetic_energy", free.momentum, results=lambda: ((3,), (3,))),
-    "momentum_rate": _free("regressor", free.momentum_rate, results=lambda: ((3,), (3,))),
+    **{name: _free(name, (6,), ("n",)) for name in ("inverse_dynamics", "forward_dynamics")},
+    **{name: _free(name) for name in (*_ALIKE, "kinetic_energy", "potential_energy")},
+    "external_wrenches": _free("external_wrenches", ("links", 6), (6,)),
+    "centre_of_mass": _free("mass_matrix", (3,), formula=free.centre_of_mass),
+    "momentum": _free("kinetic_energy", (3,), (3,), formula=free.momentum),
+    "momentum_rate": _free("regressor", (3,), (3,), formula=free.momentum_rate),
 }
 FLOATING = "floating."  # names of functions of robots with a floating base begin so
 RECIPES |= {FLOATING + name: recipe for name, recipe in _FREE.items()}
-_NO_MOTOR = "no motor moves its base, so torques of the joints alone cannot give a frame every acceleration"
-_FIXED_ONLY = {  # why a function has no form for robots with a floating base
-    "frame_motion": "floating.forward_kinematics and floating.jacobian give the pose and the twist of a frame",
-    "joint_momentum": "what acts on its base is not measured",
-    "contact_force": "what acts on its base is not measured",
-    "manipulability": "its base moves every frame in all directions; torchdq.floating.jacobian has the joints' columns",
-    "operational_space": _NO_MOTOR,
-    "inverse_kinematics_step": "its base alone reaches every pose",
-    "inverse_kinematics_newton": "its base alone reaches every pose",
-    "differential_inverse_kinematics": _NO_MOTOR,
-}
-_OF_AXES = {  # third option: axes of a frame
-    *("operational_space", "contact_force", "inverse_kinematics_newton", "differential_inverse_kinematics"),
-}
-# arguments that a result is differentiated by
-DERIVATIVES = {"inverse_dynamics_jacobian": ("q", "qd"), "coriolis_matrix": ("V_WB_B", "qd")}
 
 
 class _Call(NamedTuple):
@@ -151,7 +182,8 @@ class _Call(NamedTuple):
     constants: Constants
     name: str
     options: tuple[str, ...] = ()  # of a control law: gains that are one number for all of their axes
-    written: tuple[Any, ...] = ()  # class and fields of a control law, which has the recipe; (): that of the catalogue
+    form: tuple[Any, ...] = ()  # class and fields of a control law, which has the recipe; (): that of the catalogue
+    motors: Any = None  # friction and offset of a layer (`torchdq.effects.resistance.Templates`), which has more fields
 
 
 class Function(_Call, Computation):
@@ -160,7 +192,7 @@ class Function(_Call, Computation):
     @property
     def law(self) -> Any:
         """Control law; None: the function is in the catalogue."""
-        return self.written[0].found(self.constants, *self.written) if self.written else None
+        return self.form[0].found(self.constants, *self.form) if self.form else None
 
     @property
     def recipe(self) -> Recipe:
@@ -172,39 +204,51 @@ class Function(_Call, Computation):
         """Sizes of axes, by name; see `Robot.sizes`."""
         fields = self.constants.fields
         n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
-        axes = {"axes": len(rows_of(self.options[2]))} if self.name in _OF_AXES else {}
-        axes["frames"] = len(self.options) - 1  # of "external_wrenches"
-        return {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating), **axes}
+        axes = len(rows_of(self.options[2])) if self._of_axes else 0
+        found = {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating), "axes": axes}
+        return {**found, "frames": len(self.options) - 1}  # of "external_wrenches"
+
+    @property
+    def _of_axes(self) -> bool:
+        """True if it is about some axes of a frame."""
+        return self.recipe.options[:3] == TASK
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an argument, or of a tensor of the robot."""
-        recipe = self.recipe
-        if name in recipe.single and name in self.options:
-            return ()
-        known = {argument: axes for argument, axes, _ in recipe.arguments}
-        return trailing({**known, **SHAPES}[name], self.sizes)
+        field = self._field(name)
+        if field is None:
+            return trailing(SHAPES[name], self.sizes)
+        return () if field.kind == "parameter" and name in self.options else trailing(field.axes, self.sizes)
+
+    def _field(self, name: str) -> Field | None:
+        """Field of an argument; None: it is a tensor of the robot."""
+        known = (*self.recipe.arguments, *([] if self.motors is None else self.motors.fields()))
+        return next((field for field in known if field.name == name and name not in SHAPES), None)
 
     def shared(self, name: str) -> bool:
-        """True for a tensor of the robot, a gain that is one number, and what all samples have in common."""
-        return name in SHAPES or name in self.recipe.shared or not self.axes(name)
+        """True for a tensor of the robot, a parameter of a layer, one number, and what all samples have in common."""
+        field = self._field(name)
+        if field is None or field.kind == "shared" or not self.axes(name):
+            return True
+        return self.motors is not None and field.kind == "parameter"
 
     def label(self, name: str) -> str:
         """Name of a tensor in error messages."""
-        return f"robot.{name}" if name in SHAPES else name
+        return f"robot.{name}" if name in SHAPES else name.rpartition(".")[2]
 
     def subject(self) -> str:
         """Text about the robot after a shape in error messages."""
         task = "" if self.law is None else self.law.subject()
-        if self.name in _OF_AXES:
+        if self._of_axes:
             task = f"{self.sizes['axes']} axes of frame {self.options[0]!r} and "
         return f" for {task}the {self.sizes['n']} joints of robot {self.constants.fields['name']!r}"
 
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise unless all required arguments are present."""
         self.require_base()
-        for name, _, optional in self.recipe.arguments:
-            if not optional:
-                require_tensor(name, tensors.get(name))
+        for field in self.recipe.arguments:
+            if not field.optional:
+                require_tensor(field.name, tensors.get(field.name))
         first = next(iter(tensors.values()))
         if not first.is_meta and self.constants.without_values:
             raise ArgumentError(
@@ -215,13 +259,13 @@ class Function(_Call, Computation):
     def require_base(self) -> None:
         """Raise unless the base of the robot is fixed, or floating, as the function has it."""
         fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
-        if self.written:  # a law says by itself which base it takes
+        if self.form:  # a law says by itself which base it takes
             return
         if (fields["base_mass"] is not None) != (plain != self.name):
             if FLOATING + plain not in RECIPES:
                 raise ArgumentError(
                     f"robot {fields['name']!r} has a floating base, which {plain.removesuffix('_step')} does not take: "
-                    f"{_FIXED_ONLY[plain]}; load it with base='fixed' for the joints alone"
+                    f"{RECIPES[plain].fixed_only}; load it with base='fixed' for the joints alone"
                 )
             fixed = plain != self.name
             kind, other, way = ("fixed", "floating", "torchdq") if fixed else ("floating", "fixed", "torchdq.floating")
@@ -235,6 +279,8 @@ class Function(_Call, Computation):
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the function, cached."""
+        if self.motors is not None:
+            return self.motors.program(self._replace(motors=None), arguments)
         return _program(self, arguments)
 
 
@@ -263,7 +309,7 @@ def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
 
     known = recipe.formulas if recipe.each else alternatives_to_record(robot.n, recipe.formulas)
     best = min(map(by, known), key=lambda p: p.count().total)
-    wrt = [k for k, a in enumerate(taken) if a.name in DERIVATIVES.get(what.name.removeprefix(FLOATING), ())]
+    wrt = [k for k, a in enumerate(taken) if a.name in recipe.wrt]
     if what.name.endswith("coriolis_matrix"):
         return _square(derive.jacobian(best, wrt), arguments, sum(taken[k].width for k in wrt))
     return derive.jacobian(best, wrt) if wrt else best

@@ -348,20 +348,9 @@ def compile(
     what = Function(constants(robot), function, options_of(robot, function, options))
     what.require_base()
     parameters = {name: getattr(robot, name) for name in tensors_of(robot)}
-    taken = [Argument(name, math.prod(what.axes(name))) for name in _present(function, arguments)]
+    present = RECIPES[function].present(function, arguments)
+    taken = [Argument(field.name, math.prod(what.axes(field.name))) for field in present]
     taken += [Argument(name, math.prod(what.axes(name)), x.ndim == len(SHAPES[name])) for name, x in parameters.items()]
     recorded = what.program(tuple(taken))
     found = _ready(recorded, dtype_of("dtype", dtype), what.results(recorded))
     return replace(found, about=heading(function, robot.name, robot.joint_names), examples=parameters)
-
-
-def _present(function: str, arguments: Sequence[str] | None) -> list[str]:
-    """Arguments of a function that calls will pass, in its order; None: all but the wrenches."""
-    known = {name: optional for name, _, optional in RECIPES[function].arguments}
-    if arguments is None:
-        return [name for name in known if name not in ("f_tip", "f_ext", "f_base")]
-    present = names_of("arguments", arguments, known, f"argument of {function}")
-    for name, optional in known.items():
-        if not (optional or name in present):
-            raise ArgumentError(f"arguments of {function!r} must hold {name!r}, found {list(present)}; add it")
-    return [name for name in known if name in present]

@@ -152,7 +152,7 @@ def newton(x: RecipeInputs, *options: str) -> Results:
     return {"e": task.of(e), "P": [a for row in zip(*columns, strict=True) for a in row]}
 
 
-def differential(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: str) -> Results:
+def differential(x: RecipeInputs, name: str, expressed: str, axes: str, bounded: str) -> Results:
     """Joint velocities of a share of a twist, and that share.
 
     Joints that stand at a limit and would leave it are held, twice, and the others take over.
@@ -161,7 +161,7 @@ def differential(x: RecipeInputs, name: str, expressed: str, axes: str, *marks: 
     J = task_of(x, name, expressed, axes).jacobian(x.posed())
     rooms: list[tuple[Number, Number]] = []
     for a, (lower, upper), v in zip(q, ranges(x.robot), x.robot.limits.velocity.tolist(), strict=True):
-        fastest = v if v > 0 and "bounded" in marks else math.inf
+        fastest = v if v > 0 and bounded else math.inf
         near = (math.inf, math.inf) if dt is None else [maximum(r, 0.0) / dt[0] for r in (a - lower, upper - a)]
         rooms.append((minimum(fastest, near[0]), minimum(fastest, near[1])))
     held: list[Number] = [0.0] * len(q)

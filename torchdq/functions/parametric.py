@@ -17,9 +17,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import is_number, require_tensor
+from torchdq.base.checks import Interval, is_number, require, require_tensor
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
+from torchdq.functions.signature import Field, declared
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.fields import trailing
@@ -46,11 +47,20 @@ TENSOR = _Placeholder()
 class Parametric:
     """Base of objects whose parameters are constants or arguments of programs."""
 
+    PARAMETERS: ClassVar[Mapping[str, Field]] = {}  # those that the class declares, by name
+    OPTIONS: ClassVar[Mapping[str, Field]] = {}
     SHAPES: ClassVar[Shapes] = {}  # trailing axes of each parameter
-    SIGNED: ClassVar[frozenset[str]] = frozenset()  # parameters that may be negative
-    UNBOUNDED: ClassVar[frozenset[str]] = frozenset()  # parameters that may be infinite
-    DIVIDING: ClassVar[frozenset[str]] = frozenset()  # parameters that must not be zero
     DESCRIBED: ClassVar[Mapping[str, str]] = {}  # attribute of the robot that replaces None
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        own = declared(cls)
+        whole = {**own, **{name: x for name, x in {**cls.PARAMETERS, **cls.OPTIONS}.items() if name not in own}}
+        cls.PARAMETERS = {name: field for name, field in whole.items() if field.kind == "parameter"}
+        cls.OPTIONS = {name: field for name, field in whole.items() if field.kind == "option"}
+        cls.DESCRIBED = {name: field.described for name, field in cls.PARAMETERS.items() if field.described}
+        if not isinstance(cls.SHAPES, property):  # which depends on the axes of a frame
+            cls.SHAPES = {name: field.axes for name, field in cls.PARAMETERS.items()}
 
     def missing(self) -> dict[str, str]:
         """Parameters that are None, with the attributes of the robot that replace them."""
@@ -67,18 +77,30 @@ class Parametric:
 
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot: described and checked, every parameter a tuple of floats, a float, or a tensor."""
+        self.require_options()
         whole = self.described(robot)
         for entry in fields(whole):
             value = getattr(whole, entry.name)
             if entry.name not in whole.SHAPES and isinstance(value, dict | list | set | np.ndarray | Tensor):
                 raise ArgumentError(
                     f"{entry.name} of {type(self).__name__} is a {type(value).__name__}, which can change after it was "
-                    "recorded; use a number or a tuple, or name a tensor in SHAPES"
+                    "recorded; use a number or a tuple, or declare it by `parameter`"
                 )
         return replace(whole, **{name: whole._checked(name, getattr(whole, name), robot) for name in whole.SHAPES})
 
+    @classmethod
+    def interval(cls, name: str) -> Interval:
+        """Interval of the numbers of a parameter."""
+        found: Any = cls.PARAMETERS[name].check
+        return found
+
+    def require_options(self) -> None:
+        """Raise unless the options are what they may be."""
+        for name, field in self.OPTIONS.items():
+            require(f"{name} of {type(self).__name__}", getattr(self, name), field.check)
+
     def _checked(self, name: str, value: Any, robot: Robot) -> Any:
-        what = f"{name} of {type(self).__name__}"
+        what, check = f"{name} of {type(self).__name__}", self.interval(name)
         axes = self.SHAPES[name]
         shape = trailing(axes, robot.sizes)
         size = math.prod(shape)
@@ -98,7 +120,8 @@ class Parametric:
             if shape and value.shape[-1] not in ((1, size) if per_joint else (size,)):
                 raise ArgumentError(f"{what} must have the shape [..., {size}], found {tuple(value.shape)}")
             if value.numel() and not without_values((value,)):
-                self._check_values(name, torch.stack(value.detach().aminmax()).tolist())
+                for x in torch.stack(value.detach().aminmax()).tolist():
+                    require(what, x, check)
             return value.expand((*value.shape[: value.ndim - len(shape)], *shape))
         value = value.tolist() if isinstance(value, np.ndarray) else value
         given = value if isinstance(value, Sequence) and not isinstance(value, str | bytes) else [value] * size
@@ -106,26 +129,16 @@ class Parametric:
             raise ArgumentError(f"{what} must be a number, {size} numbers or a tensor, found {value!r}")
         if len(given) != size:
             raise ArgumentError(f"{what} must be one number or {size}, found {len(given)}")
-        numbers = [float(x) for x in given]
-        self._check_values(name, numbers)
-        return tuple(numbers) if shape else numbers[0]
-
-    def _check_values(self, name: str, numbers: Sequence[float]) -> None:
-        """Raise unless these values are allowed for a parameter; the extreme values of a tensor suffice."""
-        what = f"{name} of {type(self).__name__}"
-        for x in numbers:
-            if math.isnan(x) or (math.isinf(x) and name not in self.UNBOUNDED):
-                raise ArgumentError(f"{what} must be finite, found {x}")
-            if x < 0 and name not in self.SIGNED:
-                raise ArgumentError(f"{what} must not be negative, found {x}")
-            if x == 0 and name in self.DIVIDING:
-                raise ArgumentError(f"{what} must be positive, found 0; the law divides by it")
+        for x in given:
+            require(what, float(x), check)
+        return tuple(map(float, given)) if shape else float(given[0])
 
     def idle(self) -> tuple[str, ...]:
         """Parameters from the description, if all are constants without effect: zeros, or absent limits."""
 
         def none(name: str, row: Any) -> bool:
-            return isinstance(row, tuple) and all(math.isinf(x) if name in self.UNBOUNDED else x == 0 for x in row)
+            limit = self.interval(name).infinite
+            return isinstance(row, tuple) and all(math.isinf(x) if limit else x == 0 for x in row)
 
         return tuple(self.DESCRIBED) if all(none(name, getattr(self, name)) for name in self.DESCRIBED) else ()
 

@@ -9,11 +9,13 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
+from torchdq.base.checks import OneOf, names_of
 from torchdq.dynamics.coupling import Coupled
 from torchdq.dynamics.general.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
-from torchdq.errors import SingularInertiaError
+from torchdq.errors import ArgumentError, SingularInertiaError
 from torchdq.functions.posed import GEOMETRY, Massless, Overrides, as_screw, frame, posed
+from torchdq.functions.signature import Field
 from torchdq.program.program import Value
 from torchdq.robot.fields import BODIES, Axes
 from torchdq.robot.robot import Robot
@@ -93,31 +95,46 @@ def alternatives_to_record(n: int, known: Sequence[Alternative]) -> Sequence[Alt
     return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
 
 
-ArgumentSpec = tuple[str, Axes, bool]  # name, trailing axes, whether it may be absent
-
-
 class Recipe(NamedTuple):
-    """Public function: its arguments, its candidate formulas, and the shapes of its results."""
+    """Public function: what it takes, its candidate formulas, and the shapes of its results."""
 
-    arguments: tuple[ArgumentSpec, ...]
+    fields: tuple[Field, ...]
     # candidate formulas; the one with the fewest operations for the robot becomes the program
     formulas: tuple[Callable[..., Results], ...]
     results: Callable[..., tuple[Axes, ...]]  # trailing axes of the results, from the options
     each: bool = False  # whether all candidates are recorded, whatever the number of joints
-    single: tuple[str, ...] = ()  # arguments that are one number for all joints if they are among the options
-    shared: tuple[str, ...] = ()  # arguments that are one row for all samples
+    wrt: tuple[str, ...] = ()  # arguments that the result of the formula is differentiated by
+    fixed_only: str = ""  # reason why it has no form for a floating base; "": it may have one
+
+    @property
+    def arguments(self) -> tuple[Field, ...]:
+        """Fields that are tensors."""
+        return tuple([field for field in self.fields if field.kind != "option"])
+
+    @property
+    def options(self) -> tuple[Field, ...]:
+        """Fields that are names, on which the program depends."""
+        return tuple([field for field in self.fields if field.kind == "option"])
+
+    def present(self, function: str, names: Sequence[str] | None) -> list[Field]:
+        """Arguments that calls will pass, in order, those that are named; None: all but the wrenches."""
+        usual = [name for name in self.names if name not in ("f_tip", "f_ext", "f_base")]
+        present = names_of("arguments", usual if names is None else names, self.names, f"argument of {function}")
+        for field in self.arguments:
+            if not (field.optional or field.name in present):
+                raise ArgumentError(
+                    f"arguments of {function!r} must hold {field.name!r}, found {list(present)}; add it"
+                )
+        return [field for field in self.arguments if field.name in present]
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the arguments."""
-        return tuple([name for name, _, _ in self.arguments])
+        return tuple([field.name for field in self.arguments])
 
 
-def joints(*names: str) -> tuple[ArgumentSpec, ...]:
-    """Arguments with a number per coordinate, which may not be absent."""
-    return tuple((name, ("n",), False) for name in names)
-
-
-WRENCHES: tuple[ArgumentSpec, ...] = (("f_tip", (6,), True), ("f_ext", ("links", 6), True))
-BASE_WRENCH: tuple[ArgumentSpec, ...] = (("f_base", (6,), True),)
-RATES: tuple[ArgumentSpec, ...] = (("qd", ("n",), True), ("qdd", ("n",), True))
+WRENCHES = (Field("f_tip", (6,), optional=True), Field("f_ext", ("links", 6), optional=True))
+TIP = "the tip"  # default of a frame
+FRAME = Field("frame", kind="option", default=TIP)
+EXPRESSED = Field("expressed", kind="option", check=OneOf(("body", "world")), default="body")
+TASK = (FRAME, EXPRESSED, Field("axes", kind="option", default="pose"))

@@ -96,7 +96,7 @@ class Control(RobotModule):
         self._own = own
         held: dict[str, Any] = dict.fromkeys(own, TENSOR)
         self.law = replace(whole, **held)
-        self._axes, self._written = self.law.SHAPES, self.law.written(own)
+        self._axes, self._written = self.law.SHAPES, self.law.form(own)
         for name in own:
             given = getattr(law, name)
             single = given.ndim == 0 if isinstance(given, Tensor) else is_number(given)

@@ -5,9 +5,11 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
+from torchdq.base.checks import require
 from torchdq.effects.friction import Friction
 from torchdq.floating import Accelerations, Forces
-from torchdq.functions.call import Precision, check_precision
+from torchdq.functions.call import PRECISION, Precision
+from torchdq.functions.signature import Field
 from torchdq.layers.robot_module import RobotModule
 from torchdq.robot import Robot
 
@@ -71,6 +73,8 @@ class DQRNEA(InverseDynamics):
 class _Solved(RobotModule):
     """Layer that solves for accelerations, in a precision."""
 
+    OPTIONS = {**RobotModule.OPTIONS, "precision": Field("precision", kind="option", check=PRECISION)}  # noqa: RUF012
+
     def __init__(
         self,
         robot: Robot,
@@ -81,7 +85,8 @@ class _Solved(RobotModule):
         friction: Sequence[Friction] = (),
     ):
         super().__init__(robot, learn, backend, sign_width, friction)
-        self.precision = check_precision(precision)
+        require("precision", precision, PRECISION)
+        self.precision = precision
 
 
 class ForwardDynamics(_Solved):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -47,8 +48,8 @@ class LayerFriction(NamedTuple):
     def constraint(self, quantity: str) -> type[Positive | Fraction] | None:
         """Parametrisation of a learned quantity; None: it may have any value."""
         k, parameter = self.learned[quantity]
-        effect = self.effects[k]
-        return Fraction if parameter in effect.FRACTIONS else None if parameter in effect.SIGNED else Positive
+        check = self.effects[k].interval(parameter)
+        return Fraction if check.below < math.inf else None if check.signed else Positive
 
 
 def layer_friction(robot: Robot, effects: Sequence[Friction], learn: bool, width: float) -> LayerFriction:

@@ -1,20 +1,18 @@
-"""Program of a layer, which it runs and exports: a function of rigid bodies, with friction and offset of the motors."""
+"""Program of a layer to export: a function of rigid bodies, with friction and offset of the motors."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.backends.call import Computation
-from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import names_of, require_choice
 from torchdq.effects.friction import Friction
-from torchdq.effects.resistance import Templates, loads, torques
+from torchdq.effects.resistance import with_motors
 from torchdq.effects.steady import lines
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import constants as constants_of
@@ -22,104 +20,13 @@ from torchdq.export.meaning import heading, part
 from torchdq.functions.catalogue import Function
 from torchdq.functions.parametric import TENSOR
 from torchdq.layers.layer_friction import LayerFriction
-from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
+from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
-from torchdq.robot.constants import Constants
-from torchdq.robot.fields import SHAPES, trailing
+from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments, constants
 
 Parameters = Literal["constants", "arguments"]
 WRENCHES = ("f_tip", "f_ext", "f_base")
-
-
-class _LayerFields(NamedTuple):
-    """Fields of `LayerFunction`."""
-
-    constants: Constants
-    name: str
-    options: tuple[str, ...]
-    written: tuple[Any, ...]
-    friction: Templates
-
-
-class LayerFunction(_LayerFields, Computation):
-    """Function of rigid bodies with friction and offset, as a computation of `torchdq.backends.call`.
-
-    Tensors of friction are named after the position of their effect, "0.coefficient"; the offset is "offset".
-    """
-
-    @property
-    def rigid(self) -> Function:
-        """Function without friction and offset."""
-        return Function(*self[:-1])
-
-    def axes(self, name: str) -> tuple[int, ...]:
-        """Trailing axes of an argument or a parameter."""
-        owner, dot, parameter = name.partition(".")
-        if dot:
-            return trailing(self.friction.effects[int(owner)].SHAPES[parameter], self.rigid.sizes)
-        return (self.rigid.sizes["n"],) if name == "offset" else self.rigid.axes(name)
-
-    def shared(self, name: str) -> bool:
-        """True for parameters."""
-        law = () if self.rigid.law is None else self.rigid.law.SHAPES
-        return "." in name or name == "offset" or name in law or self.rigid.shared(name)
-
-    def label(self, name: str) -> str:
-        """Name of a tensor in error messages."""
-        return name.partition(".")[2] or self.rigid.label(name)
-
-    def subject(self) -> str:
-        """Text about the robot after a shape in error messages."""
-        return self.rigid.subject()
-
-    def check(self, tensors: Mapping[str, Tensor]) -> None:
-        """Raise unless all required arguments are present."""
-        self.rigid.check(tensors)
-
-    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
-        """Trailing axes of the results."""
-        return self.rigid.results(program)
-
-    def program(self, arguments: tuple[Argument, ...]) -> Program:
-        """Program of the layer, recorded once."""
-        return _program(self, arguments)
-
-
-@remembered(PROGRAMS)
-def _program(what: LayerFunction, arguments: tuple[Argument, ...]) -> Program:
-    rigid = what.rigid.program(tuple([a for a in arguments if "." not in a.name and a.name != "offset"]))
-    if len(rigid.arguments) == len(arguments) and not what.friction.effects:
-        return rigid
-
-    def algorithm(*rows: Sequence[Number]) -> Mapping[str, Sequence[Number]]:
-        named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
-        return with_motors(rigid, named, what.friction.bound(named))
-
-    return record(rigid.name, arguments, algorithm)
-
-
-def with_motors(
-    rigid: Program, given: Mapping[str, Sequence[Number]], effects: Sequence[Friction]
-) -> Mapping[str, Sequence[Number]]:
-    """Results of a program with the torques of the motors, which overcome friction and hold the offset.
-
-    Args:
-        rigid: program that takes or returns the torques of the rigid bodies, "tau".
-        given: its arguments, and "offset" if there is one.
-        effects: the friction, its tensors being numbers.
-    """
-    named, q = dict(given), given["q"]
-    qd, offset = given.get("qd", (0.0,) * len(q)), given.get("offset", (0.0,) * len(q))
-    if "tau" in named:
-        net = [tau - t for tau, t in zip(named["tau"], offset, strict=True)]
-        named["tau"] = loads(effects, q, qd, net)
-    values = replay(rigid, [named[a.name] for a in rigid.arguments])
-    found = results(rigid, values)
-    if "tau" in found:
-        friction = torques(effects, q, qd, found["tau"], {})
-        found["tau"] = [tau + (t + c) for tau, t, c in zip(found["tau"], friction, offset, strict=True)]
-    return {**found, GROWTH: growths(rigid, values)}
 
 
 def program(
@@ -143,7 +50,7 @@ def program(
         friction: the layer's.
     """
     require_choice("parameters", parameters, ("constants", "arguments"))
-    known = [name for name, _, _ in what.recipe.arguments]
+    known = what.recipe.names
     wanted = names_of("wrenches", wrenches, [name for name in known if name in WRENCHES], f"wrench of {what.name}")
     if parameters == "constants":
         robot, learned = robot.bake(), ()

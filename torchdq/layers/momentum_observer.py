@@ -16,9 +16,8 @@ from torchdq.backends.call import common_batch
 from torchdq.base.checks import require_number, require_object, require_tensor
 from torchdq.dynamics.observer import step
 from torchdq.errors import ArgumentError
-from torchdq.functions.call import function_of, gain
+from torchdq.functions.call import gain, with_options
 from torchdq.functions.catalogue import Function
-from torchdq.functions.options import axes_of, options_of
 from torchdq.layers import layer_program
 from torchdq.layers.dynamics import InverseDynamics
 from torchdq.layers.layer_friction import described
@@ -185,9 +184,8 @@ class MomentumObserver(nn.Module):
         >>> [round(x, 3) for x in (*F.tolist(), *part.tolist())]  # a straight arm shows no force along itself
         [0.0, 1.0, 0.0, 0.0, 1.0, 0.0]
         """
-        names = options_of(self.robot, "contact_force", (frame or "", expressed, axes_of(axes)))
         given = {"q": q, "r": r, "damping": gain("damping", damping, q)}
-        F, part = function_of("contact_force", self.robot, given, self.model.backend, names)
+        F, part = with_options("contact_force", self.robot, given, self.model.backend, frame, expressed, axes)
         return F, part
 
     def program(self) -> Program:

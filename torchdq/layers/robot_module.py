@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NoReturn, get_args
+from typing import Any, ClassVar, NoReturn, get_args
 
 import torch
 from torch import Tensor, nn
@@ -11,14 +11,15 @@ from torch.nn.utils import parametrize
 
 from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import require_choice, require_number, require_tensor
+from torchdq.base.checks import POSITIVE, OneOf, require, require_tensor
 from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import friction
 from torchdq.errors import ArgumentError, nearest
 from torchdq.functions.call import Precision, function_of, with_tensors
 from torchdq.functions.catalogue import FLOATING, Function
+from torchdq.functions.signature import Field
 from torchdq.layers.layer_friction import layer_friction
-from torchdq.layers.layer_program import LayerFunction, Parameters, program
+from torchdq.layers.layer_program import Parameters, program
 from torchdq.layers.parametrizations import PhysicalInertia, Positive, restored
 from torchdq.program.program import Program
 from torchdq.robot import Robot
@@ -50,6 +51,10 @@ class RobotModule(nn.Module):
     offset: Tensor  # [n], if it is learned
     _function = ""  # in the catalogue, without friction and offset
     precision: Precision = "auto"
+    OPTIONS: ClassVar[Mapping[str, Field]] = {
+        "sign_width": Field("sign_width", kind="option", check=POSITIVE),
+        "backend": Field("backend", kind="option", check=OneOf((None, *get_args(BackendName)))),
+    }
 
     def __init__(
         self,
@@ -60,8 +65,8 @@ class RobotModule(nn.Module):
         friction: Sequence[Friction] = (),
     ):
         super().__init__()
-        require_number("sign_width", sign_width, positive=True)
-        require_choice("backend", backend, (None, *get_args(BackendName)))
+        for name, x in {"sign_width": sign_width, "backend": backend}.items():
+            require(name, x, self.OPTIONS[name].check)
         if require_robot(robot).floating != self._function.startswith(FLOATING):
             kind, found, cure = ("fixed", "floating", "torchdq.nn.FloatingInverseDynamics or FloatingForwardDynamics")
             if not robot.floating:
@@ -159,7 +164,7 @@ class RobotModule(nn.Module):
         if self._rigid:
             return function_of(function, robot, inputs, self.backend, (), self.precision)
         own, _ = self._own_quantities()
-        what = LayerFunction(*self._computation(function), friction.fixed.templates)
+        what = Function(*self._computation(function)[:-1], friction.fixed.templates)
         parameters = {name: x for name, x in own.items() if name not in friction.learned}
         given = {**with_tensors(robot, inputs), **friction.parts(own).tensors, **parameters}
         return list(evaluate(what, given, self.backend, self.precision == "double").values())

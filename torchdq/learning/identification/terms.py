@@ -67,7 +67,7 @@ class Term(NamedTuple):
     @property
     def fraction(self) -> bool:
         """Whether the number is below one."""
-        return self.law is not None and self.parameter in self.law.FRACTIONS
+        return self.law is not None and self.law.interval(self.parameter).below == 1.0
 
     def size(self, unit: Tensor, torque: Tensor, identifiable: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
@@ -172,7 +172,7 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
     """Term of one parameter of an effect: a known one if it has that law, or one like it."""
     name = type(law).__name__
     own = {key: getattr(law, key) for key in law.SHAPES if key not in (*law.LINEAR, "warming")}
-    alike = Term(f"{name.lower()} {parameter}", ("", ""), parameter=parameter, signed=parameter in law.SIGNED)
+    alike = Term(f"{name.lower()} {parameter}", ("", ""), parameter=parameter, signed=law.interval(parameter).signed)
     # first, since saturating friction may have the same width; and last, since it is like all dry friction
     for term in (COULOMB, *reversed(SHAPES), COULOMB, VISCOUS):
         known = term.effect(width)

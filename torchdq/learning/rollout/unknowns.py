@@ -233,7 +233,7 @@ def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> Itera
         inputs = [x.inputs(scene.n) for x in (part, replace(part, **{name: value})) if isinstance(x, Effect)]
         if inputs[:1] == inputs[1:]:
             body = (name, axes) in (("inertia", (6,)), ("com", (3,)))
-            kind = name if body else "" if name in part.SIGNED else "mass"
+            kind = name if body else "" if part.interval(name).signed else "mass"
             labels = robot.joint_names if axes == ("n",) else robot.link_names if axes == ("links",) else ()
             yield _unknown(f"{title}.{name}", f"{owner}.{name}", value, kind, np.arange(value.numel()), labels)
 
