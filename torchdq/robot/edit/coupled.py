@@ -143,11 +143,9 @@ def _matrix(robot: RobotModel, S: Any, names: Sequence[str] | None) -> tuple[Ten
     """Factors [n, coordinates], and names of the coordinates."""
     factors = numbers("S", S, ArgumentError)
     factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1, error=ArgumentError)
-    count, expected = factors.shape[1], "different names, one for each column of S"
-    found = words("names", names, count, expected, ArgumentError)
-    if len(set(found)) != count:
-        raise ArgumentError(f"names must be {count} {expected}, found {found}")
-    return factors, found
+    count = factors.shape[1]
+    entries = "entry" if count == 1 else "different entries"
+    return factors, words("names", names, count, f"{entries}, one per column of S", ArgumentError, distinct=True)
 
 
 def _require_absent(

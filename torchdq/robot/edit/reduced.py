@@ -13,7 +13,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import IDENTITY
-from torchdq.robot.edit.locking import lock_notes, positions, require_free, warn_beyond_limits
+from torchdq.robot.edit.locking import lock_notes, positions, require_free
 from torchdq.robot.edit.rebuilt import rebuilt
 from torchdq.robot.fields import BASE_BODY
 from torchdq.robot.model import AnyRobot, RobotModel, batches, factors, followed, sum_of
@@ -58,8 +58,7 @@ def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> An
     lower, upper = (x.reshape(-1, robot.n) for x in robot.limits[:2])  # the narrowest, if robots differ
     ranges = dict(zip(robot.joint_names, zip(lower.amax(0).tolist(), upper.amin(0).tolist(), strict=True), strict=True))
     limits = {name: ranges[name] for name in at}
-    warn_beyond_limits(robot.name, given, limits, stacklevel=2)
-    changes: dict[str, Any] = {"notes": (*robot.notes, *lock_notes(stand, limits))}
+    changes: dict[str, Any] = {"notes": (*robot.notes, *lock_notes(robot.name, given, stand, limits, stacklevel=2))}
     if (shift := placed[links]).any():
         changes["home"] = (0.0 if robot.home is None else robot.home[links]) - shift
     return rebuilt(robot, places, links, coordinates, **changes)

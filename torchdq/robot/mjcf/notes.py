@@ -122,7 +122,7 @@ def _unsimulated(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Fol
 def _ignored(
     of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], bodies: ModelLinks, falls: bool
 ) -> list[Finding]:
-    """Warnings of what changes the accelerations in MuJoCo and not here."""
+    """Warnings about ignored elements that affect MuJoCo's dynamics."""
     m = of.model
     free = [joint for joint in joints if joint.kind == FREE and moves[joint.row].leader is not None]
     inherited = (
@@ -150,16 +150,14 @@ def _ignored(
 
 
 def _open(others: Sequence[Equality], bodies: ModelLinks) -> list[Finding]:
-    """Warnings of equality constraints that are left open; those of bodies on one link hold anyway."""
+    """Warnings about ignored equality constraints; those between bodies on one link hold anyway."""
     found = []
     for name, ends, of, disabled in others:
         if disabled:
             found.append(note(f"{UNSIMULATED}equality", [name], "disabled by a flag of the file, not used"))
         elif len({bodies.of.places[i][0] for i in of}) != 1:
-            what = f"it is left open, so that {ends} move apart"
-            cure = (
-                "closed loops are not simulated, only linear couplings of joints: write it as one, or lock its joints"
-            )
+            what = f"it is ignored, so that {ends} move apart: kinematic loops are not supported"
+            cure = "write it as a linear coupling of joints, or lock its joints"
             found.append(Finding(f"{UNSIMULATED}equality", name, what, cure=cure))
     return found
 
