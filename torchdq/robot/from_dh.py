@@ -57,7 +57,7 @@ def read(
             if abs(angle) > TURN:
                 found = f"found {angle:g} in row {i + 1}, more than a whole turn"
                 raise DescriptionError(f"{what} must be in radians, {found}; multiply degrees by pi/180")
-    types = ("revolute",) * n if kinds is None else words("kinds", kinds, n, "entries 'revolute' or 'prismatic'")
+    types = ("revolute",) * n if kinds is None else words("kinds", kinds, n, ", 'revolute' or 'prismatic'")
     if not set(types) <= {"revolute", "prismatic"}:
         raise DescriptionError(f"kinds must be 'revolute' or 'prismatic', found {types}")
     if not isinstance(convention, str) or convention not in ("standard", "modified"):

@@ -144,8 +144,7 @@ def _matrix(robot: RobotModel, S: Any, names: Sequence[str] | None) -> tuple[Ten
     factors = numbers("S", S, ArgumentError)
     factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1, error=ArgumentError)
     count = factors.shape[1]
-    entries = "entry" if count == 1 else "different entries"
-    return factors, words("names", names, count, f"{entries}, one per column of S", ArgumentError, distinct=True)
+    return factors, words("names", names, count, ", one per column of S", ArgumentError, distinct=True)
 
 
 def _require_absent(

@@ -65,14 +65,9 @@ def lock_notes(
     limits: Mapping[str, tuple[float, float]],
     stacklevel: int,
 ) -> list[Finding]:
-    """Notes about locked joints and those beyond their limits, with a warning of what was asked for.
+    """Notes about locked joints and those beyond their limits, with a warning of what was asked for beyond them.
 
-    Args:
-        robot: name of the robot.
-        asked: positions [rad or m] that were asked for; None, home, was not.
-        stand: positions of all locked joints.
-        limits: limits of joints.
-        stacklevel: as in `warnings.warn`.
+    Positions are in rad or m; None is home, which was not chosen. `stand` has those of all locked joints.
     """
     if beyond := _beyond({name: x for name, x in asked.items() if x is not None}, limits):
         warnings.warn(

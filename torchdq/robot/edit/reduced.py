@@ -40,7 +40,7 @@ def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> An
     require_free(robot.joint_names, given)
     S = factors(robot)
     fixed = [name for name in robot.joint_names if name in given]
-    at = {name: home_of(robot, name) if (x := given[name]) is None else x for name in fixed}
+    at = {name: _home_of(robot, name) if (x := given[name]) is None else x for name in fixed}
     placed = S @ S.new_tensor([at.get(name, 0.0) for name in robot.joint_names])  # by the locked coordinates alone
     coordinates = [k for k, name in enumerate(robot.joint_names) if name not in given]
     own = IDENTITY.to(robot.screw)
@@ -151,10 +151,7 @@ def _require_coordinates(robot: RobotModel, lock: Any) -> None:
             )
 
 
-# --- also for robots that are put together ---------------------------------------------------------------------------
-
-
-def home_of(robot: RobotModel, name: str) -> float:
+def _home_of(robot: RobotModel, name: str) -> float:
     """Position at home [rad or m] of a coordinate: of the joint with its name if it moves that one alone, else zero."""
     if robot.home is None or name not in robot.every_joint:
         return 0.0

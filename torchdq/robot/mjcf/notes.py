@@ -156,7 +156,7 @@ def _open(others: Sequence[Equality], bodies: ModelLinks) -> list[Finding]:
         if disabled:
             found.append(note(f"{UNSIMULATED}equality", [name], "disabled by a flag of the file, not used"))
         elif len({bodies.of.places[i][0] for i in of}) != 1:
-            what = f"it is ignored, so that {ends} move apart: kinematic loops are not supported"
+            what = f"ignored, so that {ends} move apart, because kinematic loops are not supported"
             cure = "write it as a linear coupling of joints, or lock its joints"
             found.append(Finding(f"{UNSIMULATED}equality", name, what, cure=cure))
     return found
