@@ -349,7 +349,6 @@ def _spot(points: np.ndarray) -> np.ndarray:
 
 
 def _pieces(lines: np.ndarray) -> np.ndarray:
-    """Lines [k, lines, 2, 3] cut into pieces."""
     t = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
     cuts = lines[:, :, :1] * (1 - t) + lines[:, :, 1:] * t
     return np.stack([cuts[:, :, :-1], cuts[:, :, 1:]], -2).reshape(len(lines), -1, 2, 3)

@@ -127,15 +127,7 @@ def _unit(X: DualQuaternion) -> DualQuaternion:
 def described(
     name: str, of: Links, moves: Sequence[Follows], free: bool, notes: Sequence[Finding] = ()
 ) -> RobotDescription:
-    """Description of a robot.
-
-    Args:
-        name: its name.
-        of: its links.
-        moves: displacement of every joint, by row.
-        free: whether the base is free.
-        notes: findings of the reader.
-    """
+    """Description of a robot by its links and the displacement of every joint, with the findings of its reader."""
     carrying = [link.joint for link in of.links]
     n, roots = len(carrying), [joint for joint in carrying if moves[joint.row].leader == joint.row]
     following: dict[int | None, list[Any]] = {root.row: [] for root in roots}

@@ -164,7 +164,7 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
         "tip": robot.tip if other.tip is None else start + other.tip,
         "notes": (
             *robot.notes,
-            *(_of(other, x) for x in other.notes),
+            *(x._replace(subject=": ".join(filter(None, (other.name, x.subject)))) for x in other.notes),
             Finding("robot.attached", f"frame {at.name!r}", note, severity="note"),
         ),
         "_arguments": (*known, *(name for name in other._arguments if name not in (*BASE_BODY, "gravity"))),
@@ -173,11 +173,6 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
     # those of the other's links were accepted when it was loaded
     found = [fault for fault in faults.faults(made, ("mass", "inertia")) if fault not in made.notes]
     return made._with(notes=(*made.notes, *found)) if found else made
-
-
-def _of(other: RobotModel, note: Finding) -> Finding:
-    """Note of an attached robot, with its name."""
-    return note._replace(subject=": ".join(filter(None, (other.name, note.subject))))
 
 
 def _joined_names(robot: RobotModel, other: RobotModel, prefix: str) -> dict[str, Any]:

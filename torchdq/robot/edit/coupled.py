@@ -140,7 +140,6 @@ def _by_name(robot: RobotModel, S: Mapping[str, Mapping[str, float]]) -> tuple[T
 
 
 def _matrix(robot: RobotModel, S: Any, names: Sequence[str] | None) -> tuple[Tensor, tuple[str, ...]]:
-    """Factors [n, coordinates], and names of the coordinates."""
     factors = numbers("S", S, ArgumentError)
     factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1, error=ArgumentError)
     count = factors.shape[1]

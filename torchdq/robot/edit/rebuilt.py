@@ -30,14 +30,9 @@ Places = Mapping[
 def rebuilt(
     robot: AnyRobot, places: Places, links: Sequence[int], coordinates: Sequence[int], **changes: Any
 ) -> AnyRobot:
-    """Robot of some of the links and coordinates, and with other fields changed.
+    """Robot of some of the links and coordinates, in order, and with other fields changed.
 
-    Args:
-        robot: the robot.
-        places: place of every link that is kept, or is part of one that is.
-        links: links that are kept, in order.
-        coordinates: coordinates that are kept, in order.
-        changes: other fields.
+    `places` has every link that is kept, or is part of one that is.
     """
     fields: dict[str, Any] = {x.name: getattr(robot, x.name) for x in dataclasses.fields(robot) if x.name[0] != "_"}
     for kept, axes in ((links, PER_LINK), (coordinates, PER_COORDINATE)):

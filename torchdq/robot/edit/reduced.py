@@ -106,13 +106,7 @@ def subchain(robot: AnyRobot, base: str, tip: str) -> AnyRobot:
 
 
 def _coordinates_of(robot: RobotModel, chain: Sequence[int], before: Sequence[int]) -> list[int]:
-    """Coordinates that the joints of a chain follow; raises if one of them belongs to other joints.
-
-    Args:
-        robot: the robot.
-        chain: links of the chain.
-        before: links between the base of the robot and the chain, which would have to stand still.
-    """
+    """Coordinates that the joints of a chain follow; raises if one moves joints before it, or belongs to others."""
     S, known = factors(robot), robot.every_joint
     found = [k for k in range(robot.n) if S[chain, k].any()]
     for k in found:

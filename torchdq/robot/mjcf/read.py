@@ -95,7 +95,6 @@ def _given(joints: Sequence[MjcfJoint], base: Base, asked: Mapping[str, float | 
 def _kept(
     joints: Sequence[MjcfJoint], moves: Sequence[Follows], names: Any, asked: Mapping[str, float | None]
 ) -> list[Follows]:
-    """Displacements of the joints when only those that are named, and those that follow them, move."""
     chosen = to_keep(names, [joint.name for joint in joints if joint.single], asked)
     roots = {moves[joint.row].leader for joint in joints if joint.name in chosen or joint.kind == FREE}
     return [x if x.leader in roots else Follows(None, 0.0, x.offset) for x in moves]

@@ -93,7 +93,6 @@ def _shape(element: ET.Element) -> Shape:
 
 
 def _form(part: Part, tag: str) -> tuple[str, tuple[float, ...]]:
-    """Kind and size of the element of a form."""
     if tag == "box":
         return tag, tuple(0.5 * x for x in part.numbers("size", None, 3, signed=False))
     if tag == "sphere":

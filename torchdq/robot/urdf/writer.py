@@ -125,12 +125,10 @@ class UrdfElements(Elements):
 
 
 def _in_link(inertial: Inertial | None) -> RigidBody:
-    """Body of an <inertial> element in the frame of its link."""
     body, X = body_of(inertial)
     return body.moved(X)
 
 
 def _set_moments(inertial: Any, moments: Six) -> None:
-    """Write the inertia of an <inertial>, in its axes."""
     for entry, x in zip(ENTRIES, moments, strict=True):
         set_in(inertial, "inertia", entry, repr(x))
