@@ -36,10 +36,12 @@ __all__ = ["Painter", "Skeleton", "save_gif"]
 MOST_ARMS = 16  # arms in one image
 PAPER, GROUND, SHADOW, INK = "#f7f8fa", "#eef1f4", "#cfd6de", "#2f4156"
 RULE = "#d9dfe6"  # lines on the ground
-LINK, JOINT, TIP, TARGET = "#7d9fc0", "#f7f8fa", "#f2a541", "#d1344b"
+LINK, TIP, TARGET = "#7d9fc0", "#f2a541", "#d1344b"
 AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # direction of the camera, which is far away [rad]
 PIECES = 6  # pieces of a line, each drawn at its own depth
 RULES = 4  # lines on the ground in a radius of the view
+# nearness at which the ground is drawn, in radii of the view: farther than every robot
+FLOOR, SHADE = -1e3, -1e2
 
 
 def _library(module: str) -> Any:
@@ -57,6 +59,13 @@ def _rows(name: str, x: Any, size: int, most: int | None = None) -> Tensor:
         expected += f" with k from 1 to {most}" if most and most > 1 else ""
         raise ArgumentError(f"{name} must have the shape {expected}, found {tuple(rows.shape)}")
     return rows.reshape(-1, size)
+
+
+def room(robot: Robot) -> tuple[Tensor, Tensor]:
+    """Lower and upper limits [n] of the joints; half a turn or a metre either way where there are none."""
+    free = torch.tensor([math.pi if joint.turns else 1.0 for joint in robot.joint_types], dtype=torch.float64)
+    lower, upper = (x.double() for x in robot.limits[:2])
+    return torch.where(lower.isfinite(), lower, -free), torch.where(upper.isfinite(), upper, free)
 
 
 class Skeleton:
@@ -139,14 +148,17 @@ class Skeleton:
 
         That of a robot with a floating base is around its base, which may turn.
         """
-        free = torch.tensor([math.pi if joint.turns else 1.0 for joint in self.robot.joint_types], dtype=torch.float64)
-        limits = self.robot.limits
-        lower = torch.where(limits.lower.isfinite(), limits.lower, -free)
-        upper = torch.where(limits.upper.isfinite(), limits.upper, free)
+        lower, upper = room(self.robot)
         share = torch.rand(512, self.robot.n, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
         points = self.points(lower + share * (upper - lower)).reshape(-1, 3)
         middle = (points.min(0) + points.max(0)) / 2 * (not self.robot.floating)
         return middle, float(np.linalg.norm(points - middle, axis=-1).max())
+
+    def dots(self, radius: float) -> list[tuple[int, float, str]]:
+        """Point, radius [m] and colour of every joint, end effector and contact point, in a view of this radius [m]."""
+        joints = [(point, 0.0225 * radius, INK) for point in self.joints]
+        tip = [] if self.tip is None else [(self.tip, 0.0325 * radius, TIP)]
+        return [*joints, *tip, *((point, max(r, 0.025 * radius), TIP) for point, r in self.balls)]
 
 
 class Painter:
@@ -203,53 +215,35 @@ class Painter:
         goal = np.full((1, 3), np.nan) if target is None else _rows("target", target, 3, arms).numpy()
         if len(goal) not in (1, arms):
             raise ArgumentError(f"target must have one row or one for each of the {arms} robots, found {len(goal)}")
-        mark = (goal[:, None] - place)[:, :, None].repeat(2, 2)  # [k, 1, 2, 3], a line without length
         lines = points[:, self.skeleton.lines]
-        joints, tips = (
-            points[:, at, None].repeat(2, 2)
-            for at in (self.skeleton.joints, [] if self.skeleton.tip is None else [self.skeleton.tip])
-        )
+        mark = _spot(goal[:, None] - place)
         turn = np.linspace(0.0, 2 * np.pi, 97)
         disc = self.radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
-        ruled = self.skeleton.robot.floating or self.skeleton.balls
-        rules = _rules(self.radius, place) if ruled else np.zeros((arms, 0, 2, 3))
+        disc, *shadows = (_on_ground(self.skeleton.ground, x, place) for x in (disc[None], lines, mark))
+        strokes = [
+            *((x, width, SHADOW, SHADE) for x, width in zip(shadows, (0.06, 0.07), strict=True)),
+            (_pieces(lines), 0.085, INK, -0.06),
+            (_pieces(lines), 0.06, LINK, 0.0),
+        ]
+        if self.skeleton.robot.floating or self.skeleton.balls:
+            strokes.append((_on_ground(self.skeleton.ground, _rules(self.radius, place), place), 0.008, RULE, FLOOR))
+        dots = [(_spot(points[:, [at]]), 2 * r / self.radius, c) for at, r, c in self.skeleton.dots(self.radius)]
+        for spot, width, colour in (*dots, (mark, 0.1, TARGET)):
+            strokes += [(spot, width + 0.025, INK, 0.06), (spot, width, colour, 0.062)]
         self._figure.clear(keep_observers=False)
         self._figure.set_facecolor(PAPER)
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, self.size[0]), ylim=(0, self.size[1]))
         axes.set_axis_off()
-        disc, rules, *shadows = (_on_ground(self.skeleton.ground, x, place) for x in (disc[None], rules, lines, mark))
         axes.add_collection(self._artists.PolyCollection(self.project(disc)[0], facecolor=GROUND), autolim=False)
-        self._draw(axes, [(rules, 0.008, RULE, 0.0)])
-        self._draw(axes, [(x, width, SHADOW, 0.0) for x, width in zip(shadows, (0.06, 0.07), strict=True)])
-        self._draw(
-            axes,
-            [
-                (_pieces(lines), 0.085, INK, -0.06),
-                (_pieces(lines), 0.06, LINK, 0.0),
-                *self._balls(points),
-                (joints, 0.075, INK, 0.06),
-                (joints, 0.045, JOINT, 0.061),
-                (tips, 0.09, INK, 0.06),
-                (tips, 0.065, TIP, 0.062),
-                (mark, 0.1, TARGET, 0.06),
-                (mark, 0.06, JOINT, 0.061),
-                (mark, 0.03, TARGET, 0.062),
-            ],
-        )
+        axes.add_collection(self._drawn(strokes), autolim=False)
         axes.text(
             0.03, 0.97, text or "", va="top", color=INK, size=max(8.0, min(self.size) / 28), transform=axes.transAxes
         )
         self._canvas.draw()
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
-    def _balls(self, points: np.ndarray) -> list[tuple[np.ndarray, float, str, float]]:
-        """Strokes of the contact points."""
-        balls = [(points[:, [at], None].repeat(2, 2), 2 * r / self.radius) for at, r in self.skeleton.balls]
-        inner = [(ball, max(width, 0.05), TIP, 0.062) for ball, width in balls]
-        return [*((ball, width + 0.025, INK, 0.06) for ball, width, *_ in inner), *inner]
-
-    def _draw(self, axes: Any, strokes: Sequence[tuple[np.ndarray, float, str, float]]) -> None:
-        """Draw lines [k, lines, 2, 3] of a width, colour and bias toward the camera, the farthest first.
+    def _drawn(self, strokes: Sequence[tuple[np.ndarray, float, str, float]]) -> Any:
+        """Lines [k, lines, 2, 3] of a width, colour and bias toward the camera, the farthest first.
 
         Widths and biases are in radii of the view.
         """
@@ -258,14 +252,13 @@ class Painter:
         numbers, arms = [ends.shape[1] for ends, *_ in strokes], len(pixels)
         widths, colours, biases = (np.repeat(column, numbers) for column in list(zip(*strokes, strict=True))[1:])
         order = np.argsort((nearness.mean(-1) + biases).ravel(), kind="stable")
-        lines = self._artists.LineCollection(
+        return self._artists.LineCollection(
             pixels.reshape(-1, 2, 2)[order],
             linewidths=np.tile(widths, arms)[order] * scale,
             colors=np.tile(colours, arms)[order],
             capstyle="round",
             snap=False,
         )
-        axes.add_collection(lines, autolim=False)
 
 
 class Viewer:
@@ -294,14 +287,9 @@ class Viewer:
         lines = np.zeros((len(self.skeleton.lines), 2, 3))
         self.links = scene.add_line_segments("/links", lines, colors=_rgb(LINK), thickness=0.05 * radius)
         self._balls = {
-            point: scene.add_icosphere(f"/joints/{point}", radius=0.04 * radius, color=_rgb(INK))
-            for point in self.skeleton.joints
+            point: scene.add_icosphere(f"/points/{point}", radius=r, color=_rgb(colour))
+            for point, r, colour in self.skeleton.dots(radius)
         }
-        if self.skeleton.tip is not None:
-            self._balls[self.skeleton.tip] = scene.add_icosphere("/tip", radius=0.045 * radius, color=_rgb(TIP))
-        for point, r in self.skeleton.balls:
-            r = max(r, 0.025 * radius)
-            self._balls[point] = scene.add_icosphere(f"/contacts/{point}", radius=r, color=_rgb(TIP))
         self.target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
         self.show(torch.zeros(self.skeleton.robot.n))
 
@@ -355,8 +343,12 @@ def _rules(radius: float, place: np.ndarray) -> np.ndarray:
     return _pieces(np.pad(ends, ((0, 0),) * 4 + ((0, 1),)).reshape(len(place), -1, 2, 3))
 
 
+def _spot(points: np.ndarray) -> np.ndarray:
+    """Lines [k, points, 2, 3] without length at points [k, points, 3]."""
+    return points[:, :, None].repeat(2, 2)
+
+
 def _pieces(lines: np.ndarray) -> np.ndarray:
-    """Lines [k, lines, 2, 3] cut into pieces."""
     t = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
     cuts = lines[:, :, :1] * (1 - t) + lines[:, :, 1:] * t
     return np.stack([cuts[:, :, :-1], cuts[:, :, 1:]], -2).reshape(len(lines), -1, 2, 3)

@@ -39,8 +39,8 @@ FLOORS = rows(
 STOREYS = {
     **rows(
         "torchdq.robot",
-        """check.consistency | description | fields | model | tree bodies contact_points | check
-        | edit from_dh from_screws | assembly | urdf mjcf | robot | argument . | shipped""",
+        """check.consistency description | fields | model | tree bodies contact_points | check | edit | assembly
+        | from_dh from_screws urdf mjcf | robot | argument . | shipped""",
     ),
     # parts of a step, the frozen model, many steps, Scene
     **rows("torchdq.scene", "| model | loops describe linearize | rollout | stability | scene | defaults ."),

@@ -75,7 +75,10 @@ def test_what_a_robot_has_no_field_for_is_listed():
         lines = Scene(form, (effects.Gravity(),)).describe(batch=1, seconds=0.0).left_out
         assert [line.removeprefix(start).partition(";")[0].split(": ")[:2] for line in lines] == [
             ["b", "gravcomp ignored"],
-            ["connect 'loop'", "it is left open, so that body 'c' and 'b' move apart"],
+            [
+                "connect 'loop'",
+                "ignored, so that body 'c' and 'b' move apart, because kinematic loops are not supported",
+            ],
             ["j", "springs given but not simulated"],
             ["m", "actuators not simulated"],
             ["geoms", "contacts given but not simulated"],

@@ -40,7 +40,7 @@ def content(
         cause = fault.strerror if isinstance(fault, OSError) and fault.strerror else fault
         raise error(f"the {kind} {_shown(source)} cannot be read: {cause}") from fault
     if len(data) > most:
-        raise error(f"{name} holds more than {most} bytes, the most that a {kind} may have")
+        raise error(f"{name} is larger than {most / 1e6:g} MB, the limit for a {kind}")
     if not data:
         raise error(f"{name} is empty; a {kind} was expected")
     return Content(name, data)

@@ -89,7 +89,6 @@ class RobotCommand(Command):
 
 
 def _read(name: str, options: dict[str, Any]) -> NamedRobot:
-    """Robot of a file."""
     path = Path(name).expanduser()
     if name.endswith(".xacro"):
         return NamedRobot(Robot.from_xacro(name, **options), "xacro", name)

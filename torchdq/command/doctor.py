@@ -120,7 +120,6 @@ def _packages() -> Finding:
 
 
 def _optional() -> Finding:
-    """Optional packages, of which some may be missing."""
     found = {name: machine.version_of(name) for name in OPTIONAL}
     there = ", ".join(f"{name} {version}" for name, version in found.items() if version)
     absent = {name: OPTIONAL[name] for name, version in found.items() if not version}
@@ -154,7 +153,6 @@ def _compiler() -> Finding:
 
 
 def _cache() -> Finding:
-    """Folder of compiled programs, and its size."""
     try:
         folder = cache.directory()
     except BuildError as error:

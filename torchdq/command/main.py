@@ -89,7 +89,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parsed(given: Sequence[str]) -> Command:
-    """Command that the arguments name."""
     if given and not given[0].startswith("-") and given[0] not in COMMANDS:
         meant = "".join(f"did you mean {near!r}? " for near in nearest(given[0], COMMANDS)[:1])
         _say("error", f"there is no command {given[0]!r}; {meant}the commands are {', '.join(COMMANDS)}")

@@ -126,7 +126,6 @@ class SceneCommand(RobotCommand):
         return Outcome(tuple(text), data, bool(failure))
 
     def _series(self, scene: Scene, start: State) -> dict[str, Any]:
-        """Inputs of all steps."""
         steps = max(1, round(self.seconds / self.dt))
         constant = {"torque": per_joint("torque", self.torque, scene.robot)}
         if scene.controller is not None:
@@ -137,7 +136,6 @@ class SceneCommand(RobotCommand):
         return {"steps": steps, **series}
 
     def _write(self, path: Path, states: State, energies: Tensor) -> None:
-        """Write the CSV file; the first row is the start."""
         columns = {"time": self.dt * torch.arange(len(energies), dtype=torch.float64)[:, None]}
         columns |= {name: x for name, x in states.rows().items() if name not in ("memory", "reading")}
         header = ["time"]

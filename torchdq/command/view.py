@@ -11,13 +11,12 @@ import torch
 from torchdq import dq
 from torchdq.command.command import RobotCommand, per_joint
 from torchdq.command.outcome import Outcome
-from torchdq.envs.render import Viewer
+from torchdq.envs.render import Viewer, room
 from torchdq.robot import Robot
 
 FRAMES = 30.0  # [Hz]
 PERIOD = 4.0  # time in which a joint goes there and back [s]
 SWAY = 0.4  # part of the room within the limits that a joint uses
-FREE = (math.pi / 2, 0.1)  # reach of a joint without limits: a turning and a sliding one [rad or m]
 
 
 @dataclass(kw_only=True)
@@ -62,10 +61,7 @@ def standing(viewer: Viewer, q: torch.Tensor) -> torch.Tensor:
 
 def swaying(robot: Robot, t: float) -> torch.Tensor:
     """Positions [n] at a time [s]: one joint after the other leaves the middle of its room and comes back."""
-    lower, upper = (x.double() for x in robot.limits[:2])
-    reach = torch.tensor([FREE[not joint.turns] for joint in robot.joint_types], dtype=torch.float64)
-    bounded = lower.isfinite() & upper.isfinite()
-    lower, upper = torch.where(bounded, lower, -reach), torch.where(bounded, upper, reach)
+    lower, upper = room(robot)
     q = (lower + upper) / 2
     if robot.n:
         joint, phase = int(t / PERIOD) % robot.n, 2 * math.pi * (t % PERIOD) / PERIOD

@@ -125,11 +125,15 @@ def second_moments(inertia: Tensor) -> Tensor:
     return torch.diag_embed(half.unsqueeze(-1).expand(*half.shape, 3)) - I
 
 
-def words(name: str, value: Any, n: int, expected: str, error: Fault = DescriptionError) -> tuple[str, ...]:
-    """Value as n strings."""
+def words(
+    name: str, value: Any, n: int, which: str = "", error: Fault = DescriptionError, distinct: bool = False
+) -> tuple[str, ...]:
+    """Value as n strings, all different if they are to be `distinct`; `which` says more of them."""
     found = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str | bytes) else ()
-    if len(found) != n or not all(isinstance(word, str) for word in found):
-        raise error(f"{name} must be {n} {expected}, found {reprlib.repr(value)}")
+    wrong = len(found) != n or not all(isinstance(word, str) for word in found)
+    if wrong or (distinct and len(set(found)) != n):
+        entries = "1 entry" if n == 1 else f"{n} {'different ' if distinct else ''}entries"
+        raise error(f"{name} must have {entries}{which}, found {reprlib.repr(value)}")
     return found
 
 
@@ -146,7 +150,4 @@ def distinct(kind: str, names: Sequence[str] | None, n: int) -> tuple[str, ...]:
     """Names, n different ones; without any, joint1, joint2, ... for the kind "joint"."""
     if names is None:
         return tuple(f"{kind}{i + 1}" for i in range(n))
-    chosen = words(f"{kind}_names", names, n, "different names")
-    if len(set(chosen)) != n:
-        raise DescriptionError(f"{kind}_names must be {n} different names, found {chosen}")
-    return chosen
+    return words(f"{kind}_names", names, n, distinct=True)

@@ -1,4 +1,4 @@
-"""Descriptions of robots from segments in numbers: the common end of the readers of URDF and MJCF.
+"""Descriptions of robots from segments in numbers, as URDF and MJCF have them, and from tables of links.
 
 Segments that no joint moves are fixed to the link that carries them, and a segment on several joints is several links.
 """
@@ -9,6 +9,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from torch import Tensor
+
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
@@ -17,8 +19,9 @@ from torchdq.dynamics.joints import KINDS, Coordinate
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.findings import Finding
-from torchdq.robot.arrays import double
+from torchdq.robot.arrays import IDENTITY, distinct, double, inertias, matrices, table
 from torchdq.robot.bodies import NOTHING, merged
+from torchdq.robot.check import consistency
 from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits, RobotDescription, Shape, note
 from torchdq.robot.edit.couplings import Follows
 
@@ -124,15 +127,7 @@ def _unit(X: DualQuaternion) -> DualQuaternion:
 def described(
     name: str, of: Links, moves: Sequence[Follows], free: bool, notes: Sequence[Finding] = ()
 ) -> RobotDescription:
-    """Description of a robot.
-
-    Args:
-        name: its name.
-        of: its links.
-        moves: displacement of every joint, by row.
-        free: whether the base is free.
-        notes: findings of the reader.
-    """
+    """Description of a robot by its links and the displacement of every joint, with the findings of its reader."""
     carrying = [link.joint for link in of.links]
     n, roots = len(carrying), [joint for joint in carrying if moves[joint.row].leader == joint.row]
     following: dict[int | None, list[Any]] = {root.row: [] for root in roots}
@@ -221,4 +216,53 @@ def _coordinate(root: Any, following: Sequence[tuple[Any, Follows]], findings: l
         sum(x.factor**2 * joint.damping for joint, x in following),
         sum(abs(x.factor) * joint.friction for joint, x in following),
         sum(x.factor**2 * joint.armature for joint, x in following),
+    )
+
+
+# --- links without a tree of segments ------------------------------------------------------------------------------
+
+
+def assemble(
+    joint_names: tuple[str, ...],
+    parents: tuple[int, ...],
+    kinds: tuple[str, ...],
+    X_PB_home: Tensor,
+    screw: Tensor,
+    X_BE: Tensor,
+    *,
+    name: str,
+    link_names: Sequence[str] | None,
+    mass: Any,
+    com: Any,
+    inertia: Any,
+    home: Any = None,
+) -> RobotDescription:
+    """Description without limits or friction, with a frame per link, one at the tip and one at the base."""
+    n = len(parents)
+    if not isinstance(name, str):
+        raise DescriptionError(f"name must be a string, found {name!r}")
+    links = distinct("link", link_names, n)
+    if {"base", "tip"} & set(links):
+        raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
+    mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), inertias(inertia, n)
+    zero, infinite = double([0.0] * n), double([math.inf] * n)
+    at_links = (Frame(link, i, IDENTITY) for i, link in enumerate(links))
+    return RobotDescription(
+        name=name,
+        joint_names=joint_names,
+        link_names=links,
+        parents=parents,
+        kinds=kinds,
+        X_PB_home=X_PB_home,
+        screw=screw,
+        mass=mass,
+        com=com,
+        inertia=inertia,
+        limits=Limits(-infinite, infinite, infinite, infinite),
+        damping=zero,
+        friction=zero,
+        frames=(Frame("base", BASE, IDENTITY), *at_links, Frame("tip", n - 1, X_BE)),
+        tip="tip",
+        home=None if home is None else table("home", home, n),
+        notes=tuple(consistency.bodies(links, mass, matrices(inertia))),
     )

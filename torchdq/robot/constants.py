@@ -38,13 +38,7 @@ class Constants:
 
     @classmethod
     def of(cls, fields: Mapping[str, Any], arguments: Mapping[str, int]) -> Constants:
-        """Constants of a robot.
-
-        Args:
-            fields: the fields of the robot, by name.
-            arguments: names of the tensors that are arguments of programs, with the number of their trailing axes; only
-                these axes enter the constants.
-        """
+        """Constants of the fields of a robot; of arguments of programs only the number of trailing axes given here."""
         plain = {
             name: _unknown(value, arguments[name]) if name in arguments else _mapped(_numbers, Tensor, value)
             for name, value in fields.items()

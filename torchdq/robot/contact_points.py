@@ -108,7 +108,6 @@ def points_of(robot: RobotModel, points: Any) -> tuple[ContactPoint, ...]:
 
 
 def _points(shape: Shape) -> list[Pure]:
-    """Points of a shape in its own axes."""
     if shape.kind == "sphere":
         return [quat.ZERO]
     if shape.kind == "capsule":

@@ -4,16 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-import torch
 from torch import Tensor
 
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.findings import Finding
-from torchdq.robot.arrays import IDENTITY, distinct, inertias, matrices, table
-from torchdq.robot.check import consistency
 
 Base = Literal["file", "fixed", "floating"]
 NO_TIP = "tip.missing"  # code of a note that goes when a tip is chosen
@@ -26,6 +22,14 @@ def note(code: str, about: Sequence[Any], what: str, among: int = 0) -> Finding:
     names = [x if isinstance(x, str) else x.name for x in about]
     subject = "all joints" if 1 < len(names) == among else ", ".join(names)
     return Finding(code, subject, what, severity="note")
+
+
+def require_usable(faults: Sequence[Finding]) -> None:
+    """Raise for all faults of a description at once."""
+    if faults:
+        lines = "\n  ".join(map(str, faults))
+        found = [x._replace(severity="error") for x in faults]
+        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *found)
 
 
 class Limits(NamedTuple):
@@ -88,50 +92,3 @@ class RobotDescription:
     base_inertia: Tensor | None = None
     joint_map: JointMap | None = None
     notes: tuple[Finding, ...] = ()  # faults, suspicions and parts that are not used
-
-
-def assemble(
-    joint_names: tuple[str, ...],
-    parents: tuple[int, ...],
-    kinds: tuple[str, ...],
-    X_PB_home: Tensor,
-    screw: Tensor,
-    X_BE: Tensor,
-    *,
-    name: str,
-    link_names: Sequence[str] | None,
-    mass: Any,
-    com: Any,
-    inertia: Any,
-    home: Any = None,
-) -> RobotDescription:
-    """Description without limits or friction, with a frame per link, one at the tip and one at the base."""
-    n = len(parents)
-    if not isinstance(name, str):
-        raise DescriptionError(f"name must be a string, found {name!r}")
-    links = distinct("link", link_names, n)
-    if {"base", "tip"} & set(links):
-        raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
-    mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), inertias(inertia, n)
-    zero = torch.zeros(n, dtype=torch.float64, device="cpu")
-    infinite = zero + torch.inf
-    at_links = (Frame(link, i, IDENTITY) for i, link in enumerate(links))
-    return RobotDescription(
-        name=name,
-        joint_names=joint_names,
-        link_names=links,
-        parents=parents,
-        kinds=kinds,
-        X_PB_home=X_PB_home,
-        screw=screw,
-        mass=mass,
-        com=com,
-        inertia=inertia,
-        limits=Limits(-infinite, infinite, infinite, infinite),
-        damping=zero,
-        friction=zero,
-        frames=(Frame("base", BASE, IDENTITY), *at_links, Frame("tip", n - 1, X_BE)),
-        tip="tip",
-        home=None if home is None else table("home", home, n),
-        notes=tuple(consistency.bodies(links, mass, matrices(inertia))),
-    )

@@ -12,8 +12,9 @@ from torchdq.backends.choice import backend
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table, words
+from torchdq.robot.assembly import assemble
 from torchdq.robot.check.units import TURN
-from torchdq.robot.description import RobotDescription, assemble
+from torchdq.robot.description import RobotDescription
 
 
 def _about(axis: int, angle: float, shift: float) -> Tensor:
@@ -56,9 +57,9 @@ def read(
             if abs(angle) > TURN:
                 found = f"found {angle:g} in row {i + 1}, more than a whole turn"
                 raise DescriptionError(f"{what} must be in radians, {found}; multiply degrees by pi/180")
-    types = ("revolute",) * n if kinds is None else words("kinds", kinds, n, "times 'revolute' or 'prismatic'")
+    types = ("revolute",) * n if kinds is None else words("kinds", kinds, n, ", 'revolute' or 'prismatic'")
     if not set(types) <= {"revolute", "prismatic"}:
-        raise DescriptionError(f"kinds must be {n} times 'revolute' or 'prismatic', found {types}")
+        raise DescriptionError(f"kinds must be 'revolute' or 'prismatic', found {types}")
     if not isinstance(convention, str) or convention not in ("standard", "modified"):
         raise DescriptionError(f"convention must be 'standard' or 'modified', found {convention!r}")
     placements, screws = [], []

@@ -14,7 +14,8 @@ from torchdq.dynamics.joints import HELICAL, PRISMATIC, REVOLUTE
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, UNIT, distinct, indices, numbers, poses, table
-from torchdq.robot.description import RobotDescription, assemble, note
+from torchdq.robot.assembly import assemble
+from torchdq.robot.description import RobotDescription, note
 
 # Pitches [m/rad] that are not noted: a thousandth of an atom, and what rounding leaves of l . m per size of m.
 ATOM, PRODUCTS = 1e-13, 32 * sys.float_info.epsilon

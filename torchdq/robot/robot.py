@@ -108,28 +108,27 @@ class Robot(RobotModel):
         Links on fixed joints are merged with their parents and stay as frames; the coordinate of a continuous joint is
         its angle. Meshes are never opened. Joint friction, damping and limits are read but are not part of the
         rigid-body dynamics. Errors that are not fatal are recorded in `notes`, by code and subject; `report()` lists
-        them. Elements and attributes that seem misspelt, elements given twice and mimic joints whose drivers are not in
-        the file may change the dynamics: a warning names them. So does one for limits that no motion can keep, as of
-        "lower" above "upper", which are taken as none.
+        them. Warnings name what may change the dynamics: elements and attributes that seem misspelt, elements given
+        twice, mimic joints without drivers, and impossible limits ("lower" above "upper"), which are ignored.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
-            base: "file": floating if the file has a floating joint, otherwise fixed; "fixed": what such a joint carries
-                is held at the joint's origin; "floating": what it carries moves freely, or without such a joint the
-                link that no joint carries. A floating joint starts at a link that stands, which is the world: poses of
-                the base, `X_WB`, are in the frame of the link that no joint carries, whatever the joint's origin is.
+            base: "file": floating if the file has a floating joint, otherwise fixed; "fixed": such a joint is held at
+                its origin; "floating": its child link is the base, or without such a joint the root link. The parent of
+                a floating joint is fixed to the world: poses of the base, `X_WB`, are in the frame of the root link,
+                whatever the joint's origin is.
             lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at zero. Joints
                 that mimic a locked one are locked too. A joint that mimics another one cannot be locked alone, unless
                 `mimic` is "independent".
             tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
             gravity: acceleration in the base frame [m/s^2]; None: none.
-            on_unphysical: treatment of a body that cannot exist. A negative mass and an inertia that is not positive
-                definite give wrong numbers: "error" raises, "warn" warns. An inertia that only breaks the triangle
-                inequality gives the numbers of the file, as from every other reader: both warn. "ignore" only notes
-                either. "repair" takes the nearest inertia that a body has: that of the second moments without negative
-                principal values. It changes no mass and no link without one. Learning and identification need inertias
-                that bodies have. `Robot.check` refuses all others. A body far too large for the robot, as of numbers in
-                mm, can exist, and words that seem misspelt can be meant: "ignore" notes either, the others warn.
+            on_unphysical: treatment of impossible bodies. A negative mass and an inertia that is not positive definite
+                give wrong numbers: "error" raises, "warn" warns. An inertia that only violates the triangle inequality
+                gives the numbers of the file, as from every other reader: both warn. "ignore" only notes either.
+                "repair" takes the nearest physically consistent inertia: that of the second moments without negative
+                principal values. It changes no mass and no link without one. Learning and identification need
+                physically consistent inertias; `Robot.check` refuses all others. Suspected units, as of numbers in mm,
+                and words that seem misspelt are only noted with "ignore"; the others warn.
             joints: names or patterns of the joints to keep, at least one; the others are locked, at 0 or as in `lock`.
             mimic: treatment of joints that follow others by <mimic>: "coupled", they follow and have no coordinates of
                 their own, or "independent".
@@ -162,8 +161,8 @@ class Robot(RobotModel):
         stay as frames, as sites do. Rotor inertia (`armature`) is part of the mass matrix; linear equality constraints
         between joints are part of the robot. Damping, friction loss and limits are read but are not part of the
         rigid-body dynamics; actuators, tendons, contacts and springs are noted. `report()` lists them. Armature of a
-        free joint, `gravcomp` of some bodies only or in part, and all other equality constraints, as of closed loops,
-        are not used: a warning says so. Meshes are opened only where a body's mass comes from them.
+        free joint, `gravcomp` of some bodies only or in part, and all other equality constraints, as of kinematic
+        loops, are ignored with a warning. Meshes are opened only where a body's mass comes from them.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself, whose

@@ -21,12 +21,9 @@ MASSLESS = Finding(
 
 
 def general_tree(robot: RobotModel, values: Callable[[str], Any], free: bool = False) -> Tree:
-    """Tree of all joints of a robot, in the link frames of the description.
+    """Tree of all joints of a robot, in the link frames of the description, on a base that may be a free body.
 
-    Args:
-        robot: the robot.
-        values: numbers of the tensor with a name, in a row or one row per link; None: absent.
-        free: whether the base is free; then it is a body.
+    `values` has the numbers of the tensor with a name, in a row or one row per link; None: absent.
     """
     bodies = zip(*map(values, ("mass", "com", "inertia")), strict=True)
     return on_base(

@@ -97,7 +97,7 @@ def _signals(source: Any, layout: Layout, rows: Rows, joints: Sequence[str]) -> 
     """Signals of the joints in a source of any kind; of several tables, rows are those that they have in common."""
     files = list(source) if isinstance(source, list | tuple) else [source]
     if not files:
-        raise ArgumentError("path must be a file at least, found none")
+        raise ArgumentError("no file given")
     if isinstance(source, Mapping):
         names = {x: given for x in SPARE if isinstance(given := layout.columns.get(x, x), str)}
         layout = layout.with_columns({x: None for x, name in names.items() if source.get(name, x) is None})

@@ -50,13 +50,7 @@ def require_structure(robot: RobotModel, values: Mapping[str, Any]) -> None:
 
 
 def faults(robot: RobotModel, names: Collection[str], everything: bool = False) -> list[Finding]:
-    """Faults of the fields with these names: numbers that no robot can have.
-
-    Args:
-        robot: the robot.
-        names: names of fields.
-        everything: whether batches and tensors that require grad are read, too.
-    """
+    """Numbers of the fields with these names that no robot can have, in batches and learned tensors if `everything`."""
     found, bodies = [*_geometry(robot, names, everything)], (robot.mass, robot.inertia)
     batched = any(x.ndim > axes for x, axes in zip(bodies, (1, 2), strict=True))
     wanted = {"mass", "inertia"} & set(names) and (everything or not batched)

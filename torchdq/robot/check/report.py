@@ -42,7 +42,6 @@ def report(robot: RobotModel) -> Report:
 
 
 def _friction(robot: RobotModel) -> tuple[tuple[str, ...], ...]:
-    """Described viscous and Coulomb friction of every joint at `SPEEDS`; () if it is zero."""
     if not bool((robot.damping != 0).any() | (robot.friction != 0).any()):
         return ()
     torques = [robot.friction + speed * robot.damping for speed in SPEEDS]

@@ -122,7 +122,6 @@ def _length(robot: RobotModel) -> float:
 
 
 def _steps(robot: RobotModel) -> list[float]:
-    """Distances [m] of the links' frames from those of their parents, at home, [n]."""
     return _largest(2 * robot.X_PB_home[..., 4:].norm(dim=-1))  # |translation| is twice the norm of the dual part
 
 

@@ -1,21 +1,24 @@
-"""Numbers of a robot that are not those of a file, for the writers of files."""
+"""Files with other numbers: what differs between a robot and its file is written where the format has it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import reduce
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchdq.algebra.inertia import RigidBody
+from torchdq.algebra.inertia import RigidBody, Six
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import fields
 from torchdq.robot.arrays import equal
-from torchdq.robot.bodies import NOTHING, body_at, without
+from torchdq.robot.bodies import NOTHING, body_at, merged, without
 from torchdq.robot.model import RobotModel, batches, require_unchanged, values
+from torchdq.robot.xml_text import add, parsed, written
 
 # fields that a writer writes; gravity, tip, name and notes are not part of a file's bodies and joints
 WRITTEN = (*fields.BODIES, "limits", "damping", "friction", "armature")
@@ -30,42 +33,91 @@ class ChangedBody(NamedTuple):
     body: RigidBody
     changed: tuple[bool, bool, bool]  # its mass, centre of mass and inertia
 
-    def written(self, own: RigidBody, carried: RigidBody, whole: bool, name: str, parts: str) -> dict[str, Any]:
-        """Mass, centre of mass and inertia that an element of a file must get, where it must get one.
-
-        Args:
-            own: body of the element in the file.
-            carried: all others that are fixed to it.
-            whole: whether the file gives the element no body.
-            name, parts: the element, and those that it carries, in words.
-
-        Raises:
-            ArgumentError: the element would have less than no mass.
-        """
-        mass, com, inertia = self.changed
-        alone = carried == NOTHING
-        left = self.body if alone else without(self.body, carried)
-        if mass and left.mass < 0:
-            raise ArgumentError(
-                f"mass of {name} must be at least that of the {parts} that it carries, {carried.mass:g} kg, found "
-                f"{self.body.mass:g} kg; change their masses in the file"
-            )
-        # what did not change stays without the rounding of a sum and a difference
-        new = {
-            "mass": (mass, left.mass if mass else own.mass),
-            "com": (com or (mass and not alone), left.com if mass or com else own.com),
-            "inertia": (inertia or not alone, left.inertia),
-        }
-        return {part: x for part, (wanted, x) in new.items() if wanted or whole}
-
 
 class ChangedJoint(NamedTuple):
     """Number of a joint that was changed."""
 
-    joint: str
     field: str  # "damping", "friction", "armature" or a field of Limits
     old: float
     new: float
+
+
+class Place(NamedTuple):
+    """Element of a file with a body of its own: that of a link, or of something fixed to it."""
+
+    name: str  # in words
+    element: ET.Element
+    body: RigidBody  # in the frame of the link
+
+
+class Elements:
+    """Elements of a file: each format says where they have a number."""
+
+    MASS: tuple[str, str]  # child of an <inertial>, "" for itself, and its attribute
+    COM: tuple[str, str]  # the same
+    FIXED: str  # what is fixed to a link, in words
+
+    def places(self, changed: ChangedBody) -> list[Place]:
+        """Element that a changed link is named by, and those fixed to it."""
+        raise NotImplementedError
+
+    def set_inertia(self, place: Place, inertial: ET.Element, moments: Six) -> None:
+        """Write an inertia in axes of the link."""
+        raise NotImplementedError
+
+    def set_joint(self, name: str, changes: Sequence[ChangedJoint]) -> None:
+        """Write the numbers of a joint that were changed."""
+        raise NotImplementedError
+
+    def set_body(self, changed: ChangedBody) -> None:
+        """Write a body, less what is fixed to its link."""
+        place, *others = self.places(changed)
+        carried = reduce(merged, (other.body for other in others), NOTHING)
+        (mass, com, inertia), alone, inertial = changed.changed, carried == NOTHING, place.element.find("inertial")
+        left, absent = changed.body if alone else without(changed.body, carried), inertial is None
+        if mass and left.mass < 0:
+            raise ArgumentError(
+                f"mass of {place.name} must be at least that of the {self.FIXED} that it carries, {carried.mass:g} kg, "
+                f"found {changed.body.mass:g} kg; change their masses in the file"
+            )
+        if inertial is None:
+            inertial = add(place.element, "inertial")
+        if inertia or not alone or absent:
+            self.set_inertia(place, inertial, left.inertia)
+        # what did not change stays without the rounding of a sum and a difference
+        if mass or absent:
+            set_in(inertial, *self.MASS, digits([left.mass if mass else place.body.mass]))
+        if com or (mass and not alone) or absent:
+            set_in(inertial, *self.COM, digits(left.com if mass or com else place.body.com))
+
+
+def rewritten(
+    robot: RobotModel,
+    text: str,
+    read: Callable[[str], RobotModel],
+    elements: Callable[[ET.Element, RobotModel], Elements],
+) -> str:
+    """Text that a robot was read from with the robot's numbers; `elements` are those of a root and the robot in it."""
+    first = read(text)
+    require_same_tree(robot, first)
+    bodies, joints = changed_bodies(robot, first), changed_joints(robot, first)
+    if not bodies and not joints:
+        return text
+    root = parsed(text, whole=True)
+    file = elements(root, first)
+    for changed in bodies:
+        file.set_body(changed)
+    for name, changes in joints.items():
+        file.set_joint(name, changes)
+    result = written(root, text)
+    require_read_back(robot, read(result))
+    return result
+
+
+def set_in(parent: ET.Element, tag: str, attribute: str, value: str) -> None:
+    """Write an attribute of the first child with a tag, which may be missing; "": of the parent itself."""
+    child = parent if not tag else parent.find(tag)
+    (add(parent, tag) if child is None else child).set(attribute, value)
 
 
 def require_same_tree(robot: RobotModel, original: RobotModel) -> None:
@@ -104,9 +156,9 @@ def digits(numbers: Iterable[float]) -> str:
     return " ".join(map(repr, numbers))
 
 
-def changed_joints(robot: RobotModel, original: RobotModel) -> list[ChangedJoint]:
-    """Numbers of joints that were changed; raises if one is not finite."""
-    found = []
+def changed_joints(robot: RobotModel, original: RobotModel) -> dict[str, list[ChangedJoint]]:
+    """Numbers of joints that were changed, by joint; raises if one is not finite."""
+    found: dict[str, list[ChangedJoint]] = {}
     for name, own, theirs in _pairs(robot, original, ("damping", "friction", "armature", "limits")):
         for i in (own != theirs.to(own)).nonzero().flatten().tolist():
             joint, old, new = robot.joint_names[i], float(theirs[i]), float(own[i])
@@ -114,7 +166,7 @@ def changed_joints(robot: RobotModel, original: RobotModel) -> list[ChangedJoint
                 raise ArgumentError(
                     f"{name} of joint {joint!r} must be finite to be written, found {new:g}, in the original {old:g}"
                 )
-            found.append(ChangedJoint(joint, name, old, new))
+            found.setdefault(joint, []).append(ChangedJoint(name, old, new))
     return found
 
 

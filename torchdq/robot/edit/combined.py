@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import torch
@@ -15,10 +15,11 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.robot import fields
-from torchdq.robot.arrays import matrices, poses
+from torchdq.robot.arrays import IDENTITY, matrices, poses
 from torchdq.robot.bodies import body_at, lumped
 from torchdq.robot.check import consistency, faults, units
 from torchdq.robot.description import Frame, JointMap, Limits
+from torchdq.robot.edit.rebuilt import hung, stacked
 from torchdq.robot.edit.replaced import measurable, replace
 from torchdq.robot.fields import BASE_BODY, LINK_BODY
 from torchdq.robot.model import AnyRobot, RobotModel, batches, factors
@@ -58,18 +59,16 @@ def _holding(robot: AnyRobot, mass: Any, com: Any, inertia: Any, at: Frame) -> A
             f"frame must be one that a joint of robot {robot.name!r} moves, found {at.name!r} on the fixed base, where "
             "a payload changes nothing"
         )
-    given = {"mass": (mass, ()), "com": (com, (3,)), "inertia": (inertia, (6,))}
-    held = RigidBody(*(_numbers(robot, name, x, shape) for name, (x, shape) in given.items()))
-    for (name, (_, shape)), x in zip(given.items(), held, strict=True):
-        _require_batch(robot, name, tuple(x.shape[: x.ndim - len(shape)]))
+    given = (("mass", mass, ()), ("com", com, (3,)), ("inertia", inertia, (6,)))
+    held = RigidBody(*(_numbers(robot, *one) for one in given))
     if all(fields.readable(x, False) for x in held):
         found = consistency.bodies(("payload",), held.mass.unsqueeze(-1), matrices(held.inertia).unsqueeze(-3))
         if found:
             raise ArgumentError(f"mass and inertia must be those of a body, xx xy yy xz yz zz: {found[0]}", *found)
-    changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
     suspicious = units.of_payload(robot, held) if measurable(robot, *held) else []
     units.warn(f"a payload of robot {robot.name!r}", suspicious, stacklevel=3)
     # a warning of the payload is not repeated for the link
+    changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
     return replace(robot, **changes, on_unphysical="ignore" if suspicious else "error")
 
 
@@ -134,14 +133,10 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
         X = dq.mul(X, poses("base_pose", base_pose, 8, error=ArgumentError).to(X))
     names = _joined_names(robot, other, start)
     other, count = other.to(robot.mass.dtype, robot.mass.device), len(robot.link_names)
-    link = {BASE: at.link} | {i: i + count for i in range(len(other.link_names))}
-    X_PB_home = [
-        dq.mul(X, x) if p == BASE else x for x, p in zip(other.X_PB_home.unbind(-2), other.parents, strict=True)
-    ]
-    frames = (
-        x._replace(name=start + x.name, link=link[x.link], X_BF=dq.mul(X, x.X_BF) if x.link == BASE else x.X_BF)
-        for x in other.frames
-    )
+    own = IDENTITY.to(robot.screw)
+    places = {BASE: (at.link, X)} | {i: (i + count, own) for i in range(len(other.link_names))}
+    moved = hung(other, places, range(len(other.link_names)))
+    frames = (x._replace(name=start + x.name) for x in moved["frames"])
     carrier, known = {name: getattr(robot, name) for name in (*LINK_BODY, *BASE_BODY)}, set(robot._arguments)
     if with_base := other.floating and (at.link != BASE or robot.floating):
         changed = _held(robot, at.link, X, body_at(other, BASE))
@@ -162,14 +157,14 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
         **{name: carrier[name] for name in BASE_BODY},
         **{name: _cat((carrier[name], getattr(other, name)), len(fields.SHAPES[name])) for name in LINK_BODY},
         "kinds": (*robot.kinds, *other.kinds),
-        "parents": (*robot.parents, *(link[parent] for parent in other.parents)),
-        "X_PB_home": _cat((robot.X_PB_home, _together(X_PB_home, 2)), 2) if X_PB_home else robot.X_PB_home,
+        "parents": (*robot.parents, *moved["parents"]),
+        "X_PB_home": _cat((robot.X_PB_home, moved["X_PB_home"]), 2),
         "limits": Limits(*(_cat(pair, 1) for pair in zip(robot.limits, other.limits, strict=True))),
         "frames": (*robot.frames, *frames),
         "tip": robot.tip if other.tip is None else start + other.tip,
         "notes": (
             *robot.notes,
-            *(_of(other, x) for x in other.notes),
+            *(x._replace(subject=": ".join(filter(None, (other.name, x.subject)))) for x in other.notes),
             Finding("robot.attached", f"frame {at.name!r}", note, severity="note"),
         ),
         "_arguments": (*known, *(name for name in other._arguments if name not in (*BASE_BODY, "gravity"))),
@@ -178,11 +173,6 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
     # those of the other's links were accepted when it was loaded
     found = [fault for fault in faults.faults(made, ("mass", "inertia")) if fault not in made.notes]
     return made._with(notes=(*made.notes, *found)) if found else made
-
-
-def _of(other: RobotModel, note: Finding) -> Finding:
-    """Note of an attached robot, with its name."""
-    return note._replace(subject=": ".join(filter(None, (other.name, note.subject))))
 
 
 def _joined_names(robot: RobotModel, other: RobotModel, prefix: str) -> dict[str, Any]:
@@ -208,27 +198,24 @@ def _joined_names(robot: RobotModel, other: RobotModel, prefix: str) -> dict[str
 
 
 def _numbers(robot: RobotModel, name: str, x: Any, shape: tuple[int, ...]) -> Tensor:
-    """Numbers of a payload, in the dtype and on the device of the robot."""
+    """Numbers of a payload, in the dtype and on the device of the robot, whose batch axes they fit."""
     try:
         given = x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=torch.float64, device=robot.mass.device)
         found = given.to(robot.mass)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ArgumentError(f"{name} must be numbers: {error}") from error
-    if tuple(found.shape[found.ndim - len(shape) :]) != shape:
+    axes = found.ndim - len(shape)
+    if tuple(found.shape[axes:]) != shape:
         expected = ", ".join(["...", *map(str, shape)])
         raise ArgumentError(f"{name} must have the shape [{expected}], found {tuple(found.shape)}")
-    return found
-
-
-def _require_batch(robot: RobotModel, name: str, axes: tuple[int, ...]) -> None:
-    """Raise unless batch axes of a payload fit those of a robot."""
     for field, own in batches(robot).items():
         try:
-            torch.broadcast_shapes(own, axes)
+            torch.broadcast_shapes(own, batch := tuple(found.shape[:axes]))
         except RuntimeError as error:
             raise ArgumentError(
-                f"{name} must have batch axes that fit those of {field} of robot {robot.name!r}, {own}, found {axes}"
+                f"{name} must have batch axes that fit those of {field} of robot {robot.name!r}, {own}, found {batch}"
             ) from error
+    return found
 
 
 def _held(robot: RobotModel, link: int, X_BF: Tensor, held: RigidBody) -> dict[str, Tensor]:
@@ -240,13 +227,8 @@ def _held(robot: RobotModel, link: int, X_BF: Tensor, held: RigidBody) -> dict[s
     for name, row in zip(LINK_BODY, whole, strict=True):
         rows = list(getattr(robot, name).unbind(-len(fields.SHAPES[name])))
         rows[link] = row
-        found[name] = _together(rows, len(fields.SHAPES[name]))
+        found[name] = stacked(robot, name, rows)
     return found
-
-
-def _together(rows: Sequence[Tensor], axes: int) -> Tensor:
-    """Rows, each with batch axes of its own, as one tensor with one or two trailing axes."""
-    return torch.stack(torch.broadcast_tensors(*rows), -axes)
 
 
 def _cat(parts: Iterable[Tensor], axes: int) -> Tensor:

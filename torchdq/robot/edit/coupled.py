@@ -140,14 +140,10 @@ def _by_name(robot: RobotModel, S: Mapping[str, Mapping[str, float]]) -> tuple[T
 
 
 def _matrix(robot: RobotModel, S: Any, names: Sequence[str] | None) -> tuple[Tensor, tuple[str, ...]]:
-    """Factors [n, coordinates], and names of the coordinates."""
     factors = numbers("S", S, ArgumentError)
     factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1, error=ArgumentError)
-    count, expected = factors.shape[1], "different names, one for each column of S"
-    found = words("names", names, count, expected, ArgumentError)
-    if len(set(found)) != count:
-        raise ArgumentError(f"names must be {count} {expected}, found {found}")
-    return factors, found
+    count = factors.shape[1]
+    return factors, words("names", names, count, ", one per column of S", ArgumentError, distinct=True)
 
 
 def _require_absent(
@@ -165,25 +161,26 @@ def _require_absent(
 def _limits(robot: RobotModel, alone: Tensor, shift: Tensor, names: Sequence[str]) -> Limits:
     """Limits of the coordinates of joints that follow one each."""
     lower, upper, velocity, effort = robot.limits
-    columns: list[list[Tensor]] = []
-    for name, column in zip(names, alone.T.tolist(), strict=True):
-        joints = [(i, s) for i, s in enumerate(column) if s]
-        free = torch.full_like(lower[..., 0], torch.inf) if robot.n else double(torch.inf)
-        bound = [-free, free, free, free if not joints else torch.zeros_like(free)]
-        for i, s in joints:
-            ends = (lower[..., i] - shift[i]) / s, (upper[..., i] - shift[i]) / s
-            low, high = ends if s > 0 else ends[::-1]
-            bound = [
-                torch.maximum(bound[0], low),
-                torch.minimum(bound[1], high),
-                torch.minimum(bound[2], velocity[..., i] / abs(s)),
-                bound[3] + effort[..., i] * abs(s),
-            ]
-        if name in (own := [robot.joint_names[i] for i, _ in joints]):
-            i, s = joints[own.index(name)]
-            bound[3] = effort[..., i] * abs(s)
-        if bool((bound[0] > bound[1]).any()):
-            moved = ", ".join(robot.joint_names[i] for i, _ in joints)
-            raise ArgumentError(f"limits of the joints {moved} leave no position to coordinate {name!r}; pass limits=")
-        columns.append(bound)
-    return Limits(*(torch.stack(rows, -1) for rows in zip(*columns, strict=True)))
+    moved, factor, shift = alone != 0, alone.sum(-1).to(lower), shift.to(lower)
+    a, b = (lower - shift) / factor, (upper - shift) / factor
+    low, high = torch.where(factor > 0, a, b), torch.where(factor > 0, b, a)
+    motors = moved.clone()
+    for k, name in enumerate(names):
+        if name in robot.joint_names and moved[i := robot.joint_index(name), k]:
+            motors[:, k] = False
+            motors[i, k] = True
+
+    def of(x: Tensor, which: Tensor, none: float) -> Tensor:
+        return x.unsqueeze(-1).where(which, none)
+
+    found = Limits(
+        of(low, moved, -math.inf).amax(-2),
+        of(high, moved, math.inf).amin(-2),
+        of(velocity / factor.abs(), moved, math.inf).amin(-2),
+        of(effort * factor.abs(), motors, 0.0).sum(-2).where(moved.any(0), math.inf),
+    )
+    for k, name in enumerate(names):
+        if bool((found.lower[..., k] > found.upper[..., k]).any()):
+            joints = ", ".join(robot.joint_names[i] for i in moved[:, k].nonzero())
+            raise ArgumentError(f"limits of the joints {joints} leave no position to coordinate {name!r}; pass limits=")
+    return found

@@ -53,39 +53,35 @@ def require_free(movable: Iterable[str], locked: Iterable[str]) -> None:
     movable, locked = tuple(movable), tuple(locked)
     if movable and set(movable) <= set(locked):
         raise ArgumentError(
-            f"lock must leave at least one joint free, found that it locks {', '.join(movable)}, which are all (a "
-            f"joint that mimics a locked one is locked too); name fewer, or a joint to keep in `joints`"
+            f"lock would fix all joints ({', '.join(movable)}), also those that mimic a locked one; name fewer, or a "
+            "joint to keep in `joints`"
         )
 
 
-def lock_notes(lock: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> list[Finding]:
-    """Notes about positions [rad or m] of locked joints, and about those beyond their limits."""
-    if not lock:
-        return []
-    held = f"locked: {', '.join(f'{name} at {value:g}' for name, value in lock.items())}"
-    notes = [Finding("lock", "", held, severity="note")]
-    beyond = _beyond(lock, limits)
-    if beyond:
-        notes.append(Finding("lock.beyond_limits", "", f"locked beyond their limits: {beyond}", severity="note"))
-    return notes
-
-
-def warn_beyond_limits(
+def lock_notes(
     robot: str,
-    lock: Mapping[str, float | None],
+    asked: Mapping[str, float | None],
+    stand: Mapping[str, float],
     limits: Mapping[str, tuple[float, float]],
     stacklevel: int,
-) -> None:
-    """Warn of positions that were asked for and are beyond the limits; None, home, was not asked for."""
-    asked = {name: value for name, value in lock.items() if value is not None}
-    if beyond := _beyond(asked, {name: limits[name] for name in asked}):
+) -> list[Finding]:
+    """Notes about locked joints and those beyond their limits, with a warning of what was asked for beyond them.
+
+    Positions are in rad or m; None is home, which was not chosen. `stand` has those of all locked joints.
+    """
+    if beyond := _beyond({name: x for name, x in asked.items() if x is not None}, limits):
         warnings.warn(
             f"robot {robot!r} is locked beyond its limits: {beyond}; positions are in rad or m, not in degrees",
             stacklevel=stacklevel + 1,
         )
+    held = ", ".join(f"{name} at {x:g}" for name, x in stand.items())
+    notes = {"lock": f"locked: {held}" if held else ""}
+    if beyond := _beyond(stand, limits):
+        notes["lock.beyond_limits"] = f"locked beyond their limits: {beyond}"
+    return [Finding(code, "", text, severity="note") for code, text in notes.items() if text]
 
 
 def _beyond(lock: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> str:
     """Joints whose positions are beyond their limits, in words; "": none."""
-    outside = {name: (low, high) for name, (low, high) in limits.items() if not low - NEAR <= lock[name] <= high + NEAR}
-    return "; ".join(f"{name} at {lock[name]:g}, limits [{a:g}, {b:g}]" for name, (a, b) in outside.items())
+    at = [(name, x, *limits[name]) for name, x in lock.items() if name in limits]
+    return "; ".join(f"{n} at {x:g}, limits [{a:g}, {b:g}]" for n, x, a, b in at if not a - NEAR <= x <= b + NEAR)

@@ -5,27 +5,18 @@ Masses, centres of mass and inertias keep their batch axes and gradients, so a b
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-import torch
-from torch import Tensor
-
 from torchdq import dq
-from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import IDENTITY
-from torchdq.robot.bodies import body_at, lumped, mixed
-from torchdq.robot.description import JointMap, Limits
-from torchdq.robot.edit.locking import lock_notes, positions, require_free, warn_beyond_limits
+from torchdq.robot.edit.locking import lock_notes, positions, require_free
+from torchdq.robot.edit.rebuilt import rebuilt
 from torchdq.robot.fields import BASE_BODY
 from torchdq.robot.model import AnyRobot, RobotModel, batches, factors, followed, sum_of
-
-PER_LINK = {"screw": -2, "home": -1}  # fields by the axis of the links
-PER_COORDINATE = {"armature": -1, "damping": -1, "friction": -1}  # fields by the axis of the coordinates
 
 
 def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> AnyRobot:
@@ -49,55 +40,28 @@ def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> An
     require_free(robot.joint_names, given)
     S = factors(robot)
     fixed = [name for name in robot.joint_names if name in given]
-    at = {name: home_of(robot, name) if (x := given[name]) is None else x for name in fixed}
+    at = {name: _home_of(robot, name) if (x := given[name]) is None else x for name in fixed}
     placed = S @ S.new_tensor([at.get(name, 0.0) for name in robot.joint_names])  # by the locked coordinates alone
     coordinates = [k for k, name in enumerate(robot.joint_names) if name not in given]
     own = IDENTITY.to(robot.screw)
-    carrier, X_CB = {BASE: BASE}, {BASE: own}  # link that each link is part of, and its pose there
-    links: list[int] = []
-    home_poses: list[Tensor] = []  # poses of the free links in the carriers of their parents
+    places, links = {BASE: (BASE, own)}, list[int]()
     for i, parent in enumerate(robot.parents):
-        X = dq.mul(X_CB[parent], robot.X_PB_home[i])
         if S[i, coordinates].any():
-            carrier[i], X_CB[i] = i, own
+            places[i] = len(links), own
             links.append(i)
-            home_poses.append(X)
         else:
+            carrier, X = places[parent]
             displacement = placed[i] if robot.home is None else placed[i] - robot.home[i]
-            carrier[i], X_CB[i] = carrier[parent], dq.mul(X, dq.exp(0.5 * displacement * robot.screw[i]))
-    new = {BASE: BASE} | {old: i for i, old in enumerate(links)}
-    parts = {link: [i for i in X_CB if carrier[i] == link and i != link] for link in carrier.values()}
-
-    def whole(link: int) -> RigidBody:
-        return lumped(body_at(robot, link), [(X_CB[i], body_at(robot, i)) for i in parts[link]])
-
-    bodies = [whole(link) for link in links]
-    masses, coms, inertias = zip(*bodies, strict=True) if bodies else ((), (), ())
-    changes: dict[str, Any] = {}
-    if robot.floating:
-        changes |= zip(BASE_BODY, whole(BASE), strict=True)
+            moved = dq.exp(0.5 * displacement * robot.screw[i])
+            places[i] = carrier, dq.mul(dq.mul(X, robot.X_PB_home[i]), moved)
     stand = {name: float(placed[i]) for i, name in enumerate(robot.every_joint) if i not in links} | at
-    moved = placed[links]
-    if moved.any():
-        changes["home"] = (0.0 if robot.home is None else robot.home[links]) - moved
     lower, upper = (x.reshape(-1, robot.n) for x in robot.limits[:2])  # the narrowest, if robots differ
     ranges = dict(zip(robot.joint_names, zip(lower.amax(0).tolist(), upper.amin(0).tolist(), strict=True), strict=True))
     limits = {name: ranges[name] for name in at}
-    warn_beyond_limits(robot.name, given, limits, stacklevel=2)
-    return _made(
-        robot,
-        links,
-        coordinates,
-        parents=tuple(new[carrier[robot.parents[i]]] for i in links),
-        X_PB_home=_stacked(home_poses, robot.X_PB_home[:0]),
-        mass=_stacked(masses, robot.mass[..., :0], -1),
-        com=_stacked(coms, robot.com[..., :0, :]),
-        inertia=_stacked(inertias, robot.inertia[..., :0, :]),
-        frames=tuple(x._replace(link=new[carrier[x.link]], X_BF=dq.mul(X_CB[x.link], x.X_BF)) for x in robot.frames),
-        notes=(*robot.notes, *lock_notes(stand, limits)),
-        _arguments=mixed(robot._arguments),
-        **changes,
-    )
+    changes: dict[str, Any] = {"notes": (*robot.notes, *lock_notes(robot.name, given, stand, limits, stacklevel=2))}
+    if (shift := placed[links]).any():
+        changes["home"] = (0.0 if robot.home is None else robot.home[links]) - shift
+    return rebuilt(robot, places, links, coordinates, **changes)
 
 
 def subchain(robot: AnyRobot, base: str, tip: str) -> AnyRobot:
@@ -129,39 +93,20 @@ def subchain(robot: AnyRobot, base: str, tip: str) -> AnyRobot:
     while link != BASE:
         before.append(link)
         X_WF, link = dq.mul(robot.X_PB_home[link], X_WF), robot.parents[link]
-    X_FB = dq.conj(first.X_BF)
-    new = {first.link: BASE} | {old: i for i, old in enumerate(chain)}
-    frames = [x._replace(link=new[x.link]) for x in robot.frames if x.link in new]
+    own = IDENTITY.to(robot.screw)
+    places = {first.link: (BASE, dq.conj(first.X_BF))} | {old: (i, own) for i, old in enumerate(chain)}
     left_out = ", ".join(name for i, name in enumerate(robot.every_joint) if i not in chain)
     cut = f"chain from {base!r} to {tip!r}, without the joints {left_out}"
     notes = [Finding("robot.cut", "", cut, severity="note")] if left_out else []
     if robot.floating:
         notes.append(Finding("base.fixed", "", "the base, which was free, is fixed", severity="note"))
-    return _made(
-        robot,
-        chain,
-        _coordinates_of(robot, chain, before),
-        parents=tuple(range(BASE, len(chain) - 1)),
-        X_PB_home=torch.stack([dq.mul(X_FB, robot.X_PB_home[chain[0]]), *robot.X_PB_home[chain[1:]]]),
-        mass=robot.mass[..., chain],
-        com=robot.com[..., chain, :],
-        inertia=robot.inertia[..., chain, :],
-        gravity=None if robot.gravity is None else dq.rotate(dq.conj(X_WF[:4]), robot.gravity),
-        frames=tuple(x._replace(X_BF=dq.mul(X_FB, x.X_BF)) if x.link == BASE else x for x in frames),
-        tip=tip,
-        notes=(*robot.notes, *notes),
-        **dict.fromkeys(BASE_BODY),
-    )
+    gravity = None if robot.gravity is None else dq.rotate(dq.conj(X_WF[:4]), robot.gravity)
+    changes = {"gravity": gravity, "tip": tip, "notes": (*robot.notes, *notes), **dict.fromkeys(BASE_BODY)}
+    return rebuilt(robot, places, chain, _coordinates_of(robot, chain, before), **changes)
 
 
 def _coordinates_of(robot: RobotModel, chain: Sequence[int], before: Sequence[int]) -> list[int]:
-    """Coordinates that the joints of a chain follow; raises if one of them belongs to other joints.
-
-    Args:
-        robot: the robot.
-        chain: links of the chain.
-        before: links between the base of the robot and the chain, which would have to stand still.
-    """
+    """Coordinates that the joints of a chain follow; raises if one moves joints before it, or belongs to others."""
     S, known = factors(robot), robot.every_joint
     found = [k for k in range(robot.n) if S[chain, k].any()]
     for k in found:
@@ -200,30 +145,7 @@ def _require_coordinates(robot: RobotModel, lock: Any) -> None:
             )
 
 
-def _made(robot: AnyRobot, links: Sequence[int], coordinates: Sequence[int], **changes: Any) -> AnyRobot:
-    """Robot with some of the links and of the coordinates, and with other fields changed."""
-    fields: dict[str, Any] = {x.name: getattr(robot, x.name) for x in dataclasses.fields(robot) if x.name[0] != "_"}
-    for kept, axes in ((links, PER_LINK), (coordinates, PER_COORDINATE)):
-        rows = torch.tensor(kept, dtype=torch.long, device=robot.mass.device)
-        fields |= {k: None if fields[k] is None else fields[k].index_select(axis, rows) for k, axis in axes.items()}
-    fields |= {name: tuple(getattr(robot, name)[i] for i in links) for name in ("link_names", "kinds")}
-    fields["joint_names"] = tuple(robot.joint_names[k] for k in coordinates)
-    fields["limits"] = Limits(*(x.index_select(-1, rows) for x in robot.limits))
-    if robot.joint_map is not None:
-        S, names = robot.joint_map.S[links][:, coordinates], tuple(robot.every_joint[i] for i in links)
-        trivial = names == fields["joint_names"] and torch.equal(S, torch.eye(len(names)).to(S))
-        fields["joint_map"] = None if trivial else JointMap(names, S)
-    return type(robot)(**({**fields, "_arguments": robot._arguments} | changes))
-
-
-def _stacked(rows: Sequence[Tensor], none: Tensor, axis: int = -2) -> Tensor:
-    return torch.stack(torch.broadcast_tensors(*rows), axis) if rows else none
-
-
-# --- also for robots that are put together ---------------------------------------------------------------------------
-
-
-def home_of(robot: RobotModel, name: str) -> float:
+def _home_of(robot: RobotModel, name: str) -> float:
     """Position at home [rad or m] of a coordinate: of the joint with its name if it moves that one alone, else zero."""
     if robot.home is None or name not in robot.every_joint:
         return 0.0

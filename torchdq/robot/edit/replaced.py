@@ -67,7 +67,7 @@ def with_tip(robot: AnyRobot, name: str | None) -> AnyRobot:
 
 
 def complaints(robot: RobotModel, changes: Collection[str], on_unphysical: OnUnphysical) -> list[Finding]:
-    """Faults of changed fields and their suspicious units that are not among the notes, once raised or warned of."""
+    """New findings about changed fields, after raising or warning."""
     if {"tip", "frames"} & set(changes) and robot.tip is not None:
         robot.frame(robot.tip)
     known = {(note.code, note.subject) for note in robot.notes}

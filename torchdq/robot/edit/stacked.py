@@ -65,6 +65,5 @@ def stack(cls: type[AnyRobot], robots: Sequence[AnyRobot]) -> AnyRobot:
 
 
 def _stacked(found: Sequence[Tensor | None]) -> Tensor:
-    """Tensors along a new leading axis; absent ones are zero."""
     zero = torch.zeros_like(next(x for x in found if x is not None))
     return torch.stack(torch.broadcast_tensors(*(zero if x is None else x for x in found)))

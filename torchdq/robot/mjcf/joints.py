@@ -15,7 +15,7 @@ FREE, BALL = "free", "ball"
 
 
 class MjcfJoint(NamedTuple):
-    """Joint of a model; one of a kind without a single coordinate has no numbers but zeros."""
+    """Joint of a model; ball and free joints have zero-filled numbers."""
 
     row: int  # among the joints of the model
     name: str
@@ -33,7 +33,7 @@ class MjcfJoint(NamedTuple):
 
     @property
     def single(self) -> bool:
-        """Truth of having one coordinate."""
+        """Whether it has one coordinate."""
         return self.kind in KINDS
 
 

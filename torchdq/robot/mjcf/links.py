@@ -28,14 +28,7 @@ class ModelLinks(NamedTuple):
 
 
 def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> ModelLinks:
-    """Links of a model.
-
-    Args:
-        of: the model.
-        joints: its joints.
-        moves: displacement of each of them.
-        base: body that is the floating base; None: the base is the world.
-    """
+    """Links of a model by the displacements of its joints, on the body that is its floating base, or the world."""
     m, names, shapes = of.model, names_of(of, "BODY", of.model.nbody), _shapes(of)
     segments = [Segment(names[0], None, dual_quaternion.ONE, shapes=tuple(shapes[0]))]
     for i in range(1, m.nbody):

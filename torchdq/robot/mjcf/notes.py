@@ -40,14 +40,9 @@ def diagnostics(
     others: Sequence[Equality],
     falls: bool,
 ) -> list[Finding]:
-    """Findings of a model; parts that would act on its motion, and are not read, have codes that begin `UNSIMULATED`.
+    """Findings of a model, on which gravity acts if it `falls`, and some of whose equalities are no linear couplings.
 
-    Args:
-        of: the model.
-        joints, moves: its joints, and the displacement of each of them.
-        bodies: its bodies.
-        others: equality constraints that are not linear couplings.
-        falls: whether gravity acts.
+    Parts that would act on its motion, and are not read, have codes that begin `UNSIMULATED`.
     """
     return [
         *_ignored(of, joints, moves, bodies, falls),
@@ -67,6 +62,10 @@ def _used_otherwise(
     def listed(code: str, wanted: Callable[[MjcfJoint], object], what: str) -> Finding:
         return note(code, [joint for joint in moving if wanted(joint)], what, len(moving))
 
+    def ends_first(joint: MjcfJoint) -> bool:
+        low, high = m.jnt_range[joint.row].tolist()
+        return not m.jnt_limited[joint.row] and low > high
+
     m, lumped = of.model, f"{bodies.lumped} bodies without moving joints lumped; they are frames"
     still = [joint for joint in joints if not joint.single and moves[joint.row].leader is None]
     found = [
@@ -75,7 +74,7 @@ def _used_otherwise(
         listed(
             "limits.unused", lambda j: math.isfinite(j.lower) or math.isfinite(j.upper), "limits given but not enforced"
         ),
-        listed("limits.reversed", lambda j: _reversed(of, j.row), "the range ends before it begins, taken as none"),
+        listed("limits.reversed", ends_first, "the range ends before it begins, taken as none"),
         note("frame.left_out", bodies.left_out, "left out, because it stands still and the base is free"),
         note("joint.held", still, "held where the file puts it"),
     ]
@@ -106,8 +105,16 @@ def _unsimulated(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Fol
     read = [name if gears[k] == 1 else f"{name} (gear {gears[k]:g})" for k, name in actuators if k in acting]
     given: list[tuple[str, Sequence[Any], str]] = [
         ("damping", [j for j in single if m.dof_dampingpoly[dof(j)].any()], "damping that is not linear, not used"),
-        ("spring", [j for j in moving if _spring(of, j.row)], "springs given but not simulated"),
-        ("base", [j for j in free if _resists(of, dof(j))], "damping or friction of the floating base, not used"),
+        (
+            "spring",
+            [j for j in moving if m.jnt_stiffness[j.row] or m.jnt_stiffnesspoly[j.row].any()],
+            "springs given but not simulated",
+        ),
+        (
+            "base",
+            [j for j in free if any(x[dof(j) : dof(j) + 6].any() for x in (m.dof_damping, m.dof_frictionloss))],
+            "damping or friction of the floating base, not used",
+        ),
         ("actuator", read, "actuators not simulated; their greatest efforts, damping and rotor inertia are read"),
         ("actuator", [name for k, name in actuators if k not in acting], "actuators that act on no joint, not used"),
         ("tendon", names_of(of, "TENDON", m.ntendon), "tendons not used"),
@@ -122,7 +129,7 @@ def _unsimulated(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Fol
 def _ignored(
     of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], bodies: ModelLinks, falls: bool
 ) -> list[Finding]:
-    """Warnings of what changes the accelerations in MuJoCo and not here."""
+    """Warnings about ignored elements that affect MuJoCo's dynamics."""
     m = of.model
     free = [joint for joint in joints if joint.kind == FREE and moves[joint.row].leader is not None]
     inherited = (
@@ -150,16 +157,14 @@ def _ignored(
 
 
 def _open(others: Sequence[Equality], bodies: ModelLinks) -> list[Finding]:
-    """Warnings of equality constraints that are left open; those of bodies on one link hold anyway."""
+    """Warnings about ignored equality constraints; those between bodies on one link hold anyway."""
     found = []
     for name, ends, of, disabled in others:
         if disabled:
             found.append(note(f"{UNSIMULATED}equality", [name], "disabled by a flag of the file, not used"))
         elif len({bodies.of.places[i][0] for i in of}) != 1:
-            what = f"it is left open, so that {ends} move apart"
-            cure = (
-                "closed loops are not simulated, only linear couplings of joints: write it as one, or lock its joints"
-            )
+            what = f"ignored, so that {ends} move apart, because kinematic loops are not supported"
+            cure = "write it as a linear coupling of joints, or lock its joints"
             found.append(Finding(f"{UNSIMULATED}equality", name, what, cure=cure))
     return found
 
@@ -172,16 +177,3 @@ def _degrees(of: MjcfModel, joints: Sequence[MjcfJoint]) -> list[Finding]:
         return []
     expected = "ranges of hinges must be in degrees in a file without <compiler angle='radian'/>"
     return [Finding("units.radians", "", expected, f"none beyond {most:.4g}", "are they in radians?")]
-
-
-def _reversed(of: MjcfModel, joint: int) -> bool:
-    low, high = of.model.jnt_range[joint].tolist()
-    return not of.model.jnt_limited[joint] and low > high
-
-
-def _spring(of: MjcfModel, joint: int) -> bool:
-    return bool(of.model.jnt_stiffness[joint] or of.model.jnt_stiffnesspoly[joint].any())
-
-
-def _resists(of: MjcfModel, dof: int) -> bool:
-    return bool(of.model.dof_damping[dof : dof + 6].any() or of.model.dof_frictionloss[dof : dof + 6].any())

@@ -7,7 +7,7 @@ equality constraints become the robot's map from coordinates to joints.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, get_args
 
@@ -19,9 +19,9 @@ from torchdq.findings import Finding
 from torchdq.robot.arrays import MOST, matrices
 from torchdq.robot.assembly import described
 from torchdq.robot.check import consistency
-from torchdq.robot.description import Base, RobotDescription, note
+from torchdq.robot.description import Base, RobotDescription, note, require_usable
 from torchdq.robot.edit.couplings import Follows, solved
-from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep, warn_beyond_limits
+from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep
 from torchdq.robot.mjcf import notes as mjcf_notes
 from torchdq.robot.mjcf.joints import BALL, FREE, MjcfJoint, equalities, joints_of
 from torchdq.robot.mjcf.links import ModelLinks, links_of
@@ -44,7 +44,8 @@ def read(source: Any, base: Base, kept: Any = None, lock: Any = None, gravity: A
     of = compiled(source)
     joints = joints_of(of)
     found = equalities(of, joints)
-    held = _given(of, joints, base, lock)
+    asked = positions(() if lock is None else lock, [joint.name for joint in joints])
+    held = _given(joints, base, asked)
     moves, freely = (solved(len(joints), at, found.couplings) for at in (held, {}))
     if found.couplings and all(freely[joint.row].leader is None for joint in joints):
         names = " and ".join(repr(name) for name, *_ in found.couplings)
@@ -53,7 +54,7 @@ def read(source: Any, base: Base, kept: Any = None, lock: Any = None, gravity: A
             "them out"
         )
     if kept is not None:
-        moves = _kept(joints, moves, kept, lock)
+        moves = _kept(joints, moves, kept, asked)
     at = {j.name: j.home + moves[j.row].offset for j in joints if j.single and moves[j.row].leader is None}
     require_free([joint.name for joint in joints if joint.single], at)
     free = _free_base(joints, moves, base)
@@ -62,7 +63,7 @@ def read(source: Any, base: Base, kept: Any = None, lock: Any = None, gravity: A
     locked = {name: x for name, x in at.items() if name not in still}
     given = mjcf_notes.gravity(of) if isinstance(gravity, str) and gravity == "file" else gravity
     notes = mjcf_notes.diagnostics(of, joints, moves, bodies, found.others, given is not None)
-    notes += lock_notes(locked, {j.name: (j.lower, j.upper) for j in joints if j.name in locked})
+    notes += lock_notes(of.name, asked, locked, {j.name: (j.lower, j.upper) for j in joints}, stacklevel=3)
     if still:
         standing = ", ".join(f"{name} at {x:g}" for name, x in still.items())
         notes.append(note("joint.stuck", [*still], f"held by equality constraints: {standing}"))
@@ -76,12 +77,10 @@ def read(source: Any, base: Base, kept: Any = None, lock: Any = None, gravity: A
 # --- joints that move ------------------------------------------------------------------------------------------------
 
 
-def _given(of: MjcfModel, joints: Sequence[MjcfJoint], base: Base, lock: Any) -> dict[int, float]:
+def _given(joints: Sequence[MjcfJoint], base: Base, asked: Mapping[str, float | None]) -> dict[int, float]:
     """Displacements [rad or m] of the joints that arguments hold."""
     by_name = {joint.name: joint for joint in joints}
     held = {joint.row: 0.0 for joint in joints if joint.kind == FREE and base == "fixed"}
-    asked = positions(() if lock is None else lock, by_name)
-    warn_beyond_limits(of.name, asked, {joint.name: (joint.lower, joint.upper) for joint in joints}, stacklevel=4)
     for name, value in asked.items():
         joint = by_name[name]
         if value is not None and not joint.single:
@@ -93,10 +92,10 @@ def _given(of: MjcfModel, joints: Sequence[MjcfJoint], base: Base, lock: Any) ->
     return held
 
 
-def _kept(joints: Sequence[MjcfJoint], moves: Sequence[Follows], names: Any, lock: Any) -> list[Follows]:
-    """Displacements of the joints when only those that are named, and those that follow them, move."""
-    locked = positions(() if lock is None else lock, [joint.name for joint in joints])
-    chosen = to_keep(names, [joint.name for joint in joints if joint.single], locked)
+def _kept(
+    joints: Sequence[MjcfJoint], moves: Sequence[Follows], names: Any, asked: Mapping[str, float | None]
+) -> list[Follows]:
+    chosen = to_keep(names, [joint.name for joint in joints if joint.single], asked)
     roots = {moves[joint.row].leader for joint in joints if joint.name in chosen or joint.kind == FREE}
     return [x if x.leader in roots else Follows(None, 0.0, x.offset) for x in moves]
 
@@ -140,24 +139,17 @@ def _require_numbers(joints: Sequence[MjcfJoint], moves: Sequence[Follows]) -> N
         if not all(abs(x) <= MOST for x in moves[joint.row][1:]):
             expected, found = f"couplings of joints must be finite, at most {MOST:g}", f"{moves[joint.row][1:]}"
             faults.append(Finding("number.invalid", subject, expected, found))
-    _refuse(faults)
+    require_usable(faults)
 
 
 def _require_finite(description: RobotDescription) -> None:
     """Raise unless all numbers of a description are finite, and not too large to be multiplied."""
     tensors = {name: x for name, x in vars(description).items() if isinstance(x, Tensor)}
     expected = f"must be finite, at most {MOST:g} in size"
-    _refuse(
+    require_usable(
         [
             Finding("number.invalid", "", f"{name} {expected}", f"{x.tolist()}")
             for name, x in tensors.items()
             if not bool((x.abs() <= MOST).all())
         ]
     )
-
-
-def _refuse(faults: Sequence[Finding]) -> None:
-    if faults:
-        lines = "\n  ".join(map(str, faults))
-        found = [x._replace(severity="error") for x in faults]
-        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *found)

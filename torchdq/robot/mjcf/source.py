@@ -81,7 +81,6 @@ def _attempt(step: Callable[[], Any], needed: list[str] | None = None) -> Any:
 
 
 def _text(source: Any) -> MjcfText:
-    """XML text of a source."""
     text = xml("robot description", source, MOST_BYTES, DescriptionError, MissingFileError)
     if root_name(text) not in ("mujoco", "robot"):
         expected = "an MJCF file, whose root element is <mujoco>"

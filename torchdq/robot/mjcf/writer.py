@@ -5,32 +5,24 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra.inertia import Six
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import double, matrices
-from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.description import Base
-from torchdq.robot.edit.changed import (
-    ChangedBody,
-    ChangedJoint,
-    changed_bodies,
-    changed_joints,
-    digits,
-    require_read_back,
-    require_same_tree,
-)
+from torchdq.robot.edit.changed import ChangedBody, ChangedJoint, Elements, Place, digits, rewritten
 from torchdq.robot.mjcf import read as mjcf
-from torchdq.robot.mjcf.joints import MjcfJoint, actuators_at
+from torchdq.robot.mjcf.joints import actuators_at
 from torchdq.robot.mjcf.links import body_of
 from torchdq.robot.mjcf.read import Mjcf
 from torchdq.robot.mjcf.source import MjcfText
 from torchdq.robot.model import RobotModel
-from torchdq.robot.xml_text import add, parsed, written
 
 JOINTS = ("joint", "freejoint")
 ATTRIBUTES = {"damping": "damping", "friction": "frictionloss", "armature": "armature"}
@@ -57,28 +49,83 @@ def to_mjcf(robot: RobotModel, original: Any) -> str:
     """
     base: Base = "fixed" if robot.base_mass is None else "floating"
     first = mjcf.read(original, base)
-    text = first.of.source.text
-    before = _robot(robot, first)
-    require_same_tree(robot, before)
-    bodies, changes = changed_bodies(robot, before), changed_joints(robot, before)
-    if not bodies and not changes:
-        return text
-    root = parsed(text, whole=True)
-    elements = _bodies(root, first)
-    for changed in bodies:
-        _write_body(first, elements, changed)
-    for joint in first.joints:
-        own = [change for change in changes if change.joint == joint.name]
-        if own:
-            _write_joint(first, elements[joint.body], joint, own, before.joint_map is not None)
-    result = written(root, text)
-    again = mjcf.read(MjcfText(result, first.of.source.folder), base)
-    require_read_back(robot, _robot(robot, again))
-    return result
+    source = first.of.source
+
+    def read(text: str) -> RobotModel:
+        of = first if text is source.text else mjcf.read(MjcfText(text, source.folder), base)
+        return type(robot)(**vars(of.description), gravity=None)
+
+    return rewritten(robot, source.text, read, partial(MjcfElements, first))
 
 
-def _robot(robot: RobotModel, of: Mjcf) -> RobotModel:
-    return type(robot)(**vars(of.description), gravity=None)
+class MjcfElements(Elements):
+    """Elements of an MJCF file, from which a robot was read."""
+
+    MASS, COM = ("", "mass"), ("", "pos")
+    FIXED = "bodies without joints"
+
+    def __init__(self, of: Mjcf, root: ET.Element, first: RobotModel):
+        self.of, self.bodies, self.coupled = of, _bodies(root, of), first.joint_map is not None
+
+    def places(self, changed: ChangedBody) -> list[Place]:
+        """Body that a joint moves, and those without joints that are part of it."""
+        links, link = self.of.bodies.of, changed.link
+        name = links.frames[0].name if link == BASE else links.links[link].name
+        # the body itself comes before those that it carries
+        parts = [(i, X) for i, (at, X) in enumerate(links.places) if i and at == link]
+        if self.of.of.weighed:
+            raise ArgumentError(
+                f"mass, com and inertia of link {name!r} must be those of its geoms, because the file says so by "
+                "inertiafromgeom='true'; change that to 'auto' there, and <inertial> is written"
+            )
+        if not parts:
+            raise ArgumentError(
+                f"link {name!r} must stay without mass, since another joint lies between it and the body, "
+                f"found {changed.body.mass:g} kg; change the link that the body's last joint carries"
+            )
+        return [Place(f"body {name!r}", self.bodies[i], body_of(self.of.of, i).moved(X)) for i, X in parts]
+
+    def set_inertia(self, place: Place, inertial: ET.Element, moments: Six) -> None:
+        """Write principal axes of an inertia; MuJoCo's own search for those of a full one stops at twelve digits."""
+        for key in OTHER_AXES:
+            inertial.attrib.pop(key, None)
+        values, axes = np.linalg.eigh(matrices(double(moments)).numpy())
+        axes[:, 0] *= np.linalg.det(axes)
+        r = max(quat.from_rotation_rows(tuple(map(tuple, axes.tolist()))), key=quat.norm2)
+        r = quat.scale(1.0 / math.sqrt(quat.norm2(r)), r)
+        inertial.attrib.update(quat=digits(r), diaginertia=digits(values.tolist()))
+
+    def set_joint(self, name: str, changes: Sequence[ChangedJoint]) -> None:
+        """Write numbers of a joint; what a coordinate has is the sum over its joints and their actuators."""
+        of, m = self.of.of, self.of.of.model
+        (joint,) = (joint for joint in self.of.joints if joint.name == name)
+        dof = int(m.jnt_dofadr[joint.row])
+        element = [*_inside(self.bodies[joint.body], *JOINTS)][joint.row - int(m.body_jntadr[joint.body])]
+        files = {"damping": m.dof_damping, "friction": m.dof_frictionloss, "armature": m.dof_armature}
+        shared = self.coupled or bool(actuators_at(of, joint.row))
+        words: dict[str, str] = {}
+        ends: dict[str, float] = {}
+        for field, old, new in changes:
+            if field in ATTRIBUTES:
+                words[ATTRIBUTES[field]] = repr(float(files[field][dof]) + (new - old) if shared else new)
+            elif field in ("lower", "upper"):
+                ends[field] = new
+            else:
+                raise ArgumentError(
+                    f"{field} limit of joint {name!r} has no place in an MJCF file, where actuators bound it, found "
+                    f"{new:g}, in the original {old:g}"
+                )
+        if ends:
+            low, high = ends.get("lower", joint.lower), ends.get("upper", joint.upper)
+            if not math.isfinite(high - low):
+                raise ArgumentError(f"limits of joint {name!r} must both be finite, found {low:g} and {high:g}")
+            scale = 180 / math.pi if of.degrees and joint.kind == "revolute" else 1.0
+            words["range"] = digits((low * scale, high * scale))
+            if not m.jnt_limited[joint.row]:
+                words["limited"] = "true"
+        if "damping" in words and m.dof_dampingpoly[dof].any():
+            words["damping"] = f"{words['damping']} {digits(m.dof_dampingpoly[dof].tolist())}"
+        element.attrib.update(words)
 
 
 def _bodies(root: ET.Element, first: Mjcf) -> list[ET.Element]:
@@ -112,83 +159,3 @@ def _inside(element: ET.Element, *tags: str) -> Iterator[ET.Element]:
             yield child
         elif child.tag != "body":
             yield from _inside(child, *tags)
-
-
-def _write_body(first: Mjcf, elements: Sequence[ET.Element], changed: ChangedBody) -> None:
-    """Write the body of a link, less the bodies without joints that are part of it."""
-    links, link = first.bodies.of, changed.link
-    placed = links.places
-    name = links.frames[0].name if link == BASE else links.links[link].name
-    parts = [i for i in range(1, len(placed)) if placed[i][0] == link]
-    if first.of.weighed:
-        raise ArgumentError(
-            f"mass, com and inertia of link {name!r} must be those of its geoms, because the file says so by "
-            "inertiafromgeom='true'; change that to 'auto' there, and <inertial> is written"
-        )
-    if not parts:
-        raise ArgumentError(
-            f"link {name!r} must stay without mass, since another joint lies between it and the body, "
-            f"found {changed.body.mass:g} kg; change the link that the body's last joint carries"
-        )
-    # the body itself comes before those that it carries
-    carrying, rest = parts[0], NOTHING
-    for i in parts[1:]:
-        rest = merged(rest, body_of(first.of, i).moved(placed[i][1]))
-    inertial = elements[carrying].find("inertial")
-    new = changed.written(
-        body_of(first.of, carrying), rest, inertial is None, f"body {name!r}", "bodies without joints"
-    )
-    if inertial is None:
-        inertial = add(elements[carrying], "inertial")
-    if "com" in new:
-        inertial.set("pos", digits(new["com"]))
-    if "mass" in new:
-        inertial.set("mass", repr(new["mass"]))
-    if "inertia" in new:
-        for key in OTHER_AXES:
-            inertial.attrib.pop(key, None)
-        inertial.attrib.update(_principal(new["inertia"]))
-
-
-def _principal(inertia: Sequence[float]) -> dict[str, str]:
-    """Attributes for an inertia: MuJoCo's own search for the principal axes of a full one stops at twelve digits."""
-    moments, axes = np.linalg.eigh(matrices(double(inertia)).numpy())
-    axes[:, 0] *= np.linalg.det(axes)
-    rows = quat.from_rotation_rows(tuple(map(tuple, axes.tolist())))
-    r = max(rows, key=quat.norm2)
-    r = quat.scale(1.0 / math.sqrt(quat.norm2(r)), r)
-    return {"quat": digits(r), "diaginertia": digits(moments.tolist())}
-
-
-def _write_joint(
-    first: Mjcf, body: ET.Element, joint: MjcfJoint, changes: Sequence[ChangedJoint], coupled: bool
-) -> None:
-    m, name, dof = first.of.model, joint.name, int(first.of.model.jnt_dofadr[joint.row])
-    element = [*_inside(body, *JOINTS)][joint.row - int(m.body_jntadr[joint.body])]
-    files = {"damping": m.dof_damping, "friction": m.dof_frictionloss, "armature": m.dof_armature}
-    # what a coordinate has is the sum over the joints that follow it and their actuators
-    shared = coupled or bool(actuators_at(first.of, joint.row))
-    words: dict[str, str] = {}
-    ends: dict[str, float] = {}
-    for _, field, old, new in changes:
-        if field in ATTRIBUTES:
-            value = float(files[field][dof]) + (new - old) if shared else new
-            words[ATTRIBUTES[field]] = repr(value)
-        elif field in ("lower", "upper"):
-            ends[field] = new
-        else:
-            raise ArgumentError(
-                f"{field} limit of joint {name!r} has no place in an MJCF file, where actuators bound it, found "
-                f"{new:g}, in the original {old:g}"
-            )
-    if ends:
-        low, high = ends.get("lower", joint.lower), ends.get("upper", joint.upper)
-        if not math.isfinite(high - low):
-            raise ArgumentError(f"limits of joint {name!r} must both be finite, found {low:g} and {high:g}")
-        scale = 180 / math.pi if first.of.degrees and joint.kind == "revolute" else 1.0
-        words["range"] = digits((low * scale, high * scale))
-        if not m.jnt_limited[joint.row]:
-            words["limited"] = "true"
-    if "damping" in words and m.dof_dampingpoly[dof].any():
-        words["damping"] = f"{words['damping']} {digits(m.dof_dampingpoly[dof].tolist())}"
-    element.attrib.update(words)

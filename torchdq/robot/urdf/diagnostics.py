@@ -49,16 +49,7 @@ def diagnostics(
     moves: Sequence[Follows],
     coupled: bool,
 ) -> list[Finding]:
-    """Findings of a file.
-
-    Args:
-        root: its root element.
-        file: its links and joints.
-        tree: how they hang together.
-        links: those that move.
-        free, moves: displacements of the joints, without and with locks.
-        coupled: whether joints follow others by <mimic>.
-    """
+    """Findings of a file; `free` and `moves` are the displacements of its joints without and with locks."""
     joints = _joints(root, file, links, coupled)
     rows = [*_bodies(root, file, tree, links), *joints, *_standing(file, free, moves)]
     found = [
@@ -140,7 +131,6 @@ def _short(name: str) -> str:
 
 
 def _orphans(file: Elements, coupled: bool) -> Iterator[Finding]:
-    """Moving joints that mimic a joint that is not in the file."""
     for name, joint in file.joints.items():
         if coupled and joint.moves and joint.mimic and (driver := joint.mimic.leader) not in file.joints:
             close = get_close_matches(driver, [other for other in file.joints if other != name], n=1)
@@ -150,7 +140,6 @@ def _orphans(file: Elements, coupled: bool) -> Iterator[Finding]:
 
 
 def _unusable(file: Elements) -> Iterator[Finding]:
-    """Limits that no motion can keep."""
     for name, joint in file.joints.items():
         if joint.unusable:
             what = f"limits that no motion can keep are taken as none: {', '.join(joint.unusable)}"

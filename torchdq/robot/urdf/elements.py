@@ -11,7 +11,7 @@ from typing import NamedTuple
 from torchdq.algebra.inertia import Six
 from torchdq.algebra.quaternion import ZERO, Pure, Quaternion
 from torchdq.algebra.screw import Screw
-from torchdq.findings import Finding
+from torchdq.findings import Finding, printable
 from torchdq.robot.arrays import MOST
 from torchdq.robot.edit.couplings import Follows
 
@@ -98,8 +98,8 @@ def elements(root: ET.Element) -> Elements:
         if joint.kind == "planar":
             between = [f"{name_}_{part}" for part in PLANAR]
             if taken := [x for x in between if x in joints] + [x for x in between[:2] if x in links]:
-                expected = f"its parts are named {', '.join(between)}, but the file has {taken} already"
-                faults.append(Finding("name.twice", f"joint {name_!r}", expected))
+                becomes = f"it is planar and becomes {', '.join(between)}; {listed(taken)} already exists"
+                faults.append(Finding("name.twice", f"joint {name_!r}", becomes))
                 continue
             bodies |= dict.fromkeys(between[:2])
             parts = _taken_apart(joint, between)
@@ -292,5 +292,6 @@ def _taken_apart(joint: UrdfJoint, names: list[str]) -> list[UrdfJoint]:
 
 
 def listed(names: list[str]) -> str:
-    """Names in brackets, the first twenty of many."""
-    return f"{names}" if len(names) <= 20 else f"{names[:20]} and {len(names) - 20} more"
+    """Names, the first twenty of many."""
+    shown = ", ".join(map(printable, names[:20])) or "none"
+    return shown if len(names) <= 20 else f"{shown} and {len(names) - 20} more"

@@ -9,7 +9,7 @@ from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import MOST
 from torchdq.robot.edit.couplings import STILL, Follows
-from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep, warn_beyond_limits
+from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep
 from torchdq.robot.urdf.elements import Elements, UrdfJoint, listed
 
 
@@ -71,7 +71,6 @@ def locked(
     movable = [name for name, x in zip(file.joints, free, strict=True) if x.leader is not None]
     wanted = positions(() if lock is None else lock, movable)
     limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in movable}
-    warn_beyond_limits(file.name, wanted, limits, stacklevel=4)
     given = {name: value or 0.0 for name, value in wanted.items()}
     kept = None if joints is None else to_keep(joints, movable, given)
     moves = motions(file.joints, coupled, [], given, kept)
@@ -92,4 +91,4 @@ def locked(
     for name, value in at.items():
         if not abs(value) <= MOST:
             raise ArgumentError(f"lock[{name!r}] must not exceed {MOST:g} in size, found {value:g}")
-    return moves, lock_notes(at, {name: limits[name] for name in at})
+    return moves, lock_notes(file.name, wanted, at, limits, stacklevel=4)

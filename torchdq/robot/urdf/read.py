@@ -10,12 +10,11 @@ from typing import Any
 import torch
 
 from torchdq.dynamics.tree import BASE
-from torchdq.errors import DescriptionError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import SIX, double, matrices
 from torchdq.robot.assembly import described, linked
 from torchdq.robot.check import consistency
-from torchdq.robot.description import Base, RobotDescription, Shape, note
+from torchdq.robot.description import Base, RobotDescription, Shape, note, require_usable
 from torchdq.robot.urdf.diagnostics import diagnostics
 from torchdq.robot.urdf.document import root_of
 from torchdq.robot.urdf.elements import Elements, Part, elements
@@ -38,9 +37,7 @@ def read(
     # bodies that never move need not be readable
     excused = set() if root_floats or faults else tree.still
     unreadable = [x for name, all_of in found.unreadable.items() if name not in excused for x in all_of]
-    if faults := [x._replace(severity="error") for x in (*unreadable, *found.faults, *faults)]:
-        lines = "\n  ".join(map(str, faults))
-        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", *faults)
+    require_usable([*unreadable, *found.faults, *faults])
     moves, lock_notes = locked(found, still_free, coupled, kept, lock)
     judged, findings = physical(found, repair)
     shapes = {x.get("name", ""): tuple(map(_shape, x.findall("collision"))) for x in root.findall("link")}
@@ -96,7 +93,6 @@ def _shape(element: ET.Element) -> Shape:
 
 
 def _form(part: Part, tag: str) -> tuple[str, tuple[float, ...]]:
-    """Kind and size of the element of a form."""
     if tag == "box":
         return tag, tuple(0.5 * x for x in part.numbers("size", None, 3, signed=False))
     if tag == "sphere":

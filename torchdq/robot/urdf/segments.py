@@ -21,8 +21,7 @@ from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.urdf.elements import Elements, Inertial, Origin, UrdfJoint, listed
 
 OPEN = (
-    "closed loops are not simulated: leave one of its joints out, and say by <mimic>, or by robot.couple, how the "
-    "others move with it"
+    "kinematic loops are not supported: remove one of its joints, and let the others follow by <mimic> or robot.couple"
 )
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -53,13 +52,12 @@ def rooted(file: Elements, base: Base, faults: list[Finding]) -> Rooted:
     roots = [link for link in links if link not in carried]
     bases = roots if len(roots) == 1 else [link for link in roots if link in children or massive(links[link])]
     if len(bases) != 1:
-        expected = "exactly one link must be the base, carried by no joint"
-        expected = expected if links else f"the robot has no links; {expected}"
-        faults.append(Finding("base", "", expected, f"{len(roots)}: {listed(roots)}"))
+        expected = "exactly one root link expected" if links else "the robot has no links; one root link expected"
+        faults.append(Finding("base", "", expected, listed(roots)))
     # links that hang on a missing link are in no loop
     reached = below([*roots, *(parent for parent in children if parent not in links)], children)
     if loose := [link for link in links if link not in reached]:
-        faults.append(Finding("link.loop", "", f"links {listed(loose)} hang in a loop"))
+        faults.append(Finding("link.loop", "", f"links {listed(loose)} form a loop"))
     root = bases[0] if bases else ""
     world = below([root], children_of(x for x in file.joints.values() if x.kind == "fixed"))
     floating = [joint for joint in file.joints.values() if joint.kind == "floating"]

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
+from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.inertia import RigidBody, Six
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
-from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.check import consistency
 from torchdq.robot.description import Base
-from torchdq.robot.edit.changed import (
-    ChangedBody,
-    ChangedJoint,
-    changed_bodies,
-    changed_joints,
-    digits,
-    require_read_back,
-    require_same_tree,
-)
+from torchdq.robot.edit.changed import ChangedBody, ChangedJoint, Elements, Place, rewritten, set_in
 from torchdq.robot.model import RobotModel, factors
 from torchdq.robot.urdf.document import text_of
 from torchdq.robot.urdf.elements import ENTRIES, Inertial, elements
 from torchdq.robot.urdf.read import physical, read
 from torchdq.robot.urdf.segments import body_of, pose
-from torchdq.robot.xml_text import add, parsed, written
+from torchdq.robot.xml_text import parsed, written
 
 
 def to_urdf(robot: RobotModel, original: Any) -> str:
@@ -71,20 +64,7 @@ def to_urdf(robot: RobotModel, original: Any) -> str:
     if robot.joint_map is None and set(robot.joint_names) < set(first.joint_names):
         options["kept"] = robot.joint_names
         first = read_as(text, **options)
-    require_same_tree(robot, first)
-    bodies, joints = changed_bodies(robot, first), changed_joints(robot, first)
-    if not bodies and not joints:
-        return text
-    root, file = parsed(text, whole=True), elements(parsed(text))
-    links, named = ({x.get("name", ""): x for x in root.findall(tag)} for tag in ("link", "joint"))
-    for changed in bodies:
-        _write_body(links, file.links, first, changed)
-    shared = (factors(first) != 0).sum(0) > 1  # by several joints, whose numbers are the coordinate's together
-    for change in joints:
-        _write_joint(named[change.joint], change, bool(shared[first.joint_index(change.joint)]))
-    result = written(root, text)
-    require_read_back(robot, read_as(result, **options))
-    return result
+    return rewritten(robot, text, partial(read_as, **options), UrdfElements)
 
 
 def _with_repairs(robot: RobotModel, text: str) -> str:
@@ -97,64 +77,58 @@ def _with_repairs(robot: RobotModel, text: str) -> str:
     for link in root.findall("link"):
         name = link.get("name", "")
         if f"link {name!r}" in subjects and (new := repaired[name]) is not None and new != file.links[name]:
-            _set_inertia(link.find("inertial"), new.inertia)
+            _set_moments(link.find("inertial"), new.inertia)
     return written(root, text)
 
 
-def _write_body(
-    links: Mapping[str, ET.Element], described: Mapping[str, Inertial | None], first: RobotModel, changed: ChangedBody
-) -> None:
-    """Write the body of a link, less the links on fixed joints that are part of it."""
-    link = changed.link
-    parts = {frame.name: frame.X_BF.tolist() for frame in first.frames if frame.link == link and frame.name in links}
-    carrying = next(iter(parts)) if link == BASE else first.link_names[link]
-    rest = NOTHING
-    for name, X in parts.items():
-        if name != carrying:
-            rest = merged(rest, _in_link(described[name]).moved((tuple(X[:4]), tuple(X[4:]))))
-    own, inertial = described[carrying], links[carrying].find("inertial")
-    new = changed.written(_in_link(own), rest, inertial is None, f"link {carrying!r}", "links on fixed joints")
-    if inertial is None:
-        inertial = add(links[carrying], "inertial")
-    if "inertia" in new:
-        moments = new["inertia"]
-        if own is not None and (r := pose(own.origin)[0]) != quat.ONE:  # axes of the inertia
+class UrdfElements(Elements):
+    """Elements of a URDF file, from which a robot was read."""
+
+    MASS, COM = ("mass", "value"), ("origin", "xyz")
+    FIXED = "links on fixed joints"
+
+    def __init__(self, root: ET.Element, first: RobotModel):
+        self.first, self.described = first, elements(root).links
+        self.links, self.joints = ({x.get("name", ""): x for x in root.findall(tag)} for tag in ("link", "joint"))
+
+    def places(self, changed: ChangedBody) -> list[Place]:
+        """Link that a joint moves, and those on fixed joints that are part of it."""
+        link, first = changed.link, self.first
+        parts = {x.name: tuple(x.X_BF.tolist()) for x in first.frames if x.link == link and x.name in self.links}
+        carrying = next(iter(parts)) if link == BASE else first.link_names[link]
+        X_BF = {carrying: dual_quaternion.ONE} | {name: (X[:4], X[4:]) for name, X in parts.items() if name != carrying}
+        bodies = {name: _in_link(self.described[name]).moved(X) for name, X in X_BF.items()}
+        return [Place(f"link {name!r}", self.links[name], body) for name, body in bodies.items()]
+
+    def set_inertia(self, place: Place, inertial: ET.Element, moments: Six) -> None:
+        """Write an inertia in the axes of its origin."""
+        own = self.described[place.element.get("name", "")]
+        if own is not None and (r := pose(own.origin)[0]) != quat.ONE:
             moments = RigidBody(0.0, quat.ZERO, moments).moved((quat.conj(r), (0.0,) * 4)).inertia
-        _set_inertia(inertial, moments)
-    if "mass" in new:
-        _set(inertial, "mass", {"value": repr(new["mass"])})
-    if "com" in new:
-        _set(inertial, "origin", {"xyz": digits(new["com"])})
+        _set_moments(inertial, moments)
+
+    def set_joint(self, name: str, changes: Sequence[ChangedJoint]) -> None:
+        """Write numbers of a joint; what a coordinate has is the sum over the joints that share it."""
+        joint, shared = self.joints[name], int((factors(self.first)[:, self.first.joint_index(name)] != 0).sum()) > 1
+        for field, old, new in changes:
+            if field == "armature":
+                raise ArgumentError(f"armature of joint {name!r} has no place in a URDF file, found {new:g}")
+            if field in ("lower", "upper") and joint.get("type") == "continuous":
+                raise ArgumentError(
+                    f"{field} limit of joint {name!r} has no place in the file, where it is continuous, "
+                    f"found {new:g}; make it a revolute joint there"
+                )
+            tag = "dynamics" if field in ("damping", "friction") else "limit"
+            element = joint.find(tag)
+            own = 0.0 if element is None else float(element.get(field, 0.0))
+            set_in(joint, tag, field, repr(own + (new - old) if shared and tag == "dynamics" else new))
 
 
 def _in_link(inertial: Inertial | None) -> RigidBody:
-    """Body of an <inertial> element in the frame of its link."""
     body, X = body_of(inertial)
     return body.moved(X)
 
 
-def _set(parent: ET.Element, tag: str, attributes: Mapping[str, str]) -> None:
-    """Write attributes of the first child with a tag, which may be missing."""
-    child = parent.find(tag)
-    (add(parent, tag) if child is None else child).attrib.update(attributes)
-
-
-def _set_inertia(inertial: Any, moments: Six) -> None:
-    """Write the inertia of an <inertial>, in its axes."""
-    _set(inertial, "inertia", dict(zip(ENTRIES, map(repr, moments), strict=True)))
-
-
-def _write_joint(joint: ET.Element, change: ChangedJoint, shared: bool) -> None:
-    """Write a number of a joint; what a coordinate has is the sum over the joints that share it."""
-    name, field, old, new = change
-    if field == "armature":
-        raise ArgumentError(f"armature of joint {name!r} has no place in a URDF file, found {new:g}")
-    if field in ("lower", "upper") and joint.get("type") == "continuous":
-        raise ArgumentError(
-            f"{field} limit of joint {name!r} has no place in the file, where it is continuous, "
-            f"found {new:g}; make it a revolute joint there"
-        )
-    tag = "dynamics" if field in ("damping", "friction") else "limit"
-    element = joint.find(tag)
-    own = 0.0 if element is None else float(element.get(field, 0.0))
-    _set(joint, tag, {field: repr(own + (new - old) if shared and tag == "dynamics" else new)})
+def _set_moments(inertial: Any, moments: Six) -> None:
+    for entry, x in zip(ENTRIES, moments, strict=True):
+        set_in(inertial, "inertia", entry, repr(x))

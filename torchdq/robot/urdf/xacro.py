@@ -62,7 +62,6 @@ def expanded(path: Any, arguments: Any, packages: Any, defaults: Mapping[str, st
 
 
 def _strings(name: str, x: Any) -> dict[str, str]:
-    """Values as xacro takes them: words."""
     if not isinstance(x, Mapping) or not all(isinstance(key, str) for key in x):
         raise ArgumentError(f"{name} must be a mapping with names as keys, found {x!r}")
     return {key: str(value).lower() if isinstance(value, bool) else str(value) for key, value in x.items()}
