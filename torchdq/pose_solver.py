@@ -5,18 +5,14 @@ Frames, axes and everything else are as in `torchdq.task_space`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchdq.backends.backend import LoopKernel
-from torchdq.backends.call import arranged, common_batch, recorded, row_of
-from torchdq.backends.choice import BackendName, choose
-from torchdq.backends.loop_call import loop_of
-from torchdq.backends.torch import InterpretedLoop
+from torchdq.backends.call import common_batch
+from torchdq.backends.choice import BackendName
 from torchdq.base.checks import POSITIVE, require_choice, require_count, require_number, require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functions import inverse_kinematics as formulas
@@ -24,7 +20,6 @@ from torchdq.functions.call import function_of, gain, with_options, with_tensors
 from torchdq.functions.catalogue import Function
 from torchdq.functions.options import options_of
 from torchdq.program.autograd import in_a_graph
-from torchdq.program.program import Program
 from torchdq.program.transforms import mapped, outside_of_graphs, transforming, without_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
@@ -33,9 +28,7 @@ from torchdq.robot.robot import constants
 __all__ = ["InverseKinematics", "differential_inverse_kinematics", "inverse_kinematics"]
 
 TOLERANCES = {torch.float32: 1e-5, torch.float64: 1e-8}
-LANES, STEPS = 2048, 8  # rows of a processor's core that take some steps together, before others take their places
 FAR = 1e3  # [m] distance beyond which the direction of a goal decides, and its square does not overflow
-FEW = 64  # rows from which a call is cheaper than their steps
 
 
 class InverseKinematics(NamedTuple):
@@ -107,14 +100,15 @@ def inverse_kinematics(
         )
     X, share = _nearby(X)
     settings = (angle, distance, starts, starts + min(formulas.LAST, starts - 1))
+    what = Function(constants(robot), "inverse_kinematics_step", names)
     with torch.no_grad():
-        found = _search(robot, names, X.detach(), start, settings, backend)
-    found = found._replace(error=torch.stack([found.error[..., 0], found.error[..., 1] / share], -1))
-    if not in_a_graph(tensors):
-        return found
-    e, P = function_of("inverse_kinematics_newton", robot, {"q": found.q, "X": X}, backend, names)
-    e = torch.where(found.converged[..., None], e - e.detach(), 0.0)
-    return found._replace(q=found.q + (P.detach() @ e[..., None])[..., 0])
+        q, converged, error, taken = formulas.solve(what, robot, X.detach(), start, settings, backend)
+    error = torch.stack([error[..., 0], error[..., 1] / share], -1)
+    if in_a_graph(tensors):
+        e, P = function_of("inverse_kinematics_newton", robot, {"q": q, "X": X}, backend, names)
+        e = torch.where(converged[..., None], e - e.detach(), 0.0)
+        q = q + (P.detach() @ e[..., None])[..., 0]
+    return InverseKinematics(q, converged, error, taken)
 
 
 def _nearby(X: Tensor) -> tuple[Tensor, Tensor]:
@@ -122,61 +116,6 @@ def _nearby(X: Tensor) -> tuple[Tensor, Tensor]:
     r, d = X.split(4, -1)
     share = (FAR * r.detach().abs().amax(-1) / d.detach().abs().amax(-1)).nan_to_num(1.0).clamp(max=1.0)
     return torch.cat([r, share[..., None] * d], -1), share
-
-
-def _search(
-    robot: Robot,
-    names: tuple[str, ...],
-    X: Tensor,
-    start: Tensor | None,
-    settings: tuple[float, ...],
-    backend: BackendName | None,
-) -> InverseKinematics:
-    """Solutions of rows that go on by some steps together; those that are done make room for others."""
-    what = Function(constants(robot), "inverse_kinematics_step", names)
-    what.require_base()
-    if start is None:
-        q = X.new_tensor(formulas.start(0.0, formulas.ranges(robot)))
-    else:
-        q = start.detach().clamp(*[bound.to(X) for bound in robot.limits[:2]])
-    state, same = X.new_tensor([0.0, 0.0, *[math.inf] * 3]), X.new_tensor(settings)
-    given = with_tensors(robot, {"q": q, "best": q, "state": state, "X": X, "settings": same})
-    tensors = {name: x.detach() for name, x in given.items() if x is not None}
-    arguments, forms, batch = arranged(what, tensors)
-    rows = [row_of(x, X.dtype, X.device, form) for x, form in zip(tensors.values(), forms, strict=True)]
-    count, kept = math.prod(batch), [not a.uniform for a in arguments[3:]]
-    run = _kernel(recorded(what, arguments), X, count, backend)
-    lanes = min(count, LANES * torch.get_num_threads() if X.device.type == "cpu" else count)
-    at, following, done = torch.arange(lanes, device=X.device), lanes, list[list[Tensor]]()
-    carried = [x[:lanes] for x in rows[:3]]
-    while True:
-        fixed = [x.index_select(0, at) if several else x for x, several in zip(rows[3:], kept, strict=True)]
-        carried = list(run([*carried, *fixed], len(at), STEPS if len(at) > FEW else 4 * STEPS))
-        goes = (carried[2][:, 1] == 0) & (carried[2][:, 0] <= settings[3])
-        on, off = (x.nonzero()[:, 0] for x in (goes, ~goes))
-        done.append([x.index_select(0, off) for x in (at, *carried[1:])])
-        more = torch.arange(following, min(following + len(off), count), device=X.device)
-        if not len(on) + len(more):
-            break
-        following += len(more)
-        new = (more, *[x.index_select(0, more) for x in rows[:3]])
-        at, *carried = [torch.cat([x.index_select(0, on), y]) for x, y in zip((at, *carried), new, strict=True)]
-    order, *found = done[0] if len(done) == 1 else (torch.cat(parts) for parts in zip(*done, strict=True))
-    if len(done) > 1:
-        back = order.argsort()
-        found = [x.index_select(0, back) for x in found]
-    q, state = (x.reshape(*batch, x.shape[-1]) for x in found)
-    q = q.masked_fill(state[..., 3:].isinf().any(-1, keepdim=True), math.nan)  # no start had an error
-    taken = (state[..., 0].long() + 1).clamp(max=int(settings[2]))
-    return InverseKinematics(q, state[..., 1] > 0, state[..., 3:].sqrt(), taken)
-
-
-def _kernel(program: Program, like: Tensor, samples: int, backend: BackendName | None) -> LoopKernel:
-    """Function that takes steps, compiled unless torch is to run them."""
-    loop, chosen = loop_of(program, ((0, 0), (1, 1), (2, 2)), (), ()), choose(backend, like.device)
-    if chosen.differentiable or transforming():
-        return InterpretedLoop(loop)
-    return chosen.loop(loop, like.dtype, like.device, samples)
 
 
 def differential_inverse_kinematics(

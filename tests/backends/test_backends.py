@@ -137,13 +137,13 @@ def reversed_and_summed(c, *rows):
 def test_rows_of_any_width_are_read_and_nothing_but_results_is_written(dtype):
     """That nothing else is read is the claim of test_kernel_bounds.py."""
     arguments = [Argument("c", 1, True), *(Argument(f"x{width}", width) for width in WIDTHS)]
-    run = kernel(record("widths", arguments, reversed_and_summed, [f"w{k}" for k in WIDTHS]), dtype).function
+    run = kernel(record("widths", arguments, reversed_and_summed, [f"w{k}" for k in WIDTHS]), dtype).run
     for samples in (0, 1, 2, 3, 5, 8, 9, 15, 16, 17, 23, 33, 40):
         rows, c = [random(samples, width, dtype=dtype) for width in WIDTHS], torch.tensor([3.0], dtype=dtype)
         sizes = [size for width in WIDTHS for size in (samples * width, samples, width)]
         room = [torch.full((64 + size + 64,), GUARD, dtype=dtype) for size in sizes]
         inside = [y[64:-64] for y in room]
-        run(samples, *(x.data_ptr() for x in (c, *rows)), *(y.data_ptr() + 64 * y.element_size() for y in room))
+        run(samples, None, *(x.data_ptr() for x in (c, *rows)), *(y.data_ptr() + 64 * y.element_size() for y in room))
         assert all((y[:64] == GUARD).all() and (y[-64:] == GUARD).all() for y in room)
         for k, x in enumerate(rows):
             y, z, w = inside[3 * k : 3 * k + 3]

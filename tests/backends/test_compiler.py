@@ -21,7 +21,8 @@ import torchdq
 from torchdq.backends import c_library as build
 from torchdq.backends import cache as kept
 from torchdq.backends import compiler as machine
-from torchdq.backends.c_source import pieces_of, source
+from torchdq.backends.c_loop import source
+from torchdq.backends.c_source import pieces_of
 from torchdq.backends.compiler import BuildError
 from torchdq.program.program import Argument, record
 
@@ -85,9 +86,9 @@ def double(factor: float) -> tuple[str, str, int]:
     return source(program, False), program.name, 2
 
 
-def apply(function, x: float) -> float:
+def apply(library, x: float) -> float:
     at, to = torch.tensor([x], dtype=torch.float64), torch.empty(1, dtype=torch.float64)
-    function(1, at.data_ptr(), to.data_ptr())
+    library.run(1, None, at.data_ptr(), to.data_ptr())
     return to.item()
 
 

@@ -12,8 +12,7 @@ import pytest
 from helpers import thinned
 
 import torchdq
-from torchdq.backends.c_loop import loop_source
-from torchdq.backends.c_source import source
+from torchdq.backends.c_loop import source, taken_as
 from torchdq.numbers.functions import cos, exp, floor, log, maximum, sin, sqrt
 from torchdq.program.loop import Loop, adjoint, with_states
 from torchdq.program.program import Argument, outputs, record
@@ -107,21 +106,24 @@ def arrays(what):
 def harness(what, scalar):
     """C program that runs a kernel on arrays of exact sizes."""
     taken, given = arrays(what)
-    sizes, numbers = [*taken, *given], "n, n, steps" if isinstance(what, Loop) else "n"
-    longs = ", ".join(["long"] * len(numbers.split()))
+    sizes, plan, starts = [*taken, *given], "0", dict[int, str]()
+    if isinstance(what, Loop):
+        plan = f"(const long[]){{steps, n, {', '.join(map(str, taken_as(what)))}}}"
+        states = [(r, f" + {what.body.arguments[k].width} * n") for k, r in what.carried if r in what.kept]
+        starts = {} if what.backwards else {len(taken) + r: size for r, size in states}  # the caller writes the start
     made = "\n".join(
         f"    {scalar} *block{k} = malloc(sizeof({scalar}) * (offset + {size})), *x{k} = block{k} + offset;\n"
         f"    for (j = 0; j < {size}; j++) x{k}[j] = ({scalar})(0.5 + 0.4 * ((j * 7 + {k}) % 11) / 11);"
         for k, size in enumerate(sizes)
     )
-    passed = ", ".join(f"x{k}" for k in range(len(sizes)))
+    passed = ", ".join(f"x{k}{starts.get(k, '')}" for k in range(len(sizes)))
     freed = " ".join(f"free(block{k});" for k in range(len(sizes)))
     parameters = ", ".join([f"const {scalar} *"] * len(taken) + [f"{scalar} *"] * len(given))
     batches, offsets, steps = (", ".join(map(str, x)) for x in (BATCHES, OFFSETS, STEPS))
     return (
-        f"#include <stdlib.h>\nvoid run({longs}, {parameters});\n"
+        f"#include <stdlib.h>\nvoid run(long, const long *, {parameters});\n"
         f"static void once(long n, long offset, long steps)\n{{\n    long j;\n{made}\n"
-        f"    run({numbers}, {passed});\n    {freed}\n}}\n"
+        f"    run(n, {plan}, {passed});\n    {freed}\n}}\n"
         f"int main(void)\n{{\n    const long batches[] = {{{batches}}}, offsets[] = {{{offsets}}};\n"
         f"    const long steps[] = {{{steps}}};\n"
         f"    for (int i = 0; i < {len(BATCHES)}; i++)\n"
@@ -133,8 +135,7 @@ def harness(what, scalar):
 @pytest.mark.parametrize(("name", "scalar"), thinned([(x, y) for x in PROGRAMS for y in ("double", "float")], QUICK))
 def test_a_kernel_stays_within_its_arrays(name, scalar, tmp_path):
     program = PROGRAMS[name]()
-    printed = loop_source if isinstance(program, Loop) else source
-    (tmp_path / "kernel.c").write_text(printed(program, scalar == "float"))
+    (tmp_path / "kernel.c").write_text(source(program, scalar == "float"))
     (tmp_path / "main.c").write_text(harness(program, scalar))
     for command in (["gcc", *SANITIZED, "kernel.c", "main.c", "-o", "main", "-lm"], ["./main"]):
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)

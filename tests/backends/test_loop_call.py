@@ -79,7 +79,7 @@ def test_rows_of_any_width_are_carried():
 def test_long_bodies_are_functions_of_bounded_length(dtype, monkeypatch):
     monkeypatch.setattr(c_source, "LONGEST", 20)
     program = step(links=4)
-    code = c_loop.loop_source(loop(program), dtype == F32)
+    code = c_loop.source(loop(program), dtype == F32)
     assert c_source.pieces_of(code) > 2
     given = tensors(21, 4, dtype=dtype)
     assert equal(looped(program, 4, given), one_by_one(program, 4, given, "c"))

@@ -14,7 +14,7 @@ from helpers import compiled
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.backends.c_source import source as source_of
+from torchdq.backends.c_loop import source as source_of
 from torchdq.envs import Scene, effects
 from torchdq.program.program import outputs
 
@@ -30,7 +30,7 @@ MAIN = """
 int main(int n,char**paths){{
   FILE*from=fopen(paths[1],"rb"),*to=fopen(paths[2],"wb");
   {buffers}
-  run({samples},{pointers});
+  run({samples},0,{pointers});
   {writing}
   return 0;
 }}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,13 +11,13 @@ from torch import Tensor
 
 from torchdq.backends import c_library, threads
 from torchdq.backends.backend import Form, contiguous, dense
-from torchdq.backends.c_loop import loop_source
-from torchdq.backends.c_source import source
+from torchdq.backends.c_loop import Body, body_of, source, taken_as
 from torchdq.backends.compiler import BuildError, Compiled, compiler, no_compiler
+from torchdq.backends.torch import interpreted, interpreted_loop
 from torchdq.base.caches import LAYOUTS, PROGRAMS, remembered
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError, TorchdqError
-from torchdq.program.loop import Loop, shapes
+from torchdq.program.loop import Chain, Loop, shapes
 from torchdq.program.program import Program, outputs
 from torchdq.program.transforms import empty_on_cpu
 
@@ -62,16 +63,26 @@ def _compiled(what: Program | Loop, dtype: torch.dtype, few: bool = False) -> An
         return error
 
 
+@remembered(PROGRAMS)
+def _library(body: Body, dtype: torch.dtype, few: bool) -> tuple[c_library.Library, tuple[Any, ...], tuple[int, ...]]:
+    """Library of a body, those of the links of a chain, which live as long, and the addresses of their parts."""
+    program, links = body.program, tuple[Any, ...]()
+    if isinstance(program, Chain):
+        links = tuple([_library(body_of(link.program), dtype, few) for link in program.links])
+    with Progress(f"writing {program.name} in C"):
+        code = source(body, dtype == torch.float32, few)
+    arrays = len(program.arguments) + len(body.added) + len(outputs(program))
+    library = c_library.load(code, program.name, arrays)
+    return library, links, tuple([address for one, _, _ in links for address in one.parts])
+
+
 class CompiledKernel:
     """Compiled program in one precision."""
 
     def __init__(self, program: Program, dtype: torch.dtype):
         self.program, self.dtype = program, dtype
         results = outputs(program)
-        pointers = len(program.arguments) + len(results)
-        with Progress(f"writing {program.name} in C"):
-            code = source(program, dtype == torch.float32)
-        self.function = c_library.load(code, program.name, pointers)
+        self.run = _library(body_of(program), dtype, False)[0].run
         self.operations = program.count().total
         self.widths = [(len(r.values), r.summed) for r in results]
         self.any_summed = any(r.summed for r in results)
@@ -94,13 +105,13 @@ class CompiledKernel:
     def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
         """Compute the outputs, none of them summed, into given tensors; see `DirectKernel`."""
         if samples <= threads.BLOCK:
-            self.function(samples, *[x.data_ptr() for x in (*inputs, *results)])
+            self.run(samples, None, *[x.data_ptr() for x in (*inputs, *results)])
         else:
             self._run([*inputs, *results], samples, *threads.shares(samples, self.operations, False))
 
     def _run(self, tensors: Sequence[Tensor], samples: int, number: int, size: int) -> None:
         """Run the program on all tensors, with a number of threads and a number of samples in each part."""
-        _in_parts(self.function, samples, (), [x.data_ptr() for x in tensors], self.strides, number, size)
+        _in_parts(self.run, samples, None, [x.data_ptr() for x in tensors], self.strides, number, size)
 
 
 class CompiledLoop:
@@ -109,9 +120,7 @@ class CompiledLoop:
     def __init__(self, loop: Loop, dtype: torch.dtype, few: bool):
         self.loop, self.dtype, body = loop, dtype, loop.body
         results = outputs(body)
-        with Progress(f"writing {loop.name} in C"):
-            code = loop_source(loop, dtype == torch.float32, few)
-        self.function = c_library.load(code, loop.name, len(loop.arguments) + len(results), 3)
+        self.library = _library(body_of(loop), dtype, few)
         self.operations = body.count().total
         # glibc keeps freed memory up to twice the largest block that was freed; new pages cost more than the steps
         empty_on_cpu((LARGEST_KEPT,), (1,), torch.uint8)
@@ -119,29 +128,41 @@ class CompiledLoop:
         self.any_summed = any(self.summed)
         self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in loop.arguments]
         self.strides += [(len(r.values) * dtype.itemsize, r.summed) for r in results]
+        self.states = [(k, r) for k, r in loop.carried if r in loop.kept]  # of which the start is kept, too
 
     def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
         """Outputs of the loop; arguments that are not contiguous are copied."""
-        number, size = threads.shares(samples, self.operations * max(steps, 1), self.any_summed)
-        parts = max(1, -(-samples // size))
-        found = [empty_on_cpu(*form) for form in _forms(self.loop, samples, steps, parts, self.dtype)]
-        tensors = [*dense(inputs), *found]  # copies among them live until the function has returned
-        pointers = [x.data_ptr() for x in tensors]
-        _in_parts(self.function, samples, (samples, steps), pointers, self.strides, number, size)
+        loop = self.loop
+        if not steps:
+            return interpreted_loop(loop, inputs, samples, steps, interpreted)
+        number, size = threads.shares(samples, self.operations * steps, self.any_summed)
+        library, _, addresses = self.library
+        plan, forms = _plan(loop, samples, steps, max(1, -(-samples // size)), self.dtype, addresses)
+        given, found = dense(inputs), [empty_on_cpu(*form) for form in forms]
+        pointers = [x.data_ptr() for x in (*given, *found)]  # copies among them live until the function has returned
+        for k, r in self.states:
+            found[r][-1 if loop.backwards else 0] = given[k]
+            if not loop.backwards:
+                pointers[len(given) + r] += samples * self.strides[k][0]
+        _in_parts(library.run, samples, ctypes.addressof(plan), pointers, self.strides, number, size)
         return [y.sum(0) if summed else y for y, summed in zip(found, self.summed, strict=True)]
 
 
 @remembered(LAYOUTS)
-def _forms(loop: Loop, samples: int, steps: int, parts: int, dtype: torch.dtype) -> list[Form]:
-    """Forms of the outputs of a loop; summed ones have a row for each part of the samples."""
+def _plan(
+    loop: Loop, samples: int, steps: int, parts: int, dtype: torch.dtype, addresses: Sequence[int]
+) -> tuple[Any, list[Form]]:
+    """Plan of `run`, and forms of the outputs, of which summed ones have a row for each part of the samples."""
+    numbers = (steps, samples, *taken_as(loop), *addresses)
     pairs = zip(shapes(loop, samples, steps), outputs(loop.body), strict=True)
-    return [contiguous((parts, *shape) if result.summed else shape, dtype) for shape, result in pairs]
+    forms = [contiguous((parts, *shape) if result.summed else shape, dtype) for shape, result in pairs]
+    return (ctypes.c_long * len(numbers))(*numbers), forms
 
 
 def _in_parts(
     function: Callable[..., None],
     samples: int,
-    numbers: Sequence[int],
+    plan: int | None,
     pointers: Sequence[int],
     strides: Sequence[tuple[int, bool]],
     number: int,
@@ -149,11 +170,11 @@ def _in_parts(
 ) -> None:
     """Call a function on parts of some samples, shared among a number of threads."""
     if samples <= size:
-        function(samples, *numbers, *pointers)
+        function(samples, plan, *pointers)
         return
 
     def part(k: int) -> None:
         at = [p + (k if summed else k * size) * stride for p, (stride, summed) in zip(pointers, strides, strict=True)]
-        function(min(size, samples - k * size), *numbers, *at)
+        function(min(size, samples - k * size), plan, *at)
 
     threads.run(part, -(-samples // size), number)

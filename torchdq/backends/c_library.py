@@ -14,6 +14,7 @@ import sys
 import weakref
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from torchdq.backends import cache
 from torchdq.backends.c_source import pieces_of
@@ -58,8 +59,15 @@ def entry_key(source: str) -> str:
     return cache.key_of(source, version, *flags(), _processor())
 
 
-def _opened(path: Path, numbers: int = 1, pointers: int = 0) -> Callable[..., None]:
-    """Function `run` of a library, which is unloaded with the last reference to the function.
+class Library(NamedTuple):
+    """Functions of a loaded library."""
+
+    run: Callable[..., None]  # of the number of samples, the plan or None, and pointers
+    parts: tuple[int, ...]  # addresses of the functions that a chain calls; () in the library of a chain
+
+
+def _opened(path: Path, pointers: int = 0) -> Library:
+    """Functions of a library, which is unloaded with the last reference to `run`.
 
     Functions of `ctypes.CDLL` refer to themselves and its libraries stay, so the function is made from its address.
     """
@@ -68,9 +76,13 @@ def _opened(path: Path, numbers: int = 1, pointers: int = 0) -> Callable[..., No
         address = _ctypes.dlsym(library, "run")
     except OSError as error:
         raise BuildError(f"{path} is not a library with a function 'run': {error}") from error
-    function = ctypes.CFUNCTYPE(None, *(ctypes.c_long,) * numbers, *(ctypes.c_void_p,) * pointers)(address)
+    function = ctypes.CFUNCTYPE(None, ctypes.c_long, *(ctypes.c_void_p,) * (1 + pointers))(address)
     weakref.finalize(function, _ctypes.dlclose, library).atexit = False
-    return function
+    try:
+        parts = (ctypes.c_long * 2).from_address(_ctypes.dlsym(library, "parts"))
+    except OSError:
+        return Library(function, ())
+    return Library(function, tuple(parts))
 
 
 def _compile(library: Path, source: str, name: str) -> None:
@@ -99,10 +111,10 @@ def _run_compiler(command: list[str], library: Path, pieces: int) -> None:
     run([[*command, "-o", str(library), *objects, "-lm"]], LIMIT, folder)
 
 
-def load(source: str, name: str, pointers: int, numbers: int = 1) -> Callable[..., None]:
-    """Function `run` of a C source, of so many whole numbers and pointers, compiled unless the cache has it.
+def load(source: str, name: str, pointers: int) -> Library:
+    """Functions of a C source, of which `run` takes so many arrays, compiled unless the cache has it.
 
     Raises `BuildError` if the program cannot be compiled, or there is no room for it.
     """
     path = cache.kept(entry_key(source), ".so", name, lambda library: _compile(library, source, name))
-    return _opened(path, numbers, pointers)
+    return _opened(path, pointers)

@@ -1,116 +1,213 @@
-"""C source of a loop: the samples outside, the steps inside, and what is carried in arrays that stay in the cache."""
+"""C source of a program: a loop of one step or of many, with the samples outside and the steps inside.
+
+Whether an argument is the same at all steps, given for every step or carried from one to the next, and which results
+are kept, is decided at every call, so that one library serves all calls of a program: a single evaluation is one step.
+What a step carries are results that have the name of an argument, unless the loop is an adjoint, which says it. The
+values of a step are a function of its own, which libraries of chains call by its address; there no operation is
+contracted with those of other links.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
 
 from torchdq.backends import c_prelude
-from torchdq.backends.c_source import Printer, add, load, store, store_sum
+from torchdq.backends.c_source import Printer
 from torchdq.program.loop import Chain, Loop
 from torchdq.program.program import GROWTH, Program, outputs
 
+NOINLINE = "static __attribute__((noinline))"
+CONSTANT, OF_EVERY_STEP, CARRIED, TOTAL = range(4)  # how a call takes an argument; a result is the last if constant
 
-def loop_source(loop: Loop, single: bool, few: bool = False) -> str:
-    """C source of a loop in double or single precision, for few samples or any number.
 
-    It defines `run`, which takes the number of samples, that of the samples in the arrays, the number of steps, and a
-    pointer per argument and per output: dense arrays [samples, width], [steps, samples, width] or [width]; the last
-    output is the largest error growth of every sample, if the body has one.
+class Body(NamedTuple):
+    """All of a loop that its library depends on."""
+
+    program: Program | Chain
+    carried: tuple[tuple[int, int], ...]  # arguments that may be carried, and the results that they take
+    backwards: bool = False
+    added: tuple[int, ...] = ()
+
+
+def body_of(what: Program | Loop) -> Body:
+    """Body of a program or a loop: the same for all that carry what has one name, or nothing."""
+    program = what.body if isinstance(what, Loop) else what
+    results = [r.name for r in program.results]
+    same = tuple([(k, results.index(a.name)) for k, a in enumerate(program.arguments) if a.name in results])
+    same = tuple([(k, r) for k, r in same if len(program.results[r].values) == program.arguments[k].width])
+    if isinstance(what, Loop) and (what.backwards or what.added or not {*what.carried} <= {*same}):
+        return Body(program, what.carried, what.backwards, what.added)
+    return Body(program, same)
+
+
+def taken_as(loop: Loop) -> tuple[int, ...]:
+    """How the arguments and outputs of the body are taken by a loop, as its plan has it."""
+    states = {r: k for k, r in loop.carried}
+    found = [
+        CARRIED if k in states.values() else OF_EVERY_STEP if k in loop.stepped else CONSTANT
+        for k, _ in enumerate(loop.body.arguments)
+    ]
+    for r, _ in enumerate(outputs(loop.body)):
+        found.append(OF_EVERY_STEP if r in loop.kept else CONSTANT if r in states else TOTAL)
+    return tuple(found)
+
+
+def source(what: Program | Loop | Body, single: bool, few: bool = False) -> str:
+    """C source of a program or a loop in double or single precision, for few samples or any number.
+
+    It defines `run`, which takes the number of samples, a plan, and a pointer per argument and per output: dense arrays
+    [samples, width], [steps, samples, width] or [width]. The plan holds the number of steps, that of the samples in the
+    arrays, and how each argument and output is taken, which is as of every step where the plan is null; then for each
+    link of a chain the addresses in `parts` of its library. `parts` are the functions of what is the same for all
+    samples, and of the values of a step. The last output is the largest error growth of every sample, if the body has
+    one.
     """
-    body, results = loop.body, outputs(loop.body)
-    inputs = {k: a.width for k, a in enumerate(body.arguments) if not a.uniform and a.width}
+    body = what if isinstance(what, Body) else body_of(what)
+    program, results = body.program, outputs(body.program)
+    inputs = {k: a.width for k, a in enumerate(program.arguments) if not a.uniform and a.width}
     widths = [max(len(r.values), 1) for r in results]  # a result without values still needs an array to name
-    carried = {r: k for k, r in loop.carried if k in inputs}
+    first, places = len(program.arguments), len(program.arguments) + len(results)
     summed = [r for r, x in enumerate(results) if x.summed]
-    totals = [r for r, x in enumerate(body.results) if x.values and r not in {*summed, *carried, *loop.kept}]
-    kept = [r for r in loop.kept if body.results[r].values]
-    growths = [len(body.results)] if body.growth is not None else []
-    more = {k: f"in{i}" for i, k in enumerate(loop.added, len(body.arguments)) if k in inputs}
-    first, step = ("steps-1", "steps-1-s") if loop.backwards else ("0", "s")
-    before, after = ("at+stride", "at") if loop.backwards else ("at", "at+stride")  # states are one more than steps
-    begin = [
-        *(f"T I{k}[{w}];" for k, w in inputs.items()),
-        *(load(f"I{k}", f"in{k}+b*{w}", w) for k, w in inputs.items() if k not in loop.stepped),
-        *(_zeros(f"Q{r}", widths[r]) for r in (*totals, *growths)),
-        f"{{const long at=b+({first})*stride;",
-        *(store(f"out{r}+({before})*{inputs[k]}", f"I{k}", inputs[k]) for r, k in carried.items() if r in kept),
-        "}",
+    rows = [r for r, x in enumerate(results) if x.values and not x.summed]
+    functions, parts, prelude, calls = _printed(program, single, places)
+    once = list[str]()
+    for k, w in inputs.items():
+        each = f"how[{k}]=={OF_EVERY_STEP}"
+        once.append(f"if(!s||{each})read{w}(I{k},in{k}+(b+({each})*row)*{w},left);")
+    for i, k in enumerate(body.added, first):
+        w = inputs.get(k, 0)
+        once.append(f"{{T J[{w}];read{w}(J,in{i}+at*{w},left);for(int j=0;j<{w};j++)I{k}[j]+=J[j];}}" if w else "")
+    once += calls
+    for r in rows:
+        kind, how = ("growth", 0) if r == len(program.results) else (f"keep{widths[r]}", f"how[{first + r}]")
+        once.append(f"{kind}(out{r},Q{r},O{r},b,row,ahead,left,s,steps,{how});")
+    once += [f"add{widths[r]}(A{r},O{r},left);" for r in summed]
+    once += [
+        f"if(how[{k}]=={CARRIED})for(int j=0;j<{widths[r]};j++)I{k}[j]=O{r}[j];" for k, r in body.carried if k in inputs
     ]
-    functions, links, prelude, statements = printed(body, single)
-    once = [
-        *(load(f"I{k}", f"in{k}+at*{w}", w) for k, w in inputs.items() if k in loop.stepped),
-        *(_add_rows(f"I{k}", f"{x}+at*{inputs[k]}", inputs[k]) for k, x in more.items()),
-        *(f"T O{r}[{w}];" for r, w in enumerate(widths)),
-        *statements,
-        *(store(f"out{r}+({after if r in carried else 'at'})*{widths[r]}", f"O{r}", widths[r]) for r in kept),
-        *(add(f"A{r}", f"O{r}", widths[r]) for r in summed),
-        *(f"for(int j=0;j<{widths[r]};j++)Q{r}[j]+=O{r}[j];" for r in totals),
-        *(f"Q{r}[0]=max_(Q{r}[0],O{r}[0]);" for r in growths),
-        *(f"for(int j=0;j<{inputs[k]};j++)I{k}[j]=O{r}[j];" for r, k in carried.items()),
-    ]
-    end = [
-        *(store(f"out{r}+b*{inputs[k]}", f"I{k}", inputs[k]) for r, k in carried.items() if r not in kept),
-        *(store(f"out{r}+b*{widths[r]}", f"Q{r}", widths[r]) for r in (*totals, *growths)),
-    ]
-    pointers = [f"const S*in{k}" for k in range(len(loop.arguments))] + [f"S*out{r}" for r in range(len(results))]
+    pointers = [f"const S*in{k}" for k in range(first + len(body.added))] + [f"S*out{k}" for k in range(len(results))]
     lines = [
-        *links,
-        f"void run(long samples,long stride,long steps,{','.join(pointers)}){{",
+        *map(_read, sorted({*inputs.values()})),
+        *map(_keep, sorted({widths[r] for r in rows})),
+        *map(_add, sorted({widths[r] for r in summed})),
+        _GROWTH if program.growth is not None else "",
+        *parts,
+        f"void run(long samples,const long*plan,{','.join(pointers)}){{",
+        f"static const long alone[]={{1,0{f',{OF_EVERY_STEP}' * places}}};if(!plan)plan=alone;",
+        f"const long steps=plan[0],stride=plan[1],ahead={'-' * body.backwards}stride,*how=plan+2;",
         *prelude,
-        *(_zeros(f"A{r}", widths[r]) for r in summed),
-        "for(long b=0;b<samples;b+=LANES){const long here=samples-b<LANES?samples-b:LANES;",
-        *begin,
-        f"for(long s=0;s<steps;s++){{const long at=b+({step})*stride;",
+        *(f"T A{r}[{widths[r]}];for(int j=0;j<{widths[r]};j++)A{r}[j]=(T){{}};" for r in summed),
+        "for(long b=0;b<samples;b+=LANES){const long left=samples-b;",
+        *(f"T I{k}[{w}];" for k, w in inputs.items()),
+        *(f"T O{r}[{w}];" for r, w in enumerate(widths)),
+        *(f"T Q{r}[{widths[r]}];" for r in rows),
+        f"for(long s=0;s<steps;s++){{const long row=({'steps-1-s' if body.backwards else 's'})*stride,at=b+row;",
         *once,
-        "}",
-        *end,
-        "}",
-        *(store_sum(f"out{r}", f"A{r}", len(results[r].values)) for r in summed),
+        "}}",
+        *(
+            f"for(int j=0;j<{widths[r]};j++){{S t=0;for(int l=0;l<LANES;l++)t+=A{r}[j][l];out{r}[j]=t;}}"
+            for r in summed
+        ),
         "}",
     ]
     whole = ["#if PIECE==0", *lines, "#endif"] if functions else lines
     return "\n".join([c_prelude.text(single, few), *functions, *whole]) + "\n"
 
 
-def _zeros(name: str, width: int) -> str:
-    """Statement that defines an array of zeros."""
-    return f"T {name}[{width}];for(int j=0;j<{width};j++){name}[j]=(T){{}};"
+# --- functions of rows of a width, for the samples in the lanes of a vector, of which `left` or more are left ---------
 
 
-def _add_rows(to: str, at: str, width: int) -> str:
-    """Statement that adds rows in memory to an array."""
-    return f"{{T J[{width}];{load('J', at, width)}for(int j=0;j<{width};j++){to}[j]+=J[j];}}"
+def _read(w: int) -> str:
+    """Function that reads rows; idle lanes repeat the last sample, so that every sample takes the same code."""
+    return (
+        f"{NOINLINE} void read{w}(T*to,const S*from,long left){{"
+        f"if(left>=LANES+(TILE+{w - 1})/{w})load(to,from,{w});else{{const long last=(left<LANES?left:LANES)-1;"
+        f"for(int l=0;l<LANES;l++)for(int j=0;j<{w};j++)to[j][l]=from[(l<=last?l:last)*{w}+j];}}}}"
+    )
 
 
-def printed(body: Program | Chain, single: bool) -> tuple[list[str], list[str], list[str], list[str]]:
-    """Functions of the parts, those of the links of a chain, and the statements before the loop and within it."""
+_KEPT = "S*to,T*sums,const T*of,long b,long row,long ahead,long left,long s,long steps,long how"
+
+
+def _keep(w: int) -> str:
+    """Function that writes the rows of a step, or the last or the totals of all steps after the last.
+
+    Memory of the next step is asked for in advance: otherwise every step would wait for it.
+    """
+    return (
+        f"{NOINLINE} void keep{w}({_KEPT}){{"
+        f"if(how=={TOTAL}){{for(int j=0;j<{w};j++)sums[j]=s?sums[j]+of[j]:of[j];of=sums;}}"
+        f"if(how!={OF_EVERY_STEP}){{if(s<steps-1)return;row=0;}}"
+        f"to+=(b+row)*{w};if(s<steps-1)for(int j=0;j<={w}*BYTES;j+=64)__builtin_prefetch((char*)(to+ahead*{w})+j,1);"
+        f"if(left>=LANES)store(to,of,{w});"
+        f"else for(int l=0;l<left;l++)for(int j=0;j<{w};j++)to[l*{w}+j]=of[j][l];}}"
+    )
+
+
+def _add(w: int) -> str:
+    """Function that adds rows, without those of idle lanes, to sums in the lanes."""
+    return (
+        f"{NOINLINE} void add{w}(T*to,const T*of,long left){{"
+        f"if(left>=LANES)for(int j=0;j<{w};j++)to[j]+=of[j];"
+        f"else for(int j=0;j<{w};j++)for(int l=0;l<left;l++)to[j][l]+=of[j][l];}}"
+    )
+
+
+# largest error growth of all steps
+_GROWTH = (
+    f"{NOINLINE} void growth({_KEPT}){{"
+    "sums[0]=s?max_(sums[0],of[0]):of[0];if(s==steps-1)for(int l=0;l<LANES&&l<left;l++)to[b+l]=sums[0][l];}"
+)
+
+
+# --- the values of a step --------------------------------------------------------------------------------------------
+
+
+def _printed(body: Program | Chain, single: bool, place: int) -> tuple[list[str], list[str], list[str], list[str]]:
+    """Functions of long programs, `parts` or types of those of links, and the statements before the loop and within it.
+
+    Addresses of the parts of links are in the plan from `place` on.
+    """
     if isinstance(body, Program):
         printer = Printer(body, single)
-        parts, statements = printer.body(_rows(body))
-        return parts, [], printer.prelude(), statements
+        functions, statements = printer.body(_rows(body))
+        prelude, shared = printer.prelude(), [f"in{k}" for k in _uniform(body)]
+        taken, made = [f"I{k}" for k, _ in _rows(body)], [f"O{k}" for k, _ in enumerate(outputs(body))]
+        parts, before = list[str](), list[str]()
+        if prelude:
+            parts += [f"{NOINLINE} void shared({','.join(['S*u', *(f'const S*{x}' for x in shared)])}){{"]
+            parts += [*prelude[1:], "}"]
+            before = [prelude[0], f"shared({','.join(['u', *shared])});"]
+        rows = ["const S*u", *(f"const T*{x}" for x in taken), *(f"T*{x}" for x in made)]
+        parts += [f"{NOINLINE} void step({','.join(rows)}){{", *statements, "}"]
+        parts += [f"void*const parts[]={{{'(void*)shared' if prelude else '0'},(void*)step}};"]
+        return functions, parts, before, [f"step({','.join(['u' if prelude else '0', *taken, *made])});"]
     arrays = {a.name: f"{'in' if a.uniform else 'I'}{k}" for k, a in enumerate(body.arguments)}
     wanted = {name: f"O{k}" for k, name in enumerate((*body.wanted, GROWTH))}
-    functions, links, prelude, calls, first = list[str](), list[str](), list[str](), list[str](), 0
+    types, before, calls = list[str](), list[str](), list[str]()
     for m, (program, takes, gives) in enumerate(body.links):
-        printer, uniform = Printer(program, single, first), [k for k, a in enumerate(program.arguments) if a.uniform]
-        parts, statements = printer.body(_rows(program))
-        functions, first = functions + parts, first + (len(printer.schedule.parts) if parts else 0)
-        if lines := printer.prelude():
-            links.append(f"static void shared{m}(S*u{''.join(f',const S*in{k}' for k in uniform)}){{")
-            links += [*lines[1:], "}"]
-            prelude.append(lines[0].replace("S u[", f"S u{m}["))
-            prelude.append(f"shared{m}({','.join([f'u{m}', *(arrays[takes[k]] for k in uniform)])});")
-        given, found = [k for k, _ in _rows(program)], outputs(program)
-        names = [f"const T*I{k}" for k in given] + [f"T*O{k}" for k in range(len(found))]
-        # a function of its own, so that no operation is contracted with those of other links
-        links.append(f"static __attribute__((noinline)) void link{m}({','.join(['const S*u', *names])}){{")
-        links += [*statements, "}"]
-        taken = [arrays[takes[k]] for k in given]
+        found, shared = outputs(program), [arrays[takes[k]] for k in _uniform(program)]
+        taken = [arrays[takes[k]] for k, _ in _rows(program)]
+        types.append(f"typedef void Shared{m}({','.join(['S*', *['const S*'] * len(shared)])});")
+        types.append(
+            f"typedef void Step{m}({','.join(['const S*', *['const T*'] * len(taken), *['T*'] * len(found)])});"
+        )
+        at = f"how[{place + 2 * m}]"
+        before.append(f"S u{m}[{max(len(program.ops), 1)}];if({at})((Shared{m}*){at})({','.join([f'u{m}', *shared])});")
         for k, (result, name) in enumerate(zip(found, (*gives, GROWTH), strict=False)):
             arrays[name] = wanted.get(name, f"M{m}_{k}")
             if name not in wanted:
                 calls.append(f"T {arrays[name]}[{max(len(result.values), 1)}];")
         made = [arrays[name] for name in (*gives, GROWTH)[: len(found)]]
-        calls.append(f"link{m}({','.join([f'u{m}' if lines else '0', *taken, *made])});")
-    return functions, links, prelude, calls
+        calls.append(f"((Step{m}*)how[{place + 2 * m + 1}])({','.join([f'u{m}', *taken, *made])});")
+    return [], types, before, calls
 
 
 def _rows(program: Program) -> list[tuple[int, int]]:
     """Arguments that differ from sample to sample, and their widths."""
     return [(k, a.width) for k, a in enumerate(program.arguments) if not a.uniform and a.width]
+
+
+def _uniform(program: Program) -> list[int]:
+    """Arguments that are the same for all samples."""
+    return [k for k, a in enumerate(program.arguments) if a.uniform]

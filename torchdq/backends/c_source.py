@@ -11,50 +11,9 @@ LONGEST = 1500  # operations of a C function; compile time grows faster than its
 PIECE = "%PIECES==PIECE"  # condition of a function that one of several processes compiles
 
 
-def source(program: Program, single: bool) -> str:
-    """C source of a program in double or single precision.
-
-    It defines `run`, which takes the number of samples and a pointer per argument and per output: dense arrays
-    [samples, width], or [width] where they are uniform or summed.
-    """
-    return Printer(program, single).text()
-
-
 def pieces_of(source: str) -> int:
     """Number of pieces that a source can be compiled in: it is one file, of which -DPIECES=n -DPIECE=k is piece k."""
     return max(1, source.count(PIECE))
-
-
-# --- statements on the samples b, b + 1, ..., of which `here` are in the lanes of a vector ---------------------------
-
-
-def load(to: str, at: str, width: int) -> str:
-    """Statement that reads rows; idle lanes repeat the last sample, so that every sample takes the same code."""
-    return (
-        f"if(samples-b>=LANES+(TILE+{width - 1})/{width})load({to},{at},{width});else{{"
-        f"for(int l=0;l<LANES;l++)for(int j=0;j<{width};j++){to}[j][l]=({at})[(l<here?l:here-1)*{width}+j];}}"
-    )
-
-
-def store(at: str, of: str, width: int) -> str:
-    """Statement that writes rows."""
-    return (
-        f"if(here==LANES)store({at},{of},{width});"
-        f"else{{for(int l=0;l<here;l++)for(int j=0;j<{width};j++)({at})[l*{width}+j]={of}[j][l];}}"
-    )
-
-
-def add(to: str, of: str, width: int) -> str:
-    """Statement that adds rows, without those of idle lanes, to sums in the lanes."""
-    return (
-        f"if(here==LANES){{for(int j=0;j<{width};j++){to}[j]+={of}[j];}}"
-        f"else{{for(int j=0;j<{width};j++)for(int l=0;l<here;l++){to}[j][l]+={of}[j][l];}}"
-    )
-
-
-def store_sum(at: str, of: str, width: int) -> str:
-    """Statement that writes sums over the lanes."""
-    return f"for(int j=0;j<{width};j++){{S t=0;for(int l=0;l<LANES;l++)t+={of}[j][l];({at})[j]=t;}}"
 
 
 class Printer:
@@ -95,32 +54,6 @@ class Printer:
             for j, v in enumerate(result.values)
             if (None if isinstance(v, float) else self.home.get(v[0])) is part
         ]
-
-    # --- the whole ---
-
-    def text(self) -> str:
-        """Source of the program."""
-        p, results = self.program, outputs(self.program)
-        rows = [(k, a.width) for k, a in enumerate(p.arguments) if not a.uniform and a.width]
-        # a result without values still needs an array to name
-        widths = [max(len(r.values), 1) for r in results]
-        summed = [(k, widths[k]) for k, r in enumerate(results) if r.summed]
-        functions, body = self.body(rows)
-        lines = [c_prelude.text(self.single), *functions]
-        pointers = [f"const S*in{k}" for k in range(len(p.arguments))] + [f"S*out{k}" for k in range(len(results))]
-        lines += ["#if PIECE==0"] if functions else []
-        lines += [f"void run(long samples,{','.join(pointers)}){{", *self.prelude()]
-        lines += [f"T A{k}[{w}];for(int j=0;j<{w};j++)A{k}[j]=(T){{}};" for k, w in summed]
-        lines += ["for(long b=0;b<samples;b+=LANES){", "const long here=samples-b<LANES?samples-b:LANES;"]
-        lines += [f"T I{k}[{w}];{load(f'I{k}', f'in{k}+b*{w}', w)}" for k, w in rows]
-        lines += [f"T O{k}[{w}];" for k, w in enumerate(widths)]
-        lines += body
-        for k, r in enumerate(results):
-            w = len(r.values)
-            lines.append(add(f"A{k}", f"O{k}", w) if r.summed else store(f"out{k}+b*{w}", f"O{k}", w))
-        lines.append("}")
-        lines += [store_sum(f"out{k}", f"A{k}", len(results[k].values)) for k, _ in summed]
-        return "\n".join([*lines, "}", *(["#endif"] if functions else [])]) + "\n"
 
     def body(self, rows: Sequence[tuple[int, int]]) -> tuple[list[str], list[str]]:
         """Functions, and the statements of the loop over samples that compute the results.

@@ -4,8 +4,9 @@
 
 The first call checks the tensors, broadcasts their batch axes, records the program for those that are present, and
 chooses a backend. All of this is the layout, cached by computation and by shapes, dtypes and devices, so that a later
-call of the same form goes from tensors to the program directly. In a graph traced by torch.compile or torch.export,
-sizes may be symbols, and the graph calls the program by its name.
+call of the same form goes from tensors to the program directly. With `Repeated` steps the same holds of a loop over the
+program. In a graph traced by torch.compile or torch.export, sizes may be symbols, and the graph calls the program by
+its name.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ from torch import Tensor
 
 from torchdq.backends.backend import Backend, Form, contiguous, dense, share_memory
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
-from torchdq.backends.precision import Guarded, run, unguarded
+from torchdq.backends.precision import Guarded, run, run_loop, unguarded
 from torchdq.backends.torch import EAGER
-from torchdq.base.caches import LAYOUTS, Bounded
+from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.base.checks import DTYPES, is_dense, require_tensor
 from torchdq.errors import ArgumentError, DtypeError, TorchdqError
 from torchdq.program.autograd import in_a_graph, named, operator
+from torchdq.program.loop import Loop
 from torchdq.program.program import Argument, Program
 from torchdq.program.transforms import constant_in_graphs, dispatching, with_values
 
@@ -66,12 +68,22 @@ class Computation:
         return ""
 
 
+class Repeated(NamedTuple):
+    """Steps of a computation that are evaluated as one loop."""
+
+    steps: int
+    carried: tuple[str, ...]  # arguments that are results, too: those of a step are arguments of the next
+    stepped: tuple[str, ...] = ()  # arguments of every step, [steps, ...]
+    total: tuple[str, ...] = ()  # results of which the sum over the steps is returned; of what is carried the last
+    ends: bool = False  # whether only the last of what is carried is returned
+
+
 class Arrangement(NamedTuple):
     """Shapes on the way from a tensor to rows of a program; None: the tensor has this shape already."""
 
+    whole: Shape | None  # of a tensor of every step: with the batch axes that it lacks
     expanded: Shape | None  # with all batch axes
-    flat: Shape | None  # [samples, width], or [width] for a uniform argument
-    whole: Shape | None = None  # with the batch axes that a tensor of every step lacks, before all of this
+    flat: Shape | None  # [samples, width], of every step [steps, samples, width], or [width] for a uniform argument
 
 
 class CallLayout(NamedTuple):
@@ -80,7 +92,8 @@ class CallLayout(NamedTuple):
     rows: tuple[Arrangement, ...]
     dtype: torch.dtype  # dtype of the program
     device: torch.device
-    program: Program
+    program: Program  # that of a step
+    loop: Loop | None  # over the program
     backend: Backend
     names: tuple[str, ...]  # names of the results
     shapes: tuple[Shape, ...]  # shapes of the results
@@ -89,6 +102,7 @@ class CallLayout(NamedTuple):
 
 
 _layouts: Bounded[tuple, CallLayout] = Bounded(LAYOUTS)
+_loop_of = remembered(PROGRAMS)(lambda *parts: Loop(*parts))  # one for all batches, so that it is compiled once
 
 
 def evaluate(
@@ -97,8 +111,11 @@ def evaluate(
     backend: BackendName | None = None,
     double: bool = False,
     out: Sequence[Tensor] = (),
+    repeated: Repeated | None = None,
 ) -> dict[str, Tensor]:
     """Results of a computation by name, with the broadcast batch axes of all tensors.
+
+    Of repeated steps, those of every step or their total; of what is carried steps + 1, with the start, or the last.
 
     Args:
         what: the computation.
@@ -106,17 +123,18 @@ def evaluate(
         backend: as in `torchdq.functional`.
         double: whether float32 inputs are computed in float64, and the results rounded.
         out: tensors that the results are written to, one for each; (): new ones.
+        repeated: steps, outside of traced graphs; None: one.
     """
-    if torch.compiler.is_compiling() or dispatching():
+    if repeated is None and (torch.compiler.is_compiling() or dispatching()):
         if out:
             raise ArgumentError("out cannot be given in a traced graph; leave it out, and torch reuses memory itself")
         return _traced(what, tensors, backend, double)
     try:
         looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
-        key = (what, backend, present(), double, *tensors, *looks)
+        key = (what, backend, present(), double, repeated, *tensors, *looks)
         layout = _layouts.get(key)
         if layout is None:
-            layout = _layouts[key] = _layout(what, tensors, backend, double)
+            layout = _layouts[key] = _layout(what, tensors, backend, double, repeated)
         given = [x for x in tensors.values() if x is not None]
         if out:
             _require_room(layout, given, out)
@@ -125,11 +143,14 @@ def evaluate(
             direct = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
             return dict(zip(layout.names, direct, strict=True))
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
-            batch_of(what, tensors)  # raises
-        rows = [row_of(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
-        found = run(layout.program, rows, layout.backend)
+            batch_of(what, _of_one_step(tensors, repeated))  # raises
+        rows = [_row_of(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
+        if layout.loop is None:
+            found = run(layout.program, rows, layout.backend)
+        else:
+            found = run_loop(layout.loop, rows, layout.backend, layout.samples, repeated.steps)  # type: ignore[union-attr]
     except (AttributeError, RuntimeError):  # no check before, which would cost every call
-        batch_of(what, tensors)  # raises, naming an argument that is not a dense tensor
+        batch_of(what, _of_one_step(tensors, repeated))  # raises, naming an argument that is not a dense tensor
         raise
     narrow = given[0].dtype
     if narrow != layout.dtype:
@@ -232,12 +253,19 @@ def _require_room(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Ten
 # --- layout ----------------------------------------------------------------------------------------------------------
 
 
-def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> CallLayout:
-    arguments, rows, batch = arranged(what, tensors)
+def _layout(
+    what: Computation, tensors: Tensors, backend: BackendName | None, double: bool, repeated: Repeated | None
+) -> CallLayout:
+    arguments, rows, batch = _arranged(what, tensors, repeated)
     like = next(x for x in tensors.values() if x is not None)
     dtype, device = torch.float64 if double else like.dtype, like.device
-    program, chosen = recorded(what, arguments), choose(backend, device)
-    shapes = _shapes(what, program)
+    program, chosen = _recorded(what, arguments), choose(backend, device)
+    results, lead, loop = _shapes(what, program), [()] * len(program.results), None
+    if repeated is not None:
+        loop = _loop(program, repeated)
+        of_all = (repeated.steps, repeated.steps + 1)
+        lead = [(of_all[r.name in repeated.carried],) * (k in loop.kept) for k, r in enumerate(program.results)]
+    shapes = [(*n, *(axes if summed else batch + axes)) for n, (_, summed, axes) in zip(lead, results, strict=True)]
     alike = all(x is None or (x.dtype == dtype and x.device == device) for x in tensors.values())
     direct = None
     if alike and not (
@@ -245,24 +273,25 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
         or device.type != "cpu"
         or 0 in batch
         or any(row.expanded is not None for row in rows)
-        or any(summed for _, summed, _ in shapes)
+        or any(summed for _, summed, _ in results)
+        or loop is not None
     ):
         growth = () if program.growth is None or chosen.guards else (batch,)
-        direct = tuple(contiguous(shape, dtype) for shape in (*(batch + axes for _, _, axes in shapes), *growth))
-    return CallLayout(
-        rows,
-        dtype,
-        device,
-        program,
-        chosen,
-        tuple([name for name, _, _ in shapes]),
-        tuple([axes if summed else batch + axes for _, summed, axes in shapes]),
-        math.prod(batch),
-        direct,
-    )
+        direct = tuple(contiguous(shape, dtype) for shape in (*shapes, *growth))
+    names = tuple([name for name, _, _ in results])
+    return CallLayout(rows, dtype, device, program, loop, chosen, names, tuple(shapes), math.prod(batch), direct)
 
 
-def recorded(what: Computation, arguments: tuple[Argument, ...]) -> Program:
+def _loop(program: Program, repeated: Repeated) -> Loop:
+    """Loop over a program."""
+    arguments, results = ([x.name for x in part] for part in (program.arguments, program.results))
+    carried = tuple([(arguments.index(name), results.index(name)) for name in repeated.carried])
+    left_out = {*repeated.total, *(repeated.carried if repeated.ends else ())}
+    kept = tuple([k for k, name in enumerate(results) if name not in left_out])
+    return _loop_of(program, carried, tuple([arguments.index(name) for name in repeated.stepped]), kept)
+
+
+def _recorded(what: Computation, arguments: tuple[Argument, ...]) -> Program:
     """Program of a computation; within transforms of torch its constants have values, too."""
     with with_values():
         return what.program(arguments)
@@ -274,23 +303,42 @@ def _shapes(what: Computation, program: Program) -> tuple[tuple[str, bool, Shape
     return tuple([(r.name, r.summed, shape) for r, shape in zip(program.results, axes, strict=True)])
 
 
-def arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
+def _of_one_step(tensors: Tensors, repeated: Repeated | None) -> Tensors:
+    """Arguments of one step."""
+    if repeated is None:
+        return tensors
+    first = {name: tensors[name] for name in repeated.stepped}
+    return {**tensors, **{k: x[0] if repeated.steps else x.new_empty(x.shape[1:]) for k, x in first.items()}}
+
+
+def _arranged(
+    what: Computation, tensors: Tensors, repeated: Repeated | None = None
+) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
     """Arguments of the program, arrangement of the tensors in rows, and batch axes."""
+    tensors = _of_one_step(tensors, repeated)
     batch = batch_of(what, tensors)
     samples = math.prod(batch)
     arguments, rows = [], []
     for name, x in tensors.items():
         if x is None:
             continue
+        lead = (repeated.steps,) if repeated is not None and name in repeated.stepped else ()
         axes = what.axes(name)
-        width, uniform = math.prod(axes), what.shared(name) and x.ndim == len(axes)
+        width, uniform = math.prod(axes), what.shared(name) and x.ndim == len(axes) and not lead
         arguments.append(Argument(name, width, uniform))
-        expanded, flat = (axes, (width,)) if uniform else (batch + axes, (samples, width))
-        rows.append(Arrangement(None if x.shape == expanded else expanded, None if expanded == flat else flat))
+        expanded, flat = (axes, (width,)) if uniform else (lead + batch + axes, (*lead, samples, width))
+        whole = (1,) * (len(expanded) - len(lead) - x.ndim)
+        rows.append(
+            Arrangement(
+                (*lead, *whole, *x.shape) if lead and whole else None,
+                None if (*lead, *x.shape) == expanded else expanded,
+                None if expanded == flat else flat,
+            )
+        )
     return tuple(arguments), tuple(rows), batch
 
 
-def row_of(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement) -> Tensor:
+def _row_of(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement) -> Tensor:
     """Tensor as rows of a program."""
     if x.dtype != dtype or x.device != device:
         x = x.to(dtype=dtype, device=device)
@@ -378,12 +426,12 @@ def _known(
                 name: torch.empty(((1,) * ndim + what.axes(name))[len(what.axes(name)) :], dtype=dtype, device=device)
                 for name, ndim, dtype, device in looks
             }
-            arguments, _, _ = arranged(what, one)
+            arguments, _, _ = _arranged(what, one)
     except TorchdqError:
         return None
     _, _, dtype, device = looks[0]
     forms = tuple([(what.axes(a.name), a.width, a.uniform) for a in arguments])
-    program, chosen = recorded(what, arguments), choose_for_graph(backend, device)
+    program, chosen = _recorded(what, arguments), choose_for_graph(backend, device)
     results, dtype = _shapes(what, program), torch.float64 if double else dtype
     if chosen.differentiable:
         return forms, dtype, "", program, results

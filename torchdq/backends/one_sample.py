@@ -28,7 +28,7 @@ from torchdq.program.transforms import alike, dispatching, empty_on_cpu, transfo
 class OneSample(NamedTuple):
     """Compiled program in one precision, for rows [width] on the CPU."""
 
-    function: Callable[..., None]
+    run: Callable[..., None]
     fits: Callable[..., bool]  # whether torch has no more to do with rows than to hold their numbers
     forms: tuple[Form, ...]  # those of the results
     ends: tuple[int, ...]  # sizes of arguments and results [bytes]
@@ -52,10 +52,10 @@ class OneSample(NamedTuple):
         if out is not None and self._overlap(pointers, len(inputs)):
             return None
         if self.growth is None:
-            self.function(1, *pointers)
+            self.run(1, None, *pointers)
             return found
         growth = self.growth()
-        self.function(1, *pointers, addressof(growth))
+        self.run(1, None, *pointers, addressof(growth))
         return found if growth.value <= self.limit else None
 
     def _overlap(self, pointers: Sequence[int], inputs: int) -> bool:
@@ -81,7 +81,7 @@ def one_sample(program: Program, dtype: torch.dtype) -> OneSample | None:
     widths = [*(a.width for a in program.arguments), *(len(r.values) for r in program.results)]
     forms = [contiguous((width,), dtype) for width in widths]
     return OneSample(
-        kernel.function,
+        kernel.run,
         alike(forms),
         tuple(forms[len(program.arguments) :]),
         tuple(width * dtype.itemsize for width in widths),

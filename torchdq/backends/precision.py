@@ -8,17 +8,20 @@ reads the factors; on a GPU, where that would be a synchronisation, the kernels 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 
 from torchdq.backends.backend import Backend, DirectKernel, Form
-from torchdq.backends.torch import EAGER
+from torchdq.backends.torch import EAGER, interpreted_loop
 from torchdq.errors import ArgumentError
+from torchdq.program import loop_autograd
 from torchdq.program.autograd import differentiable, in_a_graph
+from torchdq.program.loop import Loop
 from torchdq.program.program import LARGEST_GROWTH, Program, samples_of
-from torchdq.program.transforms import empty_on_cpu, jit_tracing, proxy_tracing, without_values
+from torchdq.program.transforms import empty_on_cpu, jit_tracing, proxy_tracing, transforming, without_values
 
 
 class Guarded(NamedTuple):
@@ -48,6 +51,44 @@ def run(program: Program, inputs: Sequence[Tensor], backend: Backend) -> Sequenc
     if not in_a_graph(inputs):
         return guarded(backend, program, inputs)
     return differentiable(Guarded(backend), program, inputs)
+
+
+def run_loop(loop: Loop, inputs: Sequence[Tensor], backend: Backend, samples: int, steps: int) -> Sequence[Tensor]:
+    """Results of a loop; samples whose errors grow too much at one of the steps take all of them one by one."""
+
+    def one_by_one(rows: Sequence[Tensor], number: int) -> list[Tensor]:
+        return interpreted_loop(loop, rows, number, steps, lambda program, x, _: run(program, x, backend))
+
+    def at_once(rows: Sequence[Tensor], number: int) -> Sequence[Tensor]:
+        return loop_autograd.differentiable(partial(_loop_outputs, backend), loop, rows, number, steps)
+
+    count = len(loop.body.results)
+    if backend.differentiable or transforming():
+        return one_by_one(inputs, samples)[:count]
+    found = at_once(inputs, samples)
+    growth = found[count].detach() if len(found) > count and samples else None
+    if growth is None or within_limit(growth, samples):
+        return found[:count]
+    over = ~(growth[:, 0] <= largest_growth(growth.dtype))
+    at, others = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
+
+    def among(rows: Tensor) -> list[Tensor]:
+        given = enumerate(zip(inputs, loop.arguments, strict=True))
+        return [x if a.uniform else x.index_select(int(k in loop.given), rows) for k, (x, a) in given]
+
+    axes = [int(r in loop.kept) for r in range(count)]
+    if in_a_graph(inputs):  # gradients of the rows over the limit may be 0 * inf
+        rest = at_once(among(others), len(others))
+    else:
+        rest = [y.index_select(axis, others) for y, axis in zip(found, axes, strict=False)]
+    return [
+        y.new_empty(y.shape).index_copy(axis, at, few).index_copy(axis, others, many)
+        for y, axis, few, many in zip(found, axes, one_by_one(among(at), len(at)), rest, strict=False)
+    ]
+
+
+def _loop_outputs(backend: Backend, loop: Loop, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
+    return backend.loop(loop, inputs[0].dtype, inputs[0].device, samples)(inputs, samples, steps)
 
 
 def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import torch
@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdq.backends.backend import Backend, Kernel
 from torchdq.errors import TorchdqError
 from torchdq.numbers.ops import OPS
-from torchdq.program.loop import Loop, evaluated, shapes
+from torchdq.program.loop import Loop, by_steps, evaluated, joined, shapes
 from torchdq.program.program import Output, Program, outputs
 from torchdq.program.transforms import number
 
@@ -62,39 +62,35 @@ class InterpretedLoop:
 
     def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
         """Outputs of the loop, differentiable by torch itself."""
-        return by_steps(self.loop, inputs, samples, steps, interpreted)
+        return interpreted_loop(self.loop, inputs, samples, steps, interpreted)
 
 
-def by_steps(
+def interpreted_loop(
     loop: Loop,
     inputs: Sequence[Tensor],
     samples: int,
     steps: int,
-    step: Callable[[Program, Sequence[Tensor], int], Sequence[Tensor]],
+    run: Callable[[Program, Sequence[Tensor], int], Sequence[Tensor]],
 ) -> list[Tensor]:
-    """Outputs of a loop; `step(program, inputs, samples)` has those of a program, with or without the error growth."""
-    rows, own = list(inputs[: len(loop.body.arguments)]), {r: k for k, r in loop.carried}
-    found: list[list[Tensor]] = [[inputs[own[r]]] if r in own else [] for r, _ in enumerate(outputs(loop.body))]
-    for s in reversed(range(steps)) if loop.backwards else range(steps):
-        for k in loop.stepped:
-            rows[k] = inputs[k][s]
-        for more, k in enumerate(loop.added, len(loop.body.arguments)):
-            rows[k] = rows[k] + inputs[more][s]
-        for row, y in zip(found, evaluated(loop.body, rows, lambda p, x: step(p, x, samples)), strict=False):
-            row.append(y)
+    """Outputs of a loop; `run(program, inputs, samples)` has those of a program, with or without the error growth."""
+    count, own = len(loop.body.arguments), {r: k for k, r in loop.carried}
+
+    def step(s: int, before: Mapping[int, Tensor]) -> dict[int, Tensor]:
+        rows = [x[s] if k in loop.stepped else x for k, x in enumerate(inputs[:count])]
         for r, k in own.items():
-            rows[k] = found[r][-1]
+            rows[k] = before[r]
+        for more, k in enumerate(loop.added, count):
+            rows[k] = rows[k] + inputs[more][s]
+        return dict(enumerate(evaluated(loop.body, rows, lambda program, x: run(program, x, samples))))
 
-    def output(r: int, shape: tuple[int, ...]) -> Tensor:
-        if not found[r]:
-            return inputs[0].new_zeros(shape)
-        if r in loop.kept:
-            return torch.stack(found[r][::-1] if loop.backwards else found[r])
-        if r == len(loop.body.results):
-            return torch.stack(found[r]).amax(0)
-        return found[r][-1] if r in own else sum(found[r][1:], found[r][0])
-
-    return [output(r, shape) for r, shape in enumerate(shapes(loop, samples, steps))]
+    order, way = range(steps), -1 if loop.backwards else 1
+    found = by_steps(step, {r: inputs[k] for r, k in own.items()}, order[::way])
+    growth, forms = len(loop.body.results), shapes(loop, samples, steps)
+    totals = {*range(growth)} - {*own, *loop.kept}
+    rows = joined(found, lambda x: torch.stack(x[::way]), totals, own.keys() - {*loop.kept})
+    if growth in rows:
+        rows[growth] = rows[growth].amax(0)
+    return [rows[r] if r in rows else inputs[0].new_zeros(shape) for r, shape in enumerate(forms)]
 
 
 def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.backends import c_source, cuda_source
+from torchdq.backends import c_loop, cuda_source
 from torchdq.backends.call import Computation, evaluate
 from torchdq.backends.choice import choose
 from torchdq.backends.one_sample import one_sample
@@ -93,7 +93,7 @@ class CompiledProgram:
     def source(self, language: Language = "c") -> str:
         """Source code in a language: C with vectors, as it runs on the CPU, or CUDA C++, as it runs on a GPU."""
         require_choice("language", language, get_args(Language))
-        printed = {"c": c_source.source, "cuda": cuda_source.source}[language]
+        printed = {"c": c_loop.source, "cuda": cuda_source.source}[language]
         return printed(self.program, self.dtype == torch.float32)
 
     def vjp(self, wrt: Sequence[str] | None = None) -> CompiledProgram:

@@ -15,12 +15,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from torch import Tensor
+
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
+from torchdq.backends.call import Computation
+from torchdq.backends.choice import BackendName
+from torchdq.backends.loop_call import repeat_while
 from torchdq.dq import pose_error
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.posed import Row, dot
@@ -29,12 +34,13 @@ from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.functions.task_space import pose_of, pose_of_any_norm
 from torchdq.functions.task_space_formulas import task_of
 from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select, sqrt
-from torchdq.robot.robot import Robot
+from torchdq.robot.robot import Robot, arguments
 
 DAMPING, LEAST = 0.03, 1e-9
 SLOWEST, FIRST = 0.9, 2.0  # below 1, so that every start ends; the mean at a start is FIRST times its e.e
 PATIENT, SPREAD, LAST = 1.0 - 2.0**-30, 0.5, 8  # of the last steps
 SINGULAR = 1e-10  # pivots of J J^T are at least this share of its diagonal where it is not damped
+STEPS, FEW = 8, 64  # steps until rows are looked at, and rows from which a look is cheaper than their steps
 GIVEN = 1e-3  # share of a twist that may be missing
 
 
@@ -142,6 +148,37 @@ def step(x: RecipeInputs, *options: str) -> Results:
             *[select(better, a, b) for a, b in zip(squares, least, strict=True)],
         ],
     }
+
+
+def solve(
+    what: Computation,
+    robot: Robot,
+    X: Tensor,
+    begin: Tensor | None,
+    settings: tuple[float, ...],
+    backend: BackendName | None,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Best q, whether it has converged, both parts of its error, and the number of starts taken.
+
+    Args:
+        what: `step` as a computation.
+        robot, X: as in `inverse_kinematics`.
+        begin: positions of the first start; None: the middle of the limits.
+        settings: as in `step`.
+    """
+    lower, upper = (bound.to(X) for bound in robot.limits[:2])
+    q = X.new_tensor(start(0.0, ranges(robot))) if begin is None else begin.detach().clamp(lower, upper)
+    found = repeat_while(
+        lambda now: (now["state"][:, 1] == 0) & (now["state"][:, 0] <= settings[3]),
+        what,
+        lambda rows: STEPS if rows > FEW else 4 * STEPS,
+        {"q": q, "best": q, "state": X.new_tensor([0.0, 0.0, *[math.inf] * 3])},
+        {"X": X, "settings": X.new_tensor(settings), **{k: getattr(robot, k).detach() for k in arguments(robot)}},
+        backend,
+    )
+    q, state = found["best"], found["state"]
+    q = q.masked_fill(state[..., 3:].isinf().any(-1, keepdim=True), math.nan)  # no start had an error
+    return q, state[..., 1] > 0, state[..., 3:].sqrt(), (state[..., 0].long() + 1).clamp(max=int(settings[2]))
 
 
 def newton(x: RecipeInputs, *options: str) -> Results:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from torchdq.program.autodiff import vjp
 from torchdq.program.program import Argument, Count, Program, Result, outputs
+
+Name = TypeVar("Name", bound=Hashable)
+Rows = Mapping[Name, Any]  # tensors by name
 
 
 class Link(NamedTuple):
@@ -105,6 +108,29 @@ def shapes(loop: Loop, samples: int, steps: int) -> list[tuple[int, ...]]:
         axes = (steps + (r in states), *axes) if r in loop.kept else axes
         found.append((*axes, len(result.values)))
     return found
+
+
+def by_steps(step: Callable[[int, Rows], Rows], start: Rows, order: Iterable[int]) -> dict[Name, list[Any]]:
+    """Rows by name, those of the start and those after every step; `step(k, rows)` takes the rows of the step before.
+
+    It serves what is no compiled loop: policies that are functions, torch operations, and rows near a limit.
+    """
+    found: dict[Name, list[Any]] = {}
+    rows = start
+    for k in order:
+        rows = step(k, rows)
+        for name, x in rows.items():
+            found.setdefault(name, [start[name]] if name in start else []).append(x)
+    return found or {name: [x] for name, x in start.items()}
+
+
+def joined(
+    found: Mapping[Name, Sequence[Any]], join: Callable[..., Any], total: Container[Name], last: Container[Name]
+) -> dict[Name, Any]:
+    """Rows of steps or parts as one: the totals of some, the last of others, and all the others joined."""
+    return {
+        name: sum(x[1:], x[0]) if name in total else x[-1] if name in last else join(x) for name, x in found.items()
+    }
 
 
 def with_states(loop: Loop) -> Loop:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import torch
@@ -38,14 +38,14 @@ class Plan(NamedTuple):
         """Policy that is recorded with the steps."""
         return self.policy if isinstance(self.policy, Linear | Network) else None
 
-    def joined(self, parts: Sequence[Mapping[str, Tensor]], join: Callable[..., Tensor]) -> dict[str, Tensor]:
-        """Rows of parts as one: totals, the last of what is carried if that is wanted alone, and the others joined."""
-        found = {name: [rows[name] for rows in parts] for name in parts[-1]}
-        ends = {CARRY, *State._fields} if self.ends else set()
-        return {
-            name: sum(x[1:], x[0]) if name in self.total else x[-1] if name in ends else join(x)
-            for name, x in found.items()
-        }
+    @property
+    def last(self) -> tuple[str, ...]:
+        """Names of rows of which the last is wanted alone."""
+        return (CARRY, *State._fields) if self.ends else ()
+
+    def after(self, rows: Mapping[str, Tensor], start: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Rows without those of the start, which are the first of what is carried."""
+        return {name: x[1:] if name in start and not self.ends else x for name, x in rows.items()}
 
 
 def loops(scene: SceneModel, state: State, policy: Linear | Network | None = None) -> bool:
@@ -78,7 +78,6 @@ def looped(scene: SceneModel, series: Mapping[str, Tensor], steps: int, plan: Pl
     def part(first: int, last: int, start: dict[str, Tensor]) -> dict[str, Tensor]:
         count = last - first
         rows = series if count == steps else {name: x[first:last] for name, x in series.items()}
-        found = repeat(what, count, start, rows, fixed, plan.total, plan.ends, scene.backend)
-        return found if plan.ends else {name: x[1:] if name in start else x for name, x in found.items()}
+        return plan.after(repeat(what, count, start, rows, fixed, plan.total, plan.ends, scene.backend), start)
 
     return part

@@ -12,12 +12,13 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor, nn
-from torch.utils.checkpoint import checkpoint as checkpointed
+from torch.utils.checkpoint import checkpoint as torch_checkpoint
 from torch.utils.checkpoint import set_checkpoint_early_stop
 
 from torchdq.base.checks import require_choice, require_count, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
+from torchdq.program.loop import by_steps, joined
 from torchdq.program.transforms import without_values
 from torchdq.scene.loops import CARRY, Done, Part, Plan, Policy, looped, loops
 from torchdq.scene.model import SceneModel
@@ -89,29 +90,32 @@ def rollout(
     count = _length(series if plan.recorded is None else {**series, **plan.recorded.stepped()}, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
     by_loop = (not count or (policy is plan.recorded and done is None)) and loops(scene, state, plan.recorded)
-    unseen = not by_loop and without_values((state.q,))
+    traced = not by_loop and without_values((state.q,))
     # a loop keeps its states alone, and returns them unless the last is wanted alone
-    helps = ends if by_loop else not (unseen or state.q.is_inference())
-    again = checkpoint and count and helps and torch.is_grad_enabled()
+    checkpoint_useful = ends if by_loop else not (traced or state.q.is_inference())
+    use_checkpoints = checkpoint and count and checkpoint_useful and torch.is_grad_enabled()
     notice = Progress(f"rollout of {count} steps")
-    long = count * state.q.numel() > LONG_LOOP if by_loop else count >= LONG and not unseen
+    long = count * state.q.numel() > LONG_LOOP if by_loop else count >= LONG and not traced
     with notice if long else nullcontext():
         if by_loop:
             part = looped(scene, series, count, plan, state.q)
         else:
-            part = _stepped(scene, series, count, plan, state, notice)
+            idle = state if done is None else _finite(scene, state)
+            part = _Steps(scene, series, plan, idle, lambda k: notice.at(f"step {k + 1} of {count}")).part
         read = partial(_tensors_read, scene, series, plan)
-        rows = _again(part, start, count, plan, checkpoint, read) if again else part(0, count, start)
+        rows = _checkpointed(part, start, count, plan, checkpoint, read) if use_checkpoints else part(0, count, start)
     states = State(**{name: rows.pop(name) for name in state.rows()})
+    summable = rows.keys() - {CARRY}
     for name in plan.total:
-        if name not in rows:
-            raise ArgumentError(f"total must name rows of the task, {', '.join(rows) or 'none'}, found {name!r}")
-    if nonfinite == "warn" and count and not unseen:
+        if name not in summable:
+            known = ", ".join([x for x in rows if x in summable]) or "none"
+            raise ArgumentError(f"total must name rows of the task, {known}, found {name!r}")
+    if nonfinite == "warn" and count and not traced:
         _warn(scene, state, states, ends)
     return states if task is None else (states, rows)
 
 
-def _again(
+def _checkpointed(
     part: Part, start: dict[str, Tensor], steps: int, plan: Plan, stride: int, read: Callable[[], list[Tensor]]
 ) -> dict[str, Tensor]:
     """Rows of a rollout, of which the gradient keeps a state in `stride` and computes the others again."""
@@ -120,7 +124,7 @@ def _again(
 
     def checked(first: int, start: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         rows = part(first, min(first + stride, steps), start)
-        whole = {*plan.total, *(start if plan.ends else ())}
+        whole = {*plan.total, *plan.last}
         end = {name: x if name in whole else x[-1].clone() for name, x in rows.items()}
         seen = ends.setdefault(first, {name: x.detach().clone() for name, x in end.items()})
         same = all([torch.allclose(x, end[name], 0.0, 0.0, equal_nan=True) for name, x in seen.items()])
@@ -135,30 +139,9 @@ def _again(
 
     for first in range(0, steps, stride):
         with set_checkpoint_early_stop(False):  # to the end of a part, which is compared
-            rows, start = checkpointed(checked, first, start, use_reentrant=False)
+            rows, start = torch_checkpoint(checked, first, start, use_reentrant=False)
         found.append(rows)
-
-    return plan.joined(found, torch.cat)
-
-
-def _stepped(
-    scene: SceneModel, series: Mapping[str, Tensor], steps: int, plan: Plan, state: State, notice: Progress
-) -> Part:
-    """Part of a rollout by so many calls, from a state."""
-    follow = _Steps(scene, series, plan, state if plan.done is None else _finite(scene, state))
-
-    def part(first: int, last: int, start: dict[str, Tensor]) -> dict[str, Tensor]:
-        found: list[dict[str, Tensor]] = []
-        after = start
-        for k in range(first, last):
-            notice.at(f"step {k + 1} of {steps}")
-            after = follow.after(k, after)
-            found.append(after)
-        if not found:
-            return {name: x if plan.ends else x[None][:0] for name, x in start.items()}
-        return plan.joined(found, torch.stack)
-
-    return part
+    return joined({name: [rows[name] for rows in found] for name in rows}, torch.cat, plan.total, plan.last)
 
 
 def _warn(scene: SceneModel, start: State, states: State, ends: bool) -> None:
@@ -243,9 +226,16 @@ class _Steps(NamedTuple):
     series: Mapping[str, Tensor]
     plan: Plan
     idle: State  # state from which rows that have ended are stepped
+    notice: Callable[[int], None]  # of the progress
+
+    def part(self, first: int, last: int, start: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Rows of steps that are calls of their own."""
+        found = by_steps(self.after, start, range(first, last))
+        return self.plan.after(joined(found, torch.stack, self.plan.total, self.plan.last), start)
 
     def after(self, k: int, before: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Rows after step k of those that have not ended, and the task's rows, which are zero where they have."""
+        self.notice(k)
         state = State(**{name: before[name] for name in State._fields if name in before})
         if self.plan.done is None:
             return self._stepped(k, state, before)
