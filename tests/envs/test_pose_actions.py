@@ -154,7 +154,7 @@ WRONG = {
     "a controller of a frame for joints": {"action": "reference"},
     "sizes of other axes": {"scale": (0.1, 0.1, 0.1)},
     "a leash below zero": {"leash": (-1.0, 1.0)},
-    "passive joints": {"actuated": ROBOT.joint_names[0]},
+    "passive joints": {"joints": ROBOT.joint_names[0]},
     "more axes than joints": {"controller": None},
 }
 

@@ -53,7 +53,7 @@ def test_a_goal_can_be_reached():
         way, q = observations[:, -6:-3, None], envs._buffers["q"]
         J = torchdq.jacobian(envs.robot, q, "tip", expressed="world")[:, 3:]
         offset = J.mT @ torch.linalg.solve(J @ J.mT + 0.01 * torch.eye(3), way)
-        observations, rewards, _, _, info = envs.step((offset[..., 0] / envs._actions.scale).clamp(-1, 1))
+        observations, rewards, _, _, info = envs.step((offset[..., 0] / envs._scale).clamp(-1, 1))
     assert info["distance"].quantile(0.9) < 0.01 and rewards.quantile(0.1) > 0.9
 
 

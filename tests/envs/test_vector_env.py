@@ -23,6 +23,7 @@ from small_envs import ALL_DRAWN, FREE, PARTS, PUSHES, ROBOT, actions_of, make, 
 import torchdq
 from torchdq.backends import c_library as build
 from torchdq.envs import Absolute, RobotEnv, RobotVectorEnv, TorchTask, effects
+from torchdq.envs.row_selection import Host
 from torchdq.envs.tasks import Reach
 from torchdq.robot import ContactPoint
 from torchdq.scene import controllers
@@ -113,7 +114,7 @@ def test_what_was_handed_out_does_not_change(mode, looks):
     options = {"randomise": {"mass": 0.2}, "effects": PUSHED, "pushes": PUSHES, "max_episode_steps": 3}
     for task in ("reach", TorchTask("reach", reward=reward)):
         envs = make(task=task, autoreset_mode=mode, **options)
-        envs._looks = looks
+        envs._host = Host(looks)
         keep(envs.reset(seed=0), envs.state.rows(), envs.scene.parameters, envs.get_state())
         for action, _ in zip(actions_of(envs), range(7), strict=False):
             keep(envs.step(action), envs.state.rows(), envs.scene.parameters, envs.get_state())
@@ -419,7 +420,7 @@ def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
         **{"robot": FREE, "pushes": PUSHES},
     }
     looking, blind = (started(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
-    blind._looks = False
+    blind._host = Host(False)
     for envs in (looking, blind):
         envs._buffers["steps"][1:3] = 2  # two rows are ahead of the others
     for k in range(11):
@@ -544,7 +545,7 @@ def test_actions_out_of_range_are_clipped_and_counted():
 
 def test_a_full_action_is_the_limit_of_the_torque():
     envs = RobotVectorEnv(1, robot="panda", effects=(), action="torque")
-    assert envs._actions.scale.tolist() == torchdq.robots.load("panda").limits.effort.tolist()
+    assert envs._scale.tolist() == torchdq.robots.load("panda").limits.effort.tolist()
 
 
 def test_a_full_action_of_the_default_kind_moves_a_joint_at_its_velocity_limit():

@@ -27,6 +27,7 @@ import torchdq
 from torchdq.backends import call, choice
 from torchdq.backends.cuda import Cuda
 from torchdq.envs import RobotVectorEnv, Scene, TorchTask, effects
+from torchdq.envs.row_selection import Host
 from torchdq.program import transforms
 from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.defaults import default_effects
@@ -189,7 +190,7 @@ N = 7
 def environment(**options):
     """Environments that never look at the numbers of actions."""
     envs = RobotVectorEnv(N, **options)
-    envs._looks = False
+    envs._host = Host(False)
     return envs
 
 
