@@ -179,10 +179,11 @@ def _range(numbers: tuple[float, ...]) -> str:
 
 
 def _actions(task: str, robot: Robot) -> str:
-    rows, own = [], RobotVectorEnv(1, task, robot)._actions
-    for kind in (own.kind,) if own.kind == "target" else (kind for kind in get_args(Kind) if kind != "target"):
-        made = own if kind == own.kind else RobotVectorEnv(1, task, robot, action=kind)._actions
-        numbers, default = ", ".join(f"{x:.3g}" for x in made.scale.tolist()), " (default)" if made is own else ""
+    rows, own = [], RobotVectorEnv(1, task, robot)
+    usual = own._meaning.kind
+    for kind in (usual,) if usual == "target" else (kind for kind in get_args(Kind) if kind != "target"):
+        made = own if kind == usual else RobotVectorEnv(1, task, robot, action=kind)
+        numbers, default = ", ".join(f"{x:.3g}" for x in made._scale.tolist()), " (default)" if made is own else ""
         rows.append((f'`"{kind}"`{default}', ACTIONS[kind], numbers, ACTION_UNITS[kind]))
     return table(("`action`", "meaning", "a full action, joint by joint", "unit"), rows)
 

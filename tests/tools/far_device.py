@@ -18,6 +18,7 @@ from contextlib import contextmanager
 
 import torch
 from host_gpu import HOST
+from small_envs import grouped
 from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map
@@ -189,7 +190,7 @@ N = 7
 
 def environment(**options):
     """Environments that never look at the numbers of actions."""
-    envs = RobotVectorEnv(N, **options)
+    envs = RobotVectorEnv(N, **grouped(**options))
     envs._host = Host(False)
     return envs
 
