@@ -75,7 +75,8 @@ class Actions:
     joints: str | Sequence[str] | None = None
 
     def __post_init__(self) -> None:
-        require_choice("action", self.kind, (None, *get_args(Kind)))
+        if self.kind is not None:
+            require_choice("action", self.kind, get_args(Kind))
         leash = self.leash
         if not (isinstance(leash, Sequence) and len(leash) == 2 and all(is_number(x) and x >= 0 for x in leash)):
             raise ArgumentError(f"leash must be two numbers that are not negative [rad, m], found {leash!r}")

@@ -22,7 +22,7 @@ from pages.formulas import tex
 from pages.pictures import Curve, Picture, svg
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.effects import Contact
-from torchdq.envs import RobotVectorEnv, vector_env
+from torchdq.envs import RobotVectorEnv, episode
 from torchdq.envs.actions import Kind, full
 from torchdq.envs.render import Painter
 from torchdq.envs.task_names import task_of
@@ -97,14 +97,14 @@ def page(task: str) -> str:
         "Entries are clipped to their bounds.",
         _observation(task, robot),
         "## Action",
-        f"`Box(-1, 1, ({robot.n},))`. The argument `action` sets the meaning of a full action; `scale` replaces the "
-        "numbers.",
+        f"`Box(-1, 1, ({robot.n},))`. The argument `action` sets the meaning of a full action; `Actions(..., scale=...)` "
+        "replaces the numbers.",
         _actions(task, robot),
         "## Reward",
         *[f"$$\n{tex(formula, frozenset({'action'}))}\n$$" for formula in said.formulas],
         *_paragraphs(case.task, "Reward: "),
         "It is computed from the true state, not from measurements. A step in which the simulation fails has the "
-        f"reward {vector_env.WORST:g}.",
+        f"reward {episode.WORST:g}.",
         "## End of an episode",
         table(
             ("flag", "condition"),

@@ -226,7 +226,9 @@ def test_a_scene_with_sensors_steps_as_with_torch_operations(dtype):
 def test_a_step_of_environments_asks_the_device_nothing(mode, monkeypatch):
     with torchdq.backend("host"):
         pushed = {"effects": (effects.Push(),), "pushes": {"push": Pushes((1.0,) * 6, (0.0, 0.1))}}
-        envs = RobotVectorEnv(70, "reach", TWO, action=Actions(scale=20.0), max_episode_steps=2, autoreset_mode=mode, **pushed)
+        envs = RobotVectorEnv(
+            70, "reach", TWO, action=Actions(scale=20.0), max_episode_steps=2, autoreset_mode=mode, **pushed
+        )
         envs._host = Host(False)  # as on a GPU
         envs.reset(seed=0)
         envs.step(torch.zeros(70, 2))

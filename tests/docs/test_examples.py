@@ -16,7 +16,7 @@ import torch
 from places import DATA, ROOT
 
 import torchdq
-from torchdq.envs import RobotVectorEnv
+from torchdq.envs import Actions, RobotVectorEnv
 from torchdq.learning import read_log
 
 EXAMPLES = ROOT / "examples"

@@ -18,7 +18,7 @@ from torch import nn
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.envs import RobotVectorEnv, Scene, State, effects
+from torchdq.envs import Actions, RobotVectorEnv, Scene, State, effects
 from torchdq.errors import ArgumentError
 from torchdq.program import autograd
 from torchdq.scene import controllers, integrators
