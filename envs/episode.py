@@ -34,15 +34,16 @@ THEN = "then "  # before the name of a push: as it is after the step
 # before names in a chain: results of act, of the step, of undo; the next episode; rows of `info`; of the policy
 GIVEN, AFTER, NOW, NEXT, INFO, WEIGHT = "given ", "after ", "now ", "next ", "info ", "weight "
 JUDGED = ("valid", "reward", "terminated")  # rows of the task that end takes
-FLAGS = ("failed", "ended", "truncated")
-ROWS = (*HELD, "action", "torque", "target", "time", "over")  # that have an axis even if they are one number
+FLAGS = ("failed", "terminated", "truncated", "done")
+ROWS = (*HELD, "action", "torque", "target", "time", "over", "flags")  # that have an axis even if they are one number
 
 
 class Form(NamedTuple):
     """Environments, as far as their rules depend on them."""
 
     meaning: Meaning
-    pushes: tuple[str, ...]  # inputs that are pushes
+    inputs: tuple[str, ...]  # of the scene and the task
+    pushes: tuple[str, ...]  # those that are pushes
     dt: float
 
     @property
@@ -60,44 +61,43 @@ class Form(NamedTuple):
 def act(form: Form, rows: Mapping[str, Row]) -> Rows:
     """Inputs of a step for actions, which are clipped to [-1, 1]: how many were, and pushes after the step."""
     (steps,), action = rows["steps"], [clip(x, -1.0, 1.0) for x in rows["action"]]
-    wide, found = form.meaning.inputs(action, rows["scale"], rows.get("reference", ()))
-    found |= {"action": wide, "time": [(steps + 1.0) * form.dt], "over": []}
-    found["clipped"] = [sum((below(1.0, absolute(x)) for x in rows["action"]), 0.0)]
+    wide, given = form.meaning.inputs(action, rows["scale"], rows.get("reference", ()))
+    given |= {"action": wide, "time": [(steps + 1.0) * form.dt]}
+    found = {"clipped": [sum((below(1.0, absolute(x)) for x in rows["action"]), 0.0)]}
     for name in form.pushes:
-        found[name], found[THEN + name], over = pushed(steps * form.dt, rows[name], rows[SPARE + name])
-        found["over"] = [*found["over"], over]
-    return found
+        given[name], found[THEN + name], over = pushed(steps * form.dt, rows[name], rows[SPARE + name])
+        found["over"] = [*found.get("over", ()), over]
+    return {name: row for name, row in given.items() if name in form.inputs} | found
 
 
 def end(form: Form, rows: Mapping[str, Row]) -> Rows:
-    """Reward, and which rows have failed, terminated or reached the limit of steps; `valid` is 1, or 0 or NaN."""
+    """Reward, steps of the episode so far, and `FLAGS`; the row "valid" is 1, or 0 or NaN where a step failed."""
     failed, elapsed = 1.0 - at_least(*rows["valid"], 1.0), rows["steps"][0] + 1.0
     ended = maximum(failed, select(rows.get("terminated", [0.0])[0], 1.0, 0.0))
     truncated = at_least(elapsed, *rows["limit"])
-    found = {"failed": failed, "ended": ended, "truncated": truncated, "done": maximum(ended, truncated)}
-    found |= {"reward": select(failed, WORST, *rows["reward"]), "elapsed": elapsed}
-    return {name: [x] for name, x in found.items()}
+    flags = [failed, ended, truncated, maximum(ended, truncated)]
+    return {"reward": [select(failed, WORST, *rows["reward"])], "elapsed": [elapsed], "flags": flags}
 
 
 def undo(form: Form, rows: Mapping[str, Row]) -> Rows:
     """Rows of a failed step as they were before it, "before ...", and NaN where there was none."""
-    (failed,), none = rows["failed"], [math.nan]
+    (failed, *_), none = rows["flags"], [math.nan]
     return {
         name: [select(failed, a, b) for a, b in zip(rows.get(f"before {name}", none * len(row)), row, strict=True)]
         for name, row in rows.items()
-        if name != "failed" and not name.startswith("before ")
+        if name != "flags" and not name.startswith("before ")
     }
 
 
 def begin(form: Form, rows: Mapping[str, Row]) -> Rows:
     """Rows of the next episode, "next ...", where one is done, and how many episodes and pushes were taken."""
-    (done,) = rows["done"]
+    *_, done = rows["flags"]
     found = {
         name: [select(done, a, b) for a, b in zip(rows[NEXT + name], row, strict=True)]
         for name, row in rows.items()
         if NEXT + name in rows
     }
-    used = [a + b for a, b in zip(rows["used"], [done, *rows["over"]], strict=True)]
+    used = [a + b for a, b in zip(rows["used"], [done, *rows.get("over", ())], strict=True)]
     return {**found, "steps": [select(done, 0.0, *rows["elapsed"])], "used": used}
 
 
@@ -216,10 +216,10 @@ def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
     left = [name for name in rows if name not in JUDGED]
     before = {f"before {name}": name for name in left if name in HELD}
     held = {name: NOW + name for name in HELD}
-    rule(undo, {"failed": "failed", **before, **{name: AFTER + name for name in left}}, {"": INFO, **held})
+    rule(undo, {"flags": "flags", **before, **{name: AFTER + name for name in left}}, {"": INFO, **held})
     now = {x: next(y for y in (NOW + x, GIVEN + THEN + x, x) if y in known) for x in what.carried}
-    counted = {"done": "done", "elapsed": "elapsed", "used": "used", "over": GIVEN + "over"}
+    counted = {"flags": "flags", "elapsed": "elapsed", "used": "used", "over": GIVEN + "over"}
     rule(begin, {**counted, **now, **{NEXT + x: NEXT + x for x in what.carried}}, {"": ""})
     told = [INFO + name for name in left if name not in HELD]
-    wanted = ("action", GIVEN + "clipped", *FLAGS, "reward", NOW + "observation", *told, *links[-1].gives)
+    wanted = ("action", GIVEN + "clipped", "flags", "reward", NOW + "observation", *told, *links[-1].gives)
     return Chain(f"block_{links[2].program.name}", arguments, tuple(links), wanted)

@@ -14,7 +14,6 @@ from torchdq.backends.loop_call import repeat
 from torchdq.base.checks import require_tensor
 from torchdq.envs.actions import SHARE, Meaning
 from torchdq.envs.episode import (
-    FLAGS,
     GIVEN,
     HELD,
     INFO,
@@ -54,9 +53,10 @@ class Rollout(NamedTuple):
 def rollout_of(rows: dict[str, Tensor]) -> Rollout:
     """Rollout of the rows of a block."""
     info = {name.removeprefix(INFO): x for name, x in rows.items() if name.startswith(INFO)}
-    info |= {"clipped": rows[GIVEN + "clipped"].to(torch.int64), "nonfinite": rows["failed"]}
-    names = ("observation", "action", "reward", "ended", "truncated", NOW + "observation")
-    return Rollout(*(rows[name] for name in names), info)
+    failed, terminated, truncated, _ = (rows["flags"] != 0).unbind(-1)
+    info |= {"clipped": rows[GIVEN + "clipped"].to(torch.int64), "nonfinite": failed}
+    final = rows[NOW + "observation"]
+    return Rollout(rows["observation"], rows["action"], rows["reward"], terminated, truncated, final, info)
 
 
 def stepped(
@@ -90,7 +90,7 @@ class Step(NamedTuple):
     terminated: Tensor  # [N]
     truncated: Tensor  # [N]
     done: Tensor  # [N] one of both
-    failed: Tensor  # [N]
+    ends: bool  # whether one is done, or may be
     info: dict[str, Tensor]
 
 
@@ -105,14 +105,14 @@ class Steps:
     """
 
     def __init__(self, reset: Reset, meaning: Meaning, scale: Tensor, limit: float) -> None:
-        self.reset, self.form = reset, Form(meaning, tuple(reset.pushes), reset.scene.dt)
+        scene, unused = reset.scene, () if meaning.kind in SHARE else ("torque",)
+        wanted = {**scene.spec.inputs(), **reset.checked.inputs(scene.n)}
+        self.inputs = tuple([name for name in wanted if name not in unused])  # of the scene and the task
+        shown = self.inputs if reset.functions is None else (*self.inputs, "action")
+        self.reset, self.form = reset, Form(meaning, shown, tuple(reset.pushes), scene.dt)
         self.shared = {"scale": scale, "limit": scale.new_tensor(limit)}
         self.act = Rule(act, self.form, tuple(self.form.takes.items()))
         self.end = Rule(end, self.form, tuple([(name, ()) for name in (*JUDGED, "steps", "limit")]))
-        n, unused = reset.scene.n, () if meaning.kind in SHARE else ("torque",)
-        self.inputs = tuple(
-            [x for x in {**reset.scene.spec.inputs(), **reset.checked.inputs(n)} if x not in unused]
-        )  # of the scene and the task
         self.ahead: Reset | None = None  # start of the next episodes, in a scene of its own
         self.next: dict[str, Tensor] = {}  # their buffers
         self.drawn_at: Streams | None = None  # where the streams of starts were then
@@ -128,7 +128,7 @@ class Steps:
         """
         reset, scene, after = self.reset, self.reset.scene, dict(buffers)
         given = {**buffers, "action": actions, **self.shared}
-        acted = evaluate(self.act, {name: given[name] for name in self.form.takes}, scene.backend)
+        acted = evaluate(self.act, {name: given[name] for name, _ in self.act.own}, scene.backend)
         if reset.pushes:
             after |= {push: acted[THEN + push] for push in reset.pushes}
             after = reset.with_spares(after, (acted["over"] != 0).unbind(1), host)
@@ -148,15 +148,15 @@ class Steps:
         judged |= {"steps": buffers["steps"], "limit": self.shared["limit"]}
         ended = evaluate(self.end, judged, scene.backend)
         after.update(state.rows(), steps=ended["elapsed"], **{x: rows.pop(x) for x in KEPT if x in rows})
-        failed, terminated, truncated, done = (ended[name] != 0 for name in (*FLAGS, "done"))
-        if host.any(done) and host.any(failed):
+        failed, terminated, truncated, done = (ended["flags"] != 0).unbind(1)
+        if (ends := host.any(done)) and host.any(failed):
             held = {name: after[name] for name in HELD if name in after}
-            own = {"failed": ended["failed"], **{f"before {x}": buffers[x] for x in held}, **held, **rows}
+            own = {"flags": ended["flags"], **{f"before {x}": buffers[x] for x in held}, **held, **rows}
             rule = Rule(undo, self.form, tuple([(name, tuple(x.shape[1:])) for name, x in own.items()]))
             rows = evaluate(rule, own, scene.backend)
             after |= {name: rows.pop(name) for name in held}
         info = {"clipped": acted["clipped"].to(torch.int64), "nonfinite": failed, **rows}
-        return Step(after, ended["reward"], terminated, truncated, done, failed, info)
+        return Step(after, ended["reward"], terminated, truncated, done, ends, info)
 
     def rollout(
         self, buffers: Mapping[str, Tensor], policy: Network, steps: int, noise: Tensor | None, unit: float
@@ -211,7 +211,7 @@ class Steps:
         columns[STARTS] = torch.where(begun, following["counter"][:, STARTS], columns[STARTS])
         changed = {name: found.pop(name) for name in ends} | {"counter": torch.stack(columns, 1)}
         changed = self.reset.with_spares({**buffers, **changed}, over, Host(True))
-        return {name: x != 0 if name in FLAGS else x for name, x in found.items()}, changed, whole
+        return found, changed, whole
 
     def _block(self, policy: Network, carried: tuple[str, ...], own: tuple[tuple[str, tuple[int, ...]], ...]) -> Block:
         """The computation."""

@@ -212,7 +212,7 @@ class RobotVectorEnv(VectorEnv):
                 f"options={{'reset_mask': terminated | truncated}}, or choose another autoreset_mode"
             )
         actions = self._meaning.checked(actions, self.num_envs, before["observation"], host.synchronises)
-        after, reward, terminated, truncated, done, _, info = self._steps(before, actions, host, waiting)
+        after, reward, terminated, truncated, done, ends, info = self._steps(before, actions, host, waiting)
         after["finished"], last = done, after["observation"]
         if self._unreset and mode == AutoresetMode.NEXT_STEP:  # this step is the reset of the rows that had finished
             drawn = ("counter", *(SPARE + push for push in self._reset.pushes))
@@ -222,7 +222,7 @@ class RobotVectorEnv(VectorEnv):
             reward, terminated, truncated = reward.masked_fill(finished, 0.0), terminated & going, truncated & going
             info = {name: x.masked_fill(column(finished, x), 0) for name, x in info.items()}
             info |= {name: begun.replaced(info[name], seen[name]) for name in info.keys() & seen.keys()}
-        elif mode == AutoresetMode.SAME_STEP and host.any(done):
+        elif mode == AutoresetMode.SAME_STEP and ends:
             info.update(final_obs=last, _final_obs=done, final_info=dict(info), _final_info=done)
             after, _ = self._begun(after, host.some(done))
         self._keep(after)
