@@ -12,7 +12,7 @@ from torch import Tensor
 from torchdq.backends.choice import choose
 from torchdq.backends.precision import run
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.envs.pushes import DRAWS, WIDTH, Pushes
+from torchdq.envs.pushes import DRAWS, Pushes
 from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams, ranged, seeded
 from torchdq.envs.row_selection import Host, Masked, SomeRows
@@ -21,7 +21,6 @@ from torchdq.envs.torch_task import Functions, require_finite_start
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.scene.defaults import mean_robot
-from torchdq.scene.free_base import POSE
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 
@@ -39,6 +38,7 @@ class Reset:
     randomised: tuple[Randomised, ...]  # parameters of the scene that are drawn as well
     pushes: Mapping[str, Pushes]  # inputs that are drawn as well
     functions: Functions | None  # functions of tensors that replace parts of the task; None: there are none
+    dtype: torch.dtype  # of what is drawn
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -50,9 +50,7 @@ class Reset:
         """The scene's own tensors that are drawn for every episode."""
         return {f"{i}.{name}": x for r in self.randomised for (i, name), x in r.tensors(self.scene).items()}
 
-    def __call__(
-        self, rows: SomeRows, streams: Streams, dtype: torch.dtype
-    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    def __call__(self, rows: SomeRows, streams: Streams) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Buffers of new episodes and rows of the task at their start, by name, shape [k, ...].
 
         Drawn parameters are written into the scene.
@@ -60,12 +58,11 @@ class Reset:
         Args:
             rows: the environments.
             streams: random numbers of those environments.
-            dtype: dtype of the buffers.
         """
         task, own, looks = self.checked.task, self.functions, not isinstance(rows, Masked)
         draws = [task.draws(self.robot), 0 if own is None else own.task.draws]
         widths = [*draws, *[r.width for r in self.randomised], *[DRAWS] * len(self.pushes), self.scene.noises]
-        u, after = streams.column(STARTS).uniform(sum(widths), dtype)
+        u, after = streams.column(STARTS).uniform(sum(widths), self.dtype)
         u, u_own, *drawn, noise = u.split(widths, 1)
         if spans := task.spans():
             u = torch.cat([u[:, : -len(spans)], ranged(u[:, -len(spans) :], spans)], 1)
@@ -92,27 +89,14 @@ class Reset:
                 require_finite_start("observation", seen["observation"])
         return fresh | state.rows() | {name: seen.pop(name) for name in KEPT if name in seen}, seen
 
-    def blank(
-        self, num_envs: int, width: int, seed: int, dtype: torch.dtype, device: torch.device
-    ) -> dict[str, Tensor]:
-        """Buffers before a first episode, with observations of a width and streams of a seed."""
-        n = self.scene.n
-        own = {name: wide for name, wide in self.checked.inputs(n).items() if name in ("goal", "carry")}
-        own |= {name: WIDTH for push in self.pushes for name in (push, SPARE + push)}
-        reference = 3 * n if self.checked.pose is None else POSE
-        widths = {**self.scene.spec.state, **own, "reference": reference, "observation": width}
-        found = {name: torch.zeros(num_envs, wide, dtype=dtype, device=device) for name, wide in widths.items()}
-        found["steps"] = torch.zeros(num_envs, dtype=dtype, device=device)
-        found["finished"] = torch.zeros(num_envs, dtype=torch.bool, device=device)
-        return {**found, **self.streams(seed, num_envs, device)._asdict()}
-
     def with_spares(self, buffers: Mapping[str, Tensor], masks: Sequence[Tensor], host: Host) -> dict[str, Tensor]:
-        """Buffers whose spare pushes are drawn in the rows of a mask [N] for each input."""
+        """Buffers whose spare pushes are drawn in the rows of a mask [N] for each input, at first in all of them."""
         found, streams = dict(buffers), Streams.of(buffers)
         for k, ((name, pushes), mask) in enumerate(zip(self.pushes.items(), masks, strict=True), PUSHED):
-            rows, stream, spare = host.some(mask), streams.column(k), buffers[SPARE + name]
-            u, after = stream.rows(rows).uniform(DRAWS, spare.dtype)
-            found[SPARE + name] = rows.replaced(spare, pushes.drawn(u))
+            rows, stream = host.some(mask), streams.column(k)
+            u, after = stream.rows(rows).uniform(DRAWS, self.dtype)
+            spare = pushes.drawn(u)
+            found[SPARE + name] = rows.replaced(buffers.get(SPARE + name, spare), spare)
             streams = streams.with_column(k, stream.with_rows(rows, after))
         return {**found, **streams._asdict()}
 

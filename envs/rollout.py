@@ -233,7 +233,7 @@ class Steps:
             taken = (now.key != before.key) | (now.counter != before.counter)
         rows = Indexed(taken.nonzero()[:, 0])
         if len(rows.indices):
-            fresh, _ = self.ahead(rows, streams.rows(rows), buffers["observation"].dtype)
+            fresh, _ = self.ahead(rows, streams.rows(rows))
             self.next = {name: rows.replaced(self.next[name], x) if self.next else x for name, x in fresh.items()}
             self.drawn_at = now
         return self.next | self.ahead.drawn

@@ -63,7 +63,6 @@ class Setup(NamedTuple):
 
 
 def setup(
-    num_envs: int,
     task: AnyTask,
     robot: str | Path | Robot | None,
     effects: Sequence[Effect] | None,
@@ -73,7 +72,7 @@ def setup(
     pushes: Mapping[str, Pushes] | None,
     like: Tensor,
 ) -> Setup:
-    """Setup of these arguments of `RobotVectorEnv`, with the dtype and the device of a tensor."""
+    """Setup of these arguments of `RobotVectorEnv`, with the rows, the dtype and the device of a tensor."""
     timing = Simulation() if simulation is None else simulation
     require_object("simulation", timing, Simulation, "torchdq.envs", "Simulation(dt=0.02)")
     own = ROBOT if isinstance(task, TorchTask) else getattr(task_of(task), "ROBOT", ROBOT)
@@ -94,10 +93,10 @@ def setup(
     actions = action if isinstance(action, Actions) else Actions(action)
     scene, meaning, scale = resolved(actions, scene, chosen)
     pushed = chosen.get("pushes", {})
-    check_scene(scene, num_envs, pushed)
-    nominal, simulated, drawn = randomised(scene.to(like.device), chosen.get("randomise", {}), num_envs, like)
+    check_scene(scene, len(like), pushed)
+    nominal, simulated, drawn = randomised(scene.to(like.device), chosen.get("randomise", {}), len(like), like)
     functions = functions_of(task, scene.robot, simulated, like.device)
-    reset = Reset(simulated, Checked(known, meaning.pose), drawn, pushed, functions)
+    reset = Reset(simulated, Checked(known, meaning.pose), drawn, pushed, functions, like.dtype)
     return Setup(nominal, reset, meaning, like.new_tensor(scale))
 
 

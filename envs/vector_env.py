@@ -127,8 +127,8 @@ class RobotVectorEnv(VectorEnv):
         self.dtype, self.device, self.render_mode = dtype_of("dtype", dtype), device_of("device", device), render_mode
         modes = AutoresetMode.__members__
         self.autoreset_mode = modes[autoreset_mode] if autoreset_mode in modes else AutoresetMode(autoreset_mode)  # type: ignore[index]
-        like = torch.empty(0, dtype=self.dtype, device=self.device)
-        made = setup(num_envs, task, robot, effects, action, simulation, randomise, pushes, like)
+        like = torch.empty(num_envs, 0, dtype=self.dtype, device=self.device)
+        made = setup(task, robot, effects, action, simulation, randomise, pushes, like)
         self._nominal, self._meaning, self._scale = made.nominal, made.meaning, made.scale
         self._use(made.reset)
         self.robot, names = self._scene.robot, ("rgb_array", "human")
@@ -161,7 +161,7 @@ class RobotVectorEnv(VectorEnv):
         for name in options or {}:
             if name != "reset_mask":
                 raise UnknownNameError("option of reset", name, ("reset_mask",))
-        seeded = mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        seeded = mask = self._every
         if options and options["reset_mask"] is not None:
             mask = torch.as_tensor(options["reset_mask"], device=self.device)
             if mask.dtype != torch.bool or mask.shape != (self.num_envs,):
@@ -170,7 +170,7 @@ class RobotVectorEnv(VectorEnv):
                 )
             if not self._buffers:
                 raise ResetNeeded("a first reset must be of all environments; call reset() without a reset_mask")
-        buffers = dict(self._buffers) or self._blank()
+        buffers = dict(self._buffers) or self._streams()
         if seed is not None:
             seeds = seeds_of(seed.tolist() if isinstance(seed, Tensor | np.ndarray) else seed, self.num_envs)
             if isinstance(seed, Integral):
@@ -384,8 +384,7 @@ class RobotVectorEnv(VectorEnv):
             check_scene(self._scene, self.num_envs, reset.pushes)
         self._use(reset)
         if pushes is not None and self._buffers:
-            every = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-            self._keep(self._with_spares(self._buffers, every))
+            self._keep(self._with_spares(self._buffers, self._every))
 
     # --- state ---
 
@@ -413,7 +412,8 @@ class RobotVectorEnv(VectorEnv):
             state: from `get_state`, or from `torch.load` of such.
         """
         self._open()
-        own = {self._saved(name): (name, x) for name, x in {**self._blank(), **self._reset.drawn}.items()}
+        known = self._buffers or self._first()
+        own = {self._saved(name): (name, x) for name, x in {**known, **self._reset.drawn}.items()}
         if not isinstance(state, Mapping) or set(state) != set(own):
             found = sorted(state) if isinstance(state, Mapping) else type(state).__name__
             raise ArgumentError(
@@ -472,10 +472,18 @@ class RobotVectorEnv(VectorEnv):
             return x
         return {k: self._out(v) for k, v in x.items()} if isinstance(x, dict) else x.cpu().numpy()
 
-    def _blank(self) -> dict[str, Tensor]:
-        """Buffers before a first episode."""
-        width, seed = self.single_observation_space.shape[0], int(self.np_random.integers(2**62))  # type: ignore[index]
-        return self._reset.blank(self.num_envs, width, seed, self.dtype, self.device)
+    def _streams(self) -> dict[str, Tensor]:
+        """Buffers before a first episode: streams of a random seed."""
+        return self._reset.streams(int(self.np_random.integers(2**62)), self.num_envs, self.device)._asdict()
+
+    @property
+    def _every(self) -> Tensor:
+        """Mask [N] of all environments."""
+        return torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+
+    def _first(self) -> dict[str, Tensor]:
+        """Buffers of first episodes."""
+        return self._begun(self._with_spares(self._streams(), self._every), self._host.some(self._every))[0]
 
     def _with_spares(self, buffers: Mapping[str, Tensor], mask: Tensor) -> dict[str, Tensor]:
         """Buffers with other pushes drawn ahead in the rows of a mask."""
@@ -484,11 +492,11 @@ class RobotVectorEnv(VectorEnv):
     def _begun(self, buffers: Mapping[str, Tensor], rows: SomeRows) -> tuple[dict[str, Tensor], Mapping[str, Tensor]]:
         """Buffers with new episodes in some rows, and the task's rows at their start."""
         found = dict(buffers)
-        fresh, seen = self._reset(rows, Streams.of(buffers).rows(rows), self.dtype)
+        fresh, seen = self._reset(rows, Streams.of(buffers).rows(rows))
         held = _KEPT if self._reset.functions is None else fresh  # functions see everything
         for name, x in fresh.items():
-            if name in held or isinstance(rows, Masked):
-                found[name] = rows.replaced(buffers[name], x)
+            if name in held or name not in found or isinstance(rows, Masked):
+                found[name] = rows.replaced(buffers.get(name, x), x)  # at first all of them are new
             else:
                 rows.write(buffers[name], x)
         return found, seen
