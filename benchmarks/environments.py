@@ -59,7 +59,7 @@ def batched(task: str, batch: int) -> Callable[[], object]:
     envs.reset(seed=0)
     state = envs.get_state()
     ages = torch.randint(250, state["steps"].shape, generator=torch.Generator().manual_seed(0))
-    envs.set_state({**state, "steps": ages.to(torch.int32)})
+    envs.set_state({**state, "steps": ages.to(envs.dtype)})
     action = torch.zeros(batch, envs.robot.n)
     return lambda: envs.step(action)
 

@@ -26,7 +26,7 @@ from peers import bare, urdf
 
 import torchdq
 from torchdq.base.timing import measure
-from torchdq.envs import RobotVectorEnv, Scene, effects
+from torchdq.envs import RobotVectorEnv, Scene, Simulation, effects
 from torchdq.scene import integrators
 
 BATCH, DT, STEPS = 4096, 2e-3, 5
@@ -95,10 +95,8 @@ def environment_steps(env: RobotVectorEnv):
     """One step of an environment, rewards, observations and resets included, some in every step."""
     env.reset(seed=0)
     state = env.get_state()
-    state["steps"] = torch.randint(250, state["steps"].shape, generator=torch.Generator().manual_seed(0)).to(
-        torch.int32
-    )
-    env.set_state(state)
+    ages = torch.randint(250, state["steps"].shape, generator=torch.Generator().manual_seed(0))
+    env.set_state({**state, "steps": ages.to(env.dtype)})
     action = torch.zeros(env.num_envs, env.single_action_space.shape[0], dtype=torch.float32)
     return lambda: env.step(action)
 
@@ -146,7 +144,7 @@ def main() -> None:
             compared.append((f"{name}, {dtype}", ours, theirs, without))
 
     for task in ("reach", "track"):
-        env = RobotVectorEnv(BATCH, task=task, robot=robot, effects=parts, action="torque", dt=DT)
+        env = RobotVectorEnv(BATCH, task=task, robot=robot, effects=parts, action="torque", simulation=Simulation(DT))
         (row,) = rows(measure({"torchdq": environment_steps(env)}, BATCH, seconds), f"environment, {task}", "float32")
         found.append(row)
         lines.append((f"{task} environment, steps per second, float32", f"{1e3 / row.nanoseconds:.1f} million"))

@@ -3,19 +3,23 @@
 from gymnasium import register
 
 from torchdq import effects
+from torchdq.envs.actions import Actions
 from torchdq.envs.env import RobotEnv
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Absolute
+from torchdq.envs.setup import Simulation
 from torchdq.envs.torch_task import TorchTask
 from torchdq.envs.vector_env import RobotVectorEnv
 from torchdq.scene import Scene, State, controllers, integrators, policies
 
 __all__ = [
     "Absolute",
+    "Actions",
     "Pushes",
     "RobotEnv",
     "RobotVectorEnv",
     "Scene",
+    "Simulation",
     "State",
     "TorchTask",
     "controllers",

@@ -1,11 +1,11 @@
-"""Actions of an environment: offsets of what a controller or a servo follows, torques, or torques on top of it."""
+"""Actions of an environment: what numbers in [-1, 1] mean as inputs of a scene."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -15,7 +15,8 @@ from torchdq.base.checks import and_more, is_number, matching, require_choice, r
 from torchdq.control.frames import FrameLaw, OperationalSpaceControl
 from torchdq.control.joints import ComputedTorque
 from torchdq.control.law import Law
-from torchdq.dq.formulas import computed
+from torchdq.dq.components import form
+from torchdq.dynamics.posed import Row
 from torchdq.effects import Effect
 from torchdq.envs.pose_actions import POSITION, ROTATION, PoseActions
 from torchdq.envs.tasks import ranges, velocities
@@ -24,8 +25,10 @@ from torchdq.robot import Robot
 from torchdq.scene.defaults import nominal_robot
 from torchdq.scene.free_base import POSE
 from torchdq.scene.scene import Scene
+from torchdq.scene.spec import Rows
 
 Kind = Literal["reference", "target", "torque", "residual", "pose"]
+FOLLOWED = ("reference", "residual", "pose")  # by a controller
 KP, KD = 100.0, 20.0  # gains of the default controller of joints [1/s^2, 1/s]
 RATE = 20.0  # at which the error of a pose decays under that of frames [1/s]
 SHARE = {"torque": 1.0, "residual": 0.2}  # full action as a share of the torque limits
@@ -35,53 +38,104 @@ HORIZON = 0.2  # time in which a joint at its velocity limit moves by a full ref
 
 @dataclass(frozen=True, eq=False)
 class Actions:
-    """Actions in [-1, 1]^k of a number of environments."""
+    """Meaning of the actions of environments; the name of a kind alone stands for it with these defaults.
+
+    Args:
+        kind: what an action is; None: "target" if the scene has a servo, otherwise "torque" if joints are passive or
+            the base floats, otherwise "reference".
+            "reference": offsets of the joint positions that a controller follows, at most as far as a joint moves in
+            0.2 s at its velocity limit.
+            "target": offsets of the targets of `effects.Servo`, at most 0.25 rad or m.
+            "torque": fractions of the torque limits.
+            "residual": torques added to those of a controller, at most a fifth of the torque limits.
+            "pose": displacements of the desired pose of the controller's frame, a rotation vector of at most 0.5 rad
+            and a translation of at most 0.1 m along each axis; `RobotVectorEnv.pose_action` converts absolute poses.
+        controller: controller for "reference", "residual" and "pose". It uses the nominal rigid-body model, without
+            friction and randomisation, unless it has a model of its own. None: computed torque, or for "pose"
+            operational space control of the tip in world axes; needed if the base floats.
+        scale: size of a full action, one number or one for each joint or axis; None: as above [N m or N; rad or m].
+        leash: largest distance of the desired pose from the measured one after a "pose" step; larger displacements are
+            cut. (0, 0): actions displace the measured pose [rad, m].
+        joints: names or patterns of the actuated joints, one number of an action for each, in this order; None: all.
+            The others are passive, which "torque" and "target" permit.
+
+    Controllers and servos follow the reference of the task, except for "pose". In "track" it is the motion to track; in
+    "reach" it is the measured position, so that a zero action holds still.
+
+    >>> from torchdq.envs import Actions, RobotVectorEnv
+    >>> envs = RobotVectorEnv(64, "reach", "panda", action=Actions("torque", joints="*[1-4]", scale=20.0))
+    >>> envs.single_action_space.shape
+    (4,)
+    """
+
+    kind: Kind | None = None
+    controller: Law | None = None
+    scale: float | Sequence[float] | None = None
+    leash: tuple[float, float] = (0.5, 0.05)
+    joints: str | Sequence[str] | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind is not None:
+            require_choice("action", self.kind, get_args(Kind))
+        leash = self.leash
+        if not (isinstance(leash, Sequence) and len(leash) == 2 and all(is_number(x) and x >= 0 for x in leash)):
+            raise ArgumentError(f"leash must be two numbers that are not negative [rad, m], found {leash!r}")
+
+
+class Meaning(NamedTuple):
+    """Actions of a robot: what programs depend on."""
 
     kind: Kind
-    robot: Robot
-    joints: tuple[int, ...]  # the k actuated ones, in the order of the columns
-    scale: Tensor  # [n] size of a full action, zero for passive joints [N m or N; rad or m]; [k] of a pose
+    n: int  # joints of the robot
+    joints: tuple[int, ...]  # the actuated ones, in the order of the numbers of an action
+    names: tuple[str, ...]  # of these numbers
     pose: PoseActions | None = None  # None: actions are of joints
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the joints, or of the axes, that the numbers of an action move."""
-        return tuple([self.robot.joint_names[i] for i in self.joints]) if self.pose is None else self.pose.names
+    def reference(self) -> int:
+        """Number of numbers of the reference that actions refer to, none of torques."""
+        return POSE if self.pose is not None else 0 if self.kind == "torque" else 3 * self.n
 
-    def clipped(self, actions: Any, num_envs: int, looks: bool = True) -> tuple[Tensor, Tensor]:
-        """Actions [N, n] within their bounds, zero for passive joints, and the number clipped in each row [N].
+    def inputs(self, action: Row, scale: Row, reference: Row) -> tuple[Row, Rows]:
+        """Action of all joints, or axes, and the inputs of a scene that it changes, of numbers in [-1, 1]."""
+        if self.pose is not None:
+            X = self.pose.moved(form(reference), action, scale)
+            return action, {"reference": [*X[0], *X[1], *[0.0] * self.pose.still]}
+        wide, scaled = list[Any]([0.0] * self.n), list[Any]([0.0] * self.n)
+        for joint, a, s in zip(self.joints, action, scale, strict=True):
+            wide[joint], scaled[joint] = a, s * a
+        if self.kind in SHARE:
+            return wide, {"torque": scaled}
+        moved = [a + b for a, b in zip(reference, scaled, strict=False)]
+        whole = moved if self.kind == "target" else [*moved, *reference[self.n :]]
+        return wide, {self.kind: whole}
 
-        Raises if one is not finite; unless the host `looks` at them, such an action stays NaN.
-        """
+    def checked(self, actions: Any, num_envs: int, like: Tensor, synchronises: bool) -> Tensor:
+        """Actions [N, k] as a tensor; raises if a number is not finite, where the host `synchronises`."""
         if isinstance(actions, Tensor):
             require_tensor("actions", actions)
         try:
             if actions.is_complex() if isinstance(actions, Tensor) else np.iscomplexobj(actions):
                 raise TypeError("complex numbers, whose imaginary parts would be dropped")
-            found = torch.as_tensor(actions, dtype=self.scale.dtype, device=self.scale.device)
+            found = torch.as_tensor(actions, dtype=like.dtype, device=like.device)
         except (TypeError, ValueError, RuntimeError) as error:
             raise ArgumentError(
                 f"actions must be a tensor or an array of numbers, found {type(actions).__name__} ({error})"
             ) from error
         shape = (num_envs, len(self.names))
         if found.shape != shape:
-            what = "joint" if shape[1] == self.robot.n else "actuated joint"
-            what = what if self.pose is None else f"of {' '.join(self.names)}"
             raise ArgumentError(
-                f"actions must have the shape {shape}, one row for each environment and one number for each {what} of "
-                f"robot {self.robot.name!r}, found {tuple(found.shape)}"
+                f"actions must have the shape {shape}, one row for each environment and one number for each of "
+                f"{', '.join(self.names)}, found {tuple(found.shape)}"
             )
-        if looks and torch.compiler.is_compiling():
-            raise ArgumentError(
-                "a step of an environment cannot be in a graph of torch.compile or torch.export: it depends on values, "
-                "of which a graph has none; trace the policy, or scene.step"
-            )
-        inside = found.clamp(-1.0, 1.0)
-        if looks and torch.equal(inside, found):  # false if one is NaN
-            return self._of_all_joints(inside), torch.zeros(num_envs, dtype=torch.int64, device=found.device)
-        if looks:
+        if synchronises:
+            if torch.compiler.is_compiling():
+                raise ArgumentError(
+                    "a step of an environment cannot be in a graph of torch.compile or torch.export: it depends on "
+                    "values, of which a graph has none; trace the policy, or scene.step"
+                )
             self.require_finite(found)
-        return self._of_all_joints(inside), (inside != found).sum(1)
+        return found
 
     def require_finite(self, actions: Tensor) -> None:
         """Raise unless actions [..., N, k] are finite."""
@@ -93,79 +147,62 @@ class Actions:
                 "not taken"
             )
 
-    def _of_all_joints(self, actions: Tensor) -> Tensor:
-        """Actions [N, n] of those of the actuated joints."""
-        if self.pose is not None or self.joints == tuple(range(self.robot.n)):  # in the order of the robot
-            return actions
-        columns = [torch.zeros_like(actions[:, 0])] * self.robot.n
-        for joint, column in zip(self.joints, actions.unbind(1), strict=True):
-            columns[joint] = column
-        return torch.stack(columns, 1)
 
-    def towards(self, poses: Any, reference: Tensor) -> Tensor:
-        """Actions [N, k] that move the desired poses [N, 8] to poses [N, 8] or [8], or towards them."""
-        if self.pose is None:
-            raise ArgumentError(f"pose_action needs an environment with action='pose', found {self.kind!r}")
-        goal = torch.as_tensor(poses).to(reference)
-        if goal.shape not in ((8,), reference.shape):
-            raise ArgumentError(f"X must have the shape {tuple(reference.shape)} or (8,), found {tuple(goal.shape)}")
-        return computed(self.pose.towards, x=reference, goal=goal, scale=self.scale)
+def resolved(actions: Actions, scene: Scene, defaults: Mapping[str, Any]) -> tuple[Scene, Meaning, list[float]]:
+    """Scene with the controller of the actions, their meaning, and the size of a full one.
 
-    def inputs(self, actions: Tensor, reference: Tensor) -> dict[str, Tensor]:
-        """Inputs of a scene for actions [N, n], at the task's reference [N, 3 n]; or [N, k], at a pose [N, 8]."""
-        if self.pose is not None:
-            X = computed(self.pose.moved, x=reference, action=actions, scale=self.scale)
-            return {"reference": torch.nn.functional.pad(X, (0, self.pose.still))}
-        scaled = actions * self.scale
-        if self.kind == "torque":
-            return {"torque": scaled}
-        if self.kind == "residual":
-            return {"torque": scaled, "reference": reference}
-        n = self.robot.n
-        moved = reference[:, :n] + scaled
-        return {"target": moved} if self.kind == "target" else {"reference": torch.cat([moved, reference[:, n:]], 1)}
-
-
-def actuated_joints(robot: Robot, actuated: str | Sequence[str] | None) -> tuple[int, ...]:
-    """Numbers of the actuated joints, each once, in the order of names or patterns; None: of all joints.
-
-    Those that one pattern or a set names are in the order of the robot.
+    Args:
+        defaults: those of the task, whose scale is of the default kind of action.
     """
-    if actuated is None:
+    robot, joints = scene.robot, _joints(scene.robot, actions.joints)
+    default = _kind(None, robot, joints, scene.effects)
+    kind = default if actions.kind is None else _kind(actions.kind, robot, joints, scene.effects)
+    scene = _with_controller(scene, kind, actions.controller)
+    law, pose = scene.controller, None
+    if isinstance(law, FrameLaw) and law.task is not None:
+        pose = PoseActions(law.task, (float(actions.leash[0]), float(actions.leash[1])), law.reference(0) - POSE)
+    names = tuple([robot.joint_names[i] for i in joints]) if pose is None else pose.names
+    meaning = Meaning(kind, robot.n, joints if pose is None else (), names, pose)
+    scale = defaults.get("scale") if actions.scale is None and kind == default else actions.scale
+    return scene, meaning, _full(robot, meaning, scale)
+
+
+def _joints(robot: Robot, given: str | Sequence[str] | None) -> tuple[int, ...]:
+    """Numbers of the actuated joints, each once, in the order given; those of a pattern or a set in the robot's."""
+    if given is None:
         return tuple(range(robot.n))
     names = robot.joint_names
-    if not matching("actuated", actuated, names, "joint"):
-        raise ArgumentError("actuated must name at least one joint, found none")
-    words = (actuated,) if isinstance(actuated, str | Set) else actuated
-    found = [name for one in words for name in matching("actuated", one, names, "joint")]
+    if not matching("joints", given, names, "joint"):
+        raise ArgumentError("joints must name at least one actuated joint, found none")
+    words = (given,) if isinstance(given, str | Set) else given
+    found = [name for one in words for name in matching("joints", one, names, "joint")]
     return tuple(map(names.index, dict.fromkeys(found)))
 
 
-def kind_of(action: Kind | None, robot: Robot, joints: Sequence[int], effects: Sequence[Effect]) -> Kind:
-    """Meaning of the actions; None: "target" of a servo, "torque" if joints are passive or the base floats."""
+def _kind(kind: Kind | None, robot: Robot, joints: Sequence[int], effects: Sequence[Effect]) -> Kind:
+    """Kind of the actions, checked; None: the default."""
     passive = [name for i, name in enumerate(robot.joint_names) if i not in joints]
     servo = any("target" in effect.inputs(robot.n) for effect in effects)
-    if action is None:
+    if kind is None:
         return "target" if servo else "torque" if passive or robot.floating else "reference"
-    require_choice("action", action, get_args(Kind))
-    if servo != (action == "target"):
+    if servo != (kind == "target"):
         raise ArgumentError(
-            f"action must be 'target' where effects have a Servo, and only there, found {action!r}"
+            f"action must be 'target' where effects have a Servo, and only there, found {kind!r}"
             + ("" if servo else "; add effects.Servo(kp, kd)")
         )
-    if passive and action in ("reference", "residual", "pose"):
+    if passive and kind in FOLLOWED:
         raise ArgumentError(
-            f"action must be 'torque' or 'target' where joints are passive, found {action!r}: its controller would "
+            f"action must be 'torque' or 'target' where joints are passive, found {kind!r}: its controller would "
             f"drive {', '.join(passive)}, too"
         )
-    return action
+    return kind
 
 
-def with_controller(scene: Scene, kind: Kind, controller: Law | None) -> Scene:
-    """Scene with the controller of the actions; None: one that knows the rigid bodies as described."""
-    if kind not in ("reference", "residual", "pose"):
+def _with_controller(scene: Scene, kind: Kind, controller: Law | None) -> Scene:
+    """Scene with the controller of the actions; None: one that knows the nominal rigid bodies."""
+    if kind not in FOLLOWED:
         if controller is not None:
-            raise ArgumentError(f"controller must be None for {kind} actions; did you mean action='residual'?")
+            raise ArgumentError(f"controller must be None for {kind} actions; did you mean 'residual'?")
         return scene
     if controller is not None:
         if isinstance(controller, FrameLaw) != (kind == "pose"):
@@ -184,48 +221,29 @@ def with_controller(scene: Scene, kind: Kind, controller: Law | None) -> Scene:
     return scene.replace(controller=firm)
 
 
-def pose_of_actions(controller: Law | None, leash: tuple[float, float]) -> PoseActions | None:
-    """Actions on the pose of a controller's frame, with a leash [rad, m]; None: they are of joints."""
-    if not (isinstance(leash, Sequence) and len(leash) == 2 and all(is_number(x) and x >= 0 for x in leash)):
-        raise ArgumentError(f"leash must be two numbers that are not negative [rad, m], found {leash!r}")
-    if not isinstance(controller, FrameLaw) or controller.task is None:
-        return None
-    return PoseActions(controller.task, (float(leash[0]), float(leash[1])), controller.reference(0) - POSE)
-
-
-def full(
-    robot: Robot,
-    kind: Kind,
-    scale: float | Sequence[float] | None,
-    joints: Sequence[int],
-    pose: PoseActions | None = None,
-) -> list[float]:
-    """Size of a full action of every joint, zero for passive ones, or of a pose; None: from the robot's limits."""
-    found, number = [0.0] * robot.n, len(joints if pose is None else pose.names)
+def _full(robot: Robot, meaning: Meaning, scale: float | Sequence[float] | None) -> list[float]:
+    """Size of a full action; None: from the robot's limits."""
+    pose, names = meaning.pose, meaning.names
     if scale is not None:
         given = scale.tolist() if isinstance(scale, np.ndarray | Tensor) else scale
-        numbers = list(given) if isinstance(given, Sequence) else [given] * number
-        if len(numbers) != number or not all(is_number(x) and 0 < x < math.inf for x in numbers):
+        numbers = list(given) if isinstance(given, Sequence) else [given] * len(names)
+        if len(numbers) != len(names) or not all(is_number(x) and 0 < x < math.inf for x in numbers):
             raise ArgumentError(
-                f"scale must be a positive number or {number} of them, one for each "
-                f"{'joint in actuated' if pose is None else 'axis'}, found {scale!r}"
+                f"scale must be a positive number or {len(names)} of them, one for each "
+                f"{'actuated joint' if pose is None else 'axis'}, found {scale!r}"
             )
     elif pose is not None:
-        numbers = [ROTATION if name.startswith("r") else POSITION for name in pose.names]
-    elif kind == "target":
-        numbers = [OFFSET] * len(joints)
-    elif kind == "reference":
-        limits = velocities(robot)
-        numbers = [HORIZON * limits[i] for i in joints]
+        return [ROTATION if name.startswith("r") else POSITION for name in names]
+    elif meaning.kind == "target":
+        numbers = [OFFSET] * len(names)
+    elif meaning.kind == "reference":
+        numbers = [HORIZON * velocities(robot)[i] for i in meaning.joints]
     else:
-        numbers = [SHARE[kind] * robot.limits.effort[i].item() for i in joints]
-    if pose is not None:
-        return numbers
-    for i, x in zip(joints, numbers, strict=True):
+        numbers = [SHARE[meaning.kind] * robot.limits.effort[i].item() for i in meaning.joints]
+    for name, x in zip(names, numbers, strict=True):
         if not 0 < x < math.inf:
             raise ArgumentError(
-                f"scale must be given: joint {robot.joint_names[i]!r} of robot {robot.name!r} has no torque limit that "
-                f"actions could be fractions of; for instance scale=10.0"
+                f"scale must be given: joint {name!r} of robot {robot.name!r} has no torque limit that actions could "
+                "be fractions of; for instance Actions(scale=10.0)"
             )
-        found[i] = float(x)
-    return found
+    return [float(x) for x in numbers]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,8 +11,7 @@ from torch import Tensor
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import is_number
 from torchdq.dynamics.posed import Row
-from torchdq.envs.rng import Streams, ranged
-from torchdq.envs.row_selection import SomeRows
+from torchdq.envs.rng import ranged
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import at_least, select
 
@@ -52,21 +51,9 @@ class Pushes:
         push = ranged(u, [*((-size, size) for size in self.wrench), self.every])
         return torch.cat([push, push[:, 6:] + self.duration], 1)
 
-    def at(
-        self, time: Tensor, push: Tensor, streams: Streams, some: Callable[[Tensor], SomeRows]
-    ) -> tuple[Tensor, Tensor, Streams]:
-        """Wrench [N, 6] at a time [N], the next push [N, 8], drawn again where one is over, and the streams."""
-        rows = some(time >= push[:, 7])
-        u, after = streams.rows(rows).uniform(DRAWS, push.dtype)
-        drawn = self.drawn(u)
-        drawn[:, 6:] += rows.of(time)[:, None]
-        push = rows.replaced(push, drawn)
-        acts = time >= push[:, 6]
-        return torch.where(acts[:, None], push[:, :6], 0.0), push, streams.with_rows(rows, after)
 
-
-def recorded(time: Number, push: Row, following: Row) -> tuple[Row, Row, Number]:
-    """Wrench at a time, next push, and whether that is `following`, of recorded numbers."""
+def pushed(time: Number, push: Row, following: Row) -> tuple[Row, Row, Number]:
+    """Wrench at a time, next push, and whether that is `following`, which is then taken."""
     over = at_least(time, push[7])
     taken = [*following[:6], *(x + time for x in following[6:])]
     push = [select(over, a, b) for a, b in zip(taken, push, strict=True)]

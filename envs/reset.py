@@ -12,21 +12,20 @@ from torch import Tensor
 from torchdq.backends.choice import choose
 from torchdq.backends.precision import run
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.envs.pushes import DRAWS, WIDTH, Pushes
+from torchdq.envs.pushes import DRAWS, Pushes
 from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams, ranged, seeded
-from torchdq.envs.row_selection import Masked, SomeRows
+from torchdq.envs.row_selection import Host, Masked, SomeRows
 from torchdq.envs.tasks import Checked
 from torchdq.envs.torch_task import Functions, require_finite_start
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.scene.defaults import mean_robot
-from torchdq.scene.free_base import POSE
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
-from torchdq.scene.spec import Task
 
 KEPT = ("observation", "reference", "carry")  # rows of a task that an environment keeps from step to step
+SPARE = "spare "  # before the name of a push: that which follows it, drawn ahead
 STARTS, NOISE, PUSHED = 0, 1, 2  # columns of the streams: of starts, noise of sensors, and pushes, one for each input
 
 
@@ -39,6 +38,7 @@ class Reset:
     randomised: tuple[Randomised, ...]  # parameters of the scene that are drawn as well
     pushes: Mapping[str, Pushes]  # inputs that are drawn as well
     functions: Functions | None  # functions of tensors that replace parts of the task; None: there are none
+    dtype: torch.dtype  # of what is drawn
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -50,9 +50,7 @@ class Reset:
         """The scene's own tensors that are drawn for every episode."""
         return {f"{i}.{name}": x for r in self.randomised for (i, name), x in r.tensors(self.scene).items()}
 
-    def __call__(
-        self, rows: SomeRows, streams: Streams, dtype: torch.dtype
-    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    def __call__(self, rows: SomeRows, streams: Streams) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Buffers of new episodes and rows of the task at their start, by name, shape [k, ...].
 
         Drawn parameters are written into the scene.
@@ -60,12 +58,11 @@ class Reset:
         Args:
             rows: the environments.
             streams: random numbers of those environments.
-            dtype: dtype of the buffers.
         """
         task, own, looks = self.checked.task, self.functions, not isinstance(rows, Masked)
         draws = [task.draws(self.robot), 0 if own is None else own.task.draws]
         widths = [*draws, *[r.width for r in self.randomised], *[DRAWS] * len(self.pushes), self.scene.noises]
-        u, after = streams.column(STARTS).uniform(sum(widths), dtype)
+        u, after = streams.column(STARTS).uniform(sum(widths), self.dtype)
         u, u_own, *drawn, noise = u.split(widths, 1)
         if spans := task.spans():
             u = torch.cat([u[:, : -len(spans)], ranged(u[:, -len(spans) :], spans)], 1)
@@ -77,12 +74,12 @@ class Reset:
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
         if own is not None:
             fresh.update(own.started(u_own, looks))
-        steps = torch.zeros(len(u), dtype=torch.int32, device=u.device)
+        steps = u.new_zeros(len(u))
         fresh.update(streams.with_column(STARTS, after)._asdict(), steps=steps, finished=steps.to(torch.bool))
         for (name, pushes), x in zip(self.pushes.items(), begun, strict=True):
             fresh[name] = pushes.drawn(x)
-        opening = _of_rows(self.opening, rows)
-        given = task_inputs(task, fresh, opening)
+        opening, wanted = _of_rows(self.opening, rows), task.inputs(self.scene.n)
+        given = {"goal": fresh["goal"]} | ({"time": steps[:, None]} if "time" in wanted else {})
         moved = {name: fresh[name] for name in self.scene.spec.moving}
         state, seen = opening._begin(moved, given, noise, self.checked)
         if own is not None:
@@ -92,40 +89,20 @@ class Reset:
                 require_finite_start("observation", seen["observation"])
         return fresh | state.rows() | {name: seen.pop(name) for name in KEPT if name in seen}, seen
 
-    def blank(
-        self, num_envs: int, width: int, seed: int, dtype: torch.dtype, device: torch.device
-    ) -> dict[str, Tensor]:
-        """Buffers before a first episode, with observations of a width and streams of a seed."""
-        n = self.scene.n
-        own = {name: wide for name, wide in self.checked.inputs(n).items() if name in ("goal", "carry")}
-        own |= dict.fromkeys(self.pushes, WIDTH)
-        widths = {
-            **self.scene.spec.state,
-            **own,
-            "reference": 3 * n if self.checked.pose is None else POSE,
-            "observation": width,
-        }
-        found = {name: torch.zeros(num_envs, wide, dtype=dtype, device=device) for name, wide in widths.items()}
-        found["steps"] = torch.zeros(num_envs, dtype=torch.int32, device=device)
-        found["finished"] = torch.zeros(num_envs, dtype=torch.bool, device=device)
-        return {**found, **self.streams(seed, num_envs, device)._asdict()}
+    def with_spares(self, buffers: Mapping[str, Tensor], masks: Sequence[Tensor], host: Host) -> dict[str, Tensor]:
+        """Buffers whose spare pushes are drawn in the rows of a mask [N] for each input, at first in all of them."""
+        found, streams = dict(buffers), Streams.of(buffers)
+        for k, ((name, pushes), mask) in enumerate(zip(self.pushes.items(), masks, strict=True), PUSHED):
+            rows, stream = host.some(mask), streams.column(k)
+            u, after = stream.rows(rows).uniform(DRAWS, self.dtype)
+            spare = pushes.drawn(u)
+            found[SPARE + name] = rows.replaced(buffers.get(SPARE + name, spare), spare)
+            streams = streams.with_column(k, stream.with_rows(rows, after))
+        return {**found, **streams._asdict()}
 
     def streams(self, seed: int | Sequence[int], num_envs: int, device: torch.device) -> Streams:
         """Streams of a seed, or of one for every row."""
         return seeded(seed, num_envs, device).split(PUSHED + len(self.pushes))
-
-
-def task_inputs(
-    task: Task, buffers: Mapping[str, Tensor], scene: Scene, action: Tensor | None = None
-) -> dict[str, Tensor]:
-    """Inputs of a task, without the state: goal [N, ...], time [N, 1], and action and carry, absent at a start."""
-    wanted = task.inputs(scene.n)
-    given: dict[str, Tensor] = {name: buffers[name] for name in ("goal", "carry") if name in wanted and name in buffers}
-    if "time" in wanted:
-        given["time"] = (buffers["steps"].to(buffers["goal"].dtype) * scene.dt)[:, None]
-    if "action" in wanted and action is not None:
-        given["action"] = action
-    return given
 
 
 def _of_rows(scene: Scene, rows: SomeRows) -> Scene:

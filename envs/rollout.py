@@ -1,24 +1,41 @@
-"""Rollouts of environments: a block of steps under a policy, as one call where that can be."""
+"""Steps of environments by the rules of an episode: one at a time, or a block under a policy as one call."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq.backends.call import evaluate
 from torchdq.backends.loop_call import repeat
 from torchdq.base.checks import require_tensor
-from torchdq.envs.actions import Actions
-from torchdq.envs.block import FLAGS, INFO, NEXT, SPARE, WEIGHT, Block
-from torchdq.envs.pushes import DRAWS
-from torchdq.envs.reset import KEPT, NOISE, PUSHED, STARTS, Reset
+from torchdq.envs.actions import SHARE, Meaning
+from torchdq.envs.episode import (
+    GIVEN,
+    HELD,
+    INFO,
+    JUDGED,
+    NEXT,
+    NOW,
+    THEN,
+    WEIGHT,
+    Block,
+    Form,
+    Rule,
+    act,
+    end,
+    undo,
+)
+from torchdq.envs.reset import KEPT, NOISE, SPARE, STARTS, Reset
 from torchdq.envs.rng import Streams
-from torchdq.envs.row_selection import Indexed
+from torchdq.envs.row_selection import Host, Indexed
 from torchdq.envs.tasks import STATE
 from torchdq.scene.policies import Network
 from torchdq.scene.recording import Stage
+from torchdq.scene.state import State
 
 
 class Rollout(NamedTuple):
@@ -35,11 +52,11 @@ class Rollout(NamedTuple):
 
 def rollout_of(rows: dict[str, Tensor]) -> Rollout:
     """Rollout of the rows of a block."""
-    clipped = (rows["action"].clamp(-1.0, 1.0) != rows["action"]).sum(-1)
     info = {name.removeprefix(INFO): x for name, x in rows.items() if name.startswith(INFO)}
-    info |= {"clipped": clipped, "nonfinite": rows["failed"]}
-    found = rows["observation"], rows["action"], rows["reward"], rows["ended"], rows["truncated"], rows["final"]
-    return Rollout(*found, info)
+    failed, terminated, truncated, _ = (rows["flags"] != 0).unbind(-1)
+    info |= {"clipped": rows[GIVEN + "clipped"].to(torch.int64), "nonfinite": failed}
+    final = rows[NOW + "observation"]
+    return Rollout(rows["observation"], rows["action"], rows["reward"], terminated, truncated, final, info)
 
 
 def stepped(
@@ -65,27 +82,86 @@ def stepped(
     return Rollout(torch.stack(observations), actions, rewards, terminated, truncated, final, info)
 
 
-class Blocks:
-    """Steps of environments as one call, and the next episode of every row, which is drawn before.
+class Step(NamedTuple):
+    """Results of a step of N environments, before any of them begins another episode."""
+
+    buffers: dict[str, Tensor]
+    reward: Tensor  # [N]
+    terminated: Tensor  # [N]
+    truncated: Tensor  # [N]
+    done: Tensor  # [N] one of both
+    ends: bool  # whether one is done, or may be
+    info: dict[str, Tensor]
+
+
+class Steps:
+    """Steps of environments by the rules of an episode.
 
     Args:
-        reset: start of episodes.
-        actions: meaning of the actions.
+        reset: start of episodes, with the scene and the task.
+        meaning: meaning of the actions.
+        scale: size of a full action [k].
         limit: steps of an episode.
     """
 
-    def __init__(self, reset: Reset, actions: Actions, limit: float) -> None:
-        rows = {name: x.clone() for name, x in reset.drawn.items()}  # of its own
-        scene = reset.scene.with_parameters(rows) if rows else reset.scene
-        self.reset, self.actions, self.limit = reset, actions, limit
-        self.ahead = Reset(scene, reset.checked, reset.randomised, reset.pushes, None)
-        self.next: dict[str, Tensor] = {}  # buffers of the next episodes
+    def __init__(self, reset: Reset, meaning: Meaning, scale: Tensor, limit: float) -> None:
+        scene, unused = reset.scene, () if meaning.kind in SHARE else ("torque",)
+        wanted = {**scene.spec.inputs(), **reset.checked.inputs(scene.n)}
+        self.inputs = tuple([name for name in wanted if name not in unused])  # of the scene and the task
+        shown = self.inputs if reset.functions is None else (*self.inputs, "action")
+        self.reset, self.form = reset, Form(meaning, shown, tuple(reset.pushes), scene.dt)
+        self.shared = {"scale": scale, "limit": scale.new_tensor(limit)}
+        self.act = Rule(act, self.form, tuple(self.form.takes.items()))
+        self.end = Rule(end, self.form, tuple([(name, ()) for name in (*JUDGED, "steps", "limit")]))
+        self.ahead: Reset | None = None  # start of the next episodes, in a scene of its own
+        self.next: dict[str, Tensor] = {}  # their buffers
         self.drawn_at: Streams | None = None  # where the streams of starts were then
 
-    def __call__(
+    def __call__(self, buffers: Mapping[str, Tensor], actions: Tensor, host: Host, waiting: Tensor | None) -> Step:
+        """Results of a step.
+
+        Args:
+            buffers: all that steps change, by name.
+            actions: actions [N, k].
+            host: what the host may ask the device.
+            waiting: mask [N] of rows that have finished and were not reset, which fail; None: there are none.
+        """
+        reset, scene, after = self.reset, self.reset.scene, dict(buffers)
+        given = {**buffers, "action": actions, **self.shared}
+        acted = evaluate(self.act, {name: given[name] for name, _ in self.act.own}, scene.backend)
+        if reset.pushes:
+            after |= {push: acted[THEN + push] for push in reset.pushes}
+            after = reset.with_spares(after, (acted["over"] != 0).unbind(1), host)
+        noise = None
+        if scene.noises:
+            streams = Streams.of(after)
+            noise, drawn = streams.column(NOISE).uniform(scene.noises, actions.dtype)
+            after |= streams.with_column(NOISE, drawn)._asdict()
+        inputs = {name: acted[name] if name in acted else buffers[name] for name in self.inputs}
+        state, rows = scene._advance(state_of(buffers), inputs, noise, reset.checked)
+        if (functions := reset.functions) is not None:
+            now = functions.now(state, buffers["goal"].clone(), buffers["steps"] + 1, rows, acted["action"])
+            rows = functions.after(now)
+        judged = {name: rows.pop(name) for name in JUDGED if name in rows}
+        if waiting is not None:
+            judged["valid"] = judged["valid"].masked_fill(waiting, 0.0)
+        judged |= {"steps": buffers["steps"], "limit": self.shared["limit"]}
+        ended = evaluate(self.end, judged, scene.backend)
+        after.update(state.rows(), steps=ended["elapsed"], **{x: rows.pop(x) for x in KEPT if x in rows})
+        failed, terminated, truncated, done = (ended["flags"] != 0).unbind(1)
+        if (ends := host.any(done)) and host.any(failed):
+            held = {name: after[name] for name in HELD if name in after}
+            own = {"flags": ended["flags"], **{f"before {x}": buffers[x] for x in held}, **held, **rows}
+            rule = Rule(undo, self.form, tuple([(name, tuple(x.shape[1:])) for name, x in own.items()]))
+            rows = evaluate(rule, own, scene.backend)
+            after |= {name: rows.pop(name) for name in held}
+        info = {"clipped": acted["clipped"].to(torch.int64), "nonfinite": failed, **rows}
+        return Step(after, ended["reward"], terminated, truncated, done, ends, info)
+
+    def rollout(
         self, buffers: Mapping[str, Tensor], policy: Network, steps: int, noise: Tensor | None, unit: float
-    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Rows of every step, by name, and the buffers after the last; drawn parameters are written into the scene."""
+    ) -> tuple[Rollout, dict[str, Tensor]]:
+        """Results of a number of steps, and the buffers after the last; drawn parameters are written into the scene."""
         found, now, at = list[dict[str, Tensor]](), {**buffers, **self.reset.drawn}, 0
         while at < steps:
             part = None if noise is None else noise[at:]
@@ -93,7 +169,7 @@ class Blocks:
             if whole < steps - at:
                 # up to the first step at which a row would need a second episode or push, which then are drawn
                 rows, after, _ = self._called(now, policy, whole, None if part is None else part[:whole], unit)
-            self.actions.require_finite(rows["action"])
+            self.form.meaning.require_finite(rows["action"])
             now = {**now, **after, "observation": rows["observation"][-1].clone()}
             at += len(rows["reward"])
             found.append(rows)
@@ -103,7 +179,7 @@ class Blocks:
             found = [{name: torch.cat([rows[name] for rows in found]) for name in found[0]}]
         for name, x in self.reset.drawn.items():
             x.copy_(now.pop(name))
-        return found[0], now
+        return rollout_of(found[0]), now
 
     def _called(
         self, buffers: Mapping[str, Tensor], policy: Network, steps: int, noise: Tensor | None, unit: float
@@ -113,18 +189,16 @@ class Blocks:
         streams, following = Streams.of(buffers), self._following(buffers)
         names = (*STATE, "goal", *KEPT, *pushes, *self.reset.drawn)
         given = {name: buffers[name] for name in names if name in buffers}
-        spare = [streams.column(k).uniform(DRAWS, like.dtype) for k, _ in enumerate(pushes, PUSHED)]
         own = {NEXT + name: following[name] for name in given}
-        own |= {SPARE + name: push.drawn(u) for (name, push), (u, _) in zip(pushes.items(), spare, strict=True)}
-        shared = {"limit": like.new_tensor([self.limit]), "unit": like.new_tensor([unit]), "scale": self.actions.scale}
+        own |= {SPARE + name: buffers[SPARE + name] for name in pushes}
+        shared = {**self.shared, "unit": like.new_tensor([unit])}
         shared |= {WEIGHT + name: x for name, x in policy.weights().items()}
-        stepped, columns = {}, [streams.counter[:, NOISE]]
+        stepped, columns = {}, list(streams.counter.unbind(1))
         if noise is not None:
             stepped["noise of actions"] = noise
         if scene.noises and steps:
-            stepped["noise"], columns[0] = streams.column(NOISE).series(steps, scene.noises, like.dtype)
-        carried = {**given, "steps": buffers["steps"].to(like.dtype)[:, None]}
-        carried["used"] = like.new_zeros(len(like), 1 + len(pushes))
+            stepped["noise"], columns[NOISE] = streams.column(NOISE).series(steps, scene.noises, like.dtype)
+        carried = {**given, "steps": buffers["steps"], "used": like.new_zeros(len(like), 1 + len(pushes))}
         rest = {name: x for name, x in scene.parameters.items() if name not in given}
         lead = ((shared, 0), (carried | own, 1), (stepped, 2))
         axes = {name: tuple(x.shape[axes:]) for rows, axes in lead for name, x in rows.items()}
@@ -134,27 +208,24 @@ class Blocks:
         used = found.pop("used")
         whole = int((used <= 1).flatten(1).all(1).sum()) - 1
         begun, *over = (used[-1] != 0).unbind(1)
-        columns.insert(STARTS, torch.where(begun, following["counter"][:, STARTS], streams.counter[:, STARTS]))
-        for k, (x, (_, after)) in enumerate(zip(over, spare, strict=True), PUSHED):
-            columns.append(torch.where(x, after.counter, streams.counter[:, k]))
+        columns[STARTS] = torch.where(begun, following["counter"][:, STARTS], columns[STARTS])
         changed = {name: found.pop(name) for name in ends} | {"counter": torch.stack(columns, 1)}
-        changed["steps"] = changed["steps"][:, 0].to(torch.int32)
-        return {name: x != 0 if name in FLAGS else x for name, x in found.items()}, changed, whole
+        changed = self.reset.with_spares({**buffers, **changed}, over, Host(True))
+        return found, changed, whole
 
     def _block(self, policy: Network, carried: tuple[str, ...], own: tuple[tuple[str, tuple[int, ...]], ...]) -> Block:
         """The computation."""
-        scene, checked, kind = self.reset.scene, self.reset.checked, self.actions.kind
-        wanted = checked.task.inputs(scene.n)
-        inputs: list[str] = [name for name in ("goal", "carry", "time", "action") if name in wanted]
-        meant = {"torque": ["torque"], "residual": ["torque", "reference"], "pose": ["reference"]}
-        inputs += meant.get(kind, [kind])
-        state = [name for name in STATE if name in scene.spec.state]
-        asked = (*state, *inputs, *self.reset.pushes, *(["noise"] if scene.noises else []), *scene.parameters)
-        pushes, stage = tuple(self.reset.pushes), Stage(scene.spec, "step", checked)
-        return Block(stage, policy.form, kind, self.actions.joints, self.actions.pose, pushes, carried, asked, own)
+        scene, checked = self.reset.scene, self.reset.checked
+        state = [name for name in State._fields if name in scene.spec.state]
+        asked = (*state, *self.inputs, *(["noise"] if scene.noises else []), *scene.parameters)
+        return Block(Stage(scene.spec, "step", checked), self.form, policy.form, carried, asked, own)
 
     def _following(self, buffers: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Buffers and parameters of every row's next episode, drawn where those at hand were taken."""
+        if self.ahead is None:
+            drawn = {name: x.clone() for name, x in self.reset.drawn.items()}
+            scene = self.reset.scene.with_parameters(drawn) if drawn else self.reset.scene
+            self.ahead = replace(self.reset, scene=scene)
         streams = Streams.of(buffers)
         now, before = streams.column(STARTS), self.drawn_at
         taken = torch.ones_like(now.key, dtype=torch.bool)
@@ -162,7 +233,12 @@ class Blocks:
             taken = (now.key != before.key) | (now.counter != before.counter)
         rows = Indexed(taken.nonzero()[:, 0])
         if len(rows.indices):
-            fresh, _ = self.ahead(rows, streams.rows(rows), buffers["observation"].dtype)
+            fresh, _ = self.ahead(rows, streams.rows(rows))
             self.next = {name: rows.replaced(self.next[name], x) if self.next else x for name, x in fresh.items()}
             self.drawn_at = now
         return self.next | self.ahead.drawn
+
+
+def state_of(buffers: Mapping[str, Tensor]) -> State:
+    """State that is in the buffers."""
+    return State(**{name: buffers[name] for name in STATE if name in buffers})

@@ -50,6 +50,21 @@ class Masked(NamedTuple):
 SomeRows = Indexed | Masked
 
 
+class Host(NamedTuple):
+    """What the host may ask the device for: values, or nothing, since it would wait for them."""
+
+    synchronises: bool
+
+    def any(self, mask: Tensor) -> bool:
+        """Whether a row of a mask [N] is true, or may be."""
+        # `any` of one row takes a microsecond
+        return not self.synchronises or bool(mask if len(mask) == 1 else mask.any())
+
+    def some(self, mask: Tensor) -> SomeRows:
+        """Rows of a mask [N]."""
+        return Indexed(mask.nonzero().squeeze(1)) if self.synchronises else Masked(mask)
+
+
 def column(mask: Tensor, x: Tensor) -> Tensor:
     """Mask [N] with as many axes as a tensor [N, ...]."""
     return mask.reshape(-1, *[1] * (x.ndim - 1))

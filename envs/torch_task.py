@@ -238,13 +238,14 @@ class Functions(NamedTuple):
             found = {name: _row(name, x, (len(now.q),), now.q) for name, x in terms.items()}
             rows |= {**found, "reward": sum(found.values(), torch.zeros_like(now.time))}
         if self.task.terminated is not None:
-            rows["terminated"] = ended = self.task.terminated(now)
+            ended = self.task.terminated(now)
             require_tensor("terminated of the task", ended)
             if ended.dtype != torch.bool or ended.shape != now.q.shape[:1]:
                 raise ArgumentError(
                     f"terminated must return a bool tensor of shape ({len(now.q)},), found {ended.dtype} of shape "
                     f"{tuple(ended.shape)}"
                 )
+            rows["terminated"] = ended.to(now.q.dtype)
         sound = rows["observation"].isfinite().all(1) & (rows["reward"].abs() <= SENSIBLE)
         if now.q.is_cpu and not bool(sound.all()):  # other devices are not waited for
             _warn_of_faults(now, rows)

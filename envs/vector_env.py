@@ -31,102 +31,65 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from torchdq.backends.choice import BackendName
-from torchdq.base.checks import (
-    device_of,
-    dtype_of,
-    require_choice,
-    require_count,
-    require_object,
-    require_tensor,
-    tensor_of,
-)
-from torchdq.control.law import Law
+from torchdq.base.checks import device_of, dtype_of, require_choice, require_count, require_tensor
+from torchdq.dq.formulas import computed
 from torchdq.effects import Effect
-from torchdq.envs.actions import Actions, Kind, actuated_joints, full, kind_of, pose_of_actions, with_controller
-from torchdq.envs.block import WORST
+from torchdq.envs.actions import Actions, Kind
 from torchdq.envs.pushes import Pushes
-from torchdq.envs.randomization import Randomise, randomised, with_ranges
-from torchdq.envs.reset import KEPT, NOISE, PUSHED, Reset, task_inputs
+from torchdq.envs.randomization import Randomise, with_ranges
+from torchdq.envs.reset import SPARE, Reset
 from torchdq.envs.rng import Streams, seeds_of
-from torchdq.envs.rollout import Blocks, Rollout, rollout_of, stepped
-from torchdq.envs.row_selection import Indexed, Masked, SomeRows, column
-from torchdq.envs.task_names import task_of
-from torchdq.envs.tasks import ROBOT, STATE, Checked, EpisodeTask
-from torchdq.envs.torch_task import Functions, TorchTask
+from torchdq.envs.rollout import Rollout, Steps, state_of, stepped
+from torchdq.envs.row_selection import Host, Masked, SomeRows, column
+from torchdq.envs.setup import AnyTask, Simulation, check_scene, described, functions_of, setup
+from torchdq.envs.torch_task import TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.functions.posed import GEOMETRY
 from torchdq.robot import Robot
-from torchdq.robot.fields import SHAPES
-from torchdq.robot.shipped import load
-from torchdq.scene.defaults import default_effects, mean_robot
-from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.loops import loops
 from torchdq.scene.policies import Network
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
-_HELD = ("observation", "finished")  # buffers that callers may hold, and that are never written into
-_RESTORED = (*STATE, *KEPT)  # buffers set back after a failed step
+_KEPT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
 
 
 class RobotVectorEnv(VectorEnv):
     """Environments of one robot and one task, stepped by one program.
 
-    Actions are in [-1, 1]^k, one number for each actuated joint, in the order of `actuated`. Others are clipped, and
-    `info["clipped"]` counts them per row. Rows are independent: row i of a batch that was seeded with s is, bit for
-    bit, the single environment seeded with s + i.
+    An action has one number in [-1, 1] for each actuated joint. Numbers outside are clipped, and `info["clipped"]`
+    counts them for each row. Rows are independent: row i of a batch that was seeded with s is, bit for bit, the single
+    environment seeded with s + i.
 
-    A row whose numbers have left the finite range terminates alone: its observation is the last finite one, its reward
-    -1000, worse than any episode, and `info["nonfinite"]` is true; the other entries of `info` are NaN then.
+    If the simulation of a row fails, because its state is not finite or far too large, that row alone terminates. Its
+    reward is -1000, its last observation is the last finite one, `info["nonfinite"]` is true, and its other entries of
+    `info` are NaN.
 
     Args:
         num_envs: number of environments.
         task: "reach", "track", "walk" or "wipe", an object like those of `torchdq.envs.tasks`, or a
             `torchdq.envs.TorchTask`.
-        robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed or a floating base; it needs an
-            end effector to reach. None: a Panda, or a Go2 to walk.
+        robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed or a floating base; to reach, it
+            needs an end effector. None: a Panda, or a Go2 to walk.
         effects: effects of the scene; None: those of the task, or `torchdq.scene.defaults.default_effects(robot)`.
-        action: meaning of the actions. "reference": offsets of the positions that a controller follows, full ones as
-            far as a joint moves in 0.2 s at its velocity limit. "target": offsets of the targets of `effects.Servo`,
-            full ones 0.25 rad or m. "torque": fractions of the torque limits. "residual": fractions of a fifth of them,
-            added to the torques of the controller. Controller and servo follow the reference of the task: in "track"
-            the motion to track, in "reach" the position at the start of each step. There an offset tells a joint where
-            to go from where it is, and without offsets the arm comes to rest. None: "target" if there is a servo, or
-            "reference", or "torque" if some joints are passive or the base floats.
-            "pose": displacements of the desired pose of the controller's frame in the axes of its error, a rotation
-            vector and a displacement, full ones 0.5 rad and 0.1 m; `pose_action` turns absolute poses into them. The
-            task's reference is not followed.
-        controller: controller of residual, reference and pose actions; None: computed torque, or operational space of
-            the tip in axes of the world, of the rigid bodies as described, which knows nothing of friction or of what
-            is randomised; a floating base needs another one.
-        scale: size of a full action [N m or N; rad or m for "reference", "target" and "pose"], one number or k, in the
-            order of `actuated`, or of the controller's axes; None: as above.
-        leash: for "pose", the farthest that the desired pose is from the measured one after a step [rad, m], so that it
-            does not run ahead of an arm that is slower; displacements beyond it are lost. (0, 0): actions displace the
-            measured pose.
-        actuated: names or patterns of the joints that actions move, one column each in the order given, those of a
-            pattern in the order of the robot; None: all. The others are passive: they get no torque, from actions or a
-            controller, and `action` is "torque" or "target", where the servo's gains say how firmly they are held.
-        integrator: None: `LinearlyImplicit()`, which friction and limits cannot make unstable.
-        dt: duration of a step [s].
-        substeps: steps of the integrator within it; None: 2, unless the task says otherwise.
+        action: what an action means, "reference", "target", "torque", "residual" or "pose", or an
+            `torchdq.envs.Actions` with further settings; None: the default that `Actions` describes.
+        simulation: time step, integrator and backend, `torchdq.envs.Simulation`; None: steps of 0.02 s.
         max_episode_steps: steps after which an episode is truncated; None: never.
         randomise: parameters drawn for every episode, such as {"mass": 0.1, "gravity": (0.9, 1.1), "payload": 2.0};
             fractions, ranges, distributions or `Absolute` ranges, see `torchdq.envs.randomization`.
-        pushes: `torchdq.envs.Pushes` at random times by the names of the inputs of `effects.Push`.
-        autoreset_mode: time at which finished rows are reset, as gymnasium defines it. SAME_STEP: at once, and
-            `info["final_obs"]` [N, ...] and `info["final_info"]` hold what came before in the rows of the masks
-            `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action:
-            its reward is 0, and `info` has the rows of the task at the start, and otherwise 0.
-            DISABLED: when `reset(options={"reset_mask": mask})` is called; stepping a finished row is an error.
+        pushes: `torchdq.envs.Pushes` at random times, by the input names of `effects.Push`.
+        autoreset_mode: when finished rows are reset, as gymnasium defines it.
+            SAME_STEP: at once. `info["final_obs"]` [N, ...] and `info["final_info"]` have the values before the reset
+            in the rows of the masks `info["_final_obs"]` and `info["_final_info"]`.
+            NEXT_STEP: at the next step, which ignores their actions. The reward is 0, and `info` has the rows of the
+            task at the start, and 0 otherwise.
+            DISABLED: by `reset(options={"reset_mask": mask})`; stepping a finished row is an error.
         dtype: float32 or float64, torch's, numpy's or by name.
-        device: device of the environments. On a GPU the host does not wait for flags: instead of an error, a row fails
-            whose action is not finite, or that has finished and was not reset; `info["final_obs"]` is always there.
+        device: device of the environments. On a GPU the host never synchronises: where a CPU raises an error, because
+            an action is not finite or a finished row was not reset, the row fails; `info["final_obs"]` is always there.
         output: "torch" or "numpy": type of everything that `reset` and `step` return.
         render_mode: "rgb_array": `render` returns a frame of every environment; "human": every step shows the first
             one in a browser.
-        backend: as in `torchdq.functional`.
 
     >>> import torch
     >>> envs = RobotVectorEnv(3, "reach", "panda")
@@ -141,17 +104,11 @@ class RobotVectorEnv(VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        task: str | EpisodeTask | TorchTask = "reach",
+        task: AnyTask = "reach",
         robot: str | Path | Robot | None = None,
         effects: Sequence[Effect] | None = None,
-        action: Kind | None = None,
-        controller: Law | None = None,
-        scale: float | Sequence[float] | None = None,
-        leash: tuple[float, float] = (0.5, 0.05),
-        actuated: str | Sequence[str] | None = None,
-        integrator: Integrator | None = None,
-        dt: float = 0.02,
-        substeps: int | None = None,
+        action: Kind | Actions | None = None,
+        simulation: Simulation | None = None,
         max_episode_steps: int | None = 250,
         randomise: Randomise | None = None,
         pushes: Mapping[str, Pushes] | None = None,
@@ -160,7 +117,6 @@ class RobotVectorEnv(VectorEnv):
         device: torch.device | str = "cpu",
         output: Literal["torch", "numpy"] = "torch",
         render_mode: Literal["rgb_array", "human"] | None = None,
-        backend: BackendName | None = None,
     ) -> None:
         require_count("num_envs", num_envs)
         if max_episode_steps is not None:
@@ -168,57 +124,24 @@ class RobotVectorEnv(VectorEnv):
         require_choice("output", output, ("torch", "numpy"))
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
-        own = ROBOT if isinstance(task, TorchTask) else getattr(task_of(task), "ROBOT", ROBOT)
-        self.robot = _robot_of(own if robot is None else robot)
-        self.task = _described(task, self.robot)
-        given = {"effects": effects, "scale": scale, "substeps": substeps, "randomise": randomise, "pushes": pushes}
-        chosen = dict(self.task.defaults(mean_robot(self.robot))) if effects is None else {}
-        chosen |= {name: x for name, x in given.items() if x is not None}
-        joints = actuated_joints(self.robot, actuated)
-        self.dtype, self.device = dtype_of("dtype", dtype), device_of("device", device)
+        self.dtype, self.device, self.render_mode = dtype_of("dtype", dtype), device_of("device", device), render_mode
         modes = AutoresetMode.__members__
         self.autoreset_mode = modes[autoreset_mode] if autoreset_mode in modes else AutoresetMode(autoreset_mode)  # type: ignore[index]
-        self.render_mode = render_mode
-        like = torch.empty(0, dtype=self.dtype, device=self.device)
-        scene = Scene(
-            self.robot,
-            chosen["effects"] if "effects" in chosen else default_effects(self.robot),
-            integrator=integrator or LinearlyImplicit(),
-            dt=dt,
-            substeps=chosen.get("substeps", 2),
-            backend=backend,
-        )
-        self.robot = _within_limits(scene)
-        scene = scene.replace(robot=self.robot)
-        kind = kind_of(action, self.robot, joints, scene.effects)
-        self.metadata = {
-            "autoreset_mode": self.autoreset_mode,
-            "render_modes": ["rgb_array", "human"],
-            "render_fps": max(1, round(1 / dt)),
-        }
-        scene = with_controller(scene, kind, controller)
-        pose = pose_of_actions(scene.controller, leash)
-        pushed: Mapping[str, Pushes] = chosen.get("pushes", {})
-        _check_scene(scene, num_envs, pushed)
-        drawn = chosen.get("randomise", {})
-        self._nominal, self._scene, drawn = randomised(scene.to(self.device), drawn, num_envs, like)
-        if kind == kind_of(None, self.robot, joints, scene.effects):
-            scale = chosen.get("scale")  # of the actions that the task is made for
-        size = torch.as_tensor(full(self.robot, kind, scale, joints, pose)).to(like)
-        self._actions = Actions(kind, self.robot, joints, size, pose)
-        self._reset = Reset(self._scene, Checked(self.task, pose), drawn, pushed, self._functions(task))
+        like = torch.empty(num_envs, 0, dtype=self.dtype, device=self.device)
+        made = setup(task, robot, effects, action, simulation, randomise, pushes, like)
+        self._nominal, self._meaning, self._scale = made.nominal, made.meaning, made.scale
+        self._use(made.reset)
+        self.robot, names = self._scene.robot, ("rgb_array", "human")
+        rate = max(1, round(1 / self._scene.dt))
+        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": [*names], "render_fps": rate}
         self.single_observation_space = self._observed(task)
-        self.single_action_space = Box(-1.0, 1.0, (len(self._actions.names),), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (len(self._meaning.names),), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        # single numbers as tensors, since torch takes 2 us to make one
-        self._valid = like.new_ones(())
-        self._one = torch.tensor(1, dtype=torch.int32, device=self.device)
         self._buffers: dict[str, Tensor] = {}  # all that steps change, a row per environment; empty before a reset
         self._unreset = False  # True if a row has finished, or may have, and was not reset
-        self._looks = self.device.type == "cpu"  # whether the host looks at flags; at those of a GPU it would wait
+        self._host = Host(synchronises=self.device.type == "cpu")
         self._painter: Any = None
-        self._blocks: Blocks | None = None
 
     # --- gymnasium ---
 
@@ -238,7 +161,7 @@ class RobotVectorEnv(VectorEnv):
         for name in options or {}:
             if name != "reset_mask":
                 raise UnknownNameError("option of reset", name, ("reset_mask",))
-        mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        seeded = mask = self._every
         if options and options["reset_mask"] is not None:
             mask = torch.as_tensor(options["reset_mask"], device=self.device)
             if mask.dtype != torch.bool or mask.shape != (self.num_envs,):
@@ -247,7 +170,7 @@ class RobotVectorEnv(VectorEnv):
                 )
             if not self._buffers:
                 raise ResetNeeded("a first reset must be of all environments; call reset() without a reset_mask")
-        buffers = dict(self._buffers) or self._blank()
+        buffers = dict(self._buffers) or self._streams()
         if seed is not None:
             seeds = seeds_of(seed.tolist() if isinstance(seed, Tensor | np.ndarray) else seed, self.num_envs)
             if isinstance(seed, Integral):
@@ -255,9 +178,12 @@ class RobotVectorEnv(VectorEnv):
             given = mask & torch.tensor([s is not None for s in seeds], device=self.device)
             fresh = self._reset.streams([s or 0 for s in seeds], self.num_envs, self.device)
             buffers |= Streams.of(buffers).with_rows(Masked(given), fresh)._asdict()
-        buffers, _ = self._begun(buffers, self._some(mask))
+            seeded = given if self._buffers else seeded
+        if seed is not None or not self._buffers:
+            buffers = self._with_spares(buffers, seeded)
+        buffers, _ = self._begun(buffers, self._host.some(mask))
         self._keep(buffers)
-        self._unreset = self._any(buffers["finished"])
+        self._unreset = self._host.any(buffers["finished"])
         if self.render_mode == "human":
             self._frames()
         return self._out(buffers["observation"].clone()), {}
@@ -277,49 +203,33 @@ class RobotVectorEnv(VectorEnv):
     def _stepped(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Results of a step, as tensors."""
         self._started("step")
-        finished, counter = self._buffers["finished"], self._buffers["counter"]
-        unreset = self._unreset and self.autoreset_mode == AutoresetMode.DISABLED
-        if unreset and self._looks and bool(finished.any()):
+        before, mode, host = self._buffers, self.autoreset_mode, self._host
+        finished = before["finished"]
+        waiting = finished if self._unreset and mode == AutoresetMode.DISABLED else None
+        if waiting is not None and host.synchronises and bool(finished.any()):
             raise ResetNeeded(
                 f"environments {finished.nonzero().squeeze(1).tolist()[:8]} have finished; reset them with "
                 f"options={{'reset_mask': terminated | truncated}}, or choose another autoreset_mode"
             )
-        actions, clipped = self._actions.clipped(actions, self.num_envs, self._looks)
-        rows, buffers = self._advanced(actions)
-        reward, failed = rows.pop("reward"), rows.pop("valid") != self._valid
-        terminated = failed = failed | finished if unreset else failed
-        if "terminated" in rows:
-            terminated = failed | (rows.pop("terminated") != 0)
-        limit = self.max_episode_steps
-        truncated = torch.zeros_like(failed) if limit is None else buffers["steps"] >= limit
-        buffers["finished"] = done = terminated | truncated
-        info: dict[str, Any] = {"clipped": clipped, "nonfinite": failed, **rows}
-        any_done = self._any(done)
-        if any_done and self._any(failed):
-            for name in _RESTORED:
-                if name in buffers:
-                    buffers[name] = torch.where(failed[:, None], self._buffers[name], buffers[name])
-            reward = reward.masked_fill(failed, WORST)
-            info |= {name: x.masked_fill(column(failed, x), torch.nan) for name, x in rows.items()}
-        last = buffers["observation"]
-        if self._unreset and self.autoreset_mode == AutoresetMode.NEXT_STEP:
-            # this step is the reset of the rows that had finished
-            buffers["counter"] = torch.where(finished[:, None], counter, buffers["counter"])
-            buffers, seen = self._begun(buffers, begun := self._some(finished))
+        actions = self._meaning.checked(actions, self.num_envs, before["observation"], host.synchronises)
+        after, reward, terminated, truncated, done, ends, info = self._steps(before, actions, host, waiting)
+        after["finished"], last = done, after["observation"]
+        if self._unreset and mode == AutoresetMode.NEXT_STEP:  # this step is the reset of the rows that had finished
+            drawn = ("counter", *(SPARE + push for push in self._reset.pushes))
+            after |= {name: torch.where(column(finished, after[name]), before[name], after[name]) for name in drawn}
+            after, seen = self._begun(after, begun := host.some(finished))
             going = ~finished
             reward, terminated, truncated = reward.masked_fill(finished, 0.0), terminated & going, truncated & going
             info = {name: x.masked_fill(column(finished, x), 0) for name, x in info.items()}
             info |= {name: begun.replaced(info[name], seen[name]) for name in info.keys() & seen.keys()}
-            any_done = self._any(buffers["finished"])
-        elif any_done and self.autoreset_mode == AutoresetMode.SAME_STEP:
+        elif mode == AutoresetMode.SAME_STEP and ends:
             info.update(final_obs=last, _final_obs=done, final_info=dict(info), _final_info=done)
-            buffers, _ = self._begun(buffers, self._some(done))
-            any_done = False
-        self._keep(buffers)
-        self._unreset = any_done
+            after, _ = self._begun(after, host.some(done))
+        self._keep(after)
+        self._unreset = mode != AutoresetMode.SAME_STEP and host.any(after["finished"])
         if self.render_mode == "human":
             self._frames()
-        return buffers["observation"], reward, terminated, truncated, info
+        return after["observation"], reward, terminated, truncated, info
 
     @torch.no_grad()
     def rollout(
@@ -327,11 +237,11 @@ class RobotVectorEnv(VectorEnv):
     ) -> Rollout:
         """Results of a number of steps with the actions unit (policy(observation) + noise).
 
-        They are those of `step` with these actions, to the bit. Where the policy is a `torch.nn.Sequential` of the
-        layers of `torchdq.scene.policies.Network`, all steps are one call of one compiled program, with the resets
-        within it; it has other rounding errors than torch. Steps are taken one by one with any other policy, with
-        functions of tensors (a `TorchTask`), another `autoreset_mode` than SAME_STEP, an integrator that is not
-        recorded, the backend "eager" and on a GPU.
+        They are those of `step` with these actions, to the bit. If the policy is a `torch.nn.Sequential` of the layers
+        of `torchdq.scene.policies.Network`, all steps are one call of one compiled program, with the resets within it;
+        its rounding errors are not those of torch. Steps are taken one by one with any other policy, with functions of
+        tensors (a `TorchTask`), an `autoreset_mode` other than SAME_STEP, an integrator that is not recorded, the
+        backend "eager" and on a GPU.
 
         Args:
             policy: function or module that returns actions [N, k] of observations [N, ...].
@@ -349,7 +259,7 @@ class RobotVectorEnv(VectorEnv):
         """
         self._started("rollout")
         require_count("steps", steps)
-        shape = (steps, self.num_envs, len(self._actions.names))
+        shape = (steps, self.num_envs, len(self._meaning.names))
         if noise is not None:
             require_tensor("noise", noise)
             if noise.shape != shape:
@@ -361,12 +271,20 @@ class RobotVectorEnv(VectorEnv):
         if network is None:
             found = stepped(self._stepped, self._buffers["observation"], policy, steps, noise, unit)
         else:
-            if self._blocks is None:
-                self._blocks = Blocks(self._reset, self._actions, self.max_episode_steps or math.inf)
-            rows, buffers = self._blocks(self._buffers, network, steps, noise, unit)
+            found, buffers = self._steps.rollout(self._buffers, network, steps, noise, unit)
             self._keep(buffers)
-            found = rollout_of(rows)
         return found if self.output == "torch" else Rollout(*map(self._out, found))
+
+    def _recorded(self, policy: Any) -> Network | None:
+        """Policy that can be part of a program together with the steps; None: it cannot."""
+        same = self.autoreset_mode == AutoresetMode.SAME_STEP and self.render_mode != "human"
+        simple = same and self._host.synchronises and self._reset.functions is None
+        if not (simple and isinstance(policy, torch.nn.Sequential) and loops(self._scene, state_of(self._buffers))):
+            return None
+        try:
+            return Network(policy, ("observation",))
+        except ArgumentError:  # other layers
+            return None
 
     @torch.no_grad()
     def pose_action(self, X: Any) -> Any:
@@ -383,16 +301,13 @@ class RobotVectorEnv(VectorEnv):
         tensor([0.2000, 0.2000])
         """
         self._started("pose_action")
-        return self._out(self._actions.towards(X, self._buffers["reference"]))
-
-    def _recorded(self, policy: Any) -> Network | None:
-        """Policy that can be part of a program together with the steps; None: it cannot."""
-        same = self.autoreset_mode == AutoresetMode.SAME_STEP and self.render_mode != "human"
-        simple = same and self._looks and self._reset.functions is None and loops(self._scene, self._state)
-        try:
-            return Network(policy, ("observation",)) if simple and isinstance(policy, torch.nn.Sequential) else None
-        except ArgumentError:  # other layers
-            return None
+        pose, reference = self._meaning.pose, self._buffers["reference"]
+        if pose is None:
+            raise ArgumentError(f"pose_action needs an environment with action='pose', found {self._meaning.kind!r}")
+        goal = torch.as_tensor(X).to(reference)
+        if goal.shape not in ((8,), reference.shape):
+            raise ArgumentError(f"X must have the shape {tuple(reference.shape)} or (8,), found {tuple(goal.shape)}")
+        return self._out(computed(pose.towards, x=reference, goal=goal, scale=self._scale))
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Frames [H, W, 3] uint8 of all environments, or None in the mode "human"."""
@@ -425,7 +340,7 @@ class RobotVectorEnv(VectorEnv):
     def set(
         self,
         *,
-        task: str | EpisodeTask | TorchTask | None = None,
+        task: AnyTask | None = None,
         randomise: Randomise | None = None,
         pushes: Mapping[str, Pushes] | None = None,
     ) -> None:
@@ -449,24 +364,27 @@ class RobotVectorEnv(VectorEnv):
         self._open()
         reset = self._reset
         if task is not None:
-            described = _described(task, self.robot)
-            if described != self.task or self._observed(task) != self.single_observation_space:
-                own, other = type(self.task).__name__, type(described).__name__
-                if own == other and is_dataclass(described):
-                    names = [x.name for x in fields(described) if x.compare]
-                    names = [x for x in names if getattr(described, x) != getattr(self.task, x)]
+            known = described(task, self.robot)
+            if known != self.task or self._observed(task) != self.single_observation_space:
+                own, other = type(self.task).__name__, type(known).__name__
+                if own == other and is_dataclass(known):
+                    names = [x.name for x in fields(known) if x.compare]
+                    names = [x for x in names if getattr(known, x) != getattr(self.task, x)]
                     other = f"one with another {' and '.join(names) or 'observation'}"
                 raise ArgumentError(
                     f"task must have the program and the observation of the {own} that is there, found {other}; change "
                     "its commands or functions of a TorchTask alone, or make other environments"
                 )
-            reset = replace(reset, checked=replace(reset.checked, task=described), functions=self._functions(task))
+            functions = functions_of(task, self.robot, self._scene, self.device)
+            reset = replace(reset, checked=replace(reset.checked, task=known), functions=functions)
         if randomise is not None:
-            reset = replace(reset, randomised=with_ranges(self._nominal, reset.randomised, randomise, self._valid))
+            reset = replace(reset, randomised=with_ranges(self._nominal, reset.randomised, randomise, self._scale))
         if pushes is not None:
             reset = replace(reset, pushes={**reset.pushes, **pushes})
-            _check_scene(self._scene, self.num_envs, reset.pushes)
-        self._reset, self._blocks, self.task = reset, None, reset.checked.task
+            check_scene(self._scene, self.num_envs, reset.pushes)
+        self._use(reset)
+        if pushes is not None and self._buffers:
+            self._keep(self._with_spares(self._buffers, self._every))
 
     # --- state ---
 
@@ -480,12 +398,7 @@ class RobotVectorEnv(VectorEnv):
     def state(self) -> State:
         """Copy of the state of the environments' scenes, of which `scene` tells more: `scene.contacts(state)`."""
         self._started("state")
-        return State(**{name: x.clone() for name, x in self._state.rows().items()})
-
-    @property
-    def _state(self) -> State:
-        """State that is in the buffers."""
-        return State(**{name: self._buffers[name] for name in STATE if name in self._buffers})
+        return State(**{name: x.clone() for name, x in state_of(self._buffers).rows().items()})
 
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
@@ -499,7 +412,8 @@ class RobotVectorEnv(VectorEnv):
             state: from `get_state`, or from `torch.load` of such.
         """
         self._open()
-        own = {self._saved(name): (name, x) for name, x in {**self._blank(), **self._reset.drawn}.items()}
+        known = self._buffers or self._first()
+        own = {self._saved(name): (name, x) for name, x in {**known, **self._reset.drawn}.items()}
         if not isinstance(state, Mapping) or set(state) != set(own):
             found = sorted(state) if isinstance(state, Mapping) else type(state).__name__
             raise ArgumentError(
@@ -523,7 +437,7 @@ class RobotVectorEnv(VectorEnv):
         for name, x in self._reset.drawn.items():
             x.copy_(rows[name])
         self._keep({name: x.to(self.device, copy=True) for name, x in rows.items() if "." not in name})
-        self._unreset = self._any(self._buffers["finished"]) and self.autoreset_mode != AutoresetMode.SAME_STEP
+        self._unreset = self._host.any(self._buffers["finished"]) and self.autoreset_mode != AutoresetMode.SAME_STEP
 
     def _saved(self, name: str) -> str:
         """Name of a buffer in a saved state; that of a memory says whose it is, so that no other effect takes it."""
@@ -532,15 +446,16 @@ class RobotVectorEnv(VectorEnv):
 
     # --- internals ---
 
+    def _use(self, reset: Reset) -> None:
+        """Take this start of episodes, with its scene and its task."""
+        self._reset, self._scene, self.task = reset, reset.scene, reset.checked.task
+        self._steps = Steps(reset, self._meaning, self._scale, self.max_episode_steps or math.inf)
+
     def _open(self) -> None:
         if self.closed:
             raise ClosedEnvironmentError("the environment was closed; make another one")
 
-    def _functions(self, task: str | EpisodeTask | TorchTask) -> Functions | None:
-        """Functions of tensors of a task; None: it has none."""
-        return Functions.of(task, self.robot, self._scene, self.device) if isinstance(task, TorchTask) else None
-
-    def _observed(self, task: str | EpisodeTask | TorchTask) -> Box:
+    def _observed(self, task: AnyTask) -> Box:
         """Space of the observations of a task."""
         bounds = (task.bounds if isinstance(task, TorchTask) else None) or self.task.bounds(self.robot)
         low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
@@ -557,112 +472,44 @@ class RobotVectorEnv(VectorEnv):
             return x
         return {k: self._out(v) for k, v in x.items()} if isinstance(x, dict) else x.cpu().numpy()
 
-    def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The task's rows after a step, and the buffers."""
-        buffers = dict(self._buffers)
-        buffers["steps"] = buffers["steps"] + self._one
-        given = task_inputs(self.task, buffers, self._scene, actions)
-        given |= self._actions.inputs(actions, buffers["reference"])
-        streams, noise = Streams.of(buffers), None
-        for k, (name, pushes) in enumerate(self._reset.pushes.items(), PUSHED):
-            time = self._buffers["steps"].to(self.dtype) * self._scene.dt
-            given[name], buffers[name], after = pushes.at(time, buffers[name], streams.column(k), self._some)
-            streams = streams.with_column(k, after)
-        if self._scene.noises:
-            noise, after = streams.column(NOISE).uniform(self._scene.noises, self.dtype)
-            streams = streams.with_column(NOISE, after)
-        buffers |= streams._asdict()
-        state, rows = self._scene._advance(self._state, given, noise, self._reset.checked)
-        if (functions := self._reset.functions) is not None:
-            rows = functions.after(functions.now(state, buffers["goal"].clone(), buffers["steps"], rows, actions))
-        buffers.update(state.rows(), **{name: rows.pop(name) for name in KEPT if name in buffers})
-        return rows, buffers
+    def _streams(self) -> dict[str, Tensor]:
+        """Buffers before a first episode: streams of a random seed."""
+        return self._reset.streams(int(self.np_random.integers(2**62)), self.num_envs, self.device)._asdict()
 
-    def _any(self, mask: Tensor) -> bool:
-        """Whether a row of a mask [N] is true, or may be."""
-        # `any` of one row takes a microsecond
-        return not self._looks or bool(mask if self.num_envs == 1 else mask.any())
+    @property
+    def _every(self) -> Tensor:
+        """Mask [N] of all environments."""
+        return torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
 
-    def _some(self, mask: Tensor) -> SomeRows:
-        """Rows of a mask [N]."""
-        return Indexed(mask.nonzero().squeeze(1)) if self._looks else Masked(mask)
+    def _first(self) -> dict[str, Tensor]:
+        """Buffers of first episodes."""
+        return self._begun(self._with_spares(self._streams(), self._every), self._host.some(self._every))[0]
+
+    def _with_spares(self, buffers: Mapping[str, Tensor], mask: Tensor) -> dict[str, Tensor]:
+        """Buffers with other pushes drawn ahead in the rows of a mask."""
+        return self._reset.with_spares(buffers, [mask] * len(self._reset.pushes), self._host)
 
     def _begun(self, buffers: Mapping[str, Tensor], rows: SomeRows) -> tuple[dict[str, Tensor], Mapping[str, Tensor]]:
         """Buffers with new episodes in some rows, and the task's rows at their start."""
         found = dict(buffers)
-        fresh, seen = self._reset(rows, Streams.of(buffers).rows(rows), self.dtype)
-        held = _HELD if self._reset.functions is None else fresh  # functions see everything
+        fresh, seen = self._reset(rows, Streams.of(buffers).rows(rows))
+        held = _KEPT if self._reset.functions is None else fresh  # functions see everything
         for name, x in fresh.items():
-            if name in held or isinstance(rows, Masked):
-                found[name] = rows.replaced(buffers[name], x)
+            if name in held or name not in found or isinstance(rows, Masked):
+                found[name] = rows.replaced(buffers.get(name, x), x)  # at first all of them are new
             else:
                 rows.write(buffers[name], x)
         return found, seen
 
     def _keep(self, buffers: dict[str, Tensor]) -> None:
         """Make them the buffers; on a GPU in memory that stays, so that a CUDA graph of a step can be repeated."""
-        if self._looks:
+        if self._host.synchronises:
             self._buffers = buffers
             return
         self._buffers = self._buffers or {name: torch.empty_like(x) for name, x in buffers.items()}
         for name, x in self._buffers.items():
             if buffers[name] is not x:
                 x.copy_(buffers[name])
-
-    def _blank(self) -> dict[str, Tensor]:
-        """Buffers before a first episode."""
-        width, seed = self.single_observation_space.shape[0], int(self.np_random.integers(2**62))  # type: ignore[index]
-        return self._reset.blank(self.num_envs, width, seed, self.dtype, self.device)
-
-
-def _robot_of(robot: str | Path | Robot) -> Robot:
-    """Robot with one geometry: a shipped one by its name, one of a URDF file, or itself."""
-    if isinstance(robot, str) and not robot.lstrip().startswith("<") and Path(robot).suffix == "":
-        robot = load(robot)
-    found = robot if isinstance(robot, Robot) else Robot.from_urdf(robot)
-    one = {name: (getattr(found, name), len(SHAPES[name])) for name in (*GEOMETRY, "home")}
-    one["limits"] = (max(found.limits, key=Tensor.dim), 1)
-    for name, (x, axes) in one.items():
-        if x is not None and x.ndim > axes:
-            raise ArgumentError(
-                f"{name} of robot {found.name!r} must be one for all environments, found batch axes; give one by "
-                f"robot.replace({name}=...), or make environments for each robot"
-            )
-    return found
-
-
-def _described(task: str | EpisodeTask | TorchTask, robot: Robot) -> EpisodeTask:
-    """Recorded task for a robot."""
-    return task_of(task.recorded_for(robot) if isinstance(task, TorchTask) else task).described(robot)
-
-
-def _within_limits(scene: Scene) -> Robot:
-    """The scene's robot with the limits that effects simulate, which may be narrower than those described."""
-    limits = scene.robot.limits
-    for low, high in [bounds for effect in scene.effects if (bounds := effect.free_range()) is not None]:
-        lower, upper = (tensor_of(x).detach().to(limits.lower).reshape(-1, scene.n) for x in (low, high))
-        limits = limits._replace(
-            lower=torch.maximum(lower.amax(0), limits.lower), upper=torch.minimum(upper.amin(0), limits.upper)
-        )
-    same = all(map(torch.equal, limits, scene.robot.limits))
-    return scene.robot if same else scene.robot.replace(limits=limits)
-
-
-def _check_scene(scene: Scene, num_envs: int, pushes: Mapping[str, Pushes]) -> None:
-    """Raise if an effect takes an input that is not supplied, if pushes have no effect, or a tensor has other rows."""
-    wanted = {name: type(effect).__name__ for effect in scene.effects for name in effect.inputs(scene.n)}
-    for name in wanted.keys() - {"target", *pushes}:
-        cure = "give it by pushes, or leave it out" if wanted[name] == "Push" else "leave it out"
-        raise ArgumentError(
-            f"effects: {wanted[name]} takes the input {name!r}, which an environment does not supply; {cure}"
-        )
-    for name, one in pushes.items():
-        if wanted.get(name) != "Push":
-            raise UnknownNameError("input to push", name, [known for known, kind in wanted.items() if kind == "Push"])
-        require_object(f"pushes[{name!r}]", one, Pushes, "torchdq.envs", "Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0))")
-    for name, batch in scene.batches.items():
-        if batch not in ((), (1,), (num_envs,)):
-            raise ArgumentError(f"{name} must be one for all or have {num_envs} rows, found the batch axes {batch}")
 
 
 def made_by_gymnasium(**arguments: Any) -> RobotVectorEnv:

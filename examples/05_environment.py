@@ -21,7 +21,7 @@ from matplotlib import pyplot as plt
 from pictures import BLUE, prepare, save
 
 import torchdq
-import torchdq.envs  # registers the environments
+from torchdq.envs import Actions  # registers the environments
 from torchdq.envs.render import Painter, save_gif
 
 
@@ -44,8 +44,7 @@ def main(args: Args) -> tuple[torch.Tensor, float]:
         "torchdq/Reach-v0",
         num_envs=args.arms,
         robot="panda",
-        action="reference",
-        scale=0.2,
+        action=Actions("reference", scale=0.2),
         randomise={"mass": 0.2, "friction": 0.2},
         max_episode_steps=args.steps + 1,
         output="torch",

@@ -47,7 +47,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.envs import RobotVectorEnv, Scene, effects
+from torchdq.envs import Actions, RobotVectorEnv, Scene, Simulation, effects
 from torchdq.envs.sb3 import StableBaselinesVecEnv
 from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.defaults import default_effects, nominal_robot
@@ -121,10 +121,8 @@ class Base:
             "track",
             ROBOT,
             effects=PLANT,
-            action="residual",
-            controller=controller,
-            scale=(SHARE * ROBOT.limits.effort).tolist(),
-            dt=DT,
+            action=Actions("residual", controller=controller, scale=(SHARE * ROBOT.limits.effort).tolist()),
+            simulation=Simulation(dt=DT),
             max_episode_steps=EPISODE,
             randomise={"mass": 0.1, "friction": 0.2},
             autoreset_mode=mode,

@@ -157,7 +157,7 @@ class PPO:
         self.generators = [torch.Generator(device).manual_seed(first + k) for k in range(groups)]
         if envs.max_episode_steps:  # episodes that end at different times
             steps = self.drawn(lambda g: torch.randint(envs.max_episode_steps, (GROUP,), generator=g, device=device))
-            envs.set_state({**envs.get_state(), "steps": steps.flatten().to(torch.int32)})
+            envs.set_state({**envs.get_state(), "steps": steps.flatten().to(envs.dtype)})
 
     def drawn(self, draw: Callable[[torch.Generator], Tensor]) -> Tensor:
         """Random numbers of every group of robots, shape [groups, ...]."""

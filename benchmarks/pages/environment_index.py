@@ -11,7 +11,7 @@ from pages.docstrings import documented
 from pages.environment_cases import ENVIRONMENTS
 from pages.environment_page import SCRIPT, measured, newest, rate_words, rates, robot_of
 from pages.text import MADE, sentence, table, wrapped
-from torchdq.envs import RobotVectorEnv, randomization, vector_env
+from torchdq.envs import Actions, RobotVectorEnv, Simulation, randomization, vector_env
 
 INTRODUCTION = """\
 An environment is a [scene](../effects/index.md), a task, and random numbers. Thousands of environments run as one
@@ -134,7 +134,12 @@ def index() -> str:
         WAYS,
         "## Arguments",
         "All three take the arguments of `RobotVectorEnv`, listed here with their defaults.",
-        arguments(),
+        arguments(RobotVectorEnv),
+        "`action` may be an `Actions` with these fields:",
+        arguments(Actions),
+        "\n\n".join(documented(Actions).text[-1:]),
+        "`simulation` is a `Simulation` with these fields:",
+        arguments(Simulation),
         TASKS,
         SERVOS,
         f"{RANDOMISE}\n\n{_randomised()}",
@@ -146,14 +151,14 @@ def index() -> str:
     )
 
 
-def arguments() -> str:
-    """Table of the arguments of `RobotVectorEnv`."""
-    said = documented(RobotVectorEnv).arguments
-    rows = []
-    for name, parameter in inspect.signature(RobotVectorEnv).parameters.items():
+def arguments(of: type) -> str:
+    """Table of the arguments of a constructor, values with a meaning of their own on lines of their own."""
+    said, rows = documented(of).arguments, []
+    for name, parameter in inspect.signature(of).parameters.items():
         default = parameter.default
         value = str(default) if isinstance(default, torch.dtype) else repr(getattr(default, "value", default))
         text, unit = said[name].meaning, said[name].unit
+        text = re.sub(r' (?=("(reference|target|torque|residual|pose)"|SAME_STEP|NEXT_STEP|DISABLED): )', "<br>", text)
         rows.append((f"`{name}`", f"`{value}`", sentence(text) + (f" [{unit}]" if unit else "")))
     return table(("argument", "default", "meaning"), rows)
 

@@ -22,7 +22,7 @@ from pages.formulas import tex
 from pages.pictures import Curve, Picture, svg
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.effects import Contact
-from torchdq.envs import RobotVectorEnv, vector_env
+from torchdq.envs import RobotVectorEnv, episode
 from torchdq.envs.actions import Kind, full
 from torchdq.envs.render import Painter
 from torchdq.envs.task_names import task_of
@@ -97,14 +97,14 @@ def page(task: str) -> str:
         "Entries are clipped to their bounds.",
         _observation(task, robot),
         "## Action",
-        f"`Box(-1, 1, ({robot.n},))`. The argument `action` sets the meaning of a full action; `scale` replaces the "
-        "numbers.",
+        f"`Box(-1, 1, ({robot.n},))`. The argument `action` sets what a full action means; `Actions(..., scale=...)` "
+        "replaces the numbers.",
         _actions(task, robot),
         "## Reward",
         *[f"$$\n{tex(formula, frozenset({'action'}))}\n$$" for formula in said.formulas],
         *_paragraphs(case.task, "Reward: "),
         "It is computed from the true state, not from measurements. A step in which the simulation fails has the "
-        f"reward {vector_env.WORST:g}.",
+        f"reward {episode.WORST:g}.",
         "## End of an episode",
         table(
             ("flag", "condition"),
@@ -179,10 +179,11 @@ def _range(numbers: tuple[float, ...]) -> str:
 
 
 def _actions(task: str, robot: Robot) -> str:
-    rows, own = [], RobotVectorEnv(1, task, robot)._actions
-    for kind in (own.kind,) if own.kind == "target" else (kind for kind in get_args(Kind) if kind != "target"):
-        made = own if kind == own.kind else RobotVectorEnv(1, task, robot, action=kind)._actions
-        numbers, default = ", ".join(f"{x:.3g}" for x in made.scale.tolist()), " (default)" if made is own else ""
+    rows, own = [], RobotVectorEnv(1, task, robot)
+    usual = own._meaning.kind
+    for kind in (usual,) if usual == "target" else (kind for kind in get_args(Kind) if kind != "target"):
+        made = own if kind == usual else RobotVectorEnv(1, task, robot, action=kind)
+        numbers, default = ", ".join(f"{x:.3g}" for x in made._scale.tolist()), " (default)" if made is own else ""
         rows.append((f'`"{kind}"`{default}', ACTIONS[kind], numbers, ACTION_UNITS[kind]))
     return table(("`action`", "meaning", "a full action, joint by joint", "unit"), rows)
 

@@ -15,7 +15,8 @@ from torchdq.backends import cuda_source
 from torchdq.backends.compiler import compiler
 from torchdq.backends.precision import run
 from torchdq.backends.torch import EAGER
-from torchdq.envs import Pushes, RobotVectorEnv, Scene, effects
+from torchdq.envs import Actions, Pushes, RobotVectorEnv, Scene, effects
+from torchdq.envs.row_selection import Host
 from torchdq.numbers.ops import apply as applied
 from torchdq.program.program import LARGEST_GROWTH, Argument, record
 from torchdq.program.uniform import split
@@ -150,8 +151,10 @@ def test_a_scene_with_sensors_steps_as_with_torch_operations(dtype):
 def test_a_step_of_environments_asks_the_device_nothing(mode, monkeypatch):
     with torchdq.backend("host"):
         pushed = {"effects": (effects.Push(),), "pushes": {"push": Pushes((1.0,) * 6, (0.0, 0.1))}}
-        envs = RobotVectorEnv(70, "reach", TWO, scale=20.0, max_episode_steps=2, autoreset_mode=mode, **pushed)
-        envs._looks = False  # as on a GPU
+        envs = RobotVectorEnv(
+            70, "reach", TWO, action=Actions(scale=20.0), max_episode_steps=2, autoreset_mode=mode, **pushed
+        )
+        envs._host = Host(False)  # as on a GPU
         envs.reset(seed=0)
         envs.step(torch.zeros(70, 2))
         asked = []

@@ -15,7 +15,7 @@ from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.model import ModelEffect
-from torchdq.envs import RobotEnv, RobotVectorEnv, Scene, TorchTask, effects
+from torchdq.envs import Actions, RobotEnv, RobotVectorEnv, Scene, TorchTask, effects
 from torchdq.errors import nearest
 from torchdq.learning import (
     LogError,
@@ -142,7 +142,7 @@ MISUSE = {
     "fit forward dynamics": lambda: fit(torchdq.ForwardDynamics(ARM, learn="mass"), SAMPLES, steps=1),
     "fit the rollout of a robot": lambda: fit_rollout(ARM, Recording(TIME, Q, {}), "mass"),
     # environments
-    "negative scale": lambda: RobotVectorEnv(2, robot=ARM, scale=np.array([1.0, -2.0])),
+    "negative scale": lambda: RobotVectorEnv(2, robot=ARM, action=Actions(scale=np.array([1.0, -2.0]))),
     "observation without bounds": lambda: TorchTask(observation=len),
     "bounds without observation": lambda: TorchTask(bounds=[(-1, 1)]),
     "one pair of bounds": lambda: TorchTask(observation=len, bounds=(-1, 1)),
@@ -191,7 +191,7 @@ UNKNOWN_NAMES = {
     "frame of a robot": lambda: ARM.frame("link77"),
     "joint": lambda: ARM.joint_index("joint77"),
     "robot": lambda: torchdq.robots.load("pandas"),
-    "option of reset": lambda: RobotEnv(robot=ARM, scale=1.0).reset(options={"qq": 1}),
+    "option of reset": lambda: RobotEnv(robot=ARM, action=Actions(scale=1.0)).reset(options={"qq": 1}),
     "input of no name": lambda: joints(lambda q, inputs: [Impedance(0.0, inputs["wind"][0])] * 2),
     "field of no name": lambda: model({"masses": (1.0, 1.0)}),
     "robot like no other": lambda: torchdq.robots.load("xyzzy"),
@@ -301,6 +301,6 @@ def test_rows_that_are_not_a_number_stay_so_and_transforms_read_no_values():
 
 
 def test_an_action_with_a_gradient_is_taken_without_it():
-    env = RobotEnv(robot=ARM, scale=1.0)
+    env = RobotEnv(robot=ARM, action=Actions(scale=1.0))
     env.reset(seed=0)
     assert np.isfinite(env.step(torch.zeros(2, requires_grad=True))[1])

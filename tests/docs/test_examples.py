@@ -16,7 +16,7 @@ import torch
 from places import DATA, ROOT
 
 import torchdq
-from torchdq.envs import RobotVectorEnv
+from torchdq.envs import Actions, RobotVectorEnv
 from torchdq.learning import read_log
 
 EXAMPLES = ROOT / "examples"
@@ -187,7 +187,7 @@ def test_walk_ppo(tmp_path, capsys):
 
 def test_ppo_learns_in_any_vector_environment():
     module = import_module("21_walk_ppo")
-    learner = module.PPO(RobotVectorEnv(128, "reach", "two_link", scale=0.5), seed=0)
+    learner = module.PPO(RobotVectorEnv(128, "reach", "two_link", action=Actions(scale=0.5)), seed=0)
     reward = []
     for _ in range(60):
         samples, means = learner.rollout()

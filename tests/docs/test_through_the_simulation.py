@@ -14,7 +14,7 @@ for needed in ("matplotlib", "tyro"):
     pytest.importorskip(needed, reason="the examples need the extra 'examples'")
 from matplotlib.image import imread  # noqa: E402
 
-from torchdq.envs import RobotVectorEnv  # noqa: E402
+from torchdq.envs import Actions, RobotVectorEnv  # noqa: E402
 
 BACKEND = "auto"
 SHARED = """
@@ -48,7 +48,9 @@ def learned(share):
     ppo = import_module("21_walk_ppo")
     torch.set_default_dtype(torch.float64)
     try:
-        arms = RobotVectorEnv(64 // share.size, "reach", "two_link", scale=0.5, max_episode_steps=40, dtype="float64")
+        arms = RobotVectorEnv(
+            64 // share.size, "reach", "two_link", action=Actions(scale=0.5), max_episode_steps=40, dtype="float64"
+        )
         learner, rewards = ppo.PPO(arms, seed=1), []
         for _ in range(3):
             samples, means = learner.rollout()

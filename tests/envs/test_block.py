@@ -12,7 +12,7 @@ SENSED = (effects.Gravity(), effects.Push(), effects.CommandDelay(2), effects.Me
 SHIPPED = {"robot": None, "action": None, "scale": None}  # what the task is made for
 GROUND = {"Contact.friction": (0.3, 1.5), "Contact.stiffness": (0.2, 2.0)}
 ONE_CALL = {
-    "several episodes of some joints": {"actuated": "*2", "max_episode_steps": 3},
+    "several episodes of some joints": {"joints": "*2", "max_episode_steps": 3},
     "positions that a controller follows": {"action": "reference", "scale": None, "dtype": "float64"},
     "everything drawn": {
         **{"task": "track", "action": "residual", "effects": PARTS, "randomise": ALL_DRAWN},

@@ -7,7 +7,7 @@ import torch
 from messages import refused
 from small_envs import ON_FOUR, PUSHES, policy_of, same, started, steps, stool
 
-from torchdq.envs import Absolute, Pushes, RobotVectorEnv, TorchTask, effects
+from torchdq.envs import Absolute, Pushes, RobotVectorEnv, Simulation, TorchTask, effects
 from torchdq.errors import ArgumentError, TorchdqError, UnknownNameError
 from torchdq.program import program
 
@@ -52,7 +52,7 @@ def test_pushes_follow_new_ranges_from_the_next_one_on():
 
 
 def test_commands_of_a_walk_grow_without_a_new_program(monkeypatch):
-    envs = RobotVectorEnv(64, replace(ON_FOUR, forward=(0.0, 0.1)), stool(), substeps=1)
+    envs = RobotVectorEnv(64, replace(ON_FOUR, forward=(0.0, 0.1)), stool(), simulation=Simulation(substeps=1))
     envs.reset(seed=0)
     envs.step(torch.zeros(64, 4))
     monkeypatch.delattr(program, "recording")

@@ -13,7 +13,7 @@ import torchdq
 from torchdq import dq
 from torchdq.dq.formulas import computed
 from torchdq.dynamics.task_space import Task
-from torchdq.envs import RobotVectorEnv, controllers, effects
+from torchdq.envs import Actions, RobotVectorEnv, Simulation, controllers, effects
 from torchdq.envs.pose_actions import PoseActions
 from torchdq.errors import ArgumentError
 
@@ -99,7 +99,7 @@ def test_blocks_are_steps_and_an_episode_begins_where_the_arm_is(leash):
 def test_a_proportional_policy_reaches():
     """The tip of 95 % of Pandas is within 2 cm of its goal after 1.5 s, with friction that the controller ignores."""
     control = controllers.OperationalSpaceControl(400.0, 40.0, axes="position", expressed="world")
-    envs = RobotVectorEnv(1024, "reach", "panda", action="pose", controller=control, backend="auto")
+    envs = RobotVectorEnv(1024, "reach", "panda", action=Actions("pose", controller=control))
     observation, _ = envs.reset(seed=1)
     for _ in range(75):
         observation, *_, info = envs.step(observation[:, 21:24] / 0.1)
@@ -125,7 +125,7 @@ def test_an_absolute_pose_is_reached_by_its_action_or_approached(axes):
 
 
 def test_the_default_controller_follows_absolute_poses():
-    envs = RobotVectorEnv(16, "reach", "panda", action="pose", dtype="float64", backend="auto")
+    envs = RobotVectorEnv(16, "reach", "panda", action="pose", dtype="float64")
     envs.reset(seed=1)
     before, lost = envs.get_state()["reference"], 0.0
     for k in range(1, 61):
@@ -143,7 +143,7 @@ def test_the_default_controller_follows_absolute_poses():
 def test_the_default_controller_is_stable_at_slow_rates():
     """An error whose acceleration is held over a time step dies out."""
     for dt in (0.02, 0.05, 0.2):
-        control = RobotVectorEnv(1, "reach", "panda", action="pose", dt=dt).scene.controller
+        control = RobotVectorEnv(1, "reach", "panda", action="pose", simulation=Simulation(dt)).scene.controller
         kp, kd = control.kp[0], control.kd[0]
         step = [[1 - kp * dt**2 / 2, dt - kd * dt**2 / 2], [-kp * dt, 1 - kd * dt]]
         assert torch.linalg.eigvals(torch.tensor(step)).abs().max() < 0.9
@@ -154,7 +154,7 @@ WRONG = {
     "a controller of a frame for joints": {"action": "reference"},
     "sizes of other axes": {"scale": (0.1, 0.1, 0.1)},
     "a leash below zero": {"leash": (-1.0, 1.0)},
-    "passive joints": {"actuated": ROBOT.joint_names[0]},
+    "passive joints": {"joints": ROBOT.joint_names[0]},
     "more axes than joints": {"controller": None},
 }
 

@@ -23,7 +23,7 @@ BACKEND = "auto"
 
 def test_an_episode_starts_within_limits_and_its_goal_is_within_reach():
     """Observation and reward are held by docs/test_environment_pages.py."""
-    envs = RobotVectorEnv(200, robot="panda", dtype=torch.float64, backend="eager")
+    envs = started(200, robot="panda", dtype=torch.float64, backend="eager", action=None, scale=None)
     envs.reset(seed=0)
     found, (lower, upper, *_) = envs.get_state(), envs.robot.limits
     shoulder = torch.tensor([0, 0, 0.333])
@@ -53,7 +53,7 @@ def test_a_goal_can_be_reached():
         way, q = observations[:, -6:-3, None], envs._buffers["q"]
         J = torchdq.jacobian(envs.robot, q, "tip", expressed="world")[:, 3:]
         offset = J.mT @ torch.linalg.solve(J @ J.mT + 0.01 * torch.eye(3), way)
-        observations, rewards, _, _, info = envs.step((offset[..., 0] / envs._actions.scale).clamp(-1, 1))
+        observations, rewards, _, _, info = envs.step((offset[..., 0] / envs._scale).clamp(-1, 1))
     assert info["distance"].quantile(0.9) < 0.01 and rewards.quantile(0.1) > 0.9
 
 
@@ -187,7 +187,7 @@ def test_a_task_whose_attributes_are_no_fields_is_refused():
             object.__setattr__(self, "weight", weight)
 
     with refused(ArgumentError):
-        RobotVectorEnv(2, Weighted(5.0), "two_link", scale=10.0)
+        make(2, Weighted(5.0))
 
 
 # --- floating bases, servos, limits, and what a task remembers --------------------------------------------------------
@@ -210,7 +210,7 @@ class Remembers(Reach):
 @pytest.mark.parametrize("mode", ["SAME_STEP", "NEXT_STEP"])
 def test_what_a_task_remembers_comes_back_at_the_next_step_and_not_in_the_next_episode(mode):
     envs = started(3, Remembers(), max_episode_steps=4, autoreset_mode=mode, backend="eager")
-    envs.set_state({**envs.get_state(), "steps": torch.tensor([0, 1, 2], dtype=torch.int32)})
+    envs.set_state({**envs.get_state(), "steps": torch.tensor([0.0, 1.0, 2.0])})
     last, found = torch.zeros(3, 2), []
     for k in range(4):
         action = torch.full((3, 2), 0.1 * (k + 1))

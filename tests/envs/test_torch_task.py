@@ -206,7 +206,7 @@ def swinging(cartpole, num_envs=5, **arguments):
     """Swing-up of a cart-pole, reset."""
     parts = (effects.Gravity(), effects.Viscous([0.1, 0.0]))
     task = TorchTask(reward=upright, start=hanging, draws=2)
-    given = {"robot": cartpole, "effects": parts, "actuated": "slide", "action": None, "scale": None}
+    given = {"robot": cartpole, "effects": parts, "joints": "slide", "action": None, "scale": None}
     return started(num_envs, task, **{**given, **arguments})
 
 
@@ -237,10 +237,10 @@ def test_a_passive_joint_gets_no_torque(cartpole):
     assert torch.equal(envs.get_state()["q"], expected.q) and torch.equal(envs.get_state()["qd"], expected.qd)
     actions = []
     watched = TorchTask(reward=lambda now: actions.append(now.action) or now.time)
-    other = started(5, watched, robot=cartpole, actuated=["slide"], scale=[7.0])
+    other = started(5, watched, robot=cartpole, joints=["slide"], scale=[7.0])
     *_, info = other.step(torch.full((5, 1), -2.0))
     assert actions[0].tolist() == [[-1.0, 0.0]] * 5 and info["clipped"].tolist() == [1] * 5
-    other = started(5, watched, robot=cartpole, actuated="h*", scale=1.0)
+    other = started(5, watched, robot=cartpole, joints="h*", scale=1.0)
     other.step(torch.full((5, 1), 0.5))
     assert actions[1].tolist() == [[0.0, 0.5]] * 5
 
@@ -248,14 +248,14 @@ def test_a_passive_joint_gets_no_torque(cartpole):
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"actuated": "wheel"},
-        {"actuated": ()},
-        {"actuated": 1},
+        {"joints": "wheel"},
+        {"joints": ()},
+        {"joints": 1},
         {"action": "reference"},
         {"action": "residual"},
         {"scale": [20.0, 0.0]},
-        {"actuated": "*", "scale": [20.0, 0.0], "action": "torque"},
-        {"actuated": "hinge"},  # which has no torque limit
+        {"joints": "*", "scale": [20.0, 0.0], "action": "torque"},
+        {"joints": "hinge"},  # which has no torque limit
         {},  # and actions of both joints
     ],
 )
@@ -280,7 +280,7 @@ def test_actions_and_their_scale_follow_the_names(actuated, order):
     still = TorchTask(reward=lambda now: now.time)
     scale, action = [1.0 + i for i in range(k)], torch.linspace(0.2, 0.9, k, dtype=torch.float64)
     given = {"effects": (), "integrator": ExplicitEuler(), "substeps": 1, "dtype": "float64", "action": "torque"}
-    envs = started(1, still, robot=panda, actuated=actuated, scale=scale, **given)
+    envs = started(1, still, robot=panda, joints=actuated, scale=scale, **given)
     q = envs.get_state()["q"]
     envs.step(action[None])
     torque = torch.zeros(1, 7, dtype=torch.float64)

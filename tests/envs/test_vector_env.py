@@ -18,11 +18,12 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from helpers import thinned
 from messages import refused
-from small_envs import ALL_DRAWN, FREE, PARTS, PUSHES, ROBOT, actions_of, make, policy_of, same, started, steps
+from small_envs import ALL_DRAWN, FREE, PARTS, PUSHES, ROBOT, actions_of, grouped, make, policy_of, same, started, steps
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.envs import Absolute, RobotEnv, RobotVectorEnv, TorchTask, effects
+from torchdq.envs import Absolute, Actions, RobotEnv, RobotVectorEnv, Simulation, TorchTask, effects
+from torchdq.envs.row_selection import Host
 from torchdq.envs.tasks import Reach
 from torchdq.robot import ContactPoint
 from torchdq.scene import controllers
@@ -39,6 +40,7 @@ IN_TORCH = TorchTask(
     bounds=[(-math.inf, math.inf)] * 4,
     draws=2,
 )
+FULL = Actions(scale=20.0)
 PUSHED = (effects.Gravity(), effects.FirstOrderLag(0.05), effects.Push(), effects.Noise(0.01))
 FEET = effects.Contact(tuple(ContactPoint("base", (x, y, -0.2), 0.02) for x in (-1.0, 2.5) for y in (-1.5, 1.5)))
 
@@ -82,7 +84,7 @@ def test_results_have_their_shapes_and_are_within_their_spaces(task, action):
 @pytest.mark.parametrize("robot", thinned(["panda", "ur10e", "puma560"], ["puma560"]))
 def test_shipped_arms_need_no_arguments(robot):
     # the Puma's description has no limits of torque
-    envs = RobotVectorEnv(2, robot=robot, backend="eager", **({"scale": 50.0} if robot == "puma560" else {}))
+    envs = started(2, robot=robot, backend="eager", action=None, scale=50.0 if robot == "puma560" else None)
     envs.reset(seed=0)
     assert not any(bool(terminated.any()) for _, _, terminated, _, _ in steps(envs, 10))
 
@@ -113,7 +115,7 @@ def test_what_was_handed_out_does_not_change(mode, looks):
     options = {"randomise": {"mass": 0.2}, "effects": PUSHED, "pushes": PUSHES, "max_episode_steps": 3}
     for task in ("reach", TorchTask("reach", reward=reward)):
         envs = make(task=task, autoreset_mode=mode, **options)
-        envs._looks = looks
+        envs._host = Host(looks)
         keep(envs.reset(seed=0), envs.state.rows(), envs.scene.parameters, envs.get_state())
         for action, _ in zip(actions_of(envs), range(7), strict=False):
             keep(envs.step(action), envs.state.rows(), envs.scene.parameters, envs.get_state())
@@ -163,18 +165,18 @@ def test_robots_of_a_stack_are_each_simulated(task, action):
 def test_gymnasium_makes_them():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=7, robot="ur10e", backend="eager")
+        envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=7, robot="ur10e", simulation=Simulation(backend="eager"))
         assert isinstance(envs, RobotVectorEnv) and envs.max_episode_steps == 250
         assert envs.output == "numpy" and envs.autoreset_mode == AutoresetMode.NEXT_STEP  # gymnasium's contract
         assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         envs.reset(seed=0)
         envs.step(torch.zeros(7, 6))
-        env = gymnasium.make("torchdq/Track-v0", robot=ROBOT, scale=20.0, max_episode_steps=4)
+        env = gymnasium.make("torchdq/Track-v0", robot=ROBOT, action=FULL, max_episode_steps=4)
         env.reset(seed=0)
         ends = [env.step(np.zeros(2, np.float32))[2:4] for _ in range(4)]
         assert ends == [(False, False)] * 3 + [(False, True)]
     asked = {"output": "torch", "autoreset_mode": AutoresetMode.SAME_STEP}
-    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot=ROBOT, scale=20.0, **asked)
+    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot=ROBOT, action=FULL, **asked)
     assert (envs.output, envs.autoreset_mode) == (make().output, make().autoreset_mode) == tuple(asked.values())
     assert isinstance(envs.reset(seed=0)[0], torch.Tensor)
 
@@ -183,7 +185,7 @@ def test_gymnasium_makes_them():
 def test_gymnasiums_checker_has_nothing_to_say(task):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(RobotEnv(task=task, robot=ROBOT, scale=20.0), skip_render_check=True)
+        check_env(RobotEnv(task=task, robot=ROBOT, action=FULL), skip_render_check=True)
 
 
 def test_gymnasiums_wrappers_accept_them():
@@ -211,7 +213,7 @@ WRAPPED = {
 
 @pytest.mark.parametrize("wrapper", WRAPPED)
 def test_gymnasiums_vector_wrappers_take_its_vector_environments(wrapper):
-    made = gymnasium.make_vec("torchdq/Reach-v0", num_envs=5, robot=ROBOT, scale=20.0, max_episode_steps=3)
+    made = gymnasium.make_vec("torchdq/Reach-v0", num_envs=5, robot=ROBOT, action=FULL, max_episode_steps=3)
     envs = WRAPPED[wrapper](made)
     envs.reset(seed=0)
     for _ in range(8):
@@ -224,7 +226,7 @@ def test_gymnasiums_vector_wrappers_take_its_vector_environments(wrapper):
 def test_gymnasium_records_videos_of_all_environments(monkeypatch, tmp_path):
     pytest.importorskip("matplotlib")
     monkeypatch.setitem(sys.modules, "moviepy", types.ModuleType("moviepy"))  # which only writes the file
-    given = {"robot": ROBOT, "scale": 20.0, "render_mode": "rgb_array"}
+    given = {"robot": ROBOT, "action": FULL, "render_mode": "rgb_array"}
     envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=6, **given)
     filmed = WRAPPERS.RecordVideo(envs, str(tmp_path / "films"), episode_trigger=lambda k: k == 0)
     filmed.reset(seed=0)
@@ -244,7 +246,7 @@ def test_frames_are_painted():
         frames = envs.render()
         assert len(frames) == 6 and frames[0].shape[2] == 3 and frames[0].dtype == np.uint8
         assert not np.array_equal(frames[0], frames[1])
-    env = gymnasium.make("torchdq/Reach-v0", robot=ROBOT, scale=20.0, render_mode="rgb_array")
+    env = gymnasium.make("torchdq/Reach-v0", robot=ROBOT, action=FULL, render_mode="rgb_array")
     env.reset(seed=0)
     assert env.render().shape == frames[0].shape
 
@@ -298,7 +300,7 @@ def test_a_row_is_the_single_environment(kind):
     arguments = {"robot": ROBOT, "action": "torque", "scale": 20.0, "max_episode_steps": 30, **KINDS[kind]}
     many = make(21, **arguments)
     rows = (0, 7, 20)
-    single = [RobotEnv(**arguments) for _ in rows]
+    single = [RobotEnv(**grouped(**arguments)) for _ in rows]
     observations, _ = many.reset(seed=100)
     for k, env in zip(rows, single, strict=True):
         assert same(env.reset(seed=100 + k)[0], observations[k])
@@ -337,8 +339,8 @@ def test_finished_rows_are_reset_in_the_same_step():
     envs = started(max_episode_steps=4)
     envs.reset(seed=50, options={"reset_mask": np.array([True, False, True, False, False])})
     envs._buffers["steps"][1] = 2  # one row is ahead of the others
-    quiet = copy.deepcopy(envs)
-    quiet.max_episode_steps = None
+    quiet = started(max_episode_steps=None)
+    quiet.set_state(envs.get_state())
     action = torch.full((5, 2), 0.4)
     for expected in ([False] * 5, [False, True, False, False, False]):
         observations, _, terminated, truncated, info = envs.step(action)
@@ -348,7 +350,7 @@ def test_finished_rows_are_reset_in_the_same_step():
     assert torch.equal(info["final_obs"], before)  # the last of the old episode, and of the others
     assert not torch.equal(observations[1], before[1]) and torch.equal(observations[2:], before[2:])
     assert set(info["final_info"]) == {"clipped", "nonfinite", "distance", "success"}
-    assert envs._buffers["steps"].tolist() == [2, 0, 2, 2, 2]
+    assert envs.get_state()["steps"].tolist() == [2, 0, 2, 2, 2]
 
 
 def test_a_torque_limit_of_zero_is_none():
@@ -381,7 +383,7 @@ def test_finished_rows_are_reset_at_the_next_step():
 def test_info_of_a_row_that_was_reset_is_that_of_its_start():
     terms = TorchTask("reach", reward=lambda now: {"near": -now.rows["distance"], "fast": now.qd.square().sum(1)})
     envs = started(task=terms, max_episode_steps=3, autoreset_mode="NextStep", dtype="float64")
-    ahead = torch.tensor([0, 1, 0, 1, 0], dtype=torch.int32)
+    ahead = torch.tensor([0.0, 1.0, 0.0, 1.0, 0.0], dtype=torch.float64)
     envs.set_state({**envs.get_state(), "steps": ahead})
     for _ in range(2):
         *_, truncated, info = envs.step(torch.full((5, 2), 1.4))
@@ -419,7 +421,7 @@ def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
         **{"robot": FREE, "pushes": PUSHES},
     }
     looking, blind = (started(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
-    blind._looks = False
+    blind._host = Host(False)
     for envs in (looking, blind):
         envs._buffers["steps"][1:3] = 2  # two rows are ahead of the others
     for k in range(11):
@@ -544,7 +546,7 @@ def test_actions_out_of_range_are_clipped_and_counted():
 
 def test_a_full_action_is_the_limit_of_the_torque():
     envs = RobotVectorEnv(1, robot="panda", effects=(), action="torque")
-    assert envs._actions.scale.tolist() == torchdq.robots.load("panda").limits.effort.tolist()
+    assert envs._scale.tolist() == torchdq.robots.load("panda").limits.effort.tolist()
 
 
 def test_a_full_action_of_the_default_kind_moves_a_joint_at_its_velocity_limit():
@@ -675,7 +677,7 @@ def test_stable_baselines_trains():
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        checker.check_env(RobotEnv(robot=ROBOT, scale=20.0))
+        checker.check_env(RobotEnv(robot=ROBOT, action=FULL))
     envs = StableBaselinesVecEnv(make(4, max_episode_steps=10))
     envs.seed(3)
     assert same(envs.reset(), make(4).reset(seed=3)[0])

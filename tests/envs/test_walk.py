@@ -16,11 +16,11 @@ from helpers import exhaustive
 from messages import refused
 from oracles import urdf_paths
 from places import EXAMPLES
-from small_envs import ON_FOUR, stool
+from small_envs import ON_FOUR, grouped, stool
 
 import torchdq
 from torchdq import Robot, dq
-from torchdq.envs import Pushes, RobotVectorEnv, effects
+from torchdq.envs import Pushes, RobotVectorEnv, Simulation, effects
 from torchdq.envs.walk import WEIGHTS, Walk
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot.shipped import go2
@@ -45,7 +45,7 @@ BIPED = f"""<mujoco model="biped"><compiler angle="radian"/><default><joint axis
 def walkers(num_envs, task=None, robot="go2", **arguments):
     """Robots on the nominal ground, without pushes, reset; all share a program."""
     arguments = {"randomise": NOMINAL, "pushes": STILL, "max_episode_steps": None, **arguments}
-    envs = RobotVectorEnv(num_envs, task or Walk(), robot, **arguments)
+    envs = RobotVectorEnv(num_envs, task or Walk(), robot, **grouped(**arguments))
     envs.reset(seed=0)
     return envs
 
@@ -254,7 +254,7 @@ def test_robots_on_maps_of_their_own_are_reset_one_by_one():
     heights = torch.tensor([0.0, 0.01, 0.02]).reshape(3, 1, 1).expand(3, 2, 2)
     ground = effects.Contact("foot?", surface=effects.HeightMap(heights, 10.0, (-5.0, -5.0)))
     held = (effects.Gravity(), effects.Servo(40.0, 1.0), ground)
-    envs = RobotVectorEnv(3, ON_FOUR, stool(), effects=held, substeps=1, dt=0.005)
+    envs = RobotVectorEnv(3, ON_FOUR, stool(), effects=held, simulation=Simulation(0.005, substeps=1))
     envs.reset(seed=0)
     envs.reset(options={"reset_mask": torch.tensor([False, True, False])})
     for _ in range(50):

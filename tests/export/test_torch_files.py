@@ -18,7 +18,7 @@ from torch import nn
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.envs import RobotVectorEnv, Scene, State, effects
+from torchdq.envs import Actions, RobotVectorEnv, Scene, State, effects
 from torchdq.errors import ArgumentError
 from torchdq.program import autograd
 from torchdq.scene import controllers, integrators
@@ -283,7 +283,7 @@ def test_other_transforms_are_exported(transform, strict):
 def refusals():
     """Functions that depend on values, their input, and words of the error."""
     scene = Scene(TWO, FELT[:1], integrator=integrators.DormandPrince())
-    envs = RobotVectorEnv(3, "reach", TWO, scale=20.0)
+    envs = RobotVectorEnv(3, "reach", TWO, action=Actions(scale=20.0))
     envs.reset(seed=0)
     return {
         "DormandPrince": (lambda q: scene.step(State(q, q)).q, random(3, 2), "RungeKutta4 has steps of one size"),

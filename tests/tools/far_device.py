@@ -18,6 +18,7 @@ from contextlib import contextmanager
 
 import torch
 from host_gpu import HOST
+from small_envs import grouped
 from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map
@@ -27,6 +28,7 @@ import torchdq
 from torchdq.backends import call, choice
 from torchdq.backends.cuda import Cuda
 from torchdq.envs import RobotVectorEnv, Scene, TorchTask, effects
+from torchdq.envs.row_selection import Host
 from torchdq.program import transforms
 from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.defaults import default_effects
@@ -188,8 +190,8 @@ N = 7
 
 def environment(**options):
     """Environments that never look at the numbers of actions."""
-    envs = RobotVectorEnv(N, **options)
-    envs._looks = False
+    envs = RobotVectorEnv(N, **grouped(**options))
+    envs._host = Host(False)
     return envs
 
 

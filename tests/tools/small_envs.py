@@ -6,7 +6,7 @@ import torch
 from torch.distributions import LogNormal
 
 import torchdq
-from torchdq.envs import Pushes, RobotVectorEnv, effects
+from torchdq.envs import Actions, Pushes, RobotVectorEnv, Simulation, effects
 from torchdq.envs.walk import Walk
 
 ROBOT = torchdq.robots.load("two_link")
@@ -37,9 +37,19 @@ def stool():
     return torchdq.Robot.from_mjcf(STOOL)
 
 
+ACTIONS = ("controller", "scale", "leash", "joints")
+SIMULATION = ("dt", "substeps", "integrator", "backend")
+
+
 def make(num_envs=5, task="reach", **arguments):
-    """Vector environment of a small robot."""
-    return RobotVectorEnv(num_envs, task, **{"robot": ROBOT, "action": "torque", "scale": 20.0, **arguments})
+    """Vector environment of a small robot; fields of `Actions` and `Simulation` may be arguments."""
+    return RobotVectorEnv(num_envs, task, **grouped(**{"robot": ROBOT, "action": "torque", "scale": 20.0, **arguments}))
+
+
+def grouped(action=None, **arguments):
+    """Arguments of an environment, of which fields of `Actions` and `Simulation` are among those given."""
+    own, timing = ({x: arguments.pop(x) for x in names if x in arguments} for names in (ACTIONS, SIMULATION))
+    return {**arguments, "action": Actions(action, **own), "simulation": Simulation(**timing)}
 
 
 def started(num_envs=5, task="reach", **arguments):

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Pure
+from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.control.law import Law
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
@@ -120,7 +121,7 @@ class SceneSpec:
     def require_inputs(self, names: Iterable[str], task: Task | None = None) -> None:
         """Raise unless those are names of inputs, of the scene or of a task, which None may stand for, too."""
         names = dict.fromkeys(names)
-        if names.keys() <= {"torque"}:  # an input of every scene; asked at every step
+        if names.keys() <= _supplied(self, task):  # asked at every step
             return
         known, computed = self.inputs() | ({} if task is None else task.inputs(self.robot.n)), self.computed()
         for name in names:
@@ -164,6 +165,13 @@ class SceneSpec:
             found[i] = memory[at : at + size]
             at += size
         return found
+
+
+@remembered(PROGRAMS)
+def _supplied(spec: SceneSpec, task: Task | None) -> frozenset[str]:
+    """Names of the inputs that a caller gives."""
+    known = spec.inputs() | ({} if task is None else task.inputs(spec.robot.n))
+    return frozenset(known.keys() - spec.computed().keys())
 
 
 @dataclass(frozen=True)
