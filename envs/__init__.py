@@ -1,28 +1,14 @@
-"""Scenes and gymnasium environments of torchdq; imported as `torchdq.envs`, never as `envs`."""
+"""Gymnasium environments of torchdq; imported as `torchdq.envs`, never as `envs`."""
 
 from gymnasium import register
 
-from torchdq import effects
 from torchdq.envs.env import RobotEnv
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Absolute
 from torchdq.envs.torch_task import TorchTask
 from torchdq.envs.vector_env import RobotVectorEnv
-from torchdq.scene import Scene, State, controllers, integrators, policies
 
-__all__ = [
-    "Absolute",
-    "Pushes",
-    "RobotEnv",
-    "RobotVectorEnv",
-    "Scene",
-    "State",
-    "TorchTask",
-    "controllers",
-    "effects",
-    "integrators",
-    "policies",
-]
+__all__ = ["Absolute", "Pushes", "RobotEnv", "RobotVectorEnv", "TorchTask"]
 
 for _task, _steps in {"Reach": 250, "Track": 250, "Walk": 1000, "Wipe": 250}.items():
     register(

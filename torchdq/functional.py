@@ -27,7 +27,6 @@ from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 
 __all__ = [
-    "ClosedForm",
     "closed_form",
     "computed_torque",
     "dynamics_jacobian",

@@ -17,7 +17,7 @@ from torchdq.backends.call import arranged, common_batch, recorded, row_of
 from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.loop_call import loop_of
 from torchdq.backends.torch import InterpretedLoop
-from torchdq.base.checks import require_choice, require_count, require_number, require_tensor
+from torchdq.base.checks import require_choice, require_count, require_number, require_tensor, tensor_in
 from torchdq.errors import ArgumentError
 from torchdq.functions import inverse_kinematics as formulas
 from torchdq.functions.call import function_of, gain, with_tensors
@@ -30,7 +30,7 @@ from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import constants
 
-__all__ = ["InverseKinematics", "differential_inverse_kinematics", "inverse_kinematics"]
+__all__ = ["differential_inverse_kinematics", "inverse_kinematics"]
 
 TOLERANCES = {torch.float32: 1e-5, torch.float64: 1e-8}
 LANES, STEPS = 2048, 8  # rows of a processor's core that take some steps together, before others take their places
@@ -93,6 +93,7 @@ def inverse_kinematics(
     """
     chosen = (frame or require_robot(robot).end_effector().name, expressed, axes_of(axes))
     names = options_of(robot, "inverse_kinematics_step", chosen)
+    X = tensor_in(X)
     given = {"X": (X, 8), **({} if start is None else {"start": (start, robot.n)})}
     common_batch([(name, x, (width,), False) for name, (x, width) in given.items()], f" for robot {robot.name!r}")
     require_count("starts", starts)

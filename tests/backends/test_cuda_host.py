@@ -10,11 +10,12 @@ from oracles import EPS, states
 from programs import FUNCTIONS, KINDS, MIXED, PANDA, TREE, TWO, agree, condition, mixed, on, same
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import cuda_source
 from torchdq.backends.compiler import compiler
 from torchdq.backends.precision import run
 from torchdq.backends.torch import EAGER
-from torchdq.envs import Pushes, RobotVectorEnv, Scene, effects
+from torchdq.envs import Pushes, RobotVectorEnv
 from torchdq.numbers.ops import OPS
 from torchdq.numbers.ops import apply as applied
 from torchdq.program.program import LARGEST_GROWTH, Argument, record

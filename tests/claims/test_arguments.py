@@ -17,8 +17,7 @@ from helpers import all_in_one, thinned
 from messages import refused
 
 import torchdq
-from torchdq import ArgumentError, DtypeError, TorchdqError
-from torchdq.envs import Scene, effects
+from torchdq import ArgumentError, DtypeError, Scene, TorchdqError, effects
 from torchdq.learning import Samples, fit, identify
 
 F64 = torch.float64

@@ -105,8 +105,8 @@ def test_what_is_no_gain_is_refused_by_name_everywhere(gain, bad):
     for made in (
         lambda: torchdq.ComputedTorque(robot, **gains),
         lambda: torchdq.computed_torque(robot, *torch.zeros(5, 2, dtype=F64), **gains),
-        lambda: torchdq.envs.Scene(robot, controller=controllers.ComputedTorque(**gains)),
-        lambda: torchdq.envs.Scene(robot, controller=controllers.PD(**gains)),
+        lambda: torchdq.Scene(robot, controller=controllers.ComputedTorque(**gains)),
+        lambda: torchdq.Scene(robot, controller=controllers.PD(**gains)),
     ):
         with refused((torchdq.ArgumentError, torchdq.DtypeError), gain=gain):
             made()

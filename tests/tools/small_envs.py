@@ -6,7 +6,8 @@ import torch
 from torch.distributions import LogNormal
 
 import torchdq
-from torchdq.envs import Pushes, RobotVectorEnv, effects
+from torchdq import effects
+from torchdq.envs import Pushes, RobotVectorEnv
 from torchdq.envs.walk import Walk
 
 ROBOT = torchdq.robots.load("two_link")

@@ -22,7 +22,7 @@ from torchdq.backends.choice import BackendName, choose, choose_for_graph, prese
 from torchdq.backends.precision import Guarded, run, unguarded
 from torchdq.backends.torch import EAGER
 from torchdq.base.caches import LAYOUTS, Bounded
-from torchdq.base.checks import DTYPES, is_dense, require_tensor
+from torchdq.base.checks import DTYPES, TensorValue, is_dense, require_tensor, tensor_in
 from torchdq.errors import ArgumentError, DtypeError, TorchdqError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.program import Argument, Program
@@ -129,6 +129,8 @@ def evaluate(
         rows = [row_of(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
         found = run(layout.program, rows, layout.backend)
     except (AttributeError, RuntimeError):  # no check before, which would cost every call
+        if any([isinstance(x, TensorValue) for x in tensors.values()]):
+            return evaluate(what, {name: tensor_in(x) for name, x in tensors.items()}, backend, double, out)
         batch_of(what, tensors)  # raises, naming an argument that is not a dense tensor
         raise
     narrow = given[0].dtype
@@ -310,6 +312,7 @@ def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, do
     At every call of its graph, torch.compile checks all objects that were read while it was traced, so all parts
     that do not depend on sizes are read in `_known`.
     """
+    tensors = {name: tensor_in(x) for name, x in tensors.items()}
     given = [x for x in tensors.values() if x is not None]
     if not all([isinstance(x, Tensor) for x in given]):
         batch_of(what, tensors)  # raises

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchdq.backends.call import Tensors, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import names_of, require_tensor
+from torchdq.base.checks import names_of, require_tensor, tensor_in
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
@@ -177,7 +177,7 @@ class Law(Parametric):
             raise ArgumentError(
                 f"goal of {self.named()} must be at most {', '.join(known)}, in this order, found {len(goal)}"
             )
-        return {**dict.fromkeys(known), **dict(zip(known, goal, strict=False))}
+        return {**dict.fromkeys(known), **dict(zip(known, map(tensor_in, goal), strict=False))}
 
     def written(self, tensors: tuple[str, ...]) -> tuple[Any, ...]:
         """Class and fields of the law with `TENSOR` for some parameters, as plain values that graphs may keep."""

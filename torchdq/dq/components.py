@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import floating
+from torchdq.base.checks import floating, tensor_in
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 
@@ -20,14 +20,9 @@ def require_square(name: str, x: Tensor, size: int) -> None:
         raise ArgumentError(f"{name} must have the shape [..., {size}, {size}], found {tuple(x.shape)}")
 
 
-def require_matrix(name: str, x: Tensor) -> None:
-    """Raise unless x is a matrix of dual quaternions [..., rows, columns, 8]."""
-    if checked(name, x, 8).ndim < 3:
-        raise ArgumentError(f"{name} must be a matrix [..., rows, columns, 8], found shape {tuple(x.shape)}")
-
-
 def checked(name: str, x: Tensor, *sizes: int) -> Tensor:
-    """Floating tensor x; raises unless its last axis has one of these sizes."""
+    """Floating tensor x, or that of a pose; raises unless its last axis has one of these sizes."""
+    x = tensor_in(x)
     # in a graph of unknown sizes this one becomes a number
     if floating(name, x).ndim == 0 or index(x.shape[-1]) not in sizes:
         expected = " or ".join(str(s) for s in sizes)
@@ -97,18 +92,9 @@ def split_rows(name: str, x: Tensor, size: int) -> tuple[tuple, ...]:
 
 
 def stack(components) -> Tensor:
-    """Tensor [..., k] of k components, or [..., 2 k] of a pair; Python numbers become constants.
-
-    Args:
-        components: tensors that broadcast and numbers, one tensor at least; or a pair of such rows.
-
-    >>> stack((torch.zeros(5), 1.0, 2.0)).shape
-    torch.Size([5, 3])
-    """
-    flat = [*components[0], *components[1]] if components and isinstance(components[0], tuple) else list(components)
-    like = next((c for c in flat if isinstance(c, Tensor)), None)
-    if like is None:
-        raise ArgumentError(f"components must hold one tensor at least, found {components!r}; use torch.tensor")
+    """Tensor [..., k] of k components that broadcast, or [..., 2 k] of a pair of rows; numbers become constants."""
+    flat = [*components[0], *components[1]] if isinstance(components[0], tuple) else list(components)
+    like = next(c for c in flat if isinstance(c, Tensor))
     flat = [c if isinstance(c, Tensor) else torch.full_like(like, c) for c in flat]
     return torch.stack(torch.broadcast_tensors(*flat), -1)
 
