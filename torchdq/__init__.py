@@ -69,7 +69,6 @@ Simulation and learning:
 Errors derive from TorchdqError and from the built-in error that a caller would expect.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 from torchdq import convert, dq, effects, floating, nn
@@ -206,16 +205,28 @@ _ELSEWHERE = {
 }
 
 
-_MODULES = ("envs", "learning", "scene")  # imported on first use
-_NAMES = {"Scene": "scene", "recommend_settings": "recommend"}  # of such modules
-
-
 def __getattr__(name: str) -> object:
     """Name or module that is imported on first use; an unknown name raises with the closest known ones."""
-    if name in _MODULES:
-        return import_module(f"torchdq.{name}")
-    if name in _NAMES:
-        return getattr(import_module(f"torchdq.{_NAMES[name]}"), name)
+    if name == "Scene":
+        from torchdq.scene import Scene
+
+        return Scene
+    if name == "recommend_settings":
+        from torchdq.recommend import recommend_settings
+
+        return recommend_settings
+    if name == "envs":
+        import torchdq.envs as envs
+
+        return envs
+    if name == "learning":
+        import torchdq.learning as learning
+
+        return learning
+    if name == "scene":
+        import torchdq.scene as scene
+
+        return scene
     raise _no_attribute("module 'torchdq'", name, __all__, _ELSEWHERE, "help(torchdq)")
 
 

@@ -39,7 +39,7 @@ PUBLIC = set(re.findall(r"`(torchdq[\w.]*)`", (ROOT / "CHANGELOG.md").read_text(
 # modules whose `__all__` others export: they are no doors
 INNER = {"torchdq.control", "torchdq.functional", "torchdq.pose_solver", "torchdq.recommend", "torchdq.task_space"}
 INNER |= {"torchdq.layers.residual", "torchdq.robot.shipped", "torchdq.robot.shipped.go2"}
-MOST = 220  # distinct public names
+MOST = 224  # distinct public names
 
 
 def with_names():
@@ -142,7 +142,14 @@ def test_every_argument_is_documented_with_its_unit_or_by_the_function_that_has_
 
 # about the inside of the package, for who extends it or reads the paper
 INSIDE = {"contributing.md", "paper.md", "10_paper_figures.py", "27_mppi.py"}
-GAPS = {"Family", "GAP", "default_effects", "nominal_robot"}  # examples use them, and no face has them yet
+GAPS = {
+    "Family",
+    "GAP",
+    "default_effects",
+    "nominal_robot",
+    "go2",
+    "urdf",
+}  # examples use them, and no face has them yet
 CODE = re.compile(r"^```(?:python|pycon)[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 

@@ -1,4 +1,4 @@
-"""`Pose` satisfies the axioms of a group with an exponential map, agrees with Pinocchio, and is taken where poses are."""
+"""`Pose` satisfies the axioms of a group with an exponential map, agrees with Pinocchio, and is taken as a tensor."""
 
 import math
 
@@ -146,9 +146,11 @@ def test_functions_take_a_pose_as_its_tensor():
         lambda X, _: torchdq.dq.translation(X) + torchdq.dq.mul(X, X)[..., :3],
         lambda _, X: floating.potential_energy(go2, X, stand),
         lambda _, X: torchdq.Scene(go2).start(stand, X_WB=X).X_WB,
-        lambda _, X: vmap(lambda x: floating.mass_matrix(go2, x, stand)[0])(Pose(X.parameters[None]))
-        if isinstance(X, Pose)
-        else floating.mass_matrix(go2, X, stand)[0][None],
+        lambda _, X: (
+            vmap(lambda x: floating.mass_matrix(go2, x, stand)[0])(Pose(X.parameters[None]))
+            if isinstance(X, Pose)
+            else floating.mass_matrix(go2, X, stand)[0][None]
+        ),
     ]
     with torchdq.backend("eager"):
         for k, call in enumerate(calls):
