@@ -149,7 +149,7 @@ GAPS = {
     "nominal_robot",
     "go2",
     "urdf",
-}  # examples use them, and no face has them yet
+}  # of examples, on no face yet
 CODE = re.compile(r"^```(?:python|pycon)[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 

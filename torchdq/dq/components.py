@@ -80,25 +80,9 @@ def form(x: Sequence[Any]) -> tuple:
     return tuple(x) if half is None else (tuple(x[:half]), tuple(x[half:]))
 
 
-def split(name: str, x: Tensor, *sizes: int) -> tuple:
-    """Components of x in the form of the algebra."""
-    return form(checked(name, x, *sizes).unbind(-1))
-
-
-def split_rows(name: str, x: Tensor, size: int) -> tuple[tuple, ...]:
-    """Rows of a matrix [..., size, size], each as its components in the form of the algebra."""
-    require_square(name, x, size)
-    return tuple(split(name, row, size) for row in x.unbind(-2))
-
-
 def stack(components) -> Tensor:
     """Tensor [..., k] of k components that broadcast, or [..., 2 k] of a pair of rows; numbers become constants."""
     flat = [*components[0], *components[1]] if isinstance(components[0], tuple) else list(components)
     like = next(c for c in flat if isinstance(c, Tensor))
     flat = [c if isinstance(c, Tensor) else torch.full_like(like, c) for c in flat]
     return torch.stack(torch.broadcast_tensors(*flat), -1)
-
-
-def stack_rows(rows) -> Tensor:
-    """Tensor [..., rows, k] of equally long rows of components."""
-    return torch.stack(torch.broadcast_tensors(*[stack(row) for row in rows]), -2)

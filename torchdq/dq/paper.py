@@ -22,10 +22,10 @@ from torch import Tensor
 from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Inertia, six
-from torchdq.dq.components import checked, split, split_rows, stack, stack_rows
+from torchdq.dq.components import checked, form, require_square, stack
 from torchdq.dq.formulas import computed
 from torchdq.dq.poses import log_shortest
-from torchdq.dq.tensors import block_lower, moderate
+from torchdq.dq.tensors import ad_matrix, block_lower, moderate
 
 
 def on_tensors(formula: Callable[..., Any], *sizes: int, shape: tuple[int, ...] | None = None) -> Callable[..., Tensor]:
@@ -61,7 +61,7 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 def norm(x: Tensor) -> Tensor:
     """Norm [...] of a quaternion [..., 4], or the dual number [..., 2] (|P|, P.D/|P|) of a dual quaternion [..., 8]."""
     size, x = moderate(x)
-    parts = split("x", x, 4, 8)
+    parts = form(x.unbind(-1))
     if x.shape[-1] == 4:
         return size * quaternion.norm2(parts).sqrt()
     p2, pd2 = dual_quaternion.norm2(parts)
@@ -95,8 +95,8 @@ def _dual_right(x: DualQuaternion) -> tuple[tuple, ...]:
 
 def columns(x: Tensor) -> tuple[Tensor, Tensor]:
     """Matrices A_P = R_AB and A_D = [p] R_AB [..., 3, 3] of the adjoint of a pose x = X_AB [..., 8] (34), (35)."""
-    a_p, a_d = screw.columns(split("x", x, 8))
-    return stack_rows(a_p).mT, stack_rows(a_d).mT
+    adjoint = ad_matrix(x)
+    return adjoint[..., :3, :3], adjoint[..., 3:, :3]
 
 
 def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | None = None) -> Tensor:
@@ -108,10 +108,11 @@ def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | No
         a: twist, or spatial acceleration, shape [..., 6], in the body frame.
         com: centre of mass in the body frame [m], shape [..., 3]; None: the origin.
     """
-    parts, rows = split("a", a, 6), split_rows("inertia", inertia, 3)
+    require_square("inertia", inertia, 3)
+    parts, rows = form(checked("a", a, 6).unbind(-1)), tuple([row.unbind(-1) for row in inertia.unbind(-2)])
     if com is None:
         return stack(Inertia(mass, None, rows).momentum(parts))
-    return stack(Inertia.from_com(mass, split("com", com, 3), six(rows)).momentum(parts))
+    return stack(Inertia.from_com(mass, checked("com", com, 3).unbind(-1), six(rows)).momentum(parts))
 
 
 class ScrewParameters(NamedTuple):

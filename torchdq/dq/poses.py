@@ -16,8 +16,6 @@ from torchdq.dq.components import (
     require_last_row,
     require_rotation,
     require_square,
-    split_rows,
-    stack_rows,
     unit,
 )
 from torchdq.dq.formulas import computed
@@ -209,7 +207,8 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
     """
     require_square("matrix", matrix, 3)
     require_rotation("matrix", matrix)
-    candidates = stack_rows(quaternion.from_rotation_rows(split_rows("matrix", matrix, 3)))
+    rows = quaternion.from_rotation_rows(tuple([row.unbind(-1) for row in matrix.unbind(-2)]))
+    candidates = torch.stack([torch.stack(row, -1) for row in rows], -2)
     squares = candidates.diagonal(dim1=-2, dim2=-1)
     largest = squares.argmax(-1, keepdim=True)
     q = candidates.gather(-2, largest.unsqueeze(-1).expand(*largest.shape, 4)).squeeze(-2)
