@@ -1,4 +1,4 @@
-"""A tip that follows a circle at 0.3 m/s, through a singular posture of the wrist, with a kilohertz controller.
+"""A tip that follows a circle at 0.3 m/s, through a singular configuration of the wrist, with a kilohertz controller.
 
     python examples/28_circle.py
 

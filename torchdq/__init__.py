@@ -34,7 +34,7 @@ Functions of a robot, batched and differentiable to any order:
     external_wrenches       wrenches on the links, of wrenches at frames
     computed_torque         torques of a tracking controller
     frame_motion            pose, twist and acceleration of a frame
-    operational_space       dynamics of a frame; manipulability says how near it is to a singular posture
+    operational_space       dynamics of a frame; manipulability says how near it is to a singular configuration
     operational_space_control, cartesian_impedance      torques that move a frame, or hold it by a spring
     inverse_kinematics      joint positions of a pose, within limits
     differential_inverse_kinematics     joint velocities of a twist

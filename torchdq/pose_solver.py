@@ -195,7 +195,7 @@ def differential_inverse_kinematics(
     """Joint velocities qd [..., n] of the smallest norm with J qd = scale V_des, and the largest scale [...] up to 1.
 
     The direction of the twist is kept. Joints that stand at a limit are held, and the others take over. The scale is
-    zero where the joints cannot give the twist, as in a singular posture.
+    zero where the joints cannot give the twist, as in a singular configuration.
 
     Args:
         robot, q: the robot and its joint positions [rad or m], shape [..., n].

@@ -82,7 +82,7 @@ class OperationalSpaceTerms(NamedTuple):
     J: Tensor  # Jacobian, [..., m, n]
     Jdot_qd: Tensor  # acceleration of the velocities, [..., m]
     Jbar: Tensor  # dynamically consistent inverse M^-1 J^T Lambda of J, [..., n, m]
-    growth: Tensor  # factor by which rounding errors grow, large near singular postures, [...]
+    growth: Tensor  # factor by which rounding errors grow, large near singular configurations, [...]
 
     @property
     def N(self) -> Tensor:

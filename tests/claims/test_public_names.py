@@ -70,6 +70,15 @@ def test_modules_are_reached_after_importing_the_package_and_one_door_leads_to_e
     assert [x for x in doors.values() if len(x) > 1] == []
 
 
+def test_a_name_means_one_thing_but_for_laws_and_their_layers_and_functions_of_both_bases():
+    meanings = {}
+    for module in PUBLIC - {"torchdq.floating"}:
+        for name in opened(module).__all__:
+            meanings.setdefault(name, set()).add(id(getattr(opened(module), name)))
+    laws = {"CartesianImpedance", "ComputedTorque", "OperationalSpaceControl"}
+    assert {name for name, of in meanings.items() if len(of) > 1} == laws
+
+
 def opened(module):
     """Module of a dotted path below the package."""
     try:
