@@ -16,7 +16,7 @@ import torch
 from helpers import all_in_one, thinned
 from mpmath import mpf
 from torch.autograd import gradcheck, gradgradcheck
-from torch.autograd.functional import hessian, jacobian
+from torch.autograd.functional import jacobian
 
 import torchdq
 from torchdq import dq
@@ -177,14 +177,6 @@ def test_log_is_within_8_ulp_and_loses_only_what_its_condition_takes(dtype, tiny
         margin(ulps(found, reference), conditioned(angle), f"line at {angle:g}")
 
 
-@pytest.mark.case("G2", "G3", "G5", "G6")
-@ACCURACY
-def test_log_of_exp_returns_the_screw_to_its_condition(dtype, tiny, margin):
-    for angle in tiny + UP_TO_PI + UP_TO_FULL:
-        a = halves(angle, dtype)
-        margin(ulps(dq.log(dq.exp(a)), [exact(row) for row in a]), conditioned(angle), f"at {angle:g}")
-
-
 @pytest.mark.case("G7")
 @all_in_one(BEYOND)
 def test_log_of_a_longer_turn_is_a_logarithm_within_a_full_turn(angle):
@@ -247,14 +239,6 @@ def test_log_and_log_of_exp_have_their_derivatives(angle):
         assert gradcheck(f, x, eps=1e-7, atol=1e-6, rtol=1e-5)
         assert gradgradcheck(f, x, atol=1e-5, rtol=1e-4, fast_mode=True)
     torch.testing.assert_close(jacobian(round_trip, a), torch.eye(6, dtype=F64), rtol=0, atol=1e3 * EPS[F64])
-
-
-@pytest.mark.case("G1")
-def test_the_second_derivative_of_w_at_the_identity_is_minus_one():
-    h = hessian(lambda a: dq.exp(a)[0], torch.zeros(6, dtype=F64))
-    expected = torch.zeros(6, 6, dtype=F64)
-    expected[:3, :3] = -torch.eye(3)
-    assert h.equal(expected)
 
 
 def derivatives(f, at):
@@ -337,11 +321,6 @@ def test_the_shortest_logarithm_turns_round_at_half_a_turn_where_each_sign_keeps
     torch.testing.assert_close(above, -below, rtol=0, atol=1e-8)
 
 
-def same_pose(x, y):
-    """Distance of two dual quaternions that stand for poses, whatever their signs."""
-    return torch.minimum((x - y).norm(dim=-1), (x + y).norm(dim=-1))
-
-
 def pairs():
     """Poses to interpolate between."""
     x = dq.exp(halves(1.0, F64, seed=3))
@@ -362,19 +341,6 @@ PAIRS = pairs()
 
 @pytest.mark.case("G12")
 @all_in_one(PAIRS)
-def test_sclerp_meets_both_ends_and_stays_on_unit_dual_quaternions(case, margin):
-    x, y = PAIRS[case]
-    size = x.norm(dim=-1) * y.norm(dim=-1)  # of the dual parts that cancel
-    margin((same_pose(dq.sclerp(x, y, 0.0), x) / size).max(), 8 * EPS[F64], f"start, {case}")
-    margin((same_pose(dq.sclerp(x, y, 1.0), y) / (size * x.norm(dim=-1))).max(), 8 * EPS[F64], f"end, {case}")
-    middle = dq.sclerp(x, y, 0.5)
-    length = dq.paper.norm(middle)
-    margin((length[:, 0] - 1).abs().max(), 4 * EPS[F64], f"length, {case}")
-    margin((length[:, 1].abs() / middle.norm(dim=-1) ** 2).max(), 4 * EPS[F64], f"P.D, {case}")
-
-
-@pytest.mark.case("G12")
-@all_in_one(PAIRS)
 def test_sclerp_moves_with_a_constant_twist_also_outside_the_ends(case):
     x, y = PAIRS[case]
     whole = dq.log_shortest(dq.mul(dq.conj(x), y))
@@ -383,6 +349,9 @@ def test_sclerp_moves_with_a_constant_twist_also_outside_the_ends(case):
     step = dq.mul(dq.conj(path[:, :-1]), path[:, 1:])
     expected = (t[1:] - t[:-1]).unsqueeze(-1) * whole.unsqueeze(1)  # less than half a turn each
     torch.testing.assert_close(dq.log_shortest(step), expected, rtol=0, atol=1e-13)
+    for end, expected in ((0.0, x), (1.0, y)):
+        off = dq.log_shortest(dq.mul(dq.conj(dq.sclerp(x, y, end)), expected))
+        torch.testing.assert_close(off, torch.zeros_like(off), rtol=0, atol=64 * EPS[F64])
 
 
 @pytest.mark.case("G12")

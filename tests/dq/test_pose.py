@@ -46,8 +46,7 @@ def action(xi):
 
 AXIOMS = {
     "associative": lambda x, y, z, xi, p: ((x @ y) @ z, x @ (y @ z)),
-    "identity from the left": lambda x, y, z, xi, p: (Pose.identity(dtype=F64) @ x, x),
-    "identity from the right": lambda x, y, z, xi, p: (x @ Pose.identity((20,), dtype=F64), x),
+    "identity": lambda x, y, z, xi, p: (Pose.identity(dtype=F64) @ x, x @ Pose.identity((20,), dtype=F64)),
     "inverse": lambda x, y, z, xi, p: (x @ x.inverse(), Pose.identity((20,), F64)),
     "inverse of a product": lambda x, y, z, xi, p: ((x @ y).inverse(), y.inverse() @ x.inverse()),
     "exp of log": lambda x, y, z, xi, p: (Pose.exp(x.log()), x),
