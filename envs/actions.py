@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import and_more, is_number, matching, require_choice, require_tensor
+from torchdq.base.checks import and_more, is_number, matching, require_choice, require_tensor, tensor_in
 from torchdq.control.frames import FrameLaw, OperationalSpaceControl
 from torchdq.control.joints import ComputedTorque
 from torchdq.control.law import Law
@@ -106,7 +106,7 @@ class Actions:
         """Actions [N, k] that move the desired poses [N, 8] to poses [N, 8] or [8], or towards them."""
         if self.pose is None:
             raise ArgumentError(f"pose_action needs an environment with action='pose', found {self.kind!r}")
-        goal = torch.as_tensor(poses).to(reference)
+        goal = torch.as_tensor(tensor_in(poses)).to(reference)
         if goal.shape not in ((8,), reference.shape):
             raise ArgumentError(f"X must have the shape {tuple(reference.shape)} or (8,), found {tuple(goal.shape)}")
         return computed(self.pose.towards, x=reference, goal=goal, scale=self.scale)

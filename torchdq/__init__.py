@@ -42,7 +42,7 @@ Functions of a robot, batched and differentiable to any order:
     floating                the same for robots with a floating base, and their momentum: floating.inverse_dynamics, ...
 
 Layers, with quantities that may be learned and stay physical:
-    DQRNEA                  inverse dynamics, named after the paper's algorithm; InverseDynamics is the same class
+    DQRNEA                  inverse dynamics, named after the paper's algorithm, also InverseDynamics
     ForwardDynamics         forward dynamics
     ComputedTorque          controller, of a robot or of a trained layer
     ResidualDynamics        inverse dynamics and a network for what it lacks

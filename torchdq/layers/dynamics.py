@@ -65,7 +65,7 @@ class InverseDynamics(RobotModule):
 
 
 class DQRNEA(InverseDynamics):
-    """Inverse dynamics as a layer, under the name of the paper's algorithm; the arguments of `InverseDynamics`.
+    """Inverse dynamics as a layer, with the arguments of `InverseDynamics`, named after the paper's algorithm.
 
         layer = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia", "friction"))  # learn=(): no parameters
         tau = layer(q, qd, qdd)  # joint torques [..., n], differentiable in all inputs and parameters
