@@ -30,9 +30,9 @@ from pages.contact_tables import STORED, TABLES
 from torch import Tensor
 
 import torchdq
-from torchdq import dq
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, dq, effects
 from torchdq.robot import ContactPoint, Robot
+from torchdq.scene import State
 
 F32, F64 = torch.float32, torch.float64
 G, MU, K = 9.81, 0.5, 2e4  # gravity, friction and stiffness of the accuracy tables

@@ -28,8 +28,8 @@ from pages.effect_facts import ARM, arm, tensors_of
 from pages.pictures import svg
 from torch import Tensor
 
+from torchdq import Scene
 from torchdq.effects import Effect
-from torchdq.envs import Scene
 
 BATCH = 4096
 FOLDER = effect_page.ROOT / "docs" / "effects"

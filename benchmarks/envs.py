@@ -25,8 +25,9 @@ from mujoco import rollout
 from peers import bare, urdf
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.base.timing import measure
-from torchdq.envs import RobotVectorEnv, Scene, Simulation, effects
+from torchdq.envs import RobotVectorEnv, Simulation
 from torchdq.scene import integrators
 
 BATCH, DT, STEPS = 4096, 2e-3, 5

@@ -59,7 +59,7 @@ def row(robot: torchdq.Robot, frame: str, dtype: torch.dtype, count: int) -> str
         torchdq.inverse_kinematics(robot, X[k], frame, start[k])
         single.append(time.thread_time() - begin)
     there = torchdq.forward_kinematics(robot, found.q.double(), frame)
-    off = 2 * dq.log_shortest(dq.mul(dq.conj(there), X.double()))
+    off = (dq.Pose(there).inverse() @ dq.Pose(X.double())).log()
     worst = torch.maximum(off[..., :3].norm(dim=-1), off[..., 3:].norm(dim=-1))
     limits = [bound.to(dtype) for bound in robot.limits[:2]]
     kept = ((found.q >= limits[0]) & (found.q <= limits[1])).all(-1)

@@ -24,7 +24,9 @@ import torch
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.envs import RobotVectorEnv, Scene, State, effects, policies
+from torchdq import Scene, effects
+from torchdq.envs import RobotVectorEnv
+from torchdq.scene import State, policies
 
 SCENE = Scene(torchdq.robots.load("panda"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.002)
 N, F64 = 7, torch.float64

@@ -36,7 +36,7 @@ from mujoco import sysid
 from scipy import stats
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.learning import Recording, RolloutFit, fit_rollout
 
 DT, ROUNDS = 0.002, 15

@@ -1,8 +1,7 @@
-"""Scenes and gymnasium environments of torchdq; imported as `torchdq.envs`, never as `envs`."""
+"""Gymnasium environments of torchdq; imported as `torchdq.envs`, never as `envs`."""
 
 from gymnasium import register
 
-from torchdq import effects
 from torchdq.envs.actions import Actions
 from torchdq.envs.env import RobotEnv
 from torchdq.envs.pushes import Pushes
@@ -10,23 +9,8 @@ from torchdq.envs.randomization import Absolute
 from torchdq.envs.setup import Simulation
 from torchdq.envs.torch_task import TorchTask
 from torchdq.envs.vector_env import RobotVectorEnv
-from torchdq.scene import Scene, State, controllers, integrators, policies
 
-__all__ = [
-    "Absolute",
-    "Actions",
-    "Pushes",
-    "RobotEnv",
-    "RobotVectorEnv",
-    "Scene",
-    "Simulation",
-    "State",
-    "TorchTask",
-    "controllers",
-    "effects",
-    "integrators",
-    "policies",
-]
+__all__ = ["Absolute", "Actions", "Pushes", "RobotEnv", "RobotVectorEnv", "Simulation", "TorchTask"]
 
 for _task, _steps in {"Reach": 250, "Track": 250, "Walk": 1000, "Wipe": 250}.items():
     register(

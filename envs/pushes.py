@@ -29,7 +29,8 @@ class Pushes:
         every: shortest and longest time from the start of the episode, or the end of a push, to the next one [s].
         duration: of a push [s].
 
-    >>> from torchdq.envs import RobotVectorEnv, Pushes, effects
+    >>> from torchdq import effects
+    >>> from torchdq.envs import RobotVectorEnv, Pushes
     >>> pushed = {"push": Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0), every=(0.5, 2.0))}
     >>> envs = RobotVectorEnv(64, "reach", "panda", effects=(effects.Gravity(), effects.Push()), pushes=pushed)
     """

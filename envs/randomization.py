@@ -63,7 +63,8 @@ class Absolute:
         upper: largest number, likewise.
 
     >>> import torchdq
-    >>> from torchdq.envs import Absolute, RobotVectorEnv, effects
+    >>> from torchdq import effects
+    >>> from torchdq.envs import Absolute, RobotVectorEnv
     >>> tilted = Absolute([-1.0, -1.0, -9.81], [1.0, 1.0, -9.81])
     >>> envs = RobotVectorEnv(64, "reach", "panda", randomise={"Gravity.acceleration": tilted})
     """

@@ -37,6 +37,8 @@ from torchdq.robot import Robot
 from torchdq.scene.free_base import POSE, START, TWIST
 from torchdq.scene.spec import Rows, Task, View
 
+__all__ = ["Plain", "Reach", "Track"]
+
 ROBOT = "panda"
 SPEED = 2.0  # velocity limit of a joint whose description has none [rad/s or m/s]
 FASTEST = 10.0  # bound of observed velocities, in multiples of the limit

@@ -31,7 +31,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from torchdq.base.checks import device_of, dtype_of, require_choice, require_count, require_tensor
+from torchdq.base.checks import device_of, dtype_of, require_choice, require_count, require_tensor, tensor_in
 from torchdq.dq.formulas import computed
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind
@@ -304,7 +304,7 @@ class RobotVectorEnv(VectorEnv):
         pose, reference = self._meaning.pose, self._buffers["reference"]
         if pose is None:
             raise ArgumentError(f"pose_action needs an environment with action='pose', found {self._meaning.kind!r}")
-        goal = torch.as_tensor(X).to(reference)
+        goal = torch.as_tensor(tensor_in(X)).to(reference)
         if goal.shape not in ((8,), reference.shape):
             raise ArgumentError(f"X must have the shape {tuple(reference.shape)} or (8,), found {tuple(goal.shape)}")
         return self._out(computed(pose.towards, x=reference, goal=goal, scale=self._scale))

@@ -21,6 +21,8 @@ from torchdq.robot import Robot
 from torchdq.scene.defaults import default_effects
 from torchdq.scene.spec import Rows, View
 
+__all__ = ["Wipe"]
+
 HOME = (-0.1016, 0.1599, 0.0994, -2.3987, -0.0287, 2.5576, 0.0205)  # tool of the Panda 0.25 m above its base, downwards
 AROUND = 0.05  # starts are so far from home, along x and y [m]
 ABOVE = 0.02  # and so far above the table [m]

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.scene import integrators
 
 

@@ -44,7 +44,6 @@ from scipy.stats import bootstrap
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning import Samples
 
 STEP, LAG = 2e-3, 5e-3  # [s] of the control loop, of the motors
@@ -313,11 +312,11 @@ def candidates(nominal: torchdq.Robot, data: Samples, quick: bool) -> Iterator[t
     grid = [(64, 1.0)] if quick else [(width, decay) for width in (64, 256) for decay in (0.3, 3.0)]
     yield BLACK, [Candidate(BlackBox(data, width), 3e-3, decay) for width, decay in grid]
     fixed = torchdq.DQRNEA(nominal, sign_width=WIDTH)
-    yield RESIDUAL, [Candidate(ResidualDynamics(fixed), 3e-3, decay=1.0)]
+    yield RESIDUAL, [Candidate(torchdq.ResidualDynamics(fixed), 3e-3, decay=1.0)]
     guess = nominal.replace(armature=torch.full((7,), 0.1, dtype=torch.float64))  # the URDF says nothing about rotors
     physics = torchdq.DQRNEA(guess, learn=LEARNED, sign_width=WIDTH)
     yield PHYSICS, [Candidate(physics, 2e-2, prior=1e-4)]
-    yield BOTH, [Candidate(ResidualDynamics(physics), 3e-3, decay=1.0)]  # beside the last one, as it is
+    yield BOTH, [Candidate(torchdq.ResidualDynamics(physics), 3e-3, decay=1.0)]  # beside the last one, as it is
 
 
 def learned(choices: Sequence[Candidate], train: Samples, valid: Samples, args: Args, seed: int) -> nn.Module:

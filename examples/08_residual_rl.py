@@ -47,7 +47,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.envs import Actions, RobotVectorEnv, Scene, Simulation, effects
+from torchdq import Scene, effects
+from torchdq.envs import Actions, RobotVectorEnv, Simulation
 from torchdq.envs.sb3 import StableBaselinesVecEnv
 from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.defaults import default_effects, nominal_robot

@@ -24,7 +24,7 @@ from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.learning import Identified, Model, Samples, identify
 from torchdq.scene import integrators
 from torchdq.scene.controllers import ComputedTorque

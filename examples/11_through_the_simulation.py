@@ -27,8 +27,8 @@ from processes import Team, team
 from torch import Tensor, nn
 
 import torchdq
-from torchdq import dq
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, dq, effects
+from torchdq.scene import State
 
 ROBOT = torchdq.robots.load("panda")
 HOME = (0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.8)  # posture in the middle of the starts [rad]

@@ -17,8 +17,7 @@ from pictures import BLUE, GREY, ORANGE, prepare, save
 from reactions import followed, smooth, torques
 
 import torchdq
-from torchdq import dq, floating
-from torchdq.envs import Scene
+from torchdq import Scene, dq, floating
 from torchdq.scene import integrators
 
 

@@ -19,8 +19,7 @@ from pictures import BLUE, ORANGE, prepare, save
 from reactions import followed, smooth, torques
 
 import torchdq
-from torchdq import dq, floating
-from torchdq.envs import Scene, effects
+from torchdq import Scene, dq, effects, floating
 from torchdq.scene import integrators
 
 

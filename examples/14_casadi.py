@@ -24,7 +24,7 @@ import torch
 import tyro
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.scene import integrators
 
 START, GOAL = [-math.pi / 2, 0.0], [math.pi / 2, 0.0]  # hanging down, standing up [rad]

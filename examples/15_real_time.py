@@ -28,7 +28,7 @@ from pictures import BLUE, GREY, ORANGE, prepare, save
 from torch import Tensor
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.learning import Model, Samples, identify
 from torchdq.nn import ComputedTorque
 

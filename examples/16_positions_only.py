@@ -18,7 +18,7 @@ from pictures import BLUE, ORANGE, panels, prepare, save
 from torch import Tensor
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.learning import Recording, RolloutFit, fit_rollout
 from torchdq.scene import integrators
 

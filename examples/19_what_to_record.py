@@ -22,8 +22,7 @@ from rich.console import Console
 from torch import Tensor
 
 import torchdq
-from torchdq import effects
-from torchdq.envs import Scene
+from torchdq import Scene, effects
 from torchdq.learning import (
     Excitation,
     HalfSpace,

@@ -21,8 +21,8 @@ from torch import Tensor
 
 import torchdq
 from torchdq import Scene, dq, effects, floating
-from torchdq.envs import State
 from torchdq.envs.render import Painter
+from torchdq.scene import State
 
 STEPS = {1e-3: GREY, 5e-3: BLUE, 1e-2: ORANGE}  # of different durations [s], and their colours
 SLOPE = math.radians(10.0)

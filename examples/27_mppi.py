@@ -17,8 +17,7 @@ import torch
 import tyro
 
 import torchdq
-from torchdq import dq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, dq, effects
 from torchdq.envs.tasks import tip
 
 ROBOT = torchdq.robots.load("panda")

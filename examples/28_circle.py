@@ -1,4 +1,4 @@
-"""A tip that follows a circle at 0.3 m/s, through a singular posture of the wrist, with a kilohertz controller.
+"""A tip that follows a circle at 0.3 m/s, through a singular configuration of the wrist, with a kilohertz controller.
 
     python examples/28_circle.py
 
@@ -51,7 +51,7 @@ def circle(robot: Robot, middle: Tensor, t: Tensor) -> Tensor:
 def posture(robot: Robot, X: Tensor, q: Tensor) -> Tensor:
     """Posture with the tip at X, by Newton's method from another one."""
     for _ in range(30):
-        e = 2 * dq.log_shortest(dq.mul(dq.conj(torchdq.forward_kinematics(robot, q, robot.tip)), X))
+        e = (dq.Pose(torchdq.forward_kinematics(robot, q, robot.tip)).inverse() @ dq.Pose(X)).log()
         q = q + torch.linalg.lstsq(torchdq.jacobian(robot, q, robot.tip), e).solution
     return q
 
@@ -73,7 +73,7 @@ def followed(name: str, seconds: float) -> dict[str, Tensor]:
     return {
         "time": t,
         "position": (dq.translation(X) - dq.translation(goal)).norm(dim=-1),
-        "rotation": 2 * dq.log_shortest(dq.mul(dq.conj(X), goal))[:, :3].norm(dim=-1),
+        "rotation": (dq.Pose(X).inverse() @ dq.Pose(goal)).log()[:, :3].norm(dim=-1),
         "manipulability": torchdq.manipulability(robot, path.q),
         "torque": tau,
     }

@@ -62,7 +62,7 @@ def main(args: Args) -> tuple[Tensor, Tensor]:
     path = Scene(ARM, controller=control, dt=DT).rollout(Scene(ARM).start(HOME), reference=reference)
     reached = dq.mul(BASES, torchdq.forward_kinematics(ARM, path.q, ARM.tip))
     pairs = zip(relative_and_absolute(reached), relative_and_absolute(wanted), strict=True)
-    errors = [2 * dq.log_shortest(dq.mul(dq.conj(found), goal)) for found, goal in pairs]
+    errors = [(dq.Pose(found).inverse() @ dq.Pose(goal)).log() for found, goal in pairs]
     figure, axes = plt.subplots(1, 2, figsize=(11, 6), layout="constrained")
     p = dq.translation(reached)
     for k, name in enumerate(("left", "right")):

@@ -5,7 +5,7 @@ from torch import Tensor
 
 import torchdq
 from torchdq import floating
-from torchdq.envs import State
+from torchdq.scene import State
 
 
 def torques(robot: torchdq.Robot, state: State, qdd: Tensor) -> Tensor:

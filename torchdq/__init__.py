@@ -1,4 +1,10 @@
-"""torchdq: rigid-body dynamics for robot learning as PyTorch layers, written in dual quaternions.
+"""Rigid-body dynamics for robot learning as PyTorch layers, compiled per robot and written in dual quaternions.
+
+Load a robot, and call functions and layers with it on batches of tensors:
+
+    robot = torchdq.Robot.from_urdf("arm.urdf")  # or torchdq.robots.load("panda")
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd)  # [..., n]
+    layer = torchdq.DQRNEA(robot, learn=("mass", "friction"))  # a torch.nn.Module with the same arguments
 
 Conventions, everywhere:
 
@@ -28,7 +34,7 @@ Functions of a robot, batched and differentiable to any order:
     external_wrenches       wrenches on the links, of wrenches at frames
     computed_torque         torques of a tracking controller
     frame_motion            pose, twist and acceleration of a frame
-    operational_space       dynamics of a frame; manipulability says how near it is to a singular posture
+    operational_space       dynamics of a frame; manipulability says how near it is to a singular configuration
     operational_space_control, cartesian_impedance      torques that move a frame, or hold it by a spring
     inverse_kinematics      joint positions of a pose, within limits
     differential_inverse_kinematics     joint velocities of a twist
@@ -36,11 +42,11 @@ Functions of a robot, batched and differentiable to any order:
     floating                the same for robots with a floating base, and their momentum: floating.inverse_dynamics, ...
 
 Layers, with quantities that may be learned and stay physical:
-    InverseDynamics         inverse dynamics, also under the name of the paper's algorithm, DQRNEA
+    DQRNEA                  inverse dynamics, named after the paper's algorithm, also InverseDynamics
     ForwardDynamics         forward dynamics
-    nn                      these, and both for robots with a floating base
-    ResidualDynamics        inverse dynamics and a network for what it lacks
     ComputedTorque          controller, of a robot or of a trained layer
+    ResidualDynamics        inverse dynamics and a network for what it lacks
+    nn                      these, those of a floating base, task-space controllers and the momentum observer
 
 Programs:
     compile                 one function of one robot: operation counts, source in C, derivatives
@@ -49,12 +55,14 @@ Programs:
     recommend_settings      cheapest precision, integrator and step that keep an error
 
 Tensors, other libraries, checks:
-    dq                      quaternions, dual quaternions and screws on tensors
+    dq                      dq.Pose, and functions of poses, quaternions and screws [..., 8], [..., 4], [..., 6]
     convert                 conventions of Pinocchio, SciPy, Isaac and others
     require_finite          error for NaN and infinity
 
-Simulation, imported on first use:
-    Scene                   a robot with the effects, the integrator and the step that its simulation asks for
+Simulation and learning:
+    Scene                   a robot with the effects, the integrator and the step size of its simulation
+    effects                 gravity, friction, motors, sensors, contact and others
+    scene                   scene.integrators, scene.controllers, scene.policies, scene.State
     envs                    gymnasium environments
     learning                logs, identification, training of residuals
 
@@ -63,7 +71,7 @@ Errors derive from TorchdqError and from the built-in error that a caller would 
 
 from typing import TYPE_CHECKING
 
-from torchdq import convert, dq, floating
+from torchdq import convert, dq, effects, floating, nn
 from torchdq.backends.choice import backend
 from torchdq.base.caches import clear_caches
 from torchdq.errors import (
@@ -111,9 +119,9 @@ from torchdq.task_space import (
 )
 
 if TYPE_CHECKING:
-    from torchdq import envs, learning
-    from torchdq.recommend.recommend import recommend_settings
-    from torchdq.scene.scene import Scene
+    from torchdq import envs, learning, scene
+    from torchdq.recommend import recommend_settings
+    from torchdq.scene import Scene
 
 __all__ = [
     "DQRNEA",
@@ -145,6 +153,7 @@ __all__ = [
     "differential_inverse_kinematics",
     "dq",
     "dynamics_jacobian",
+    "effects",
     "envs",
     "error_growth",
     "external_wrenches",
@@ -159,6 +168,7 @@ __all__ = [
     "learning",
     "manipulability",
     "mass_matrix",
+    "nn",
     "operational_space",
     "operational_space_control",
     "potential_energy",
@@ -166,6 +176,7 @@ __all__ = [
     "regressor",
     "require_finite",
     "robots",
+    "scene",
 ]
 
 __version__ = "0.1.0"
@@ -195,7 +206,15 @@ _ELSEWHERE = {
 
 
 def __getattr__(name: str) -> object:
-    """Subpackages and names that are imported on first use; an unknown name raises with the closest known ones."""
+    """Name or module that is imported on first use; an unknown name raises with the closest known ones."""
+    if name == "Scene":
+        from torchdq.scene import Scene
+
+        return Scene
+    if name == "recommend_settings":
+        from torchdq.recommend import recommend_settings
+
+        return recommend_settings
     if name == "envs":
         import torchdq.envs as envs
 
@@ -204,14 +223,10 @@ def __getattr__(name: str) -> object:
         import torchdq.learning as learning
 
         return learning
-    if name == "Scene":
-        from torchdq.scene.scene import Scene
+    if name == "scene":
+        import torchdq.scene as scene
 
-        return Scene
-    if name == "recommend_settings":
-        from torchdq.recommend.recommend import recommend_settings
-
-        return recommend_settings
+        return scene
     raise _no_attribute("module 'torchdq'", name, __all__, _ELSEWHERE, "help(torchdq)")
 
 

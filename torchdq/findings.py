@@ -6,6 +6,8 @@ import json
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
+__all__ = ["Finding"]
+
 Severity = Literal["ok", "note", "warning", "error"]
 
 

@@ -23,12 +23,6 @@ from torchdq.functions.call import Precision, function_of, of_one_frame, on_link
 from torchdq.robot import Robot
 
 __all__ = [
-    "Accelerations",
-    "ExternalWrenches",
-    "Forces",
-    "FreeClosedForm",
-    "MassMatrix",
-    "Momentum",
     "centre_of_mass",
     "closed_form",
     "coriolis_matrix",

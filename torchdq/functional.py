@@ -25,7 +25,6 @@ from torchdq.functions.call import Precision, function_of, of_one_frame, on_link
 from torchdq.robot import Robot
 
 __all__ = [
-    "ClosedForm",
     "closed_form",
     "computed_torque",
     "dynamics_jacobian",

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchdq.backends.call import common_batch
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import POSITIVE, require_choice, require_count, require_number, require_tensor
+from torchdq.base.checks import POSITIVE, require_choice, require_count, require_number, require_tensor, tensor_in
 from torchdq.errors import ArgumentError
 from torchdq.functions import inverse_kinematics as formulas
 from torchdq.functions.call import function_of, gain, with_options, with_tensors
@@ -25,7 +25,7 @@ from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import constants
 
-__all__ = ["InverseKinematics", "differential_inverse_kinematics", "inverse_kinematics"]
+__all__ = ["differential_inverse_kinematics", "inverse_kinematics"]
 
 TOLERANCES = {torch.float32: 1e-5, torch.float64: 1e-8}
 FAR = 1e3  # [m] distance beyond which the direction of a goal decides, and its square does not overflow
@@ -85,6 +85,7 @@ def inverse_kinematics(
     (True, True)
     """
     names = options_of(require_robot(robot), "inverse_kinematics_step", (frame, expressed, axes))
+    X = tensor_in(X)
     given = {"X": (X, 8), **({} if start is None else {"start": (start, robot.n)})}
     common_batch([(name, x, (width,), False) for name, (x, width) in given.items()], f" for robot {robot.name!r}")
     require_count("starts", starts)
@@ -132,7 +133,7 @@ def differential_inverse_kinematics(
     """Joint velocities qd [..., n] of the smallest norm with J qd = scale V_des, and the largest scale [...] up to 1.
 
     The direction of the twist is kept. Joints that stand at a limit are held, and the others take over. The scale is
-    zero where the joints cannot give the twist, as in a singular posture.
+    zero where the joints cannot give the twist, as in a singular configuration.
 
     Args:
         robot, q: the robot and its joint positions [rad or m], shape [..., n].

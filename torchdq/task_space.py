@@ -3,7 +3,7 @@
 The twist of a frame F is (angular, linear), of its origin: in the axes of F for `expressed="body"`, in those of the
 base for "world". `axes` are its components: "pose", all six; "orientation", the first three; "position", the last
 three; or names among rx ry rz x y z, in the order in which rows are wanted. A force on them is in the same order:
-(moment, force), where a wrench is (force, moment) and `torchdq.dq.swap` turns one into the other.
+(moment, force), where a wrench is (force, moment): `f.roll(3, -1)` turns one into the other.
 
 Everything else is as in `torchdq.functional`. The base is fixed.
 """
@@ -21,8 +21,6 @@ from torchdq.functions.options import axes_of
 from torchdq.robot import Robot
 
 __all__ = [
-    "FrameMotion",
-    "OperationalSpace",
     "cartesian_impedance",
     "coriolis_matrix",
     "frame_motion",
@@ -73,7 +71,7 @@ def frame_motion(
     return FrameMotion(*with_options("frame_motion", robot, {"q": q, "qd": qd, "qdd": qdd}, backend, frame, expressed))
 
 
-class OperationalSpace(NamedTuple):
+class OperationalSpaceTerms(NamedTuple):
     """Terms of F = Lambda a + mu + p for m components of the twist of a frame."""
 
     Lambda: Tensor  # inertia (J M^-1 J^T)^-1, [..., m, m]
@@ -82,7 +80,7 @@ class OperationalSpace(NamedTuple):
     J: Tensor  # Jacobian, [..., m, n]
     Jdot_qd: Tensor  # acceleration of the velocities, [..., m]
     Jbar: Tensor  # dynamically consistent inverse M^-1 J^T Lambda of J, [..., n, m]
-    growth: Tensor  # factor by which rounding errors grow, large near singular postures, [...]
+    growth: Tensor  # factor by which rounding errors grow, large near singular configurations, [...]
 
     @property
     def N(self) -> Tensor:
@@ -98,7 +96,7 @@ def operational_space(
     expressed: Expressed = "body",
     axes: str | Sequence[str] = "pose",
     backend: BackendName | None = None,
-) -> OperationalSpace:
+) -> OperationalSpaceTerms:
     """Dynamics of a frame: the force (moment, force) at its origin that accelerates it.
 
         F = Lambda a + mu + p,   Lambda = (J M^-1 J^T)^-1,   a = rate of the components of the twist
@@ -123,7 +121,7 @@ def operational_space(
     True
     """
     given = {"q": q, "qd": qd}
-    return OperationalSpace(*with_options("operational_space", robot, given, backend, frame, expressed, axes))
+    return OperationalSpaceTerms(*with_options("operational_space", robot, given, backend, frame, expressed, axes))
 
 
 def manipulability(
@@ -229,7 +227,8 @@ def operational_space_control(
     >>> robot, q = torchdq.robots.load("panda"), torch.tensor([0.1, 0.4, 0.0, -1.5, 0.2, 1.7, 0.3], dtype=torch.float64)
     >>> X_des = torchdq.forward_kinematics(robot, q + 0.01, robot.tip)
     >>> tau = operational_space_control(robot, q, 0 * q, X_des, kp=100.0, kd=20.0)
-    >>> e = 2 * torchdq.dq.log_shortest(torchdq.dq.mul(torchdq.dq.conj(frame_motion(robot, q, 0 * q).X), X_des))
+    >>> X = torchdq.dq.Pose(frame_motion(robot, q, 0 * q).X)
+    >>> e = (X.inverse() @ torchdq.dq.Pose(X_des)).log()
     >>> torch.allclose(frame_motion(robot, q, 0 * q, torchdq.forward_dynamics(robot, q, 0 * q, tau)).A, 100 * e)
     True
     """

@@ -8,7 +8,7 @@ import torch
 
 from accuracy.clock import clock
 from accuracy.scenes import arm7
-from torchdq.envs import Scene
+from torchdq import Scene
 from torchdq.scene import integrators
 
 SIZES = (1, 64, 4096, 65536)

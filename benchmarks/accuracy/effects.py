@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.scene import controllers, integrators
 
 

@@ -14,7 +14,8 @@ import torch
 import torchdq
 from accuracy.clock import clock
 from accuracy.methods import INTEGRATORS
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, effects
+from torchdq.scene import State
 
 DT = 1 / 256
 SHOWN = 200  # energies that are stored for the plot

@@ -38,8 +38,8 @@ def sentences(results: dict[str, Any]) -> list[str]:
     single, double, compensated = (_floors(smooth, x) for x in ("float32", "float64", "compensated"))
     gains = [single[scene] / floor for scene, floor in compensated.items() if scene in single]
     found = [
-        f"Rounding ends what shorter steps of `RungeKutta4` gain: at errors of {_span(single.values())} in float32 "
-        f"and of {_span(double.values())} in float64, on smooth motions."
+        f"With shorter steps of `RungeKutta4`, rounding errors dominate: from errors of "
+        f"{_span(single.values())} in float32 and of {_span(double.values())} in float64, on smooth motions."
     ]
     if gains:
         found.append(

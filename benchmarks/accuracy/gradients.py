@@ -20,7 +20,7 @@ from accuracy.clock import clock
 from accuracy.rows import LONG, Formulas
 from accuracy.scenes import arm7
 from accuracy.textbook import Textbook
-from torchdq.envs import Scene
+from torchdq import Scene
 from torchdq.scene import integrators
 
 STEPS, DT, SEGMENT = 50, 1 / 256, 10

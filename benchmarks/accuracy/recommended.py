@@ -7,7 +7,8 @@ from typing import Any
 import torchdq
 from accuracy import fits, table
 from accuracy.scenes import CASES, PERIODS
-from torchdq.envs import Scene, State
+from torchdq import Scene
+from torchdq.scene import State
 
 ERRORS = (1e-2, 1e-4, 1e-6, 1e-9)
 SCENES = ("pendulum", "double_pendulum", "arm7", "servo")

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.effects import Effect
-from torchdq.envs import Scene, effects
 
 PERIODS = 4  # over which the torque is held
 Forces = Callable[[Any, Any], Any]

@@ -14,7 +14,7 @@ from torchdq.effects import Effect
 START = """import torch
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 
 robot = torchdq.robots.load("two_link")
 """

@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 from pages.pictures import Curve, Picture
-from torchdq import effects
+from torchdq import Scene, effects
 from torchdq.effects import Effect
 from torchdq.effects.resistance import columns
-from torchdq.envs import Scene, State
 from torchdq.robot import Robot
+from torchdq.scene import State
 from torchdq.scene.integrators import ExplicitEuler
 
 POINTS = 121

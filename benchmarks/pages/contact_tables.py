@@ -99,23 +99,24 @@ TABLES: dict[str, Callable[[Rows], str]] = {
 
 SECTIONS = {  # of the page of an effect: title, text and tables
     "Contact": {
-        "What one gains or loses by the step": (
-            "Impacts are of the first order in the step, and plastic in long ones: take 1 to 2 ms for jumps and "
-            "bounces, 5 ms for walking, 10 ms for standing and wiping. Friction of impacts and the energy of falls are "
-            "right at every step and stiffness. The expected values are those of analysis; the height of the jump is "
-            "MuJoCo's, with steps of 0.2 ms, its friction impulse that of steps of 2 ms.",
+        "Accuracy by step size": (
+            "Impacts are first-order accurate, and become plastic in long steps: take 1 to 2 ms for jumps and bounces, "
+            "5 ms for walking, 10 ms for standing and wiping. The friction impulse of impacts and the energy of falls "
+            "are right at every step size and stiffness. Expected values are analytical, except for the jump height "
+            "and the friction impulse of MuJoCo, with steps of 0.2 ms and 2 ms.",
             ("accuracy", "standing"),
         ),
         "Stability": (
-            "Go2 with 20 points is dropped in 64 random states, passive and with servos at random targets. The last "
-            "row of every step has the stiffness 4 m / h^2. Energy is kinetic, potential, and of servos. Gains are of "
-            "inertial forces of the joints, which are explicit: at 20 ms an impact at 6 m/s turns a joint by half a "
-            "radian in a step.",
+            "Go2 with 20 contact points falls from 64 random states, passive and with servos at random targets; the "
+            "table has the largest gain of energy (kinetic, potential and of the servos). The last row of each step "
+            "size has the stiffness 4 m / h^2. Any gain is due to the inertial forces of the joints, which are "
+            "explicit: at 20 ms an impact at 6 m/s turns a joint by half a radian in a step.",
             ("stability",),
         ),
-        "Price beside MuJoCo": (
-            "A step of 4096 samples in float32, per sample, and a step of MuJoCo on the same file with spheres as "
-            "feet: least CPU times of one thread, in turns. MuJoCo pays for the points that touch, a program for all.",
+        "Cost compared with MuJoCo": (
+            "Time per sample of a step of 4096 samples in float32, and of a step of MuJoCo on the same file with "
+            "spheres as feet: least CPU times of one thread, measured alternately. The cost of MuJoCo depends on the "
+            "points in contact, that of the program on all points.",
             ("price", "gradient"),
         ),
     },

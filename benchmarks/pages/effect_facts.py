@@ -13,10 +13,9 @@ from torch import Tensor
 
 import torchdq
 from pages.cases import CASES, built
-from torchdq import effects
+from torchdq import Scene, effects
 from torchdq.effects import Effect
 from torchdq.effects.friction import of_layers
-from torchdq.envs import Scene
 from torchdq.errors import TorchdqError
 from torchdq.learning.identification import terms
 from torchdq.learning.identification.terms import Term

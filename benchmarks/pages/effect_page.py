@@ -262,7 +262,7 @@ effect has two costs.
 import torch
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 
 robot = torchdq.robots.load("panda")
 scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.5), effects.Saturation()), dt=0.002)

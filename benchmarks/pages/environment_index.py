@@ -70,7 +70,8 @@ at the origin and at rest, unless the start of the task has the pose `"X_WB"` an
 random times.
 
 ```python
-from torchdq.envs import Pushes, effects
+from torchdq import effects
+from torchdq.envs import Pushes
 
 parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.Servo(300.0, 30.0), effects.Push())
 pushes = {"push": Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0), every=(0.5, 2.0))}  # [N, N m], between two pushes [s]

@@ -11,11 +11,12 @@ from oracles import EPS
 from programs import MIXED, PANDA, TREE, TWO, agree, mixed, same
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import cuda_source
 from torchdq.backends.compiler import compiler
 from torchdq.backends.precision import run
 from torchdq.backends.torch import EAGER
-from torchdq.envs import Actions, Pushes, RobotVectorEnv, Scene, effects
+from torchdq.envs import Actions, Pushes, RobotVectorEnv
 from torchdq.envs.row_selection import Host
 from torchdq.numbers.ops import apply as applied
 from torchdq.program.program import LARGEST_GROWTH, Argument, record

@@ -9,13 +9,13 @@ from messages import refused, warned
 from programs import PANDA, TWO, agree, same
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import cuda, nvrtc
 from torchdq.backends.compiler import BuildError, compiler
 from torchdq.backends.cuda_loop import loop_source, recomputing_loop_source
 from torchdq.backends.cuda_source import source
 from torchdq.backends.loop_call import repeat
 from torchdq.backends.torch import InterpretedLoop
-from torchdq.envs import Scene, effects
 from torchdq.functions.compile import RecordedComputation
 from torchdq.program.loop import Loop, adjoint, with_states
 from torchdq.program.program import LARGEST_GROWTH, Argument, record

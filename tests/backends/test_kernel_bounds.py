@@ -47,9 +47,7 @@ def gradient():
 
 
 def scene():
-    return torchdq.envs.Scene(
-        torchdq.robots.load("two_link"), integrator=torchdq.scene.integrators.RungeKutta4()
-    ).program()
+    return torchdq.Scene(torchdq.robots.load("two_link"), integrator=torchdq.scene.integrators.RungeKutta4()).program()
 
 
 def loop():

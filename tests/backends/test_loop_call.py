@@ -14,12 +14,12 @@ from messages import refused, warned
 from programs import agree, same
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import c, c_loop, c_source
 from torchdq.backends import threads as pool
 from torchdq.backends.call import evaluate
 from torchdq.backends.compiler import BuildError, compiler
 from torchdq.backends.loop_call import repeat
-from torchdq.envs import Scene, effects
 from torchdq.functions.compile import RecordedComputation
 from torchdq.program.program import GROWTH, LARGEST_GROWTH, Argument, record
 

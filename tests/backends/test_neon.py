@@ -13,9 +13,9 @@ import torch
 from helpers import compiled
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import c_library as build
 from torchdq.backends.c_loop import source as source_of
-from torchdq.envs import Scene, effects
 from torchdq.program.program import outputs
 
 CROSS, EMULATOR = shutil.which("aarch64-linux-gnu-gcc"), shutil.which("qemu-aarch64")

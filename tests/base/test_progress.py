@@ -15,10 +15,10 @@ from helpers import all_in_one, interrupted
 from messages import refused, warned
 
 import torchdq
+from torchdq import Scene
 from torchdq.backends import c, c_library
 from torchdq.base import progress
 from torchdq.base.progress import Progress, warn_once
-from torchdq.envs import Scene
 from torchdq.functions import call
 from torchdq.learning import MotionLimits, Samples, excitation_trajectory, fit, read_log
 from torchdq.program import autodiff

@@ -163,7 +163,7 @@ def test_importing_the_package_imports_nothing_heavy_but_torch_and_its_subpackag
     """And an attribute that is misspelt has one hint, to which Python adds no second."""
     program = "import sys, torchdq; print(*sys.modules)"
     program += "; torchdq.Scene, torchdq.recommend_settings; assert 'gymnasium' not in sys.modules"
-    program += "; assert 'Scene' in dir(torchdq.envs); assert 'identify' in dir(torchdq.learning); torchdq.DQRNAE"
+    program += "; assert 'TorchTask' in dir(torchdq.envs); assert 'identify' in dir(torchdq.learning); torchdq.DQRNAE"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     loaded = run.stdout.split()
     assert "torch" in loaded

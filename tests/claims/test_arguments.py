@@ -20,8 +20,7 @@ from messages import refused
 from robots import on_free_base
 
 import torchdq
-from torchdq import ArgumentError, DtypeError, TorchdqError, floating
-from torchdq.envs import Scene, effects
+from torchdq import ArgumentError, DtypeError, Scene, TorchdqError, effects, floating
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.signature import Field, joints
 from torchdq.learning import Samples, fit, identify

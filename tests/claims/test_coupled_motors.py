@@ -14,7 +14,7 @@ from messages import refused, warned
 from oracles import pinocchio_model
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.errors import ArgumentError
 from torchdq.learning import Layout, LogWarning, Model, Samples, identify, read_log, smooth
 from torchdq.scene.integrators import ExplicitEuler

@@ -10,9 +10,9 @@ from messages import refused
 from precisions import C
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends.choice import choose
 from torchdq.backends.precision import run
-from torchdq.envs import Scene, effects
 from torchdq.functions.posed import posed
 from torchdq.program.program import GROWTH, LARGEST_GROWTH, Argument, record
 from torchdq.scene.integrators import LinearlyImplicit, RungeKutta4, SemiImplicitEuler

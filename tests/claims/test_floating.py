@@ -51,7 +51,7 @@ def near(found, expected, size=1.0, tolerance=TOLERANCE[F64]):
 def generalised(F: floating.Forces | floating.Accelerations) -> torch.Tensor:
     """(moment, force, tau), or (angular, linear, qdd)."""
     base, joints = F
-    base = dq.swap(base) if isinstance(F, floating.Forces) else base
+    base = dq.paper.swap(base) if isinstance(F, floating.Forces) else base
     return torch.cat([base, joints], -1)
 
 
@@ -318,7 +318,7 @@ def test_derivatives_of_forces_and_accelerations(name, backend, function):
 
     def accelerations(X_WB, q, V, qd, moment_and_force, tau):
         return floating.forward_dynamics(
-            c.robot, X_WB, q, V, qd, tau, f_base=dq.swap(moment_and_force), backend=backend
+            c.robot, X_WB, q, V, qd, tau, f_base=dq.paper.swap(moment_and_force), backend=backend
         )
 
     if function == "inverse_dynamics":

@@ -14,8 +14,9 @@ from programs import FUNCTIONS, MIXED, PANDA, TREE, TWO, agree, condition, mixed
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends.choice import choose
-from torchdq.envs import RobotVectorEnv, Scene, effects
+from torchdq.envs import RobotVectorEnv
 from torchdq.program.program import LARGEST_GROWTH
 from torchdq.scene import integrators
 

@@ -121,7 +121,7 @@ def power_of_a_wrench(robot, s):
     spent = inner(torques(robot, s, f_tip=s.f_tip) - torques(robot, s), s.qd)
     V_tip = times(torchdq.jacobian(robot, s.q, robot.tip), s.qd)
     size = robot.n * size_of_torques(robot, s) * s.qd.abs().sum(-1)
-    return spent[:, None], dq.power(s.f_tip, V_tip)[:, None], size
+    return spent[:, None], dq.paper.power(s.f_tip, V_tip)[:, None], size
 
 
 def power_of_coriolis_torques(robot, s):

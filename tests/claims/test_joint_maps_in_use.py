@@ -12,8 +12,8 @@ from oracles import random_tree
 from precisions import eager_first
 
 import torchdq
-from torchdq import ArgumentError, Robot, UnknownNameError, dq
-from torchdq.envs import RobotVectorEnv, Scene, effects
+from torchdq import ArgumentError, Robot, Scene, UnknownNameError, dq, effects
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.render import Skeleton
 from torchdq.learning import Model, Samples, identify
 from torchdq.recommend.recommend import recommend_settings

@@ -10,12 +10,23 @@ import torch
 from messages import refused
 
 import torchdq
-from torchdq import ArgumentError, DescriptionError, DtypeError, Robot, TorchdqError, UnknownNameError, convert, dq
+from torchdq import (
+    ArgumentError,
+    DescriptionError,
+    DtypeError,
+    Robot,
+    Scene,
+    TorchdqError,
+    UnknownNameError,
+    convert,
+    dq,
+    effects,
+)
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.model import ModelEffect
-from torchdq.envs import Actions, RobotEnv, RobotVectorEnv, Scene, TorchTask, effects
+from torchdq.envs import Actions, RobotEnv, RobotVectorEnv, TorchTask
 from torchdq.errors import nearest
 from torchdq.learning import (
     LogError,
@@ -108,8 +119,6 @@ MISUSE = {
     "rotation matrix too long": lambda: dq.from_rotation_matrix(1.01 * TURN),
     "mirror": lambda: dq.from_rotation_matrix(torch.diag(torch.tensor([1.0, 1, -1]))),
     "interpolation by name": lambda: dq.sclerp(torch.zeros(8), torch.zeros(8), "half"),
-    "stack of numbers": lambda: dq.stack((1.0, 2.0)),
-    "stack of nothing": lambda: dq.stack(()),
     # functions
     "infinite": lambda: torchdq.require_finite(q=ROW, qd=bad(torch.inf)),
     "negative infinite": lambda: torchdq.require_finite(q=ROW, qd=bad(-torch.inf, torch.nan)),

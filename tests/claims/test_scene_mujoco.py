@@ -14,8 +14,9 @@ import torch
 from helpers import thinned
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import c_library as build
-from torchdq.envs import Scene, State, effects
+from torchdq.scene import State
 from torchdq.scene.integrators import LinearlyImplicit, RungeKutta4, SemiImplicitEuler
 
 ROBOTS = ("ur5_robot", "panda")  # of 6 joints, and of 7 and two fingers that slide

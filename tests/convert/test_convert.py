@@ -110,13 +110,13 @@ def test_pinocchio_motions_are_swapped_and_forces_are_not():
     near(motion.linear, twist[3:])
     near(force.linear, wrench[:3])
     near(force.angular, wrench[3:])
-    near(force.dot(motion), dq.power(wrench, twist))
+    near(force.dot(motion), dq.paper.power(wrench, twist))
     placement = convert.to_pinocchio(x)
     near(convert.motion_from_pinocchio(torch.tensor(placement.act(motion).vector)), dq.ad(x, twist))
     near(placement.act(force).vector, dq.ad(x, wrench))
     # the same screws, so that the cross product of two twists is the one of two motions
     other = pin.Motion(convert.motion_to_pinocchio(wrench).numpy())
-    near(convert.motion_from_pinocchio(torch.tensor(motion.cross(other).vector)), dq.cross(twist, wrench))
+    near(convert.motion_from_pinocchio(torch.tensor(motion.cross(other).vector)), dq.paper.cross(twist, wrench))
 
 
 BODIES = """

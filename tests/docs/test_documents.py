@@ -15,8 +15,7 @@ from helpers import EVERYTHING
 from places import ROOT
 
 import torchdq
-from torchdq import envs
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects, envs
 
 BACKEND = "auto"  # what a reader has, and quicker
 DOCS = ROOT / "docs"

@@ -20,8 +20,7 @@ from pages.effect_page import address, prices, signature
 from pages.pictures import Curve, Picture, curves_of, svg
 
 import torchdq
-from torchdq import effects
-from torchdq.envs import Scene
+from torchdq import Scene, effects
 from torchdq.functions.compile import CompiledProgram
 
 REMEDY = "write it again with `python benchmarks/effects.py --write`"

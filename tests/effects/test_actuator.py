@@ -9,7 +9,8 @@ from effect_harness import CASES, FORMS, U, agrees, bare, double, forms_of
 from oracles import states
 
 import torchdq
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, effects
+from torchdq.scene import State
 from torchdq.scene.integrators import LinearlyImplicit, RungeKutta4
 
 

@@ -11,7 +11,7 @@ from effect_harness import CASES, ON_ROBOTS, SAMPLES, agrees, bare, double, form
 from on_ground import body
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 
 
 class At(NamedTuple):

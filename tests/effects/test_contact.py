@@ -14,10 +14,10 @@ from oracles import random_tree, shipped, states, urdf_paths
 from small_envs import stool
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import c_library as build
-from torchdq.envs import Scene, State, effects
 from torchdq.robot import ContactPoint
-from torchdq.scene import recording
+from torchdq.scene import State, recording
 from torchdq.scene.integrators import RungeKutta4
 
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="thousands of steps need a C compiler")

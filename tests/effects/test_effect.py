@@ -12,9 +12,10 @@ from helpers import all_in_one, thinned
 from messages import refused
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.effects.joint import Impedance, JointEffect
-from torchdq.envs import Scene, State, effects
 from torchdq.errors import NumberError
+from torchdq.scene import State
 from torchdq.scene.integrators import LinearlyImplicit, RungeKutta4, SemiImplicitEuler
 
 

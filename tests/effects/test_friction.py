@@ -16,9 +16,10 @@ from oracles import random_tree, shipped
 from scipy.integrate import solve_ivp
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.effects.resistance import columns
-from torchdq.envs import Scene, State, effects
 from torchdq.errors import ArgumentError
+from torchdq.scene import State
 from torchdq.scene.integrators import DormandPrince, ExplicitEuler, LinearlyImplicit, RungeKutta4
 
 F64 = torch.float64

@@ -9,7 +9,8 @@ import torch
 from effect_harness import CASES, JOINT, ON_ROBOTS, TARGET, agrees, bare, close, double, forms_of, given, pinocchio
 
 import torchdq
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, effects
+from torchdq.scene import State
 from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta4, SemiImplicitEuler
 
 

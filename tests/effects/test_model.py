@@ -8,7 +8,8 @@ import pinocchio as pin
 import pytest
 from effect_harness import CASES, ON_ROBOTS, SAMPLES, accelerations, agrees, bare, close, double, given, pinocchio
 
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, effects
+from torchdq.scene import State
 
 
 @pytest.mark.parametrize("form", ["list", "tensor", "batched"])

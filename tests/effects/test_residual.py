@@ -11,10 +11,11 @@ from oracles import shipped
 from torch import nn
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import c_library as build
-from torchdq.envs import RobotVectorEnv, Scene, State, effects
+from torchdq.envs import RobotVectorEnv
 from torchdq.errors import ArgumentError
-from torchdq.scene import controllers, stability
+from torchdq.scene import State, controllers, stability
 from torchdq.scene.integrators import DormandPrince, ExplicitEuler, LinearlyImplicit, RungeKutta4
 
 ARM, PANDA = shipped("two_link").robot, shipped("panda").robot

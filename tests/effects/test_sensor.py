@@ -8,7 +8,7 @@ import torch
 from effect_harness import CASES, FORMS, SAMPLES, U, close, double, forms_of
 from scipy import stats
 
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 
 
 def read(effect, q, qd=None, noise=None):

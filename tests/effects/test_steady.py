@@ -5,10 +5,10 @@ import torch
 from helpers import double
 
 import torchdq
+from torchdq import Scene
 from torchdq.dynamics.friction import SPEEDS
 from torchdq.effects import Coulomb, Directional, Gravity, LoadDependent, LuGre, Quadratic, Ripple, Stribeck, Viscous
 from torchdq.effects.steady import at_speeds, lines
-from torchdq.envs import Scene
 
 SLIDER = torchdq.Robot.from_screws([[0, 0, 0, 1.0, 0, 0]], [2.0], [[0.0, 0.0, 0.0]], [torch.zeros(3, 3)], name="slider")
 TWO = torchdq.robots.load("two_link")

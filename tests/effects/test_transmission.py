@@ -6,7 +6,8 @@ import pytest
 import torch
 from effect_harness import CASES, ON_ROBOTS, SAMPLES, bare, close, double, forms_of, pinocchio
 
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, effects
+from torchdq.scene import State
 from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit
 
 

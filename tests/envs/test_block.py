@@ -4,7 +4,7 @@ import pytest
 from helpers import thinned
 from small_envs import ALL_DRAWN, FREE, ON_FOUR, PARTS, PUSHES, assert_as_stepped, policy_of, same, started, stool
 
-from torchdq.envs import effects
+from torchdq import effects
 from torchdq.program.program import Largest
 
 BACKEND = "auto"

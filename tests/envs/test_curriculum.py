@@ -7,7 +7,8 @@ import torch
 from messages import refused
 from small_envs import ON_FOUR, PUSHES, policy_of, same, started, steps, stool
 
-from torchdq.envs import Absolute, Pushes, RobotVectorEnv, Simulation, TorchTask, effects
+from torchdq import effects
+from torchdq.envs import Absolute, Pushes, RobotVectorEnv, Simulation, TorchTask
 from torchdq.errors import ArgumentError, TorchdqError, UnknownNameError
 from torchdq.program import program
 

@@ -10,12 +10,13 @@ from messages import refused
 from small_envs import PARTS, ROBOT, assert_as_stepped, policy_of, started
 
 import torchdq
-from torchdq import dq
+from torchdq import dq, effects
 from torchdq.dq.formulas import computed
 from torchdq.dynamics.task_space import Task
-from torchdq.envs import Actions, RobotVectorEnv, Simulation, controllers, effects
+from torchdq.envs import Actions, RobotVectorEnv, Simulation
 from torchdq.envs.pose_actions import PoseActions
 from torchdq.errors import ArgumentError
+from torchdq.scene import controllers
 
 PLANAR = controllers.OperationalSpaceControl(100.0, 20.0, axes=("x", "y"), expressed="world")
 POSE = {"action": "pose", "scale": None, "controller": PLANAR, "dtype": torch.float64, "backend": "auto"}

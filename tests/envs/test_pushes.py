@@ -8,8 +8,9 @@ from messages import refused
 from small_envs import FREE, PUSHES, make, started
 
 import torchdq
-from torchdq import floating
-from torchdq.envs import Pushes, effects, integrators
+from torchdq import effects, floating
+from torchdq.envs import Pushes
+from torchdq.scene import integrators
 
 BACKEND = "auto"
 FLYING = {"robot": FREE, "effects": (effects.Push(),), "dtype": "float64", "integrator": integrators.RungeKutta4()}

@@ -7,7 +7,8 @@ from messages import refused
 from small_envs import ALL_DRAWN, PARTS, ROBOT, started
 from torch.distributions import Beta, Normal, Uniform
 
-from torchdq.envs import Absolute, effects
+from torchdq import effects
+from torchdq.envs import Absolute
 from torchdq.envs.randomization import SHORT, DrawnDelay
 from torchdq.errors import ArgumentError, UnknownNameError
 

@@ -9,8 +9,7 @@ from messages import refused
 from urdf_text import joint, link, urdf
 
 import torchdq
-from torchdq import dq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, dq, effects
 from torchdq.envs.render import (
     GROUND,
     LINK,

@@ -9,13 +9,13 @@ from messages import refused
 from small_envs import FREE, ROBOT, make, started, steps
 
 import torchdq
-from torchdq import dq, floating
-from torchdq.envs import RobotVectorEnv, State, TorchTask, effects
+from torchdq import dq, effects, floating
+from torchdq.envs import RobotVectorEnv, TorchTask
 from torchdq.envs.render import Painter
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import at_least
-from torchdq.scene import controllers
+from torchdq.scene import State, controllers
 from torchdq.scene.defaults import nominal_robot
 
 BACKEND = "auto"

@@ -10,8 +10,10 @@ from messages import refused
 from small_envs import actions_of, started
 
 import torchdq
-from torchdq.envs import State, TorchTask, effects
+from torchdq import effects
+from torchdq.envs import TorchTask
 from torchdq.envs.tasks import Reach
+from torchdq.scene import State
 from torchdq.scene.integrators import ExplicitEuler
 
 BOUNDS = [(-math.inf, math.inf)] * 4

@@ -21,8 +21,9 @@ from messages import refused
 from small_envs import ALL_DRAWN, FREE, PARTS, PUSHES, ROBOT, actions_of, grouped, make, policy_of, same, started, steps
 
 import torchdq
+from torchdq import effects
 from torchdq.backends import c_library as build
-from torchdq.envs import Absolute, Actions, RobotEnv, RobotVectorEnv, Simulation, TorchTask, effects
+from torchdq.envs import Absolute, Actions, RobotEnv, RobotVectorEnv, Simulation, TorchTask
 from torchdq.envs.row_selection import Host
 from torchdq.envs.tasks import Reach
 from torchdq.robot import ContactPoint

@@ -19,8 +19,8 @@ from places import EXAMPLES
 from small_envs import ON_FOUR, grouped, stool
 
 import torchdq
-from torchdq import Robot, dq
-from torchdq.envs import Pushes, RobotVectorEnv, Simulation, effects
+from torchdq import Robot, dq, effects
+from torchdq.envs import Pushes, RobotVectorEnv, Simulation
 from torchdq.envs.walk import WEIGHTS, Walk
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot.shipped import go2

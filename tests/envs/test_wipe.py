@@ -6,7 +6,8 @@ from helpers import thinned
 from messages import refused
 
 import torchdq
-from torchdq.envs import RobotVectorEnv, effects
+from torchdq import effects
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.wipe import Wipe
 
 BACKEND = "auto"

@@ -17,7 +17,7 @@ from helpers import thinned
 from messages import refused
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.errors import ArgumentError
 from torchdq.export import c99
 from torchdq.functions.compile import CompiledProgram

@@ -9,7 +9,7 @@ from helpers import random, thinned
 from programs import F32, PANDA, agree
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.program.program import Argument, record
 
 STEPS = 20

@@ -17,11 +17,12 @@ from torch import library as operators
 from torch import nn
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import c_library as build
-from torchdq.envs import Actions, RobotVectorEnv, Scene, State, effects
+from torchdq.envs import Actions, RobotVectorEnv
 from torchdq.errors import ArgumentError
 from torchdq.program import autograd
-from torchdq.scene import controllers, integrators
+from torchdq.scene import State, controllers, integrators
 
 F32, F64 = torch.float32, torch.float64
 BACKEND = "auto"  # see conftest.py

@@ -8,7 +8,7 @@ from helpers import all_in_one, eager
 from messages import refused
 
 import torchdq
-from torchdq.envs import effects
+from torchdq import effects
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.scene import controllers
 

@@ -23,7 +23,9 @@ from scipy.integrate import solve_ivp
 
 import torchdq
 from torchdq import dq
-from torchdq.algebra import screw
+from torchdq.algebra import matrix, screw
+from torchdq.algebra import quaternion as quat
+from torchdq.dq import components
 from torchdq.dynamics.general import kinematics, rnea
 from torchdq.dynamics.joints import Coordinate
 from torchdq.functions.posed import constant_pose
@@ -564,15 +566,15 @@ def test_the_printed_exponential_is_a_pose_and_right_without_a_moment_or_a_rotat
 
 
 def test_11_is_an_outer_product_as_printed():
-    Q, Q_ = torch.from_numpy(np.random.default_rng(11).normal(size=(2, 3, 1, 8)))  # columns, as in (8)
-    assert dq.matmul(Q, dq.transpose(Q_)).shape == (3, 3, 8)
-    assert dq.matmul(dq.transpose(Q), Q_).shape == (1, 1, 8)
+    Q, Q_ = columns_11()
+    assert [len(row) for row in matrix.matmul(Q, matrix.transpose(Q_))] == [3, 3, 3]
+    assert [len(row) for row in matrix.matmul(matrix.transpose(Q), Q_)] == [1]
 
 
 def test_22_is_the_real_matrix_of_19_as_printed():
     """With vec, h+ and h- are H+ and H-, so that (23) would multiply real vectors by quaternion numbers."""
     x, units = np.random.default_rng(22).normal(size=4), (ONE, I, J, K)
-    left, right = dq.hamilton_left(torch.from_numpy(x)), dq.hamilton_right(torch.from_numpy(x))
+    left, right = dq.paper.hamilton_left(torch.from_numpy(x)), dq.paper.hamilton_right(torch.from_numpy(x))
     assert np.array_equal(left, np.stack([qmul(x, e) for e in units], -1))
     assert np.array_equal(right, np.stack([qmul(e, x) for e in units], -1))
 
@@ -602,7 +604,7 @@ def ours_per_link():
         return kinematics.joint_poses(tree, [None, *(Coordinate(2.0 * h, h.cos(), h.sin()) for h in half.unbind(-1))])
 
     def joint_matrices(q):
-        return torch.stack([dq.to_matrix(dq.stack(x)) for x in joint_poses(q)[1:]], 1)
+        return torch.stack([dq.to_matrix(components.stack(x)) for x in joint_poses(q)[1:]], 1)
 
     Ad = kinematics.adjoints(joint_poses(q))
     V, A = rnea.outward(tree, Ad, qd.unbind(-1), qdd.unbind(-1))
@@ -611,8 +613,8 @@ def ours_per_link():
     F = rnea.inward(tree, Ad, V, A, [None] * JOINTS + [(F_tip[:3], F_tip[3:])])
     V, A, F, poses = V[1:], A[1:], F[1:], joint_poses(q)[1:]  # without the base
     net = [F[-1], *(F[i] for i in reversed(range(JOINTS - 1)))]
-    V, A, F = (torch.stack([dq.stack(s) for s in screws], 1) for screws in (V, A, F))
-    beyond = [dq.ad(dq.stack(poses[i + 1]), F[:, i + 1]) for i in range(JOINTS - 1)]
+    V, A, F = (torch.stack([components.stack(s) for s in screws], 1) for screws in (V, A, F))
+    beyond = [dq.ad(components.stack(poses[i + 1]), F[:, i + 1]) for i in range(JOINTS - 1)]
     net = F - torch.stack([*beyond, torch.stack(F_tip, -1)], 1)  # (46)
     rate = torch.func.jvp(joint_matrices, (q,), (qd,))[1]
     L = [row[1:] for row in closed_form.propagation(tree, Ad)[1:]]
@@ -636,16 +638,22 @@ def ours_from(source, name):
     return lambda: relative(source()[name], reference()[name])
 
 
+def columns_11():
+    """Two columns of three dual quaternions, as in (8)."""
+    return [[[((*x[:4],), (*x[4:],))] for x in column] for column in np.random.default_rng(11).normal(size=(2, 3, 8))]
+
+
 def ours_11():
-    Q, Q_ = np.random.default_rng(11).normal(size=(2, 3, 1, 8))
-    found = dq.matmul(dq.transpose(torch.from_numpy(Q)), torch.from_numpy(Q_))[0, 0]
-    return relative(found[None], mul(Q, Q_).sum(0))
+    Q, Q_ = columns_11()
+    found = np.ravel(matrix.matmul(matrix.transpose(Q), Q_)[0][0])
+    return relative(found[None], sum(mul(np.ravel(a), np.ravel(b)) for (a,), (b,) in zip(Q, Q_, strict=True))[None])
 
 
 def ours_22():
     x, y = np.random.default_rng(22).normal(size=(2, COUNT, 4))
-    x_, y_ = torch.from_numpy(x), torch.from_numpy(y)
-    return max(relative(dq.t4(dq.h_left(x_), y_), qmul(x, y)), relative(dq.t4(dq.h_right(x_), y_), qmul(y, x)))
+    parts, others = tuple(x.T), tuple(y.T)
+    left, right = (np.stack(quat.t4(h(parts), others), -1) for h in (quat.hamilton_left, quat.hamilton_right))
+    return max(relative(left, qmul(x, y)), relative(right, qmul(y, x)))
 
 
 def ours_25():
@@ -660,7 +668,7 @@ def ours_30():
     rng, a = np.random.default_rng(30), six(random_screws())
     mass, com, root = rng.uniform(0.5, 3.0, COUNT), rng.normal(size=(COUNT, 3)), rng.normal(size=(COUNT, 3, 3))
     inertia = root @ root.swapaxes(-1, -2)
-    found = dq.inertia_transform(*map(torch.from_numpy, (mass, inertia, a, com)))
+    found = dq.paper.inertia_transform(*map(torch.from_numpy, (mass, inertia, a, com)))
     bodies = [pin.Inertia(m, c, i) for m, c, i in zip(mass, com, inertia, strict=True)]
     expected = np.stack([(body * pin.Motion(v[3:], v[:3])).vector for body, v in zip(bodies, a, strict=True)])
     return relative(found, expected)

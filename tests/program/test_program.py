@@ -457,7 +457,7 @@ def test_a_program_that_holds_poses_and_dynamics_takes_the_sines_of_a_position_o
 
 def test_wrenches_on_the_links_take_no_sine_that_the_dynamics_have():
     bare, *others = (
-        torchdq.envs.Scene(torchdq.robots.load("panda"), effects).program("torque", *inputs)
+        torchdq.Scene(torchdq.robots.load("panda"), effects).program("torque", *inputs)
         for effects, inputs in (
             ((), ()),
             ((Drag(0.1, 0.1, 0.1),), ()),

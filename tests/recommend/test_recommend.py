@@ -14,13 +14,13 @@ from oracles import pinocchio_model, random_tree
 from scipy.integrate import solve_ivp
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import c_library as build
 from torchdq.base import progress
-from torchdq.envs import Scene, State, effects
 from torchdq.recommend.recommend import recommend_settings
 from torchdq.recommend.recommendation import EXACT, MIXED, SINGLE
 from torchdq.recommend.trajectories import SAFETY, SAMPLES, random_states
-from torchdq.scene import controllers, integrators
+from torchdq.scene import State, controllers, integrators
 
 BACKEND, F64 = "auto", torch.float64
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")

@@ -11,8 +11,7 @@ from messages import refused
 from robots import ARMS, BALL, F64, LINE, one_joint, panda, same, states, torques, two
 
 import torchdq
-from torchdq import ArgumentError, Robot, UnknownNameError
-from torchdq.envs import Scene, effects
+from torchdq import ArgumentError, Robot, Scene, UnknownNameError, effects
 from torchdq.robot import Frame
 
 

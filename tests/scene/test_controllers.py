@@ -10,9 +10,9 @@ from messages import refused
 from scenes import ARM, KD, KP, PANDA, TREE
 
 import torchdq
-from torchdq import dq
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, dq, effects
 from torchdq.errors import ArgumentError
+from torchdq.scene import State
 from torchdq.scene.controllers import PD, CartesianImpedance, ComputedTorque, OperationalSpaceControl
 from torchdq.scene.integrators import ExplicitEuler, RungeKutta4, SemiImplicitEuler
 

@@ -13,8 +13,8 @@ from messages import refused, warned
 from scenes import ARM, PANDA, TREE
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.base import progress
-from torchdq.envs import Scene, effects
 from torchdq.scene.controllers import ComputedTorque
 
 describing = importlib.import_module("torchdq.scene.describe")

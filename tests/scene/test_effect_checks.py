@@ -10,7 +10,7 @@ from messages import refused, warned
 from scenes import ARM, PANDA
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.errors import ArgumentError
 from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import RungeKutta4

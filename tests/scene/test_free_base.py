@@ -12,8 +12,7 @@ from messages import refused
 from scipy.integrate import solve_ivp
 
 import torchdq
-from torchdq import dq, floating
-from torchdq.envs import Scene, effects
+from torchdq import Scene, dq, effects, floating
 from torchdq.scene.controllers import PD, ComputedTorque
 from torchdq.scene.free_base import EXACT, ORDER_4, rate
 from torchdq.scene.integrators import (

@@ -18,9 +18,9 @@ from scenes import ARM, TREE, rolled, swinging, trace
 from scipy.integrate import solve_ivp
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import c_library as build
-from torchdq.envs import Scene, State, effects
-from torchdq.scene import model
+from torchdq.scene import State, model
 from torchdq.scene.integrators import (
     DormandPrince,
     ExplicitEuler,

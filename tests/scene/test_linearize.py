@@ -13,9 +13,8 @@ from scipy.linalg import solve_discrete_are
 from urdf_text import joint, link, urdf
 
 import torchdq
-from torchdq import dq
-from torchdq.envs import Scene, State, effects
-from torchdq.scene import linearize
+from torchdq import Scene, dq, effects
+from torchdq.scene import State, linearize
 from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import ExplicitEuler, RungeKutta4
 from torchdq.scene.spec import ORDER

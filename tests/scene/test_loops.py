@@ -8,7 +8,7 @@ from free_flyers import case, motion
 from helpers import random, thinned
 from scenes import ARM, equal, inputs_of, rich, uniform
 
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import RungeKutta4
 from torchdq.scene.loops import loops

@@ -10,8 +10,9 @@ from scenes import ARM
 from torch import nn
 
 import torchdq
-from torchdq.envs import Scene, effects, policies
+from torchdq import Scene, effects
 from torchdq.program.program import Argument, record
+from torchdq.scene import policies
 
 BACKEND = "auto"
 EPS = torch.finfo(torch.float64).eps

@@ -12,7 +12,8 @@ from messages import refused, warned
 from scenes import ARM, equal, rich, uniform
 
 import torchdq
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, effects
+from torchdq.scene import State
 from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import SemiImplicitEuler
 

@@ -18,8 +18,9 @@ from oracles import shipped, states
 from scenes import ARM, PANDA, RICH, TREE, ZERO, equal, inputs_of, rich, uniform
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import c_library as build
-from torchdq.envs import Scene, State, effects
+from torchdq.scene import State
 from torchdq.scene import recording as plans
 from torchdq.scene.controllers import PD, ComputedTorque
 from torchdq.scene.integrators import DormandPrince, RungeKutta4, SemiImplicitEuler, StoermerVerlet

@@ -12,8 +12,7 @@ from scenes import ARM, PANDA
 from urdf_text import joint, link, urdf
 
 import torchdq
-from torchdq import dq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, dq, effects
 from torchdq.robot import ContactPoint
 from torchdq.scene import stability
 from torchdq.scene.controllers import PD, ComputedTorque

@@ -10,7 +10,7 @@ from messages import refused, warned
 from scenes import ARM, PANDA, equal, inputs_of, rich, uniform
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 
 SCENE = Scene(PANDA, (effects.Gravity(), effects.JointLimits()))
 HOME = torch.tensor([0.0, -0.8, 0.0, -2.4, 0.0, 1.6, 0.8]).double().repeat(3, 1)

@@ -15,7 +15,7 @@ import torch
 from helpers import thinned
 from oracles import Case, random_tree, shipped, states
 
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.robot import Limits
 from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit
 

@@ -25,9 +25,10 @@ from torch.utils._pytree import tree_flatten, tree_map
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends import call, choice
 from torchdq.backends.cuda import Cuda
-from torchdq.envs import RobotVectorEnv, Scene, TorchTask, effects
+from torchdq.envs import RobotVectorEnv, TorchTask
 from torchdq.envs.row_selection import Host
 from torchdq.program import transforms
 from torchdq.scene.controllers import ComputedTorque

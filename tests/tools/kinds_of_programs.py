@@ -10,8 +10,9 @@ from places import BENCHMARKS
 from robots import on_free_base as free
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.control import Law
-from torchdq.envs import RobotVectorEnv, Scene, effects
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.tasks import Checked
 from torchdq.functions.catalogue import FLOATING
 from torchdq.program.program import Program

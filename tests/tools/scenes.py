@@ -6,7 +6,8 @@ import torch
 from helpers import double, random
 from oracles import random_tree, shipped
 
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, effects
+from torchdq.scene import State
 from torchdq.scene.controllers import ComputedTorque
 from torchdq.scene.integrators import LinearlyImplicit
 

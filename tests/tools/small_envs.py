@@ -6,7 +6,8 @@ import torch
 from torch.distributions import LogNormal
 
 import torchdq
-from torchdq.envs import Actions, Pushes, RobotVectorEnv, Simulation, effects
+from torchdq import effects
+from torchdq.envs import Actions, Pushes, RobotVectorEnv, Simulation
 from torchdq.envs.walk import Walk
 
 ROBOT = torchdq.robots.load("two_link")

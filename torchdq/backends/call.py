@@ -23,7 +23,7 @@ from torchdq.backends.choice import BackendName, choose, choose_for_graph, prese
 from torchdq.backends.precision import Guarded, run, run_loop, unguarded
 from torchdq.backends.torch import EAGER
 from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
-from torchdq.base.checks import DTYPES, is_dense, require_tensor
+from torchdq.base.checks import DTYPES, TensorValue, is_dense, require_tensor, tensor_in
 from torchdq.errors import ArgumentError, DtypeError, TorchdqError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.loop import Loop
@@ -150,6 +150,9 @@ def evaluate(
         else:
             found = run_loop(layout.loop, rows, layout.backend, layout.samples, repeated.steps)  # type: ignore[union-attr]
     except (AttributeError, RuntimeError):  # no check before, which would cost every call
+        if any([isinstance(x, TensorValue) for x in tensors.values()]):
+            plain = {name: tensor_in(x) for name, x in tensors.items()}
+            return evaluate(what, plain, backend, double, out, repeated)
         batch_of(what, _of_one_step(tensors, repeated))  # raises, naming an argument that is not a dense tensor
         raise
     narrow = given[0].dtype
@@ -358,6 +361,7 @@ def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, do
     At every call of its graph, torch.compile checks all objects that were read while it was traced, so all parts
     that do not depend on sizes are read in `_known`.
     """
+    tensors = {name: tensor_in(x) for name, x in tensors.items()}
     given = [x for x in tensors.values() if x is not None]
     if not all([isinstance(x, Tensor) for x in given]):
         batch_of(what, tensors)  # raises

@@ -49,6 +49,17 @@ class Named(dict[str, Any]):
         raise UnknownNameError(self.kind, name, self, every=True)
 
 
+class TensorValue:
+    """Base of values around one tensor, such as poses, which public functions take in its place."""
+
+    parameters: Tensor
+
+
+def tensor_in(x: Any) -> Any:
+    """Tensor of such a value; anything else as it is."""
+    return x.parameters if isinstance(x, TensorValue) else x
+
+
 def is_dense(x: Tensor) -> bool:
     """True unless a tensor is sparse, nested, or laid out for a library."""
     return x.layout == torch.strided and not x.is_nested

@@ -56,7 +56,7 @@ TOLERANCE = 1e-12  # relative
 
 @dataclass(kw_only=True)
 class DoctorCommand(Command):
-    """Compiler, threads, GPU, packages, cache: what works, and how to mend what does not.
+    """Compiler, threads, GPU, packages, cache: what works, and how to fix what does not.
 
     Example: torchdq doctor
     """

@@ -202,7 +202,7 @@ def _grid(header: tuple[str, ...], names: Sequence[str], columns: Sequence[Tenso
 def _place(state: State) -> Tensor:
     """Position of a floating base in the world, and the angle by which it is turned [..., 4]."""
     X = state.rows()["X_WB"]
-    angle = 2 * dq.log_shortest(X)[..., :3].norm(dim=-1, keepdim=True)
+    angle = dq.Pose(X).log()[..., :3].norm(dim=-1, keepdim=True)
     return torch.cat([dq.translation(X), angle], -1)
 
 

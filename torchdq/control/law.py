@@ -19,7 +19,7 @@ from torch import Tensor
 from torchdq.backends.call import Tensors, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import require_tensor
+from torchdq.base.checks import require_tensor, tensor_in
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
@@ -177,7 +177,7 @@ class Law(Parametric):
             raise ArgumentError(
                 f"goal of {self.named()} must be at most {', '.join(known)}, in this order, found {len(goal)}"
             )
-        return dict(zip_longest(known, goal))
+        return dict(zip_longest(known, map(tensor_in, goal)))
 
     def form(self, tensors: Collection[str]) -> tuple[Any, ...]:
         """Class and fields of the law, an ellipsis for some parameters, as plain values that graphs may keep."""

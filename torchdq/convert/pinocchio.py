@@ -66,7 +66,7 @@ def motion_to_pinocchio(twist: Tensor) -> Tensor:
     >>> motion_to_pinocchio(torch.tensor([1.0, 2, 3, 4, 5, 6]))
     tensor([4., 5., 6., 1., 2., 3.])
     """
-    return dq.swap(checked("twist", twist, 6))
+    return checked("twist", twist, 6).roll(3, -1)
 
 
 def motion_from_pinocchio(motion: Tensor) -> Tensor:
@@ -76,7 +76,7 @@ def motion_from_pinocchio(motion: Tensor) -> Tensor:
     >>> motion_from_pinocchio(torch.tensor([4.0, 5, 6, 1, 2, 3]))
     tensor([1., 2., 3., 4., 5., 6.])
     """
-    return dq.swap(checked("motion", motion, 6))
+    return checked("motion", motion, 6).roll(3, -1)
 
 
 def configuration_to_pinocchio(X_WB: Tensor, q: Tensor) -> Tensor:

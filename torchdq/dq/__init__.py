@@ -1,15 +1,19 @@
-"""Quaternions, dual quaternions and screws on tensors.
+"""Poses, quaternions and screws on tensors: [..., 8], [..., 4] and [..., 6], batched and differentiable.
 
-tensors     operations of the algebra on tensors [..., 3], [..., 4], [..., 6] and [..., 8]
-poses       exponential, logarithm and interpolation of poses; conversion from and to rotations, positions and matrices
-formulas    formulas of the algebra on tensors, as programs
-explog      exponential and logarithm as programs, accurate to rounding at every angle
-components  conversion between tensors and tuples of components
+`Pose` is a pose as a value, with its group operations:
+
+    X = dq.Pose(torchdq.forward_kinematics(robot, q, "tip"))  # from a tensor [..., 8]
+    X_des = dq.Pose.from_rotation_and_translation(r, p)  # a quaternion (w, x, y, z) and a position
+    xi = (X.inverse() @ X_des).log()  # rotation vector and displacement from X to X_des, in the axes of X
+
+The functions do the same on tensors: `mul`, `conj`, `exp`, `log_shortest`, `translation`, `rotate`, and conversions
+`from_pose`, `from_matrix`, `to_matrix`, `from_rotation_matrix`, `to_rotation_matrix`. `exp` and `log` are those of the
+paper, of half a motion; those of `Pose` are of the whole. `dq.paper` has the other operators of the paper.
 """
 
-from torchdq.dq.components import stack
+from torchdq.dq import paper as paper
+from torchdq.dq.pose import Pose
 from torchdq.dq.poses import (
-    ScrewParameters,
     exp,
     from_matrix,
     from_pose,
@@ -21,80 +25,35 @@ from torchdq.dq.poses import (
     rotate,
     rotation,
     sclerp,
-    screw_params,
     screw_path,
     to_matrix,
     to_rotation_6d,
     to_rotation_matrix,
     translation,
-    translation_body,
 )
-from torchdq.dq.tensors import (
-    ad,
-    ad_matrix,
-    columns,
-    conj,
-    cross,
-    dot,
-    double_geodesic,
-    h_left,
-    h_right,
-    hamilton_left,
-    hamilton_right,
-    inertia_transform,
-    inner,
-    matmul,
-    mul,
-    norm,
-    normalize,
-    power,
-    swap,
-    t4,
-    t8,
-    transpose,
-)
+from torchdq.dq.tensors import ad, ad_matrix, conj, mul, normalize
 
 __all__ = [
-    "ScrewParameters",
+    "Pose",
     "ad",
     "ad_matrix",
-    "columns",
     "conj",
-    "cross",
-    "dot",
-    "double_geodesic",
     "exp",
     "from_matrix",
     "from_pose",
     "from_rotation_6d",
     "from_rotation_matrix",
-    "h_left",
-    "h_right",
-    "hamilton_left",
-    "hamilton_right",
-    "inertia_transform",
-    "inner",
     "log",
     "log_jacobian",
     "log_shortest",
-    "matmul",
     "mul",
-    "norm",
     "normalize",
-    "power",
     "rotate",
     "rotation",
     "sclerp",
-    "screw_params",
     "screw_path",
-    "stack",
-    "swap",
-    "t4",
-    "t8",
     "to_matrix",
     "to_rotation_6d",
     "to_rotation_matrix",
     "translation",
-    "translation_body",
-    "transpose",
 ]

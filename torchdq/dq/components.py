@@ -1,13 +1,13 @@
 """Conversion between tensors and the tuples of components of the algebra, with checks of dtype and shape."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import index
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import floating
+from torchdq.base.checks import floating, tensor_in
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 
@@ -20,14 +20,9 @@ def require_square(name: str, x: Tensor, size: int) -> None:
         raise ArgumentError(f"{name} must have the shape [..., {size}, {size}], found {tuple(x.shape)}")
 
 
-def require_matrix(name: str, x: Tensor) -> None:
-    """Raise unless x is a matrix of dual quaternions [..., rows, columns, 8]."""
-    if checked(name, x, 8).ndim < 3:
-        raise ArgumentError(f"{name} must be a matrix [..., rows, columns, 8], found shape {tuple(x.shape)}")
-
-
 def checked(name: str, x: Tensor, *sizes: int) -> Tensor:
-    """Floating tensor x; raises unless its last axis has one of these sizes."""
+    """Floating tensor x, or that of a pose; raises unless its last axis has one of these sizes."""
+    x = tensor_in(x)
     # in a graph of unknown sizes this one becomes a number
     if floating(name, x).ndim == 0 or index(x.shape[-1]) not in sizes:
         expected = " or ".join(str(s) for s in sizes)
@@ -37,35 +32,32 @@ def checked(name: str, x: Tensor, *sizes: int) -> Tensor:
 
 def unit(name: str, r: Tensor) -> Tensor:
     """Quaternions [..., 4] of a row; raises unless they are unit ones, those with NaN apart."""
-    if r.numel() and not without_values((r,)):
-        wrong = (r.detach().norm(dim=-1) - 1).abs() > _close(r)
-        if bool(wrong.any()):
-            found = _first(r, wrong)
-            cure = "normalize that part by torchdq.dq.normalize" if any(found) else "zero is not a rotation"
-            raise ArgumentError(f"{name} must hold unit quaternions, found {found}; {cure}")
+    found = _first(r, lambda x: (x.norm(dim=-1) - 1).abs() > _close(x))
+    if found:
+        cure = "normalize that part by torchdq.dq.normalize" if any(found) else "zero is not a rotation"
+        raise ArgumentError(f"{name} must hold unit quaternions, found {found}; {cure}")
     return r
 
 
 def require_rotation(name: str, matrix: Tensor) -> None:
     """Raise unless matrices [..., 3, 3] are those of rotations, those with NaN apart."""
-    if not matrix.numel() or without_values((matrix,)):
-        return
-    x = matrix.detach()  # its product is off by 4 d where the norm of a quaternion is off by d
-    stretched = (x @ x.mT - torch.eye(3, dtype=x.dtype, device=x.device)).abs().amax((-2, -1)) > 4 * _close(x)
-    mirrored = (torch.linalg.cross(x[..., 0, :], x[..., 1, :]) * x[..., 2, :]).sum(-1) < 0
+
+    def stretched(x: Tensor) -> Tensor:  # the product is off by 4 d where the norm of a quaternion is off by d
+        return (x @ x.mT - torch.eye(3, dtype=x.dtype, device=x.device)).abs().amax((-2, -1)) > 4 * _close(x)
+
+    def mirrored(x: Tensor) -> Tensor:
+        return (torch.linalg.cross(x[..., 0, :], x[..., 1, :]) * x[..., 2, :]).sum(-1) < 0
+
     for wrong, fault in ((stretched, "rows of length 1 at right angles"), (mirrored, "the determinant 1, not -1")):
-        if bool(wrong.any()):
-            raise ArgumentError(f"{name} must be a rotation, with {fault}, found {_first(x, wrong)}")
+        if found := _first(matrix, wrong):
+            raise ArgumentError(f"{name} must be a rotation, with {fault}, found {found}")
 
 
 def require_last_row(name: str, matrix: Tensor) -> None:
     """Raise unless matrices [..., 4, 4] end with the row 0, 0, 0, 1, those with NaN apart."""
-    if not matrix.numel() or without_values((matrix,)):
-        return
-    row = matrix.detach()[..., 3, :]
-    wrong = (row - torch.eye(4, dtype=row.dtype, device=row.device)[3]).abs().amax(-1) > _close(row)
-    if bool(wrong.any()):
-        found = _first(row, wrong)
+    row = matrix[..., 3, :]
+    found = _first(row, lambda x: (x - torch.eye(4, dtype=x.dtype, device=x.device)[3]).abs().amax(-1) > _close(x))
+    if found:
         cure = "" if found[3] != 1 else "; with the translation in the last row, transpose it by .mT"
         raise ArgumentError(f"{name} must end with the row 0, 0, 0, 1, found {found}{cure}")
 
@@ -74,9 +66,13 @@ def _close(x: Tensor) -> float:
     return max(UNIT, 8 * torch.finfo(x.dtype).eps)
 
 
-def _first(x: Tensor, wrong: Tensor) -> list[Any]:
-    """First of the rows that are wrong, as numbers."""
-    return x.detach()[tuple(wrong.nonzero()[0].tolist())].tolist()
+def _first(x: Tensor, wrong: Callable[[Tensor], Tensor]) -> list[Any]:
+    """First of the rows that are wrong, as numbers; empty where there is none, or values cannot be read."""
+    if not x.numel() or without_values((x,)):
+        return []
+    x = x.detach()
+    rows = wrong(x).nonzero()
+    return x[tuple(rows[0].tolist())].tolist() if len(rows) else []
 
 
 def form(x: Sequence[Any]) -> tuple:
@@ -85,34 +81,9 @@ def form(x: Sequence[Any]) -> tuple:
     return tuple(x) if half is None else (tuple(x[:half]), tuple(x[half:]))
 
 
-def split(name: str, x: Tensor, *sizes: int) -> tuple:
-    """Components of x in the form of the algebra."""
-    return form(checked(name, x, *sizes).unbind(-1))
-
-
-def split_rows(name: str, x: Tensor, size: int) -> tuple[tuple, ...]:
-    """Rows of a matrix [..., size, size], each as its components in the form of the algebra."""
-    require_square(name, x, size)
-    return tuple(split(name, row, size) for row in x.unbind(-2))
-
-
 def stack(components) -> Tensor:
-    """Tensor [..., k] of k components, or [..., 2 k] of a pair; Python numbers become constants.
-
-    Args:
-        components: tensors that broadcast and numbers, one tensor at least; or a pair of such rows.
-
-    >>> stack((torch.zeros(5), 1.0, 2.0)).shape
-    torch.Size([5, 3])
-    """
-    flat = [*components[0], *components[1]] if components and isinstance(components[0], tuple) else list(components)
-    like = next((c for c in flat if isinstance(c, Tensor)), None)
-    if like is None:
-        raise ArgumentError(f"components must hold one tensor at least, found {components!r}; use torch.tensor")
+    """Tensor [..., k] of k components that broadcast, or [..., 2 k] of a pair of rows; numbers become constants."""
+    flat = [*components[0], *components[1]] if isinstance(components[0], tuple) else list(components)
+    like = next(c for c in flat if isinstance(c, Tensor))
     flat = [c if isinstance(c, Tensor) else torch.full_like(like, c) for c in flat]
     return torch.stack(torch.broadcast_tensors(*flat), -1)
-
-
-def stack_rows(rows) -> Tensor:
-    """Tensor [..., rows, k] of equally long rows of components."""
-    return torch.stack(torch.broadcast_tensors(*[stack(row) for row in rows]), -2)

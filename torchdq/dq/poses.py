@@ -3,8 +3,6 @@
 Rows are independent: a row that is not finite gives NaN in its own row only.
 """
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
@@ -18,8 +16,6 @@ from torchdq.dq.components import (
     require_last_row,
     require_rotation,
     require_square,
-    split_rows,
-    stack_rows,
     unit,
 )
 from torchdq.dq.formulas import computed
@@ -68,7 +64,7 @@ def log_shortest(x: Tensor) -> Tensor:
     >>> torch.allclose(log_shortest(-x), log(x))
     True
     """
-    checked("x", x, 8)
+    x = checked("x", x, 8)
     return log(torch.where(x[..., :1] < 0, -x, x))
 
 
@@ -97,8 +93,7 @@ def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
     >>> translation(sclerp(x, y, 0.5))
     tensor([1., 2., 3.])
     """
-    checked("x", x, 8)
-    checked("y", y, 8)
+    x, y = checked("x", x, 8), checked("y", y, 8)
     if not isinstance(t, Tensor):
         require_number("t", t)
     t = torch.as_tensor(t, dtype=x.dtype, device=x.device)
@@ -127,37 +122,6 @@ def screw_path(
     X, a = sclerp(x, y, s), 2.0 * log_shortest(mul(conj(x), y))
     V, A = (torch.as_tensor(k, dtype=x.dtype, device=x.device).unsqueeze(-1) * a for k in (sd, sdd))
     return X, V, A
-
-
-class ScrewParameters(NamedTuple):
-    """Screw motion: a turn by `angle` about a line with a translation by `slide` along it."""
-
-    axis: Tensor  # unit direction of the line [1], [..., 3]; along the displacement if there is no rotation
-    moment: Tensor  # moment of the line about the origin [m], [..., 3]; zero if there is no rotation
-    angle: Tensor  # [rad], [...], in [0, pi]
-    slide: Tensor  # [m], [...]; the pitch slide/angle is infinite for a pure translation
-
-
-def screw_params(x: Tensor) -> ScrewParameters:
-    """Axis, moment, angle and slide of the shorter screw motion to the pose x [..., 8].
-
-    >>> screw_params(exp_line := exp(torch.tensor([0.0, 0, 0.5, 0, 0, 1]))).slide
-    tensor(2.)
-    """
-    p, d = log_shortest(x).split(3, -1)
-    half = torch.linalg.vector_norm(p, dim=-1, keepdim=True)
-    length = torch.linalg.vector_norm(d, dim=-1, keepdim=True)
-    still = torch.eye(3, dtype=x.dtype, device=x.device)[0]
-    axis = _divided(p, half, _divided(d, length, still))
-    slide = (axis * d).sum(-1, keepdim=True)
-    moment = _divided(d - slide * axis, half, 0.0)
-    return ScrewParameters(axis, moment, 2.0 * half.squeeze(-1), 2.0 * slide.squeeze(-1))
-
-
-def _divided(x: Tensor, length: Tensor, otherwise: Tensor | float) -> Tensor:
-    """Quotient x / length; another value where the length is zero, and NaN where it is NaN."""
-    present = length != 0
-    return torch.where(present, x / torch.where(present, length, 1.0), otherwise)
 
 
 def _rotation_rows(r: Quaternion) -> tuple[Pure, ...]:
@@ -207,16 +171,6 @@ def translation(x: Tensor) -> Tensor:
     return computed(dual_quaternion.translation, x=checked("x", x, 8))
 
 
-def translation_body(x: Tensor) -> Tensor:
-    """Position p^b = 2 P* D [..., 3] of B's origin in B's own axes [m], of the pose x = X_AB [..., 8] (28).
-
-    >>> r = torch.tensor([0.0, 0, 0, 1])  # a half turn about z
-    >>> translation_body(from_pose(r, torch.tensor([1.0, 2, 3])))
-    tensor([-1., -2.,  3.])
-    """
-    return computed(dual_quaternion.translation_body, x=checked("x", x, 8))
-
-
 def rotate(r: Tensor, v: Tensor) -> Tensor:
     """Vector r v r* [..., 3]: v rotated by the unit quaternion r [..., 4].
 
@@ -253,7 +207,8 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
     """
     require_square("matrix", matrix, 3)
     require_rotation("matrix", matrix)
-    candidates = stack_rows(quaternion.from_rotation_rows(split_rows("matrix", matrix, 3)))
+    rows = quaternion.from_rotation_rows(tuple([row.unbind(-1) for row in matrix.unbind(-2)]))
+    candidates = torch.stack([torch.stack(row, -1) for row in rows], -2)
     squares = candidates.diagonal(dim1=-2, dim2=-1)
     largest = squares.argmax(-1, keepdim=True)
     q = candidates.gather(-2, largest.unsqueeze(-1).expand(*largest.shape, 4)).squeeze(-2)

@@ -116,34 +116,35 @@ class Contact(BodyEffect):
 
         f_n = k d (1 + c dd) >= 0,   |f_t| <= mu f_n
 
-    The force at a depth d is continuous and never attractive; at rest friction holds without creep, and sliding it is
-    mu f_n. For `LinearlyImplicit`, which takes the force at the end of the step and holds any stiffness; an impact is
-    of first order in the step. No step in which a base turns by less than 1.5 rad gives energy, whatever k and the body
-    are, and friction keeps to mu times the normal impulse, summed over an impact: in single steps it may be above. The
-    ground pulls at a point that another one lifts within a step, until its end. A point remembers eight numbers of a
-    state: bristles of the friction in world axes, and the largest compression of its spring [m]; normal force and size
-    of the friction over the last step [N], acceleration towards the ground by all else [m/s^2], and friction that is
-    left over [N].
+    The normal force is continuous in the depth d and never attractive. Friction sticks without creep at rest, and is
+    mu f_n in sliding. Use `LinearlyImplicit`, which evaluates the force at the end of the step and is stable for any
+    stiffness; impacts are first-order accurate in the step size. Contact never adds energy, for any stiffness and body,
+    in steps in which the base turns by less than 1.5 rad. Over an impact the friction impulse is at most mu times the
+    normal impulse; in single steps it may exceed it. A point that another contact lifts within a step is held until
+    the end of the step. Each point has eight states: friction bristles in world axes [m], largest compression of its
+    spring [m], the normal force, the friction force and the unused friction of the last step [N], and the
+    acceleration towards the ground by all other forces [m/s^2].
 
     Sources: K. H. Hunt and F. R. E. Crossley, "Coefficient of restitution interpreted as damping in vibroimpact",
     Journal of Applied Mechanics, 1975, for the normal force; M. Anitescu and F. A. Potra, "A time-stepping method for
     stiff multibody dynamics with contact and friction", 2002, for contact in linearly implicit steps.
 
     Args:
-        points: points that touch: names or patterns of frames, of which `robot.contact_points` gives the points, or the
-            frame's origin where the file has none; or `ContactPoint` objects; None: the end effector's origin.
-        height: of a plane along its normal, from the origin of the base, or of the world for a floating base [m].
-        normal: its unit normal n, in the base frame or in the world frame, shape [..., 3].
+        points: contact points: names or patterns of frames, with the points of `robot.contact_points`, or the origin of
+            the frame if the file has none; or `ContactPoint` objects; None: the origin of the end effector.
+        height: height of the plane along its normal [m], from the origin of the base, or of the world for a floating
+            base.
+        normal: unit normal n of the plane, in the base frame or, for a floating base, the world frame, shape [..., 3].
         surface: ground other than a plane: a function of recorded numbers (x, y) [m] that returns the height above
-            z = height [m], whose slopes are its derivatives; or an `effects.HeightMap`, a plane of which torch looks up
-            below every point before each step. On either a sphere of radius r touches with its lowest point, and so
-            sinks by r (1 - cos) where the ground slopes. None: the plane.
-        stiffness: k of every point, of the normal force and of the friction that sticks [N/m], a number or [...]; None:
-            so that a robot at rest sinks 1 mm on four points, or on all where there are fewer. Any is stable.
-        dissipation: c [s/m], a number or [...].
-        friction: mu, a number or [...].
-        stiction: False: no memory, and friction that is viscous below 10 mm/s, which has a smooth gradient and creeps.
-        settling: T, time in which bent bristles of a massless point relax, at least half a step [s], a number or [...].
+            z = height [m], and whose derivatives give the slope; or an `effects.HeightMap`, from which torch looks up a
+            plane below every point before each step. A sphere of radius r touches with its lowest point, and therefore
+            sinks by r (1 - cos) on a slope. None: the plane.
+        stiffness: stiffness k of each point, of the normal force and of sticking friction [N/m], a number or [...];
+            None: a robot at rest sinks by 1 mm on four points, or on all if there are fewer.
+        dissipation: dissipation c [s/m], a number or [...].
+        friction: friction coefficient mu, a number or [...].
+        stiction: False: no memory, and viscous friction below 10 mm/s, which has a smooth gradient and creeps.
+        settling: relaxation time T of the bristles of a massless point, at least half a step [s], a number or [...].
 
     >>> import torchdq
     >>> from torchdq import effects

@@ -36,7 +36,7 @@ class Residual(JointEffect):
             the dtype of its parameters.
 
     >>> import torch, torchdq
-    >>> from torchdq.envs import Scene, effects
+    >>> from torchdq import Scene, effects
     >>> scene = Scene(torchdq.robots.load("two_link"), (effects.Residual(lambda q, qd: 0.1 * qd),))
     >>> scene.step(scene.start(torch.zeros(3, 2), torch.ones(3, 2))).qd.shape
     torch.Size([3, 2])

@@ -31,7 +31,7 @@ class HeightMap:
         origin: x and y of the first height [m], in the world frame, or in that of a fixed base.
 
     >>> import torch
-    >>> from torchdq.envs import effects
+    >>> from torchdq import effects
     >>> stairs = effects.HeightMap(torch.tensor([[0.0, 0.0, 0.2, 0.2]] * 2), spacing=0.5)
     >>> height, slope_x, slope_y = stairs(torch.tensor([0.25, 0.75, 9.0]), torch.tensor([0.1, 0.1, 0.1]))
     >>> height, slope_x

@@ -67,7 +67,18 @@ class InverseDynamics(RobotModule):
 
 
 class DQRNEA(InverseDynamics):
-    """`InverseDynamics` under the name of the paper's algorithm, dual-quaternion recursive Newton-Euler."""
+    """Inverse dynamics as a layer, with the arguments of `InverseDynamics`, named after the paper's algorithm.
+
+        layer = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia", "friction"))  # learn=(): no parameters
+        tau = layer(q, qd, qdd)  # joint torques [..., n], differentiable in all inputs and parameters
+        layer.mass, layer.robot  # what has been learned: quantities that stay physical, and the robot with them
+
+    >>> import torch, torchdq
+    >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn="mass")
+    >>> layer(torch.zeros(5, 2), torch.zeros(5, 2), torch.zeros(5, 2)).sum().backward()
+    >>> layer.parametrizations.mass.original.grad.shape
+    torch.Size([2])
+    """
 
 
 class _Solved(RobotModule):

@@ -169,8 +169,8 @@ class MomentumObserver(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Force F [..., m] at a frame with J^T F = r, by damped least squares, and the part of each component it shows.
 
-        The part [..., m] is 1 where the torques determine a component. Where it is less, in singular postures or with
-        fewer joints than axes, components mix, and the least force is returned.
+        The part [..., m] is 1 where the torques determine a component. Where it is less, in singular configurations
+        or with fewer joints than axes, components mix, and the least force is returned.
 
         Args:
             q, r: positions [rad or m] and external torques [N m or N], [..., n].

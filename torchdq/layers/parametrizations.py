@@ -15,6 +15,8 @@ from torchdq.base.checks import require_finite
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import second_moments
 
+__all__ = ["Fraction", "PhysicalInertia", "Positive"]
+
 SMALLEST = 1e-6  # positive quantity that replaces one that is not positive [SI units]
 FLAT = 1e-6  # smallest second moment of a body relative to their sum; a rod or a plate gets it in its flat directions
 POINT = 1e-8  # second moments of a body without extent [kg m^2]

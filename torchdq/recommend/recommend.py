@@ -92,7 +92,7 @@ def recommend_settings(
         scene = Scene(what, (Gravity(), *rotors), dt=(horizon or 1.0) / 8)
     if not isinstance(scene, Scene):
         raise ArgumentError(
-            f"what must be a torchdq.Robot or a torchdq.envs.Scene, found {type(what).__name__}; load a robot with "
+            f"what must be a torchdq.Robot or a torchdq.Scene, found {type(what).__name__}; load a robot with "
             "Robot.from_urdf(...) or torchdq.robots.load(...)"
         )
     _require_supported(scene, inputs)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
+from torchdq.base.checks import tensor_in
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.findings import Finding
 
@@ -69,6 +70,7 @@ def indices(name: str, value: Any) -> tuple[int, ...]:
 
 def poses(name: str, value: Any, *shape: int, error: Fault = DescriptionError) -> Tensor:
     """Value, which must be unit dual quaternions of that shape, with the rounding of its dtype removed."""
+    value = tensor_in(value)
     x = table(name, value, *shape, error=error)
     if fault := not_unit(name, x.detach(), slack(value)):
         raise error(str(fault))

@@ -62,7 +62,11 @@ _ELSEWHERE = {
 
 @frozen
 class Robot(RobotModel):
-    """Robot of links, each carried by a joint of one degree of freedom, and n coordinates that move the joints.
+    """Robot: links, each carried by a joint of one degree of freedom, and n coordinates that move the joints.
+
+        robot = Robot.from_urdf("arm.urdf")  # or from_mjcf, from_xacro, from_dh, from_screws, torchdq.robots.load
+        print(robot.report())  # what the file asks for, what is used, and what looks wrong
+        robot = robot.with_payload(mass=2.0)  # a copy; also with_tool, lock, attach, replace
 
     Every joint is a coordinate, unless a `joint_map` says which joints follow which coordinates. The base is fixed, or
     free if it has a mass; see `torchdq.floating`.

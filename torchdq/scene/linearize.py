@@ -45,7 +45,7 @@ def linearize(
     """Derivatives of the state after a step, with respect to the state before it and the torques: `A, B`.
 
     A is larger than [2 n, 2 n] if effects have memory, as elastic joints, or there are sensors, whose numbers are part
-    of the state: see `Linearization`. `2 * dq.log_shortest(dq.mul(dq.conj(X), X_WB))` is the displacement xi of a
+    of the state: see `Linearization`. `(dq.Pose(X).inverse() @ dq.Pose(X_WB)).log()` is the displacement xi of a
     floating base from a pose X. The first call compiles a program of all columns of A and B, or of one where that would
     take longer than 20 s; where torch computes a part of a step (`HeightMap`, `Residual`) or it is a loop (of many
     substeps, or of `DormandPrince`), there are gradients instead.
@@ -109,13 +109,13 @@ def _by_reverse_mode(
     ends, pull, *_ = torch.func.vjp(after, torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1))
     units = torch.eye(ends.shape[-1], dtype=ends.dtype, device=ends.device).expand(*batch, -1, -1)
     if scene.robot.floating:  # a pose X changes by dX = X xi/2, so that xi = 2 conj(X) dX
-        displaced = 2 * dq.hamilton_left(dq.conj(ends[..., :POSE]))[..., PURE, :]
+        displaced = 2 * dq.paper.hamilton_left(dq.conj(ends[..., :POSE]))[..., PURE, :]
         units = torch.cat([torch.nn.functional.pad(displaced, (0, units.shape[-1] - POSE)), units[..., POSE:, :]], -2)
     # samples do not depend on each other, so that one gradient per row of the state is enough for all of them
     (found,) = torch.func.vmap(pull)(units.movedim(-2, 0))
     found = found.movedim(0, -2)
     if scene.robot.floating:
-        directions = dq.hamilton_left(rows["X_WB"])[..., PURE] / 2
+        directions = dq.paper.hamilton_left(rows["X_WB"])[..., PURE] / 2
         found = torch.cat([found[..., :POSE] @ directions, found[..., POSE:]], -1)
     A, B = found.split([units.shape[-2], scene.n], -1)
     return Linearization(A, B)

@@ -36,7 +36,7 @@ class Linear:
         state: expected states, shape [steps, ..., s].
 
     >>> import torch, torchdq
-    >>> from torchdq.envs import policies
+    >>> from torchdq.scene import policies
     >>> scene = torchdq.Scene(torchdq.robots.load("two_link"))
     >>> hold = policies.Linear(-torch.ones(50, 2, 4), torch.zeros(50, 2), torch.zeros(50, 4))
     >>> scene.rollout(scene.start(torch.ones(3, 2)), policy=hold).q.shape
@@ -109,7 +109,7 @@ class Network:
         inputs: names of rows of the state, as in `State`, and of inputs of a step.
 
     >>> import torch, torchdq
-    >>> from torchdq.envs import policies
+    >>> from torchdq.scene import policies
     >>> scene = torchdq.Scene(torchdq.robots.load("two_link"))
     >>> layers = torch.nn.Linear(4, 16), torch.nn.Tanh(), torch.nn.Linear(16, 2)
     >>> policy = policies.Network(torch.nn.Sequential(*layers))

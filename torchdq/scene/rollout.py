@@ -55,7 +55,7 @@ def rollout(
         steps: number of steps; None: as many as there are torques.
         policy: function `policy(state, k)` of the state and the number of the step, from 0, that returns the torques
             of this step, shape [..., n], instead of `torque`; a module, for instance. Where there are sensors it should
-            look at `state.measured`. One of `torchdq.envs.policies` is recorded with the steps, which is faster, and
+            look at `state.measured`. One of `torchdq.scene.policies` is recorded with the steps, which is faster, and
             adds to `torque`.
         done: function `done(state)` that is True, shape [...], for rows that have ended: they keep this state to the
             end of the rollout, and their gradient is that of the steps they took. None: no row ends.

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, dtype
 
 from torchdq.backends.call import batch_of
-from torchdq.base.checks import require_tensor, tensor_of
+from torchdq.base.checks import require_tensor, tensor_in, tensor_of
 from torchdq.effects.effect import Effect
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
@@ -68,7 +68,7 @@ def require_state(x: Any) -> None:
     """Raise unless x is a state with positions and velocities."""
     if not isinstance(x, State):
         raise ArgumentError(
-            f"state must be a torchdq.envs.State, found {type(x).__name__}; scene.start(q, qd) makes one, "
+            f"state must be a torchdq.scene.State, found {type(x).__name__}; scene.start(q, qd) makes one, "
             f"and states.last is the last one of a rollout"
         )
     for name in ("q", "qd"):
@@ -78,7 +78,7 @@ def require_state(x: Any) -> None:
 def initial_motion(spec: SceneSpec, given: Mapping[str, Tensor | None]) -> dict[str, Tensor]:
     """Positions and velocities of a state, by name, with common batch axes; those not given are zero, a pose is 1."""
     require_tensor("q", given["q"])
-    present = {name: x for name, x in given.items() if x is not None}
+    present = {name: tensor_in(x) for name, x in given.items() if x is not None}
     batch = batch_of(Stage(spec, "start"), present)
     q = present["q"]
     moved = {name: q.new_zeros(width) for name, width in spec.moving.items()}

@@ -19,8 +19,7 @@ from precisions import F64, every_backend, every_backend_and_dtype
 from urdf_text import LIMIT, also, arm, fixed, joint, link, mimic, urdf
 
 import torchdq
-from torchdq import Robot, SingularInertiaError, dq
-from torchdq.envs import Scene, effects
+from torchdq import Robot, Scene, SingularInertiaError, dq, effects
 
 # --- U1, U5, U9, U10: what pinocchio reads in the same text ----------------------------------------------------------
 

@@ -10,7 +10,8 @@ from oracles import EPS
 from precisions import compiled
 from scenes import ARM, swinging, trace
 
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, effects
+from torchdq.scene import State
 from torchdq.scene.integrators import (
     DormandPrince,
     ExplicitEuler,

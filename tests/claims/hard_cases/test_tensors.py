@@ -20,9 +20,11 @@ from precisions import F32, F64, C, every_backend, every_backend_and_dtype, ever
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 import torchdq
-from torchdq.envs import RobotVectorEnv, Scene, State, effects
+from torchdq import Scene, effects
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.render import Skeleton
 from torchdq.errors import ArgumentError
+from torchdq.scene import State
 from torchdq.scene.defaults import default_effects
 from torchdq.scene.integrators import LinearlyImplicit
 

@@ -22,8 +22,8 @@ from scenes import ARM, rolled, swinging, trace
 from scipy.integrate import solve_ivp
 
 import torchdq
-from torchdq import dq
-from torchdq.envs import Scene, State, effects
+from torchdq import Scene, dq, effects
+from torchdq.scene import State
 from torchdq.scene.integrators import (
     DormandPrince,
     ExplicitEuler,

@@ -8,7 +8,7 @@ from helpers import all_in_one, double, random
 from oracles import shipped
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.layers.residual import ResidualDynamics
 from torchdq.layers.residual.domain import Domain
 

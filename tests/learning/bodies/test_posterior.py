@@ -15,7 +15,7 @@ from recorded_logs import fitted
 from scenes import rolled
 
 import torchdq
-from torchdq.envs import Scene, effects
+from torchdq import Scene, effects
 from torchdq.errors import ArgumentError
 from torchdq.learning import posterior_samples
 from torchdq.learning.bodies.nearest import nearest, of_numbers

@@ -12,10 +12,9 @@ from recorded_logs import WIDTH, fitted, motion_of, sign, states, torques
 from scipy.optimize import nnls
 
 import torchdq
-from torchdq import effects
+from torchdq import Scene, effects
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import COLUMNS
-from torchdq.envs import Scene
 from torchdq.learning import Evaluation, Model, Samples, Verdict, evaluate, identify
 from torchdq.learning.evaluate import FAIR
 from torchdq.learning.identification.simple import _nonnegative

@@ -12,8 +12,7 @@ from places import DATA
 from recorded_logs import COULOMB, REAL, ROBOT, WIDTH, codes, fitted, recordings, sign, states, torques, with_findings
 
 import torchdq
-from torchdq import effects
-from torchdq.envs import Scene
+from torchdq import Scene, effects
 from torchdq.learning import Model, Samples, identify, posterior_samples, stack_samples
 
 BACKEND = "auto"  # one arm, whose programs all tests share

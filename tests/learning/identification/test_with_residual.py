@@ -9,8 +9,7 @@ from recorded_logs import ROBOT as TWO
 from recorded_logs import motion_of, waves
 
 import torchdq
-from torchdq import effects
-from torchdq.envs import Scene
+from torchdq import Scene, effects
 from torchdq.learning import Model, Samples, evaluate, fit, identify, plot_torques
 
 pytestmark = pytest.mark.filterwarnings("ignore::torchdq.learning.LogWarning")  # of friction that no term has

@@ -13,8 +13,8 @@ from messages import refused, warned
 from scipy import optimize, signal, stats
 
 import torchdq
+from torchdq import Scene, effects
 from torchdq.backends.call import evaluate
-from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.learning import LogError, LogWarning, Recording, fit_rollout
 from torchdq.learning.rollout import fit, shooting, unknowns

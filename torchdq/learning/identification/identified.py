@@ -162,7 +162,7 @@ class Identified(NamedTuple):
         >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 200, 2, dtype=torch.float64)
         >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd
         >>> found = identify(robot, Samples(q, qd, qdd, tau))
-        >>> torchdq.envs.Scene(found.robot, found.effects()).robot.name
+        >>> torchdq.Scene(found.robot, found.effects()).robot.name
         'two_link'
         """
         rotors = () if self.robot.armature is None else (effects.RotorInertia(),)

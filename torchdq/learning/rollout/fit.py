@@ -85,7 +85,7 @@ def fit_rollout(
             those found until then. Or residuals are correlated over more than two rows, or no step is short enough.
 
     >>> import torchdq
-    >>> from torchdq.envs import Scene, effects
+    >>> from torchdq import Scene, effects
     >>> two_link, t = torchdq.robots.load("two_link"), 0.01 * torch.arange(201.0, dtype=torch.float64)
     >>> torque = 5 * torch.stack([(5 * t).sin(), (7 * t).cos()], -1)
     >>> scene = Scene(two_link, (effects.Gravity(), effects.Viscous(0.5)), dt=0.01)
@@ -98,8 +98,8 @@ def fit_rollout(
     [0.5, 0.5]
     """
     if not isinstance(scene, Scene):
-        cure = "; torchdq.envs.Scene(robot, effects) makes one" if isinstance(scene, Robot) else ""
-        raise ArgumentError(f"scene must be a torchdq.envs.Scene, found {type(scene).__name__}{cure}")
+        cure = "; torchdq.Scene(robot, effects) makes one" if isinstance(scene, Robot) else ""
+        raise ArgumentError(f"scene must be a torchdq.Scene, found {type(scene).__name__}{cure}")
     if segment is not None:
         require_number("segment", segment, positive=True)
     require_count("iterations", iterations)

@@ -1,4 +1,8 @@
-"""Robots that ship with the package, each with the source of its numbers."""
+"""Robots that ship with the package: `torchdq.robots.load("panda")`, and `names()` of all of them.
+
+two_link is the planar arm of the paper, panda, ur10e and puma560 are arms, go2 is a quadruped; the file of each states
+where its numbers are from. Other robots are read by `torchdq.Robot.from_urdf` and `Robot.from_mjcf`.
+"""
 
 from collections.abc import Callable
 

@@ -46,7 +46,7 @@ def build() -> Robot:
     tool = dq.mul(double(HALF), double((sqrt(0.5), -sqrt(0.5), 0.0, 0.0)))
     robot = Robot.from_screws(
         name="ur10e",
-        joint_screws=torch.cat([l, dq.cross(p, l)], -1),
+        joint_screws=torch.cat([l, torch.linalg.cross(p, l)], -1),
         link_poses=dq.from_pose(double(orientations), p),
         tip_pose=dq.from_pose(tool, double((1.184, 0.291, 0.061))),
         mass=mass,

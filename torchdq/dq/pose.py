@@ -1,0 +1,104 @@
+"""Poses as values: a small immutable class around a tensor of unit dual quaternions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree
+
+from torchdq.base.checks import TensorValue
+from torchdq.dq import poses, tensors
+
+
+@dataclass(frozen=True, eq=False)
+class Pose(TensorValue):
+    """Pose X_AB of a frame B in a frame A, a rigid motion, around a tensor [..., 8].
+
+        X_AC = X_AB @ X_BC,   X_BA = X_AB.inverse(),   p_A = X_AB.apply(p_B),   xi = (X.inverse() @ X_des).log()
+
+    Every function of this package that takes poses takes these and plain tensors alike. Results are tensors, of which
+    `Pose(torchdq.forward_kinematics(robot, q, "tip"))` makes poses. Leading axes are batch axes and broadcast; dtype
+    and device are those of the tensor. torch.func and torch.compile take poses as arguments and results; a full graph
+    of torch.compile needs `multiply`, since it does not trace `@` between objects.
+
+    A motion xi [..., 6] is (angular [rad], linear [m]), the order of twists: the constant twist in B's axes that
+    carries the frame from A to B in one second. It is the whole motion, twice the half-angle screw of `dq.exp` and
+    `dq.log`. Pinocchio and jaxlie give the same numbers with the linear part first.
+
+    Args:
+        parameters: unit dual quaternion r + (eps/2) p r, shape [..., 8]; its negative is the same pose.
+
+    >>> X_AB = Pose.exp(torch.tensor([0.0, 0.0, torch.pi / 2, 0.0, 0.0, 1.0]))  # a quarter turn about z, 1 m up
+    >>> X_AB.apply(torch.tensor([1.0, 0.0, 0.0])).round(decimals=3) + 0.0
+    tensor([0., 1., 1.])
+    >>> torch.allclose((X_AB.inverse() @ X_AB).log(), torch.zeros(6))
+    True
+    """
+
+    parameters: Tensor
+
+    @staticmethod
+    def identity(
+        batch: Sequence[int] = (), dtype: torch.dtype | None = None, device: torch.device | str | None = None
+    ) -> Pose:
+        """Pose of a frame in itself, with these batch axes."""
+        return Pose(torch.eye(1, 8, dtype=dtype, device=device)[0].expand(*batch, 8))
+
+    @staticmethod
+    def from_matrix(matrix: Tensor) -> Pose:
+        """Pose of a homogeneous matrix [..., 4, 4]; raises as `torchdq.dq.from_matrix`."""
+        return Pose(poses.from_matrix(matrix))
+
+    @staticmethod
+    def from_rotation_and_translation(rotation: Tensor, translation: Tensor) -> Pose:
+        """Pose of a unit quaternion (w, x, y, z) [..., 4] and the position of B's origin in A [m], [..., 3]."""
+        return Pose(poses.from_pose(rotation, translation))
+
+    @staticmethod
+    def exp(xi: Tensor) -> Pose:
+        """Pose reached by a motion xi [..., 6] from the identity."""
+        return Pose(poses.exp(0.5 * xi))
+
+    def as_matrix(self) -> Tensor:
+        """Homogeneous matrix [..., 4, 4]."""
+        return poses.to_matrix(self.parameters)
+
+    def rotation(self) -> Tensor:
+        """Unit quaternion (w, x, y, z) [..., 4] that turns B components into A components."""
+        return poses.rotation(self.parameters)
+
+    def translation(self) -> Tensor:
+        """Position of B's origin in A [m], [..., 3]."""
+        return poses.translation(self.parameters)
+
+    def apply(self, points: Tensor) -> Tensor:
+        """Points [..., 3] given in B [m], in A."""
+        return poses.rotate(self.rotation(), points) + self.translation()
+
+    def multiply(self, other: Pose) -> Pose:
+        """Composition X_AC = X_AB X_BC, also `X_AB @ X_BC`."""
+        return Pose(tensors.mul(self.parameters, other.parameters))
+
+    __matmul__ = multiply
+
+    def inverse(self) -> Pose:
+        """Pose X_BA of A in B."""
+        return Pose(tensors.conj(self.parameters))
+
+    def log(self) -> Tensor:
+        """Shortest motion xi [..., 6], which turns by at most pi; at exactly pi see `torchdq.dq.log_shortest`."""
+        return 2.0 * poses.log_shortest(self.parameters)
+
+    def adjoint(self) -> Tensor:
+        """Matrix [..., 6, 6] that expresses twists (angular, linear) and wrenches (force, moment) of B in A."""
+        return tensors.ad_matrix(self.parameters)
+
+    def normalize(self) -> Pose:
+        """Closest unit dual quaternion, after rounding errors of many products."""
+        return Pose(tensors.normalize(self.parameters))
+
+
+_pytree.register_dataclass(Pose)
