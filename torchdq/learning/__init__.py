@@ -17,6 +17,7 @@ from torchdq.learning.bodies.posterior import PosteriorSamples, posterior_sample
 from torchdq.learning.evaluate import Evaluation, Verdict, evaluate
 from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.excitation.trajectory import Excitation, excitation_trajectory
+from torchdq.learning.fit import History, TrainingError, fit
 from torchdq.learning.identification.identified import Identified, Prediction
 from torchdq.learning.identification.identify import identify
 from torchdq.learning.identification.model import Model
@@ -31,8 +32,6 @@ from torchdq.learning.read_log import read_log
 from torchdq.learning.rollout.fit import fit_rollout
 from torchdq.learning.rollout.recordings import Recording
 from torchdq.learning.rollout.result import RolloutFit
-from torchdq.learning.training.fit import fit
-from torchdq.learning.training.loop import History, TrainingError
 
 __all__ = [
     "Box",

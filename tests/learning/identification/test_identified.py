@@ -18,7 +18,7 @@ from torchdq.dynamics.friction import COLUMNS
 from torchdq.envs import Scene
 from torchdq.learning import Evaluation, Model, Samples, Verdict, evaluate, identify
 from torchdq.learning.evaluate import FAIR
-from torchdq.learning.identification.simple import _nonnegative
+from torchdq.learning.identification.friction_selection import _nonnegative
 
 DESCRIBED = torchdq.Robot.from_urdf(PAIR)
 MOVED = [x[0] for x in states(1, 600, seed=9)]

@@ -25,11 +25,11 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding, merged
 from torchdq.functional import inverse_dynamics, regressor, require_finite
-from torchdq.learning.bodies.nearest import nearest, of_numbers
-from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.diagnostics import diagnose
+from torchdq.learning.evaluation.statistics import correlation_times
 from torchdq.learning.identification.base_parameters import base_names, base_of, inverse_of
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
+from torchdq.learning.identification.solution import nearest, of_numbers
 from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread

@@ -19,9 +19,9 @@ from torchdq.base.tables import summary
 from torchdq.effects import Effect, Gravity, Residual, RotorInertia
 from torchdq.errors import ArgumentError
 from torchdq.layers.residual import ResidualDynamics
-from torchdq.learning.bodies.nearest import nearest, of_numbers
 from torchdq.learning.identification.identified import Identified, coefficients_of
 from torchdq.learning.identification.regression import parted
+from torchdq.learning.identification.solution import nearest, of_numbers
 from torchdq.learning.identification.terms import ROTOR, Term
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchdq.findings import Finding
-from torchdq.learning.evaluation.correlation import correlation_times
+from torchdq.learning.evaluation.statistics import correlation_times
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import columns

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from torchdq.learning.evaluation.blocks import Block, MotionRows, regions
-from torchdq.learning.evaluation.correlation import correlation_times
-from torchdq.learning.evaluation.coverage import interval_factors
+from torchdq.learning.evaluation.statistics import correlation_times, interval_factors
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import by_chunks, gram, parted, places, rigid, squared
 from torchdq.learning.identification.solution import Solution, solve

@@ -33,6 +33,7 @@ from torchdq.learning.identification.augmented import AugmentedFit, offset_findi
 from torchdq.learning.identification.base_parameters import base_parameters
 from torchdq.learning.identification.evidence import Evidence, gather
 from torchdq.learning.identification.faults import fault_findings
+from torchdq.learning.identification.friction_selection import simple_friction
 from torchdq.learning.identification.gains import Gains, drive_gains, negative_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified
 from torchdq.learning.identification.lags import lag_findings
@@ -45,7 +46,6 @@ from torchdq.learning.identification.model_selection import (
     select,
 )
 from torchdq.learning.identification.regression import known, parted, shifted
-from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
 from torchdq.learning.logs.errors import LogWarning
