@@ -25,10 +25,9 @@ from torchdq.learning.identification.model_selection import CandidateModel, Mode
 from torchdq.learning.logs.errors import LogError, LogWarning, MissingLogError
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.motions import Motion, smooth, stack_samples, train_test_split
-from torchdq.learning.logs.read import Log
+from torchdq.learning.logs.read import Log, read_log
 from torchdq.learning.logs.samples import Samples
 from torchdq.learning.plots import plot_torques
-from torchdq.learning.read_log import read_log
 from torchdq.learning.rollout.fit import fit_rollout
 from torchdq.learning.rollout.recordings import Recording
 from torchdq.learning.rollout.result import RolloutFit

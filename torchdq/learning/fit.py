@@ -277,8 +277,10 @@ def _fit_network(
     if unseen is not None:
         held_out = _predicted(model, unseen, [part.rows for part in parts])
     else:
-        folds = [(group, [m for x in group for m in x.margins]) for k in range(GROUPS) if (group := parts[k::GROUPS])]
-        folds = [([x.rows for x in group], margins) for group, margins in folds]
+        groups = [group for k in range(GROUPS) if (group := parts[k::GROUPS])]
+        folds: list[tuple[list[Any], list[Any]]] = [  # rows to predict, and further ones that are not trained on
+            ([x.rows for x in group], [margin for x in group for margin in x.margins]) for group in groups
+        ]
         if parts and len(lengths) < 3:
             folds += [([half], []) for pair in regions(motions) for half in pair]
         held_out = []

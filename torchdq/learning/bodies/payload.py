@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_number
+from torchdq.base.checks import require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import smooth_sign
@@ -130,8 +130,7 @@ def identify_payload(
     >>> bool((found.mass - 2).abs() < 0.01), bool((found.com[2] - 0.1).abs() < 0.01)
     (True, True)
     """
-    if not isinstance(empty, Identified):
-        raise ArgumentError(f"empty must be what identify returns, found {type(empty).__name__}")
+    require_object("empty", empty, Identified, "torchdq.learning", "identify(robot, motions)")
     robot = empty.robot
     batch, rows = recorded(robot, motions, qd, qdd, tau=tau)
     if not all(torch.tensor(rows.known_gains).expand(robot.n)):

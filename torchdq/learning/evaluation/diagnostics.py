@@ -7,7 +7,6 @@ is named. Other faults are looked for before that: outliers, motions beyond the 
 never changes, another unit, currents without a gain, and torques from which the drives have taken gravity away.
 """
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, compress, product
@@ -19,6 +18,7 @@ from torch.nn.functional import normalize
 
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.findings import Finding
+from torchdq.learning.logs.checks import UNITS, beyond_limits
 from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.robot import Robot
 
@@ -49,10 +49,6 @@ class Thresholds:
     poor: float = 0.5  # part of a joint's torque that a fit leaves unexplained, from which it is named
     shaped: float = 0.9  # part of the residual left by dry friction of other widths, from which the shape is another
     seen: float = 0.02  # residual that they explain, relative to the joint's torques, below which it does not matter
-    often: float = 0.01  # part of the rows in which a joint must be beyond its limits
-    past: float = 1.0  # farthest beyond a limit of position that is accepted, relative to the range between both limits
-    turns: float = 4 * math.pi  # the same of joints that may make a full turn, which often have no limit [rad]
-    faster: float = 3.0  # times the limit of velocity that are accepted: simulated motions do not keep it
 
 
 AT = Thresholds()
@@ -65,10 +61,6 @@ GROUPS = {  # signals that a reading changes
     "velocities and accelerations": ("qd", "qdd"),
     "positions, velocities and accelerations": ("q", "qd", "qdd"),
     "columns of all signals": SIGNALS,
-}
-UNITS = {  # of joints that turn or slide: symbol, name, the other unit that logs are in, and the factor to multiply by
-    True: ("rad", "radians", "degrees", "pi/180", math.pi / 180),
-    False: ("m", "metres", "millimetres", "0.001", 0.001),
 }
 TIMES = "{:.2g} times the described torque"
 Torques = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -111,30 +103,6 @@ def diagnose(robot: Robot, torques: Torques, rows: Sequence[Tensor], sign_width:
     if not weightless and bool((fit.left > AT.unexplained).any()):
         found += _misread(torques, robot, few, sign_width, fit.left)
     return [*leaps, *_constant(described, names, few, sign_width), *found, *weightless]
-
-
-def beyond_limits(robot: Robot, q: Tensor, qd: Tensor | None) -> list[Finding]:
-    """Findings about joints that positions and velocities [rows, n] take far beyond the limits of the description."""
-    lower, upper, velocity, _ = (x.double().cpu() for x in robot.limits)
-    q = q.cpu()
-    qd = torch.zeros_like(q) if qd is None else qd.cpu()
-    reach = upper - lower
-    past = torch.maximum(lower - q, q - upper)
-    turns = torch.tensor([kind.turns for kind in robot.joint_types]) & (reach > 1.99 * math.pi)
-    far = ((past > torch.where(turns, AT.turns, AT.past * reach)).double().mean(0) > AT.often) & (reach > 0)
-    fast = ((qd.abs() > AT.faster * velocity).double().mean(0) > AT.often) & (velocity > 0)
-    found = []
-    for j in (far | fast).nonzero()[:, 0].tolist():
-        unit, _, other, times, _ = UNITS[robot.joint_types[j].turns]
-        if far[j]:
-            code, x, expected = "position.limits", q[:, j], f"its limits are {lower[j]:.3g} and {upper[j]:.3g} {unit}"
-            moves = f"positions from {x.min():.3g} to {x.max():.3g}"
-        else:
-            code, x, expected = "velocity.limits", qd[:, j], f"its limit is {velocity[j]:.3g} {unit}/s"
-            moves = f"speeds up to {x.abs().max():.3g}"
-        cure = f"are these {other} (multiply by {times}), or of other joints?"
-        found.append(Finding(code, robot.joint_names[j], expected, moves, cure, value=float(x.abs().max())))
-    return found
 
 
 def unexplained(

@@ -1,20 +1,31 @@
-"""Checks of logs: times that run on, finite numbers, radians, and signals that agree with each other."""
+"""Checks of logs: increasing times, finite numbers, radians, signals that agree with each other and with a robot."""
 
 import math
 from itertools import pairwise
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.signals import Signals
 from torchdq.learning.logs.tables import rows_option
+from torchdq.robot import Robot
 
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
 UNLIKE, ALIKE = 0.5, 0.95  # correlations of signals that have nothing to do with each other, and that follow each other
 JUMP = 0.05  # [rad or m] change of a position between two rows that may stay unexplained by the velocities
 FAR = 10.0  # times the usual unexplained change from which one is a jump
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
+OFTEN = 0.01  # part of the rows in which a joint must be beyond its limits
+PAST = 1.0  # farthest beyond a limit of position that is accepted, relative to the range between both limits
+MOST_TURNS = 4 * math.pi  # the same of joints that may make a full turn, which often have no limit [rad]
+FASTER = 3.0  # times the limit of velocity that are accepted: simulated motions do not keep it
+UNITS = {  # of joints that turn or slide: symbol, name, the other unit that logs are in, and the factor to multiply by
+    True: ("rad", "radians", "degrees", "pi/180", math.pi / 180),
+    False: ("m", "metres", "millimetres", "0.001", 0.001),
+}
 PARTS = 3  # most parts of a log that are named
 AROUND = "read the rows before it or after it, by "
 ELSEWHERE = f"{AROUND}rows=(first, last)", f"{AROUND}--rows FIRST LAST"  # for Python, and for the command line
@@ -148,3 +159,27 @@ def _require_rates(table: Signals, signal: str, rate: str) -> None:
                     cure = f"{column} seems to be in degrees; multiply the column by pi/180"
             claim = f"{name} changes {ratio:.3g} times as much as {others[j]} says"
             raise LogError(Finding("columns.rate", f"column {name!r}", claim, "", cure, value=ratio), where=table.path)
+
+
+def beyond_limits(robot: Robot, q: np.ndarray | Tensor, qd: np.ndarray | Tensor | None) -> list[Finding]:
+    """Findings about joints that positions and velocities [rows, n] take far beyond the limits of the description."""
+    lower, upper, velocity, _ = (x.double().cpu() for x in robot.limits)
+    q = torch.as_tensor(q).cpu()
+    qd = torch.zeros_like(q) if qd is None else torch.as_tensor(qd).cpu()
+    reach = upper - lower
+    past = torch.maximum(lower - q, q - upper)
+    turns = torch.tensor([kind.turns for kind in robot.joint_types]) & (reach > 1.99 * math.pi)
+    far = ((past > torch.where(turns, MOST_TURNS, PAST * reach)).double().mean(0) > OFTEN) & (reach > 0)
+    fast = ((qd.abs() > FASTER * velocity).double().mean(0) > OFTEN) & (velocity > 0)
+    found = []
+    for j in (far | fast).nonzero()[:, 0].tolist():
+        unit, _, other, times, _ = UNITS[robot.joint_types[j].turns]
+        if far[j]:
+            code, x, expected = "position.limits", q[:, j], f"its limits are {lower[j]:.3g} and {upper[j]:.3g} {unit}"
+            moves = f"positions from {x.min():.3g} to {x.max():.3g}"
+        else:
+            code, x, expected = "velocity.limits", qd[:, j], f"its limit is {velocity[j]:.3g} {unit}/s"
+            moves = f"speeds up to {x.abs().max():.3g}"
+        cure = f"are these {other} (multiply by {times}), or of other joints?"
+        found.append(Finding(code, robot.joint_names[j], expected, moves, cure, value=float(x.abs().max())))
+    return found
