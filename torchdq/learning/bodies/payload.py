@@ -133,9 +133,6 @@ def identify_payload(
     require_object("empty", empty, Identified, "torchdq.learning", "identify(robot, motions)")
     robot = empty.robot
     batch, rows = recorded(robot, motions, qd, qdd, tau=tau)
-    if not all(torch.tensor(rows.known_gains).expand(robot.n)):
-        cure = "multiply them by the gains that Model(gains=True) of identify found"
-        raise ArgumentError(f"tau of the motions must be torques, found efforts of unknown gains; {cure}")
     if len(batch) != 1 or not batch[0]:
         expected = f"the shape [rows, {robot.n}] with a row at least"
         raise ArgumentError(f"q must have {expected}, found the batch axes {batch}")
@@ -147,7 +144,7 @@ def identify_payload(
         raise ArgumentError(f"frame must be one that a joint moves, found {at.name!r} on the base")
     with torch.no_grad(), Progress("identifying the payload"):
         alone = empty.predict(motions, qd, qdd).tau
-        q, qd, qdd, tau = (x.cpu() for x in (rows.q, rows.qd, rows.qdd, rows.measured))
+        q, qd, qdd, tau = (x.cpu() for x in (rows.q, rows.qd, rows.qdd, rows.torques))
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)
         body = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))
         unidentifiable = _unidentifiable(robot, at.name, body)

@@ -27,7 +27,7 @@ from torchdq.learning.identification.gains import Gains
 from torchdq.learning.identification.model_selection import ModelSelection
 from torchdq.learning.identification.regression import by_chunks, parted, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, at_rest, rows_of, unit_torques
-from torchdq.learning.logs.motions import Motion, require_torques, several
+from torchdq.learning.logs.motions import Motion
 from torchdq.learning.logs.samples import Samples
 from torchdq.nn import InverseDynamics
 from torchdq.robot import Robot
@@ -234,11 +234,8 @@ class Identified(NamedTuple):
         Raises:
             ArgumentError: there are no torques, or efforts of unknown gains that were not identified.
         """
-        gains = self.gains
         _, rows = recorded(self.robot, motions, qd, qdd, tau=tau)
-        if gains is None and not isinstance(motions, Tensor):
-            require_torques(several(motions))
-        measured = rows.measured if gains is None else rows.measured * gains.value.to(rows.measured)
+        measured = rows.torques if self.gains is None else rows.measured * self.gains.value.to(rows.q)
         known = self._replace(network=None).predict(motions, qd, qdd).tau.reshape(rows.q.shape)
         return Samples(rows.q, rows.qd, rows.qdd, measured - known + self.layer()(rows.q, rows.qd, rows.qdd))
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_number
+from torchdq.base.checks import require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
@@ -53,8 +53,7 @@ from torchdq.learning.logs.motions import Motion
 from torchdq.learning.logs.samples import Samples
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_bodies, require_robot
-from torchdq.robot.model import batches
+from torchdq.robot.argument import require_bodies, require_single
 
 IDENTIFIABLE = 0.9  # least part of a parameter's variance that the samples take away where they identify it
 FAR = 3.0  # times the described mass from which a note says so
@@ -131,10 +130,8 @@ def identify(
     >>> torch.allclose(found.predict(q, qd, qdd).tau, samples.tau, atol=1e-6)
     True
     """
-    for name, axes in batches(require_robot(robot)).items():
-        raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; identify one at a time")
-    if not isinstance(model, Model):
-        raise ArgumentError(f"model must be a Model, such as Model(friction=None), found {model!r}")
+    require_bodies(require_single(robot), "identification")
+    require_object("model", model, Model, "torchdq.learning", "Model(friction=None)")
     rows = of_motions(robot, motions)
     if not len(rows.q) or not robot.n:
         raise ArgumentError(
@@ -143,18 +140,13 @@ def identify(
     if prior is not None and prior != math.inf:
         require_number("prior", prior, positive=True)
     require_number("sign_width", sign_width, positive=True)
-    require_finite(**{"tau": rows.measured} | rows.signals())
-    require_bodies(robot, "identification")
+    require_finite(**{"tau": rows.measured if model.gains else rows.torques} | rows.signals())
     fixed = model.fixed(robot, sign_width)
-    units = torch.tensor(rows.known_gains).expand(robot.n)
-    if not (model.gains or bool(units.all())):
-        claim = "tau of the motions must be torques, found efforts of unknown gains"
-        raise ArgumentError(Finding("gains.unknown", "", claim, "", "give Model(gains=True)", "give --estimate-gains"))
     with torch.no_grad(), _solvable(rows.signals()), Progress(f"identifying {robot.name}") as notice:
         drives = None
         if model.gains:
             motors = gather(robot, rows, model.of_motors(robot), sign_width, say=notice.at)
-            drives = drive_gains(motors, units)
+            drives = drive_gains(motors, torch.tensor(rows.known_gains).expand(robot.n))
             rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         data = diagnose(robot, partial(inverse_dynamics, robot), [rows.q, rows.qd, rows.qdd, rows.measured], sign_width)
         still = [*_still_joints(robot, rows.qd, sign_width), *(negative_gains(robot, drives[0]) if drives else ())]

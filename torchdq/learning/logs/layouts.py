@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from torchdq.base.checks import is_number, names_of, require_count
+from torchdq.base.checks import names_of, require_count, require_number
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 
@@ -77,9 +77,8 @@ class Layout:
     def __post_init__(self) -> None:
         require_count("joints", self.joints, 0)
         for name in ("cutoff_qd", "cutoff_tau", "rate", "farthest", "fastest"):
-            x, optional = getattr(self, name), name in ("cutoff_qd", "cutoff_tau", "rate")
-            if not (optional and x is None) and not (is_number(x) and x > 0):
-                raise ArgumentError(f"{name} must be a positive number, found {x!r}")
+            if (x := getattr(self, name)) is not None or name in ("farthest", "fastest"):
+                require_number(name, x, positive=True)
         object.__setattr__(self, "gain", _gains(self.gain))
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
         object.__setattr__(self, "at_motors", names_of("at_motors", self.at_motors, SIGNALS[1:5], "signal"))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from torchdq.base.checks import is_number, require_number
+from torchdq.base.checks import is_number, require_number, require_object
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
@@ -94,8 +94,7 @@ def smooth(
     >>> smooth(log).qdd.shape
     (886, 1)
     """
-    if not isinstance(log, Log):
-        raise ArgumentError(f"log must be a Log, found {type(log).__name__}; read_log(path) reads one")
+    require_object("log", log, Log, "torchdq.learning", "read_log(path)")
     step = float(np.median(np.diff(log.time)))
     cutoff_qd = _cutoff("cutoff_qd", cutoff_qd, log.layout.cutoff_qd, step)
     cutoff_tau = _cutoff("cutoff_tau", cutoff_tau, log.layout.cutoff_tau, step)
@@ -247,9 +246,14 @@ def require_torques(motions: Sequence[Motion]) -> None:
             claim = f"motions must have torques, found none in that{name}"
             raise ArgumentError(Finding("torques.missing", "", claim, "", cure))
         if not np.all(motion.known_gains):
-            cure = "give Layout(gain=...), or identify(robot, motions, Model(gains=True)), which finds them"
-            claim = f"motions must have torques, found efforts of unknown gains in that{name}"
-            raise ArgumentError(Finding("gains.unknown", "", claim, "", cure, "give --gains, or --estimate-gains"))
+            raise ArgumentError(unknown_gains(name))
+
+
+def unknown_gains(of: str = "") -> Finding:
+    """Finding about efforts in other units than torques."""
+    claim = f"motions must have torques, found efforts of unknown gains in those{of}"
+    cure = "give Layout(gain=...), or identify(robot, motions, Model(gains=True)), which finds them"
+    return Finding("gains.unknown", "", claim, "", cure, "give --gains, or --estimate-gains")
 
 
 def several(motions: Motion | Sequence[Motion]) -> Sequence[Motion]:

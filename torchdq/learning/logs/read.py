@@ -10,7 +10,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from torchdq.base import sources
-from torchdq.base.checks import require_number
+from torchdq.base.checks import require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
@@ -111,9 +111,7 @@ def read_log(
     >>> read_log({"time": [0.0, 0.01], "q": [[0.1], [0.105]], "qd": None, "tau": [[2.0], [2.1]]}).tau.shape
     (2, 1)
     """
-    if not isinstance(layout, Layout):
-        cure = "columns are named by Layout(columns={'q': 'position_{0}'})"
-        raise ArgumentError(f"layout must be a Layout, found {type(layout).__name__}; {cure}")
+    require_object("layout", layout, Layout, "torchdq.learning", "Layout(columns={'q': 'position_{0}'})")
     if rows is not None:
         pair = rows if isinstance(rows, tuple | list) and len(rows) == 2 else (None, None)
         whole = all(isinstance(x, Integral) and not isinstance(x, bool) for x in pair)
