@@ -36,7 +36,6 @@ from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, moved, pseudo_inertia, relative
 
-ROUNDS = 20  # most times that joints are weighted again
 WORSE = 3.0  # residual over that of the empty arm, from which a joint is reported: on good logs it is below 2
 MATTERS = 0.03  # the same, over the joint's torques, below which it does not matter
 NUISANCE = 1e-3  # part of its expected size that a change of friction or offset has at most: it is free
@@ -229,7 +228,7 @@ def _reweighted(
     `Z` are torques per unit [rows, n, p], `residual` is [rows, n]; variance and correlation time are at least as given.
     """
     weight = 1 / (variance * correlation)
-    for _ in range(ROUNDS):
+    for _ in range(20):
         (x, _, left), before = _solved(Z, residual, weight), weight
         times = correlation_times(left - left.mean(0), lengths, clear=0.0)
         weight = 1 / (left.square().mean(0).maximum(variance) * times.maximum(correlation))

@@ -27,7 +27,6 @@ from torchdq.robot import Robot
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, pseudo_inertia, relative
 
 KAPPA = 100.0  # weight of the base parameters: so many times that of the bodies that are drawn
-MOST = 0.99  # most of a number that is below one, such as friction over load
 TOGETHER = 256  # robots at a time
 DTYPE = torch.float64
 
@@ -159,5 +158,5 @@ class _Space:
         J = C @ relative(y[:, : 10 * links].unflatten(1, (links, 10))) @ C.mT
         phi[:, self.bodies] = inertial_parameters(J).flatten(1)
         phi[:, at] += scale * y[:, 10 * links :]
-        phi[:, self.fraction] = phi[:, self.fraction].clamp_max(MOST)
+        phi[:, self.fraction] = phi[:, self.fraction].clamp_max(0.99)  # such as friction over load
         return phi, J

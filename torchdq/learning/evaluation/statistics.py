@@ -7,7 +7,6 @@ from torch import Tensor
 
 CLEAR = 2.0  # correlations below so many standard errors of none are taken for none
 COVERED = 0.95  # share of measured torques in an interval
-WIDEST = 2.0  # largest factor of the quantile: it covers a block that is unlike all others already
 
 
 def correlation_times(residual: Tensor, lengths: Sequence[int], clear: float = CLEAR) -> Tensor:
@@ -53,4 +52,5 @@ def interval_factors(ratios: Sequence[Tensor]) -> Tensor:
         return quantile
     others = [torch.cat([*sizes[:k], *sizes[k + 1 :]]).nanquantile(COVERED, 0) for k in range(len(sizes))]
     beyond = torch.cat([size / other.clamp_min(1e-300) for size, other in zip(sizes, others, strict=True)])
-    return quantile * beyond.nanquantile(COVERED, 0).clamp(1.0, WIDEST)
+    # twice the quantile covers a block that is unlike all others already
+    return quantile * beyond.nanquantile(COVERED, 0).clamp(1.0, 2.0)

@@ -22,8 +22,6 @@ from torchdq.robot import Robot
 
 SURE = 5.0  # standard errors from which something is there
 MATTERS = 0.1  # part of the squared residuals of a joint or motion that it must take away to matter
-ROWS = 2000  # most rows that are used
-EXACT = 1e-6  # least variance of what is left, relative to that of the residual
 
 
 class AugmentedSolution(NamedTuple):
@@ -49,7 +47,7 @@ class AugmentedFit(NamedTuple):
 
     @classmethod
     def of(
-        cls, evidence: Evidence, near: Neighbourhood, y: Tensor, prior: float, residual: Tensor, most: int = ROWS
+        cls, evidence: Evidence, near: Neighbourhood, y: Tensor, prior: float, residual: Tensor, most: int = 2000
     ) -> AugmentedFit:
         """Some rows of a fit y [t] with evidence of its terms, this weight of its prior, and residuals [rows, n]."""
         lengths, samples = evidence.recording.lengths, evidence.samples
@@ -88,7 +86,7 @@ class AugmentedFit(NamedTuple):
         left, A, t = r if left is None else left, torch.cat([Z, E], -1).flatten(0, 1), Z.shape[-1]
         step = len(self.evidence.own) / len(self.rows)
         for _ in range(rounds):  # what is noise depends on the unknowns
-            variance = left.square().mean(0).maximum(EXACT * self.square)
+            variance = left.square().mean(0).maximum(1e-6 * self.square)  # beyond rounding
             weight = 1 / (variance * correlation_times(left, self.lengths))
             weighted = A * weight.repeat(len(r))[:, None]
             b, H = weighted.T @ r.flatten(), weighted.T @ A

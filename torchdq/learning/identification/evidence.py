@@ -19,7 +19,6 @@ from torchdq.robot import Robot
 
 STILL = 0.3  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
 NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, in standard deviations
-ROWS = 4096  # most rows that intervals are made from
 
 
 class Unseen(NamedTuple):
@@ -123,7 +122,7 @@ class Evidence(NamedTuple):
         """
         F, found = spread[self.at], list[Tensor]()
         for kind in filter(None, left_out):
-            ratios, few = [], -(-sum(len(part.rows) for part in kind) // ROWS)
+            ratios, few = [], -(-sum(len(part.rows) for part in kind) // 4096)
             for rows, residual in ((part.rows[::few], part.residual[::few]) for part in kind):
                 some, error = self.recording.some(rows), torch.empty_like(residual)
                 for chunk, Z in by_chunks(self.robot, some, self.own[rows], F.numel()):

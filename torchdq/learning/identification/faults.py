@@ -20,10 +20,7 @@ from torchdq.learning.identification.evidence import Evidence
 LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; real arms without one leave .59 or more
 TRIED = 0.7  # the same after one linear step, to be searched further
 LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
-ROWS = 300  # most rows that are used
 STEP = 1e-3  # of differences, in the units of the unknowns
-ROUNDS = 8
-SETTLED = 1e-3  # change of an unknown that ends the search
 FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
 FACTOR = 3.0  # most factor of a torque
 
@@ -42,7 +39,7 @@ class _Fault(NamedTuple):
 def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     """Finding about the fault that explains most of what the bodies and these coefficients [terms, n] do not."""
     near, recording = evidence.near(estimated), evidence.recording
-    fit = AugmentedFit.of(evidence, near, torch.zeros(near.S.shape[1]).double(), 1.0, recording.measured, ROWS)
+    fit = AugmentedFit.of(evidence, near, torch.zeros(near.S.shape[1]).double(), 1.0, recording.measured, 300)
     some = recording.some(fit.rows)
     measured = some.measured.cpu()
     size = measured.var(0)
@@ -73,13 +70,13 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         found = step(fault, x, plain)
         if not left(found) < TRIED * before:
             continue
-        for _ in range(ROUNDS):
+        for _ in range(8):
             change = found.x[-fault.unknowns :]
             if not bool(change.isfinite().all()):
                 break
             x = x + change.clamp(-FARTHEST / 2, FARTHEST / 2)
             found = step(fault, x, found)
-            if float(change.abs().max()) < SETTLED:
+            if float(change.abs().max()) < 1e-3:
                 break
         sure = bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
         if left(found) < best and sure and fault.within(x):

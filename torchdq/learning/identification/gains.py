@@ -29,11 +29,8 @@ from torchdq.robot import Robot
 
 SPREAD = 0.3  # standard deviation of a gain that is given, relative to it, before the samples
 WIDE = 1.0  # the same of one that is not given, relative to a first guess
-ITERATIONS = 30
-ENOUGH = 1e-4  # relative change of a gain at which the iteration ends
 STRENGTH = 100.0  # prior of the bodies, whose described masses set the factor of all gains
 TRUST = 0.1  # relative standard error of the described masses together
-RUNAWAY = 100.0  # times a first guess from which a gain has run away
 FLAT = 0.5  # relative standard error of a first guess, above which the mean of the other joints takes its place
 
 GAIN = Term("gain", ("1", "1"), signed=True)
@@ -61,7 +58,7 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
     centre = torch.where(known, torch.where(opposite, -1.0, 1.0), _guess(*guessed, ~known))
     scale = torch.where(known, SPREAD, WIDE) * centre.abs()
     h, phi, correlation = centre, start, torch.ones(n, dtype=start.dtype)
-    for _ in range(ITERATIONS):
+    for _ in range(30):
         T = torch.zeros(n, p + 1, p + 2, dtype=start.dtype)
         T[:, :p, :p] = torch.diag_embed(torch.where(inertial, h[:, None], 1.0))
         T[:, :p, p] = phi
@@ -75,11 +72,11 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
         change = found.change(at)
         before, phi = h, start + change[:, :-1] * inertial
         h = h.sign() * (h.sign() * (centre + change[:, -1])).maximum(h.abs() / 3)
-        if float((h / before - 1).abs().max()) < ENOUGH:
+        if float((h / before - 1).abs().max()) < 1e-4:
             break
         own = change[:, :-1] * ~inertial
         correlation = evidence.correlation(h[:, None] * phi - start + own)
-    if bool((lost := h.abs() * RUNAWAY < centre.abs()).any()):
+    if bool((lost := h.abs() * 100.0 < centre.abs()).any()):
         names = ", ".join(name for name, yes in zip(robot.joint_names, lost.tolist(), strict=True) if yes)
         claim = "the efforts must show the bodies, to identify gains of the drives"
         cure = "give Layout(gain=...) for it, or leave the log out"

@@ -18,7 +18,6 @@ from torchdq.learning.identification.evidence import Evidence
 
 ROUNDS = 12  # most times that the model is moved
 FARTHEST = 10.0  # most rows that it is moved at a time
-SETTLED = 0.02  # rest of a lag, in rows or in standard errors, that is none
 ALIKE = 0.3  # difference of the lags of motions, relative to their mean, that one lag for all of them explains
 FOLLOWED = 0.9  # part of the changes of the positions that the velocities explain, where rows follow each other
 
@@ -84,7 +83,7 @@ def _search(fit: AugmentedFit, run: Tensor) -> tuple[Tensor, Tensor, Tensor, Ten
         found = fit.solve(Z, r, (slope * inside)[..., None] * one)
         y, x = found.y, found.x.clamp(-FARTHEST, FARTHEST)
         late = late + x
-        settled = x.abs() < SETTLED * found.error.clamp_min(1.0)
+        settled = x.abs() < 0.02 * found.error.clamp_min(1.0)
         if bool(settled.all()):
             break
     return late, found.error, settled, squares(found.left) < (1 - MATTERS) * before

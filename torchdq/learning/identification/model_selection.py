@@ -24,10 +24,8 @@ from torchdq.robot import Robot
 
 STRENGTHS = (1e4, 1e2, 1.0)  # prior of the bodies, the strongest first
 SURE = 2.0  # standard errors by which a joint gains from a rotor or an offset, tried before friction of other shapes
-TIED = 1e-3  # relative difference of scores that count as equal
 ALONE = 0.12  # the same of the best and the plainest models, where parts of a single motion are all the validation
 MOVES = 0.01  # least mean square of a joint's velocity in a block, relative to the largest, where it moves
-NONE = torch.zeros(0)
 
 UnseenParts = tuple[list[Unseen], list[Unseen]]  # blocks, and regions of the states
 
@@ -40,7 +38,7 @@ class CandidateModel(NamedTuple):
     estimated: Tensor  # [terms, n] coefficients that it has
     strength: float  # weight of the bodies' prior; infinite: they stay as described
     gains: tuple[Gain, ...] = ()  # terms that single joints have
-    found: Tensor = NONE  # [blocks, n, p] changes of the parameters, found without each block and region
+    found: Tensor = torch.zeros(0)  # [blocks, n, p] changes of the parameters, found without each block and region
     kept: tuple[str, ...] = ()  # joints at which the bodies act as described
 
     @property
@@ -250,7 +248,7 @@ def _simplest(scores: Sequence[Tensor]) -> int:
     best = min(range(len(means)), key=lambda i: float(means[i].mean()))
     for i, one in enumerate(means):
         off = one - means[best]
-        if float(off.mean()) <= float(off.std() / len(off) ** 0.5) + TIED * float(means[best].mean()):
+        if float(off.mean()) <= float(off.std() / len(off) ** 0.5) + 1e-3 * float(means[best].mean()):
             return i
     return best
 

@@ -17,7 +17,6 @@ from torchdq.learning.identification.regression import Information, information,
 ITERATIONS = 200  # most Newton steps of a minimum
 EXACT, NEAR, ROUGH = 1e-12, 1e-6, 1e-3  # part of the prior's weight by which a minimum may be missed; scores need less
 ROUNDS = 10  # most times that the joints are reweighted
-JITTERS = (0.0, 1e-15, 1e-13, 1e-11)  # added to a diagonal of ones, until rounding leaves a matrix positive definite
 
 
 class Solution(NamedTuple):
@@ -84,7 +83,7 @@ def solve(
 
 def _factor(H: Tensor) -> Tensor:
     """Factors L of H = L L^T, H having diagonals of ones; at the edge of what can exist rounding may need more."""
-    for more in JITTERS:
+    for more in (0.0, 1e-15, 1e-13, 1e-11):  # rounding
         L, failed = torch.linalg.cholesky_ex(H + more * torch.eye(H.shape[-1], dtype=H.dtype))
         if not bool(failed.any()):
             return L

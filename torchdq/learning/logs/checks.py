@@ -19,7 +19,6 @@ JUMP = 0.05  # [rad or m] change of a position between two rows that may stay un
 FAR = 10.0  # times the usual unexplained change from which one is a jump
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
 OFTEN = 0.01  # part of the rows in which a joint must be beyond its limits
-PAST = 1.0  # farthest beyond a limit of position that is accepted, relative to the range between both limits
 MOST_TURNS = 4 * math.pi  # the same of joints that may make a full turn, which often have no limit [rad]
 FASTER = 3.0  # times the limit of velocity that are accepted: simulated motions do not keep it
 UNITS = {  # of joints that turn or slide: symbol, name, the other unit that logs are in, and the factor to multiply by
@@ -169,7 +168,7 @@ def beyond_limits(robot: Robot, q: np.ndarray | Tensor, qd: np.ndarray | Tensor 
     reach = upper - lower
     past = torch.maximum(lower - q, q - upper)
     turns = torch.tensor([kind.turns for kind in robot.joint_types]) & (reach > 1.99 * math.pi)
-    far = ((past > torch.where(turns, MOST_TURNS, PAST * reach)).double().mean(0) > OFTEN) & (reach > 0)
+    far = ((past > torch.where(turns, MOST_TURNS, reach)).double().mean(0) > OFTEN) & (reach > 0)
     fast = ((qd.abs() > FASTER * velocity).double().mean(0) > OFTEN) & (velocity > 0)
     found = []
     for j in (far | fast).nonzero()[:, 0].tolist():

@@ -32,8 +32,6 @@ from torchdq.scene.scene import Scene
 
 CLOSED = 1e-9  # defects between nodes that count as none, relative to the motion
 MARGIN = 1e-3  # part of a defect by which an accepted step must be better
-TRIALS = 16  # most trials of a step, each half as long as the last and more damped
-DAMPED = 1e-6  # damping of the second trial, relative to the information
 SETTLED = 1e-2  # length of a step that ends the search, in standard deviations of all measurements together
 STILL = 1e-6  # length of a step that does so too, relative to the parameters: for measurements without noise
 GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the likelihood
@@ -195,9 +193,9 @@ def _trials(problem: Problem, at: Iterate, linear: Linear, step: Change) -> Iter
 
     Where friction is stiff, linearised steps do not close the defects, but simulation from the starts does.
     """
-    for k in range(TRIALS):
+    for k in range(16):
         if k:
-            step = problem.step(at, linear, DAMPED * 10.0 ** (k - 1))
+            step = problem.step(at, linear, 1e-6 * 10.0 ** (k - 1))
         values = problem.unknowns.moved(at.values, 0.5**k * step.values)
         after = problem.at(values, at.motions.nodes + 0.5**k * step.nodes)
         yield after

@@ -29,10 +29,7 @@ UNEVEN = 1e-3  # motion of a joint that hardly moves, relative to that of the on
 MOST = 16  # linearly implicit steps for derivatives
 CORRELATED = 2.0  # rows over which residuals may be correlated
 BLOCKS = 40  # least number of means whose variance tells
-RESOLVED = 1e-6  # residuals that are none, relative to the motion: no sensor is finer
 SINGLE = 100  # single steps, at most about so many, that the search starts with
-SINGLE_STEPS = 20  # most iterations on them
-ALMOST = 0.1  # last step of those, relative to the sizes
 
 
 class Iterate(NamedTuple):
@@ -174,7 +171,7 @@ class Problem:
         """
         kept = self.pieces.used[..., 0] > 0
         rows, joints = at.motions.residual[kept], self.scene.robot.joint_names
-        least = np.square(at.spread) + np.square(RESOLVED * self.scale)
+        least = np.square(at.spread) + np.square(1e-6 * self.scale)  # no sensor is finer
         times = np.ones_like(least)
         for m in range(2, len(rows) // BLOCKS + 1):
             means = rows[: len(rows) // m * m].reshape(-1, m, least.size).mean(1)
@@ -207,7 +204,7 @@ class Problem:
         chosen = steps[:: max(1, len(steps) // SINGLE)]
         before, after = states[chosen], states[chosen + 1, n:]
         least, close = math.inf, False
-        for _ in range(SINGLE_STEPS + 1):
+        for _ in range(20 + 1):
             whole = self._inputs(trial), self._slopes(trial)
             inputs, late = ({name: x.reshape(-1, x.shape[-1])[chosen] for name, x in of.items()} for of in whole)
             gaps = after - self._after(trial, before, inputs)[:, n:]
@@ -222,7 +219,7 @@ class Problem:
             Z = (B * rows[:, None] * sizes).reshape(-1, len(sizes))
             right = Z.T @ (gaps * rows).ravel() - unknowns.offset(values) / sizes
             change = sizes * np.linalg.solve(Z.T @ Z + np.eye(len(sizes)), right)
-            trial, close = unknowns.moved(values, change), bool(abs(change / sizes).max() < ALMOST)
+            trial, close = unknowns.moved(values, change), bool(abs(change / sizes).max() < 0.1)
         return values
 
     # --- steps ---
