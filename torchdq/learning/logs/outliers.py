@@ -33,9 +33,7 @@ def outliers(x: np.ndarray) -> np.ndarray:
     after = x[REACH:-REACH] - x[2 * REACH :]
     nearest = np.minimum(abs(before), abs(after))
     # 1.4826: standard deviation of normal numbers over the median of their sizes
-    found[REACH:-REACH] = (before * after > 0) & (
-        nearest > FAR * 1.4826 * np.median(nearest, axis=0)
-    )
+    found[REACH:-REACH] = (before * after > 0) & (nearest > FAR * 1.4826 * np.median(nearest, axis=0))
     low, high = np.quantile(x, (OUTER, 1 - OUTER), axis=0)
     reach = BEYOND * np.maximum(high - low, LEAST * (high - low).max())
     return found & ((x > high + reach) | (x < low - reach))
