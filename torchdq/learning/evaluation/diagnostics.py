@@ -3,8 +3,8 @@
 A description that is off by tens of percent still explains most of a joint's torque, once friction, rotor inertia and
 an offset are allowed for. Where it does not, the measurements are tried with usual faults of logs undone: a sign, two
 joints exchanged, all joints reversed or sorted by name, in some of the signals. The fault that explains them far better
-is named. Other faults are looked for before that: outliers, motions beyond the limits of the description, a torque that
-never changes, another unit, currents without a gain, and torques from which the drives have taken gravity away.
+is reported. Other faults are checked first: outliers, motions beyond the limits of the description, constant torques,
+wrong units, currents without a gain, and torques from which the drives have removed gravity.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -159,13 +159,13 @@ def _of_joints(names: Sequence[str], joints: Tensor, finding: Finding, *numbers:
 
 
 def _rest(x: Tensor, columns: list[Tensor]) -> Tensor:
-    """Standard deviations [n] of what columns leave of x in least squares, [rows, n] each."""
+    """Standard deviations [n] of the least-squares residuals of x by columns, [rows, n] each."""
     A, b = normalize(torch.stack(columns, -1), dim=0, eps=1e-30).transpose(0, 1), x.T[..., None]
     return (b - A @ torch.linalg.lstsq(A, b, driver="gelsd").solution).std((1, 2))
 
 
 def _moves(qd: Tensor, sign_width: float) -> Tensor:
-    """Joints that move in enough of the rows [n]."""
+    """Joints [n] that move in enough of the rows."""
     return (qd.abs() > sign_width).double().mean(0) > AT.moving
 
 
@@ -198,7 +198,7 @@ def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float, lef
 
 
 def _compared(described: Tensor, rows: Sequence[Tensor], sign_width: float) -> _Explained:
-    """Best fit of every joint's torque by subsets of these terms and an offset, of which none but it is negative."""
+    """Best fit of each joint's torque by subsets of non-negative terms and an offset."""
     _, qd, qdd, tau = rows
     terms = torch.stack([described, qdd, qd, smooth_sign(qd, sign_width)], -1).double().cpu()
     scale = terms.std(0, correction=0).clamp_min(1e-30)
@@ -239,7 +239,7 @@ def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
 
 
 def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:
-    """Finding about the reading of the measurements that explains them far better."""
+    """Finding about another reading of the measurements that explains them far better."""
     bad, best, found = left > AT.unexplained, float(left.sum()) - AT.gain, list[Finding]()
     for finding, reading in _readings(torques, robot, rows, sign_width, left):
         parts = _left(torques, reading, sign_width, left)
@@ -250,7 +250,7 @@ def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width:
 
 
 def _left(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> Tensor:
-    """Parts that another reading leaves [n]; `left` where its torques are not of the size of those described."""
+    """Parts [n] that another reading leaves unexplained; at least `left` where its torques have another size."""
     fit = _compared(torques(*rows[:3]), rows, sign_width)
     return torch.where(fit.alike, fit.left, torch.maximum(fit.left, left))
 
@@ -258,7 +258,7 @@ def _left(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Ten
 def _readings(
     torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor
 ) -> Iterator[tuple[Finding, list[Tensor]]]:
-    """Faults of a log with the rows as they are without them, the likeliest first."""
+    """Faults of a log with the corrected rows, the likeliest first."""
     n, names, device = robot.n, robot.joint_names, rows[0].device
     same, plain = torch.arange(n, device=device), torch.ones(n, dtype=rows[0].dtype, device=device)
     turns = torch.tensor([kind.turns for kind in robot.joint_types], device=device)

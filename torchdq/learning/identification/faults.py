@@ -1,8 +1,8 @@
-"""Faults of a log or a description that a few more unknowns explain: a joint's zero, a drive's constant, a tilted base.
+"""Faults of a log or a description with a few unknowns: a joint's zero, a drive's constant, a tilted base.
 
-Masses and friction take the place of such a fault, and none of them is right then. So the search begins at the
-description: each fault is one more unknown x, or two, of the model tau = Z(x) phi, and Gauss and Newton's method finds
-it together with phi and constant torques. Of the faults that take away most of the squared residual, the best is named.
+A fit that lacks such a fault biases masses and friction. So the search starts from the description: each fault adds one
+or two unknowns x to the model tau = Z(x) phi, which Gauss-Newton estimates together with phi and constant torques. The
+fault that explains most of the squared residual is reported.
 """
 
 import math
@@ -85,7 +85,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
 
 
 def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iterator[_Fault]:
-    """Faults that are tried: of every joint its zero and its torque, and the direction of gravity."""
+    """Faults that are tried: zero and torque factor of every joint, and the direction of gravity."""
     robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
     q, qd, qdd = rows.q, rows.qd, rows.qdd
     rigid, load = fit.columns(q, qd, qdd, 0 * own)

@@ -4,10 +4,10 @@ An effort e of a joint is h times its torque, h being one over the gain,
 
     e = h Y pi + friction + noise,
 
-with friction in the unit of the effort, which is linear in the parameters for known h. Gauss and Newton's method makes
-it linear in both about the last values: the torque Y pi there is the column of h. The sums of `regression.gram` hold
-all that a recording says, so an iteration reads no samples. A common factor of all gains cannot be separated from
-one of all masses, and comes from the description. The ratios of the gains come from bodies that load several joints.
+with friction in the unit of the effort. Gauss-Newton linearises in pi and h about the last values: the torque Y pi
+there is the column of h. The sums of `regression.gram` suffice, so an iteration reads no samples. A common factor of
+all gains cannot be distinguished from one of all masses, and comes from the description; their ratios come from bodies
+that load several joints.
 
 Errors of the gains make errors of the parameters (`spread_of_gains`): the parameters of a fit are linear in the
 torques, and the torques of a joint are its gain times its efforts.

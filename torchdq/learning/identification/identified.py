@@ -155,9 +155,9 @@ class Identified(NamedTuple):
         return friction_of(self.terms, parted(self.robot, self.parameters)[1].tolist(), self.sign_width)
 
     def effects(self) -> tuple[Effect, ...]:
-        """Effects of a scene with the robot found: gravity, rotor inertia if there is any, and friction.
+        """Effects of a scene of the identified robot: gravity, rotor inertia if there is any, and friction.
 
-        A constant torque is among them with a residual network alone; else add `offset` to the torques of the scene.
+        A scene simulates the offset only with a residual network; otherwise add `offset` to its torques.
 
         >>> import torch, torchdq, torchdq.envs
         >>> from torchdq.learning import Samples, identify
@@ -172,8 +172,8 @@ class Identified(NamedTuple):
     def layer(self, learn: Sequence[str] = ()) -> InverseDynamics:
         """Torques as a module: the robot found, with its friction, the width of dry friction, and the offset.
 
-        A layer does not know the motion before, so friction with memory is that of steady sliding there.
-        `Model(memory=False)` finds the best friction without. A residual network is not in it.
+        A layer has no memory, so it uses the steady-state friction. `Model(memory=False)` selects the best friction
+        without memory. A residual network is not part of the layer.
 
         Args:
             learn: quantities that the layer goes on learning, as in `torchdq.InverseDynamics`; "friction" only if no
@@ -189,13 +189,13 @@ class Identified(NamedTuple):
     def with_residual(self, network: ResidualDynamics) -> Identified:
         """Identified robot with a residual network, in predictions and scenes.
 
-        Train the network on `residual_samples`. Errors and intervals become smaller in the trained states, by as much
-        as the network lowered the error on held-out rows.
+        Train the network on `residual_samples`. Errors and intervals are narrowed near the training states by the
+        validation gain.
 
         Args:
             network: network around `layer()`.
         Raises:
-            ArgumentError: it is around another robot.
+            ArgumentError: its model is another robot.
 
         >>> import torch, torchdq
         >>> from torchdq import effects
@@ -223,9 +223,9 @@ class Identified(NamedTuple):
         qdd: Tensor | None = None,
         tau: Tensor | None = None,
     ) -> Samples:
-        """Samples to train a residual network on: measured torques without what `predict` knows and `layer()` does not.
+        """Training samples of a residual network: measured torques without the part of `predict` that `layer()` lacks.
 
-        That is the memory of friction, and what the filter of a log does to the steps of dry friction.
+        That part is the memory of friction, and the effect of the log's filter on the steps of dry friction.
 
         Args:
             motions, qd, qdd: as in `predict`.
@@ -240,7 +240,7 @@ class Identified(NamedTuple):
         return Samples(rows.q, rows.qd, rows.qdd, measured - known + self.layer()(rows.q, rows.qd, rows.qdd))
 
     def with_simple_friction(self) -> Robot:
-        """Robot found, its viscous and Coulomb friction being those that come nearest to all friction found."""
+        """Identified robot with the viscous and Coulomb friction nearest to all friction found."""
         damping, friction = self.simple.to(self.robot.damping)
         return self.robot.replace(damping=damping, friction=friction)
 
@@ -385,7 +385,7 @@ def recorded(
 
 
 def _summed(effects: Sequence[Friction]) -> list[Friction]:
-    """Effects as sums: those that differ only in the numbers in which their torques are linear become one."""
+    """Effects in which those that differ only in linear coefficients are summed."""
     sums: dict[Friction, Friction] = {}
     for effect in effects:
         law = replace(effect, **dict.fromkeys(effect.LINEAR))

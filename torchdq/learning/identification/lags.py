@@ -1,10 +1,8 @@
 """Lags of measured torques behind the motion, found together with changes of all parameters of a fit.
 
-Torques that are late by s are tau(t) = Z(t - s) phi. Friction that was fitted without the lag explains a part of it,
-above all friction that remembers. So the search iterates: the whole model is moved by the lag found so far, and least
-squares estimate the parameters again, together with the rest of the lag, whose torque per unit is -d/dt Z(t - s) phi.
-The search ends when nothing of the lag is left. The lag found is then that of the best model, whatever the first one
-was.
+Torques delayed by s are tau(t) = Z(t - s) phi. Friction fitted without the lag explains a part of it, above all
+friction with memory. So the search iterates: the model is shifted by the present estimate, and least squares estimate the
+parameters again together with the remaining lag, whose torque per unit is -d/dt Z(t - s) phi, until none remains.
 """
 
 from typing import NamedTuple

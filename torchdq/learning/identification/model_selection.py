@@ -196,14 +196,14 @@ def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tup
 
 
 def _again(evidence: Evidence, one: CandidateModel, strengths: Sequence[float]) -> CandidateModel:
-    """Candidate with the same terms, validated on other evidence."""
+    """Candidate with the same terms, validated again on other evidence."""
     found, variance = _noise(evidence, one.estimated, one.strength)
     strengths = [x for x in strengths if x <= one.strength]
     return _candidate("identified", evidence, strengths, one.estimated, variance, one.gains, found)
 
 
 def _untested(evidence: Evidence) -> Tensor:
-    """Joints [n] that move in one block alone: nothing that it shows of them can be tried on another."""
+    """Joints [n] excited in one block only; they cannot be cross-validated."""
     speed = torch.stack([evidence.recording.qd[block.rows].square().mean(0) for block in evidence.blocks]).cpu()
     return (speed > MOVES * speed.amax(0)).sum(0) == 1
 
@@ -226,7 +226,7 @@ def _candidate(
     gains: Sequence[Gain],
     whole: Solution,  # fit to all rows
 ) -> CandidateModel:
-    """Model with the strength of the prior that does best on the blocks, or a stronger one as good."""
+    """Model with the strongest prior within one standard error of the best on the blocks."""
     name = ", ".join([name, *_additions(evidence, estimated)])
     evidence.say(name)
     scores, every = list[Tensor](), list[Tensor]()
@@ -243,7 +243,7 @@ def _candidate(
 
 
 def _simplest(scores: Sequence[Tensor]) -> int:
-    """First of scores [blocks, n], simplest first, that is within one standard error of the best."""
+    """Index of the first scores [blocks, n] within one standard error of the best."""
     means = [x.mean(1) for x in scores]
     best = min(range(len(means)), key=lambda i: float(means[i].mean()))
     for i, one in enumerate(means):
@@ -256,7 +256,7 @@ def _simplest(scores: Sequence[Tensor]) -> int:
 def _noise(
     evidence: Evidence, estimated: Tensor, strength: float, before: Solution | None = None
 ) -> tuple[Solution, Tensor]:
-    """Fit to all rows, from one with fewer terms on, and the variance of its residuals times their correlation [n]."""
+    """Fit to all rows, started from one with fewer terms, and the variance of its residuals times their correlation [n]."""
     found = evidence.fit(estimated, strength, torch.ones(evidence.robot.n, dtype=torch.float64), before=before)
     variance = found.facts.noise.maximum(found.rms) ** 2
     return found, variance * evidence.correlation(found.change(evidence.at))

@@ -35,7 +35,7 @@ TOO_FAR = (
 
 
 def require_numbers(table: Signals) -> None:
-    """Refuse fewer rows than two, and cells that are not finite numbers."""
+    """Raise unless there are two rows at least, of finite numbers."""
     if len(table.time) < 2:
         fault = Finding("log.rows", "", "at least two rows of numbers are needed", str(len(table.time)))
         raise LogError(fault, where=table.path)
@@ -52,7 +52,7 @@ def require_numbers(table: Signals) -> None:
 
 
 def require_times(table: Signals) -> None:
-    """Refuse times that run backwards, leave gaps, or are not in seconds."""
+    """Raise for decreasing times, gaps, and times that are not in seconds."""
     step = np.diff(table.time)
     i = int((step < 0 if (step < 0).any() else step > GAP).argmax())
     late = f"{step[i]:.4g} s after the row above, more than {GAP} s"
@@ -71,7 +71,7 @@ def require_times(table: Signals) -> None:
 
 
 def _parts(table: Signals) -> tuple[str, str]:
-    """Cures: the parts of a log in which time runs on, at most three, the longest ones."""
+    """Cures: the longest parts of a log with increasing times, at most three."""
     step = np.diff(table.time)
     ends = [0, *((step < 0) | (step > GAP)).nonzero()[0] + 1, len(table.time)]
     parts = [(first, last) for first, last in pairwise(ends) if table.time[last - 1] > table.time[first]]
@@ -87,10 +87,7 @@ def _parts(table: Signals) -> tuple[str, str]:
 
 
 def jumps(table: Signals) -> list[Finding]:
-    """The first jump of a position that its velocities do not explain.
-
-    Where velocities were not recorded, those two rows before and after stand for them.
-    """
+    """Finding about the first jump of a position that the velocities, or the rates two rows away, do not explain."""
     time, q, qd = table.time, table.blocks["q"], table.blocks.get("qd")
     step, change = np.diff(time), np.diff(q, axis=0)
     if qd is not None:
@@ -119,7 +116,7 @@ def jumps(table: Signals) -> list[Finding]:
 
 
 def require_radians(table: Signals) -> None:
-    """Refuse columns in degrees, by their size, and signals that do not change as their rates say."""
+    """Raise for columns in degrees, by their size, and signals that contradict their rates."""
     n, blocks = table.layout.joints, table.blocks
     for signal, unit, field in (("q", "rad", "farthest"), ("qd", "rad/s", "fastest")):
         x, limit = blocks.get(signal, np.zeros((1, n))), getattr(table.layout, field)
@@ -136,7 +133,7 @@ def require_radians(table: Signals) -> None:
 
 
 def _require_rates(table: Signals, signal: str, rate: str) -> None:
-    """Refuse signals that change by another factor than their rates say, or as the rate of another joint says."""
+    """Raise for signals that differ from their integrated rates by a factor, or follow the rate of another joint."""
     n, x, rates = table.layout.joints, table.blocks[signal], table.blocks[rate]
     change = np.diff(table.time)[:, None] * (rates[1:] + rates[:-1]) / 2
     covariance = np.cov(x.T, np.pad(np.cumsum(change, axis=0), ((1, 0), (0, 0))).T, bias=True)
@@ -161,7 +158,7 @@ def _require_rates(table: Signals, signal: str, rate: str) -> None:
 
 
 def beyond_limits(robot: Robot, q: np.ndarray | Tensor, qd: np.ndarray | Tensor | None) -> list[Finding]:
-    """Findings about joints that positions and velocities [rows, n] take far beyond the limits of the description."""
+    """Findings about joints whose positions or velocities [rows, n] are far beyond the limits of the description."""
     lower, upper, velocity, _ = (x.double().cpu() for x in robot.limits)
     q = torch.as_tensor(q).cpu()
     qd = torch.zeros_like(q) if qd is None else torch.as_tensor(qd).cpu()

@@ -124,7 +124,7 @@ def fit_rollout(
 
 
 def _require_derivatives(scene: Scene, inputs: Iterable[str]) -> None:
-    """Raise unless a step with these inputs is one program of joint positions, whose changes are differences."""
+    """Raise unless a step with these inputs is a single differentiable program of joint positions."""
     found = ["a floating base"] if scene.robot.floating else []
     found += [type(e).__name__ for e in scene.effects if e.SLOT == "sensor" or e.computed(scene.n)]
     found += [f"batch axes of {name}" for name, batch in scene.batches.items() if batch]
@@ -134,7 +134,7 @@ def _require_derivatives(scene: Scene, inputs: Iterable[str]) -> None:
 
 
 def _require_driven(scene: Scene, variables: Unknowns, data: Sequence[CheckedRecording]) -> None:
-    """Raise if an actuator is unknown through which no torque ever goes: its memory would follow the noise."""
+    """Raise if a learned actuator never transmits a torque: its memory would follow the noise."""
     commanded = any(bool((log.inputs["torque"].values != 0).any()) for log in data if "torque" in log.inputs)
     if commanded or scene.controller is not None:
         return
@@ -146,13 +146,13 @@ def _require_driven(scene: Scene, variables: Unknowns, data: Sequence[CheckedRec
 
 
 def _rules(scene: Scene) -> list[Integrator]:
-    """Integrators for a scene, each with four times the steps of the one before."""
+    """Integrators for a scene, each with steps a quarter as long as those of the one before."""
     rule = LinearlyImplicit() if any(e.IMPLICIT for e in scene.effects) else RungeKutta4()
     return [rule, *(Repeated(rule, times) for times in (4, 16, 64, 256))]
 
 
 def _search(problem: Problem, finer: Sequence[Integrator], iterations: int, notice: Progress) -> End:
-    """Best iterate by Gauss-Newton, with the first integrator that the next finer one does not contradict."""
+    """Best iterate by Gauss-Newton, with the coarsest integrator that the next finer one confirms."""
     at, count, shift = problem.first(), 0, 0.0
     linear, tried = problem.linearised(at), [at]
     try:
@@ -189,7 +189,7 @@ def _search(problem: Problem, finer: Sequence[Integrator], iterations: int, noti
 
 
 def _trials(problem: Problem, at: Iterate, linear: Linear, step: Change) -> Iterator[Iterate]:
-    """Iterates after shorter and shorter steps: as linearised, then simulated from the starts of the blocks.
+    """Iterates after shorter and shorter steps: linearised, then simulated from the starts of the blocks.
 
     Where friction is stiff, linearised steps do not close the defects, but simulation from the starts does.
     """

@@ -1,4 +1,4 @@
-"""Problem that a fit of rollouts solves: its unknowns, its measurements, and the steps towards its solution."""
+"""Maximum-likelihood problem of a rollout fit: unknowns, measurements, and Gauss-Newton steps."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -63,13 +63,13 @@ class End(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """Greatest likelihood of recordings: independent errors, whose deviation every signal has of its own."""
+    """Maximum likelihood of recordings with independent errors, whose deviation is estimated for each signal."""
 
     scene: Scene  # as it is simulated
     unknowns: Unknowns
     logs: Sequence[CheckedRecording]
     pieces: Segments
-    exact: bool = False  # whether derivatives are those of the scene's own step, rather than of implicit ones
+    exact: bool = False  # whether derivatives are those of the scene's own step instead of implicit ones
 
     def by(self, integrator: Integrator) -> "Problem":
         """Problem with another integrator of the motions."""
@@ -86,7 +86,7 @@ class Problem:
     # --- iterates ---
 
     def first(self) -> Iterate:
-        """Start: the nodes where the measurements are, and the parameters by which single steps fit them."""
+        """First iterate: nodes at the measurements, and parameters that fit single steps between them."""
         return self.at(self._by_single_steps(self._measured), self._measured)
 
     def at(self, values: np.ndarray, nodes: np.ndarray) -> Iterate:
@@ -99,7 +99,7 @@ class Problem:
         return Iterate(values, moved, defect, float(cost), spread)
 
     def simulated(self, at: Iterate) -> Iterate:
-        """Iterate whose nodes follow from each other within a block; there are defects between blocks only."""
+        """Iterate simulated within each block, with defects between blocks only."""
         nodes, size = at.motions.nodes, self.pieces.block
         blocks = nodes.reshape(-1, size, nodes.shape[-1])
         given = {name: x.reshape(-1, size, x.shape[-1]) for name, x in self._inputs(at.values).items()}
@@ -191,7 +191,7 @@ class Problem:
     # --- single steps ---
 
     def _by_single_steps(self, nodes: np.ndarray) -> np.ndarray:
-        """Parameters [p] by which single steps between nodes have the velocities of the nodes.
+        """Parameters [p] that fit single steps between nodes to the velocities of the nodes.
 
         That is least squares of accelerations, cheap and in few iterations from far away; its errors are those of
         numerical derivatives. With a memory among the states, which nothing measures, they are those of the scene.
@@ -225,7 +225,7 @@ class Problem:
     # --- steps ---
 
     def noise(self, at: Iterate) -> np.ndarray:
-        """Standard deviations [c] of the measurements, those of the residuals for as many as there are but states.
+        """Standard deviations [c] of the measurements, by the residuals and their degrees of freedom.
 
         Nodes that start where the measurements are have none; then the signals count by how large their motion is.
         """
@@ -241,7 +241,7 @@ class Problem:
 
     @cached_property
     def _differentiated(self) -> list[Scene]:
-        """Scenes whose steps have the derivatives; implicit ones are about as short as those of the integrator."""
+        """Scenes whose steps are differentiated; implicit steps are about as short as those of the integrator."""
         if self.exact:
             return [self.scene]
         scene = self.scene.replace(integrator=LinearlyImplicit())
@@ -264,7 +264,7 @@ class Problem:
     def _chained(
         self, scene: Scene, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, late: Arrays
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the steps by those of a scene with shorter ones."""
+        """Derivatives of the steps, chained from the shorter steps of a scene."""
         unknowns, own = self.unknowns, self.unknowns.parameters(values)
         given = {**scene.parameters, **own, **{name: torch.from_numpy(x) for name, x in inputs.items()}}
         stage = Stage(scene.spec, "step", wrt=(*own, *(inputs if unknowns.delayed else ())))
@@ -279,7 +279,7 @@ class Problem:
         return A, B
 
     def information(self, at: Iterate, linear: Linear) -> np.ndarray:
-        """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""
+        """Triangular factor [p + 1, p + 1] of measurements and prior, in the step and the right-hand side."""
         p, s = len(at.values), at.motions.nodes.shape[-1]
         sizes = PRIOR * self.unknowns.sizes(at.values)
         prior = np.column_stack([np.diag(1 / sizes), -self.unknowns.offset(at.values) / sizes])
@@ -287,7 +287,7 @@ class Problem:
         return shooting.triangular(np.concatenate([rows, prior]))
 
     def step(self, at: Iterate, linear: Linear, damping: float) -> Change:
-        """Change to the solution of the linearised problem; damping shortens it, relative to the information."""
+        """Step to the solution of the linearised problem, with damping relative to the information."""
         R, p = self.information(at, linear), len(at.values)
         if damping:
             held = np.diag(math.sqrt(damping) * np.linalg.norm(R[:, :p], axis=0))
