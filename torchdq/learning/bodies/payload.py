@@ -25,7 +25,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding, merged
 from torchdq.functional import inverse_dynamics, regressor, require_finite
-from torchdq.learning.evaluation.diagnostics import diagnose
+from torchdq.learning.evaluation.diagnostics import diagnose, of_joints
 from torchdq.learning.evaluation.statistics import correlation_times
 from torchdq.learning.identification.base_parameters import base_names, base_of, inverse_of
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
@@ -189,11 +189,8 @@ def _unexplained(empty: Identified, rows: Sequence[Tensor], rms: Tensor, usual: 
     far = (rms > WORSE * usual) & (rms > MATTERS * rows[-1].square().mean(0).sqrt())
     claim = "residual torques must be like those of the empty arm"
     cure = "is a sign, gain or column another than then, or the body elsewhere?"
-    findings = tuple(
-        Finding("payload.unexplained", joint, claim, f"{factor:.1f} times as large", cure, value=factor)
-        for joint, factor, beyond in zip(empty.robot.joint_names, (rms / usual).tolist(), far.tolist(), strict=True)
-        if beyond
-    )
+    finding = Finding("payload.unexplained", "", claim, "{:.1f} times as large", cure)
+    findings = tuple(of_joints(empty.robot.joint_names, far, finding, rms / usual))
     if findings:
         robot = empty.robot.to(DTYPE, "cpu")
         joints = ", ".join(f"{finding.subject} ({finding.value:.1f} times)" for finding in findings)

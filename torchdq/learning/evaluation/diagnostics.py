@@ -118,7 +118,7 @@ def unexplained(
     poor = _moves(qd, sign_width) & driven & (part > AT.poor)
     claim = "the fit must explain most of the torque's variance"
     cure = "are units, signs, order of joints and the robot itself as described, and torques measured at the joints?"
-    return _of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))
+    return of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))
 
 
 def misshapen(
@@ -146,12 +146,12 @@ def misshapen(
     other = _moves(qd, sign_width) & (after < AT.shaped * before) & (explained > AT.seen * tau.std(0))
     claim = "the shape of its dry friction must be the one fitted, or it biases dry and viscous friction"
     fault = Finding("friction.shape", "", claim, "a residual of {1:.2g}, {2:.2g} with another shape", cure, option)
-    return _of_joints(names, other, fault, explained, before, after)
+    return of_joints(names, other, fault, explained, before, after)
 
 
-def _of_joints(names: Sequence[str], joints: Tensor, finding: Finding, *numbers: Tensor) -> list[Finding]:
-    """Findings about some joints [n], the same but for the numbers [n] in `found`, of which the first is the value."""
-    of_each = zip(names, *(x.tolist() for x in numbers), strict=True)
+def of_joints(names: Sequence[str], joints: Tensor, finding: Finding, *values: Tensor | Sequence[str]) -> list[Finding]:
+    """Findings about some joints [n], with the values [n] of each formatted in `found`; the first one is its value."""
+    of_each = zip(names, *(x.tolist() if isinstance(x, Tensor) else x for x in values), strict=True)
     return [
         finding._replace(subject=name, found=finding.found.format(*found), value=found[0])
         for name, *found in compress(of_each, joints)
@@ -177,7 +177,7 @@ def _constant(described: Tensor, names: Sequence[str], rows: Sequence[Tensor], s
     dead = still & _moves(qd, sign_width) & (varies > AT.faint * varies.max())
     cure = "is the sensor connected, and is it the right column? leave the log out, or measure again"
     claim = "the measured torque must change with the motion, as the described one does"
-    return _of_joints(names, dead, Finding("torque.constant", "", claim, "{:.3g} in all rows", cure), tau[0])
+    return of_joints(names, dead, Finding("torque.constant", "", claim, "{:.3g} in all rows", cure), tau[0])
 
 
 def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:
@@ -224,7 +224,7 @@ def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
     large = (factor >= AT.shared) & (sure >= AT.unit).any()
     claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
     cure = "is the unit right? give tau in N m"
-    return _of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure), factor)
+    return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure), factor)
 
 
 def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
@@ -235,7 +235,7 @@ def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
     claim = "tau must be a torque, not a current of a drive whose gain is missing"
     cure = "give Layout(gain=...), torque per ampere at the joints, or gain=None and Model(gains=True) to identify"
     option = "give --gains, torque per ampere at the joints, or --estimate-gains"
-    return _of_joints(names, small, Finding("torque.current", "", claim, TIMES, cure, option), fit.factor)
+    return of_joints(names, small, Finding("torque.current", "", claim, TIMES, cure, option), fit.factor)
 
 
 def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchdq.findings import Finding
+from torchdq.learning.evaluation.diagnostics import of_joints
 from torchdq.learning.evaluation.statistics import correlation_times
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.identification.feasible import Neighbourhood
@@ -111,9 +112,6 @@ def offset_findings(fit: AugmentedFit) -> list[Finding]:
     claim = "a constant torque is missing in the model, which biases masses and friction beyond their errors"
     cure = "Model(offset=True) estimates it, and friction that differs by direction has one, too"
     option = "--offset estimates it"
-    numbers = zip(robot.joint_names, robot.joint_types, found.x.tolist(), clear.tolist(), strict=True)
-    return [
-        Finding("torque.offset", name, claim, f"about {x:.2g} {'N m' if joint.turns else 'N'}", cure, option, value=x)
-        for name, joint, x, yes in numbers
-        if yes
-    ]
+    units = ["N m" if joint.turns else "N" for joint in robot.joint_types]
+    finding = Finding("torque.offset", "", claim, "about {:.2g} {}", cure, option)
+    return of_joints(robot.joint_names, clear, finding, found.x, units)

@@ -63,17 +63,17 @@ class Evidence(NamedTuple):
 
     def keeping(self, kept: Tensor) -> Evidence:
         """Evidence in which some joints [n] keep the description: changes of bodies only add torques there."""
-        total, folds = self.total.clone(), self.folds.clone()
+        total, folds, bodies = self.total.clone(), self.folds.clone(), self.at.shape[1] - len(self.terms)
         for sums in (total, folds):
-            sums[..., kept, : -len(self.terms) - 1, -len(self.terms) - 1 :] = 0
-            sums[..., kept, -len(self.terms) - 1 :, : -len(self.terms) - 1] = 0
+            sums[..., kept, :bodies, bodies:] = 0
+            sums[..., kept, bodies:, :bodies] = 0
         return self._replace(total=total, folds=folds, kept=kept)
 
     @property
     def measurements(self) -> Tensor:
         """Sums [n, p + 1, p + 1] of all rows, in which joints that keep the description say nothing of bodies."""
-        total = self.total.clone()
-        total[self.kept, : -len(self.terms) - 1, : -len(self.terms) - 1] = 0
+        total, bodies = self.total.clone(), self.at.shape[1] - len(self.terms)
+        total[self.kept, :bodies, :bodies] = 0
         return total
 
     def near(self, estimated: Tensor, strength: float = 1.0) -> Neighbourhood:

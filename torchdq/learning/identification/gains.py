@@ -20,6 +20,7 @@ from torch import Tensor
 
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
+from torchdq.learning.evaluation.diagnostics import of_joints
 from torchdq.learning.identification.evidence import Evidence, bodies
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import by_chunks, places
@@ -89,11 +90,8 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
 def negative_gains(robot: Robot, gains: Gains) -> list[Finding]:
     """Findings about gains that are clearly negative."""
     claim, cure = "the gain of a drive must be positive", "its efforts are counted against the joint's direction"
-    return [
-        Finding("gain.negative", name, claim, f"{x:.3g} +- {e:.2g}", cure, value=x)
-        for name, x, e in zip(robot.joint_names, gains.value.tolist(), gains.error.tolist(), strict=True)
-        if x < -3 * e
-    ]
+    finding = Finding("gain.negative", "", claim, "{:.3g} +- {:.2g}", cure)
+    return of_joints(robot.joint_names, gains.value < -3 * gains.error, finding, *gains)
 
 
 def spread_of_gains(

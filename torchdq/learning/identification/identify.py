@@ -28,7 +28,7 @@ from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, of_motions, too_few
-from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, sampled, unexplained
+from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, of_joints, sampled, unexplained
 from torchdq.learning.identification.augmented import AugmentedFit, offset_findings
 from torchdq.learning.identification.base_parameters import base_parameters
 from torchdq.learning.identification.evidence import Evidence, gather
@@ -272,14 +272,12 @@ def _solvable(signals: Mapping[str, Tensor]) -> Iterator[None]:
 
 def _still_joints(robot: Robot, qd: Tensor, sign_width: float) -> list[Finding]:
     """Findings about joints that never move faster than `sign_width` in the samples."""
-    fastest = qd.abs().amax(0).tolist()
+    fastest = qd.abs().amax(0)
     claim = f"a joint must move faster than sign_width = {sign_width} to be identified"
     cure = "its friction and rotor inertia, and all that only its motion shows, are not identifiable"
-    return [
-        Finding("joint.unexcited", name, claim, f"{v:.2g} {'rad/s' if joint.turns else 'm/s'}", cure, value=v)
-        for name, joint, v in zip(robot.joint_names, robot.joint_types, fastest, strict=True)
-        if v <= sign_width
-    ]
+    units = ["rad/s" if joint.turns else "m/s" for joint in robot.joint_types]
+    finding = Finding("joint.unexcited", "", claim, "{:.2g} {}", cure)
+    return of_joints(robot.joint_names, fastest <= sign_width, finding, fastest, units)
 
 
 def _notes(problem: _Problem, found: Identified) -> list[Finding]:
@@ -289,13 +287,11 @@ def _notes(problem: _Problem, found: Identified) -> list[Finding]:
         claim = "motions of several kinds are needed to vouch for others"
         cure = "the model was chosen on parts of it; in motions unlike it errors may be far larger than stated"
         notes.append(Finding("motion.single", "", claim, "one motion", cure, severity="note"))
-    ratios = (found.robot.mass / robot.mass).tolist()
+    ratios = found.robot.mass / robot.mass
     claim, cure = "the mass found must be near that described", "is it the robot of this description, without a load?"
-    return notes + [
-        Finding("mass.far", link, claim, f"{ratio:.2g} times it", cure, severity="note", value=ratio)
-        for link, ratio in zip(robot.link_names, ratios, strict=True)
-        if not math.isnan(ratio) and not 1 / FAR < ratio < FAR
-    ]
+    far = (ratios <= 1 / FAR) | (ratios >= FAR)
+    finding = Finding("mass.far", "", claim, "{:.2g} times it", cure, severity="note")
+    return notes + of_joints(robot.link_names, far, finding, ratios)
 
 
 def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) -> list[Finding]:

@@ -1,8 +1,8 @@
 """Lags of measured torques behind the motion, found together with changes of all parameters of a fit.
 
 Torques delayed by s are tau(t) = Z(t - s) phi. Friction fitted without the lag explains a part of it, above all
-friction with memory. So the search iterates: the model is shifted by the present estimate, and least squares estimate the
-parameters again together with the remaining lag, whose torque per unit is -d/dt Z(t - s) phi, until none remains.
+friction with memory. So the search iterates: the model is shifted by the present estimate, and least squares estimate
+the parameters again together with the remaining lag, whose torque per unit is -d/dt Z(t - s) phi, until none remains.
 """
 
 from typing import NamedTuple

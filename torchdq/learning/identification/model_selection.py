@@ -256,7 +256,7 @@ def _simplest(scores: Sequence[Tensor]) -> int:
 def _noise(
     evidence: Evidence, estimated: Tensor, strength: float, before: Solution | None = None
 ) -> tuple[Solution, Tensor]:
-    """Fit to all rows, started from one with fewer terms, and the variance of its residuals times their correlation [n]."""
+    """Fit to all rows, started from another, and the variance of its residuals times their correlation times [n]."""
     found = evidence.fit(estimated, strength, torch.ones(evidence.robot.n, dtype=torch.float64), before=before)
     variance = found.facts.noise.maximum(found.rms) ** 2
     return found, variance * evidence.correlation(found.change(evidence.at))

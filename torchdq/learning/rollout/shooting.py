@@ -95,7 +95,7 @@ def segments(logs: Sequence[CheckedRecording], dt: float, seconds: float | None)
 
 
 def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> np.ndarray:
-    """Positions and velocities [K, T, 2 n] of the nodes, as measured; velocities by smoothing cubics if not measured."""
+    """Positions and velocities [K, T, 2 n] of the nodes, as measured; unmeasured velocities by smoothing cubics."""
     found = []
     for k, log in enumerate(logs):
         grid = np.arange(log.time[0], log.time[-1] + 0.5 * pieces.dt, pieces.dt)
