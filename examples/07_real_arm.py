@@ -240,6 +240,11 @@ def plot(robot: torchdq.Robot, test: Motion, models: dict[str, Torques], out: Pa
     prepare()
     stretch = slice(0, min(len(test.q), 800))
     shown = {"description": ORANGE, "+ friction": "#E69F00", "chosen + residual": BLUE}
+    legend = {
+        "description": "nominal",
+        "+ friction": "nominal + friction",
+        "chosen + residual": "identified + residual",
+    }
     with torch.no_grad():
         torques = {name: models[name](test)[stretch] for name in shown}
     measured = stack_samples(test).tau[stretch]
@@ -247,7 +252,7 @@ def plot(robot: torchdq.Robot, test: Motion, models: dict[str, Torques], out: Pa
     for j, panel in enumerate(joints):
         panel.plot(measured[:, j], color="#B0B0B0", linewidth=4, label="measured")
         for name, color in shown.items():
-            panel.plot(torques[name][:, j], color=color, linewidth=1.1, label=name)
+            panel.plot(torques[name][:, j], color=color, linewidth=1.1, label=legend[name])
         panel.set_title(robot.joint_names[j], fontsize=10)
     label(figure, joints[0], "sample of the first test motion")
     save(figure, out / "real_arm.png")

@@ -170,8 +170,8 @@ def draw(args: Args, test: Motions, plain: Tensor, after: Tensor, off: tuple[Ten
     time = 0.5 + torch.arange(len(test.tau)) / (2 * args.cutoff)
     for panel, joint in (("a", 1), ("b", 5)):
         axes[panel].plot(time, test.tau[:, joint], color="#000000", linewidth=1, label="measured")
-        axes[panel].plot(time, plain[:, joint], color=ORANGE, linewidth=1.5, label="as described")
-        axes[panel].plot(time, after[:, joint], color=BLUE, linewidth=1.5, label="as found")
+        axes[panel].plot(time, plain[:, joint], color=ORANGE, linewidth=1.5, label="nominal")
+        axes[panel].plot(time, after[:, joint], color=BLUE, linewidth=1.5, label="identified")
         title = f"joint {joint + 1} in a motion not seen before"
         axes[panel].set(xlabel="time [s]", ylabel="torque [N m]", title=title)
     axes["a"].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1.08), borderaxespad=0)
@@ -179,8 +179,8 @@ def draw(args: Args, test: Motions, plain: Tensor, after: Tensor, off: tuple[Ten
     order = described.abs().argsort(descending=True)
     place = torch.arange(found.rank)
     axes["c"].axhspan(-2, 2, color="#E4E4E4", label="two standard errors")
-    axes["c"].plot(place, described[order], "o", color=ORANGE, markersize=4, label="as described")
-    axes["c"].errorbar(place, value[order], error[order], fmt="o", color=BLUE, markersize=4, label="as found")
+    axes["c"].plot(place, described[order], "o", color=ORANGE, markersize=4, label="nominal")
+    axes["c"].errorbar(place, value[order], error[order], fmt="o", color=BLUE, markersize=4, label="identified")
     axes["c"].set_yscale("symlog", linthresh=4)
     axes["c"].set_yticks([-100, -10, 0, 10, 100])
     axes["c"].set(xlabel="combination of parameters", ylabel="off the truth [standard errors]")

@@ -46,7 +46,7 @@ STOREYS = {
     **rows("torchdq.scene", "| model | loops describe linearize | rollout | stability | scene | defaults ."),
     **rows(
         "torchdq.learning",
-        """| logs excitation.limits | evaluation | identification read_log training rollout | bodies evaluate
+        """| logs excitation.limits | evaluation | identification fit rollout | bodies evaluate
         | plots | excitation | .""",
     ),
     # outcomes, options that commands share, the commands, the command line

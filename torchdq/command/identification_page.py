@@ -9,7 +9,7 @@ from torchdq.command.trials import HEADER, Trial
 from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.evaluate import MEANING, Evaluation, torques_by
-from torchdq.learning.identification.identified import Identified
+from torchdq.learning.identification.identified import GAINS, PARAMETERS, Identified
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.plots import plot_torques
 
@@ -107,19 +107,12 @@ def _picture(found: Identified, motions: Sequence[Motion]) -> str:
 def _model(found: Identified) -> str:
     """Sections of what was chosen and found: friction, gains, and combinations of inertial parameters with errors."""
     parts = [] if found.selection is None else [f"<pre>{escape(str(found.selection))}</pre>"]
-    first = 10 * len(found.robot.link_names)
-    units = [term.units[not joint.turns] for term in found.terms for joint in found.robot.joint_types]
-    rest = zip(found.names[first:], *(x[first:].tolist() for x in (found.parameters, found.errors)), units, strict=True)
-    if joints := [(name, f"{x:.4g}", f"{error:.2g}", unit) for name, x, error, unit in rest if x or error]:
-        parts.append(f"<p>Joints</p>{_table(('parameter', 'estimate', 'standard error', 'unit'), joints)}")
+    if joints := found.parameter_rows()[1]:
+        parts.append(f"<p>Joints</p>{_table(PARAMETERS, joints)}")
     if friction := found.friction_rows():
         parts.append(f"<p>F{STATED[1:]}</p>{_table(COLUMNS, friction)}")
     if found.gains is not None:
-        rows = [
-            (name, f"{x:.4g}", f"{error:.2g}")
-            for name, x, error in zip(found.robot.joint_names, *(y.tolist() for y in found.gains), strict=True)
-        ]
-        parts.append(f"<p>Gains of the drives</p>{_table(('joint', 'torque per unit', 'standard error'), rows)}")
+        parts.append(f"<p>Gains of the drives</p>{_table(GAINS, found.gain_rows())}")
     values = (found.base @ found.parameters).tolist()
     base = zip(found.base_names, values, found.base_errors.tolist(), strict=True)
     rows = [(name, f"{x:.4g}", f"{error:.2g}") for name, x, error in base]

@@ -37,12 +37,12 @@ from torchdq.learning import (
     train_test_split,
 )
 from torchdq.learning.evaluate import MEANING, torques_by
+from torchdq.learning.identification.identified import GAINS
 from torchdq.robot import Robot
 
 # module, extra that brings it: looked for before the work, not after it
 NEEDED = {"scipy": "learn", "matplotlib": "viz"}
 ROBOTS = (*ENDINGS, ".urdf.xacro")  # how files of each kind end
-HEADS = ("joint", "torque per unit of effort", "standard error")
 LOGS = (".csv", ".csv.gz", ".txt", ".npz", ".npy", ".mat", ".mcap")
 
 
@@ -260,8 +260,7 @@ def _outcome(
         title = "not identifiable from these logs, kept near the description:"
         text += [title, Grid((), [("-", line) for line in unidentifiable])]
     if found.gains is not None:
-        gains = zip(found.robot.joint_names, *(x.tolist() for x in found.gains), strict=True)
-        text.append(Grid(HEADS, [(name, f"{x:.4g}", f"{e:.2g}") for name, x, e in gains]))
+        text.append(Grid(GAINS, found.gain_rows()))
     if payload is not None:
         text.append(str(payload))
     text += [measured.summary, *([Grid(HEADER, [one.cells for one in tried])] if tried else []), MEANING]

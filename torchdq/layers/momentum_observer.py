@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -18,6 +17,7 @@ from torchdq.dynamics.observer import step
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import gain, with_options
 from torchdq.functions.catalogue import Function
+from torchdq.functions.parametric import Parametric, Shapes
 from torchdq.layers import layer_program
 from torchdq.layers.dynamics import InverseDynamics
 from torchdq.layers.layer_friction import described
@@ -36,6 +36,14 @@ class ObserverState(NamedTuple):
     r: Tensor  # estimate of the external torques [N m or N]
     momentum: Tensor  # p = M qd [N m s or N s]
     rate: Tensor  # u, its rate without the motors: dT/dq - g - friction - offset [N m or N]
+
+
+@dataclass(frozen=True)
+class Observer(Parametric):
+    """Parameters of an observer, checked as parameters of effects and control laws are."""
+
+    SHAPES: ClassVar[Shapes] = {"gain": ("n",)}
+    gain: Any
 
 
 class MomentumObserver(nn.Module):
@@ -72,7 +80,10 @@ class MomentumObserver(nn.Module):
             model = InverseDynamics(model, friction=described(require_robot(model), 1e-2).effects)
         require_number("dt", dt, positive=True)
         self.model, self.dt = model, float(dt)
-        self.register_buffer("gain", _of_joints(gain, model.robot.n).clone())
+        known = Observer(gain).resolved(model.robot).gain
+        self.register_buffer("gain", torch.as_tensor(known, dtype=torch.float64).detach().clone())
+        if self.gain.ndim > 1:
+            raise ArgumentError(f"gain must be a number or have the shape [n], found {tuple(self.gain.shape)}")
 
     @property
     def robot(self) -> Robot:
@@ -194,7 +205,7 @@ class MomentumObserver(nn.Module):
         inner = layer_program.program(
             self.robot, Function(constants(self.robot), FUNCTION), (), "constants", own, (), self.model._friction
         )
-        gains = self.gain.expand(self.robot.n).tolist()
+        gains = self.gain.tolist()
 
         def algorithm(*rows: Sequence[Number]) -> dict[str, Sequence[Number]]:
             tau, r, p, u = rows[2:]
@@ -239,13 +250,3 @@ class Observing:
         given = (view.reading[:n], view.reading[n:], view.torque, state[:n], state[n : 2 * n], state[2 * n :])
         found = results(self.program, replay(self.program, given))
         return {"r": found["r"], "carry": [x for row in found.values() for x in row]}
-
-
-def _of_joints(gain: Any, n: int) -> Tensor:
-    """Gain as float64 numbers, one or n; raises unless they are real, finite and not negative."""
-    with suppress(TypeError, ValueError):  # words, and rows of different lengths
-        x = gain if isinstance(gain, Tensor) else torch.from_numpy(np.array(gain))
-        real = x.dtype != torch.bool and not x.is_complex()
-        if real and x.shape in ((), (n,)) and bool((x.isfinite() & (x >= 0)).all()):
-            return x.double()
-    raise ArgumentError(f"gain must be a finite non-negative number or {n} of them, found {gain!r}")

@@ -17,6 +17,7 @@ from torchdq.learning.bodies.posterior import PosteriorSamples, posterior_sample
 from torchdq.learning.evaluate import Evaluation, Verdict, evaluate
 from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.excitation.trajectory import Excitation, excitation_trajectory
+from torchdq.learning.fit import History, TrainingError, fit
 from torchdq.learning.identification.identified import Identified, Prediction
 from torchdq.learning.identification.identify import identify
 from torchdq.learning.identification.model import Model
@@ -24,15 +25,12 @@ from torchdq.learning.identification.model_selection import CandidateModel, Mode
 from torchdq.learning.logs.errors import LogError, LogWarning, MissingLogError
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.motions import Motion, smooth, stack_samples, train_test_split
-from torchdq.learning.logs.read import Log
+from torchdq.learning.logs.read import Log, read_log
 from torchdq.learning.logs.samples import Samples
 from torchdq.learning.plots import plot_torques
-from torchdq.learning.read_log import read_log
 from torchdq.learning.rollout.fit import fit_rollout
 from torchdq.learning.rollout.recordings import Recording
 from torchdq.learning.rollout.result import RolloutFit
-from torchdq.learning.training.fit import fit
-from torchdq.learning.training.loop import History, TrainingError
 
 __all__ = [
     "Box",

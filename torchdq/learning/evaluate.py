@@ -9,15 +9,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.base.checks import require_object
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import smooth_sign
-from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.functional import inverse_dynamics
 from torchdq.learning.evaluation.diagnostics import diagnose
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.errors import LogWarning
-from torchdq.learning.logs.motions import Motion, stack_samples
+from torchdq.learning.logs.motions import Motion, several, stack_samples
 from torchdq.robot import Robot
 
 GAINED = 0.95  # part of the error of the description that may be left at most, so that there is something gained
@@ -134,9 +134,8 @@ def evaluate(
     >>> print(evaluate(robot, identify(robot, train), test).verdict)  # doctest: +SKIP
     Verdict.GOOD
     """
-    if not isinstance(found, Identified):
-        raise ArgumentError(f"found must be what identify returns, found {type(found).__name__}")
-    known = torques_by(found, [motions] if isinstance(motions, Motion) else motions)
+    require_object("found", found, Identified, "torchdq.learning", "identify(robot, motions)")
+    known = torques_by(found, motions)
     q, qd, qdd, tau = rows = stack_samples(known)
     predicted = found.by_these_gains().predict(known)  # motion by motion: friction remembers nothing of the one before
     size = tau.std(0)
@@ -162,9 +161,9 @@ def evaluate(
     return Evaluation(described.joint_names, seconds, before, after, within, of_file, findings, forecast)
 
 
-def torques_by(found: Identified, motions: Sequence[Motion]) -> list[Motion]:
+def torques_by(found: Identified, motions: Motion | Sequence[Motion]) -> Sequence[Motion]:
     """Motions with torques in N m, by the gains of the drives if those were estimated."""
     if found.gains is None:
-        return list(motions)
+        return several(motions)
     gains = found.gains.value.numpy()
-    return [x if x.tau is None else x._replace(tau=x.tau * gains, known_gains=True) for x in motions]
+    return [x if x.tau is None else x._replace(tau=x.tau * gains, known_gains=True) for x in several(motions)]

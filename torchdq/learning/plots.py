@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from torchdq.base.checks import require_object
 from torchdq.base.optional import imported
-from torchdq.errors import ArgumentError
 from torchdq.learning.evaluate import torques_by
 from torchdq.learning.excitation.limits import Bounds
 from torchdq.learning.identification.identified import Identified
@@ -65,13 +65,9 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
     >>> figure = plot_torques(identify(robot, before), after)  # doctest: +SKIP
     >>> figure.savefig("torques.png")  # doctest: +SKIP
     """
-    if not isinstance(identified, Identified):
-        raise ArgumentError(f"identified must be what identify returns, found {type(identified).__name__}")
-    several = torques_by(identified, [motions] if isinstance(motions, Motion) else motions)
-    tau, robot = stack_samples(several).tau, identified.robot
-    if tau.shape[1] != robot.n:
-        raise ArgumentError(f"motions must be of the {robot.n} joints of {robot.name!r}, found {tau.shape[1]}")
-    predicted = identified.predict(several)
+    require_object("identified", identified, Identified, "torchdq.learning", "identify(robot, motions)")
+    several, robot = torques_by(identified, motions), identified.robot
+    tau, predicted = stack_samples(several).tau, identified.predict(several)
     left = (tau - predicted.tau).square().mean(0).sqrt() / tau.std(0)
     step = np.concatenate([np.diff(motion.time, prepend=motion.time[0] - PAUSE) for motion in several])
     breaks = 1 + np.flatnonzero(step[1:] > BREAK)  # a NaN before these rows breaks the lines
@@ -82,7 +78,7 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
     for j, panel in enumerate(panels[:, 0]):
         panel.fill_between(time, lower[:, j], upper[:, j], color=BLUE, alpha=0.25, linewidth=0, label="95 %")
         panel.plot(time, measured[:, j], color="black", linewidth=0.8, label="measured")
-        panel.plot(time, mean[:, j], color=BLUE, linewidth=1.2, label="predicted")
+        panel.plot(time, mean[:, j], color=BLUE, linewidth=1.2, label="identified")
         panel.set_title(f"{robot.joint_names[j]}: {float(left[j]):.3f} of a standard deviation unexplained")
         panel.set_ylabel("[N m]" if robot.joint_types[j].turns else "[N]")
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)

@@ -10,7 +10,7 @@ from torchdq.errors import ArgumentError, UnphysicalError
 from torchdq.robot.arrays import matrices
 from torchdq.robot.check import consistency
 from torchdq.robot.fields import readable
-from torchdq.robot.model import factors
+from torchdq.robot.model import batches, factors
 from torchdq.robot.robot import Robot
 
 
@@ -27,6 +27,14 @@ def require_robot(x: Any) -> Robot:
         way = f"it is a class, {way}"
     found = x.__name__ if isinstance(x, type) else type(x).__name__
     raise ArgumentError(f"robot must be a torchdq.Robot, found {found}; {way}")
+
+
+def require_single(x: Any) -> Robot:
+    """Robot x; raises unless it is one, without batch axes."""
+    robot = require_robot(x)
+    for name, axes in batches(robot).items():
+        raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; one robot at a time is needed")
+    return robot
 
 
 def require_motors(robot: Robot, coupling: Sequence[Sequence[float]] | None) -> None:

@@ -18,7 +18,7 @@ import torchdq
 from torchdq import Scene, effects
 from torchdq.errors import ArgumentError
 from torchdq.learning import posterior_samples
-from torchdq.learning.bodies.nearest import nearest, of_numbers
+from torchdq.learning.identification.solution import nearest, of_numbers
 from torchdq.robot.pseudo_inertia import pseudo_inertia, relative
 from torchdq.scene import integrators
 

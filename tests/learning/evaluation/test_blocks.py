@@ -6,7 +6,7 @@ from recorded_logs import REAL, ROBOT, STEP, WIDTH, noise, states, torques
 
 from torchdq.learning import Motion
 from torchdq.learning.evaluation.blocks import blocks, of_motions, of_tensors, regions, too_few
-from torchdq.learning.evaluation.correlation import correlation_times
+from torchdq.learning.evaluation.statistics import correlation_times
 from torchdq.learning.identification.evidence import gather
 from torchdq.learning.identification.terms import COULOMB, VISCOUS
 

@@ -17,7 +17,7 @@ from torchdq.base.tables import table
 from torchdq.dynamics.friction import COLUMNS
 from torchdq.learning import Evaluation, Model, Samples, Verdict, evaluate, identify
 from torchdq.learning.evaluate import FAIR
-from torchdq.learning.identification.simple import _nonnegative
+from torchdq.learning.identification.friction_selection import _nonnegative
 
 DESCRIBED = torchdq.Robot.from_urdf(PAIR)
 MOVED = [x[0] for x in states(1, 600, seed=9)]

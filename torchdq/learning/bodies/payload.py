@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_number
+from torchdq.base.checks import require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import smooth_sign
@@ -25,18 +25,17 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding, merged
 from torchdq.functional import inverse_dynamics, regressor, require_finite
-from torchdq.learning.bodies.nearest import nearest, of_numbers
-from torchdq.learning.evaluation.correlation import correlation_times
-from torchdq.learning.evaluation.diagnostics import diagnose
+from torchdq.learning.evaluation.diagnostics import diagnose, of_joints
+from torchdq.learning.evaluation.statistics import correlation_times
 from torchdq.learning.identification.base_parameters import base_names, base_of, inverse_of
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
+from torchdq.learning.identification.solution import nearest, of_numbers
 from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, moved, pseudo_inertia, relative
 
-ROUNDS = 20  # most times that joints are weighted again
 WORSE = 3.0  # residual over that of the empty arm, from which a joint is reported: on good logs it is below 2
 MATTERS = 0.03  # the same, over the joint's torques, below which it does not matter
 NUISANCE = 1e-3  # part of its expected size that a change of friction or offset has at most: it is free
@@ -130,13 +129,9 @@ def identify_payload(
     >>> bool((found.mass - 2).abs() < 0.01), bool((found.com[2] - 0.1).abs() < 0.01)
     (True, True)
     """
-    if not isinstance(empty, Identified):
-        raise ArgumentError(f"empty must be what identify returns, found {type(empty).__name__}")
+    require_object("empty", empty, Identified, "torchdq.learning", "identify(robot, motions)")
     robot = empty.robot
     batch, rows = recorded(robot, motions, qd, qdd, tau=tau)
-    if not all(torch.tensor(rows.known_gains).expand(robot.n)):
-        cure = "multiply them by the gains that Model(gains=True) of identify found"
-        raise ArgumentError(f"tau of the motions must be torques, found efforts of unknown gains; {cure}")
     if len(batch) != 1 or not batch[0]:
         expected = f"the shape [rows, {robot.n}] with a row at least"
         raise ArgumentError(f"q must have {expected}, found the batch axes {batch}")
@@ -148,7 +143,7 @@ def identify_payload(
         raise ArgumentError(f"frame must be one that a joint moves, found {at.name!r} on the base")
     with torch.no_grad(), Progress("identifying the payload"):
         alone = empty.predict(motions, qd, qdd).tau
-        q, qd, qdd, tau = (x.cpu() for x in (rows.q, rows.qd, rows.qdd, rows.measured))
+        q, qd, qdd, tau = (x.cpu() for x in (rows.q, rows.qd, rows.qdd, rows.torques))
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)
         body = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))
         unidentifiable = _unidentifiable(robot, at.name, body)
@@ -194,11 +189,8 @@ def _unexplained(empty: Identified, rows: Sequence[Tensor], rms: Tensor, usual: 
     far = (rms > WORSE * usual) & (rms > MATTERS * rows[-1].square().mean(0).sqrt())
     claim = "residual torques must be like those of the empty arm"
     cure = "is a sign, gain or column another than then, or the body elsewhere?"
-    findings = tuple(
-        Finding("payload.unexplained", joint, claim, f"{factor:.1f} times as large", cure, value=factor)
-        for joint, factor, beyond in zip(empty.robot.joint_names, (rms / usual).tolist(), far.tolist(), strict=True)
-        if beyond
-    )
+    finding = Finding("payload.unexplained", "", claim, "{:.1f} times as large", cure)
+    findings = tuple(of_joints(empty.robot.joint_names, far, finding, rms / usual))
     if findings:
         robot = empty.robot.to(DTYPE, "cpu")
         joints = ", ".join(f"{finding.subject} ({finding.value:.1f} times)" for finding in findings)
@@ -233,7 +225,7 @@ def _reweighted(
     `Z` are torques per unit [rows, n, p], `residual` is [rows, n]; variance and correlation time are at least as given.
     """
     weight = 1 / (variance * correlation)
-    for _ in range(ROUNDS):
+    for _ in range(20):
         (x, _, left), before = _solved(Z, residual, weight), weight
         times = correlation_times(left - left.mean(0), lengths, clear=0.0)
         weight = 1 / (left.square().mean(0).maximum(variance) * times.maximum(correlation))

@@ -13,22 +13,20 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_count, require_number
+from torchdq.base.checks import require_count, require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
-from torchdq.effects import Effect, Gravity, Residual, RotorInertia
-from torchdq.errors import ArgumentError
+from torchdq.effects import Effect
 from torchdq.layers.residual import ResidualDynamics
-from torchdq.learning.bodies.nearest import nearest, of_numbers
-from torchdq.learning.identification.identified import Identified, coefficients_of
+from torchdq.learning.identification.identified import Identified, coefficients_of, effects_of, friction_of
 from torchdq.learning.identification.regression import parted
+from torchdq.learning.identification.solution import nearest, of_numbers
 from torchdq.learning.identification.terms import ROTOR, Term
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, pseudo_inertia, relative
 
 KAPPA = 100.0  # weight of the base parameters: so many times that of the bodies that are drawn
-MOST = 0.99  # most of a number that is below one, such as friction over load
 TOGETHER = 256  # robots at a time
 DTYPE = torch.float64
 
@@ -55,10 +53,8 @@ class PosteriorSamples(NamedTuple):
 
         Without a network, constant torques are not among them: add `coefficients("offset")` to the scene's torques.
         """
-        rotors = () if self.robot.armature is None else (RotorInertia(),)
-        rows = zip(self.terms, parted(self.robot, self.parameters)[1].unbind(1), strict=True)
-        friction = (effect for term, numbers in rows for effect in term.found(numbers, self.sign_width))
-        return (Gravity(), *rotors, *friction, *(() if self.network is None else [Residual(self.network)]))
+        numbers = parted(self.robot, self.parameters)[1].unbind(1)
+        return effects_of(self.robot, friction_of(self.terms, numbers, self.sign_width), self.network)
 
 
 @one_thread()
@@ -89,8 +85,7 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
     >>> drawn.robot.mass.shape, bool((drawn.robot.mass > 0).all()), len(drawn.effects())
     (torch.Size([16, 2]), True, 3)
     """
-    if not isinstance(identified, Identified):
-        raise ArgumentError(f"identified must be what identify returns, found {type(identified).__name__}")
+    require_object("identified", identified, Identified, "torchdq.learning", "identify(robot, motions)")
     require_count("n", n)
     require_number("most", most, least=0.0)
     require_count("seed", seed, 0)
@@ -163,5 +158,5 @@ class _Space:
         J = C @ relative(y[:, : 10 * links].unflatten(1, (links, 10))) @ C.mT
         phi[:, self.bodies] = inertial_parameters(J).flatten(1)
         phi[:, at] += scale * y[:, 10 * links :]
-        phi[:, self.fraction] = phi[:, self.fraction].clamp_max(MOST)
+        phi[:, self.fraction] = phi[:, self.fraction].clamp_max(0.99)  # such as friction over load
         return phi, J

@@ -21,7 +21,7 @@ from torch import Tensor
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.functions.call import check
-from torchdq.learning.logs.motions import ENDS, Motion
+from torchdq.learning.logs.motions import ENDS, Motion, unknown_gains
 from torchdq.learning.logs.samples import Samples
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_motors
@@ -54,6 +54,13 @@ class MotionRows(NamedTuple):
         if self.tau is None:
             raise ArgumentError("motions must have torques to identify a robot, found motions without")
         return self.tau
+
+    @property
+    def torques(self) -> Tensor:
+        """Torques [rows, n]; raises if there are none, or efforts of unknown gains."""
+        if not np.all(self.known_gains):
+            raise ArgumentError(unknown_gains())
+        return self.measured
 
     def signals(self) -> dict[str, Tensor]:
         """Rows of the signals that there are, by name."""

@@ -3,11 +3,10 @@
 A description that is off by tens of percent still explains most of a joint's torque, once friction, rotor inertia and
 an offset are allowed for. Where it does not, the measurements are tried with usual faults of logs undone: a sign, two
 joints exchanged, all joints reversed or sorted by name, in some of the signals. The fault that explains them far better
-is named. Other faults are looked for before that: outliers, motions beyond the limits of the description, a torque that
-never changes, another unit, currents without a gain, and torques from which the drives have taken gravity away.
+is reported. Other faults are checked first: outliers, motions beyond the limits of the description, constant torques,
+wrong units, currents without a gain, and torques from which the drives have removed gravity.
 """
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, compress, product
@@ -19,6 +18,7 @@ from torch.nn.functional import normalize
 
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.findings import Finding
+from torchdq.learning.logs.checks import UNITS, beyond_limits
 from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.robot import Robot
 
@@ -49,10 +49,6 @@ class Thresholds:
     poor: float = 0.5  # part of a joint's torque that a fit leaves unexplained, from which it is named
     shaped: float = 0.9  # part of the residual left by dry friction of other widths, from which the shape is another
     seen: float = 0.02  # residual that they explain, relative to the joint's torques, below which it does not matter
-    often: float = 0.01  # part of the rows in which a joint must be beyond its limits
-    past: float = 1.0  # farthest beyond a limit of position that is accepted, relative to the range between both limits
-    turns: float = 4 * math.pi  # the same of joints that may make a full turn, which often have no limit [rad]
-    faster: float = 3.0  # times the limit of velocity that are accepted: simulated motions do not keep it
 
 
 AT = Thresholds()
@@ -65,10 +61,6 @@ GROUPS = {  # signals that a reading changes
     "velocities and accelerations": ("qd", "qdd"),
     "positions, velocities and accelerations": ("q", "qd", "qdd"),
     "columns of all signals": SIGNALS,
-}
-UNITS = {  # of joints that turn or slide: symbol, name, the other unit that logs are in, and the factor to multiply by
-    True: ("rad", "radians", "degrees", "pi/180", math.pi / 180),
-    False: ("m", "metres", "millimetres", "0.001", 0.001),
 }
 TIMES = "{:.2g} times the described torque"
 Torques = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -113,30 +105,6 @@ def diagnose(robot: Robot, torques: Torques, rows: Sequence[Tensor], sign_width:
     return [*leaps, *_constant(described, names, few, sign_width), *found, *weightless]
 
 
-def beyond_limits(robot: Robot, q: Tensor, qd: Tensor | None) -> list[Finding]:
-    """Findings about joints that positions and velocities [rows, n] take far beyond the limits of the description."""
-    lower, upper, velocity, _ = (x.double().cpu() for x in robot.limits)
-    q = q.cpu()
-    qd = torch.zeros_like(q) if qd is None else qd.cpu()
-    reach = upper - lower
-    past = torch.maximum(lower - q, q - upper)
-    turns = torch.tensor([kind.turns for kind in robot.joint_types]) & (reach > 1.99 * math.pi)
-    far = ((past > torch.where(turns, AT.turns, AT.past * reach)).double().mean(0) > AT.often) & (reach > 0)
-    fast = ((qd.abs() > AT.faster * velocity).double().mean(0) > AT.often) & (velocity > 0)
-    found = []
-    for j in (far | fast).nonzero()[:, 0].tolist():
-        unit, _, other, times, _ = UNITS[robot.joint_types[j].turns]
-        if far[j]:
-            code, x, expected = "position.limits", q[:, j], f"its limits are {lower[j]:.3g} and {upper[j]:.3g} {unit}"
-            moves = f"positions from {x.min():.3g} to {x.max():.3g}"
-        else:
-            code, x, expected = "velocity.limits", qd[:, j], f"its limit is {velocity[j]:.3g} {unit}/s"
-            moves = f"speeds up to {x.abs().max():.3g}"
-        cure = f"are these {other} (multiply by {times}), or of other joints?"
-        found.append(Finding(code, robot.joint_names[j], expected, moves, cure, value=float(x.abs().max())))
-    return found
-
-
 def unexplained(
     names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, described: Tensor, sign_width: float
 ) -> list[Finding]:
@@ -150,7 +118,7 @@ def unexplained(
     poor = _moves(qd, sign_width) & driven & (part > AT.poor)
     claim = "the fit must explain most of the torque's variance"
     cure = "are units, signs, order of joints and the robot itself as described, and torques measured at the joints?"
-    return _of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))
+    return of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))
 
 
 def misshapen(
@@ -178,12 +146,12 @@ def misshapen(
     other = _moves(qd, sign_width) & (after < AT.shaped * before) & (explained > AT.seen * tau.std(0))
     claim = "the shape of its dry friction must be the one fitted, or it biases dry and viscous friction"
     fault = Finding("friction.shape", "", claim, "a residual of {1:.2g}, {2:.2g} with another shape", cure, option)
-    return _of_joints(names, other, fault, explained, before, after)
+    return of_joints(names, other, fault, explained, before, after)
 
 
-def _of_joints(names: Sequence[str], joints: Tensor, finding: Finding, *numbers: Tensor) -> list[Finding]:
-    """Findings about some joints [n], the same but for the numbers [n] in `found`, of which the first is the value."""
-    of_each = zip(names, *(x.tolist() for x in numbers), strict=True)
+def of_joints(names: Sequence[str], joints: Tensor, finding: Finding, *values: Tensor | Sequence[str]) -> list[Finding]:
+    """Findings about some joints [n], with the values [n] of each formatted in `found`; the first one is its value."""
+    of_each = zip(names, *(x.tolist() if isinstance(x, Tensor) else x for x in values), strict=True)
     return [
         finding._replace(subject=name, found=finding.found.format(*found), value=found[0])
         for name, *found in compress(of_each, joints)
@@ -191,13 +159,13 @@ def _of_joints(names: Sequence[str], joints: Tensor, finding: Finding, *numbers:
 
 
 def _rest(x: Tensor, columns: list[Tensor]) -> Tensor:
-    """Standard deviations [n] of what columns leave of x in least squares, [rows, n] each."""
+    """Standard deviations [n] of the least-squares residuals of x by columns, [rows, n] each."""
     A, b = normalize(torch.stack(columns, -1), dim=0, eps=1e-30).transpose(0, 1), x.T[..., None]
     return (b - A @ torch.linalg.lstsq(A, b, driver="gelsd").solution).std((1, 2))
 
 
 def _moves(qd: Tensor, sign_width: float) -> Tensor:
-    """Joints that move in enough of the rows [n]."""
+    """Joints [n] that move in enough of the rows."""
     return (qd.abs() > sign_width).double().mean(0) > AT.moving
 
 
@@ -209,7 +177,7 @@ def _constant(described: Tensor, names: Sequence[str], rows: Sequence[Tensor], s
     dead = still & _moves(qd, sign_width) & (varies > AT.faint * varies.max())
     cure = "is the sensor connected, and is it the right column? leave the log out, or measure again"
     claim = "the measured torque must change with the motion, as the described one does"
-    return _of_joints(names, dead, Finding("torque.constant", "", claim, "{:.3g} in all rows", cure), tau[0])
+    return of_joints(names, dead, Finding("torque.constant", "", claim, "{:.3g} in all rows", cure), tau[0])
 
 
 def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:
@@ -230,7 +198,7 @@ def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float, lef
 
 
 def _compared(described: Tensor, rows: Sequence[Tensor], sign_width: float) -> _Explained:
-    """Best fit of every joint's torque by subsets of these terms and an offset, of which none but it is negative."""
+    """Best fit of each joint's torque by subsets of non-negative terms and an offset."""
     _, qd, qdd, tau = rows
     terms = torch.stack([described, qdd, qd, smooth_sign(qd, sign_width)], -1).double().cpu()
     scale = terms.std(0, correction=0).clamp_min(1e-30)
@@ -256,7 +224,7 @@ def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
     large = (factor >= AT.shared) & (sure >= AT.unit).any()
     claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
     cure = "is the unit right? give tau in N m"
-    return _of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure), factor)
+    return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure), factor)
 
 
 def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
@@ -267,11 +235,11 @@ def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
     claim = "tau must be a torque, not a current of a drive whose gain is missing"
     cure = "give Layout(gain=...), torque per ampere at the joints, or gain=None and Model(gains=True) to identify"
     option = "give --gains, torque per ampere at the joints, or --estimate-gains"
-    return _of_joints(names, small, Finding("torque.current", "", claim, TIMES, cure, option), fit.factor)
+    return of_joints(names, small, Finding("torque.current", "", claim, TIMES, cure, option), fit.factor)
 
 
 def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:
-    """Finding about the reading of the measurements that explains them far better."""
+    """Finding about another reading of the measurements that explains them far better."""
     bad, best, found = left > AT.unexplained, float(left.sum()) - AT.gain, list[Finding]()
     for finding, reading in _readings(torques, robot, rows, sign_width, left):
         parts = _left(torques, reading, sign_width, left)
@@ -282,7 +250,7 @@ def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width:
 
 
 def _left(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> Tensor:
-    """Parts that another reading leaves [n]; `left` where its torques are not of the size of those described."""
+    """Parts [n] that another reading leaves unexplained; at least `left` where its torques have another size."""
     fit = _compared(torques(*rows[:3]), rows, sign_width)
     return torch.where(fit.alike, fit.left, torch.maximum(fit.left, left))
 
@@ -290,7 +258,7 @@ def _left(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Ten
 def _readings(
     torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor
 ) -> Iterator[tuple[Finding, list[Tensor]]]:
-    """Faults of a log with the rows as they are without them, the likeliest first."""
+    """Faults of a log with the corrected rows, the likeliest first."""
     n, names, device = robot.n, robot.joint_names, rows[0].device
     same, plain = torch.arange(n, device=device), torch.ones(n, dtype=rows[0].dtype, device=device)
     turns = torch.tensor([kind.turns for kind in robot.joint_types], device=device)

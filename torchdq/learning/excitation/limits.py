@@ -2,9 +2,9 @@
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from torchdq import dq
 from torchdq.base.checks import is_number, require_number, tensor_of
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
+from torchdq.functions.parametric import Parametric, Shapes
 from torchdq.robot import Robot
 
 Clearance = Callable[[Robot, Tensor], Tensor]  # (robot, q [..., n]) to numbers [..., c], not negative where q may be
@@ -102,7 +103,7 @@ class Bounds(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class MotionLimits:
+class MotionLimits(Parametric):
     """Limits that a motion keeps, each one number for all joints or one per joint.
 
     Args:
@@ -120,6 +121,10 @@ class MotionLimits:
     0.9
     """
 
+    SHAPES: ClassVar[Shapes] = dict.fromkeys(Bounds._fields, ("n",))
+    SIGNED: ClassVar[frozenset[str]] = frozenset(("lower", "upper"))
+    UNBOUNDED: ClassVar[frozenset[str]] = frozenset(Bounds._fields)
+    DESCRIBED: ClassVar[Mapping[str, str]] = {x: f"limits.{x}" for x in Bounds._fields if x != "acceleration"}
     lower: Any = None
     upper: Any = None
     velocity: Any = None
@@ -144,15 +149,11 @@ class MotionLimits:
         Warns:
             UserWarning: one is wider than that of the description, as degrees are.
         """
-        described = {"acceleration": torch.tensor(math.inf), **robot.limits._asdict()}
-        rows = []
-        for name in Bounds._fields:
-            given = getattr(self, name)
-            x = described[name] if given is None else tensor_of(given)
-            if x.ndim > 1 or (x.ndim == 1 and len(x) != robot.n) or x.is_complex():
-                raise ArgumentError(f"{name} must be one number or {robot.n}, found the shape {tuple(x.shape)}")
-            rows.append(x.detach().double().cpu().expand(robot.n))
-        found = Bounds(*rows)
+        whole = replace(self, acceleration=math.inf) if self.acceleration is None else self
+        whole = replace(whole, workspace=()).resolved(robot)
+        found = Bounds(*(tensor_of(getattr(whole, name)).detach().double().cpu() for name in Bounds._fields))
+        if any(x.ndim > 1 for x in found):
+            raise ArgumentError("limits must be those of one robot, found batch axes")
         joints = zip(robot.joint_names, robot.joint_types, *(x.tolist() for x in found), strict=True)
         for joint, kind, lower, upper, *others in joints:
             whose = f"of joint {joint!r} of robot {robot.name!r}"

@@ -19,15 +19,11 @@ from torchdq.learning.excitation.limits import MotionLimits
 from torchdq.robot import Robot
 
 STAGES = ((1, 10), (4, 30), (16, 60), (64, 240))  # part of the starts, one in so many, and the steps that it takes
-LEFT = 4  # starts that take all steps, at least
 STEP = 0.25  # step width of the numbers of a motion; it falls to a tenth in the last stage
 SAMPLED = 10  # points of the period per harmonic, for the mean of the information
 FINE = 400  # points of the period per harmonic at which torques and workspace are checked
 NEAR = 0.02  # part of the greatest torque, and [m] of the workspace, from which on the search is held back
-FIRM = 1e4  # cost of the square of what exceeds
 ROWS = 16  # motions at a time, whose numbers a processor's cache holds
-FAINT = 1e-10  # information added to that of a motion, relative to random states: a start may have none about some
-HALVINGS = 12  # halvings of the interval that holds the largest size of a motion
 DTYPE = torch.float64
 
 
@@ -43,7 +39,7 @@ class Search(NamedTuple):
         starts = len(numbers)
         with Progress(f"finding a motion for {self.parameters.robot.name}") as progress:
             for k, (part, steps) in enumerate(STAGES):
-                left, say = max(min(LEFT, starts), starts // part), progress.within(f"stage {k + 1} of {len(STAGES)}")
+                left, say = max(min(4, starts), starts // part), progress.within(f"stage {k + 1} of {len(STAGES)}")
                 last = k + 1 == len(STAGES)
                 x, w = numbers[:left].clone().requires_grad_(), w[:left]
                 method = torch.optim.Adam([x], STEP, betas=(0.9, 0.99))
@@ -64,12 +60,13 @@ class Search(NamedTuple):
         """Negative information of motions [rows], and what exceeds the limits."""
         robot = self.parameters.robot
         motion = self.family.motions(x, w).at(grid(SAMPLED * self.family.harmonics))
-        A = self.parameters.information(*motion) + FAINT * torch.eye(len(self.parameters.leading), dtype=DTYPE)
+        # a start may have no information about some parameters
+        A = self.parameters.information(*motion) + 1e-10 * torch.eye(len(self.parameters.leading), dtype=DTYPE)
         gain = 2 * torch.linalg.cholesky_ex(A).L.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         used = (described_torques(robot, *motion).abs() + robot.friction) / self.family.bounds.effort
         exceeded = (used - 1 + NEAR).relu().square().sum((-2, -1))
         exceeded = exceeded + (NEAR - self.limits.clearance(robot, motion[0])).relu().square().sum((-2, -1))
-        return FIRM * exceeded - gain
+        return 1e4 * exceeded - gain
 
     @torch.no_grad()
     def largest(self, series: Series) -> Series:
@@ -81,7 +78,7 @@ class Search(NamedTuple):
 
         large = torch.ones(len(series.rate), dtype=DTYPE)
         small = torch.where(fits(large), large, 0.0)
-        for _ in range(HALVINGS):
+        for _ in range(12):
             middle = (small + large) / 2
             inside = fits(middle)
             small, large = torch.where(inside, middle, small), torch.where(inside, large, middle)

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_count, require_number, tensor_of
+from torchdq.base.checks import require_count, require_number, require_object, tensor_of
 from torchdq.base.tables import table
 from torchdq.errors import ArgumentError
 from torchdq.learning.excitation.fourier import Family, Series
@@ -32,8 +32,7 @@ from torchdq.learning.logs.motions import Motion
 from torchdq.learning.plots import picture_of_motion
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_bodies, require_robot
-from torchdq.robot.model import batches
+from torchdq.robot.argument import require_bodies, require_single
 
 FASTEST = 1.0  # [Hz] highest frequency of a motion, where no period is given: drives follow it, filters pass it
 LENGTHS = 4  # periods that are tried, where none is given
@@ -166,11 +165,8 @@ def excitation_trajectory(
     for name, count, least in (("harmonics", harmonics, 2), ("restarts", restarts, 1), ("seed", seed, 0)):
         require_count(name, count, least)
     limits = MotionLimits() if limits is None else limits
-    if not isinstance(limits, MotionLimits):
-        raise ArgumentError(f"limits must be MotionLimits, found {type(limits).__name__}")
-    for name, axes in batches(require_robot(robot)).items():
-        raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; find motions for one at a time")
-    require_bodies(robot, "excitation")
+    require_object("limits", limits, MotionLimits, "torchdq.learning", "MotionLimits(velocity=1.0)")
+    require_bodies(require_single(robot), "excitation")
     robot = robot.to(DTYPE, "cpu").bake()
     bounds = limits.bounds(robot)
     coefficients = ["rotor"] * armature + ["viscous", "coulomb"] * friction + ["offset"] * offset

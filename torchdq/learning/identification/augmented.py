@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from torchdq.findings import Finding
-from torchdq.learning.evaluation.correlation import correlation_times
+from torchdq.learning.evaluation.diagnostics import of_joints
+from torchdq.learning.evaluation.statistics import correlation_times
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import columns
@@ -22,8 +23,6 @@ from torchdq.robot import Robot
 
 SURE = 5.0  # standard errors from which something is there
 MATTERS = 0.1  # part of the squared residuals of a joint or motion that it must take away to matter
-ROWS = 2000  # most rows that are used
-EXACT = 1e-6  # least variance of what is left, relative to that of the residual
 
 
 class AugmentedSolution(NamedTuple):
@@ -49,7 +48,7 @@ class AugmentedFit(NamedTuple):
 
     @classmethod
     def of(
-        cls, evidence: Evidence, near: Neighbourhood, y: Tensor, prior: float, residual: Tensor, most: int = ROWS
+        cls, evidence: Evidence, near: Neighbourhood, y: Tensor, prior: float, residual: Tensor, most: int = 2000
     ) -> AugmentedFit:
         """Some rows of a fit y [t] with evidence of its terms, this weight of its prior, and residuals [rows, n]."""
         lengths, samples = evidence.recording.lengths, evidence.samples
@@ -88,7 +87,7 @@ class AugmentedFit(NamedTuple):
         left, A, t = r if left is None else left, torch.cat([Z, E], -1).flatten(0, 1), Z.shape[-1]
         step = len(self.evidence.own) / len(self.rows)
         for _ in range(rounds):  # what is noise depends on the unknowns
-            variance = left.square().mean(0).maximum(EXACT * self.square)
+            variance = left.square().mean(0).maximum(1e-6 * self.square)  # beyond rounding
             weight = 1 / (variance * correlation_times(left, self.lengths))
             weighted = A * weight.repeat(len(r))[:, None]
             b, H = weighted.T @ r.flatten(), weighted.T @ A
@@ -113,9 +112,6 @@ def offset_findings(fit: AugmentedFit) -> list[Finding]:
     claim = "a constant torque is missing in the model, which biases masses and friction beyond their errors"
     cure = "Model(offset=True) estimates it, and friction that differs by direction has one, too"
     option = "--offset estimates it"
-    numbers = zip(robot.joint_names, robot.joint_types, found.x.tolist(), clear.tolist(), strict=True)
-    return [
-        Finding("torque.offset", name, claim, f"about {x:.2g} {'N m' if joint.turns else 'N'}", cure, option, value=x)
-        for name, joint, x, yes in numbers
-        if yes
-    ]
+    units = ["N m" if joint.turns else "N" for joint in robot.joint_types]
+    finding = Finding("torque.offset", "", claim, "about {:.2g} {}", cure, option)
+    return of_joints(robot.joint_names, clear, finding, found.x, units)

@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 SEPARATE = 1e-12  # least eigenvalue, relative to the largest, of a base parameter, for columns of size one
-NOTHING = 1e-12  # torque of a parameter, relative to the largest, that is none
 
 
 def base_parameters(R: Tensor, size: Tensor) -> Tensor:
@@ -34,7 +33,7 @@ def base_parameters(R: Tensor, size: Tensor) -> Tensor:
 def base_of(Z: Tensor) -> tuple[Tensor, Tensor]:
     """Base parameters [rank, k] that torques per unit Z [rows, k] identify, and the sizes [k] of its columns."""
     size = Z.square().mean(0).sqrt()
-    size = torch.where(size > NOTHING * size.max(), size, 0.0)
+    size = torch.where(size > 1e-12 * size.max(), size, 0.0)
     Z = Z * inverse_of(size)
     e, V = torch.linalg.eigh(Z.T @ Z)
     return base_parameters(V[:, e > SEPARATE * e[-1]].T * size, inverse_of(size)), size

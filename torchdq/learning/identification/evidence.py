@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from torchdq.learning.evaluation.blocks import Block, MotionRows, regions
-from torchdq.learning.evaluation.correlation import correlation_times
-from torchdq.learning.evaluation.coverage import interval_factors
+from torchdq.learning.evaluation.statistics import correlation_times, interval_factors
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import by_chunks, gram, parted, places, rigid, squared
 from torchdq.learning.identification.solution import Solution, solve
@@ -20,7 +19,6 @@ from torchdq.robot import Robot
 
 STILL = 0.3  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
 NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, in standard deviations
-ROWS = 4096  # most rows that intervals are made from
 
 
 class Unseen(NamedTuple):
@@ -65,17 +63,17 @@ class Evidence(NamedTuple):
 
     def keeping(self, kept: Tensor) -> Evidence:
         """Evidence in which some joints [n] keep the description: changes of bodies only add torques there."""
-        total, folds = self.total.clone(), self.folds.clone()
+        total, folds, bodies = self.total.clone(), self.folds.clone(), self.at.shape[1] - len(self.terms)
         for sums in (total, folds):
-            sums[..., kept, : -len(self.terms) - 1, -len(self.terms) - 1 :] = 0
-            sums[..., kept, -len(self.terms) - 1 :, : -len(self.terms) - 1] = 0
+            sums[..., kept, :bodies, bodies:] = 0
+            sums[..., kept, bodies:, :bodies] = 0
         return self._replace(total=total, folds=folds, kept=kept)
 
     @property
     def measurements(self) -> Tensor:
         """Sums [n, p + 1, p + 1] of all rows, in which joints that keep the description say nothing of bodies."""
-        total = self.total.clone()
-        total[self.kept, : -len(self.terms) - 1, : -len(self.terms) - 1] = 0
+        total, bodies = self.total.clone(), self.at.shape[1] - len(self.terms)
+        total[self.kept, :bodies, :bodies] = 0
         return total
 
     def near(self, estimated: Tensor, strength: float = 1.0) -> Neighbourhood:
@@ -124,7 +122,7 @@ class Evidence(NamedTuple):
         """
         F, found = spread[self.at], list[Tensor]()
         for kind in filter(None, left_out):
-            ratios, few = [], -(-sum(len(part.rows) for part in kind) // ROWS)
+            ratios, few = [], -(-sum(len(part.rows) for part in kind) // 4096)
             for rows, residual in ((part.rows[::few], part.residual[::few]) for part in kind):
                 some, error = self.recording.some(rows), torch.empty_like(residual)
                 for chunk, Z in by_chunks(self.robot, some, self.own[rows], F.numel()):

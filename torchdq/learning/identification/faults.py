@@ -1,8 +1,8 @@
-"""Faults of a log or a description that a few more unknowns explain: a joint's zero, a drive's constant, a tilted base.
+"""Faults of a log or a description with a few unknowns: a joint's zero, a drive's constant, a tilted base.
 
-Masses and friction take the place of such a fault, and none of them is right then. So the search begins at the
-description: each fault is one more unknown x, or two, of the model tau = Z(x) phi, and Gauss and Newton's method finds
-it together with phi and constant torques. Of the faults that take away most of the squared residual, the best is named.
+A fit that lacks such a fault biases masses and friction. So the search starts from the description: each fault adds one
+or two unknowns x to the model tau = Z(x) phi, which Gauss-Newton estimates together with phi and constant torques. The
+fault that explains most of the squared residual is reported.
 """
 
 import math
@@ -20,10 +20,7 @@ from torchdq.learning.identification.evidence import Evidence
 LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; real arms without one leave .59 or more
 TRIED = 0.7  # the same after one linear step, to be searched further
 LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
-ROWS = 300  # most rows that are used
 STEP = 1e-3  # of differences, in the units of the unknowns
-ROUNDS = 8
-SETTLED = 1e-3  # change of an unknown that ends the search
 FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
 FACTOR = 3.0  # most factor of a torque
 
@@ -42,7 +39,7 @@ class _Fault(NamedTuple):
 def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     """Finding about the fault that explains most of what the bodies and these coefficients [terms, n] do not."""
     near, recording = evidence.near(estimated), evidence.recording
-    fit = AugmentedFit.of(evidence, near, torch.zeros(near.S.shape[1]).double(), 1.0, recording.measured, ROWS)
+    fit = AugmentedFit.of(evidence, near, torch.zeros(near.S.shape[1]).double(), 1.0, recording.measured, 300)
     some = recording.some(fit.rows)
     measured = some.measured.cpu()
     size = measured.var(0)
@@ -73,13 +70,13 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         found = step(fault, x, plain)
         if not left(found) < TRIED * before:
             continue
-        for _ in range(ROUNDS):
+        for _ in range(8):
             change = found.x[-fault.unknowns :]
             if not bool(change.isfinite().all()):
                 break
             x = x + change.clamp(-FARTHEST / 2, FARTHEST / 2)
             found = step(fault, x, found)
-            if float(change.abs().max()) < SETTLED:
+            if float(change.abs().max()) < 1e-3:
                 break
         sure = bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
         if left(found) < best and sure and fault.within(x):
@@ -88,7 +85,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
 
 
 def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iterator[_Fault]:
-    """Faults that are tried: of every joint its zero and its torque, and the direction of gravity."""
+    """Faults that are tried: zero and torque factor of every joint, and the direction of gravity."""
     robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
     q, qd, qdd = rows.q, rows.qd, rows.qdd
     rigid, load = fit.columns(q, qd, qdd, 0 * own)

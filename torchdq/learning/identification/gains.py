@@ -4,10 +4,10 @@ An effort e of a joint is h times its torque, h being one over the gain,
 
     e = h Y pi + friction + noise,
 
-with friction in the unit of the effort, which is linear in the parameters for known h. Gauss and Newton's method makes
-it linear in both about the last values: the torque Y pi there is the column of h. The sums of `regression.gram` hold
-all that a recording says, so an iteration reads no samples. A common factor of all gains cannot be separated from
-one of all masses, and comes from the description. The ratios of the gains come from bodies that load several joints.
+with friction in the unit of the effort. Gauss-Newton linearises in pi and h about the last values: the torque Y pi
+there is the column of h. The sums of `regression.gram` suffice, so an iteration reads no samples. A common factor of
+all gains cannot be distinguished from one of all masses, and comes from the description; their ratios come from bodies
+that load several joints.
 
 Errors of the gains make errors of the parameters (`spread_of_gains`): the parameters of a fit are linear in the
 torques, and the torques of a joint are its gain times its efforts.
@@ -20,6 +20,7 @@ from torch import Tensor
 
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
+from torchdq.learning.evaluation.diagnostics import of_joints
 from torchdq.learning.identification.evidence import Evidence, bodies
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import by_chunks, places
@@ -29,11 +30,8 @@ from torchdq.robot import Robot
 
 SPREAD = 0.3  # standard deviation of a gain that is given, relative to it, before the samples
 WIDE = 1.0  # the same of one that is not given, relative to a first guess
-ITERATIONS = 30
-ENOUGH = 1e-4  # relative change of a gain at which the iteration ends
 STRENGTH = 100.0  # prior of the bodies, whose described masses set the factor of all gains
 TRUST = 0.1  # relative standard error of the described masses together
-RUNAWAY = 100.0  # times a first guess from which a gain has run away
 FLAT = 0.5  # relative standard error of a first guess, above which the mean of the other joints takes its place
 
 GAIN = Term("gain", ("1", "1"), signed=True)
@@ -61,7 +59,7 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
     centre = torch.where(known, torch.where(opposite, -1.0, 1.0), _guess(*guessed, ~known))
     scale = torch.where(known, SPREAD, WIDE) * centre.abs()
     h, phi, correlation = centre, start, torch.ones(n, dtype=start.dtype)
-    for _ in range(ITERATIONS):
+    for _ in range(30):
         T = torch.zeros(n, p + 1, p + 2, dtype=start.dtype)
         T[:, :p, :p] = torch.diag_embed(torch.where(inertial, h[:, None], 1.0))
         T[:, :p, p] = phi
@@ -75,11 +73,11 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
         change = found.change(at)
         before, phi = h, start + change[:, :-1] * inertial
         h = h.sign() * (h.sign() * (centre + change[:, -1])).maximum(h.abs() / 3)
-        if float((h / before - 1).abs().max()) < ENOUGH:
+        if float((h / before - 1).abs().max()) < 1e-4:
             break
         own = change[:, :-1] * ~inertial
         correlation = evidence.correlation(h[:, None] * phi - start + own)
-    if bool((lost := h.abs() * RUNAWAY < centre.abs()).any()):
+    if bool((lost := h.abs() * 100.0 < centre.abs()).any()):
         names = ", ".join(name for name, yes in zip(robot.joint_names, lost.tolist(), strict=True) if yes)
         claim = "the efforts must show the bodies, to identify gains of the drives"
         cure = "give Layout(gain=...) for it, or leave the log out"
@@ -92,11 +90,8 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
 def negative_gains(robot: Robot, gains: Gains) -> list[Finding]:
     """Findings about gains that are clearly negative."""
     claim, cure = "the gain of a drive must be positive", "its efforts are counted against the joint's direction"
-    return [
-        Finding("gain.negative", name, claim, f"{x:.3g} +- {e:.2g}", cure, value=x)
-        for name, x, e in zip(robot.joint_names, gains.value.tolist(), gains.error.tolist(), strict=True)
-        if x < -3 * e
-    ]
+    finding = Finding("gain.negative", "", claim, "{:.3g} +- {:.2g}", cure)
+    return of_joints(robot.joint_names, gains.value < -3 * gains.error, finding, *gains)
 
 
 def spread_of_gains(

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdq import effects
-from torchdq.base.checks import tensor_of
+from torchdq.base.checks import require_object, tensor_of
 from torchdq.base.tables import summary, table
 from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.effects.effect import Effect
@@ -26,13 +27,15 @@ from torchdq.learning.identification.gains import Gains
 from torchdq.learning.identification.model_selection import ModelSelection
 from torchdq.learning.identification.regression import by_chunks, parted, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, at_rest, rows_of, unit_torques
-from torchdq.learning.logs.motions import Motion, require_torques
+from torchdq.learning.logs.motions import Motion
 from torchdq.learning.logs.samples import Samples
 from torchdq.nn import InverseDynamics
 from torchdq.robot import Robot
 
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # parameters of a link, about its frame
 FORCE = "N m or N"
+PARAMETERS = ("parameter", "estimate", "standard error", "unit", "identifiable")  # heads of tables
+GAINS = ("joint", "torque per unit of effort", "standard error")
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 
 
@@ -149,13 +152,12 @@ class Identified(NamedTuple):
 
     def friction(self) -> tuple[Friction, ...]:
         """Friction effects with the numbers found, the same for layers and scenes."""
-        rows = zip(self.terms, parted(self.robot, self.parameters)[1].tolist(), strict=True)
-        return tuple(effect for term, numbers in rows for effect in term.found(numbers, self.sign_width))
+        return friction_of(self.terms, parted(self.robot, self.parameters)[1].tolist(), self.sign_width)
 
     def effects(self) -> tuple[Effect, ...]:
-        """Effects of a scene with the robot found: gravity, rotor inertia if there is any, and friction.
+        """Effects of a scene of the identified robot: gravity, rotor inertia if there is any, and friction.
 
-        A constant torque is among them with a residual network alone; else add `offset` to the torques of the scene.
+        A scene simulates the offset only with a residual network; otherwise add `offset` to its torques.
 
         >>> import torch, torchdq, torchdq.envs
         >>> from torchdq.learning import Samples, identify
@@ -165,15 +167,13 @@ class Identified(NamedTuple):
         >>> torchdq.Scene(found.robot, found.effects()).robot.name
         'two_link'
         """
-        rotors = () if self.robot.armature is None else (effects.RotorInertia(),)
-        network = () if self.network is None else (effects.Residual(self.network),)
-        return (effects.Gravity(), *rotors, *self.friction(), *network)
+        return effects_of(self.robot, self.friction(), self.network)
 
     def layer(self, learn: Sequence[str] = ()) -> InverseDynamics:
         """Torques as a module: the robot found, with its friction, the width of dry friction, and the offset.
 
-        A layer does not know the motion before, so friction with memory is that of steady sliding there.
-        `Model(memory=False)` finds the best friction without. A residual network is not in it.
+        A layer has no memory, so it uses the steady-state friction. `Model(memory=False)` selects the best friction
+        without memory. A residual network is not part of the layer.
 
         Args:
             learn: quantities that the layer goes on learning, as in `torchdq.InverseDynamics`; "friction" only if no
@@ -189,13 +189,13 @@ class Identified(NamedTuple):
     def with_residual(self, network: ResidualDynamics) -> Identified:
         """Identified robot with a residual network, in predictions and scenes.
 
-        Train the network on `residual_samples`. Errors and intervals become smaller in the trained states, by as much
-        as the network lowered the error on held-out rows.
+        Train the network on `residual_samples`. Errors and intervals are narrowed near the training states by the
+        validation gain.
 
         Args:
             network: network around `layer()`.
         Raises:
-            ArgumentError: it is around another robot.
+            ArgumentError: its model is another robot.
 
         >>> import torch, torchdq
         >>> from torchdq import effects
@@ -209,8 +209,7 @@ class Identified(NamedTuple):
         >>> found.with_residual(network).predict(q, qd, qdd).tau.shape
         torch.Size([300, 2])
         """
-        if not isinstance(network, ResidualDynamics):
-            raise ArgumentError(f"network must be ResidualDynamics(identified.layer()), found {type(network).__name__}")
+        require_object("network", network, ResidualDynamics, "torchdq.nn", "ResidualDynamics(identified.layer())")
         pairs = [(getattr(self.robot, name), getattr(network.robot, name)) for name in ("mass", "com", "inertia")]
         if not all(a.shape == b.shape and torch.equal(a, b.to(a)) for a, b in pairs):
             raise ArgumentError("network must be around identified.layer(), found one around another robot")
@@ -224,9 +223,9 @@ class Identified(NamedTuple):
         qdd: Tensor | None = None,
         tau: Tensor | None = None,
     ) -> Samples:
-        """Samples to train a residual network on: measured torques without what `predict` knows and `layer()` does not.
+        """Training samples of a residual network: measured torques without the part of `predict` that `layer()` lacks.
 
-        That is the memory of friction, and what the filter of a log does to the steps of dry friction.
+        That part is the memory of friction, and the effect of the log's filter on the steps of dry friction.
 
         Args:
             motions, qd, qdd: as in `predict`.
@@ -235,16 +234,13 @@ class Identified(NamedTuple):
         Raises:
             ArgumentError: there are no torques, or efforts of unknown gains that were not identified.
         """
-        gains, several = self.gains, [motions] if isinstance(motions, Motion) else motions
         _, rows = recorded(self.robot, motions, qd, qdd, tau=tau)
-        if gains is None and not isinstance(several, Tensor):
-            require_torques(several)
-        measured = rows.measured if gains is None else rows.measured * gains.value.to(rows.measured)
+        measured = rows.torques if self.gains is None else rows.measured * self.gains.value.to(rows.q)
         known = self._replace(network=None).predict(motions, qd, qdd).tau.reshape(rows.q.shape)
         return Samples(rows.q, rows.qd, rows.qdd, measured - known + self.layer()(rows.q, rows.qd, rows.qdd))
 
     def with_simple_friction(self) -> Robot:
-        """Robot found, its viscous and Coulomb friction being those that come nearest to all friction found."""
+        """Identified robot with the viscous and Coulomb friction nearest to all friction found."""
         damping, friction = self.simple.to(self.robot.damping)
         return self.robot.replace(damping=damping, friction=friction)
 
@@ -273,22 +269,12 @@ class Identified(NamedTuple):
 
     def __str__(self) -> str:
         title = f"{self.robot.name}, identified: {len(self.names)} parameters, rank {self.rank}"
-        shown = (self.spread != 0).any(1) | (self.parameters != 0)
-        shown[: 10 * len(self.robot.link_names)] = True
-        numbers = zip(self.names, self._units, self.parameters, self.errors, self.identifiable, shown, strict=True)
-        rows = [
-            (name, f"{x:.4g}", f"{e:.2g}", unit, "yes" if known else "no")
-            for name, unit, x, e, known, so in numbers
-            if so
-        ]
-        parameters = table(("parameter", "estimate", "standard error", "unit", "identifiable"), rows)
+        parameters = table(PARAMETERS, [row for rows in self.parameter_rows() for row in rows])
         residuals = summary(
             "residual", {"rms": (self.rms, FORCE), "noise": (self.noise, FORCE), "model": (self.model, FORCE)}
         )
         if self.gains is not None:
-            drives = zip(self.robot.joint_names, *(x.tolist() for x in self.gains), strict=True)
-            cells = [(joint, f"{x:.4g}", f"{error:.2g}") for joint, x, error in drives]
-            residuals += "\n\n" + table(("joint", "torque per unit of effort", "standard error"), cells)
+            residuals += f"\n\n{table(GAINS, self.gain_rows())}"
         selection = "" if self.selection is None else f"\n\n{self.selection}"
         friction = "".join(f"\n\n{STATED}:\n{table(COLUMNS, rows)}" for rows in [self.friction_rows()] if rows)
         return f"{title}\n\n{parameters}{friction}\n\n{residuals}{selection}"
@@ -298,11 +284,24 @@ class Identified(NamedTuple):
         found = at_speeds([effect.resolved(self.robot) for effect in self.friction()], self.robot.n)
         return list(zip(self.robot.joint_names, *found, strict=True)) if found else []
 
-    @property
-    def _units(self) -> list[str]:
-        """Units of the parameters [k]."""
-        slides = [not joint.turns for joint in self.robot.joint_types]
-        return [*UNITS * len(self.robot.link_names), *(term.units[joint] for term in self.terms for joint in slides)]
+    def parameter_rows(self) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+        """Rows of a table of the parameters of bodies, and of those of joints that are there."""
+        slides, bodies = [not joint.turns for joint in self.robot.joint_types], 10 * len(self.robot.link_names)
+        units = [*UNITS * len(self.robot.link_names), *(term.units[joint] for term in self.terms for joint in slides)]
+        found = (x.tolist() for x in (self.parameters, self.errors, self.identifiable))
+        numbers = zip(self.names, units, *found, strict=True)
+        rows: list[tuple[str, ...]] = [
+            (name, f"{x:.4g}", f"{e:.2g}", unit, "yes" if known else "no") for name, unit, x, e, known in numbers
+        ]
+        there = ((self.errors != 0) | (self.parameters != 0)).tolist()
+        return rows[:bodies], list(compress(rows[bodies:], there[bodies:]))
+
+    def gain_rows(self) -> list[tuple[str, ...]]:
+        """Rows of a table of the gains of the drives; [] if they were not estimated."""
+        if self.gains is None:
+            return []
+        found = zip(self.robot.joint_names, *(x.tolist() for x in self.gains), strict=True)
+        return [(name, f"{x:.4g}", f"{error:.2g}") for name, x, error in found]
 
     def predict(
         self, motions: Motion | Sequence[Motion] | Tensor, qd: Tensor | None = None, qdd: Tensor | None = None
@@ -346,6 +345,17 @@ class Identified(NamedTuple):
         return Prediction(*(x.reshape(*batch, n) for x in (tau, error, tau - margin, tau + margin)))
 
 
+def friction_of(terms: Sequence[Term], numbers: Iterable[Any], width: float) -> tuple[Friction, ...]:
+    """Friction effects of terms with the numbers of each."""
+    return tuple(effect for term, own in zip(terms, numbers, strict=True) for effect in term.found(own, width))
+
+
+def effects_of(robot: Robot, friction: Sequence[Friction], network: ResidualDynamics | None) -> tuple[Effect, ...]:
+    """Effects of a scene: gravity, rotor inertia if there is any, friction, and a residual network."""
+    rotors = () if robot.armature is None else (effects.RotorInertia(),)
+    return (effects.Gravity(), *rotors, *friction, *(() if network is None else [effects.Residual(network)]))
+
+
 def coefficients_of(robot: Robot, terms: Sequence[Term], parameters: Tensor, name: str) -> Tensor | None:
     """Coefficients [..., n] of the term with a name among parameters [..., k]; None: there is none."""
     names = [term.name for term in terms]
@@ -375,7 +385,7 @@ def recorded(
 
 
 def _summed(effects: Sequence[Friction]) -> list[Friction]:
-    """Effects as sums: those that differ only in the numbers in which their torques are linear become one."""
+    """Effects in which those that differ only in linear coefficients are summed."""
     sums: dict[Friction, Friction] = {}
     for effect in effects:
         law = replace(effect, **dict.fromkeys(effect.LINEAR))

@@ -22,17 +22,18 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_number
+from torchdq.base.checks import require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, of_motions, too_few
-from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, sampled, unexplained
+from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, of_joints, sampled, unexplained
 from torchdq.learning.identification.augmented import AugmentedFit, offset_findings
 from torchdq.learning.identification.base_parameters import base_parameters
 from torchdq.learning.identification.evidence import Evidence, gather
 from torchdq.learning.identification.faults import fault_findings
+from torchdq.learning.identification.friction_selection import simple_friction
 from torchdq.learning.identification.gains import Gains, drive_gains, negative_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified
 from torchdq.learning.identification.lags import lag_findings
@@ -45,7 +46,6 @@ from torchdq.learning.identification.model_selection import (
     select,
 )
 from torchdq.learning.identification.regression import known, parted, shifted
-from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
 from torchdq.learning.logs.errors import LogWarning
@@ -53,8 +53,7 @@ from torchdq.learning.logs.motions import Motion
 from torchdq.learning.logs.samples import Samples
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_bodies, require_robot
-from torchdq.robot.model import batches
+from torchdq.robot.argument import require_bodies, require_single
 
 IDENTIFIABLE = 0.9  # least part of a parameter's variance that the samples take away where they identify it
 FAR = 3.0  # times the described mass from which a note says so
@@ -131,10 +130,8 @@ def identify(
     >>> torch.allclose(found.predict(q, qd, qdd).tau, samples.tau, atol=1e-6)
     True
     """
-    for name, axes in batches(require_robot(robot)).items():
-        raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; identify one at a time")
-    if not isinstance(model, Model):
-        raise ArgumentError(f"model must be a Model, such as Model(friction=None), found {model!r}")
+    require_bodies(require_single(robot), "identification")
+    require_object("model", model, Model, "torchdq.learning", "Model(friction=None)")
     rows = of_motions(robot, motions)
     if not len(rows.q) or not robot.n:
         raise ArgumentError(
@@ -143,18 +140,13 @@ def identify(
     if prior is not None and prior != math.inf:
         require_number("prior", prior, positive=True)
     require_number("sign_width", sign_width, positive=True)
-    require_finite(**{"tau": rows.measured} | rows.signals())
-    require_bodies(robot, "identification")
+    require_finite(**{"tau": rows.measured if model.gains else rows.torques} | rows.signals())
     fixed = model.fixed(robot, sign_width)
-    units = torch.tensor(rows.known_gains).expand(robot.n)
-    if not (model.gains or bool(units.all())):
-        claim = "tau of the motions must be torques, found efforts of unknown gains"
-        raise ArgumentError(Finding("gains.unknown", "", claim, "", "give Model(gains=True)", "give --estimate-gains"))
     with torch.no_grad(), _solvable(rows.signals()), Progress(f"identifying {robot.name}") as notice:
         drives = None
         if model.gains:
             motors = gather(robot, rows, model.of_motors(robot), sign_width, say=notice.at)
-            drives = drive_gains(motors, units)
+            drives = drive_gains(motors, torch.tensor(rows.known_gains).expand(robot.n))
             rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         data = diagnose(robot, partial(inverse_dynamics, robot), [rows.q, rows.qd, rows.qdd, rows.measured], sign_width)
         still = [*_still_joints(robot, rows.qd, sign_width), *(negative_gains(robot, drives[0]) if drives else ())]
@@ -280,14 +272,12 @@ def _solvable(signals: Mapping[str, Tensor]) -> Iterator[None]:
 
 def _still_joints(robot: Robot, qd: Tensor, sign_width: float) -> list[Finding]:
     """Findings about joints that never move faster than `sign_width` in the samples."""
-    fastest = qd.abs().amax(0).tolist()
+    fastest = qd.abs().amax(0)
     claim = f"a joint must move faster than sign_width = {sign_width} to be identified"
     cure = "its friction and rotor inertia, and all that only its motion shows, are not identifiable"
-    return [
-        Finding("joint.unexcited", name, claim, f"{v:.2g} {'rad/s' if joint.turns else 'm/s'}", cure, value=v)
-        for name, joint, v in zip(robot.joint_names, robot.joint_types, fastest, strict=True)
-        if v <= sign_width
-    ]
+    units = ["rad/s" if joint.turns else "m/s" for joint in robot.joint_types]
+    finding = Finding("joint.unexcited", "", claim, "{:.2g} {}", cure)
+    return of_joints(robot.joint_names, fastest <= sign_width, finding, fastest, units)
 
 
 def _notes(problem: _Problem, found: Identified) -> list[Finding]:
@@ -297,13 +287,11 @@ def _notes(problem: _Problem, found: Identified) -> list[Finding]:
         claim = "motions of several kinds are needed to vouch for others"
         cure = "the model was chosen on parts of it; in motions unlike it errors may be far larger than stated"
         notes.append(Finding("motion.single", "", claim, "one motion", cure, severity="note"))
-    ratios = (found.robot.mass / robot.mass).tolist()
+    ratios = found.robot.mass / robot.mass
     claim, cure = "the mass found must be near that described", "is it the robot of this description, without a load?"
-    return notes + [
-        Finding("mass.far", link, claim, f"{ratio:.2g} times it", cure, severity="note", value=ratio)
-        for link, ratio in zip(robot.link_names, ratios, strict=True)
-        if not math.isnan(ratio) and not 1 / FAR < ratio < FAR
-    ]
+    far = (ratios <= 1 / FAR) | (ratios >= FAR)
+    finding = Finding("mass.far", "", claim, "{:.2g} times it", cure, severity="note")
+    return notes + of_joints(robot.link_names, far, finding, ratios)
 
 
 def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) -> list[Finding]:

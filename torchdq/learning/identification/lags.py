@@ -1,10 +1,8 @@
 """Lags of measured torques behind the motion, found together with changes of all parameters of a fit.
 
-Torques that are late by s are tau(t) = Z(t - s) phi. Friction that was fitted without the lag explains a part of it,
-above all friction that remembers. So the search iterates: the whole model is moved by the lag found so far, and least
-squares estimate the parameters again, together with the rest of the lag, whose torque per unit is -d/dt Z(t - s) phi.
-The search ends when nothing of the lag is left. The lag found is then that of the best model, whatever the first one
-was.
+Torques delayed by s are tau(t) = Z(t - s) phi. Friction fitted without the lag explains a part of it, above all
+friction with memory. So the search iterates: the model is shifted by the present estimate, and least squares estimate
+the parameters again together with the remaining lag, whose torque per unit is -d/dt Z(t - s) phi, until none remains.
 """
 
 from typing import NamedTuple
@@ -18,7 +16,6 @@ from torchdq.learning.identification.evidence import Evidence
 
 ROUNDS = 12  # most times that the model is moved
 FARTHEST = 10.0  # most rows that it is moved at a time
-SETTLED = 0.02  # rest of a lag, in rows or in standard errors, that is none
 ALIKE = 0.3  # difference of the lags of motions, relative to their mean, that one lag for all of them explains
 FOLLOWED = 0.9  # part of the changes of the positions that the velocities explain, where rows follow each other
 
@@ -84,7 +81,7 @@ def _search(fit: AugmentedFit, run: Tensor) -> tuple[Tensor, Tensor, Tensor, Ten
         found = fit.solve(Z, r, (slope * inside)[..., None] * one)
         y, x = found.y, found.x.clamp(-FARTHEST, FARTHEST)
         late = late + x
-        settled = x.abs() < SETTLED * found.error.clamp_min(1.0)
+        settled = x.abs() < 0.02 * found.error.clamp_min(1.0)
         if bool(settled.all()):
             break
     return late, found.error, settled, squares(found.left) < (1 - MATTERS) * before

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from torchdq.base.checks import require_choice
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES, VISCOUS, Term, terms_of
@@ -47,8 +48,7 @@ class Model:
             expected = "None, 'auto', or a sequence of friction effects, such as (effects.Viscous(), effects.Coulomb())"
             raise ArgumentError(f"friction must be {expected}, found {self.friction!r}")
         for name in ("offset", "armature"):
-            if (given := getattr(self, name)) != "auto" and not isinstance(given, bool):
-                raise ArgumentError(f"{name} must be True, False or 'auto', found {given!r}")
+            require_choice(name, getattr(self, name), (True, False, "auto"))
 
     def fixed(self, robot: Robot, sign_width: float) -> list[Term]:
         """Terms that every joint has."""

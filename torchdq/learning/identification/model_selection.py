@@ -24,10 +24,8 @@ from torchdq.robot import Robot
 
 STRENGTHS = (1e4, 1e2, 1.0)  # prior of the bodies, the strongest first
 SURE = 2.0  # standard errors by which a joint gains from a rotor or an offset, tried before friction of other shapes
-TIED = 1e-3  # relative difference of scores that count as equal
 ALONE = 0.12  # the same of the best and the plainest models, where parts of a single motion are all the validation
 MOVES = 0.01  # least mean square of a joint's velocity in a block, relative to the largest, where it moves
-NONE = torch.zeros(0)
 
 UnseenParts = tuple[list[Unseen], list[Unseen]]  # blocks, and regions of the states
 
@@ -40,7 +38,7 @@ class CandidateModel(NamedTuple):
     estimated: Tensor  # [terms, n] coefficients that it has
     strength: float  # weight of the bodies' prior; infinite: they stay as described
     gains: tuple[Gain, ...] = ()  # terms that single joints have
-    found: Tensor = NONE  # [blocks, n, p] changes of the parameters, found without each block and region
+    found: Tensor = torch.zeros(0)  # [blocks, n, p] changes of the parameters, found without each block and region
     kept: tuple[str, ...] = ()  # joints at which the bodies act as described
 
     @property
@@ -198,14 +196,14 @@ def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tup
 
 
 def _again(evidence: Evidence, one: CandidateModel, strengths: Sequence[float]) -> CandidateModel:
-    """Candidate with the same terms, validated on other evidence."""
+    """Candidate with the same terms, validated again on other evidence."""
     found, variance = _noise(evidence, one.estimated, one.strength)
     strengths = [x for x in strengths if x <= one.strength]
     return _candidate("identified", evidence, strengths, one.estimated, variance, one.gains, found)
 
 
 def _untested(evidence: Evidence) -> Tensor:
-    """Joints [n] that move in one block alone: nothing that it shows of them can be tried on another."""
+    """Joints [n] excited in one block only; they cannot be cross-validated."""
     speed = torch.stack([evidence.recording.qd[block.rows].square().mean(0) for block in evidence.blocks]).cpu()
     return (speed > MOVES * speed.amax(0)).sum(0) == 1
 
@@ -228,7 +226,7 @@ def _candidate(
     gains: Sequence[Gain],
     whole: Solution,  # fit to all rows
 ) -> CandidateModel:
-    """Model with the strength of the prior that does best on the blocks, or a stronger one as good."""
+    """Model with the strongest prior within one standard error of the best on the blocks."""
     name = ", ".join([name, *_additions(evidence, estimated)])
     evidence.say(name)
     scores, every = list[Tensor](), list[Tensor]()
@@ -245,12 +243,12 @@ def _candidate(
 
 
 def _simplest(scores: Sequence[Tensor]) -> int:
-    """First of scores [blocks, n], simplest first, that is within one standard error of the best."""
+    """Index of the first scores [blocks, n] within one standard error of the best."""
     means = [x.mean(1) for x in scores]
     best = min(range(len(means)), key=lambda i: float(means[i].mean()))
     for i, one in enumerate(means):
         off = one - means[best]
-        if float(off.mean()) <= float(off.std() / len(off) ** 0.5) + TIED * float(means[best].mean()):
+        if float(off.mean()) <= float(off.std() / len(off) ** 0.5) + 1e-3 * float(means[best].mean()):
             return i
     return best
 
@@ -258,7 +256,7 @@ def _simplest(scores: Sequence[Tensor]) -> int:
 def _noise(
     evidence: Evidence, estimated: Tensor, strength: float, before: Solution | None = None
 ) -> tuple[Solution, Tensor]:
-    """Fit to all rows, from one with fewer terms on, and the variance of its residuals times their correlation [n]."""
+    """Fit to all rows, started from another, and the variance of its residuals times their correlation times [n]."""
     found = evidence.fit(estimated, strength, torch.ones(evidence.robot.n, dtype=torch.float64), before=before)
     variance = found.facts.noise.maximum(found.rms) ** 2
     return found, variance * evidence.correlation(found.change(evidence.at))

@@ -19,8 +19,6 @@ from torchdq.robot import Robot
 COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it
 EXACT = 1e-5  # least noise relative to the joint's torques otherwise; more weight costs more digits than it gives
 FREE = 0.25  # least part of the samples that are not spent on parameters: the joint's noise would have no bound
-FAINT = 1e-3  # weight of the description while the noise is estimated: negligible against a few samples
-INDEPENDENT = 1e-13  # least eigenvalue, relative to the largest, of an identifiable combination: beyond rounding
 CHUNK = 2**22  # numbers of the regressor that are held at a time
 
 
@@ -135,7 +133,7 @@ def information(
     squares = torch.where(squares > 0, squares, 1.0)  # torques that vanish: any weight will do
     # which combinations are identifiable does not depend on the weights, and is clearest where they differ least
     e, Q = torch.linalg.eigh((A / squares[:, None, None]).sum(0))
-    identifiable = e > INDEPENDENT * e[-1:]
+    identifiable = e > 1e-13 * e[-1:]  # beyond rounding
     P, unknown = Q[:, identifiable], Q[:, ~identifiable]
     A, b = P.T @ A @ P, b @ P
     least = squares * (EXACT if float(samples.sum()) >= 2 * P.shape[1] else COARSE) ** 2
@@ -143,7 +141,7 @@ def information(
     variance = (c / samples).maximum(least)
     for _ in range(50):
         e, V = torch.linalg.eigh((A / variance[:, None, None]).sum(0))
-        inverse = (V / (e.clamp_min(0) + FAINT)) @ V.T
+        inverse = (V / (e.clamp_min(0) + 1e-3)) @ V.T  # a prior that is negligible against a few samples
         y = inverse @ (b / variance[:, None]).sum(0)
         left = (c - 2 * b @ y + (A @ y) @ y).clamp_min(0)
         spent = (A * inverse).sum((1, 2)) / variance

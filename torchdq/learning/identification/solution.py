@@ -4,6 +4,7 @@ The cost is convex in the parameters, so that there is one minimum, and Newton's
 interior-point methods.
 """
 
+import warnings
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,9 +15,8 @@ from torchdq.learning.identification.feasible import Distance, Neighbourhood
 from torchdq.learning.identification.regression import Information, information, known, shifted, squared
 
 ITERATIONS = 200  # most Newton steps of a minimum
-EXACT, ROUGH = 1e-12, 1e-3  # part of the prior's weight by which a minimum may be missed; a score needs less
+EXACT, NEAR, ROUGH = 1e-12, 1e-6, 1e-3  # part of the prior's weight by which a minimum may be missed; scores need less
 ROUNDS = 10  # most times that the joints are reweighted
-JITTERS = (0.0, 1e-15, 1e-13, 1e-11)  # added to a diagonal of ones, until rounding leaves a matrix positive definite
 
 
 class Solution(NamedTuple):
@@ -83,7 +83,7 @@ def solve(
 
 def _factor(H: Tensor) -> Tensor:
     """Factors L of H = L L^T, H having diagonals of ones; at the edge of what can exist rounding may need more."""
-    for more in JITTERS:
+    for more in (0.0, 1e-15, 1e-13, 1e-11):  # rounding
         L, failed = torch.linalg.cholesky_ex(H + more * torch.eye(H.shape[-1], dtype=H.dtype))
         if not bool(failed.any()):
             return L
@@ -139,3 +139,25 @@ def minimum(
             break
         weight = torch.where(settled, (weight / 10).clamp_min(prior), weight)
     return (V @ w[..., None])[..., 0], done
+
+
+def of_numbers(links: int, positive: int = 0, signed: int = 0) -> Distance:
+    """Distance from so many links and coefficients."""
+    return Distance(links, torch.arange(positive + signed) >= positive, torch.zeros(positive + signed).double())
+
+
+def nearest(near: Distance, A: Tensor, offset: Tensor) -> Tensor:
+    """Bodies and coefficients y [rows, t] nearest to given ones that explain measurements, for many robots at once.
+
+    They minimise |offset + A y|^2 + distance, with A [rows, measurements, t] and offset [rows, measurements].
+    """
+    # singular values, as the eigenvalues of A^T A would have half of the digits
+    U, s, Vh = torch.linalg.svd(A)
+    s = s.clamp_min(1e-100)
+    most = s.shape[1]
+    e, w = A.new_zeros(2, len(A), A.shape[2])
+    e[:, :most], w[:, :most] = s.square(), -(offset[:, None] @ U)[:, 0, :most] / s
+    y, settled = minimum(near, Information(e, Vh.mT, w, A.new_ones(1)), 1.0, torch.zeros_like(w), NEAR)
+    if not settled:
+        warnings.warn(f"not all robots have settled after {ITERATIONS} steps", stacklevel=3)
+    return y

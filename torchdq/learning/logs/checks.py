@@ -1,20 +1,30 @@
-"""Checks of logs: times that run on, finite numbers, radians, and signals that agree with each other."""
+"""Checks of logs: increasing times, finite numbers, radians, signals that agree with each other and with a robot."""
 
 import math
 from itertools import pairwise
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.signals import Signals
 from torchdq.learning.logs.tables import rows_option
+from torchdq.robot import Robot
 
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
 UNLIKE, ALIKE = 0.5, 0.95  # correlations of signals that have nothing to do with each other, and that follow each other
 JUMP = 0.05  # [rad or m] change of a position between two rows that may stay unexplained by the velocities
 FAR = 10.0  # times the usual unexplained change from which one is a jump
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
+OFTEN = 0.01  # part of the rows in which a joint must be beyond its limits
+MOST_TURNS = 4 * math.pi  # the same of joints that may make a full turn, which often have no limit [rad]
+FASTER = 3.0  # times the limit of velocity that are accepted: simulated motions do not keep it
+UNITS = {  # of joints that turn or slide: symbol, name, the other unit that logs are in, and the factor to multiply by
+    True: ("rad", "radians", "degrees", "pi/180", math.pi / 180),
+    False: ("m", "metres", "millimetres", "0.001", 0.001),
+}
 PARTS = 3  # most parts of a log that are named
 AROUND = "read the rows before it or after it, by "
 ELSEWHERE = f"{AROUND}rows=(first, last)", f"{AROUND}--rows FIRST LAST"  # for Python, and for the command line
@@ -25,7 +35,7 @@ TOO_FAR = (
 
 
 def require_numbers(table: Signals) -> None:
-    """Refuse fewer rows than two, and cells that are not finite numbers."""
+    """Raise unless there are two rows at least, of finite numbers."""
     if len(table.time) < 2:
         fault = Finding("log.rows", "", "at least two rows of numbers are needed", str(len(table.time)))
         raise LogError(fault, where=table.path)
@@ -42,7 +52,7 @@ def require_numbers(table: Signals) -> None:
 
 
 def require_times(table: Signals) -> None:
-    """Refuse times that run backwards, leave gaps, or are not in seconds."""
+    """Raise for decreasing times, gaps, and times that are not in seconds."""
     step = np.diff(table.time)
     i = int((step < 0 if (step < 0).any() else step > GAP).argmax())
     late = f"{step[i]:.4g} s after the row above, more than {GAP} s"
@@ -61,7 +71,7 @@ def require_times(table: Signals) -> None:
 
 
 def _parts(table: Signals) -> tuple[str, str]:
-    """Cures: the parts of a log in which time runs on, at most three, the longest ones."""
+    """Cures: the longest parts of a log with increasing times, at most three."""
     step = np.diff(table.time)
     ends = [0, *((step < 0) | (step > GAP)).nonzero()[0] + 1, len(table.time)]
     parts = [(first, last) for first, last in pairwise(ends) if table.time[last - 1] > table.time[first]]
@@ -77,10 +87,7 @@ def _parts(table: Signals) -> tuple[str, str]:
 
 
 def jumps(table: Signals) -> list[Finding]:
-    """The first jump of a position that its velocities do not explain.
-
-    Where velocities were not recorded, those two rows before and after stand for them.
-    """
+    """Finding about the first jump of a position that the velocities, or the rates two rows away, do not explain."""
     time, q, qd = table.time, table.blocks["q"], table.blocks.get("qd")
     step, change = np.diff(time), np.diff(q, axis=0)
     if qd is not None:
@@ -109,7 +116,7 @@ def jumps(table: Signals) -> list[Finding]:
 
 
 def require_radians(table: Signals) -> None:
-    """Refuse columns in degrees, by their size, and signals that do not change as their rates say."""
+    """Raise for columns in degrees, by their size, and signals that contradict their rates."""
     n, blocks = table.layout.joints, table.blocks
     for signal, unit, field in (("q", "rad", "farthest"), ("qd", "rad/s", "fastest")):
         x, limit = blocks.get(signal, np.zeros((1, n))), getattr(table.layout, field)
@@ -126,7 +133,7 @@ def require_radians(table: Signals) -> None:
 
 
 def _require_rates(table: Signals, signal: str, rate: str) -> None:
-    """Refuse signals that change by another factor than their rates say, or as the rate of another joint says."""
+    """Raise for signals that differ from their integrated rates by a factor, or follow the rate of another joint."""
     n, x, rates = table.layout.joints, table.blocks[signal], table.blocks[rate]
     change = np.diff(table.time)[:, None] * (rates[1:] + rates[:-1]) / 2
     covariance = np.cov(x.T, np.pad(np.cumsum(change, axis=0), ((1, 0), (0, 0))).T, bias=True)
@@ -148,3 +155,27 @@ def _require_rates(table: Signals, signal: str, rate: str) -> None:
                     cure = f"{column} seems to be in degrees; multiply the column by pi/180"
             claim = f"{name} changes {ratio:.3g} times as much as {others[j]} says"
             raise LogError(Finding("columns.rate", f"column {name!r}", claim, "", cure, value=ratio), where=table.path)
+
+
+def beyond_limits(robot: Robot, q: np.ndarray | Tensor, qd: np.ndarray | Tensor | None) -> list[Finding]:
+    """Findings about joints whose positions or velocities [rows, n] are far beyond the limits of the description."""
+    lower, upper, velocity, _ = (x.double().cpu() for x in robot.limits)
+    q = torch.as_tensor(q).cpu()
+    qd = torch.zeros_like(q) if qd is None else torch.as_tensor(qd).cpu()
+    reach = upper - lower
+    past = torch.maximum(lower - q, q - upper)
+    turns = torch.tensor([kind.turns for kind in robot.joint_types]) & (reach > 1.99 * math.pi)
+    far = ((past > torch.where(turns, MOST_TURNS, reach)).double().mean(0) > OFTEN) & (reach > 0)
+    fast = ((qd.abs() > FASTER * velocity).double().mean(0) > OFTEN) & (velocity > 0)
+    found = []
+    for j in (far | fast).nonzero()[:, 0].tolist():
+        unit, _, other, times, _ = UNITS[robot.joint_types[j].turns]
+        if far[j]:
+            code, x, expected = "position.limits", q[:, j], f"its limits are {lower[j]:.3g} and {upper[j]:.3g} {unit}"
+            moves = f"positions from {x.min():.3g} to {x.max():.3g}"
+        else:
+            code, x, expected = "velocity.limits", qd[:, j], f"its limit is {velocity[j]:.3g} {unit}/s"
+            moves = f"speeds up to {x.abs().max():.3g}"
+        cure = f"are these {other} (multiply by {times}), or of other joints?"
+        found.append(Finding(code, robot.joint_names[j], expected, moves, cure, value=float(x.abs().max())))
+    return found

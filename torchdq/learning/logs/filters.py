@@ -6,8 +6,6 @@ import numpy as np
 
 from torchdq.base.optional import imported
 
-ORDER = 4  # the filter of `low_pass` has it, and is applied twice
-STEEP = 8  # the same, of the one before rows are left out
 NEARLY = 1.05  # ratio of rates up to which signals are as fast as the times that they are drawn at
 PASSED = 0.4  # highest frequency that is kept, relative to the rate of the rows that are kept: 0.5 would be an alias
 
@@ -23,7 +21,7 @@ def even(time: np.ndarray, stamps: np.ndarray, x: np.ndarray, purpose: str) -> n
         return interpolate.PchipInterpolator(stamps, x, axis=0)(time)
 
 
-def low_pass(x: np.ndarray, cutoff: float, step: float, purpose: str, order: int = ORDER) -> np.ndarray:
+def low_pass(x: np.ndarray, cutoff: float, step: float, purpose: str, order: int = 4) -> np.ndarray:
     """Signals [rows, n] in even steps [s] through a Butterworth filter, forwards and backwards, so that nothing lags.
 
     At the cutoff [Hz] half of a signal passes. `purpose` is the function that needs the filter, for messages.
@@ -58,4 +56,4 @@ def at_times(time: np.ndarray, stamps: np.ndarray, x: np.ndarray, purpose: str) 
     fine = step / ceil(step / own - 1e-9)
     first, last = ceil((stamps[0] - time[0]) / fine), floor((stamps[-1] - time[0]) / fine + 1e-9)
     drawn = time[0] + np.arange(first, last + 1) * fine
-    return even(time, drawn, low_pass(even(drawn, stamps, x, purpose), PASSED / step, fine, purpose, STEEP), purpose)
+    return even(time, drawn, low_pass(even(drawn, stamps, x, purpose), PASSED / step, fine, purpose, 8), purpose)

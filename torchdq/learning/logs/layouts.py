@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from torchdq.base.checks import is_number, names_of, require_count
+from torchdq.base.checks import names_of, require_count, require_number
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 
@@ -77,9 +77,8 @@ class Layout:
     def __post_init__(self) -> None:
         require_count("joints", self.joints, 0)
         for name in ("cutoff_qd", "cutoff_tau", "rate", "farthest", "fastest"):
-            x, optional = getattr(self, name), name in ("cutoff_qd", "cutoff_tau", "rate")
-            if not (optional and x is None) and not (is_number(x) and x > 0):
-                raise ArgumentError(f"{name} must be a positive number, found {x!r}")
+            if (x := getattr(self, name)) is not None or name in ("farthest", "fastest"):
+                require_number(name, x, positive=True)
         object.__setattr__(self, "gain", _gains(self.gain))
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
         object.__setattr__(self, "at_motors", names_of("at_motors", self.at_motors, SIGNALS[1:5], "signal"))
@@ -100,7 +99,7 @@ class Layout:
 
     @property
     def ratios(self) -> np.ndarray:
-        """Change of every joint's position per change of its own motor's [n]."""
+        """Change of each joint's position per change of its own motor's [n]."""
         S = np.array(self.transmission)
         return S if S.ndim == 1 else S.diagonal()
 
@@ -122,7 +121,7 @@ class Layout:
         return self.gain is not None and (None not in self.gain or tuple(x is not None for x in self.gain))
 
     def names(self, signal: str, joints: int) -> list[str]:
-        """Names of a signal's columns; none of one that was not recorded."""
+        """Column names of a signal; empty if not recorded."""
         given = self.given(signal) or []
         if isinstance(given, list) or not NUMBER.search(given):
             return [given] if isinstance(given, str) else given
@@ -130,7 +129,7 @@ class Layout:
         return ["".join(str(int(x) + i) if k % 2 else x for k, x in enumerate(parts)) for i in range(joints)]
 
     def count(self, heads: Collection[str]) -> int:
-        """Number of joints whose positions a header names."""
+        """Number of joints whose positions are in a header."""
         given = self.given("q") or []
         if isinstance(given, list) or not NUMBER.search(given):
             return int(given in heads) if isinstance(given, str) else len(given)
@@ -147,7 +146,7 @@ class Layout:
         return [found.pop(signal), *found.values()] if signal in found else []
 
     def has(self, signal: str) -> bool:
-        """Whether a signal was recorded, as far as the layout says."""
+        """Whether the layout says that a signal was recorded."""
         return self.columns.get(signal, signal) is not None and not (signal == "time" and self.rate)
 
     def given(self, signal: str) -> str | list[str] | None:
@@ -209,18 +208,18 @@ def _floats(name: str, x: Any, expected: str) -> tuple[float, ...]:
 
 
 def bare(name: str) -> str:
-    """Name of a column without the quotation marks, blanks and signs of comments and lists that files put around it."""
+    """Column name stripped of quotation marks, blanks and marks of comments and lists."""
     return name.strip(' \t"').lstrip("#%- ").rstrip(" ,")
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names for a message, and how many it leaves out."""
+    """Names for a message, shortened to the first few."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return ", ".join(names[:SHOWN]) + more
 
 
 def is_numeric(cell: str) -> bool:
-    """Whether a cell is a number as files write it: Python's float also takes 1_000 and digits of other scripts."""
+    """Whether a cell is an ASCII number; Python's float also takes 1_000 and digits of other scripts."""
     try:
         return cell.isascii() and "_" not in cell and isinstance(float(cell), float)
     except ValueError:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from torchdq.base.checks import is_number, require_number
+from torchdq.base.checks import is_number, require_number, require_object
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
@@ -94,8 +94,7 @@ def smooth(
     >>> smooth(log).qdd.shape
     (886, 1)
     """
-    if not isinstance(log, Log):
-        raise ArgumentError(f"log must be a Log, found {type(log).__name__}; read_log(path) reads one")
+    require_object("log", log, Log, "torchdq.learning", "read_log(path)")
     step = float(np.median(np.diff(log.time)))
     cutoff_qd = _cutoff("cutoff_qd", cutoff_qd, log.layout.cutoff_qd, step)
     cutoff_tau = _cutoff("cutoff_tau", cutoff_tau, log.layout.cutoff_tau, step)
@@ -189,15 +188,14 @@ def train_test_split(
     >>> len(train), len(test)
     (2, 1)
     """
-    several = _several(motions)
+    whole = several(motions)
     if not is_number(share) or not 0 < share < 1:
         raise ArgumentError(f"share must be between 0 and 1, found {share!r}")
-    if len(several) == 1:
-        return _cut(several[0], share)
-    count = min(max(round(share * len(several)), 1), len(several) - 1)
-    order = range(len(several)) if seed is None else np.random.default_rng(seed).permutation(len(several)).tolist()
-    train, test = sorted(order[:count]), sorted(order[count:])
-    return [several[i] for i in train], [several[i] for i in test]
+    if len(whole) == 1:
+        return _cut(whole[0], share)
+    count = min(max(round(share * len(whole)), 1), len(whole) - 1)
+    order = range(len(whole)) if seed is None else np.random.default_rng(seed).permutation(len(whole)).tolist()
+    return [whole[i] for i in sorted(order[:count])], [whole[i] for i in sorted(order[count:])]
 
 
 def _cut(motion: Motion, share: float) -> tuple[list[Motion], list[Motion]]:
@@ -233,9 +231,9 @@ def stack_samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch
     >>> stack_samples([motion, motion]).tau.shape
     torch.Size([2000, 1])
     """
-    several = _several(motions)
-    require_torques(several)
-    parts = ([getattr(motion, name) for motion in several] for name in Samples._fields)
+    whole = several(motions)
+    require_torques(whole)
+    parts = ([getattr(motion, name) for motion in whole] for name in Samples._fields)
     return Samples(*(torch.as_tensor(np.concatenate(part), dtype=dtype) for part in parts))
 
 
@@ -248,17 +246,22 @@ def require_torques(motions: Sequence[Motion]) -> None:
             claim = f"motions must have torques, found none in that{name}"
             raise ArgumentError(Finding("torques.missing", "", claim, "", cure))
         if not np.all(motion.known_gains):
-            cure = "give Layout(gain=...), or identify(robot, motions, Model(gains=True)), which finds them"
-            claim = f"motions must have torques, found efforts of unknown gains in that{name}"
-            raise ArgumentError(Finding("gains.unknown", "", claim, "", cure, "give --gains, or --estimate-gains"))
+            raise ArgumentError(unknown_gains(name))
 
 
-def _several(motions: Motion | Sequence[Motion]) -> Sequence[Motion]:
-    """Motions of one arm."""
-    several = [motions] if isinstance(motions, Motion) else motions
-    if not isinstance(several, Sequence) or not all(isinstance(motion, Motion) for motion in several):
+def unknown_gains(of: str = "") -> Finding:
+    """Finding about efforts in other units than torques."""
+    claim = f"motions must have torques, found efforts of unknown gains in those{of}"
+    cure = "give Layout(gain=...), or identify(robot, motions, Model(gains=True)), which finds them"
+    return Finding("gains.unknown", "", claim, "", cure, "give --gains, or --estimate-gains")
+
+
+def several(motions: Motion | Sequence[Motion]) -> Sequence[Motion]:
+    """One motion or several as a sequence; raises unless they are of one arm."""
+    found = [motions] if isinstance(motions, Motion) else motions
+    if not isinstance(found, Sequence) or not all(isinstance(motion, Motion) for motion in found):
         raise ArgumentError(f"motions must be Motion objects, found {type(motions).__name__}; smooth(log) makes one")
-    joints = sorted({motion.q.shape[1] for motion in several})
+    joints = sorted({motion.q.shape[1] for motion in found})
     if len(joints) != 1:
         raise ArgumentError(f"motions must be of one arm, found motions of {joints or 'no'} joints")
-    return several
+    return found

@@ -11,7 +11,6 @@ FAR = 20.0  # times the usual distance from these rows, from which a row is an o
 BEYOND = 3.0  # least distance of an outlier from the usual range, relative to its size
 OUTER = 0.01  # part of the rows below the usual range, and above it
 LEAST = 0.1  # least size of that range, relative to the largest of all joints: a joint at rest has noise alone
-USUAL = 1.4826  # standard deviation of normal numbers over the median of their sizes
 SHOWN = 5  # most rows that a message names
 
 
@@ -33,7 +32,8 @@ def outliers(x: np.ndarray) -> np.ndarray:
     before = x[REACH:-REACH] - x[: -2 * REACH]
     after = x[REACH:-REACH] - x[2 * REACH :]
     nearest = np.minimum(abs(before), abs(after))
-    found[REACH:-REACH] = (before * after > 0) & (nearest > FAR * USUAL * np.median(nearest, axis=0))
+    # 1.4826: standard deviation of normal numbers over the median of their sizes
+    found[REACH:-REACH] = (before * after > 0) & (nearest > FAR * 1.4826 * np.median(nearest, axis=0))
     low, high = np.quantile(x, (OUTER, 1 - OUTER), axis=0)
     reach = BEYOND * np.maximum(high - low, LEAST * (high - low).max())
     return found & ((x > high + reach) | (x < low - reach))

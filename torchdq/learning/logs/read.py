@@ -1,5 +1,6 @@
 """Reading of logs: tables of sources of any kind, checked, joined by time, taken to the joints' side, at a rate."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from numbers import Integral
 from os import PathLike
@@ -9,13 +10,13 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from torchdq.base import sources
-from torchdq.base.checks import require_number
+from torchdq.base.checks import require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.logs.bags import MAGIC, bag_tables
-from torchdq.learning.logs.checks import jumps, require_numbers, require_radians, require_times
-from torchdq.learning.logs.errors import LogError, MissingLogError
+from torchdq.learning.logs.checks import beyond_limits, jumps, require_numbers, require_radians, require_times
+from torchdq.learning.logs.errors import LogError, LogWarning, MissingLogError
 from torchdq.learning.logs.filters import at_times, fewer_times
 from torchdq.learning.logs.headers import find_columns
 from torchdq.learning.logs.layouts import SPARE, Layout
@@ -23,10 +24,12 @@ from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.learning.logs.samples import signal_table
 from torchdq.learning.logs.signals import Signals, joined, read_signals
 from torchdq.learning.logs.tables import Rows, Table, arrays_table, file_arrays, text_table
+from torchdq.robot import Robot
 
 File = str | PathLike[str] | bytes | IO[Any]
 Source = File | Mapping[str, Any] | Sequence[File]
 
+STANDARD = Layout()
 MOST_BYTES = 1_000_000_000  # largest file that is read
 FEWEST = 30  # rows that a log of a lower rate must keep: the filter before it takes as many
 ARRAYS = (b"PK", b"\x93NUMPY", b"MATLAB 5.0")  # first bytes of files of arrays
@@ -65,11 +68,50 @@ class Log(NamedTuple):
         return f"{self.path}: {size}{done}\n\n{signal_table('Log', self._asdict(), self.layout.known_gains)}"
 
 
-def read(path: Source, layout: Layout, rows: Rows, rate: float | None, joints: Sequence[str]) -> Log:
-    """Log in files, or made of arrays, with findings instead of warnings; arguments and errors are `read_log`'s."""
-    if not isinstance(layout, Layout):
-        cure = "columns are named by Layout(columns={'q': 'position_{0}'})"
-        raise ArgumentError(f"layout must be a Layout, found {type(layout).__name__}; {cure}")
+def read_log(
+    path: Source,
+    layout: Layout = STANDARD,
+    rows: Rows = None,
+    rate: float | None = None,
+    robot: Robot | None = None,
+) -> Log:
+    """Log in files, or made of arrays.
+
+    Columns are found by name: time [s], q1 ... qn [rad], qd1 ... [rad/s], tau1 ... measured at the joints [N m] and, if
+    they are known, qdd1 ... [rad/s^2]; of joints that slide, in m, m/s, N and m/s^2. Others stay unread.
+
+    Args:
+        path: path of the file, a file:// or package:// address, an open file, or its bytes: a text of numbers, packed
+            with gzip or not, an NPZ or NPY file, a file of MATLAB, or a ROS 2 bag in MCAP. Or arrays by name; None
+            instead of one says that it was not recorded. Or a list of files, which are joined by time.
+        layout: names and units of the columns; by default time, q1 ..., qd1 ..., tau1 ... in SI units: s, rad, rad/s
+            and N m, and of joints that slide (prismatic ones) m, m/s and N.
+        rows: first row and the one after the last to use, counted from 0; None: all.
+        rate: rows per second, on even time stamps, without what is too fast for them [Hz], e.g. for a log of a drive
+            at 8 kHz; needs scipy. None: the rows as they are.
+        robot: the robot that was recorded, whose number of joints and limits the log is checked against, and in whose
+            order joints of bags are read; None: unknown.
+    Raises:
+        LogError: the file cannot be opened, a column is missing, a number is missing or not finite, time runs
+            backwards, there is a gap, or a column is in degrees; or the robot has another number of joints.
+        MissingLogError: there is no such file; it is a FileNotFoundError too.
+        MissingLibraryError: scipy is not installed, and a rate or files of different times are given; or the extra
+            "ros", for a bag.
+    Warns:
+        LogWarning: a position jumps farther than its velocities explain, an effort leaps in a few rows, or motions are
+            far beyond the robot's limits; the same are in `Log.findings`.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> path = Path(tempfile.mkdtemp()) / "log.csv"
+    >>> _ = path.write_text("time,q1,qd1,tau1\\n0.00,0.1,0.5,2.0\\n0.01,0.105,0.5,2.1\\n")
+    >>> read_log(path).tau
+    array([[2. ],
+           [2.1]])
+    >>> read_log({"time": [0.0, 0.01], "q": [[0.1], [0.105]], "qd": None, "tau": [[2.0], [2.1]]}).tau.shape
+    (2, 1)
+    """
+    require_object("layout", layout, Layout, "torchdq.learning", "Layout(columns={'q': 'position_{0}'})")
     if rows is not None:
         pair = rows if isinstance(rows, tuple | list) and len(rows) == 2 else (None, None)
         whole = all(isinstance(x, Integral) and not isinstance(x, bool) for x in pair)
@@ -79,6 +121,7 @@ def read(path: Source, layout: Layout, rows: Rows, rate: float | None, joints: S
     if rate is not None:
         require_number("rate", rate, positive=True)
     with Progress(f"reading {path}" if isinstance(path, str | PathLike) else "reading a log"):
+        joints = () if robot is None else robot.joint_names
         signals = _signals(path, layout.of_joints(joints), rows, joints)
         require_radians(signals)
     findings = jumps(signals)
@@ -86,11 +129,22 @@ def read(path: Source, layout: Layout, rows: Rows, rate: float | None, joints: S
         names = [f"column {x!r}" for x in signals.names["tau"]]
         findings += outlier_findings(names, signals.blocks["tau"], signals.first)
     new = signals.distinct()
-    repeats, found = len(signals.time) - len(new.time), tuple(findings)
+    repeats = len(signals.time) - len(new.time)
     if rate is not None:
         new = _at_rate(new, rate)
     blocks: dict[str, Any] = {"qd": None, "tau": None} | new.blocks
-    return Log(new.path, new.layout, new.time, repeats=repeats, findings=found, joined=new.joined, **blocks)
+    if robot is not None:
+        if (n := blocks["q"].shape[1]) != robot.n:
+            claim = f"{robot.n} joints are needed, those of {robot.name!r}"
+            cure, option = (
+                "lock joints of the robot, or choose columns by Layout",
+                "--joints keeps some joints of the robot",
+            )
+            raise LogError(Finding("log.joints", "", claim, str(n), cure, option, value=n), where=new.path)
+        findings += beyond_limits(robot, blocks["q"], blocks["qd"])
+    if findings:
+        warnings.warn(LogWarning(*findings, where=new.path), stacklevel=2)
+    return Log(new.path, new.layout, new.time, repeats=repeats, findings=tuple(findings), joined=new.joined, **blocks)
 
 
 def _signals(source: Any, layout: Layout, rows: Rows, joints: Sequence[str]) -> Signals:

@@ -32,8 +32,6 @@ from torchdq.scene.scene import Scene
 
 CLOSED = 1e-9  # defects between nodes that count as none, relative to the motion
 MARGIN = 1e-3  # part of a defect by which an accepted step must be better
-TRIALS = 16  # most trials of a step, each half as long as the last and more damped
-DAMPED = 1e-6  # damping of the second trial, relative to the information
 SETTLED = 1e-2  # length of a step that ends the search, in standard deviations of all measurements together
 STILL = 1e-6  # length of a step that does so too, relative to the parameters: for measurements without noise
 GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the likelihood
@@ -127,7 +125,7 @@ def fit_rollout(
 
 
 def _require_derivatives(scene: Scene, inputs: Iterable[str]) -> None:
-    """Raise unless a step with these inputs is one program of joint positions, whose changes are differences."""
+    """Raise unless a step with these inputs is a single differentiable program of joint positions."""
     found = ["a floating base"] if scene.robot.floating else []
     found += [type(e).__name__ for e in scene.effects if e.SLOT == "sensor" or e.computed(scene.n)]
     found += [f"batch axes of {name}" for name, batch in scene.batches.items() if batch]
@@ -137,7 +135,7 @@ def _require_derivatives(scene: Scene, inputs: Iterable[str]) -> None:
 
 
 def _require_driven(scene: Scene, variables: Unknowns, data: Sequence[CheckedRecording]) -> None:
-    """Raise if an actuator is unknown through which no torque ever goes: its memory would follow the noise."""
+    """Raise if a learned actuator never transmits a torque: its memory would follow the noise."""
     commanded = any(bool((log.inputs["torque"].values != 0).any()) for log in data if "torque" in log.inputs)
     if commanded or scene.controller is not None:
         return
@@ -154,7 +152,7 @@ def _rule(scene: Scene) -> Integrator:
 
 
 def _search(problem: Problem, finer: Sequence[int], iterations: int, notice: Progress) -> End:
-    """Best iterate by Gauss-Newton, with the first steps that the next shorter ones do not contradict."""
+    """Best iterate by Gauss-Newton, with the first steps that the next shorter ones confirm."""
     at, count, shift = problem.first(), 0, 0.0
     linear, tried = problem.linearised(at), [at]
     try:
@@ -191,13 +189,13 @@ def _search(problem: Problem, finer: Sequence[int], iterations: int, notice: Pro
 
 
 def _trials(problem: Problem, at: Iterate, linear: Linear, step: Change) -> Iterator[Iterate]:
-    """Iterates after shorter and shorter steps: as linearised, then simulated from the starts of the blocks.
+    """Iterates after shorter and shorter steps: linearised, then simulated from the starts of the blocks.
 
     Where friction is stiff, linearised steps do not close the defects, but simulation from the starts does.
     """
-    for k in range(TRIALS):
+    for k in range(16):
         if k:
-            step = problem.step(at, linear, DAMPED * 10.0 ** (k - 1))
+            step = problem.step(at, linear, 1e-6 * 10.0 ** (k - 1))
         values = problem.unknowns.moved(at.values, 0.5**k * step.values)
         after = problem.at(values, at.motions.nodes + 0.5**k * step.nodes)
         yield after

@@ -1,4 +1,4 @@
-"""Problem that a fit of rollouts solves: its unknowns, its measurements, and the steps towards its solution."""
+"""Maximum-likelihood problem of a rollout fit: unknowns, measurements, and Gauss-Newton steps."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -29,10 +29,7 @@ UNEVEN = 1e-3  # motion of a joint that hardly moves, relative to that of the on
 MOST = 16  # linearly implicit steps for derivatives
 CORRELATED = 2.0  # rows over which residuals may be correlated
 BLOCKS = 40  # least number of means whose variance tells
-RESOLVED = 1e-6  # residuals that are none, relative to the motion: no sensor is finer
 SINGLE = 100  # single steps, at most about so many, that the search starts with
-SINGLE_STEPS = 20  # most iterations on them
-ALMOST = 0.1  # last step of those, relative to the sizes
 
 
 class Iterate(NamedTuple):
@@ -66,13 +63,13 @@ class End(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """Greatest likelihood of recordings: independent errors, whose deviation every signal has of its own."""
+    """Maximum likelihood of recordings with independent errors, whose deviation is estimated for each signal."""
 
     scene: Scene  # as it is simulated
     unknowns: Unknowns
     logs: Sequence[CheckedRecording]
     pieces: Segments
-    exact: bool = False  # whether derivatives are those of the scene's own step, rather than of implicit ones
+    exact: bool = False  # whether derivatives are those of the scene's own step instead of implicit ones
 
     def by(self, substeps: int) -> "Problem":
         """Problem with another number of substeps of the motions."""
@@ -89,7 +86,7 @@ class Problem:
     # --- iterates ---
 
     def first(self) -> Iterate:
-        """Start: the nodes where the measurements are, and the parameters by which single steps fit them."""
+        """First iterate: nodes at the measurements, and parameters that fit single steps between them."""
         return self.at(self._by_single_steps(self._measured), self._measured)
 
     def at(self, values: np.ndarray, nodes: np.ndarray) -> Iterate:
@@ -102,7 +99,7 @@ class Problem:
         return Iterate(values, moved, defect, float(cost), spread)
 
     def simulated(self, at: Iterate) -> Iterate:
-        """Iterate whose nodes follow from each other within a block; there are defects between blocks only."""
+        """Iterate simulated within each block, with defects between blocks only."""
         nodes, size = at.motions.nodes, self.pieces.block
         blocks = nodes.reshape(-1, size, nodes.shape[-1])
         given = {name: x.reshape(-1, size, x.shape[-1]) for name, x in self._inputs(at.values).items()}
@@ -174,7 +171,7 @@ class Problem:
         """
         kept = self.pieces.used[..., 0] > 0
         rows, joints = at.motions.residual[kept], self.scene.robot.joint_names
-        least = np.square(at.spread) + np.square(RESOLVED * self.scale)
+        least = np.square(at.spread) + np.square(1e-6 * self.scale)  # no sensor is finer
         times = np.ones_like(least)
         for m in range(2, len(rows) // BLOCKS + 1):
             means = rows[: len(rows) // m * m].reshape(-1, m, least.size).mean(1)
@@ -194,7 +191,7 @@ class Problem:
     # --- single steps ---
 
     def _by_single_steps(self, nodes: np.ndarray) -> np.ndarray:
-        """Parameters [p] by which single steps between nodes have the velocities of the nodes.
+        """Parameters [p] that fit single steps between nodes to the velocities of the nodes.
 
         That is least squares of accelerations, cheap and in few iterations from far away; its errors are those of
         numerical derivatives. With a memory among the states, which nothing measures, they are those of the scene.
@@ -207,7 +204,7 @@ class Problem:
         chosen = steps[:: max(1, len(steps) // SINGLE)]
         before, after = states[chosen], states[chosen + 1, n:]
         least, close = math.inf, False
-        for _ in range(SINGLE_STEPS + 1):
+        for _ in range(20 + 1):
             whole = self._inputs(trial), self._slopes(trial)
             inputs, late = ({name: x.reshape(-1, x.shape[-1])[chosen] for name, x in of.items()} for of in whole)
             gaps = after - self._after(trial, before, inputs)[:, n:]
@@ -222,13 +219,13 @@ class Problem:
             Z = (B * rows[:, None] * sizes).reshape(-1, len(sizes))
             right = Z.T @ (gaps * rows).ravel() - unknowns.offset(values) / sizes
             change = sizes * np.linalg.solve(Z.T @ Z + np.eye(len(sizes)), right)
-            trial, close = unknowns.moved(values, change), bool(abs(change / sizes).max() < ALMOST)
+            trial, close = unknowns.moved(values, change), bool(abs(change / sizes).max() < 0.1)
         return values
 
     # --- steps ---
 
     def noise(self, at: Iterate) -> np.ndarray:
-        """Standard deviations [c] of the measurements, those of the residuals for as many as there are but states.
+        """Standard deviations [c] of the measurements, by the residuals and their degrees of freedom.
 
         Nodes that start where the measurements are have none; then the signals count by how large their motion is.
         """
@@ -244,7 +241,7 @@ class Problem:
 
     @cached_property
     def _differentiated(self) -> list[Scene]:
-        """Scenes whose steps have the derivatives; implicit ones are about as short as those of the integrator."""
+        """Scenes whose steps are differentiated; implicit steps are about as short as those of the integrator."""
         if self.exact:
             return [self.scene]
         scene = self.scene.replace(integrator=LinearlyImplicit(), substeps=1)
@@ -267,7 +264,7 @@ class Problem:
     def _chained(
         self, scene: Scene, values: np.ndarray, nodes: np.ndarray, inputs: Arrays, late: Arrays
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the steps by those of a scene with shorter ones."""
+        """Derivatives of the steps, chained from the shorter steps of a scene."""
         unknowns, own = self.unknowns, self.unknowns.parameters(values)
         given = {**scene.parameters, **own, **{name: torch.from_numpy(x) for name, x in inputs.items()}}
         stage = Stage(scene.spec, "step", wrt=(*own, *(inputs if unknowns.delayed else ())))
@@ -282,7 +279,7 @@ class Problem:
         return A, B
 
     def information(self, at: Iterate, linear: Linear) -> np.ndarray:
-        """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""
+        """Triangular factor [p + 1, p + 1] of measurements and prior, in the step and the right-hand side."""
         p, s = len(at.values), at.motions.nodes.shape[-1]
         sizes = PRIOR * self.unknowns.sizes(at.values)
         prior = np.column_stack([np.diag(1 / sizes), -self.unknowns.offset(at.values) / sizes])
@@ -290,7 +287,7 @@ class Problem:
         return shooting.triangular(np.concatenate([rows, prior]))
 
     def step(self, at: Iterate, linear: Linear, damping: float) -> Change:
-        """Change to the solution of the linearised problem; damping shortens it, relative to the information."""
+        """Step to the solution of the linearised problem, with damping relative to the information."""
         R, p = self.information(at, linear), len(at.values)
         if damping:
             held = np.diag(math.sqrt(damping) * np.linalg.norm(R[:, :p], axis=0))

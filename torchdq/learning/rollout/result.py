@@ -13,7 +13,6 @@ from torchdq.learning.rollout.unknowns import changed
 from torchdq.scene.scene import Scene
 
 IDENTIFIABLE = 1.0  # greatest standard error of an identifiable combination, relative to the sizes of its parameters
-EXCITED = 1e-10  # least information of one, relative to the greatest: beyond rounding
 PART = 0.05  # part of an unidentifiable combination from which a parameter is unidentifiable, too
 
 
@@ -72,7 +71,7 @@ def result(end: End, warning: str, followed: bool) -> RolloutFit:
     sizes = unknowns.sizes(at.values)
     R = problem.information(at, linear)[:p, :p] * sizes  # in changes relative to the sizes
     _, e, V = np.linalg.svd(R)
-    identifiable = (e > 1 / IDENTIFIABLE) & (e > EXCITED * e[0])
+    identifiable = (e > 1 / IDENTIFIABLE) & (e > 1e-10 * e[0])
     # standard errors that shorter steps do not contradict
     spread = math.sqrt(1 + end.shift**2) * sizes[:, None] * V[identifiable].T / e[identifiable]
     slopes = unknowns.slopes(at.values)

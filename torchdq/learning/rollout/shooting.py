@@ -29,15 +29,15 @@ HELD = 1e-7  # weight of a start where it is, relative to the information of the
 
 
 class Segments(NamedTuple):
-    """Pieces of all logs as rows of a batch, with as many nodes each; those beyond an end stay without measurements."""
+    """Segments of all logs, padded to the same number of nodes."""
 
     dt: float  # [s]
     n: int  # number of joints
     block: int  # nodes of a block
-    log: np.ndarray  # [K] logs that the pieces are of
+    log: np.ndarray  # [K] log of each segment
     time: np.ndarray  # [K, T] times of the nodes [s]
-    row: np.ndarray  # [K, T] rows of the log that were measured at the nodes; -1: none
-    follows: np.ndarray  # [K, T, 1] True where the next node belongs to the same piece
+    row: np.ndarray  # [K, T] rows of the log measured at the nodes; -1: none
+    follows: np.ndarray  # [K, T, 1] True where the next node belongs to the same segment
     used: np.ndarray  # [K, T, 1] 1 where there is a measurement, else 0
     y: np.ndarray  # [K, T, c] measured positions, then velocities if there are any
     late: np.ndarray | None  # [K, T, 1] time from a node to its measurement [s]; None: there is none
@@ -52,7 +52,7 @@ class Motions(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """Linearised motions: changes, of columns s + p + 1, by those of a start, of the parameters, and by the defects."""
+    """Linearised motions: changes by the s numbers of a start, the p parameters and the defects, one column each."""
 
     inner: np.ndarray  # [size, K blocks, s, s + p + 1] of the nodes of blocks, by the states at which the blocks start
     starts: np.ndarray  # [blocks, K, s + p + 1, s + p + 1] of those, by the states at which the segments start
@@ -63,7 +63,7 @@ class Linear(NamedTuple):
 
 
 def segments(logs: Sequence[CheckedRecording], dt: float, seconds: float | None) -> Segments:
-    """Pieces of logs, as long as `seconds` if possible; None: every log is one."""
+    """Segments of logs, about `seconds` long; None: every log is one."""
     pieces = []
     for k, log in enumerate(logs):
         node = np.rint((log.time - log.time[0]) / dt).astype(int)
@@ -95,7 +95,7 @@ def segments(logs: Sequence[CheckedRecording], dt: float, seconds: float | None)
 
 
 def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> np.ndarray:
-    """Positions and velocities [K, T, 2 n] of the nodes: those measured, or slopes of cubics through measured ones."""
+    """Positions and velocities [K, T, 2 n] of the nodes, as measured; unmeasured velocities by smoothing cubics."""
     found = []
     for k, log in enumerate(logs):
         grid = np.arange(log.time[0], log.time[-1] + 0.5 * pieces.dt, pieces.dt)
@@ -162,7 +162,7 @@ def linearised(
     B: np.ndarray,  # [K, T, s, p] derivatives in the parameters
     weight: np.ndarray,  # [c] one over the standard deviation of a measurement
 ) -> Linear:
-    """Motions, linearised."""
+    """Linearised motions."""
     (K, T, s, _), size, n, c = A.shape, pieces.block, pieces.n, pieces.y.shape[-1]
     width, blocks = s + B.shape[-1] + 1, T // pieces.block
 

@@ -34,7 +34,7 @@ INERTIA = PhysicalInertia()
 
 @dataclass(frozen=True)
 class Unknown:
-    """Parameter of a scene that is estimated; its numbers have any sign, and steps are added to them."""
+    """Estimated parameter of a scene, of any sign; steps are added to its numbers."""
 
     name: str  # "Viscous.coefficient"
     key: str  # its name in the programs of the scene, "1.coefficient"; "": the delay of the inputs
@@ -63,7 +63,7 @@ class Unknown:
         return np.eye(len(value))
 
     def sizes(self, value: np.ndarray) -> np.ndarray:
-        """Sizes of steps [w] that change the values by as much as they are, or as they were at the start."""
+        """Sizes of steps [w] as large as the values or their starting values, whichever is larger."""
         return np.full(len(value), max(abs(value).max(), abs(self.start).max(), self.unit))
 
     def scales(self, value: np.ndarray) -> np.ndarray:
@@ -76,23 +76,23 @@ class Unknown:
 
 
 class PositiveNumbers(Unknown):
-    """Parameter whose numbers are positive, and stay so."""
+    """Positive parameter."""
 
     def moved(self, value: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Values after a step, along a line up and along the exponential of the same slope down."""
+        """Values after a step: linear upwards, exponential downwards, so that they stay positive."""
         down = np.maximum(value * np.exp(np.minimum(step, 0.0) / value), LEAST)  # a long step would come to zero itself
         return np.where(step >= 0, value + step, down)
 
     def sizes(self, value: np.ndarray) -> np.ndarray:
-        """The values, or those at the start where they were larger."""
+        """The values or their starting values, whichever is larger."""
         return np.maximum(value, self.start)
 
 
 class Inertias(Unknown):
-    """Inertias about centres of mass, six numbers each, physically consistent."""
+    """Physically consistent inertias about centres of mass, six numbers each."""
 
     def moved(self, value: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Inertias after a step in the coordinates in which all bodies can exist."""
+        """Inertias after a step in the coordinates of `PhysicalInertia`."""
         return INERTIA(_coordinates(value) + torch.from_numpy(step).reshape(-1, 6)).flatten().numpy()
 
     def slopes(self, value: np.ndarray) -> np.ndarray:
@@ -104,7 +104,7 @@ class Inertias(Unknown):
         return np.ones_like(value)
 
     def scales(self, value: np.ndarray) -> np.ndarray:
-        """Principal entries, and the roots of the products of two for those off the diagonal."""
+        """Diagonal entries, and geometric means of two for the products of inertia."""
         x, y, z = np.sqrt(np.maximum(value, self.start).reshape(-1, 6)[:, [0, 2, 5]]).T
         return np.stack([x * x, x * y, y * y, x * z, y * z, z * z], 1).ravel()
 
@@ -165,7 +165,7 @@ class Unknowns:
         return torch.block_diag(*(torch.from_numpy(part.slopes(v)) for part, v in own)).numpy()
 
     def sizes(self, values: np.ndarray) -> np.ndarray:
-        """Steps [p] as large as the numbers, or as they were at the start."""
+        """Steps [p] as large as the numbers or their starting values."""
         return self._each("sizes", values)
 
     def scales(self, values: np.ndarray) -> np.ndarray:
@@ -183,7 +183,7 @@ class Unknowns:
 
 
 def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
-    """Unknown parameters of a scene; raises unless every name or pattern is one that can be learned."""
+    """Unknown parameters of a scene; raises unless every name or pattern matches a learnable one."""
     known = _candidates(scene)
     words = (learn,) if isinstance(learn, str) else learn
     if not isinstance(words, Sequence) or not words or not all(isinstance(word, str) for word in words):
@@ -203,7 +203,7 @@ def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
 
 
 def _candidates(scene: Scene) -> dict[str, Unknown]:
-    """Everything of a scene that can be learned, by name."""
+    """Learnable parameters of a scene, by name."""
     found = [Unknown(DELAY, "", (DELAY,), np.zeros(1), np.arange(1), scene.dt)]
     kinds = [type(effect).__name__ for effect in scene.effects]
     for owner, (kind, effect) in enumerate(zip(kinds, scene.effects, strict=True)):
@@ -221,10 +221,7 @@ def _candidates(scene: Scene) -> dict[str, Unknown]:
 
 
 def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> Iterator[Unknown]:
-    """Parameters of an effect or a controller that can be learned: finite numbers without batch axes.
-
-    One that is absent, and with which the scene would ask for a further input, cannot.
-    """
+    """Learnable parameters of an effect or a controller: finite, without batch axes, and needing no further input."""
     robot = scene.robot
     for name, axes in part.SHAPES.items():
         value = tensor_of(getattr(part, name)).detach().double()
@@ -253,7 +250,7 @@ def _unknown(name: str, key: str, value: Tensor, kind: str, at: np.ndarray, owne
 
 
 def changed(scene: Scene, found: Mapping[str, Tensor]) -> Scene:
-    """Scene with parameters instead of its own, by "owner.name"; the higher of two that have an order is not lower."""
+    """Scene with replaced parameters, by "owner.name"; of two ordered parameters the upper is at least the lower."""
     values = dict(found)
     for k, effect in enumerate(scene.effects):
         ordered = {f"{k}.{name}": getattr(effect, name) for name in getattr(effect, "ORDERED", ())}

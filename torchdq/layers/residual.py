@@ -1,4 +1,4 @@
-"""Rigid-body dynamics with a network that learns the residual torques."""
+"""Rigid-body dynamics with a network for the residual torques, which acts only near the states it was trained on."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from torchdq.dynamics.friction import smooth_sign
 from torchdq.effects import Effect, Gravity, Residual, RotorInertia
 from torchdq.errors import ArgumentError
 from torchdq.layers.dynamics import InverseDynamics
-from torchdq.layers.residual.domain import Domain
 from torchdq.program.transforms import number
 from torchdq.robot import Robot
 
 WIDTHS = (1.0, 5.0, 20.0)  # widths of the smooth signs of the velocity, in units of the model's friction width
-STATE = 3  # features of a joint that place it among the trained states: of its position, and its velocity
+STATE = 3  # features of a joint that tell how far it is from its trained states: two of position, one of velocity
 FEATURES = STATE + len(WIDTHS)  # of a joint
-Inputs = Literal["joint", "all"]
 BEYOND = 1.25  # bound of the residual, in units of the largest one in the training data
+CENTRES = 48  # trained states that stand for all of them
+NOWHERE = 1e15  # place of a centre that is not needed; its square is a number in float32
+LEAST = 0.25  # least reach of a centre, per root of the number of standardised features
+Inputs = Literal["joint", "all"]
 
 
 class ResidualDynamics(nn.Module):
@@ -35,28 +37,28 @@ class ResidualDynamics(nn.Module):
     zero where a joint slides), qd, and qd / sqrt(qd^2 + w^2) for w of 1, 5 and 20 of the model's friction widths. It
     starts at zero, so that before training the torques are the model's to the last bit.
 
-    `torchdq.learning.fit` trains the network on top of the model, which stays as it is, and measures it on rows that it
-    was not trained on, so that
+    `torchdq.learning.fit` trains the network on top of the model, which stays as it is, and validates it on held-out
+    rows, so that
 
-    * the gate falls from one to exactly zero, where the model is left alone, away from the trained states (`Domain`);
+    * the gate falls from one to exactly zero away from the training states, with two continuous derivatives;
     * no residual is larger than `bound`, 1.25 times the largest one in the training data, whatever the weights are:
-      a controller with a network that went wrong is a controller with a bounded disturbance;
+      for a controller, a network that failed to train is a bounded disturbance;
     * a joint where it does not help has the weight zero.
 
-    Beside an identified robot (`Identified.with_residual`), friction keeps its memory, and predictions have errors.
+    With an identified robot (`Identified.with_residual`), friction keeps its memory, and predictions have errors.
 
     Args:
         model: the dynamics.
-        inputs: "joint": every joint has a network of its own, and trained states of its own, so that few motions show
-            all that it needs; "all": one network sees all joints, for torques that depend on several, and is trusted
-            only where all joints together have been.
         network: a network of your own, from standardised features [..., 6 n], joint by joint, to torques [..., n] in
             units of `bound`. It computes in the dtype of its parameters. None: a small perceptron with tanh, in torch's
             default dtype.
+        inputs: "joint": every joint has a network and training states of its own, so that few motions show all that it
+            needs; "all": one network sees all joints, for torques that depend on several, and acts only where all
+            joints together have been.
         hidden: widths of the hidden layers, if network is None.
 
     Raises:
-        ArgumentError: an argument is none of these.
+        ArgumentError: model is no `InverseDynamics`, inputs is unknown, or a width is not a positive integer.
 
     >>> import torchdq
     >>> layer = ResidualDynamics(InverseDynamics(torchdq.robots.load("panda")))
@@ -66,6 +68,8 @@ class ResidualDynamics(nn.Module):
 
     mean: Tensor  # [n, features]
     spread: Tensor  # [n, features]
+    centres: Tensor  # [groups, centres, features] trained states
+    reach: Tensor  # [groups] distance from a centre up to which the gate is one
     bound: Tensor  # [n] [N m or N]
     weight: Tensor  # [n], from 0 to 1
     remaining: Tensor  # [n], error with the network over that without on held-out rows, where it was trained
@@ -88,12 +92,14 @@ class ResidualDynamics(nn.Module):
             require_count("every width in hidden", width)
         n = model.robot.n
         self.model, self.groups = model, n if inputs == "joint" else 1
-        self.network = perceptron(self.groups, (FEATURES * n, *hidden, n)) if network is None else network
-        self.domain = Domain(self.groups, STATE * n // self.groups)
-        for name in ("bound", "weight", "remaining"):
-            self.register_buffer(name, torch.ones(n, dtype=torch.float64))
-        self.register_buffer("mean", torch.zeros(n, FEATURES, dtype=torch.float64))
-        self.register_buffer("spread", torch.ones(n, FEATURES, dtype=torch.float64))
+        self.network = _perceptron(self.groups, (FEATURES * n, *hidden, n)) if network is None else network
+        states = {"mean": (n, FEATURES), "centres": (self.groups, CENTRES, STATE * n // self.groups)}
+        ones = {"spread": (n, FEATURES), **dict.fromkeys(("bound", "weight", "remaining"), (n,))}
+        for name, shape in states.items():
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
+        for name, shape in ones.items():
+            self.register_buffer(name, torch.ones(shape, dtype=torch.float64))
+        self.register_buffer("reach", torch.full((self.groups,), 1e30, dtype=torch.float64))
         turns = torch.tensor([joint.turns for joint in model.robot.joint_types])
         self.register_buffer("turns", turns, persistent=False)
 
@@ -122,7 +128,7 @@ class ResidualDynamics(nn.Module):
         return (self.weight.to(x) * self.gate(x) * self.ungated(x)).to(q)
 
     def unmodelled(self, q: Tensor, qd: Tensor) -> Tensor:
-        """Torques [..., n] of the network and of an offset that the model has: all that no effect simulates."""
+        """Torques [..., n] that no effect simulates: those of the network, and an offset that the model has."""
         rest = self.residual(q, qd)
         return rest + self.model.offset.to(rest) if "offset" in self.model.learn else rest
 
@@ -136,8 +142,8 @@ class ResidualDynamics(nn.Module):
         """Effects that simulate all of it, with `robot`: `Scene(model.robot, model.effects())`.
 
         Gravity and rotor inertia if the robot has them, the friction of its model, and `torchdq.effects.Residual`.
-        Learned masses, friction and so on are as they are now: after an update of the parameters, make the scene again.
-        The network itself is always the present one.
+        Learned masses and friction are as they are now: after an update of the parameters, make the scene again. The
+        network itself is always the present one.
 
         >>> import torchdq
         >>> model = ResidualDynamics(InverseDynamics(torchdq.robots.load("panda"), learn=("friction",)))
@@ -150,7 +156,7 @@ class ResidualDynamics(nn.Module):
 
     @torch.no_grad()
     def standardise(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> None:
-        """Scale the network to these motions, and take their states and residuals as those that can be.
+        """Fit the normalisation, the training states and the bound to these motions.
 
         `torchdq.learning.fit` does so; call it before training with an optimiser of your own. Afterwards it changes
         what the network computes.
@@ -170,9 +176,22 @@ class ResidualDynamics(nn.Module):
         self.spread.copy_(spread.where(spread > 1e-6 * mean.abs(), 1.0))  # 1 where constant but for rounding
         largest = (tau - self.model(q, qd, qdd)).abs().flatten(0, -2).amax(0)
         self.bound.copy_(BEYOND * largest.where(largest > 0, 1.0))
-        self.domain.cover(self.state_of(self.features(q, qd)).flatten(0, -3))
+        self.cover(self.features(q, qd).flatten(0, -2))
 
-    # --- parts of the network's torque ---
+    @torch.no_grad()
+    def cover(self, x: Tensor) -> None:
+        """Choose the centres of the gate among the states of features [rows, 6 n], whose gate is one from then on.
+
+        The first one is the row nearest to the mean, each further one the row farthest from those before it.
+        """
+        x, group = self._states(x).to(self.centres), torch.arange(self.groups, device=x.device)
+        left, chosen = torch.full_like(x[..., 0], torch.inf), (x - x.mean(0)).square().sum(-1).argmin(0)
+        least = LEAST * x.shape[-1] ** 0.5
+        for k in range(CENTRES):  # a centre more where there are rows beyond the reach of all others
+            self.centres[:, k] = x[chosen, group].where((left.amax(0) > least**2)[:, None], NOWHERE)
+            left = left.minimum((x - self.centres[:, k]).square().sum(-1))
+            chosen = left.argmax(0)
+        self.reach.copy_(left.amax(0).sqrt().clamp_min(least) * (1 + 1e-6))  # rounding moves no row out
 
     def features(self, q: Tensor, qd: Tensor) -> Tensor:
         """Standardised features [..., 6 n] of states, joint by joint, in the dtype of the network."""
@@ -181,12 +200,15 @@ class ResidualDynamics(nn.Module):
         return x.flatten(-2).to(next(self.network.parameters(), x).dtype)
 
     def gate(self, x: Tensor) -> Tensor:
-        """Factors [..., n or 1] of the residual for features: one where it was trained, zero far from there."""
-        return self.domain(self.state_of(x))
+        """Factors [..., n or 1] of the residual for features: one where it was trained, zero far from there.
 
-    def state_of(self, x: Tensor) -> Tensor:
-        """Features [..., groups, features] that tell how far a state is from those that were trained."""
-        return x.unflatten(-1, (self.groups, -1, FEATURES))[..., :STATE].flatten(-2)
+        That is 1 - prod_k (1 - b(d_k)) of the distances d_k to the centres in units of the reach, where b falls from
+        one at d = 1 to zero at d = 2 along a polynomial of d^2.
+        """
+        away = self._states(x).unsqueeze(-2) - self.centres.to(x)
+        squared = away.square().sum(-1) / self.reach.to(x).square()[:, None]
+        t = ((squared - 1) / 3).clamp(0.0, 1.0)
+        return 1 - (t * t * t * (10 + t * (6 * t - 15))).prod(-1)
 
     def ungated(self, x: Tensor) -> Tensor:
         """Torques [..., n] of the network for features, bounded, as if the gate were open and the weight one."""
@@ -204,9 +226,13 @@ class ResidualDynamics(nn.Module):
         places = (q.sin().where(self.turns, q), q.cos().where(self.turns, 0.0))  # metres are not angles
         return torch.stack(torch.broadcast_tensors(*places, qd, *signs), -1)
 
+    def _states(self, x: Tensor) -> Tensor:
+        """Features [..., groups, features] that tell how far a state is from those that were trained."""
+        return x.unflatten(-1, (self.groups, -1, FEATURES))[..., :STATE].flatten(-2)
+
 
 class GroupedLinear(nn.Module):
-    """Linear layers of groups, apart from each other: [..., groups, inputs] to [..., groups, outputs]."""
+    """Linear layer for each group: [..., groups, inputs] to [..., groups, outputs]."""
 
     def __init__(self, groups: int, inputs: int, outputs: int):
         super().__init__()
@@ -224,7 +250,7 @@ class GroupedLinear(nn.Module):
         return (self.weight @ x.unsqueeze(-1)).squeeze(-1) + self.bias
 
 
-def perceptron(groups: int, widths: Sequence[int]) -> nn.Sequential:
+def _perceptron(groups: int, widths: Sequence[int]) -> nn.Sequential:
     """Layers with tanh between them, from and to numbers that the groups share evenly; the last is zero at first."""
     shared = (widths[0] // groups, *widths[1:-1], widths[-1] // groups)
     layers = [GroupedLinear(groups, width, following) for width, following in pairwise(shared)]

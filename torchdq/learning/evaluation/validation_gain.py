@@ -2,10 +2,10 @@
 
 They decide how the network is used at each joint: with the weight, from 0 to 1, that is best on them, and only
 
-* if the squared error falls by more than two standard errors, over the blocks and over the regions by themselves:
-  blocks of a motion that repeats itself say nothing about other motions;
+* if the squared error falls by more than two standard errors, over blocks of the motions and over regions of the states
+  separately: blocks of a motion that repeats itself say nothing about other motions;
 * if the rows are as informative as two independent ones for each block: shorter blocks resemble their neighbours, and a
-  network that has seen these shows nothing about its gain at other times.
+  network that was trained on these shows nothing about its gain at other times.
 """
 
 import math
@@ -17,8 +17,7 @@ from torch import Tensor
 
 from torchdq.base.tables import table
 from torchdq.layers.residual import ResidualDynamics
-from torchdq.learning.evaluation.correlation import correlation_times
-from torchdq.learning.evaluation.coverage import COVERED
+from torchdq.learning.evaluation.statistics import COVERED, correlation_times
 
 CLEAR = 2.0  # standard errors that the squared error must fall by
 LEAST = 2  # fewest independent rows of a block, on average
@@ -31,16 +30,15 @@ class ValidationGain(NamedTuple):
     without: Tensor  # [n] error of the model alone
     error: Tensor  # [n] error with the residual, at its weight
     weight: Tensor  # [n] from 0 to 1
-    gains: Tensor  # [n] how much the squared error falls, over blocks or regions, where less; in units of the variance
+    gains: Tensor  # [n] decrease of the squared error, over blocks or regions, the smaller; in units of the variance
     standard_errors: Tensor  # [n] standard errors of these gains; infinite if there are fewer than two blocks
 
     def __str__(self) -> str:
-        shown = (self.without, self.error, self.gains, self.standard_errors, self.weight)
         rows = [
             (name, f"{a:.3f}", f"{b:.3f}", f"{g:.2g} +- {e:.1g}", f"{w:.2f}")
-            for name, a, b, g, e, w in zip(self.joints, *(x.tolist() for x in shown), strict=True)
+            for name, a, b, w, g, e in zip(self.joints, *(x.tolist() for x in self[1:]), strict=True)
         ]
-        heads = ("joint", "without", "with", "squares fall by", "weight")
+        heads = ("joint", "without", "with", "decrease of squares", "weight")
         return f"residual on held-out rows\n\n{table(heads, rows)}"
 
 
@@ -60,30 +58,27 @@ def validation_gain(
 
     Weights and remaining errors of the model are set from it. `variance` is that of the torques [n].
     """
-    joints = tuple(model.robot.joint_names)
+    joints, none = tuple(model.robot.joint_names), torch.zeros_like(variance)
     model.weight.zero_()
     model.remaining.fill_(1.0)
     if len(blocks) < 2:
-        zero, unknown = torch.zeros_like(variance), torch.full_like(variance, math.nan)
-        return ValidationGain(joints, unknown, unknown, zero, zero, zero + math.inf)
+        return ValidationGain(joints, none + math.nan, none + math.nan, none, none, none + math.inf)
     y, _, r = (torch.cat(x) for x in zip(*blocks, *regions, strict=True))
     weight = ((y * r).sum(0) / y.square().sum(0).clamp_min(1e-300)).clamp(0.0, 1.0)
-    parts = [kind for kind in (blocks, regions) if kind]
-    falls = [[(weight * x.torque * (2 * x.residual - weight * x.torque)).mean(0) for x in kind] for kind in parts]
-    kinds = [torch.stack(kind) / variance for kind in falls]  # [parts, n]
-    means = torch.stack([kind.mean(0) for kind in kinds])
-    errors = torch.stack([kind.std(0) / math.sqrt(len(kind)) for kind in kinds])
+    means, errors = none.new_empty(2, 1 + bool(regions), len(none))  # of blocks, and of regions
+    for k, parts in enumerate(filter(None, (blocks, regions))):
+        falls = torch.stack([(weight * x.torque * (2 * x.residual - weight * x.torque)).mean(0) for x in parts])
+        means[k], errors[k] = falls.mean(0) / variance, falls.std(0) / len(parts) ** 0.5 / variance
 
     y, gate, r = (torch.cat(x) for x in zip(*blocks, strict=True))
-    lengths = [len(block.residual) for block in blocks]
-    independent = len(r) / correlation_times(r - weight * y, lengths).to(r)
+    independent = len(r) / correlation_times(r - weight * y, [len(x.residual) for x in blocks]).to(r)
     weight = weight * ((means > CLEAR * errors).all(0) & (independent >= LEAST * len(blocks)))
     left, inside = r - weight * y, gate >= 1
     rows = inside | ~inside.any(0)
     width, alone = (x.abs().where(rows, torch.nan).nanquantile(COVERED, 0) for x in (left, r))
     model.weight.copy_(weight)
     model.remaining.copy_((width / alone.clamp_min(1e-300)).clamp(max=1.0))
-    without, error = (x.square().mean(0).sqrt() / variance.sqrt() for x in (r, left))
-    poorest = (means - CLEAR * errors).argmin(0, keepdim=True)  # kind of part, [1, n]
+    without, error = ((x.square().mean(0) / variance).sqrt() for x in (r, left))
+    poorest = (means - CLEAR * errors).argmin(0, keepdim=True)
     gains, errors = (x.gather(0, poorest)[0] for x in (means, errors))
     return ValidationGain(joints, without, error, weight, gains, errors)

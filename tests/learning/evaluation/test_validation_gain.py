@@ -9,7 +9,7 @@ from recorded_logs import waves
 
 import torchdq
 from torchdq.learning import LogWarning, Samples, fit
-from torchdq.learning.training.validation_gain import HeldOut, validation_gain
+from torchdq.learning.evaluation.validation_gain import HeldOut, validation_gain
 
 F64, BACKEND = torch.float64, "auto"  # one arm, whose programs all tests share
 OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2}
@@ -93,8 +93,12 @@ class Linear(torch.nn.Module):
         return x @ self.weight.T
 
 
-def test_a_network_without_reset_parameters_needs_validation_data():
-    model = torchdq.ResidualDynamics(torchdq.DQRNEA(TWO), network=Linear())
+@pytest.mark.filterwarnings("ignore")
+def test_a_network_of_ones_own_is_measured_if_its_copies_can_have_new_weights():
+    network = torch.nn.Sequential(torch.nn.Linear(12, 12), torch.nn.Tanh(), torch.nn.Linear(12, 2))
+    found = [fit(layer(network=network), [motion(k, stribeck, 10.0) for k in range(3)], steps=100, **OPTIONS)]
+    assert (found[0].residual.weight > 0.5).all()
+    model = layer(network=Linear())
     with refused(torchdq.ArgumentError):
         fit(model, motion(0, cable), steps=2)
     assert fit(model, motion(0, cable), motion(1, cable), steps=2).residual is not None
@@ -121,13 +125,13 @@ def parts(*signs, rows=200, memory=1):
         yield HeldOut(y, torch.ones(rows // memory * memory, 2, dtype=F64), sign * y + 0.1 * noise)
 
 
-@pytest.mark.parametrize(("sign", "kept"), [(1.0, True), (-1.0, False)])
-def test_regions_are_judged_by_themselves(sign, kept):
+def test_regions_are_judged_separately():
     """Torques that explain eight blocks and make two regions worse gain in the mean of all, and are not kept."""
-    model = layer()
-    gain = validation_gain(model, list(parts(*[1.0] * 8)), list(parts(sign, sign)), double(1.0, 1.0))
-    assert (gain.weight > 0).tolist() == [kept, kept] == (model.remaining < 1).tolist()
-    assert ((gain.gains > 2 * gain.standard_errors) == kept).all()
+    for sign in (1.0, -1.0):
+        model = layer()
+        gain = validation_gain(model, list(parts(*[1.0] * 8)), list(parts(sign, sign)), double(1.0, 1.0))
+        for kept in (gain.weight > 0, model.remaining < 1, gain.gains > 2 * gain.standard_errors):
+            assert (kept == (sign > 0)).all()
 
 
 def test_a_network_that_gains_by_chance_is_not_kept():
@@ -136,11 +140,11 @@ def test_a_network_that_gains_by_chance_is_not_kept():
     assert (gain.gains > 0).all() and not gain.weight.any()
 
 
-@pytest.mark.parametrize(("memory", "kept"), [(1, True), (200, False)])
-def test_rows_that_say_little_keep_no_network(memory, kept):
+def test_rows_that_say_little_keep_no_network():
     """Blocks of 200 rows, all alike where the memory is as long: one independent row for each."""
-    gain = validation_gain(layer(), list(parts(*[1.0] * 8, memory=memory)), [], double(1.0, 1.0))
-    assert (gain.gains > 2 * gain.standard_errors).all() and (gain.weight > 0).tolist() == [kept, kept]
+    for memory in (1, 200):
+        gain = validation_gain(layer(), list(parts(*[1.0] * 8, memory=memory)), [], double(1.0, 1.0))
+        assert (gain.gains > 2 * gain.standard_errors).all() and ((gain.weight > 0) == (memory == 1)).all()
 
 
 def test_of_too_few_rows_none_are_held_out_and_the_residual_is_inactive():
@@ -162,29 +166,16 @@ def test_validation_samples_choose_the_weights():
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_the_physics_stay_as_they_are_whatever_they_could_learn():
+def test_the_physics_stay_as_they_are_and_the_same_seed_gives_the_same_bits():
     physics = torchdq.DQRNEA(TWO.replace(mass=1.2 * TWO.mass), learn=("mass", "friction", "offset"))
     before = {name: x.clone() for name, x in physics.state_dict().items()}
-    model = layer(physics)
-    fit(model, motion(0, stribeck, 4.0), steps=5, **OPTIONS)
+    models = [layer(physics) for _ in range(3)]
+    for model, seed in zip(models, (1, 1, 2), strict=True):
+        fit(model, motion(0, stribeck, 4.0), steps=20, seed=seed, **OPTIONS)
+    first, same, other = (model(*motion(1, stribeck, 2.0)[:3]) for model in models)
+    assert torch.equal(first, same) and not torch.equal(first, other)
     assert all(torch.equal(x, before[name]) for name, x in physics.state_dict().items())
     assert all(p.requires_grad and p.grad is None for p in physics.parameters())
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_the_same_seed_gives_the_same_bits():
-    found = []
-    for seed in (1, 1, 2):
-        model = layer()
-        fit(model, motion(0, stribeck, 4.0), steps=20, seed=seed, **OPTIONS)
-        found.append(model(*motion(1, stribeck, 2.0)[:3]))
-    assert torch.equal(found[0], found[1]) and not torch.equal(found[0], found[2])
-
-
-def test_a_network_of_ones_own_is_measured_too():
-    network = torch.nn.Sequential(torch.nn.Linear(12, 12), torch.nn.Tanh(), torch.nn.Linear(12, 2))
-    gain = fit(layer(network=network), [motion(k, stribeck, 10.0) for k in range(3)], steps=100, **OPTIONS).residual
-    assert (gain.weight > 0.5).all()
 
 
 def test_rows_of_motions_are_one_after_the_other_and_physics_takes_them_too():

@@ -8,7 +8,7 @@ from recorded_logs import fitted, states
 
 import torchdq
 from torchdq.learning import Samples, identify
-from torchdq.learning.evaluation.coverage import interval_factors
+from torchdq.learning.evaluation.statistics import interval_factors
 
 F64 = torch.float64
 
