@@ -41,7 +41,7 @@ class Simulation:
         substeps: steps of the integrator within it; None: 2, unless the task says otherwise.
         integrator: method of `torchdq.scene.integrators`; None: `LinearlyImplicit()`, which stays stable with stiff
             friction and limits.
-        backend: as in `torchdq.functional`.
+        backend: as in `torchdq.backend`.
 
     >>> from torchdq.envs import RobotVectorEnv, Simulation
     >>> envs = RobotVectorEnv(64, "reach", "panda", simulation=Simulation(dt=0.01, substeps=1))

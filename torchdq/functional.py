@@ -5,9 +5,8 @@ have the dtype (float32 or float64) and the device of the inputs, and are differ
 in the tensors of the robot that were replaced (`robot.replace`). A row that is not finite gives a row that is not
 finite and does not change another.
 
-`backend` names what runs the program that is recorded for the robot: "c", compiled for the CPU; "cuda", compiled for
-NVIDIA GPUs; "eager", torch operations, on any device; "auto", the first of these that can run on the device; None, that
-of the innermost `torchdq.backend` block, or "auto".
+`backend` names what runs the program that is recorded for the robot, as in `torchdq.backend`; None: the backend of the
+innermost block of that kind, or "auto".
 
 Functions of robots with a floating base are those of `torchdq.floating`, with the same arguments in the same order,
 each with that of the base before it.

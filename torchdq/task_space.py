@@ -5,7 +5,7 @@ base for "world". `axes` are its components: "pose", all six; "orientation", the
 three; or names among rx ry rz x y z, in the order in which rows are wanted. A force on them is in the same order:
 (moment, force), where a wrench is (force, moment): `f.roll(3, -1)` turns one into the other.
 
-Everything else is as in `torchdq.functional`. The base is fixed.
+Everything else is as in `torchdq.backend`. The base is fixed.
 """
 
 from collections.abc import Sequence

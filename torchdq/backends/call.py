@@ -120,7 +120,7 @@ def evaluate(
     Args:
         what: the computation.
         tensors: its arguments by name; None: absent. The first is an input.
-        backend: as in `torchdq.functional`.
+        backend: as in `torchdq.backend`.
         double: whether float32 inputs are computed in float64, and the results rounded.
         out: tensors that the results are written to, one for each; (): new ones.
         repeated: steps, outside of traced graphs; None: one.

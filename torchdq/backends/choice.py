@@ -36,7 +36,8 @@ def backend(name: BackendName) -> Iterator[None]:
     """Context in which functions and modules use this backend, unless their own argument `backend` names another.
 
     Args:
-        name: "auto", "eager", "c" or "cuda".
+        name: what runs programs: "c", compiled for the CPU; "cuda", compiled for NVIDIA GPUs; "eager", torch operations
+            on any device; "auto", the first of these that can run on the device.
     Raises:
         ArgumentError: there is no such backend.
 

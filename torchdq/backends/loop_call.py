@@ -44,7 +44,7 @@ def repeat(
         fixed: arguments that are the same at all steps.
         total: results of which the sum over the steps is returned; of what is carried the last.
         ends: whether only the last of what is carried is returned.
-        backend: as in `torchdq.functional`.
+        backend: as in `torchdq.backend`.
     """
     same = {name: x[0] for name, x in stepped.items() if steps and is_dense(x) and x.stride(0) == 0}
     series = tuple([name for name in stepped if name not in same])

@@ -155,7 +155,7 @@ class Law(Parametric):
             robot: the robot that is controlled.
             q, qd: measured positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
             goal: rows of GOAL, and then the wrenches, in their order; None: absent.
-            backend: as in `torchdq.functional`.
+            backend: as in `torchdq.backend`.
         """
         require_tensor("q", q)
         given, single = {"q": q, "qd": qd, **self.rows(goal)}, []

@@ -105,7 +105,7 @@ def friction(of: Parts, q: Tensor, qd: Tensor, load: Tensor, backend: BackendNam
         of: the effects.
         q, qd: positions and velocities [rad or m, rad/s or m/s], shape [..., n].
         load: torques of the rigid bodies and rotors [N m or N], shape [..., n].
-        backend: as in `torchdq.functional`.
+        backend: as in `torchdq.backend`.
     """
     return _evaluated("friction", of, {"q": q, "qd": qd, "load": load}, backend)["tau"]
 
@@ -134,7 +134,7 @@ def columns(
         temperature: as in `torchdq.effects.friction.Friction`, shape [..., n].
         time: for friction with memory, increasing times of q [rows, n], one motion from its start [s], shape [rows];
             None: for friction without memory.
-        backend: as in `torchdq.functional`.
+        backend: as in `torchdq.backend`.
 
     >>> import torch, torchdq
     >>> from torchdq import effects

@@ -44,7 +44,7 @@ class Control(RobotModule):
         learn: names of quantities, such as ("kp", "friction"): parameters of the law, which are unconstrained, and
             those of `InverseDynamics`, whose `prior` there is here, too. For a module only those of the law: what it
             learned itself goes on being learned with it.
-        backend: as in `torchdq.functional`; None: as `torchdq.backend` says at the time of the call. A module has its
+        backend: as in `torchdq.backend`; None: as `torchdq.backend` says at the time of the call. A module has its
             own.
         sign_width: velocity below which learned or described Coulomb friction is viscous [rad/s or m/s]. A module
             has its own.

@@ -38,7 +38,7 @@ class InverseDynamics(RobotModule):
             in which the effects of `friction` are linear, from their values, or 1e-2 (in SI units) where these are zero
             or absent; without effects those of viscous and Coulomb friction, `viscous` and `coulomb`, from the damping
             and the friction of the robot's description. "offset": a constant torque of every joint, from zero.
-        backend: as in `torchdq.functional`; None: as `torchdq.backend` says at the time of the call.
+        backend: as in `torchdq.backend`; None: as `torchdq.backend` says at the time of the call.
         sign_width: velocity below which that Coulomb friction is viscous [rad/s or m/s].
         friction: friction effects of `torchdq.effects` without a memory, the same as in a scene; learned coefficients
             are named after effect and parameter, such as `quadratic_coefficient`.

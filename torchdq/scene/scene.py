@@ -30,7 +30,7 @@ class Scene(SceneModel):
             joints at any step; `check` says which steps an explicit one holds.
         dt: duration of a step [s]; torques are constant over it.
         substeps: steps of the integrator within a step, any number.
-        backend: as in `torchdq.functional`.
+        backend: as in `torchdq.backend`.
         precision: "auto": in the dtype of the state; a sample whose mass matrix would cost float32 half of its digits
             takes that step in float64, one whose mass matrix is singular becomes NaN. "double": a float32 state, and
             everything computed in float64.
