@@ -33,7 +33,7 @@ class MjcfJoint(NamedTuple):
 
     @property
     def single(self) -> bool:
-        """Whether it has one coordinate."""
+        """Whether a joint has one coordinate."""
         return self.kind in KINDS
 
 
