@@ -45,7 +45,7 @@ def _adaptive(
     held: Mapping[str, Tensor],
     backend: BackendName | None,
 ) -> tuple[Tensor, Tensor]:
-    """The same in steps whose sizes adapt; NaN in rows that do not arrive."""
+    """Positions and velocities at the end of a step by attempts whose sizes adapt; NaN in rows that do not arrive."""
     if torch.compiler.is_compiling():
         raise ArgumentError(
             "integrator must not be DormandPrince in a graph of torch.compile or torch.export: its steps depend on "
