@@ -214,14 +214,6 @@ def test_what_divides_must_be_positive_limits_may_be_infinite_and_little_may_be_
             assert check.least == (1 if (owner, name) == ("LuGre", "ratio") else -math.inf if check.signed else 0)
 
 
-@pytest.mark.case("P14")
-@all_in_one(["inverse_dynamics", "forward_dynamics"])
-def test_link_wrenches_of_the_wrong_rank_are_named(key):
-    for shape in [(6,), (N,), (3, 6), (3, 6, N)]:
-        arguments = tensors(key, ()) | {"f_ext": torch.zeros(shape, dtype=F64)}
-        require_named(ArgumentError, ["f_ext", f"found {shape}"], call, key, arm(), arguments)
-
-
 @every_function
 def test_a_missing_tensor_is_named_unless_it_may_be_absent(key):
     for name in tensors(key):

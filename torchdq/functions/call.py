@@ -13,12 +13,13 @@ from torch.compiler import is_compiling
 
 from torchdq.backends.call import Tensors, common_batch, evaluate
 from torchdq.backends.choice import BackendName
-from torchdq.base.caches import PROGRAMS, Bounded
+from torchdq.base.caches import PROGRAMS, Bounded, remembered
 from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, Check, OneOf, names_of, require, require_tensor
 from torchdq.base.progress import FIRST, warn_once
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, recordings
 from torchdq.functions.options import options_of
+from torchdq.program.transforms import dispatching, with_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.constants import Constants
@@ -95,7 +96,16 @@ def gain(name: str, value: Tensor | float, q: Tensor, check: Check = NOT_NEGATIV
         cure = "; use torch.as_tensor" if isinstance(value, list | tuple | np.ndarray) else ""
         raise ArgumentError(f"{name} must be a number or a tensor, found {type(value).__name__}{cure}")
     require(name, value, check)
-    return torch.full((), value, dtype=q.dtype, device=q.device)
+    if is_compiling() or dispatching() or q.device.type != "cpu":  # a CUDA graph takes back the memory that it fills
+        return torch.full((), value, dtype=q.dtype, device=q.device)
+    return _number(name, value, q.dtype)
+
+
+@remembered(PROGRAMS)
+def _number(name: str, value: float, dtype: torch.dtype) -> Tensor:
+    """Number as a tensor, for all calls, since to make one takes longer than the rest of a check; no two are one."""
+    with torch.inference_mode(False), with_values():
+        return torch.full((), value, dtype=dtype, device="cpu")
 
 
 def poses(

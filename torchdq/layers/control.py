@@ -96,7 +96,7 @@ class Control(RobotModule):
         self._own = own
         held: dict[str, Any] = dict.fromkeys(own, TENSOR)
         self.law = replace(whole, **held)
-        self._axes, self._written = self.law.SHAPES, self.law.form(own)
+        self._axes, self._form = self.law.SHAPES, self.law.form(own)
         for name in own:
             given = getattr(law, name)
             single = given.ndim == 0 if isinstance(given, Tensor) else is_number(given)
@@ -134,7 +134,7 @@ class Control(RobotModule):
         if function != self._function:
             return super()._computation(function)
         single = tuple([name for name in self._own if self._axes[name] and not getattr(self, name).ndim])
-        return Function(constants(self.robot), function, single, self._written)
+        return Function(constants(self.robot), function, single, self._form)
 
     def _own_quantities(self) -> tuple[dict[str, Tensor], list[str]]:
         """Parameters of its program that are not the robot's, its model's or its own, and names of the learned."""
