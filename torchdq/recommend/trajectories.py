@@ -72,7 +72,7 @@ class Trial:
             state = scene.start(q, qd, noise=noise)
         elif not (isinstance(state, State) and state.q.ndim == 2 and len(state.q)):
             raise ArgumentError(
-                "state must be a torchdq.envs.State with q of the shape [samples, n]; `Scene.start` makes one"
+                "state must be a torchdq.scene.State with q of the shape [samples, n]; `Scene.start` makes one"
             )
         given = {name: x for name, x in inputs.items() if x is not None}
         require_finite(**{"q": state.q, "qd": state.qd, **given})
