@@ -52,8 +52,8 @@ from torchdq.learning import (
     train_test_split,
 )
 from torchdq.learning.evaluation.blocks import REGIONS
-from torchdq.learning.identification.evidence import STILL
 from torchdq.learning.evaluation.validation_gain import ValidationGain
+from torchdq.learning.identification.evidence import STILL
 
 SIX = ("02_06-20sec_5harm", "02_06-20sec_10harm", "02_05-20sec_12harm", "02_10-20sec_7harm", "02_10-30sec_12harm")
 SIX = (*SIX, "02_12-40sec_12harm")
