@@ -77,7 +77,8 @@ class Layout:
     def __post_init__(self) -> None:
         require_count("joints", self.joints, 0)
         for name in ("cutoff_qd", "cutoff_tau", "rate", "farthest", "fastest"):
-            if (x := getattr(self, name)) is not None or name in ("farthest", "fastest"):
+            x = getattr(self, name)
+            if not (x == math.inf or (x is None and name not in ("farthest", "fastest"))):
                 require_number(name, x, positive=True)
         object.__setattr__(self, "gain", _gains(self.gain))
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))

@@ -251,7 +251,7 @@ def require_torques(motions: Sequence[Motion]) -> None:
 
 def unknown_gains(of: str = "") -> Finding:
     """Finding about efforts in other units than torques."""
-    claim = f"motions must have torques, found efforts of unknown gains in those{of}"
+    claim = f"motions{of} must have torques, found efforts of unknown gains"
     cure = "give Layout(gain=...), or identify(robot, motions, Model(gains=True)), which finds them"
     return Finding("gains.unknown", "", claim, "", cure, "give --gains, or --estimate-gains")
 
