@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,7 +17,8 @@ from torchdq.dynamics.observer import step
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import gain, with_options
 from torchdq.functions.catalogue import Function
-from torchdq.functions.parametric import Parametric, Shapes
+from torchdq.functions.parametric import Parametric
+from torchdq.functions.signature import parameter
 from torchdq.layers import layer_program
 from torchdq.layers.dynamics import InverseDynamics
 from torchdq.layers.layer_friction import described
@@ -42,8 +43,7 @@ class ObserverState(NamedTuple):
 class Observer(Parametric):
     """Parameters of an observer, checked as parameters of effects and control laws are."""
 
-    SHAPES: ClassVar[Shapes] = {"gain": ("n",)}
-    gain: Any
+    gain: Any = field(metadata=parameter("n"))
 
 
 class MomentumObserver(nn.Module):

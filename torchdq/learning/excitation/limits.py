@@ -3,17 +3,18 @@
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.base.checks import is_number, require_number, tensor_of
+from torchdq.base.checks import Interval, is_number, require_number, tensor_of
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
-from torchdq.functions.parametric import Parametric, Shapes
+from torchdq.functions.parametric import Parametric
+from torchdq.functions.signature import Field, parameter
 from torchdq.robot import Robot
 
 Clearance = Callable[[Robot, Tensor], Tensor]  # (robot, q [..., n]) to numbers [..., c], not negative where q may be
@@ -102,6 +103,11 @@ class Bounds(NamedTuple):
     effort: Tensor  # [n] [N m or N]
 
 
+def _limit(described: str, least: float = 0.0) -> Mapping[Any, Field]:
+    """Metadata of a limit per joint, which may be infinite; None: that of the description."""
+    return parameter("n", check=Interval(least, infinite=True), described=described)
+
+
 @dataclass(frozen=True, eq=False)
 class MotionLimits(Parametric):
     """Limits that a motion keeps, each one number for all joints or one per joint.
@@ -121,15 +127,11 @@ class MotionLimits(Parametric):
     0.9
     """
 
-    SHAPES: ClassVar[Shapes] = dict.fromkeys(Bounds._fields, ("n",))
-    SIGNED: ClassVar[frozenset[str]] = frozenset(("lower", "upper"))
-    UNBOUNDED: ClassVar[frozenset[str]] = frozenset(Bounds._fields)
-    DESCRIBED: ClassVar[Mapping[str, str]] = {x: f"limits.{x}" for x in Bounds._fields if x != "acceleration"}
-    lower: Any = None
-    upper: Any = None
-    velocity: Any = None
-    acceleration: Any = None
-    effort: Any = None
+    lower: Any = field(default=None, metadata=_limit("limits.lower", -math.inf))
+    upper: Any = field(default=None, metadata=_limit("limits.upper", -math.inf))
+    velocity: Any = field(default=None, metadata=_limit("limits.velocity"))
+    acceleration: Any = field(default=None, metadata=_limit(""))
+    effort: Any = field(default=None, metadata=_limit("limits.effort"))
     share: float = 0.9
     workspace: Sequence[Clearance] = ()
 
