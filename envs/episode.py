@@ -10,7 +10,7 @@ so that both have the same results to the bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from torchdq.backends.call import Computation, Shape
@@ -63,7 +63,7 @@ def act(form: Form, rows: Mapping[str, Row]) -> Rows:
     (steps,), action = rows["steps"], [clip(x, -1.0, 1.0) for x in rows["action"]]
     wide, given = form.meaning.inputs(action, rows["scale"], rows.get("reference", ()))
     given |= {"action": wide, "time": [(steps + 1.0) * form.dt]}
-    found = {"clipped": [sum((below(1.0, absolute(x)) for x in rows["action"]), 0.0)]}
+    found: Rows = {"clipped": [sum((below(1.0, absolute(x)) for x in rows["action"]), 0.0)]}
     for name in form.pushes:
         given[name], found[THEN + name], over = pushed(steps * form.dt, rows[name], rows[SPARE + name])
         found["over"] = [*found.get("over", ()), over]
@@ -72,9 +72,9 @@ def act(form: Form, rows: Mapping[str, Row]) -> Rows:
 
 def end(form: Form, rows: Mapping[str, Row]) -> Rows:
     """Reward, steps of the episode so far, and `FLAGS`; the row "valid" is 1, or 0 or NaN where a step failed."""
-    failed, elapsed = 1.0 - at_least(*rows["valid"], 1.0), rows["steps"][0] + 1.0
+    failed, elapsed = 1.0 - at_least(rows["valid"][0], 1.0), rows["steps"][0] + 1.0
     ended = maximum(failed, select(rows.get("terminated", [0.0])[0], 1.0, 0.0))
-    truncated = at_least(elapsed, *rows["limit"])
+    truncated = at_least(elapsed, rows["limit"][0])
     flags = [failed, ended, truncated, maximum(ended, truncated)]
     return {"reward": [select(failed, WORST, *rows["reward"])], "elapsed": [elapsed], "flags": flags}
 
@@ -194,15 +194,15 @@ def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
     """Chain of a block; its step is the very program of a step."""
     known, links = {a.name: a for a in arguments}, list[Link]()
 
-    def add(program: Program, takes: Sequence[str], names: Mapping[str, str]) -> None:
+    def add(program: Program, takes: tuple[str, ...], names: Mapping[str, str]) -> None:
         gives = tuple([names.get(r.name, names[""] + r.name) for r in program.results])
         known.update({x: Argument(x, len(r.values)) for x, r in zip(gives, program.results, strict=True)})
-        links.append(Link(program, tuple(takes), gives))
+        links.append(Link(program, takes, gives))
 
     def rule(one: Callable[..., Rows], takes: Mapping[str, str], names: Mapping[str, str]) -> None:
         given = {name: x for name, x in takes.items() if x in known}
         sized = [known[x]._replace(name=name) for name, x in given.items()]
-        add(_recorded(one, what.form, tuple(sized)), given.values(), names)
+        add(_recorded(one, what.form, tuple(sized)), tuple(given.values()), names)
 
     names = tuple(known)
     policy = record("policy", arguments, lambda *x: what.policy(dict(zip(names, x, strict=True))))
@@ -210,7 +210,7 @@ def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
     rule(act, {name: name for name in what.form.takes}, {"": GIVEN})
     sized = [Argument(x, math.prod(what.stage.axes(x)), x in known and known[x].uniform) for x in what.asked]
     given = [GIVEN + x if GIVEN + x in known else x for x in what.asked]
-    add(what.stage.program(tuple(sized)), given, {"": AFTER})
+    add(what.stage.program(tuple(sized)), tuple(given), {"": AFTER})
     rows = [r.name for r in links[-1].program.results]
     rule(end, {**{name: AFTER + name for name in JUDGED}, "steps": "steps", "limit": "limit"}, {"": ""})
     left = [name for name in rows if name not in JUDGED]

@@ -91,7 +91,7 @@ class Step(NamedTuple):
     truncated: Tensor  # [N]
     done: Tensor  # [N] one of both
     ends: bool  # whether one is done, or may be
-    info: dict[str, Tensor]
+    info: dict[str, Any]
 
 
 class Steps:
