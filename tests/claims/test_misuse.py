@@ -15,7 +15,7 @@ from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.model import ModelEffect
-from torchdq.envs import Actions, RobotEnv, RobotVectorEnv, Scene, TorchTask, effects
+from torchdq.envs import Actions, RobotEnv, Scene, TorchTask, effects
 from torchdq.errors import nearest
 from torchdq.learning import (
     LogError,
