@@ -40,6 +40,9 @@ HORIZON = 0.2  # time in which a joint at its velocity limit moves by a full ref
 class Actions:
     """Meaning of the actions of environments; the name of a kind alone stands for it with these defaults.
 
+    Controllers and servos follow the reference of the task, except for "pose". In "track" it is the motion to track; in
+    "reach" it is the measured position, so that a zero action holds still.
+
     Args:
         kind: what an action is; None: "target" if the scene has a servo, otherwise "torque" if joints are passive or
             the base floats, otherwise "reference".
@@ -58,9 +61,6 @@ class Actions:
             cut. (0, 0): actions displace the measured pose [rad, m].
         joints: names or patterns of the actuated joints, one number of an action for each, in this order; None: all.
             The others are passive, which "torque" and "target" permit.
-
-    Controllers and servos follow the reference of the task, except for "pose". In "track" it is the motion to track; in
-    "reach" it is the measured position, so that a zero action holds still.
 
     >>> from torchdq.envs import Actions, RobotVectorEnv
     >>> envs = RobotVectorEnv(64, "reach", "panda", action=Actions("torque", joints="*[1-4]", scale=20.0))

@@ -35,6 +35,7 @@ THEN = "then "  # before the name of a push: as it is after the step
 GIVEN, AFTER, NOW, NEXT, INFO, WEIGHT = "given ", "after ", "now ", "next ", "info ", "weight "
 JUDGED = ("valid", "reward", "terminated")  # rows of the task that end takes
 FLAGS = ("failed", "terminated", "truncated", "done")
+STEP_FLAGS = "flags of the step"  # among the rows of a task
 ROWS = (*HELD, "action", "torque", "target", "time", "over", "flags")  # that have an axis even if they are one number
 
 
@@ -63,7 +64,7 @@ def act(form: Form, rows: Mapping[str, Row]) -> Rows:
     (steps,), action = rows["steps"], [clip(x, -1.0, 1.0) for x in rows["action"]]
     wide, given = form.meaning.inputs(action, rows["scale"], rows.get("reference", ()))
     given |= {"action": wide, "time": [(steps + 1.0) * form.dt]}
-    found = {"clipped": [sum((below(1.0, absolute(x)) for x in rows["action"]), 0.0)]}
+    found: Rows = {"clipped": [sum((below(1.0, absolute(x)) for x in rows["action"]), 0.0)]}
     for name in form.pushes:
         given[name], found[THEN + name], over = pushed(steps * form.dt, rows[name], rows[SPARE + name])
         found["over"] = [*found.get("over", ()), over]
@@ -72,20 +73,20 @@ def act(form: Form, rows: Mapping[str, Row]) -> Rows:
 
 def end(form: Form, rows: Mapping[str, Row]) -> Rows:
     """Reward, steps of the episode so far, and `FLAGS`; the row "valid" is 1, or 0 or NaN where a step failed."""
-    failed, elapsed = 1.0 - at_least(*rows["valid"], 1.0), rows["steps"][0] + 1.0
+    failed, elapsed = 1.0 - at_least(rows["valid"][0], 1.0), rows["steps"][0] + 1.0
     ended = maximum(failed, select(rows.get("terminated", [0.0])[0], 1.0, 0.0))
-    truncated = at_least(elapsed, *rows["limit"])
+    truncated = at_least(elapsed, rows["limit"][0])
     flags = [failed, ended, truncated, maximum(ended, truncated)]
     return {"reward": [select(failed, WORST, *rows["reward"])], "elapsed": [elapsed], "flags": flags}
 
 
 def undo(form: Form, rows: Mapping[str, Row]) -> Rows:
     """Rows of a failed step as they were before it, "before ...", and NaN where there was none."""
-    (failed, *_), none = rows["flags"], [math.nan]
+    (failed, *_), none = rows[STEP_FLAGS], [math.nan]
     return {
         name: [select(failed, a, b) for a, b in zip(rows.get(f"before {name}", none * len(row)), row, strict=True)]
         for name, row in rows.items()
-        if name != "flags" and not name.startswith("before ")
+        if name != STEP_FLAGS and not name.startswith("before ")
     }
 
 
@@ -194,32 +195,34 @@ def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
     """Chain of a block; its step is the very program of a step."""
     known, links = {a.name: a for a in arguments}, list[Link]()
 
-    def add(program: Program, takes: Sequence[str], names: Mapping[str, str]) -> None:
-        gives = tuple([names.get(r.name, names[""] + r.name) for r in program.results])
+    def add(program: Program, takes: Sequence[str], prefix: str = "", names: Mapping[str, str] | None = None) -> None:
+        gives = tuple([(names or {}).get(r.name, prefix + r.name) for r in program.results])
         known.update({x: Argument(x, len(r.values)) for x, r in zip(gives, program.results, strict=True)})
         links.append(Link(program, tuple(takes), gives))
 
-    def rule(one: Callable[..., Rows], takes: Mapping[str, str], names: Mapping[str, str]) -> None:
+    def rule(
+        one: Callable[..., Rows], takes: Mapping[str, str], prefix: str = "", names: Mapping[str, str] | None = None
+    ) -> None:
         given = {name: x for name, x in takes.items() if x in known}
         sized = [known[x]._replace(name=name) for name, x in given.items()]
-        add(_recorded(one, what.form, tuple(sized)), given.values(), names)
+        add(_recorded(one, what.form, tuple(sized)), tuple(given.values()), prefix, names)
 
     names = tuple(known)
     policy = record("policy", arguments, lambda *x: what.policy(dict(zip(names, x, strict=True))))
-    add(policy, names, {"": ""})
-    rule(act, {name: name for name in what.form.takes}, {"": GIVEN})
+    add(policy, names)
+    rule(act, {name: name for name in what.form.takes}, GIVEN)
     sized = [Argument(x, math.prod(what.stage.axes(x)), x in known and known[x].uniform) for x in what.asked]
     given = [GIVEN + x if GIVEN + x in known else x for x in what.asked]
-    add(what.stage.program(tuple(sized)), given, {"": AFTER})
+    add(what.stage.program(tuple(sized)), given, AFTER)
     rows = [r.name for r in links[-1].program.results]
-    rule(end, {**{name: AFTER + name for name in JUDGED}, "steps": "steps", "limit": "limit"}, {"": ""})
+    rule(end, {**{name: AFTER + name for name in JUDGED}, "steps": "steps", "limit": "limit"})
     left = [name for name in rows if name not in JUDGED]
     before = {f"before {name}": name for name in left if name in HELD}
     held = {name: NOW + name for name in HELD}
-    rule(undo, {"flags": "flags", **before, **{name: AFTER + name for name in left}}, {"": INFO, **held})
+    rule(undo, {STEP_FLAGS: "flags", **before, **{name: AFTER + name for name in left}}, INFO, held)
     now = {x: next(y for y in (NOW + x, GIVEN + THEN + x, x) if y in known) for x in what.carried}
     counted = {"flags": "flags", "elapsed": "elapsed", "used": "used", "over": GIVEN + "over"}
-    rule(begin, {**counted, **now, **{NEXT + x: NEXT + x for x in what.carried}}, {"": ""})
+    rule(begin, {**counted, **now, **{NEXT + x: NEXT + x for x in what.carried}})
     told = [INFO + name for name in left if name not in HELD]
     wanted = ("action", GIVEN + "clipped", "flags", "reward", NOW + "observation", *told, *links[-1].gives)
     return Chain(f"block_{links[2].program.name}", arguments, tuple(links), wanted)

@@ -20,6 +20,7 @@ from torchdq.envs.episode import (
     JUDGED,
     NEXT,
     NOW,
+    STEP_FLAGS,
     THEN,
     WEIGHT,
     Block,
@@ -91,7 +92,7 @@ class Step(NamedTuple):
     truncated: Tensor  # [N]
     done: Tensor  # [N] one of both
     ends: bool  # whether one is done, or may be
-    info: dict[str, Tensor]
+    info: dict[str, Any]
 
 
 class Steps:
@@ -151,7 +152,7 @@ class Steps:
         failed, terminated, truncated, done = (ended["flags"] != 0).unbind(1)
         if (ends := host.any(done)) and host.any(failed):
             held = {name: after[name] for name in HELD if name in after}
-            own = {"flags": ended["flags"], **{f"before {x}": buffers[x] for x in held}, **held, **rows}
+            own = {STEP_FLAGS: ended["flags"], **{f"before {x}": buffers[x] for x in held}, **held, **rows}
             rule = Rule(undo, self.form, tuple([(name, tuple(x.shape[1:])) for name, x in own.items()]))
             rows = evaluate(rule, own, scene.backend)
             after |= {name: rows.pop(name) for name in held}

@@ -45,7 +45,6 @@ from torch import Tensor, nn
 
 import torchdq
 from torchdq.learning import Samples
-from torchdq.nn import ResidualDynamics
 
 STEP, LAG = 2e-3, 5e-3  # [s] of the control loop, of the motors
 CUTOFF = 10.0  # [Hz] of the filter that readings pass before anything is learned from them

@@ -138,7 +138,7 @@ def index() -> str:
         arguments(RobotVectorEnv),
         "`action` may be an `Actions` with these fields:",
         arguments(Actions),
-        "\n\n".join(documented(Actions).text[-1:]),
+        " ".join(documented(Actions).text),
         "`simulation` is a `Simulation` with these fields:",
         arguments(Simulation),
         TASKS,
@@ -161,7 +161,7 @@ def arguments(of: type) -> str:
         text, unit = said[name].meaning, said[name].unit
         text = re.sub(r' (?=("(reference|target|torque|residual|pose)"|SAME_STEP|NEXT_STEP|DISABLED): )', "<br>", text)
         rows.append((f"`{name}`", f"`{value}`", sentence(text) + (f" [{unit}]" if unit else "")))
-    return table(("argument", "default", "meaning"), rows)
+    return table(("argument", "default", "meaning"), rows).replace("&lt;br>", "<br>")
 
 
 def _randomised() -> str:

@@ -23,9 +23,10 @@ from pages.pictures import Curve, Picture, svg
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.effects import Contact
 from torchdq.envs import RobotVectorEnv, episode
-from torchdq.envs.actions import Kind, full
+from torchdq.envs.actions import HORIZON, Kind
 from torchdq.envs.render import Painter
 from torchdq.envs.task_names import task_of
+from torchdq.envs.tasks import velocities
 from torchdq.robot import Robot
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,8 +98,8 @@ def page(task: str) -> str:
         "Entries are clipped to their bounds.",
         _observation(task, robot),
         "## Action",
-        f"`Box(-1, 1, ({robot.n},))`. The argument `action` sets what a full action means; `Actions(..., scale=...)` "
-        "replaces the numbers.",
+        f"`Box(-1, 1, ({robot.n},))`. The argument `action` sets the meaning of a full action; "
+        "`Actions(..., scale=...)` replaces the numbers.",
         _actions(task, robot),
         "## Reward",
         *[f"$$\n{tex(formula, frozenset({'action'}))}\n$$" for formula in said.formulas],
@@ -333,4 +334,4 @@ def towards(now: Any) -> torch.Tensor:
     J = torchdq.jacobian(now.robot, now.q, now.robot.end_effector().name, expressed="world")[:, 3:]
     way = (now.goal - tip(now)).unsqueeze(-1)
     move = (J.mT @ torch.linalg.solve(J @ J.mT + 0.05**2 * torch.eye(3), way)).squeeze(-1)
-    return (move / torch.tensor(full(now.robot, "reference", None, range(now.robot.n)))).clamp(-1.0, 1.0)
+    return (move / (HORIZON * torch.tensor(velocities(now.robot)))).clamp(-1.0, 1.0)

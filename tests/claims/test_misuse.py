@@ -26,7 +26,7 @@ from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.model import ModelEffect
-from torchdq.envs import Actions, RobotEnv, RobotVectorEnv, TorchTask
+from torchdq.envs import Actions, RobotEnv, TorchTask
 from torchdq.errors import nearest
 from torchdq.learning import (
     LogError,
@@ -151,7 +151,6 @@ MISUSE = {
     "fit forward dynamics": lambda: fit(torchdq.ForwardDynamics(ARM, learn="mass"), SAMPLES, steps=1),
     "fit the rollout of a robot": lambda: fit_rollout(ARM, Recording(TIME, Q, {}), "mass"),
     # environments
-    "negative scale": lambda: RobotVectorEnv(2, robot=ARM, action=Actions(scale=np.array([1.0, -2.0]))),
     "observation without bounds": lambda: TorchTask(observation=len),
     "bounds without observation": lambda: TorchTask(bounds=[(-1, 1)]),
     "one pair of bounds": lambda: TorchTask(observation=len, bounds=(-1, 1)),

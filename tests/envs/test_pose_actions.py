@@ -7,7 +7,7 @@ import pytest
 import torch
 from helpers import random, thinned
 from messages import refused
-from small_envs import PARTS, ROBOT, assert_as_stepped, policy_of, started
+from small_envs import PARTS, ROBOT, started
 
 import torchdq
 from torchdq import dq, effects
@@ -85,9 +85,7 @@ def test_the_desired_pose_stays_within_the_leash_of_the_measured_one(axes, leash
 
 
 @pytest.mark.parametrize("leash", thinned([(0.5, 0.05), (0.0, 0.0)], [(0.5, 0.05)]), ids=str)
-def test_blocks_are_steps_and_an_episode_begins_where_the_arm_is(leash):
-    envs, twin = (started(5, effects=PARTS, leash=leash, max_episode_steps=4, **POSE) for _ in range(2))
-    assert_as_stepped(envs, twin, policy_of(envs), 6)
+def test_an_episode_begins_with_the_pose_at_which_the_arm_is(leash):
     envs, before = started(3, leash=leash, max_episode_steps=4, effects=PARTS[:4], **POSE), None
     for _ in range(4):
         before = envs.get_state()["reference"]
@@ -148,22 +146,6 @@ def test_the_default_controller_is_stable_at_slow_rates():
         kp, kd = control.kp[0], control.kd[0]
         step = [[1 - kp * dt**2 / 2, dt - kd * dt**2 / 2], [-kp * dt, 1 - kd * dt]]
         assert torch.linalg.eigvals(torch.tensor(step)).abs().max() < 0.9
-
-
-WRONG = {
-    "a controller of joints": {"controller": controllers.PD(1.0, 1.0)},
-    "a controller of a frame for joints": {"action": "reference"},
-    "sizes of other axes": {"scale": (0.1, 0.1, 0.1)},
-    "a leash below zero": {"leash": (-1.0, 1.0)},
-    "passive joints": {"joints": ROBOT.joint_names[0]},
-    "more axes than joints": {"controller": None},
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_arguments_are_refused(case):
-    with refused(ArgumentError):
-        started(2, **(POSE | WRONG[case]))
 
 
 def test_wrong_actions_are_refused():

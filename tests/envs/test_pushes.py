@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 from messages import refused
-from small_envs import FREE, PUSHES, make, started
+from small_envs import FREE, started
 
 import torchdq
 from torchdq import effects, floating
@@ -51,9 +51,6 @@ MISUSE = {
     "one number": lambda: Pushes(20.0),
     "times in the wrong order": lambda: Pushes((1.0,) * 6, every=(2.0, 1.0)),
     "no duration": lambda: Pushes((1.0,) * 6, duration=0.0),
-    "an unknown input": lambda: make(pushes={"pull": PUSHES["push"]}, effects=(effects.Push(),)),
-    "numbers": lambda: make(pushes={"push": (1.0,) * 6}, effects=(effects.Push(),)),
-    "a push that nobody gives": lambda: make(effects=(effects.Push(),)),
 }
 
 

@@ -1,28 +1,70 @@
-"""Rollouts of environments: what cannot be one call is stepped, episodes go on, and what is refused."""
+"""Rollouts of environments: equal to steps with the same actions, to the bit, and what is refused."""
 
 import pytest
 import torch
 from gymnasium.error import ResetNeeded
+from helpers import thinned
 from messages import refused
-from small_envs import assert_as_stepped, make, policy_of, same, started
+from small_envs import (
+    ALL_DRAWN,
+    FREE,
+    ON_FOUR,
+    PARTS,
+    PUSHES,
+    assert_as_stepped,
+    make,
+    policy_of,
+    same,
+    started,
+    stool,
+)
 from torch import nn
 
+from torchdq import effects
 from torchdq.envs import TorchTask
 from torchdq.errors import ArgumentError
+from torchdq.program.program import Largest
+from torchdq.scene import controllers
 
 BACKEND = "auto"
+SENSED = (effects.Gravity(), effects.Push(), effects.CommandDelay(2), effects.MeasurementDelay(2), effects.Noise(0.01))
+SHIPPED = {"robot": None, "action": None, "scale": None}  # what the task is made for
+GROUND = {"Contact.friction": (0.3, 1.5), "Contact.stiffness": (0.2, 2.0)}
+PLANAR = controllers.OperationalSpaceControl(100.0, 20.0, axes=("x", "y"), expressed="world")
+POSED = {"action": "pose", "scale": None, "controller": PLANAR, "effects": PARTS, "max_episode_steps": 4}
+ONE_CALL = {
+    "several episodes of some joints": {"joints": "*2", "max_episode_steps": 3},
+    "positions that a controller follows": {"action": "reference", "scale": None, "dtype": "float64"},
+    "poses": {**POSED, "dtype": "float64"},
+    "everything drawn": {
+        **{"task": "track", "action": "residual", "effects": PARTS, "randomise": ALL_DRAWN},
+        "max_episode_steps": 7,
+    },
+    "pushed, and sensed late": {
+        **{"robot": FREE, "effects": SENSED, "pushes": PUSHES, "randomise": {"mass": 0.2}},
+        "max_episode_steps": 14,
+    },
+    "walk": {**SHIPPED, "task": ON_FOUR, "robot": stool(), "randomise": GROUND, "substeps": 1, "max_episode_steps": 20},
+    "wipe": {"task": "wipe", "max_episode_steps": 16, **SHIPPED},
+}
 STEPPED = {
     "functions of tensors": {"task": TorchTask("reach", reward=lambda now: -now.q.square().sum(1))},
     "resets at the next step": {"autoreset_mode": "NextStep", "max_episode_steps": 4},
     "torch": {"backend": "eager", "max_episode_steps": 4},
 }
+LONG = {"wipe", "positions that a controller follows"}
 
 
-@pytest.mark.parametrize("arguments", STEPPED.values(), ids=STEPPED)
-def test_what_cannot_be_one_call_is_stepped(arguments, monkeypatch):
-    monkeypatch.delattr("torchdq.envs.rollout.repeat")
-    envs, twin = (started(**arguments) for _ in range(2))
-    assert_as_stepped(envs, twin, policy_of(envs), 6)
+@pytest.mark.parametrize("name", thinned([*ONE_CALL, *STEPPED], [x for x in (*ONE_CALL, *STEPPED) if x not in LONG]))
+def test_a_rollout_is_its_steps(name, monkeypatch):
+    """Of rows that fill no vector of the processor, with ends of episodes, and pushes, more than one in a call."""
+    if name in STEPPED:  # one by one
+        monkeypatch.delattr("torchdq.envs.rollout.repeat")
+    envs, twin = (started(11, **{**ONE_CALL, **STEPPED}[name]) for _ in range(2))
+    found = assert_as_stepped(envs, twin, policy_of(envs), 13)
+    assert bool(found.observations.isfinite().all())
+    if envs.max_episode_steps < 13:
+        assert found.truncated.sum(0).min() >= 1
 
 
 def test_any_function_is_a_policy(monkeypatch):
@@ -63,6 +105,27 @@ def test_blocks_follow_resets_and_states_that_are_restored():
     for x in (envs, twin):
         x.reset(seed=5)
     assert_as_stepped(envs, twin, policy, 6)
+
+
+def test_a_row_that_fails_begins_again_and_no_other_notices():
+    envs, twin = (started(21, effects=(effects.Gravity(),)) for _ in range(2))
+    state = envs.get_state()
+    state["qd"][3, 0], state["qd"][7, 1] = 1e30, -1e30
+    for x in (envs, twin):
+        x.set_state(state)
+    found = assert_as_stepped(envs, twin, policy_of(envs), 5, blocks=1)
+    assert found.info["nonfinite"].nonzero().tolist() == [[0, 3], [0, 7]]
+    assert found.rewards[0, [3, 7]].tolist() == [-1000.0, -1000.0] and bool(found.info["distance"][0, 3].isnan())
+
+
+@pytest.mark.parametrize("double", [2.0**46, 1.05])
+def test_a_row_whose_errors_grow_is_computed_in_double_precision_or_fails_as_in_a_step(double, monkeypatch):
+    envs, twin, single = (started(9, effects=(effects.Gravity(),), max_episode_steps=4) for _ in range(3))
+    monkeypatch.setattr("torchdq.backends.precision.LARGEST_GROWTH", Largest(1.05, double))
+    found = assert_as_stepped(envs, twin, policy_of(envs), 6, blocks=1)
+    monkeypatch.undo()
+    assert not same(single.rollout(policy_of(single), 6, found.actions, 0.5).rewards, found.rewards)
+    assert bool(found.info["nonfinite"].any()) == (double == 1.05)
 
 
 def late(envs):

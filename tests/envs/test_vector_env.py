@@ -637,14 +637,21 @@ def test_randomised_rows_differ_and_need_no_new_program(monkeypatch):
     assert all(not torch.equal(x, before[name]) for name, x in parameters.items())
 
 
+PD, PLANE = controllers.PD(1.0, 1.0), controllers.OperationalSpaceControl(100.0, 20.0, axes=("x", "y"))
+POSED = {"action": "pose", "scale": None, "controller": PLANE}
+SOME = {"joints": ROBOT.joint_names[:1]}  # the other one is passive
 WRONG = {
     "task": ("push", 3, Reach),
     "robot": ("pandaa", torchdq.robots.load("panda").with_tip(None), stacked(limits=True), stacked()),
-    "effects": ((effects.Gravity,), (effects.Servo(10.0),), (effects.Payload(torch.rand(4, 1)),)),
+    "effects": ((effects.Gravity,), (effects.Servo(10.0),), (effects.Payload(torch.rand(4, 1)),), (effects.Push(),)),
     "action": ("force",),
-    "scale": (None, [1.0]),
+    "scale": (None, [1.0], [20.0, 0.0], np.array([1.0, -2.0])),
+    "leash": ((-1.0, 1.0),),
+    "joints": ("wheel", (), 1),
+    "controller": (PD,),
     "pushes": (PUSHES,),
     "dt": (0.0,),
+    "simulation": (0.02,),
     "num_envs": (0,),
     "max_episode_steps": (0,),
     "dtype": (torch.float16,),
@@ -652,12 +659,19 @@ WRONG = {
     "output": ("jax",),
     "render_mode": ("ansi",),
 }
+TOGETHER = [
+    *({**SOME, "action": kind} for kind in ("reference", "residual")),
+    *({"effects": (effects.Push(),), "pushes": x} for x in ({"pull": PUSHES["push"]}, {"push": (1.0,) * 6})),
+    *({**POSED, **x} for x in ({"controller": PD}, {"action": "reference"}, {"scale": (0.1,) * 3}, SOME)),
+    {**POSED, "controller": None},  # which would have more axes than the robot has joints
+]
+ARGUMENTS = [*({name: x} for name, values in WRONG.items() for x in values), *TOGETHER]
 
 
-@pytest.mark.parametrize("name, value", [(name, value) for name, values in WRONG.items() for value in values])
-def test_wrong_arguments_are_refused(name, value):
+@pytest.mark.parametrize("arguments", ARGUMENTS, ids=" and ".join)
+def test_wrong_arguments_are_refused(arguments):
     with refused(torchdq.TorchdqError):
-        make(**{"num_envs": 4, name: value})
+        make(**{"num_envs": 4, **arguments})
 
 
 # --- other libraries -------------------------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ def make(num_envs=5, task="reach", **arguments):
 def grouped(action=None, **arguments):
     """Arguments of an environment, of which fields of `Actions` and `Simulation` are among those given."""
     own, timing = ({x: arguments.pop(x) for x in names if x in arguments} for names in (ACTIONS, SIMULATION))
-    return {**arguments, "action": Actions(action, **own), "simulation": Simulation(**timing)}
+    return {"simulation": Simulation(**timing), **arguments, "action": Actions(action, **own)}
 
 
 def started(num_envs=5, task="reach", **arguments):

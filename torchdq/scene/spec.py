@@ -121,7 +121,7 @@ class SceneSpec:
     def require_inputs(self, names: Iterable[str], task: Task | None = None) -> None:
         """Raise unless those are names of inputs, of the scene or of a task, which None may stand for, too."""
         names = dict.fromkeys(names)
-        if names.keys() <= _supplied(self, task):  # asked at every step
+        if names.keys() <= {"torque"}:  # an input of every scene; asked at every step
             return
         known, computed = self.inputs() | ({} if task is None else task.inputs(self.robot.n)), self.computed()
         for name in names:
@@ -168,8 +168,8 @@ class SceneSpec:
 
 
 @remembered(PROGRAMS)
-def _supplied(spec: SceneSpec, task: Task | None) -> frozenset[str]:
-    """Names of the inputs that a caller gives."""
+def supplied(spec: SceneSpec, task: Task | None) -> frozenset[str]:
+    """Names of the inputs that a caller may give, of the scene or of a task."""
     known = spec.inputs() | ({} if task is None else task.inputs(spec.robot.n))
     return frozenset(known.keys() - spec.computed().keys())
 
