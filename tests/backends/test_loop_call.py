@@ -14,7 +14,6 @@ from messages import refused, warned
 from programs import agree, same
 
 import torchdq
-from torchdq import Scene, effects
 from torchdq.backends import c, c_loop, c_source
 from torchdq.backends import threads as pool
 from torchdq.backends.call import evaluate
@@ -49,30 +48,6 @@ def test_a_loop_is_its_steps(dtype, backend):
         for other in (backend, "backwards") if backend == "host" else ("c",):
             assert equal(looped(SMALL, steps, given, backend=other), expected)
         same([looped(SMALL, steps, given, ends=True, backend=backend)["x"]], [expected["x"][-1]])
-
-
-def test_rows_of_any_width_are_carried():
-    widths = range(18)
-
-    def algorithm(*rows):
-        found, p = {}, rows[-1]
-        for k, (x, u) in enumerate(zip(rows[:18], rows[18:-1], strict=True)):
-            moved = [a * b + p[0] for a, b in zip(x, u, strict=True)]
-            found |= {f"x{k}": moved, f"y{k}": x[1:], f"z{k}": (p[0], *x[:1])}
-        return found
-
-    program = record("wide", [*(Argument(f"{x}{k}", k) for x in "xu" for k in widths), Argument("p", 1)], algorithm)
-    p, given = random(13, 1), [tensors(13, 3, k) for k in widths]
-    carried, stepped = ({f"{name}{k}": x[name] for k, x in enumerate(given)} for name in "xu")
-    totals = [f"z{k}" for k in widths]
-    found = repeat(RecordedComputation(program), 3, carried, stepped, {"p": p}, total=totals, ends=True)
-    for k in widths:
-        x, y, z = given[k]["x"], [], []
-        for u in given[k]["u"]:
-            y.append(x[:, 1:])
-            z.append(torch.cat([p, x[:, :1]], -1))
-            x = x * u + p
-        agree([found[f"{name}{k}"] for name in "xyz"], [x, torch.stack(y), sum(z)])
 
 
 @pytest.mark.parametrize("dtype", thinned([F64, F32], (F32,)), ids=str)
@@ -227,20 +202,6 @@ def test_a_row_without_values_touches_no_other(program, dtype):
     for a, b in zip(after, before, strict=True):
         same([a[..., others, :]], [b[..., others, :]])
         assert not torch.equal(a, b)
-
-
-@pytest.mark.parametrize("grad", thinned([False, True], (True,)))
-def test_a_rollout_of_float32_near_singular_mass_matrices_is_its_steps(grad):
-    scene = Scene(rods(5, tip=1000.0), (effects.Gravity(),), dt=1e-3)
-    q, tau = (random(60, 5, dtype=F32) * 2).requires_grad_(grad), random(3, 60, 5, seed=1, dtype=F32)
-    over = torchdq.error_growth(scene.robot, q, backend="eager") > LARGEST_GROWTH.single
-    assert 4 < over.sum() < 56
-    found, state = scene.rollout(scene.start(q), tau), scene.start(q)
-    for k in range(3):
-        state = scene.step(state, tau[k])
-        same([found.q[k], found.qd[k]], [state.q, state.qd])
-    if grad:
-        same(*[torch.autograd.grad((y.q.sum() + y.qd.sum()), q) for y in (found.last, state)])
 
 
 # --- builds ----------------------------------------------------------------------------------------------------------

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import pytest
 import torch
 from free_flyers import case, motion
-from helpers import random, thinned
+from helpers import random
 from scenes import ARM, equal, inputs_of, rich, uniform
 
 from torchdq import Scene, effects
-from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import RungeKutta4
 from torchdq.scene.loops import loops
 
@@ -52,8 +51,6 @@ masses = ARM.mass * torch.linspace(0.8, 1.2, ROWS, dtype=torch.float64)[:, None]
 SCENES = {
     "effects of every slot": lambda: standing(rich(ARM)),
     "a floating base with contact": flying,
-    "elastic joints": lambda: standing(Scene(ARM, (effects.Gravity(), effects.Elastic(50.0, 0.5, 0.1)))),
-    "friction with memory": lambda: standing(Scene(ARM, (effects.LuGre(0.2, 0.3),), PD(9.0, 3.0))),
     "rows that differ": lambda: standing(
         Scene(ARM.replace(mass=masses), (effects.Viscous(random(ROWS, 2).abs()),), integrator=RungeKutta4())
     ),
@@ -86,7 +83,7 @@ def looped(scene, start, noise, inputs):
     return with_gradients([*found.rows().values(), *told.values()], [*rows.values(), *inputs.values()])
 
 
-@pytest.mark.parametrize("name", thinned(SCENES, SCENES.keys() - {"elastic joints", "friction with memory"}))
+@pytest.mark.parametrize("name", SCENES)
 def test_loops_are_steps_to_the_bit(name):
     scene, start = SCENES[name]()
     inputs, noise = inputs_of_task(scene), uniform(scene, STEPS, ROWS)
@@ -102,27 +99,6 @@ def test_loops_are_steps_to_the_bit(name):
     stacked = [torch.stack([getattr(x, key) for x in states]) for key in rows]
     stacked += [torch.stack([x[key] for x in heard]) for key in heard[0]]
     assert equal(found, with_gradients(stacked, [*rows.values(), *inputs.values()]))
-
-
-def test_a_few_rows_are_to_the_bit_what_they_are_among_more():
-    """In vectors of another size, with gradients."""
-    scene, start = flying(37)
-    noise, inputs, few = uniform(scene, STEPS, 37), inputs_of_task(scene, 37), [0, 17, 36]
-    state = type(start)(**{key: x[few] for key, x in start.rows().items()})
-    alone = looped(scene, state, noise[:, few], {key: x[..., few, :] for key, x in inputs.items()})
-    together = looped(scene, start, noise, inputs)
-    assert equal(alone, [x.index_select(x.shape.index(37), torch.tensor(few)) for x in together])
-
-
-def test_torques_of_every_step_without_batch_axes_are_those_of_all_rows():
-    """Where there are as many steps as rows, too."""
-    scene, start = SCENES["rows that differ"]()
-    for steps in (ROWS, ROWS + 1):
-        torque = random(steps, 2)
-        found, state = scene.rollout(start, torque), start
-        for k in range(steps):
-            state = scene.step(state, torque[k])
-        assert torch.equal(found.last.q, state.q)
 
 
 def test_totals_and_ends_are_sums_and_the_last_state():

@@ -18,12 +18,6 @@ from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import SemiImplicitEuler
 
 
-def test_inputs_may_be_views_of_fewer_numbers():
-    scene = Scene(ARM, (effects.Gravity(),), backend="auto")
-    start, torque = scene.start(random(4, 2)), random(5, 1, 2, seed=1).expand(5, 4, 2)
-    assert equal(list(scene.rollout(start, torque)[:2]), list(scene.rollout(start, torque.clone())[:2]))
-
-
 @pytest.mark.parametrize("checkpoint", [0, 2])
 def test_a_rollout_of_no_steps_is_empty(checkpoint):
     scene = Scene(ARM, (effects.FirstOrderLag(0.1),))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -45,7 +45,7 @@ class COrTorch(C):
 
 
 LARGEST_KEPT = 2**25 - 2**16  # bytes of a block below the 32 MiB from which glibc keeps none
-FEW = 32  # bytes of the vectors for few samples: a long loop takes 0.6 of the time that it does with those of 64 bytes
+FEW = 32  # bytes of the vectors for few samples: a loop takes 0.7 to 0.9 of the time that it does with those of 64
 COMPILED, COMPILED_OR_EAGER = C(), COrTorch()
 
 
@@ -58,7 +58,7 @@ def _few(samples: int, dtype: torch.dtype) -> bool:
 def _compiled(what: Program | Loop, dtype: torch.dtype, few: bool = False) -> Any:
     """Kernel of a program or loop, or the error of its build, made once per process."""
     try:
-        return CompiledLoop(what, dtype, few) if isinstance(what, Loop) else CompiledKernel(what, dtype)
+        return CompiledKernel(what, dtype, few)
     except BuildError as error:
         return error
 
@@ -77,104 +77,72 @@ def _library(body: Body, dtype: torch.dtype, few: bool) -> tuple[c_library.Libra
 
 
 class CompiledKernel:
-    """Compiled program in one precision."""
+    """Compiled program or loop in one precision, for few samples or any number."""
 
-    def __init__(self, program: Program, dtype: torch.dtype):
-        self.program, self.dtype = program, dtype
+    def __init__(self, what: Program | Loop, dtype: torch.dtype, few: bool = False):
+        program = what.body if isinstance(what, Loop) else what
         results = outputs(program)
-        self.run = _library(body_of(program), dtype, False)[0].run
+        self.what, self.dtype = what, dtype
+        self.library, self.links, self.addresses = _library(body_of(what), dtype, few)
         self.operations = program.count().total
-        self.widths = [(len(r.values), r.summed) for r in results]
-        self.any_summed = any(r.summed for r in results)
-        # bytes between the rows of two samples, for arguments and outputs; a summed output has one row per part
-        self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in program.arguments]
-        self.strides += [(width * dtype.itemsize, summed) for width, summed in self.widths]
-
-    def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
-        """Outputs of the program; arguments that are not contiguous are copied."""
-        number, size = threads.shares(samples, self.operations, self.any_summed)
-        parts = max(1, -(-samples // size))
-        found = [
-            empty_on_cpu((parts if summed else samples, width), (width, 1), self.dtype) for width, summed in self.widths
-        ]
-        self._run([*dense(inputs), *found], samples, number, size)
-        if self.any_summed:
-            return [y.sum(0) if summed else y for y, (_, summed) in zip(found, self.widths, strict=True)]
-        return found
-
-    def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
-        """Compute the outputs, none of them summed, into given tensors; see `DirectKernel`."""
-        if samples <= threads.BLOCK:
-            self.run(samples, None, *[x.data_ptr() for x in (*inputs, *results)])
-        else:
-            self._run([*inputs, *results], samples, *threads.shares(samples, self.operations, False))
-
-    def _run(self, tensors: Sequence[Tensor], samples: int, number: int, size: int) -> None:
-        """Run the program on all tensors, with a number of threads and a number of samples in each part."""
-        _in_parts(self.run, samples, None, [x.data_ptr() for x in tensors], self.strides, number, size)
-
-
-class CompiledLoop:
-    """Compiled loop in one precision, for few samples or any number."""
-
-    def __init__(self, loop: Loop, dtype: torch.dtype, few: bool):
-        self.loop, self.dtype, body = loop, dtype, loop.body
-        results = outputs(body)
-        self.library = _library(body_of(loop), dtype, few)
-        self.operations = body.count().total
-        # glibc keeps freed memory up to twice the largest block that was freed; new pages cost more than the steps
-        empty_on_cpu((LARGEST_KEPT,), (1,), torch.uint8)
         self.summed = [r.summed for r in results]
-        self.any_summed = any(self.summed)
-        self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in loop.arguments]
+        # bytes between the rows of two samples, for arguments and outputs; a summed output has one row per part
+        self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in what.arguments]
         self.strides += [(len(r.values) * dtype.itemsize, r.summed) for r in results]
-        self.states = [(k, r) for k, r in loop.carried if r in loop.kept]  # of which the start is kept, too
+        self.states: list[tuple[int, int]] = []  # kept results that are carried, of which the start is kept, too
+        if isinstance(what, Loop):
+            self.states = [(k, r) for k, r in what.carried if r in what.kept]
+            # glibc keeps freed memory up to twice the largest block that was freed; new pages cost more than the steps
+            empty_on_cpu((LARGEST_KEPT,), (1,), torch.uint8)
 
-    def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
-        """Outputs of the loop; arguments that are not contiguous are copied."""
-        loop = self.loop
-        if not steps:
-            return interpreted_loop(loop, inputs, samples, steps, interpreted)
-        number, size = threads.shares(samples, self.operations * steps, self.any_summed)
-        library, _, addresses = self.library
-        plan, forms = _plan(loop, samples, steps, max(1, -(-samples // size)), self.dtype, addresses)
+    def __call__(self, inputs: Sequence[Tensor], samples: int, steps: int = 1) -> list[Tensor]:
+        """Outputs of the program or loop; arguments that are not contiguous are copied."""
+        backwards = isinstance(self.what, Loop) and self.what.backwards
+        if isinstance(self.what, Loop) and not steps:
+            return interpreted_loop(self.what, inputs, samples, steps, interpreted)
+        number, size = threads.shares(samples, self.operations * steps, any(self.summed))
+        parts = max(1, -(-samples // size))
+        plan, forms = _plan(self.what, samples, steps, parts, self.dtype, self.addresses)
         given, found = dense(inputs), [empty_on_cpu(*form) for form in forms]
         pointers = [x.data_ptr() for x in (*given, *found)]  # copies among them live until the function has returned
         for k, r in self.states:
-            found[r][-1 if loop.backwards else 0] = given[k]
-            if not loop.backwards:
+            found[r][-1 if backwards else 0] = given[k]
+            if not backwards:
                 pointers[len(given) + r] += samples * self.strides[k][0]
-        _in_parts(library.run, samples, ctypes.addressof(plan), pointers, self.strides, number, size)
+        self._run(samples, None if plan is None else ctypes.addressof(plan), pointers, number, size)
         return [y.sum(0) if summed else y for y, summed in zip(found, self.summed, strict=True)]
+
+    def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
+        """Compute the outputs of a program, none of them summed, into given tensors; see `DirectKernel`."""
+        pointers = [x.data_ptr() for x in (*inputs, *results)]
+        self._run(samples, None, pointers, *threads.shares(samples, self.operations, False))
+
+    def _run(self, samples: int, plan: int | None, pointers: Sequence[int], number: int, size: int) -> None:
+        """Call the function on parts of some samples, shared among a number of threads."""
+        if samples <= size:
+            self.library.run(samples, plan, *pointers)
+            return
+        pairs = list(zip(pointers, self.strides, strict=True))
+
+        def part(k: int) -> None:
+            at = [p + (k if summed else k * size) * stride for p, (stride, summed) in pairs]
+            self.library.run(min(size, samples - k * size), plan, *at)
+
+        threads.run(part, -(-samples // size), number)
 
 
 @remembered(LAYOUTS)
 def _plan(
-    loop: Loop, samples: int, steps: int, parts: int, dtype: torch.dtype, addresses: Sequence[int]
+    what: Program | Loop, samples: int, steps: int, parts: int, dtype: torch.dtype, addresses: Sequence[int]
 ) -> tuple[Any, list[Form]]:
-    """Plan of `run`, and forms of the outputs, of which summed ones have a row for each part of the samples."""
-    numbers = (steps, samples, *taken_as(loop), *addresses)
-    pairs = zip(shapes(loop, samples, steps), outputs(loop.body), strict=True)
-    forms = [contiguous((parts, *shape) if result.summed else shape, dtype) for shape, result in pairs]
-    return (ctypes.c_long * len(numbers))(*numbers), forms
-
-
-def _in_parts(
-    function: Callable[..., None],
-    samples: int,
-    plan: int | None,
-    pointers: Sequence[int],
-    strides: Sequence[tuple[int, bool]],
-    number: int,
-    size: int,
-) -> None:
-    """Call a function on parts of some samples, shared among a number of threads."""
-    if samples <= size:
-        function(samples, plan, *pointers)
-        return
-
-    def part(k: int) -> None:
-        at = [p + (k if summed else k * size) * stride for p, (stride, summed) in zip(pointers, strides, strict=True)]
-        function(min(size, samples - k * size), plan, *at)
-
-    threads.run(part, -(-samples // size), number)
+    """Plan of `run`, None for a program, and forms of the outputs: summed ones have a row for each part of samples."""
+    if isinstance(what, Loop):
+        numbers = (steps, samples, *taken_as(what), *addresses)
+        plan, results, rows = (ctypes.c_long * len(numbers))(*numbers), outputs(what.body), shapes(what, samples, steps)
+    else:
+        plan, results = None, outputs(what)
+        rows = [(*((samples,) if not r.summed else ()), len(r.values)) for r in results]
+    return plan, [
+        contiguous((parts, *shape) if result.summed else shape, dtype)
+        for shape, result in zip(rows, results, strict=True)
+    ]

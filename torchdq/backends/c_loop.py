@@ -138,9 +138,9 @@ def _keep(w: int) -> str:
         f"{NOINLINE} void keep{w}({_KEPT}){{"
         f"if(how=={TOTAL}){{for(int j=0;j<{w};j++)sums[j]=s?sums[j]+of[j]:of[j];of=sums;}}"
         f"if(how!={OF_EVERY_STEP}){{if(s<steps-1)return;row=0;}}"
-        f"to+=(b+row)*{w};if(s<steps-1)for(int j=0;j<={w}*BYTES;j+=64)__builtin_prefetch((char*)(to+ahead*{w})+j,1);"
-        f"if(left>=LANES)store(to,of,{w});"
-        f"else for(int l=0;l<left;l++)for(int j=0;j<{w};j++)to[l*{w}+j]=of[j][l];}}"
+        f"to+=(b+row)*{w};if(left>=LANES){{"
+        f"if(s<steps-1)for(int j=0;j<={w}*BYTES;j+=64)__builtin_prefetch((char*)(to+ahead*{w})+j,1);"
+        f"store(to,of,{w});}}else for(int l=0;l<left;l++)for(int j=0;j<{w};j++)to[l*{w}+j]=of[j][l];}}"
     )
 
 

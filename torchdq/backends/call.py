@@ -263,7 +263,8 @@ def _layout(
     like = next(x for x in tensors.values() if x is not None)
     dtype, device = torch.float64 if double else like.dtype, like.device
     program, chosen = _recorded(what, arguments), choose(backend, device)
-    results, lead, loop = _shapes(what, program), [()] * len(program.results), None
+    results, loop = _shapes(what, program), None
+    lead: list[Shape] = [()] * len(program.results)
     if repeated is not None:
         loop = _loop(program, repeated)
         of_all = (repeated.steps, repeated.steps + 1)
@@ -310,7 +311,7 @@ def _of_one_step(tensors: Tensors, repeated: Repeated | None) -> Tensors:
     """Arguments of one step."""
     if repeated is None:
         return tensors
-    first = {name: tensors[name] for name in repeated.stepped}
+    first = {name: x for name, x in tensors.items() if x is not None and name in repeated.stepped}
     return {**tensors, **{k: x[0] if repeated.steps else x.new_empty(x.shape[1:]) for k, x in first.items()}}
 
 

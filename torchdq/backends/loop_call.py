@@ -70,13 +70,12 @@ def repeat_while(
         steps: number of steps of so many rows before `goes_on` is asked.
         carried, fixed, backend: as in `repeat`.
     """
-    batch = batch_of(what, {**carried, **fixed})
+    given = {**carried, **fixed}
+    batch, axes = batch_of(what, given), {name: what.axes(name) for name in given}
     count, like = math.prod(batch), next(iter(carried.values()))
-    same = {name: x for name, x in fixed.items() if what.shared(name) and x.ndim == len(what.axes(name))}
+    same = {name: x for name, x in fixed.items() if x.ndim == len(axes[name]) and what.shared(name)}
     rows = {
-        name: x.expand(batch + what.axes(name)).reshape(count, *what.axes(name))
-        for name, x in (*carried.items(), *fixed.items())
-        if name not in same
+        name: x.expand(batch + axes[name]).reshape(count, *axes[name]) for name, x in given.items() if name not in same
     }
     lanes = TOGETHER * torch.get_num_threads() if like.device.type == "cpu" else count
     following, found = min(count, lanes), list[dict[str, Tensor]]()
@@ -94,6 +93,10 @@ def repeat_while(
         following += len(more)
         at = torch.cat([at.index_select(0, on), more])
         now = {name: torch.cat([x.index_select(0, on), rows[name].index_select(0, more)]) for name, x in now.items()}
-    whole = found[0] if len(found) == 1 else {name: torch.cat([part[name] for part in found]) for name in found[0]}
-    back = whole.pop("").argsort()
-    return {name: x.index_select(0, back).reshape(batch + what.axes(name)) for name, x in whole.items()}
+    if len(found) == 1:
+        ordered = found[0]
+    else:
+        whole = {name: torch.cat([part[name] for part in found]) for name in found[0]}
+        back = whole[""].argsort()
+        ordered = {name: x.index_select(0, back) for name, x in whole.items()}
+    return {name: ordered[name].reshape(batch + axes[name]) for name in carried}

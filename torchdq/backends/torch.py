@@ -84,7 +84,7 @@ def interpreted_loop(
         return dict(enumerate(evaluated(loop.body, rows, lambda program, x: run(program, x, samples))))
 
     order, way = range(steps), -1 if loop.backwards else 1
-    found = by_steps(step, {r: inputs[k] for r, k in own.items()}, order[::way])
+    found: dict[int, list[Tensor]] = by_steps(step, {r: inputs[k] for r, k in own.items()}, order[::way])
     growth, forms = len(loop.body.results), shapes(loop, samples, steps)
     totals = {*range(growth)} - {*own, *loop.kept}
     rows = joined(found, lambda x: torch.stack(x[::way]), totals, own.keys() - {*loop.kept})

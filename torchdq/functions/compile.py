@@ -93,8 +93,8 @@ class CompiledProgram:
     def source(self, language: Language = "c") -> str:
         """Source code in a language: C with vectors, as it runs on the CPU, or CUDA C++, as it runs on a GPU."""
         require_choice("language", language, get_args(Language))
-        printed = {"c": c_loop.source, "cuda": cuda_source.source}[language]
-        return printed(self.program, self.dtype == torch.float32)
+        single = self.dtype == torch.float32
+        return c_loop.source(self.program, single) if language == "c" else cuda_source.source(self.program, single)
 
     def vjp(self, wrt: Sequence[str] | None = None) -> CompiledProgram:
         """Compiled vector-Jacobian product: takes the arguments and a cotangent per result, returns the gradients.

@@ -230,7 +230,7 @@ class _Steps(NamedTuple):
 
     def part(self, first: int, last: int, start: dict[str, Tensor]) -> dict[str, Tensor]:
         """Rows of steps that are calls of their own."""
-        found = by_steps(self.after, start, range(first, last))
+        found: dict[str, list[Tensor]] = by_steps(self.after, start, range(first, last))
         return self.plan.after(joined(found, torch.stack, self.plan.total, self.plan.last), start)
 
     def after(self, k: int, before: Mapping[str, Tensor]) -> dict[str, Tensor]:
