@@ -223,6 +223,6 @@ def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
     now = {x: next(y for y in (NOW + x, GIVEN + THEN + x, x) if y in known) for x in what.carried}
     counted = {"flags": "flags", "elapsed": "elapsed", "used": "used", "over": GIVEN + "over"}
     rule(begin, {**counted, **now, **{NEXT + x: NEXT + x for x in what.carried}})
-    told = [INFO + name for name in left if name not in HELD]
-    wanted = ("action", GIVEN + "clipped", "flags", "reward", NOW + "observation", *told, *links[-1].gives)
+    task = [INFO + name for name in left if name not in HELD]
+    wanted = ("action", GIVEN + "clipped", "flags", "reward", NOW + "observation", *task, *links[-1].gives)
     return Chain(f"block_{links[2].program.name}", arguments, tuple(links), wanted)

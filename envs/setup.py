@@ -1,4 +1,4 @@
-"""What the constructor of environments makes of its arguments: scene, task, actions, and the start of episodes."""
+"""Setup of environments from their arguments: scene, task, actions, and the start of episodes."""
 
 from __future__ import annotations
 

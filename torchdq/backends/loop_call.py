@@ -60,12 +60,12 @@ def repeat_while(
     fixed: Mapping[str, Tensor],
     backend: BackendName | None = None,
 ) -> dict[str, Tensor]:
-    """What is carried after so many steps of each row as it goes on for, by name.
+    """Carried rows, by name, after as many steps as each row needs.
 
     Rows take some steps together; those that are done make room for others. A step must leave them as they are.
 
     Args:
-        goes_on: function of what is carried, [rows, ...], that is True for rows that are not done, [rows].
+        goes_on: function of carried rows [rows, ...] that is True [rows] where they are not done.
         what: the computation.
         steps: number of steps of so many rows before `goes_on` is asked.
         carried, fixed, backend: as in `repeat`.
