@@ -51,7 +51,6 @@ SomeRows = Indexed | Masked
 
 
     """Questions that the host may ask the device: for values, or none, since it would wait for them."""
-    """What the host may ask the device for: values, or nothing, since it would wait for them."""
 
     synchronises: bool
 
