@@ -50,6 +50,7 @@ class Masked(NamedTuple):
 SomeRows = Indexed | Masked
 
 
+class Host(NamedTuple):
     """Questions that the host may ask the device: for values, or none, since it would wait for them."""
 
     synchronises: bool
