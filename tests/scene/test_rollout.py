@@ -86,7 +86,7 @@ def test_rows_are_finite_one_by_one():
 def test_a_rollout_of_which_rows_diverge_warns():
     with warned(UserWarning):
         states = DIVERGING.rollout(start(), steps=300)
-    assert DIVERGING.finite(states)[-1].tolist() == [True, False]
+    assert states.finite()[-1].tolist() == [True, False]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert DIVERGING.rollout(start(), steps=300, nonfinite="ignore").q.shape == (300, 2, 2)
@@ -380,7 +380,7 @@ Q = torch.zeros(3, 2, dtype=torch.float64)
 
 STATES = [  # no states, or calls without one
     *(lambda s: s.step(Q, Q), lambda s: s.step((Q, Q), Q), lambda s: s.rollout(Q, steps=2), lambda s: s.energy(Q)),
-    *(lambda s: s.finite(None), lambda s: s.linearize(Q), lambda s: s.step(State(Q, None))),
+    *(lambda s: s.energy(None), lambda s: s.linearize(Q), lambda s: s.step(State(Q, None))),
     *(lambda s: s.energy(State([0.0], Q)), lambda s: s.rollout(s.start(Q), steps=0).last, lambda s: s.start(Q[0]).last),
     lambda s: s.rollout(s.rollout(s.start(Q), steps=2)[-1], steps=2),
 ]

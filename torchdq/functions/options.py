@@ -42,6 +42,8 @@ def _one(robot: Robot, field: Field, x: Any) -> str:
     if field.name == "tip":
         x = robot.tip or "" if x == TIP else x
         return robot.frame(x).name if x else ""
+    if field.name == "frame" and x is None:
+        raise ArgumentError(f"frame must be given; the frames are {', '.join(robot.frame_names)}")
     if field.name == "frame":
         return robot.frame(robot.end_effector().name if x == TIP or (x == "" and field.default == TIP) else x).name
     if field.name == "axes":

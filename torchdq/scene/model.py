@@ -282,7 +282,16 @@ class SceneModel:
         if self.looped:
             steps = "DormandPrince" if self.substeps == 1 else f"{self.substeps} substeps"
             raise ArgumentError(f"a step of {steps} is a loop, not one program, and has no count of operations")
-        stage = Stage(self.spec, "step", task, wrt)
+        return self._recorded(self.spec, present, task, wrt)
+
+    def _recorded(
+        self,
+        spec: SceneSpec,
+        present: tuple[str, ...] = (),
+        task: Task | None = None,
+        wrt: tuple[str, ...] | None = None,
+    ) -> Program:
+        stage = Stage(spec, "step", task, wrt)
         wanted = [*self.spec.state, *(present or self.inputs), *self.computed, *["noise"] * bool(self.noises)]
         taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
         if self.controller is not None and "reference" not in wanted:
@@ -327,7 +336,7 @@ class SceneModel:
 def _length(scene: SceneModel) -> int:
     """Operations of the substeps in one program."""
     if scene.spec not in _lengths:
-        _lengths[scene.spec] = scene.replace(substeps=1).count().total * scene.substeps
+        _lengths[scene.spec] = scene._recorded(replace(scene.spec, substeps=1)).count().total * scene.substeps
     return _lengths[scene.spec]
 
 
