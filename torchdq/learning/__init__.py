@@ -18,10 +18,9 @@ from torchdq.learning.evaluate import Evaluation, Verdict, evaluate
 from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.excitation.trajectory import Excitation, excitation_trajectory
 from torchdq.learning.fit import History, TrainingError, fit
-from torchdq.learning.identification.identified import Identified, Prediction
+from torchdq.learning.identification.identified import Identified
 from torchdq.learning.identification.identify import identify
 from torchdq.learning.identification.model import Model
-from torchdq.learning.identification.model_selection import CandidateModel, ModelSelection
 from torchdq.learning.logs.errors import LogError, LogWarning, MissingLogError
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.motions import Motion, smooth, stack_samples, train_test_split
@@ -34,7 +33,6 @@ from torchdq.learning.rollout.result import RolloutFit
 
 __all__ = [
     "Box",
-    "CandidateModel",
     "Evaluation",
     "Excitation",
     "HalfSpace",
@@ -47,11 +45,9 @@ __all__ = [
     "LogWarning",
     "MissingLogError",
     "Model",
-    "ModelSelection",
     "Motion",
     "MotionLimits",
     "PosteriorSamples",
-    "Prediction",
     "Recording",
     "RolloutFit",
     "Samples",
