@@ -43,7 +43,6 @@ from torchdq.learning import (
     LogWarning,
     Model,
     Motion,
-    Prediction,
     fit,
     identify,
     read_log,
@@ -54,6 +53,7 @@ from torchdq.learning import (
 from torchdq.learning.evaluation.blocks import REGIONS
 from torchdq.learning.evaluation.validation_gain import ValidationGain
 from torchdq.learning.identification.evidence import STILL
+from torchdq.learning.identification.identified import Prediction
 
 SIX = ("02_06-20sec_5harm", "02_06-20sec_10harm", "02_05-20sec_12harm", "02_10-20sec_7harm", "02_10-30sec_12harm")
 SIX = (*SIX, "02_12-40sec_12harm")
