@@ -40,7 +40,10 @@ def command(
     arguments = options.parse_args()
     torch.set_num_threads(1)
     if unknown := set(arguments.measure or ()) - set(known):
-        options.error(f"--measure takes names among {', '.join(known)}, found {', '.join(unknown)}")
+        options.error(
+            f"--measure takes names among {', '.join(known)}, found {', '.join(unknown)}; a new one needs a case in "
+            "benchmarks/pages first"
+        )
     if arguments.measure is not None:
         measure(arguments.quick, arguments.measure)
     if arguments.write:
