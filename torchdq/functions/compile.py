@@ -295,12 +295,14 @@ def _require_compilable(x: Any) -> None:
 
 
 def _require_law(x: Any) -> None:
-    """Raise if x has a program but is not a control law: a class of laws, or a layer or scene with a robot of its own."""
+    """Raise if x has a program but is a class of laws, or has a robot of its own, as layers and scenes do."""
     if isinstance(x, type):
         raise ArgumentError(f"function must be an object, found the class {x.__name__}; call it to make an object")
     if isinstance(getattr(x, "robot", None), Robot):
         kind = type(x).__name__
-        raise ArgumentError(f"function must be a name or a control law, found a {kind}; pass what its program() returns")
+        raise ArgumentError(
+            f"function must be a name or a control law, found a {kind}; pass what its program() returns"
+        )
 
 
 def compile(
