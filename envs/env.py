@@ -32,7 +32,9 @@ class RobotEnv(gymnasium.Env):
 
     metadata = _METADATA
 
-    def __init__(self, max_episode_steps: int | None = None, render_mode: str | None = None, **arguments: Any) -> None:
+    def __init__(
+        self, *, max_episode_steps: int | None = None, render_mode: str | None = None, **arguments: Any
+    ) -> None:
         for name in ("num_envs", "autoreset_mode", "output"):
             if name in arguments:
                 raise ArgumentError(f"{name} is not an argument of a single environment; use RobotVectorEnv")

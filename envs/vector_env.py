@@ -126,6 +126,8 @@ class RobotVectorEnv(VectorEnv):
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
         self.dtype, self.device, self.render_mode = dtype_of("dtype", dtype), device_of("device", device), render_mode
         modes = AutoresetMode.__members__
+        if not isinstance(autoreset_mode, AutoresetMode):
+            require_choice("autoreset_mode", autoreset_mode, [*(mode.value for mode in AutoresetMode), *modes])
         self.autoreset_mode = modes[autoreset_mode] if autoreset_mode in modes else AutoresetMode(autoreset_mode)  # type: ignore[index]
         like = torch.empty(num_envs, 0, dtype=self.dtype, device=self.device)
         made = setup(task, robot, effects, action, simulation, randomise, pushes, like)

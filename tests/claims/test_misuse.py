@@ -26,7 +26,7 @@ from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.model import ModelEffect
-from torchdq.envs import Actions, RobotEnv, TorchTask
+from torchdq.envs import Actions, RobotEnv, RobotVectorEnv, TorchTask
 from torchdq.errors import nearest
 from torchdq.learning import (
     LogError,
@@ -99,11 +99,14 @@ MISUSE = {
     "compile twice": lambda: torchdq.compile(torchdq.compile(ARM, "mass_matrix")),
     "compile a class": lambda: torchdq.compile(Robot),
     "compile no function": lambda: torchdq.compile(ARM),
+    "compile a class of laws": lambda: torchdq.compile(ARM, controllers.PD),
+    "compile a layer for a robot": lambda: torchdq.compile(ARM, CONTROL),
     "compile a list": lambda: torchdq.compile(ARM, ["mass_matrix"]),
     "compile for a floating base": lambda: torchdq.compile(ARM, "floating.mass_matrix"),
     "export nowhere": lambda: torchdq.compile(ARM, "mass_matrix").export(None),
     "export into a file": lambda: torchdq.compile(ARM, "mass_matrix").export(__file__),
     # poses
+    "pose by a tensor": lambda: dq.Pose(UNTURNED) @ UNTURNED,
     "rotation of zeros": lambda: dq.from_pose(torch.zeros(4), ORIGIN),
     "rotation of two": lambda: dq.from_pose(2 * ONE, ORIGIN),
     "one rotation of two": lambda: dq.from_pose(torch.stack([ONE, ONE / 2]), ORIGIN),
@@ -154,6 +157,7 @@ MISUSE = {
     "observation without bounds": lambda: TorchTask(observation=len),
     "bounds without observation": lambda: TorchTask(bounds=[(-1, 1)]),
     "one pair of bounds": lambda: TorchTask(observation=len, bounds=(-1, 1)),
+    "autoreset mode": lambda: RobotVectorEnv(robot=ARM, autoreset_mode="same"),
     "bounds of a number": lambda: TorchTask(observation=len, bounds=3),
     # effects of one's own
     "negative damping": lambda: joints(lambda q, inputs: [Impedance(damping=-5.0)] * 2),

@@ -31,7 +31,7 @@ class ComputedTorque(Feedback):
     """Feedback linearisation: tau = M a + c + g, a = qdd_des + kd (qd_des - qd) + kp (q_des - q), equations (73)-(78).
 
     With the scene's own model and small steps the error obeys e'' + kd e' + kp e = 0; friction, and everything else
-    that is not in the model, are disturbances.
+    that is not in the model, are disturbances. Its reference [..., 3 n] is q_des [n], qd_des [n] and qdd_des [n].
 
     Args:
         kp: position gain [1/s^2], shape [..., n].
@@ -62,6 +62,8 @@ class ComputedTorque(Feedback):
 @dataclass(frozen=True)
 class PD(Feedback):
     """Torques of errors alone: tau = kp (q_des - q) + kd (qd_des - qd), and of gravity if a model is given.
+
+    Its reference is that of `ComputedTorque`, with accelerations that it does not use.
 
     Args:
         kp: position gain [N m/rad or N/m], shape [..., n].

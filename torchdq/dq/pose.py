@@ -11,6 +11,7 @@ from torch.utils import _pytree
 
 from torchdq.base.checks import TensorValue
 from torchdq.dq import poses, tensors
+from torchdq.errors import ArgumentError
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,9 @@ class Pose(TensorValue):
         return poses.rotate(self.rotation(), points) + self.translation()
 
     def multiply(self, other: Pose) -> Pose:
-        """Composition X_AC = X_AB X_BC, also `X_AB @ X_BC`."""
+        """Composition X_AC = X_AB X_BC, also `X_AB @ X_BC`; raises unless both are poses."""
+        if not isinstance(other, Pose):
+            raise ArgumentError(f"a Pose is multiplied by a Pose, found {type(other).__name__}; use torchdq.dq.Pose(X)")
         return Pose(tensors.mul(self.parameters, other.parameters))
 
     __matmul__ = multiply

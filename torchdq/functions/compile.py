@@ -294,6 +294,17 @@ def _require_compilable(x: Any) -> None:
     require_robot(x)
 
 
+def _require_law(x: Any) -> None:
+    """Raise if x has a program but is a class of laws, or has a robot of its own, as layers and scenes do."""
+    if isinstance(x, type):
+        raise ArgumentError(f"function must be an object, found the class {x.__name__}; call it to make an object")
+    if isinstance(getattr(x, "robot", None), Robot):
+        kind = type(x).__name__
+        raise ArgumentError(
+            f"function must be a name or a control law, found a {kind}; pass what its program() returns"
+        )
+
+
 def compile(
     robot: Robot | Program,
     function: Any = "",
@@ -311,8 +322,8 @@ def compile(
             "inverse_dynamics_jacobian" (the same without the mass matrix), "frame_motion", "operational_space",
             "manipulability", "coriolis_matrix", "differential_inverse_kinematics", "inverse_kinematics_step" and
             "inverse_kinematics_newton" (parts of the solver); of a robot with a floating base,
-            "floating.inverse_dynamics" and so on. Or a control law of `torchdq.scene.controllers`, whose gains are
-            constants where they are numbers, and arguments where they are tensors.
+            "floating.inverse_dynamics" and so on. Or a control law, an object of `torchdq.scene.controllers` and not a
+            name, whose gains are constants where they are numbers, and arguments where they are tensors.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
@@ -336,6 +347,7 @@ def compile(
         return replace(_ready(robot, dtype_of("dtype", dtype)), about=robot.about)
     _require_compilable(robot)
     if callable(getattr(function, "program", None)):
+        _require_law(function)
         if options:
             raise ArgumentError(f"options must be empty for a control law, whose fields they are, found {options!r}")
         recorded = function.program(robot, arguments)

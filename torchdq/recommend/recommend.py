@@ -49,7 +49,7 @@ def recommend_settings(
     """The cheapest precision, integrator and step that keep an error, found by trials on the robot or scene itself.
 
     Args:
-        what: a robot, which moves under gravity and no torques; or a scene. Its effects, controller and substance stay;
+        what: a robot, which moves under gravity and no torques; or a scene. Its effects and controller stay;
             precision, integrator and step are searched. A scene with controller, actuators or sensors keeps its dt, for
             they act once in it, and gets substeps.
         error: largest error of a joint's position [rad or m] at the end of any of the scene's steps up to the horizon,
