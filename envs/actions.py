@@ -186,10 +186,8 @@ def _kind(kind: Kind | None, robot: Robot, joints: Sequence[int], effects: Seque
     if kind is None:
         return "target" if servo else "torque" if passive or robot.floating else "reference"
     if servo != (kind == "target"):
-        raise ArgumentError(
-            f"action must be 'target' where effects have a Servo, and only there, found {kind!r}"
-            + ("" if servo else "; add effects.Servo(kp, kd)")
-        )
+        expected = "be 'target', since effects have a Servo" if servo else "have effects with a Servo(kp, kd)"
+        raise ArgumentError(f"action must {expected}, found {kind!r}")
     if passive and kind in FOLLOWED:
         raise ArgumentError(
             f"action must be 'torque' or 'target' where joints are passive, found {kind!r}: its controller would "

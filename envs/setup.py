@@ -119,6 +119,8 @@ def check_scene(scene: Scene, num_envs: int, pushes: Mapping[str, Pushes]) -> No
             f"effects: {wanted[name]} takes the input {name!r}, which an environment does not supply; {cure}"
         )
     for name, one in pushes.items():
+        if "Push" not in wanted.values():
+            raise ArgumentError("pushes need effects.Push() among the effects, found none")
         if wanted.get(name) != "Push":
             raise UnknownNameError("input to push", name, [known for known, kind in wanted.items() if kind == "Push"])
         require_object(f"pushes[{name!r}]", one, Pushes, "torchdq.envs", "Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0))")
