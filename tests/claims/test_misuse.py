@@ -121,6 +121,7 @@ MISUSE = {
     "rotation matrix of zeros": lambda: dq.from_rotation_matrix(0 * TURN),
     "rotation matrix too long": lambda: dq.from_rotation_matrix(1.01 * TURN),
     "mirror": lambda: dq.from_rotation_matrix(torch.diag(torch.tensor([1.0, 1, -1]))),
+    "no frame": lambda: torchdq.jacobian(ARM, ROW, None),
     "interpolation by name": lambda: dq.sclerp(torch.zeros(8), torch.zeros(8), "half"),
     # functions
     "infinite": lambda: torchdq.require_finite(q=ROW, qd=bad(torch.inf)),
@@ -197,7 +198,6 @@ UNKNOWN_NAMES = {
     "frame": lambda: torchdq.forward_kinematics(ARM, ROW, "link77"),
     "frame of a jacobian": lambda: torchdq.jacobian(ARM, ROW, "link77"),
     "frame like no other": lambda: torchdq.jacobian(ARM, ROW, "hand"),
-    "no frame": lambda: torchdq.jacobian(ARM, ROW, None),
     "number of a frame": lambda: torchdq.jacobian(ARM, ROW, 3),
     "tip": lambda: ARM.with_tip("link77"),
     "frame of a robot": lambda: ARM.frame("link77"),
