@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchdq.backends import c_library, threads
 from torchdq.backends.backend import Form, contiguous, dense
-from torchdq.backends.c_loop import Body, body_of, source, taken_as
+from torchdq.backends.c_loop import Body, body_of, long, source, taken_as
 from torchdq.backends.compiler import BuildError, Compiled, compiler, no_compiler
 from torchdq.backends.torch import interpreted, interpreted_loop
 from torchdq.base.caches import LAYOUTS, PROGRAMS, remembered
@@ -65,10 +65,10 @@ def _compiled(what: Program | Loop, dtype: torch.dtype, few: bool = False) -> An
 
 @remembered(PROGRAMS)
 def _library(body: Body, dtype: torch.dtype, few: bool) -> tuple[c_library.Library, tuple[Any, ...], tuple[int, ...]]:
-    """Library of a body, those of the links of a chain, which live as long, and the addresses of their parts."""
+    """Library of a body, those of long links of a chain, which live as long, and the addresses of their parts."""
     program, links = body.program, tuple[Any, ...]()
     if isinstance(program, Chain):
-        links = tuple([_library(body_of(link.program), dtype, few) for link in program.links])
+        links = tuple([_library(body_of(x.program), dtype, few) for x in program.links if long(x.program)])
     with Progress(f"writing {program.name} in C"):
         code = source(body, dtype == torch.float32, few)
     arrays = len(program.arguments) + len(body.added) + len(outputs(program))

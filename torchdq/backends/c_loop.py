@@ -3,8 +3,8 @@
 Whether an argument is the same at all steps, given for every step or carried from one to the next, and which results
 are kept, is decided at every call, so that one library serves all calls of a program: a single evaluation is one step.
 What a step carries are results that have the name of an argument, unless the loop is an adjoint, which says it. The
-values of a step are a function of its own, which libraries of chains call by its address; there no operation is
-contracted with those of other links.
+values of a step are a function of its own, so that no operation is contracted with those of other links of a chain,
+whose library calls long ones by their address.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from torchdq.backends import c_prelude
-from torchdq.backends.c_source import Printer
+from torchdq.backends.c_source import LONGEST, Printer
 from torchdq.program.loop import Chain, Loop
 from torchdq.program.program import GROWTH, Program, outputs
 
@@ -58,7 +58,7 @@ def source(what: Program | Loop | Body, single: bool, few: bool = False) -> str:
     It defines `run`, which takes the number of samples, a plan, and a pointer per argument and per output: dense arrays
     [samples, width], [steps, samples, width] or [width]. The plan holds the number of steps, that of the samples in the
     arrays, and how each argument and output is taken, which is as of every step where the plan is null; then for each
-    link of a chain the addresses in `parts` of its library. `parts` are the functions of what is the same for all
+    long link of a chain the addresses in `parts` of its library. `parts` are the functions of what is the same for all
     samples, and of the values of a step. The last output is the largest error growth of every sample, if the body has
     one.
     """
@@ -163,44 +163,63 @@ _GROWTH = (
 # --- the values of a step --------------------------------------------------------------------------------------------
 
 
-def _printed(body: Program | Chain, single: bool, place: int) -> tuple[list[str], list[str], list[str], list[str]]:
-    """Functions of long programs, `parts` or types of those of links, and the statements before the loop and within it.
+def long(program: Program) -> bool:
+    """Whether a link has a library of its own, which others of its calls share, and is no function of the chain's."""
+    return len(program.ops) > LONGEST
 
-    Addresses of the parts of links are in the plan from `place` on.
+
+def _printed(body: Program | Chain, single: bool, place: int) -> tuple[list[str], list[str], list[str], list[str]]:
+    """Functions of long programs, `parts` or links, and the statements before the loop and within it.
+
+    Addresses of the parts of long links are in the plan from `place` on.
     """
     if isinstance(body, Program):
-        printer = Printer(body, single)
-        functions, statements = printer.body(_rows(body))
-        prelude, shared = printer.prelude(), [f"in{k}" for k in _uniform(body)]
+        functions, parts, u = _functions(body, single, "")
         taken, made = [f"I{k}" for k, _ in _rows(body)], [f"O{k}" for k, _ in enumerate(outputs(body))]
-        parts, before = list[str](), list[str]()
-        if prelude:
-            parts += [f"{NOINLINE} void shared({','.join(['S*u', *(f'const S*{x}' for x in shared)])}){{"]
-            parts += [*prelude[1:], "}"]
-            before = [prelude[0], f"shared({','.join(['u', *shared])});"]
-        rows = ["const S*u", *(f"const T*{x}" for x in taken), *(f"T*{x}" for x in made)]
-        parts += [f"{NOINLINE} void step({','.join(rows)}){{", *statements, "}"]
-        parts += [f"void*const parts[]={{{'(void*)shared' if prelude else '0'},(void*)step}};"]
-        return functions, parts, before, [f"step({','.join(['u' if prelude else '0', *taken, *made])});"]
+        before = [u, f"shared({','.join(['u', *(f'in{k}' for k in _uniform(body))])});"] if u else []
+        parts.append(f"void*const parts[]={{{'(void*)shared' if u else '0'},(void*)step}};")
+        return functions, parts, before, [f"step({','.join(['u' if u else '0', *taken, *made])});"]
     arrays = {a.name: f"{'in' if a.uniform else 'I'}{k}" for k, a in enumerate(body.arguments)}
     wanted = {name: f"O{k}" for k, name in enumerate((*body.wanted, GROWTH))}
-    types, before, calls = list[str](), list[str](), list[str]()
+    links, before, calls = list[str](), list[str](), list[str]()
     for m, (program, takes, gives) in enumerate(body.links):
         found, shared = outputs(program), [arrays[takes[k]] for k in _uniform(program)]
         taken = [arrays[takes[k]] for k, _ in _rows(program)]
-        types.append(f"typedef void Shared{m}({','.join(['S*', *['const S*'] * len(shared)])});")
-        types.append(
-            f"typedef void Step{m}({','.join(['const S*', *['const T*'] * len(taken), *['T*'] * len(found)])});"
-        )
-        at = f"how[{place + 2 * m}]"
-        before.append(f"S u{m}[{max(len(program.ops), 1)}];if({at})((Shared{m}*){at})({','.join([f'u{m}', *shared])});")
         for k, (result, name) in enumerate(zip(found, (*gives, GROWTH), strict=False)):
             arrays[name] = wanted.get(name, f"M{m}_{k}")
             if name not in wanted:
                 calls.append(f"T {arrays[name]}[{max(len(result.values), 1)}];")
         made = [arrays[name] for name in (*gives, GROWTH)[: len(found)]]
-        calls.append(f"((Step{m}*)how[{place + 2 * m + 1}])({','.join([f'u{m}', *taken, *made])});")
-    return [], types, before, calls
+        if long(program):
+            prelude, step = f"how[{place}]", f"how[{place + 1}]"
+            place += 2
+            links.append(f"typedef void Shared{m}({','.join(['S*', *['const S*'] * len(shared)])});")
+            links.append(
+                f"typedef void Step{m}({','.join(['const S*', *['const T*'] * len(taken), *['T*'] * len(found)])});"
+            )
+            before.append(f"S u{m}[{len(program.ops)}];")
+            before.append(f"if({prelude})((Shared{m}*){prelude})({','.join([f'u{m}', *shared])});")
+            calls.append(f"((Step{m}*){step})({','.join([f'u{m}', *taken, *made])});")
+        else:
+            _, parts, u = _functions(program, single, str(m))
+            links += parts
+            before += [u, f"shared{m}({','.join([f'u{m}', *shared])});"] if u else []
+            calls.append(f"step{m}({','.join([f'u{m}' if u else '0', *taken, *made])});")
+    return [], links, before, calls
+
+
+def _functions(program: Program, single: bool, m: str) -> tuple[list[str], list[str], str]:
+    """Functions of a long program, those of the values of a step, numbered m, and the array of shared values, or ""."""
+    printer = Printer(program, single)
+    functions, statements = printer.body(_rows(program))
+    prelude = printer.prelude()
+    parts = list[str]()
+    if prelude:
+        parts += [f"{NOINLINE} void shared{m}({','.join(['S*u', *(f'const S*in{k}' for k in _uniform(program))])}){{"]
+        parts += [*prelude[1:], "}"]
+    rows = [f"const T*I{k}" for k, _ in _rows(program)] + [f"T*O{k}" for k, _ in enumerate(outputs(program))]
+    parts += [f"{NOINLINE} void step{m}({','.join(['const S*u', *rows])}){{", *statements, "}"]
+    return functions, parts, prelude[0].replace("S u[", f"S u{m}[") if prelude else ""
 
 
 def _rows(program: Program) -> list[tuple[int, int]]:
