@@ -80,7 +80,8 @@ def source(what: Program | Loop | Body, single: bool, few: bool = False) -> str:
     once += calls
     for r in rows:
         kind, how = ("growth", 0) if r == len(program.results) else (f"keep{widths[r]}", f"how[{first + r}]")
-        once.append(f"{kind}(out{r},Q{r},O{r},b,row,ahead,left,s,steps,{how});")
+        wanted = f"if({how}||s==steps-1)" if how else ""  # no call for what is only wanted of the last step
+        once.append(f"{wanted}{kind}(out{r},Q{r},O{r},b,row,ahead,left,s,steps,{how});")
     once += [f"add{widths[r]}(A{r},O{r},left);" for r in summed]
     once += [
         f"if(how[{k}]=={CARRIED})for(int j=0;j<{widths[r]};j++)I{k}[j]=O{r}[j];" for k, r in body.carried if k in inputs

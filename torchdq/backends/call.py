@@ -130,11 +130,7 @@ def evaluate(
             raise ArgumentError("out cannot be given in a traced graph; leave it out, and torch reuses memory itself")
         return _traced(what, tensors, backend, double)
     try:
-        looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
-        key = (what, backend, present(), double, repeated, *tensors, *looks)
-        layout = _layouts.get(key)
-        if layout is None:
-            layout = _layouts[key] = _layout(what, tensors, backend, double, repeated)
+        layout = layout_of(what, tensors, backend, double, repeated)
         given = [x for x in tensors.values() if x is not None]
         if out:
             _require_room(layout, given, out)
@@ -144,7 +140,7 @@ def evaluate(
             return dict(zip(layout.names, direct, strict=True))
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, _of_one_step(tensors, repeated))  # raises
-        rows = [_row_of(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
+        rows = rows_of(layout, given)
         if layout.loop is None:
             found = run(layout.program, rows, layout.backend)
         else:
@@ -254,6 +250,27 @@ def _require_room(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Ten
 
 
 # --- layout ----------------------------------------------------------------------------------------------------------
+
+
+def layout_of(
+    what: Computation,
+    tensors: Tensors,
+    backend: BackendName | None,
+    double: bool = False,
+    repeated: Repeated | None = None,
+) -> CallLayout:
+    """Layout of a call of `evaluate`."""
+    looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
+    key = (what, backend, present(), double, repeated, *tensors, *looks)
+    layout = _layouts.get(key)
+    if layout is None:
+        layout = _layouts[key] = _layout(what, tensors, backend, double, repeated)
+    return layout
+
+
+def rows_of(layout: CallLayout, given: Sequence[Tensor]) -> list[Tensor]:
+    """Tensors as rows of the program."""
+    return [_row_of(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
 
 
 def _layout(

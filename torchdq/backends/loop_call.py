@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor
 
-from torchdq.backends.call import Computation, Repeated, batch_of, evaluate
+from torchdq.backends.call import Computation, Repeated, batch_of, evaluate, layout_of, rows_of
 from torchdq.backends.choice import BackendName, choose
+from torchdq.backends.precision import run_loop
 from torchdq.base.checks import is_dense
+from torchdq.program.loop import Loop
 from torchdq.program.transforms import dispatching, transforming, without_values
 
 TOGETHER = 2048  # rows of a processor's core that take some steps together, before others take their places
@@ -65,38 +66,39 @@ def repeat_while(
     Rows take some steps together; those that are done make room for others. A step must leave them as they are.
 
     Args:
-        goes_on: function of carried rows [rows, ...] that is True [rows] where they are not done.
+        goes_on: function of carried rows [rows, width] that is True [rows] where they are not done.
         what: the computation.
         steps: number of steps of so many rows before `goes_on` is asked.
         carried, fixed, backend: as in `repeat`.
     """
     given = {**carried, **fixed}
-    batch, axes = batch_of(what, given), {name: what.axes(name) for name in given}
-    count, like = math.prod(batch), next(iter(carried.values()))
-    same = {name: x for name, x in fixed.items() if x.ndim == len(axes[name]) and what.shared(name)}
-    rows = {
-        name: x.expand(batch + axes[name]).reshape(count, *axes[name]) for name, x in given.items() if name not in same
-    }
-    lanes = TOGETHER * torch.get_num_threads() if like.device.type == "cpu" else count
-    following, found = min(count, lanes), list[dict[str, Tensor]]()
-    at = torch.arange(following, device=like.device)
-    now = {name: rows[name][:following] for name in carried}
+    batch_of(what, given)  # raises
+    # one layout for all steps, since those of ever new numbers of rows would take as long as the steps
+    layout = layout_of(what, given, backend, repeated=Repeated(1, tuple(carried), ends=True))
+    count, rows = layout.samples, rows_of(layout, list(given.values()))
+    loop: Loop = layout.loop  # type: ignore[assignment]  # steps are repeated
+    device, states = rows[0].device, len(carried)
+    following = min(count, TOGETHER * torch.get_num_threads() if device.type == "cpu" else count)
+    at, now = torch.arange(following, device=device), [x[:following] for x in rows[:states]]
+    several = [not a.uniform for a in loop.arguments[states:]]
+    found = list[list[Tensor]]()
     while True:
-        among = {name: rows[name].index_select(0, at) for name in rows if name not in carried}
-        now = repeat(what, steps(len(at)), now, {}, {**among, **same}, ends=True, backend=backend)
-        goes = goes_on(now)
+        same = [x.index_select(0, at) if each else x for x, each in zip(rows[states:], several, strict=True)]
+        made = run_loop(loop, [*now, *same], layout.backend, len(at), steps(len(at)), among=count)
+        now = [made[r] for _, r in loop.carried]
+        goes = goes_on(dict(zip(carried, now, strict=True)))
         on, off = (x.nonzero()[:, 0] for x in (goes, ~goes))
-        found.append({name: x.index_select(0, off) for name, x in {"": at, **now}.items()})
-        more = torch.arange(following, min(following + len(off), count), device=like.device)
+        found.append([x.index_select(0, off) for x in (at, *now)])
+        more = torch.arange(following, min(following + len(off), count), device=device)
         if not len(on) + len(more):
             break
         following += len(more)
-        at = torch.cat([at.index_select(0, on), more])
-        now = {name: torch.cat([x.index_select(0, on), rows[name].index_select(0, more)]) for name, x in now.items()}
-    if len(found) == 1:
-        ordered = found[0]
-    else:
-        whole = {name: torch.cat([part[name] for part in found]) for name in found[0]}
-        back = whole[""].argsort()
-        ordered = {name: x.index_select(0, back) for name, x in whole.items()}
-    return {name: ordered[name].reshape(batch + axes[name]) for name in carried}
+        at, *now = [x.index_select(0, on) for x in (at, *now)]
+        if len(more):
+            new = (more, *[x.index_select(0, more) for x in rows[:states]])
+            at, *now = [torch.cat(pair) for pair in zip((at, *now), new, strict=True)]
+    order, *whole = found[0] if len(found) == 1 else map(torch.cat, zip(*found, strict=True))
+    if len(found) > 1:
+        back = order.argsort()
+        whole = [x.index_select(0, back) for x in whole]
+    return {name: x.view(layout.shapes[r]) for name, x, (_, r) in zip(carried, whole, loop.carried, strict=True)}

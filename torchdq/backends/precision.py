@@ -53,14 +53,19 @@ def run(program: Program, inputs: Sequence[Tensor], backend: Backend) -> Sequenc
     return differentiable(Guarded(backend), program, inputs)
 
 
-def run_loop(loop: Loop, inputs: Sequence[Tensor], backend: Backend, samples: int, steps: int) -> Sequence[Tensor]:
-    """Results of a loop; samples whose errors grow too much at one of the steps take all of them one by one."""
+def run_loop(
+    loop: Loop, inputs: Sequence[Tensor], backend: Backend, samples: int, steps: int, among: int = 0
+) -> Sequence[Tensor]:
+    """Results of a loop; samples whose errors grow too much at one of the steps take all of them one by one.
+
+    The kernel is that for the number of samples that these are `among`, if it is larger.
+    """
 
     def one_by_one(rows: Sequence[Tensor], number: int) -> list[Tensor]:
         return interpreted_loop(loop, rows, number, steps, lambda program, x, _: run(program, x, backend))
 
     def at_once(rows: Sequence[Tensor], number: int) -> Sequence[Tensor]:
-        return loop_autograd.differentiable(partial(_loop_outputs, backend), loop, rows, number, steps)
+        return loop_autograd.differentiable(partial(_loop_outputs, backend, among), loop, rows, number, steps)
 
     count = len(loop.body.results)
     if backend.differentiable or transforming():
@@ -72,23 +77,25 @@ def run_loop(loop: Loop, inputs: Sequence[Tensor], backend: Backend, samples: in
     over = ~(growth[:, 0] <= largest_growth(growth.dtype))
     at, others = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
 
-    def among(rows: Tensor) -> list[Tensor]:
+    def chosen(rows: Tensor) -> list[Tensor]:
         given = enumerate(zip(inputs, loop.arguments, strict=True))
         return [x if a.uniform else x.index_select(int(k in loop.given), rows) for k, (x, a) in given]
 
     axes = [int(r in loop.kept) for r in range(count)]
     if in_a_graph(inputs):  # gradients of the rows over the limit may be 0 * inf
-        rest = at_once(among(others), len(others))
+        rest = at_once(chosen(others), len(others))
     else:
         rest = [y.index_select(axis, others) for y, axis in zip(found, axes, strict=False)]
     return [
         y.new_empty(y.shape).index_copy(axis, at, few).index_copy(axis, others, many)
-        for y, axis, few, many in zip(found, axes, one_by_one(among(at), len(at)), rest, strict=False)
+        for y, axis, few, many in zip(found, axes, one_by_one(chosen(at), len(at)), rest, strict=False)
     ]
 
 
-def _loop_outputs(backend: Backend, loop: Loop, inputs: Sequence[Tensor], samples: int, steps: int) -> list[Tensor]:
-    return backend.loop(loop, inputs[0].dtype, inputs[0].device, samples)(inputs, samples, steps)
+def _loop_outputs(
+    backend: Backend, among: int, loop: Loop, inputs: Sequence[Tensor], samples: int, steps: int
+) -> list[Tensor]:
+    return backend.loop(loop, inputs[0].dtype, inputs[0].device, max(samples, among))(inputs, samples, steps)
 
 
 def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
