@@ -165,7 +165,7 @@ _GROWTH = (
 
 
 def long(program: Program) -> bool:
-    """Whether a link has a library of its own, which others of its calls share, and is no function of the chain's."""
+    """Whether a link has a library of its own, shared with other calls of it, or is a function in that of the chain."""
     return len(program.ops) > LONGEST
 
 
