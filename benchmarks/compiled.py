@@ -66,7 +66,7 @@ def ratios(what: str | ComputedTorque, bits: int, compilers: list[str], rounds: 
     pointers = [x.data_ptr() for x in (*rows, *room)]
     kernel = COMPILED.kernel(program, dtype, torch.device("cpu"))
     with tempfile.TemporaryDirectory() as folder:
-        runs: dict[str, Callable[[], object]] = {"kernel": lambda: kernel.library.run(SAMPLES, None, *pointers)}
+        runs: dict[str, Callable[[], object]] = {"kernel": lambda: kernel.compiled.run(SAMPLES, None, *pointers)}
         for compiler in compilers:
             function = exported(torques, compiler, Path(folder))
             typed = [ctypes.c_size_t(SAMPLES), *map(ctypes.c_void_p, pointers)]

@@ -137,7 +137,7 @@ def reversed_and_summed(c, *rows):
 def test_rows_of_any_width_are_read_and_nothing_but_results_is_written(dtype):
     """That nothing else is read is the claim of test_kernel_bounds.py."""
     arguments = [Argument("c", 1, True), *(Argument(f"x{width}", width) for width in WIDTHS)]
-    run = kernel(record("widths", arguments, reversed_and_summed, [f"w{k}" for k in WIDTHS]), dtype).library.run
+    run = kernel(record("widths", arguments, reversed_and_summed, [f"w{k}" for k in WIDTHS]), dtype).compiled.run
     for samples in (0, 1, 2, 3, 5, 8, 9, 15, 16, 17, 23, 33, 40):
         rows, c = [random(samples, width, dtype=dtype) for width in WIDTHS], torch.tensor([3.0], dtype=dtype)
         sizes = [size for width in WIDTHS for size in (samples * width, samples, width)]

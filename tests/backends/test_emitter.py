@@ -103,7 +103,7 @@ def test_constants_are_exact_in_results_and_operands(dialect, dtype, tmp_path):
 @each_dtype
 @pytest.mark.parametrize("dialect", [name for name in DIALECTS if name != "single numbers of C"])
 def test_sine_and_cosine_of_any_angle_are_exact_to_the_last_digit(dialect, dtype, tmp_path):
-    """Those of blocks are NaN beyond their reach."""
+    """Functions of blocks give NaN for angles beyond their range."""
 
     def turn(x):
         return {

@@ -188,7 +188,7 @@ def objections(mutants: Iterable[Mutant], everything: list[Mutant]) -> list[str]
 
 
 def uncollected(tests: Iterable[str]) -> set[str]:
-    """Those of some tests with a parameter that pytest does not collect, since it was renamed."""
+    """Tests with a parameter that pytest does not collect any more, since it was renamed."""
     wanted = {test for test in tests if "[" in test}
     files = sorted({test.partition("::")[0] for test in wanted})
     command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", *files]

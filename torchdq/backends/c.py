@@ -83,7 +83,7 @@ class CompiledKernel:
         program = what.body if isinstance(what, Loop) else what
         results = outputs(program)
         self.what, self.dtype = what, dtype
-        self.library, self.links, self.addresses = _library(body_of(what), dtype, few)
+        self.compiled, self.links, self.addresses = _library(body_of(what), dtype, few)
         self.operations = program.count().total
         self.summed = [r.summed for r in results]
         # bytes between the rows of two samples, for arguments and outputs; a summed output has one row per part
@@ -121,13 +121,13 @@ class CompiledKernel:
     def _run(self, samples: int, plan: int | None, pointers: Sequence[int], number: int, size: int) -> None:
         """Call the function on parts of some samples, shared among a number of threads."""
         if samples <= size:
-            self.library.run(samples, plan, *pointers)
+            self.compiled.run(samples, plan, *pointers)
             return
         pairs = list(zip(pointers, self.strides, strict=True))
 
         def part(k: int) -> None:
             at = [p + (k if summed else k * size) * stride for p, (stride, summed) in pairs]
-            self.library.run(min(size, samples - k * size), plan, *at)
+            self.compiled.run(min(size, samples - k * size), plan, *at)
 
         threads.run(part, -(-samples // size), number)
 

@@ -81,7 +81,7 @@ def one_sample(program: Program, dtype: torch.dtype) -> OneSample | None:
     widths = [*(a.width for a in program.arguments), *(len(r.values) for r in program.results)]
     forms = [contiguous((width,), dtype) for width in widths]
     return OneSample(
-        kernel.library.run,
+        kernel.compiled.run,
         alike(forms),
         tuple(forms[len(program.arguments) :]),
         tuple(width * dtype.itemsize for width in widths),
