@@ -147,7 +147,7 @@ def value(expression, x):
     return UNARY[code](*inner) if code in UNARY else BINARY[code](*inner)
 
 
-@settings(deadline=None, max_examples=400 if EVERYTHING else 150, derandomize=True)
+@settings(deadline=None, max_examples=400 if EVERYTHING else 60, derandomize=True)
 @given(EXPRESSIONS, st.tuples(QUARTERS, QUARTERS, QUARTERS))
 def test_a_recorded_expression_is_the_expression_bitwise(expression, x):
     """Signs, value numbering and constants; quarters are equal often enough for ties."""
@@ -179,7 +179,7 @@ def spread(name: str, dtype) -> torch.Tensor:
     else:
         x = np.concatenate([everywhere, rng.uniform(0, 4, 500)])
     x = torch.from_numpy(x).to(dtype)
-    return x[x.isfinite() & ((x > 0) | (name in ("exp", "tanh")))]
+    return x[x.isfinite() & ((x > 0) | (name in ("exp", "tanh")))][:: 1 if EVERYTHING else 3]
 
 
 @compiles

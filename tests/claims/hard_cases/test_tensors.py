@@ -189,7 +189,7 @@ LAYOUTS = {
 @pytest.mark.case("P2")
 @every_backend
 def test_how_inputs_lie_in_memory_changes_no_bit_of_values_and_derivatives(backend):
-    keys = ("inverse_dynamics", "forward_dynamics", "wrenches", "step")
+    keys = thinned(("inverse_dynamics", "forward_dynamics", "wrenches", "step"), ("wrenches", "step"))
     for key, layout, dtype in itertools.product(keys, LAYOUTS, (F64, F32)):
         x = [LAYOUTS[layout](v) for v in states(2, 9, dtype=dtype)]
         plain = [v.clone(memory_format=torch.contiguous_format) for v in x]
@@ -283,7 +283,7 @@ def endangered(dtype):
     "key, dtype, unknown",
     thinned(
         [*itertools.product(("forward_dynamics", "step"), (F64, F32), (False, True))],
-        (("forward_dynamics", F32, False), ("step", F64, True)),
+        (("forward_dynamics", F32, True),),
     ),
     ids=str,
 )
@@ -413,7 +413,7 @@ def test_at_home_derivatives_are_finite_and_in_both_precisions_alike(keys, backe
 
 @pytest.mark.case("P11")
 @pytest.mark.parametrize("backend", ["eager"])
-@pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics", "step"])
+@pytest.mark.parametrize("key", thinned(THREE, ("step",)))
 def test_at_home_second_derivatives_are_differences_and_third_are_finite(key, backend, margin):
     def f(x):
         # dry friction is steep at rest; its differences need steps far below its width of 1e-2

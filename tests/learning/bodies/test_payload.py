@@ -78,7 +78,7 @@ def test_errors_are_those_that_noise_makes(arm, empty):
     """Mean square of the deviations over the stated errors, over draws of the noise of 150 samples each."""
     heavy = arm.with_payload(MASS, COM, INERTIA)
     squares = []
-    for k in range(40 if EVERYTHING else 15):
+    for k in range(40 if EVERYTHING else 8):
         q, qd, qdd = moving(150, seed=10 + k)
         found = identify_payload(empty, q, qd, qdd, with_friction(heavy, q, qd, qdd, seed=k), prior=1e-3)
         errors = torch.cat([found.mass_error[None], found.com_error, found.inertia_error])
