@@ -328,9 +328,7 @@ def test_agrees_with_pinocchio(name):
 
 
 @pytest.mark.case("D11")
-@pytest.mark.parametrize(
-    "name", thinned(DIFFERENTIATED, ("hextilt_flying_arm_5", "shipped-puma560", "tree77"))
-)
+@pytest.mark.parametrize("name", thinned(DIFFERENTIATED, ("hextilt_flying_arm_5", "shipped-puma560", "tree77")))
 def test_derivatives_agree_with_pinocchio(name, margin):
     case = oracles.case(name)
     margin(derivatives(case, oracles.states(case.robot)), TOLERANCE[torch.float64])

@@ -56,7 +56,7 @@ def exciting(panda):
         workspace=(HalfSpace("tip", (0, 0, 2), 0.3), Box("panda_link5", (-0.4,) * 3, (math.inf,) * 3))
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(search, "STAGES", (*search.STAGES[:-1], (64, 240 if EVERYTHING else 40)))
+        patch.setattr(search, "STAGES", (*search.STAGES[:-1], (64, 240 if EVERYTHING else 100)))
         return excitation_trajectory(panda, 10.0, limits, restarts=2), limits
 
 
@@ -127,7 +127,7 @@ def test_no_limit_is_exceeded_at_any_time(panda, exciting):
 def test_torques_that_bind_are_kept_between_the_rows():
     robot = ARM.replace(damping=double(1.0, 2.0), friction=double(0.5, 0.2))
     limits = MotionLimits(lower=-1.0, upper=1.0, velocity=8.0, effort=[36.0, 10.0], share=1.0)
-    found = excitation_trajectory(robot, 8.0, limits, restarts=8)
+    found = excitation_trajectory(robot, 8.0, limits, restarts=8 if EVERYTHING else 4)
     *_, tau = torques_at(found, robot, random_times(found, 100_000))
     used = (tau / double(36.0, 10.0)).amax(0)
     assert bool((used <= 1).all()) and float(used.max()) > 0.93
@@ -223,7 +223,7 @@ def test_errors_are_those_of_least_squares_on_pinocchios_regressor(panda, exciti
     assert found.condition == pytest.approx(np.linalg.cond(lead), rel=1e-6)
 
 
-def test_identification_from_the_motion_errs_as_predicted():
+def test_identification_from_the_motion_errs_as_predicted(short):
     """Mean square over the base parameters and draws of the noise, in predicted variances."""
     found = excited(noise=[0.5, 0.2], rate=18.0)  # fewer rows than are checked for what a model lacks
     friction = found.qd + 2 * found.qd / (found.qd**2 + 1e-4).sqrt()

@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from helpers import all_in_one, thinned
+from helpers import all_in_one, exhaustive, thinned
 from recorded_logs import COULOMB, REAL, ROBOT, STEP, codes, fitted, late_log, states, torques, with_findings
 
 from torchdq.learning import identify, smooth
@@ -12,6 +12,7 @@ from torchdq.learning import identify, smooth
 BACKEND = "auto"  # one arm, whose programs all tests share
 
 
+@exhaustive
 def test_a_lag_is_found_with_friction_that_was_chosen_for_it():
     """Friction of other shapes takes a half of the lag, were it not moved with the model."""
     logs = [late_log(0.03, seed) for seed in (1, 2, 3)]

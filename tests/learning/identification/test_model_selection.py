@@ -232,11 +232,12 @@ def test_motions_and_samples_say_the_same():
     q, qd, qdd = states(3, 300)
     tau = torques(REAL, q, qd, qdd)
     motions = [motion_of(*(x[k] for x in (q, qd, qdd, tau)), sign(qd[k])) for k in range(3)]
-    a = identify(ROBOT, motions)
-    b = identify(ROBOT, Samples(q, qd, qdd, tau))
+    model = Model((effects.Viscous(), effects.Coulomb()))
+    a = identify(ROBOT, motions, model)
+    b = identify(ROBOT, Samples(q, qd, qdd, tau), model)
     assert torch.allclose(a.parameters, b.parameters, rtol=1e-6, atol=1e-9)
     assert torch.allclose(a.predict(motions).tau.reshape(q.shape), b.predict(q, qd, qdd).tau, atol=1e-6)
-    both = identify(ROBOT, [motions[0], *(Samples(*(x[k] for x in (q, qd, qdd, tau))) for k in (1, 2))])
+    both = identify(ROBOT, [motions[0], *(Samples(*(x[k] for x in (q, qd, qdd, tau))) for k in (1, 2))], model)
     assert torch.allclose(both.parameters, b.parameters, rtol=1e-6, atol=1e-9)
 
 
