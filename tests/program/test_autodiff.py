@@ -9,7 +9,7 @@ from itertools import count
 
 import pytest
 import torch
-from helpers import all_in_one, thinned
+from helpers import EVERYTHING, all_in_one, thinned
 from oracles import random_tree
 from torch.autograd import gradcheck, gradgradcheck
 from torch.func import jacfwd, jacrev
@@ -107,6 +107,7 @@ def relative(a, b):
 # --- finite differences ----------------------------------------------------------------------------------------------
 
 
+DYNAMICS = ("inverse_dynamics", "forward_dynamics")
 THOROUGH = ("inverse_dynamics", "inertial_parameters")  # with every parameter, in the default run
 
 
@@ -114,8 +115,11 @@ THOROUGH = ("inverse_dynamics", "inertial_parameters")  # with every parameter, 
     [
         (key, name, where)
         for key, (_, names) in FUNCTIONS.items()
-        for name in [*names.split(), *thinned(PARAMETERS, PARAMETERS if key in THOROUGH else ("X_PB_home",))]
-        for where in thinned(STATES, STATES if name == "q" else ("random",))
+        for name in [
+            *names.split()[: None if EVERYTHING or key in DYNAMICS else 1],
+            *thinned(PARAMETERS, PARAMETERS if key in THOROUGH else ("X_PB_home",)),
+        ]
+        for where in thinned(STATES, STATES if name == "q" and key in DYNAMICS else ("random",))
     ]
 )
 def test_first_derivatives_are_those_of_finite_differences(of_what):

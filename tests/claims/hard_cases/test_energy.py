@@ -60,6 +60,7 @@ def test_the_energy_of_a_double_pendulum_drifts_as_stated_over_1e5_steps(integra
         assert (found > 0) == (not isinstance(integrator, RungeKutta4))
 
 
+@exhaustive
 @pytest.mark.case("T2")
 @compiled
 def test_the_energy_of_adaptive_steps_is_kept_to_tolerance(backend, margin):

@@ -13,7 +13,7 @@ import helpers
 import numpy as np
 import pytest
 import torch
-from helpers import EVERYTHING, double, one_thread, random, thinned  # noqa: F401
+from helpers import EVERYTHING, double, exhaustive, one_thread, random, thinned  # noqa: F401
 from messages import refused
 from oracles import EPS, random_tree
 from precisions import F32, F64, C, every_backend, every_backend_and_dtype, every_dtype, single_compiled
@@ -72,7 +72,11 @@ FUNCTIONS = {
 }
 SOME = list(FUNCTIONS)[:4]  # of which the rest are parts
 every_function = pytest.mark.parametrize(
-    ("keys", "backend"), [(FUNCTIONS, "eager"), pytest.param(SOME, "c", marks=C.marks)], ids=["eager", "c"]
+    ("keys", "backend"),
+    [
+        pytest.param(FUNCTIONS, "eager", id="eager"),
+        *([pytest.param(SOME, "c", marks=C.marks, id="c")] if EVERYTHING else []),
+    ],
 )
 every_function_and_dtype = pytest.mark.parametrize(
     ("keys", "backend", "dtype"),
@@ -491,6 +495,7 @@ def test_the_number_of_threads_changes_no_bit_of_values_and_derivatives_by_row(k
     assert all(same(one, other) for other in others)
 
 
+@exhaustive
 @pytest.mark.case("P13")
 @pytest.mark.parametrize("backend", [C])
 def test_nor_of_rows_that_single_precision_loses(backend, threads):

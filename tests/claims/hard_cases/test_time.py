@@ -17,7 +17,17 @@ import torch
 from helpers import EVERYTHING, FIXED, INERTIA, WHEEL, called, double, exhaustive, one_thread, random, thinned  # noqa: F401
 from messages import warned
 from oracles import EPS, pinocchio_model, shipped
-from precisions import F32, F64, C, compiled, eager_first, every_backend_and_dtype, every_dtype, single_compiled
+from precisions import (
+    F32,
+    F64,
+    C,
+    compiled,
+    eager_first,
+    every_backend_and_dtype,
+    every_dtype,
+    of_backends_and_dtypes,
+    single_compiled,
+)
 from scenes import ARM, rolled, swinging, trace
 from scipy.integrate import solve_ivp
 
@@ -398,7 +408,7 @@ def creeping(level, tau, width):
 
 
 @pytest.mark.case("T10")
-@single_compiled
+@of_backends_and_dtypes(("eager", F64))
 def test_creep_is_that_of_the_width_and_so_are_its_derivatives(dtype, backend, margin):
     """Speed, and its first and second derivatives in torque, level and width, when it has settled."""
     # the nearer the level, the longer it takes to settle
