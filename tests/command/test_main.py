@@ -589,6 +589,7 @@ def test_joints_sway_within_their_limits():
     assert bool((moved.std(0) > 0.1).all())
 
 
+@exhaustive
 def test_the_papers_tables_are_counted(here, capsys, monkeypatch):
     from torchdq.paper import ladder
 

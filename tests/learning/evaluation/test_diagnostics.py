@@ -165,7 +165,7 @@ def test_torques_that_nothing_explains_have_findings():
 
 def test_the_warning_can_be_silenced_and_a_few_rows_have_no_findings():
     robot, data = recorded("two_link")
-    wrong = data._replace(tau=-data.tau)
+    wrong = Samples(*(x[:200] for x in data._replace(tau=-data.tau)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", LogWarning)
