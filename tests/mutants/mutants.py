@@ -352,7 +352,7 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="say which faults fit no source or test; run nothing")
     parser.add_argument("-j", metavar="N", type=int, default=os.cpu_count() or 1, help="faults examined at a time")
     options = parser.parse_args()
-    os.environ |= {"OMP_NUM_THREADS": "1", "TORCHDQ_TESTS": "all"}  # also by tests that `make test` leaves out
+    os.environ |= {"OMP_NUM_THREADS": "1", "TORCHDQ_TESTS": "all"}  # tests of `make test-all` notice, too
     console = Console(markup=False, highlight=False, **({} if sys.stdout.isatty() else {"width": 200}))
     everything = read()
     mutants = [mutant for mutant in everything if not options.only or mutant.name in options.only]

@@ -14,7 +14,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
-from helpers import EVERYTHING, all_in_one, double, thinned
+from helpers import EVERYTHING, all_in_one, double, exhaustive, thinned
 from messages import refused, warned
 
 import torchdq
@@ -124,10 +124,11 @@ def test_no_limit_is_exceeded_at_any_time(panda, exciting):
     assert float(found.time[-1]) == 10.0 and len(found.time) == 1001
 
 
+@exhaustive
 def test_torques_that_bind_are_kept_between_the_rows():
     robot = ARM.replace(damping=double(1.0, 2.0), friction=double(0.5, 0.2))
     limits = MotionLimits(lower=-1.0, upper=1.0, velocity=8.0, effort=[36.0, 10.0], share=1.0)
-    found = excitation_trajectory(robot, 8.0, limits, restarts=8 if EVERYTHING else 4)
+    found = excitation_trajectory(robot, 8.0, limits, restarts=8)
     *_, tau = torques_at(found, robot, random_times(found, 100_000))
     used = (tau / double(36.0, 10.0)).amax(0)
     assert bool((used <= 1).all()) and float(used.max()) > 0.93

@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 import torch
-from helpers import EVERYTHING, thinned
+from helpers import EVERYTHING, exhaustive, thinned
 from places import DATA
 from recorded_logs import (
     COULOMB,
@@ -179,12 +179,13 @@ def test_friction_by_load_stays_below_one():
     assert bool((posterior_samples(wide, 8).coefficients("load") < 1).all()) and posterior_samples(wide, 8).effects()
 
 
+@exhaustive
 def test_nothing_is_made_worse_by_little_data_and_a_wrong_guess():
     """Over draws of noise, with 3 s of motion: never much worse than friction beside the description."""
     test = states(3, 400, seed=50)
     truth = torchdq.inverse_dynamics(REAL, *test) + dry(test[1])
     ratios = []
-    for seed in range(3 if EVERYTHING else 2):
+    for seed in range(3):
         q, qd, qdd = states(1, 150, seed=seed)
         tau = torques(REAL, q, qd, qdd, size=1.0, memory=0.9, seed=seed)
         simple = fitted(ROBOT, q, qd, qdd, tau, prior=math.inf)

@@ -4,7 +4,7 @@ import copy
 
 import pytest
 import torch
-from helpers import EVERYTHING, thinned
+from helpers import EVERYTHING, exhaustive, thinned
 from messages import refused
 from recorded_logs import ROBOT as TWO
 from recorded_logs import motion_of, waves
@@ -187,6 +187,7 @@ def test_a_scene_moves_as_it_predicts(bumpy):
     assert (off < 0.3).all() and (off < 0.3 * (steady - torque[1:]).square().mean(0).sqrt()).all()
 
 
+@exhaustive
 def test_gains_that_were_identified_scale_the_torques():
     parts = [motion(k, nothing, 10.0) for k in range(3)]
     drives = torch.tensor([4.0, 0.5], dtype=F64)

@@ -271,6 +271,7 @@ def test_first_order_steps_are_told_by_correlated_residuals():
     assert worst_z(found, *DAMPING.tolist()) > 10
 
 
+@exhaustive
 def test_errors_that_shorter_steps_contradict_are_wider(monkeypatch):
     """Where no integrator is fine enough, the change by the finest is a standard error, too."""
     coulomb = (0.5, 0.2)
@@ -289,6 +290,7 @@ def test_errors_that_shorter_steps_contradict_are_wider(monkeypatch):
 # --- hard cases ------------------------------------------------------------------------------------------------------
 
 
+@exhaustive
 def test_stiff_friction():
     """Friction that stops a joint within a step, over many reversals."""
     dt = 0.005
