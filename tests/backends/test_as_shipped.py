@@ -1,5 +1,7 @@
 """Programs compiled with the flags of the package: values, rows, and sine and cosine against those of mpmath."""
 
+from itertools import product
+
 import mpmath
 import numpy as np
 import pytest
@@ -18,8 +20,11 @@ BACKEND, AS_SHIPPED = "auto", True  # see conftest.py
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
 
 
-@pytest.mark.parametrize("name", thinned(FUNCTIONS, ("inverse_dynamics", "forward_dynamics")))
-@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+@pytest.mark.parametrize(
+    ("name", "dtype"),
+    thinned(list(product(FUNCTIONS, (F64, F32))), [("inverse_dynamics", F64), ("forward_dynamics", F32)]),
+    ids=str,
+)
 def test_functions_equal_torch_operations_and_rows_of_a_batch_are_bitwise_the_rows_alone(name, dtype):
     s = states(TREE, 35, dtype=dtype)
     found = on("c", FUNCTIONS[name], TREE, s)

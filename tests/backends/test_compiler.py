@@ -297,7 +297,7 @@ def test_a_compiler_that_does_not_compile_is_an_error_and_nothing_is_kept(name, 
         tmp_path / "bad", f'case "$*" in *--version*) echo bad; exit 0;; esac\ncd {tmp_path}\n{find}\n{action}\n'
     )
     monkeypatch.setattr(build, "compiler", lambda: machine.Compiler((bad,), "bad"))
-    monkeypatch.setattr(build, "LIMIT", 1.0 if name == "hangs" else 60.0)
+    monkeypatch.setattr(build, "LIMIT", 0.3 if name == "hangs" else 60.0)
     started = time.monotonic()
     with refused(BuildError):
         build.load(*double(3.0))
@@ -321,7 +321,7 @@ VERSIONS = {"hangs": "sleep 600 & sleep 600", "fails": "echo no >&2; exit 1"}
 def test_a_named_compiler_that_states_no_version_is_replaced_by_another_with_a_warning(name, tmp_path, monkeypatch):
     named = NAMED.get(name) or script(tmp_path / "bad", VERSIONS[name])
     if name == "hangs":
-        monkeypatch.setattr(machine, "ASKED", 2.0)
+        monkeypatch.setattr(machine, "ASKED", 0.5)
     monkeypatch.setenv("CC", named)
     with messages.warned(UserWarning):
         found = machine.compiler.__wrapped__()
@@ -433,7 +433,7 @@ FAST = [
 ]
 
 
-@pytest.mark.parametrize(("variable", "flags"), thinned(FAST, [FAST[0], FAST[2], FAST[5], FAST[7]]))
+@pytest.mark.parametrize(("variable", "flags"), thinned(FAST, [FAST[0], FAST[7]]))
 def test_no_argument_of_the_user_makes_arithmetic_inexact(variable, flags, tmp_path):
     """Neither that of the program, nor that of the process: start files of -ffast-math make subnormal numbers zero."""
     code = COMPILED + "assert torch.tensor(2.0**-1070, dtype=torch.float64) * 0.5 > 0.0, 'flushed to zero'\n"

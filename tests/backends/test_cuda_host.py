@@ -5,7 +5,7 @@ Values and gradients of functions are those of test_backends.py and test_derivat
 
 import pytest
 import torch
-from helpers import random
+from helpers import random, thinned
 from host_gpu import BACKWARDS, HOST, host_backends  # noqa: F401
 from oracles import EPS
 from programs import MIXED, PANDA, TWO, agree, mixed, same
@@ -112,7 +112,7 @@ def test_programs_without_enough_to_share_stay_whole():
 # --- programs of any width -------------------------------------------------------------------------------------------
 
 
-@each_dtype
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F32]), ids=str)
 def test_rows_too_wide_for_shared_memory_are_read_and_written_where_they_are(dtype):
     def algorithm(x, y):
         return {"wide": [a * y[0] for a in x], "sum": [a + y[1] for a in x], "narrow": [y[0] + x[-1]]}

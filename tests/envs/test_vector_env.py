@@ -296,7 +296,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", thinned(KINDS, KINDS.keys() - {"panda", "residual", "free with servos"}))
+@pytest.mark.parametrize("kind", thinned(KINDS, KINDS.keys() - {"panda", "residual", "memory", "free with servos"}))
 def test_a_row_is_the_single_environment(kind):
     arguments = {"robot": ROBOT, "action": "torque", "scale": 20.0, "max_episode_steps": 30, **KINDS[kind]}
     many = make(21, **arguments)

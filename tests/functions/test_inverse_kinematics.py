@@ -93,12 +93,12 @@ SOME = {
     ("name", "expressed"),
     thinned(
         [(x, y) for x in SOME for y in ("body", "world")],
-        [*((x, "world") for x in SOME), ("orientation of seven joints", "body"), ("two joints", "body")],
+        [*((x, "world") for x in SOME if "seven" not in x), ("orientation of seven joints", "body")],
     ),
 )
 def test_the_axes_that_count_are_served(name, expressed):
     robot, axes = SOME[name]
-    X = poses(robot, within(robot, 50, seed=2))
+    X = poses(robot, within(robot, 20, seed=2))
     found = torchdq.inverse_kinematics(robot, X, expressed=expressed, axes=axes)
     off = left(robot, found.q, X)
     if expressed == "world":
@@ -139,7 +139,7 @@ def closest(robot, X, axes, starts):
     return math.sqrt(min(minimize(squared, x, jac=True, bounds=limits, options=stop).fun for x in starts.numpy()))
 
 
-@pytest.mark.parametrize("axes", ["position", "pose"])
+@pytest.mark.parametrize("axes", thinned(["position", "pose"], ("pose",)))
 def test_goals_beyond_reach_leave_the_closest_point(axes):
     robot = ARM
     far = double(2.0, 0.0, 0.5, 0.5, 0.0, 2.0, -1.5, 0.3, 0.2).view(3, 3)
@@ -223,7 +223,7 @@ FLAT = ("rx", "ry", "rz", "x", "y")  # anywhere along its z axis
 
 
 @pytest.mark.usefixtures("by_torch")
-@pytest.mark.parametrize("axes", thinned(["pose", AXIS, FLAT], [AXIS, FLAT]), ids=len)
+@pytest.mark.parametrize("axes", thinned(["pose", AXIS, FLAT], [FLAT]), ids=len)
 def test_gradients_are_those_of_the_solution(axes):
     robot = FIVE if axes == AXIS else ARM
     q = torch.stack([0.6 * x + 0.4 * sum(bounds(robot)) / 2 for x in within(robot, 2, seed=5)])

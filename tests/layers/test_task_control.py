@@ -73,7 +73,7 @@ def test_a_module_adds_what_it_found_beyond_the_rigid_bodies(module):
         layer.program()
 
 
-@pytest.mark.parametrize("module", thinned([*LAWS, nn.ComputedTorque], [nn.CartesianImpedance, nn.ComputedTorque]))
+@pytest.mark.parametrize("module", thinned([*LAWS, nn.ComputedTorque], [nn.CartesianImpedance]))
 def test_controllers_are_one_graph_of_the_compiler(module):
     torch._dynamo.reset()
     more = {"axes": ("x", "y")} if module in LAWS else {}

@@ -147,6 +147,7 @@ def test_substeps_of_a_free_base_in_a_loop_are_those_of_one_program(integrator):
         torch.testing.assert_close(x, expected[name], rtol=1e-13, atol=1e-13)
 
 
+@exhaustive
 def test_an_adaptive_integrator_keeps_momentum_and_energy():
     assert drift(DormandPrince(1e-11, 1e-13), 0.1, 1, backend="auto") <= 1e-9
 
@@ -281,7 +282,9 @@ def under_effects_of_all_kinds():
     return exact, state, inputs, exact.step(state, **inputs).rows()
 
 
-@pytest.mark.parametrize(("integrator", "steps"), [(LinearlyImplicit(), 64), (RungeKutta4(), 8)], ids=called)
+@pytest.mark.parametrize(
+    ("integrator", "steps"), thinned([(LinearlyImplicit(), 64), (RungeKutta4(), 8)], [(RungeKutta4(), 8)]), ids=called
+)
 def test_the_error_falls_with_the_order_under_effects_of_all_kinds(integrator, steps):
     exact, state, inputs, expected = under_effects_of_all_kinds()
     errors = []
@@ -342,8 +345,8 @@ def test_no_orientation_is_special_in_time():
     c, m = case("tree1"), motion(case("tree1"))
     scene = Scene(c.robot, dt=0.02)
     turns = dq.from_pose(double((0.0, 0.0, 0.6, 0.8), (-1.0, 0.0, 0.0, 0.0)), torch.zeros(2, 3, dtype=F64))[:, None]
-    path = scene.rollout(begun(scene, m), steps=40)
-    other = scene.rollout(begun(scene, {**m, "X_WB": dq.mul(turns, m["X_WB"])}), steps=40)
+    path = scene.rollout(begun(scene, m), steps=20)
+    other = scene.rollout(begun(scene, {**m, "X_WB": dq.mul(turns, m["X_WB"])}), steps=20)
     assert (other.X_WB - dq.mul(turns, path.X_WB[:, None])).abs().max() <= 1e-11
     assert (other.q - path.q[:, None]).abs().max() <= 1e-11
 

@@ -104,9 +104,9 @@ def test_rollouts_with_a_policy_ends_and_checkpoints_in_transforms():
     """Which have no values to look at, and in which checkpoints have no effect."""
     scene, q = Scene(ARM, (effects.Gravity(),)), random(4, 2)
 
-    def end(q, checkpoint=2):
+    def end(q, checkpoint=1):
         how = {"policy": lambda s, k: -(1 + k) * s.qd, "done": lambda s: s.q[..., 0] > 0.5, "checkpoint": checkpoint}
-        return scene.rollout(scene.start(q), steps=3, **how).last.q
+        return scene.rollout(scene.start(q), steps=2, **how).last.q
 
     assert torch.equal(torch.func.vmap(end)(q), end(q))
     assert torch.equal(torch.compile(end, fullgraph=True, backend="eager")(q), end(q))
