@@ -63,11 +63,14 @@ def ulps(x: torch.Tensor, floor: float) -> float:
 
 @pytest.mark.parametrize(
     ("floor", "largest", "dtype"),
-    [
-        *((0.25, largest, F64) for largest in (1.0, 1e5, 1e6)),
-        *((0.25, largest, F32) for largest in (1.0, 4e3, 1e5)),
-        *((0.0, largest, F64) for largest in (10.0, 1e5, 1e6)),
-    ],
+    thinned(
+        [
+            *((0.25, largest, F64) for largest in (1.0, 1e5, 1e6)),
+            *((0.25, largest, F32) for largest in (1.0, 4e3, 1e5)),
+            *((0.0, largest, F64) for largest in (10.0, 1e5, 1e6)),
+        ],
+        [(0.25, 1e5, F64), (0.25, 4e3, F32), (0.25, 1e5, F32), (0.0, 10.0, F64), (0.0, 1e6, F64)],
+    ),
 )
 def test_sine_and_cosine_are_within_two_units_in_the_last_place(floor, largest, dtype):
     """A unit of 0.25 where the result is smaller, since the angle is rounded to one of its own; in double its own."""

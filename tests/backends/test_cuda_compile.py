@@ -53,7 +53,7 @@ def figures(key: str, architecture: int = 90) -> dict[str, list[int]]:
     ("key", "architecture"),
     thinned(
         [(key, architecture) for key in PROGRAMS for architecture in (80, 90)],
-        [("panda/forward_dynamics", 90), ("panda/inverse_dynamics", 80)],  # scenes are those of test_cuda_loop.py
+        [("panda/forward_dynamics", 90)],  # scenes are those of test_cuda_loop.py
     ),
 )
 def test_programs_compile_and_those_of_arms_stay_in_registers(key, architecture):

@@ -134,7 +134,7 @@ def test_torch_approves_of_every_operator_of_the_package():
             )
 
 
-@pytest.mark.parametrize("name", thinned(SUBJECTS, ("learned forward dynamics", "rollout")))
+@pytest.mark.parametrize("name", thinned(SUBJECTS, ("rollout",)))
 def test_a_module_compiles_without_a_graph_break(name):
     module, inputs = subject(name)
     compiled = torch.compile(module, fullgraph=True, backend="aot_eager")
@@ -174,7 +174,7 @@ def test_steps_of_a_scene_compile_without_a_graph_break(name):
 # --- torch.export ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", thinned(SUBJECTS, ("learned inverse dynamics", "residual network")))
+@pytest.mark.parametrize("name", thinned(SUBJECTS, ("learned inverse dynamics",)))
 def test_an_exported_module_consists_of_torch_operations_for_any_batch(name):
     module, inputs = subject(name)
     graph = exported(name)
@@ -261,17 +261,17 @@ NOT_EXPORTED = {  # by the backend of a block
 }
 
 
-@pytest.mark.parametrize("strict", [False, True])
 @pytest.mark.parametrize("name", NOT_EXPORTED)
-def test_programs_of_this_process_and_reverse_mode_are_not_exported(name, strict):
+def test_programs_of_this_process_and_reverse_mode_are_not_exported(name):
     block, function = NOT_EXPORTED[name]
-    with refused(ArgumentError), torchdq.backend(block):
-        torch.export.export(Traced(function), (random(3, 2),), strict=strict)
+    for strict in thinned((False, True), (False,)):
+        with refused(ArgumentError), torchdq.backend(block):
+            torch.export.export(Traced(function), (random(3, 2),), strict=strict)
 
 
 @pytest.mark.parametrize(
     "transform, strict",
-    thinned([(name, strict) for name in ("vmap", "jvp") for strict in (False, True)], [("vmap", True), ("jvp", False)]),
+    thinned([(name, strict) for name in ("vmap", "jvp") for strict in (False, True)], [("vmap", True)]),
 )
 def test_other_transforms_are_exported(transform, strict):
     def torques(q):
@@ -303,5 +303,5 @@ def test_what_depends_on_values_is_in_no_graph(name):
         torch.export.export(Traced(function), (x,))
     with pytest.raises(torch._dynamo.exc.Unsupported, match=words):
         torch.compile(function, fullgraph=True, backend="eager")(x)
-    if EVERYTHING or name == "environment":  # without fullgraph, torch breaks the graph there
+    if EVERYTHING:  # without fullgraph, torch breaks the graph there
         assert torch.compile(function, backend="eager")(x).isfinite().all()

@@ -150,7 +150,7 @@ def test_goals_beyond_reach_leave_the_closest_point(axes):
     torch.testing.assert_close(found.error[:, 1], off[:, 1], rtol=1e-12, atol=0)  # of this q, and not of the last
     assert ((found.q >= robot.limits.lower) & (found.q <= robot.limits.upper)).all()
     for k in range(3):
-        starts = torch.cat([found.q[k : k + 1], within(robot, 2, seed=k)])
+        starts = torch.cat([found.q[k : k + 1], within(robot, 1, seed=k)])
         assert found.error[k].norm() <= closest(robot, X[k], axes, starts) + 1e-6
 
 
@@ -162,7 +162,9 @@ def test_goals_beyond_reach_of_two_joints_are_faced():
     torch.testing.assert_close(found.error[:, 1], double(1e-3, 10, 0), rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize(("dtype", "size"), [(F64, 1e200), (F64, 1e9), (torch.float32, 1e30)])
+@pytest.mark.parametrize(
+    ("dtype", "size"), thinned([(F64, 1e200), (F64, 1e9), (torch.float32, 1e30)], [(F64, 1e200), (torch.float32, 1e30)])
+)
 def test_goals_at_any_distance_turn_the_arm_towards_them_and_leave_other_rows_alone(dtype, size):
     toward = double(0.6, 0.0, 0.8).to(dtype)
     near = poses(ARM, within(ARM, 1)).to(dtype)

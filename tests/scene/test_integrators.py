@@ -74,7 +74,7 @@ def under_continuous_effects():
 
 
 @pytest.mark.case("T1")
-@pytest.mark.parametrize("integrator", thinned(FIXED, FIXED[2:]), ids=str)
+@pytest.mark.parametrize("integrator", thinned(FIXED, FIXED[2:4]), ids=str)
 def test_the_error_falls_with_the_stated_order(integrator, compiled, margin):
     """With effects of all kinds; hard_cases/test_time.py has the arm alone."""
     scene, start, inputs, end = under_continuous_effects()
@@ -109,7 +109,9 @@ def test_substeps_are_steps():
 # --- the adaptive one ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case", thinned([shipped("two_link"), PANDA], [PANDA]), ids=lambda case: case.robot.name)
+@pytest.mark.parametrize(
+    "case", thinned([PANDA, shipped("two_link")], [shipped("two_link")]), ids=lambda case: case.robot.name
+)
 def test_dormand_prince_agrees_with_scipy_on_pinocchios_accelerations(case, compiled):
     n, T = case.robot.n, 0.3
     q, qd, torque = random(3, n, seed=5)
@@ -323,8 +325,8 @@ def of_elastic_joints():
 @pytest.mark.parametrize(
     ("integrator", "error"),
     [
-        *((ExplicitEuler(), 0.1), (SemiImplicitEuler(), 0.03), (LinearlyImplicit(), 0.1), (RungeKutta4(), 1e-6)),
-        *((StoermerVerlet(), 1e-3), (DormandPrince(1e-9, 1e-11), 1e-7)),
+        *thinned([(ExplicitEuler(), 0.1), (SemiImplicitEuler(), 0.03), (RungeKutta4(), 1e-6)], []),
+        *((LinearlyImplicit(), 0.1), (StoermerVerlet(), 1e-3), (DormandPrince(1e-9, 1e-11), 1e-7)),
     ],
     ids=called,
 )
@@ -358,6 +360,6 @@ def test_ordinary_effects_hold_at_the_default_integrator_and_step():
         effects.JointLimits(stiffness=1e4 * limits),
     )
     scene = Scene(PANDA.robot, (effects.Gravity(), *parts))
-    speeds = trace(scene, scene.start(home.expand(6, 7)), 100, target=home).qd.abs()
+    speeds = trace(scene, scene.start(home.expand(6, 7)), 100 if EVERYTHING else 40, target=home).qd.abs()
     assert speeds.max() < 50.0  # a joint that falls reaches 20 rad/s
     assert (speeds.amax((0, 2)) > 1e-3).sum() >= 4  # servos and springs that hold the start are at rest

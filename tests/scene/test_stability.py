@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers import INERTIA, WHEEL, called, double, thinned
+from helpers import INERTIA, WHEEL, called, double, exhaustive, thinned
 from messages import refused, warned
 from on_ground import body
 from scenes import ARM, PANDA
@@ -209,6 +209,7 @@ def test_a_base_that_turns_far_in_a_step_is_pointed_out():
         assert check.turn == pytest.approx(speed * 0.01) and ("turns by up to" in str(check)) is far
 
 
+@exhaustive
 def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta(monkeypatch):
     """Inertial torques of links at the start of a step give energy."""
     monkeypatch.setattr(stability, "FEW", 512)  # of trials of shorter steps
@@ -270,6 +271,7 @@ def test_rotors_take_the_torques_of_a_controller_that_sees_the_links():
         assert bool((path.q[-100:] - 0.1).abs().max() < 1e-3) is settles
 
 
+@exhaustive
 def test_rows_that_are_not_finite_leave_the_others_their_own_ground():
     scene, state = on_ground(heights=(0.05, 0.05))
     gravity, ground = scene.effects
