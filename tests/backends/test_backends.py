@@ -42,15 +42,13 @@ EVERY = list(itertools.product(("c", "host"), FUNCTIONS, (TWO, TREE), (F64, F32)
 OF_AN_ARM = [("c", "inverse_dynamics", PANDA, F64), ("c", "mass_matrix", PANDA, F64)]
 FEW = [(backend, name, TREE, dtype) for backend, dtype in (("c", F64), ("host", F32)) for name in KINDS]
 FEW += [
-    (backend, name, TREE, dtype)
-    for backend, dtype in (("c", F32), ("host", F64))
-    for name in ("forward_dynamics", "DQRNEA")
+    (backend, name, TREE, dtype) for backend, dtype in (("c", F32), ("host", F64)) for name in ("forward_dynamics",)
 ]
 
 
 @pytest.mark.parametrize(
     "backend, name, robot, dtype",
-    thinned([*EVERY, *OF_AN_ARM], [*FEW, *OF_AN_ARM]),
+    thinned([*EVERY, *OF_AN_ARM], [*FEW, OF_AN_ARM[0]]),
     ids=lambda x: getattr(x, "name", str(x)),
 )
 def test_compiled_functions_equal_torch_operations(backend, name, robot, dtype):

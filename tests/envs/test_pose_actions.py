@@ -100,7 +100,7 @@ def test_an_episode_begins_with_the_pose_at_which_the_arm_is(leash):
 def test_a_proportional_policy_reaches():
     """The tip of 95 % of Pandas is within 2 cm of its goal after 1.5 s, with friction that the controller ignores."""
     control = controllers.OperationalSpaceControl(400.0, 40.0, axes="position", expressed="world")
-    envs = RobotVectorEnv(256, "reach", "panda", action=Actions("pose", controller=control))
+    envs = RobotVectorEnv(1024, "reach", "panda", action=Actions("pose", controller=control))
     observation, _ = envs.reset(seed=1)
     for _ in range(75):
         observation, *_, info = envs.step(observation[:, 21:24] / 0.1)

@@ -57,7 +57,7 @@ def test_without_a_policy_the_arm_presses_and_stays_near_the_path():
 
 
 def test_an_episode_ends_far_from_the_path_and_where_the_force_is_large():
-    envs = RobotVectorEnv(3, "wipe", "panda", max_episode_steps=None)
+    envs = RobotVectorEnv(3, "wipe", "panda", dtype="float64", max_episode_steps=None)
     envs.reset(seed=0)
     for _ in range(50):
         envs.step(torch.zeros(3, 7))
