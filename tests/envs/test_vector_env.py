@@ -100,7 +100,7 @@ def test_numpy_in_and_numpy_out():
         assert same(a, b)
 
 
-@pytest.mark.parametrize("looks", [True, False], ids=["host looks", "host does not look"])
+@pytest.mark.parametrize("looks", thinned([True, False], [False]), ids=str)
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_what_was_handed_out_does_not_change(mode, looks):
     """Results, state and scene, and what functions of tensors see; that buffers stay where they are is as on a GPU."""
@@ -141,7 +141,7 @@ def test_double_precision_throughout(dtype):
     ("task", "action"),
     thinned(
         [("reach", "torque"), ("track", "residual"), ("reach", "reference")],
-        [("reach", "torque"), ("track", "residual")],
+        [("track", "residual")],
     ),
 )
 def test_robots_of_a_stack_are_each_simulated(task, action):
@@ -296,7 +296,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", thinned(KINDS, KINDS.keys() - {"panda", "residual", "free with servos"}))
+@pytest.mark.parametrize("kind", thinned(KINDS, KINDS.keys() - {"panda", "residual", "memory", "free with servos"}))
 def test_a_row_is_the_single_environment(kind):
     arguments = {"robot": ROBOT, "action": "torque", "scale": 20.0, "max_episode_steps": 30, **KINDS[kind]}
     many = make(21, **arguments)
@@ -413,7 +413,7 @@ def test_finished_rows_wait_to_be_reset():
     envs.step(torch.zeros(5, 2))
 
 
-@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("mode", thinned(AutoresetMode, (AutoresetMode.SAME_STEP,)))
 @pytest.mark.parametrize("task", ["reach", IN_TORCH], ids=["recorded", "in torch"])
 def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
     options = {
