@@ -552,10 +552,6 @@ def test_c_casadi_and_graphs_of_torch_are_exported(here, capsys):
     graph = torch.export.load(found["files"][0]).module()
     x = torch.rand(3, 5, 2, dtype=torch.float64)
     assert torch.allclose(graph(*x), torchdq.inverse_dynamics(ROBOT, *x))
-    found = data(capsys, "export", "arm.urdf", "computed_torque", "--language", "torch")
-    graph, (kp, kd) = torch.export.load(found["files"][0]).module(), torch.rand(2, 2, dtype=torch.float64)
-    x = torch.rand(5, 3, 2, dtype=torch.float64)
-    assert torch.allclose(graph(*x, kp, kd), torchdq.computed_torque(ROBOT, *x, kp=kp, kd=kd))
 
 
 def test_a_cure_in_options_can_be_given_to_a_shell(here, capsys):

@@ -28,8 +28,8 @@ class Pose(TensorValue):
 
     Every function of this package that takes poses takes these and plain tensors alike. Results are tensors, of which
     `Pose(torchdq.forward_kinematics(robot, q, "tip"))` makes poses. Leading axes are batch axes and broadcast, and
-    `X[i]` are some of a batch; dtype and device are those of the tensor. torch.func and torch.compile take poses as arguments and results; a full graph
-    of torch.compile needs `multiply`, since it does not trace `@` between objects.
+    `X[i]` are some of a batch; dtype and device are those of the tensor. torch.func and torch.compile take poses as
+    arguments and results; a full graph of torch.compile needs `multiply`, since it does not trace `@` between objects.
 
     A motion xi [..., 6] is (angular [rad], linear [m]), the order of twists: the constant twist in B's axes that
     carries the frame from A to B in one second. It is the whole motion, twice the half-angle screw of `dq.exp` and

@@ -29,9 +29,10 @@ from torchdq.export.names import distinct, identifier
 from torchdq.functions import arrays
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
+from torchdq.numbers.ops import Count
 from torchdq.program.autodiff import jacobian
 from torchdq.program.autograd import vjp
-from torchdq.program.program import Argument, Count, Program
+from torchdq.program.program import Argument, Program
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.fields import SHAPES

@@ -98,9 +98,9 @@ def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
 
 
 def independent(robot: Robot, name: str, expressed: str, wanted: tuple[str, ...] = COMPONENTS) -> tuple[str, ...]:
-    """Components of the twist of a frame that the joints move independently at some posture, of those that are wanted; displacements first.
+    """Components of the twist of a frame, of those wanted, that the joints move independently at some posture.
 
-    All of them for a geometry that is an argument, whose numbers are not known.
+    Displacements are taken first. All of them for a geometry that is an argument, whose numbers are not known.
     """
     if any(x.isnan().any() for x in (robot.X_PB_home, robot.screw, robot.home) if x is not None):
         return wanted

@@ -263,9 +263,8 @@ def learnable(robot: Robot, learn: Any, own: Sequence[str] = ()) -> tuple[str, .
     names = (learn,) if isinstance(learn, str) else learn
     wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
     if wrong:
-        raise ArgumentError(
-            f"learn must be among {', '.join(known)} for robot {robot.name!r}, found {wrong[0]!r}{_cure(wrong[0], known)}"
-        )
+        expected = f"learn must be among {', '.join(known)} for robot {robot.name!r}"
+        raise ArgumentError(f"{expected}, found {wrong[0]!r}{_cure(wrong[0], known)}")
     if "inertia" in names:
         require_bodies(robot, "learning inertias")
     return tuple(dict.fromkeys(names))
