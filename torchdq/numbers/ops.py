@@ -68,7 +68,8 @@ class Operation(NamedTuple):
                 f"{len(self.partials)}, found {operands}"
             )
         if self.cost not in Count._fields:
-            raise ArgumentError(f"cost of operation {code!r} must be among {Count._fields}, found {self.cost!r}")
+            known = ", ".join(Count._fields)
+            raise ArgumentError(f"cost of operation {code!r} must be among {known}, found {self.cost!r}")
 
 
 def apply(code: str, *x: Value) -> Value:
