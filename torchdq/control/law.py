@@ -84,7 +84,7 @@ class Law(Parametric):
             expected = f"at most {', '.join(cls.WHERE)}, in this order" if cls.WHERE else "left out: there are none"
             raise ArgumentError(f"options of {cls.named()!r} must be {expected}, found {options!r}")
         gain, where = torch.ones((), dtype=torch.float64), dict[str, Any](zip(cls.WHERE, options, strict=False))
-        return cls(gain, gain, **where)  # type: ignore[call-arg,misc]
+        return cls(gain, gain, **where)  # type: ignore[arg-type,call-arg]
 
     @classmethod
     def require_gain(cls, name: str, x: Tensor, given: Tensors) -> None:
