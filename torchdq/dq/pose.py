@@ -128,7 +128,7 @@ def _moved(x: DualQuaternion, p: Pure) -> Pure:
 
 
 def _of_leaves(leaves: Any, _: None) -> Pose:
-    """Pose around whatever a transform puts in place of its tensor."""
+    """Pose around whatever a transform puts instead of its tensor."""
     pose = object.__new__(Pose)
     object.__setattr__(pose, "parameters", *leaves)
     return pose
