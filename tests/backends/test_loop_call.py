@@ -50,6 +50,13 @@ def test_a_loop_is_its_steps(dtype, backend):
         same([looped(SMALL, steps, given, ends=True, backend=backend)["x"]], [expected["x"][-1]])
 
 
+@pytest.mark.parametrize("width", [0, 2, 5])
+def test_rows_of_any_width_are_carried(width):
+    program, given = step(width), tensors(9, 3, width)
+    found, expected = looped(program, 3, given), one_by_one(program, 3, given, "eager")
+    agree([found[name] for name in expected], [*expected.values()])
+
+
 @pytest.mark.parametrize("dtype", thinned([F64, F32], (F32,)), ids=str)
 def test_long_bodies_are_functions_of_bounded_length(dtype, monkeypatch):
     monkeypatch.setattr(c_source, "LONGEST", 20)

@@ -159,7 +159,7 @@ MISTAKES = [
     (("accuracy", "arm.urdf", "--error", "0"), "error must be"),
     (("export", "arm.urdf", "inverse_dynamic"), "did you mean 'inverse_dynamics'"),
     (("export", "arm.urdf", "jacobian"), "the frames are base"),
-    (("export", "arm.urdf", "mass_matrix", "--language", "torch"), "inverse_dynamics, forward_dynamics"),
+    (("export", "arm.urdf", "computed_torque", "--options", "tip"), "options of 'computed_torque' must be left out"),
     (("export", "arm.urdf", "inverse_dynamics", "--out", "arm.urdf"), "'arm.urdf'"),
     (("id", "arm.urdf"), "LOG must be a file at least"),
     (("id", "arm.urdf", "nowhere.csv"), "there is no file 'nowhere.csv'"),
@@ -180,7 +180,7 @@ MISTAKES = [
     (("id", "log.csv", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "log.csv", "--test", "./log.csv"), "test must be other logs than those to learn from"),
-    (("export", "arm.urdf", "inverse_dynamics", "--language", "torch", "--name", "a/b"), "without folders"),
+    (("export", "arm.urdf", "inverse_dynamics", "--language", "torch", "--name", "a/b"), "a name that C accepts"),
     (("view", "arm.urdf", "--q", "1"), "q must be 2 numbers"),
     *(((name, "still.urdf"), "must have a joint that moves") for name in ("scene", "accuracy", "view")),
     (("id", "still.urdf", "log.csv"), "must have a joint that moves"),
@@ -559,6 +559,12 @@ def test_c_casadi_and_graphs_of_torch_are_exported(here, capsys):
     graph = torch.export.load(found["files"][0]).module()
     x = torch.rand(3, 5, 2, dtype=torch.float64)
     assert torch.allclose(graph(*x), torchdq.inverse_dynamics(ROBOT, *x))
+
+
+def test_a_cure_in_options_can_be_given_to_a_shell(here, capsys):
+    _, errors = told(capsys, "export", "arm.urdf", "cartesian_impedance", code=MISTAKE)
+    (cure,) = re.findall("take (--options .*)", " ".join(errors.split()))
+    assert data(capsys, "export", "arm.urdf", "cartesian_impedance", *shlex.split(cure))["files"]
 
 
 def test_a_robot_is_viewed(here, capsys):

@@ -142,6 +142,11 @@ def test_the_default_controller_follows_absolute_poses():
     assert ((tip - found[0]).abs().amax((-2, -1)) < 2e-3).float().mean() > 0.8
 
 
+def test_the_default_controller_moves_a_planar_arm_in_its_plane():
+    envs = started(2, **{**POSE, "controller": None})
+    assert envs.scene.controller.axes == "x y" and envs.single_action_space.shape == (2,)
+
+
 def test_the_default_controller_is_stable_at_slow_rates():
     """An error whose acceleration is held over a time step dies out."""
     for dt in (0.02, 0.05, 0.2):

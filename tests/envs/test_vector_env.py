@@ -16,7 +16,7 @@ import torch
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from helpers import thinned
+from helpers import double, thinned
 from messages import refused
 from small_envs import ALL_DRAWN, FREE, PARTS, PUSHES, ROBOT, actions_of, grouped, make, policy_of, same, started, steps
 
@@ -550,6 +550,11 @@ def test_a_full_action_is_the_limit_of_the_torque():
     assert envs._scale.tolist() == torchdq.robots.load("panda").limits.effort.tolist()
 
 
+def test_a_full_action_needs_no_limit_of_a_passive_joint():
+    one = ROBOT.replace(limits=ROBOT.limits._replace(effort=double(7.0, math.inf)))
+    assert started(1, robot=one, joints=one.joint_names[0], scale=None)._scale.tolist() == [7.0]
+
+
 def test_a_full_action_of_the_default_kind_moves_a_joint_at_its_velocity_limit():
     """The gains of the controller are those of a joint that follows an offset of 0.2 s at the speed of 0.2 s."""
     robot = torchdq.robots.load("panda")
@@ -645,7 +650,7 @@ WRONG = {
     "robot": ("pandaa", torchdq.robots.load("panda").with_tip(None), stacked(limits=True), stacked()),
     "effects": ((effects.Gravity,), (effects.Servo(10.0),), (effects.Payload(torch.rand(4, 1)),), (effects.Push(),)),
     "action": ("force",),
-    "scale": (None, [1.0], [20.0, 0.0], np.array([1.0, -2.0])),
+    "scale": (None, (), [1.0], [20.0, 0.0], np.array([1.0, -2.0])),
     "leash": ((-1.0, 1.0),),
     "joints": ("wheel", (), 1),
     "controller": (PD,),
@@ -663,7 +668,6 @@ TOGETHER = [
     *({**SOME, "action": kind} for kind in ("reference", "residual")),
     *({"effects": (effects.Push(),), "pushes": x} for x in ({"pull": PUSHES["push"]}, {"push": (1.0,) * 6})),
     *({**POSED, **x} for x in ({"controller": PD}, {"action": "reference"}, {"scale": (0.1,) * 3}, SOME)),
-    {**POSED, "controller": None},  # which would have more axes than the robot has joints
 ]
 ARGUMENTS = [*({name: x} for name, values in WRONG.items() for x in values), *TOGETHER]
 

@@ -33,9 +33,9 @@ from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.tree import BASE
 from torchdq.effects import Contact, Drag, Push
 from torchdq.functions import mdh, posed
-from torchdq.numbers.ops import OPS
+from torchdq.numbers.ops import OPS, Count
 from torchdq.program import autodiff as derive
-from torchdq.program.program import Argument, Count, Program, record, replay, results
+from torchdq.program.program import Argument, Program, record, replay, results
 
 F64 = torch.float64
 EPS64 = EPS[F64]

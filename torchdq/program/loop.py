@@ -6,8 +6,9 @@ from collections.abc import Callable, Container, Hashable, Iterable, Mapping, Se
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
+from torchdq.numbers.ops import Count
 from torchdq.program.autodiff import vjp
-from torchdq.program.program import Argument, Count, Program, Result, outputs
+from torchdq.program.program import Argument, Program, Result, outputs
 
 Name = TypeVar("Name", bound=Hashable)
 Rows = Mapping[Name, Any]  # tensors by name

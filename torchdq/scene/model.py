@@ -26,7 +26,8 @@ from torchdq.effects.joint import JointEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import Precision, check_precision
-from torchdq.program.program import Argument, Count, Program
+from torchdq.numbers.ops import Count
+from torchdq.program.program import Argument, Program
 from torchdq.program.transforms import constant_in_graphs
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
