@@ -20,7 +20,7 @@ G. Wanner, Geometric Numerical Integration, 2006, section IV.7). A method of hig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
@@ -134,17 +134,28 @@ def unit(X: DualQuaternion) -> tuple[Number, ...]:
     return (*(scale * a for a in r), *(scale * (b - a * along) for a, b in zip(r, d, strict=True)))
 
 
-def rate_of(X: Row, xi: Row) -> Row:
-    """Rate X xi/2 of a pose X as it is displaced to X exp(xi/2)."""
-    w, v = as_screw([0.5 * x for x in xi])
-    r, d = dq.mul(_pose(X), ((0.0, *w), (0.0, *v)))
-    return (*r, *d)
+def rates_of(X: Row, xi: Row) -> Row:
+    """Rates X xi/2 of poses X as they are displaced to X exp(xi/2)."""
+    found: list[Number] = []
+    for x, d in _bodies(X, POSE, xi, TWIST):
+        w, v = as_screw([0.5 * y for y in d])
+        r, moved = dq.mul(_pose(x), ((0.0, *w), (0.0, *v)))
+        found += [*r, *moved]
+    return found
 
 
-def displacement(X: Row, rate: Row) -> list[Number]:
-    """Displacement xi = 2 im(X* X') of a pose X, of its rate X' = X xi/2."""
-    r, d = dq.mul(dq.conj(_pose(X)), _pose(rate))
-    return [2.0 * x for x in (*r[1:], *d[1:])]
+def displacements(X: Row, rates: Row) -> list[Number]:
+    """Displacements xi = 2 im(X* X') of poses X, of their rates X' = X xi/2."""
+    found: list[Number] = []
+    for x, rate in _bodies(X, POSE, rates, POSE):
+        r, d = dq.mul(dq.conj(_pose(x)), _pose(rate))
+        found += [2.0 * y for y in (*r[1:], *d[1:])]
+    return found
+
+
+def _bodies(x: Row, size: int, y: Row, other: int) -> Iterator[tuple[Row, Row]]:
+    """Numbers of every body in two rows."""
+    return ((x[size * k : size * (k + 1)], y[other * k : other * (k + 1)]) for k in range(len(x) // size))
 
 
 def _pose(X: Row) -> DualQuaternion:
