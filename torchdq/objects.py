@@ -45,7 +45,7 @@ class Object(Parametric):
     inertia: Parameter = field(default=None, metadata=parameter(3, check=POSITIVE), kw_only=True)
 
     @property
-    def SHAPES(self) -> Shapes:  # type: ignore[override]  # noqa: N802
+    def SHAPES(self) -> Shapes:  # type: ignore[override]
         """Trailing axes of each parameter that is there."""
         return {name: x.axes for name, x in self.PARAMETERS.items() if getattr(self, name) is not None}
 

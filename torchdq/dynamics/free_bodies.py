@@ -145,9 +145,7 @@ class WithFreeBodies(NamedTuple):
         """Generalised forces of a motion."""
         n, found = self._nv, []
         for k, body in enumerate(self.free):
-            (w, u), (wd, ud) = (
-                (quat.ZERO, quat.ZERO) if x is None else self._own(x)[k] for x in (v, vd)
-            )
+            (w, u), (wd, ud) = ((quat.ZERO, quat.ZERO) if x is None else self._own(x)[k] for x in (v, vd))
             weight = quat.ZERO if self.gravity is None else body.to_own(self.gravity)
             net = net_wrench(body.inertia, tensor(w, wd), quat.sub(quat.add(ud, quat.cross(w, u)), weight))
             acted = None if exerted is None else exerted[self.first + k]

@@ -45,7 +45,8 @@ class PointImpedance(NamedTuple):
     along: Number = 0.0  # E [N s/m]
     moment: Pure | None = None  # about the point, now; None: zero [N m]
     spin: Number = 0.0  # rotational damping of that moment, the same about all axes, not negative [N m s/rad]
-    kept: Callable[[Pure], Sequence[Number]] | None = None  # memory at the end of the step, of u'; None: there is none
+    # memory at the end of the step, of u' and of the velocity that the displacement has as it is rounded; None: none
+    kept: Callable[[Pure, Pure], Sequence[Number]] | None = None
     # body on which the opposite force acts, and to which u is relative, if `link` is an object; None: the world
     against: int | None = None
 
@@ -68,8 +69,8 @@ class Bodies(NamedTuple):
     robot: Robot
     posed: Any  # a `Posed`, in a scene with objects `WithFreeBodies`
     V: Sequence[Screw] = ()  # twists of the links
-    objects: Mapping[str, tuple[int, Object]] = {}  # noqa: RUF012  # by name, with their links
-    relative: Mapping[Pair, Screw] = {}  # noqa: RUF012  # twists of objects relative to what touches them
+    objects: Mapping[str, tuple[int, Object]] = {}  # by name, with their links
+    relative: Mapping[Pair, Screw] = {}  # twists of objects relative to what touches them
 
     def moving(self, v: Row) -> Self:
         """The bodies with the twists of velocities in the order of the dynamics."""

@@ -194,7 +194,11 @@ class Contact(BodyEffect):
         bodies = {body.name: body for body in objects}
         on = self.on if self.on is None else matching("on", self.on, bodies, "object of the scene")
         points: list[Any] = []
-        for one in self.points if isinstance(self.points, tuple) and not isinstance(self.points, ContactPoint) else (self.points,):
+        for one in (
+            self.points
+            if isinstance(self.points, tuple) and not isinstance(self.points, ContactPoint)
+            else (self.points,)
+        ):
             names = fnmatch.filter(bodies, one) if isinstance(one, str) else []
             points += [ObjectPoint(name, k) for name in names for k in range(bodies[name].POINTS)] or [one]
         touching = {*(on or ()), *(x.frame for x in points if isinstance(x, ObjectPoint))}
@@ -276,7 +280,10 @@ class Contact(BodyEffect):
 
     def pairs(self, robot: Robot, objects: Mapping[str, int]) -> list[Pair]:
         """Objects, and bodies of the points that touch them."""
-        known = [objects.get(point.frame, robot.frame(point.frame).link + 1 if isinstance(point, ContactPoint) else 0) for point in self.points]
+        known = [
+            objects.get(point.frame, robot.frame(point.frame).link + 1 if isinstance(point, ContactPoint) else 0)
+            for point in self.points
+        ]
         return [(objects[name], i) for name in self.on or () for i in known if i != objects[name]]
 
     def memory(self, n: int) -> int:
@@ -322,9 +329,9 @@ class Contact(BodyEffect):
             slides = below(limit, ahead)
             share = select(slides, limit / ahead, 1.0)
 
-            def kept(end: Pure) -> Row:
+            def kept(end: Pure, rounded: Pure) -> Row:
                 lag, along = T / h, quat.dot(n, end)
-                slip = quat.sub(end, quat.scale(along, n))
+                slip = quat.sub(rounded, quat.scale(quat.dot(n, rounded), n))
                 # s y / k = s (z + (h + T) u_t')
                 acted = quat.scale(share, quat.add(z, quat.scale(h + T, slip)))
                 after = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, z)))
@@ -401,7 +408,9 @@ class Contact(BodyEffect):
         for number, (body, k, point) in enumerate(contacts):
             link, c, radius = self._point(bodies, point)
             if body is None:
-                n, depth = self._ground(bodies.posed.position(link, c), radius, *(row[k :: len(self.points)] for row in planes))
+                n, depth = self._ground(
+                    bodies.posed.position(link, c), radius, *(row[k :: len(self.points)] for row in planes)
+                )
                 i, against, normal = link, None, bodies.posed.to_link(link, n)
                 lowest = quat.sub(c, quat.scale(radius, normal)) if radius else c
             else:

@@ -29,7 +29,19 @@ from torchdq.robot.fields import SHAPES, trailing
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 
 SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
-OWN = ("q", "qd", "X_WB", "V_WB_B", "poses", "twists", "memory", "reading", "torque", "reference", "noise")  # inputs of every scene
+OWN = (
+    "q",
+    "qd",
+    "X_WB",
+    "V_WB_B",
+    "poses",
+    "twists",
+    "memory",
+    "reading",
+    "torque",
+    "reference",
+    "noise",
+)  # inputs of every scene
 _warned: Bounded[tuple[str, type[Effect]], bool] = Bounded(PROGRAMS)  # idle effects that a warning has named
 
 

@@ -101,7 +101,12 @@ class SceneSpec:
         """Names and widths of the positions and velocities of a state."""
         base = {"X_WB": POSE, "V_WB_B": TWIST} if self.robot.floating else {}
         k = len(self.objects)
-        return {"q": self.robot.n, "qd": self.robot.n, **base, **({"poses": POSE * k, "twists": TWIST * k} if k else {})}
+        return {
+            "q": self.robot.n,
+            "qd": self.robot.n,
+            **base,
+            **({"poses": POSE * k, "twists": TWIST * k} if k else {}),
+        }
 
     @property
     def free(self) -> int:
@@ -171,7 +176,13 @@ class SceneSpec:
         """Trailing axes of the parameters of the robot, the controller, or the effect at a position."""
         if owner == ROBOT:
             return SHAPES
-        part: Any = self.objects[OBJECTS - owner] if owner <= OBJECTS else self.effects[owner] if owner >= 0 else self.controller
+        part: Any = (
+            self.objects[OBJECTS - owner]
+            if owner <= OBJECTS
+            else self.effects[owner]
+            if owner >= 0
+            else self.controller
+        )
         return {} if part is None else part.SHAPES
 
     def split(self, memory: Row) -> Memory:
@@ -288,13 +299,13 @@ class View(NamedTuple):
 
     def posed(self, q: Row) -> Posed:
         """Robot at joint positions, in the world if its base is floating."""
-        return self.scene.posed(q, _pose(self.X_WB) if self.X_WB else None)
+        return self.scene.posed(q, free_base.as_pose(self.X_WB) if self.X_WB else None)
 
     @property
     def bodies(self) -> Bodies:
         """Links of the robot and objects, at rest."""
-        poses = [_pose(X) for X in _parts(self.poses, POSE)]
-        return self.scene.bodies(self.scene.posed(self.q, _pose(self.X_WB) if self.X_WB else None, poses))
+        poses = [free_base.as_pose(X) for X in _parts(self.poses, POSE)]
+        return self.scene.bodies(self.scene.posed(self.q, free_base.as_pose(self.X_WB) if self.X_WB else None, poses))
 
     @property
     def contacts(self) -> list[Contacts]:
@@ -302,10 +313,6 @@ class View(NamedTuple):
         spec, bodies = self.scene.spec, self.bodies.moving([*self.twists, *self.V_WB_B, *self.qd])
         found = [effect.readings(bodies, self.scene.inputs, self.memory[i]) for i, effect in spec.of(Contact)]
         return [point for points in found for point in points]
-
-
-def _pose(X: Row) -> DualQuaternion:
-    return tuple(X[:4]), tuple(X[4:])
 
 
 def _parts(row: Row, size: int) -> list[Row]:

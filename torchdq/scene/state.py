@@ -46,12 +46,12 @@ class State(NamedTuple):
         return self.reading[..., :n], self.reading[..., n:]
 
     @property
-    def X_WO(self) -> Tensor | None:  # noqa: N802
+    def X_WO(self) -> Tensor | None:
         """Poses of the objects [..., objects, 8]; None: there are none."""
         return None if self.poses is None else self.poses.unflatten(-1, (-1, POSE))
 
     @property
-    def V_WO(self) -> Tensor | None:  # noqa: N802
+    def V_WO(self) -> Tensor | None:
         """Twists of the objects in their axes [..., objects, 6]; None: there are none."""
         return None if self.twists is None else self.twists.unflatten(-1, (-1, TWIST))
 

@@ -85,7 +85,9 @@ def seen_from(tree: Tree, steps: Steps, axes: Sequence[Pure], p: Pure, links: Se
         else:
             before = rows[link.parent]
             rows[j] = tuple(step.vector_to_link(e) for e in before)
-            arm = tuple(quat.dot(e, step.placement.p) + f[2] * step.theta.shift for e, f in zip(before, rows[j], strict=True))
+            arm = tuple(
+                quat.dot(e, step.placement.p) + f[2] * step.theta.shift for e, f in zip(before, rows[j], strict=True)
+            )
             origins[j], columns[j] = quat.add(origins[link.parent], arm), dict(columns[link.parent])
         for k, s in freedoms(link):
             w, v = (tuple(quat.dot(e, x) for e in rows[j]) for x in s)
