@@ -71,7 +71,7 @@ Errors derive from TorchdqError and from the built-in error that a caller would 
 
 from typing import TYPE_CHECKING
 
-from torchdq import convert, dq, effects, floating, nn
+from torchdq import convert, dq, effects, floating, nn, objects
 from torchdq.backends.choice import backend
 from torchdq.base.caches import clear_caches
 from torchdq.errors import (
@@ -169,6 +169,7 @@ __all__ = [
     "manipulability",
     "mass_matrix",
     "nn",
+    "objects",
     "operational_space",
     "operational_space_control",
     "potential_energy",

@@ -40,6 +40,7 @@ class Object(Parametric):
     """
 
     POINTS: ClassVar[int]  # number of `points`
+    flat: ClassVar[bool] = False  # whether it has faces and edges
     name: str
     mass: Parameter = field(metadata=parameter(check=POSITIVE))
     inertia: Parameter = field(default=None, metadata=parameter(3, check=POSITIVE), kw_only=True)
@@ -59,6 +60,11 @@ class Object(Parametric):
         """Body at a pose, while it is recorded."""
         m, moments = self.mass, self.inertia
         return FreeBody(X_WO, m, tuple(m * x for x in self.radii()) if moments is None else moments)
+
+    @property
+    def sharp(self) -> bool:
+        """Whether its points have no radius."""
+        return False
 
     @property
     def mobility(self) -> Number:
@@ -100,9 +106,14 @@ class Box(Object):
     >>> cube = torchdq.objects.Box("cube", mass=0.1, size=(0.04, 0.04, 0.04))
     """
 
-    POINTS = 8
+    POINTS, flat = 8, True
     size: Parameter = field(metadata=parameter(3, check=POSITIVE), kw_only=True)
     rounding: Parameter = field(default=0.0, metadata=parameter(check=NOT_NEGATIVE), kw_only=True)
+
+    @property
+    def sharp(self) -> bool:
+        """Whether its corners are not rounded."""
+        return isinstance(self.rounding, float | int) and self.rounding == 0
 
     @property
     def half(self) -> Pure:
@@ -190,7 +201,7 @@ class Cylinder(Object):
         length: [m], a number or [...].
     """
 
-    POINTS = 8
+    POINTS, flat, sharp = 8, True, True
     radius: Parameter = field(metadata=parameter(check=POSITIVE), kw_only=True)
     length: Parameter = field(metadata=parameter(check=POSITIVE), kw_only=True)
 

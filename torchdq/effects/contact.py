@@ -28,6 +28,7 @@ for.
 from __future__ import annotations
 
 import fnmatch
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -193,6 +194,8 @@ class Contact(BodyEffect):
         """Copy with the points of objects, and the names of those that are touched."""
         bodies = {body.name: body for body in objects}
         on = self.on if self.on is None else matching("on", self.on, bodies, "object of the scene")
+        if on == ():
+            raise ArgumentError("on of Contact must name an object at least, found none; None is the ground")
         points: list[Any] = []
         for one in (
             self.points
@@ -201,7 +204,15 @@ class Contact(BodyEffect):
         ):
             names = fnmatch.filter(bodies, one) if isinstance(one, str) else []
             points += [ObjectPoint(name, k) for name in names for k in range(bodies[name].POINTS)] or [one]
-        touching = {*(on or ()), *(x.frame for x in points if isinstance(x, ObjectPoint))}
+        own = [x.frame for x in points if isinstance(x, ObjectPoint)]
+        for name in own if on else ():
+            sharp, flat = bodies[name].sharp, [x for x in on or () if x != name and bodies[x].flat]
+            if sharp and flat:
+                raise ArgumentError(
+                    f"points of Contact on {flat[0]!r} must be round, found {name!r}, whose edges would pass through "
+                    f"those of {flat[0]!r}; give it a rounding of a few millimetres, or make it a Ball or a Capsule"
+                )
+        touching = {*(on or ()), *own}
         stiffness = self.stiffness
         if touching and (stiffness is None or isinstance(stiffness, _Chosen)):
             stiffness = _Chosen(STIFF * min(float(tensor_of(bodies[name].mass).detach().min()) for name in touching))
@@ -274,25 +285,32 @@ class Contact(BodyEffect):
         return [p[axis] for axis in (0, 1) for p in found]
 
     @property
-    def count(self) -> int:
-        """Number of contacts: of each point with the ground, or with each object."""
-        return len(self.points) * (1 if self.on is None else len(self.on))
+    def touching(self) -> list[tuple[Any, str | None]]:
+        """Points, each with what it touches: an object by its name, or None, the ground."""
+        return [(point, name) for name in self.on or (None,) for point in self.points if point.frame != name]
+
+    def label(self) -> str:
+        """Name in descriptions, with the pairs of bodies and the number of contacts of each."""
+        if self.on is None and not any(isinstance(point, ObjectPoint) for point in self.points):
+            return type(self).__name__
+        pairs = Counter(f"{point.frame} on {name or 'the ground'}" for point, name in self.touching)
+        return f"{type(self).__name__}: {', '.join(f'{pair} ({n})' for pair, n in pairs.items())}"
 
     def pairs(self, robot: Robot, objects: Mapping[str, int]) -> list[Pair]:
         """Objects, and bodies of the points that touch them."""
-        known = [
-            objects.get(point.frame, robot.frame(point.frame).link + 1 if isinstance(point, ContactPoint) else 0)
-            for point in self.points
-        ]
-        return [(objects[name], i) for name in self.on or () for i in known if i != objects[name]]
+
+        def body(point: Any) -> int:
+            return objects[point.frame] if isinstance(point, ObjectPoint) else robot.frame(point.frame).link + 1
+
+        return [(objects[name], body(point)) for point, name in self.touching if name is not None]
 
     def memory(self, n: int) -> int:
         """Numbers that all contacts remember; none without stiction."""
-        return KEPT * self.count if self.stiction else 0
+        return KEPT * len(self.touching) if self.stiction else 0
 
     def start(self, q: Row, qd: Row) -> Row:
         """Memory of points that may be in the ground, with springs as compressed as they are deep."""
-        return (0.0, 0.0, 0.0, ANY_DEPTH, *[0.0] * (KEPT - 4)) * self.count if self.stiction else ()
+        return (0.0, 0.0, 0.0, ANY_DEPTH, *[0.0] * (KEPT - 4)) * len(self.touching) if self.stiction else ()
 
     # --- law ---
 
@@ -403,9 +421,8 @@ class Contact(BodyEffect):
     def _places(self, bodies: Bodies, inputs: Inputs, memory: Row = (), h: Number = 0.0) -> Iterator[_Place]:
         """Places of the contacts, before a step h."""
         planes = [inputs[name] for name in self.computed(0)]
-        touched = [None] if self.on is None else [bodies.objects[name] for name in self.on]
-        contacts = [(body, *x) for body in touched for x in enumerate(self.points)]
-        for number, (body, k, point) in enumerate(contacts):
+        for k, (point, name) in enumerate(self.touching):
+            body = None if name is None else bodies.objects[name]
             link, c, radius = self._point(bodies, point)
             if body is None:
                 n, depth = self._ground(
@@ -424,7 +441,7 @@ class Contact(BodyEffect):
             slip = quat.sub(u, quat.scale(along, normal))
             compression, free = depth, along
             if memory:
-                *_, compression, _, _, pushed, _ = memory[KEPT * number : KEPT * (number + 1)]
+                *_, compression, _, _, pushed, _ = memory[KEPT * k : KEPT * (k + 1)]
                 compression, free = minimum(depth, compression), along - h * pushed
             pressing = self._pressing(compression, free, h)
             lift, W_n = self._mobility(bodies, point, normal, body)

@@ -39,6 +39,10 @@ class Effect(Parametric):
     SCALES: ClassVar[tuple[str, ...]] = ()  # parameters that friction randomisation scales together
     IMPLICIT: ClassVar[str] = ""  # reason why only linearly implicit steps hold it; "": all do
 
+    def label(self) -> str:
+        """Name in descriptions."""
+        return type(self).__name__
+
     def inputs(self, n: int) -> dict[str, int]:
         """Names and widths of its inputs at a step."""
         return {}

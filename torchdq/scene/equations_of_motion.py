@@ -257,7 +257,7 @@ class SceneSystem(System):
         return [*moved, *self._kept(acting, x, [*moved, *free], solution, h), *free]
 
     def _kept(self, acting: _Acting, x: Row, end: Row, a: Row, h: Number) -> Row:
-        """Memory of effects on bodies at the end of a step from x, with velocities `end` and accelerations a over it."""
+        """Memory of effects on bodies after a step from x, with velocities `end` and accelerations a over it."""
         points = [(p.kept, (p.link, p.point, p.against)) for p in acting.points if p.kept is not None]
         now = acting.bodies
         rates = now.moving(a) if points else now

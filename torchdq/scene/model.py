@@ -24,7 +24,7 @@ from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.effect import Effect
 from torchdq.effects.joint import JointEffect
 from torchdq.effects.sensor import Sensor
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.call import Precision, check_precision
 from torchdq.objects import Object
 from torchdq.program.program import Argument, Count, Program
@@ -279,11 +279,19 @@ class SceneModel:
         require_state(state)
         return self._evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
 
-    def contacts(self, state: State) -> Contacts:
+    @property
+    def touching(self) -> list[tuple[str, str]]:
+        """Frame or object of the point, and object or "ground" that it touches, of every contact in their order."""
+        return self.spec.touching
+
+    def contacts(self, state: State, name: str | None = None) -> Contacts:
         """Contact of every point; with stiction the forces are those of the last step, as the state remembers.
+
+        They are in the order of `touching`. A force acts on the body of the point.
 
         Args:
             state: from `start`, `step` or `rollout`, shape [...].
+            name: of a frame or an object: the contacts that it takes part in; None: all.
 
         >>> import torch, torchdq
         >>> from torchdq import Scene, effects
@@ -298,7 +306,32 @@ class SceneModel:
             )
         rows = self._evaluate("contacts", {**state.rows(), **self._grounds(state)})
         force = rows.pop("force").unflatten(-1, (-1, 3))
-        return Contacts(force, touching=rows.pop("touching") != 0, **rows)
+        found = Contacts(force, touching=rows.pop("touching") != 0, **rows)
+        if name is None:
+            return found
+        known = sorted({one for pair in self.touching for one in pair})
+        if name not in known:
+            raise UnknownNameError("frame or object with contacts", name, known)
+        chosen = [k for k, pair in enumerate(self.touching) if name in pair]
+        return Contacts(found.force[..., chosen, :], *(x[..., chosen] for x in found[1:]))
+
+    def grasped(self, state: State, name: str, least: float = 0.5) -> Tensor:
+        """True where two or more parts of the robot press on an object, each by a normal force of `least` [N], [...].
+
+        Args:
+            state: from `start`, `step` or `rollout`, shape [...].
+            name: of the object.
+            least: normal force [N].
+        """
+        if name not in self.spec.links:
+            raise UnknownNameError("object of the scene", name, self.spec.links)
+        known = [frame for frame, on in self.touching if on == name and frame not in self.spec.links]
+        if not known:
+            raise ArgumentError(f"the robot must touch {name!r} to grasp it; add effects.Contact(points, on={name!r})")
+        found = self.contacts(state)
+        parts = [[k for k, pair in enumerate(self.touching) if pair == (frame, name)] for frame in dict.fromkeys(known)]
+        pressing = torch.stack([found.normal_force[..., own].sum(-1) >= least for own in parts], -1)
+        return pressing.sum(-1) >= 2
 
     # --- programs ---
 

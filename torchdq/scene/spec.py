@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.algebra.quaternion import Pure
+from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.control.law import Law
 from torchdq.dynamics.free_bodies import WithFreeBodies
@@ -37,6 +37,7 @@ Memory = dict[int, Row]  # remembered values of each effect, by its position
 E = TypeVar("E", bound=Effect)
 
 ORDER = ("poses", "X_WB", "q", "twists", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state, linearized
+GROUND = "ground"  # what contacts without an object touch
 POSES = ("poses", "X_WB")  # which are displaced by twists
 # owners of tensors; an effect owns its tensors by its position, and the objects begin with -4, downwards
 OBJECTS, POLICY, ROBOT, CONTROLLER = -4, -3, -2, -1
@@ -168,6 +169,11 @@ class SceneSpec:
         return [*self.of(JointEffect), *self.of(BodyEffect)]
 
     @property
+    def touching(self) -> list[tuple[str, str]]:
+        """Frame or object of the point, and object or "ground" that it touches, of every contact."""
+        return [(point.frame, on or GROUND) for _, effect in self.of(Contact) for point, on in effect.touching]
+
+    @property
     def inner(self) -> int:
         """Number of values that those effects remember."""
         return sum(effect.memory(self.robot.n) for _, effect in self.integrated)
@@ -256,7 +262,7 @@ class RecordedScene:
         return (*x, *START * self.spec.free), (*v, *centres)
 
     def poses_of(self, x: Row) -> tuple[DualQuaternion | None, list[DualQuaternion]]:
-        """Pose X_WB of a floating base, None if the base is fixed, and poses of the objects, of integrated positions."""
+        """Pose X_WB of a floating base, None if it is fixed, and poses of the objects, of integrated positions."""
         start = _parts((*self.inputs.get("poses", ()), *self.inputs.get("X_WB", ())), POSE)
         X = _parts(x[len(x) - POSE * self.spec.free :], POSE)
         found = [free_base.placed(*at) for at in zip(start, X, self._coms, strict=True)]
@@ -313,6 +319,14 @@ class View(NamedTuple):
         spec, bodies = self.scene.spec, self.bodies.moving([*self.twists, *self.V_WB_B, *self.qd])
         found = [effect.readings(bodies, self.scene.inputs, self.memory[i]) for i, effect in spec.of(Contact)]
         return [point for points in found for point in points]
+
+    def pressing(self, name: str) -> dict[str, Number]:
+        """Sums of the normal forces on an object, by the frames and objects that touch it [N]."""
+        found: dict[str, Number] = {}
+        for (frame, on), contact in zip(self.scene.spec.touching, self.contacts, strict=True):
+            if on == name:
+                found[frame] = found.get(frame, 0.0) + contact.normal_force
+        return found
 
 
 def _parts(row: Row, size: int) -> list[Row]:
