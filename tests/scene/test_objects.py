@@ -1,0 +1,395 @@
+"""Objects slide, roll, tip, collide and are held as analysis and conservation laws say; absent ones cost nothing."""
+
+import math
+from functools import cache
+
+import pytest
+import torch
+from helpers import PAIR, exhaustive
+from messages import refused
+
+import torchdq
+from torchdq import Scene, dq, effects
+from torchdq.backends import c_library as build
+from torchdq.objects import Ball, Box, Capsule, Cylinder
+from torchdq.robot import ContactPoint
+
+F64 = torch.float64
+G = 9.81
+MU, K = 0.5, 2e4
+DOWN = effects.Gravity((0.0, 0.0, -G))
+compiled = pytest.mark.skipif(build.compiler() is None, reason="thousands of steps need a C compiler")
+
+
+@cache
+def arm():
+    """Two links in a vertical plane, away from the objects of most tests."""
+    return torchdq.Robot.from_urdf(PAIR)
+
+
+@cache
+def gripper():
+    """Two fingers on a lift, each with a pad of four spheres; they close along x, and the lift moves along z."""
+    link = '<link name="{}"><inertial><mass value="{}"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial></link>'
+    joint = (
+        '<joint name="{}_joint" type="prismatic"><parent link="{}"/><child link="{}"/><origin xyz="{} 0 0"/>'
+        '<axis xyz="{}"/><limit lower="-1" upper="1" effort="100" velocity="10"/></joint>'
+    )
+    names = ("base", "lift", "left", "right")
+    links = "".join(link.format(name, mass) for name, mass in zip(names, (1, 1, 0.1, 0.1), strict=True))
+    joints = joint.format("lift", "base", "lift", 0, "0 0 1") + joint.format("left", "lift", "left", -0.03, "1 0 0")
+    joints += joint.format("right", "lift", "right", 0.03, "-1 0 0")
+    return torchdq.Robot.from_urdf(f'<robot name="gripper">{links}{joints}</robot>')
+
+
+PADS = tuple(
+    ContactPoint(finger, (0.0, y, z), 0.004)
+    for finger in ("left", "right")
+    for y in (-0.01, 0.01)
+    for z in (-0.01, 0.01)
+)
+CUBE = 0.04  # edge of the cube that is held [m]
+SQUEEZED = 5e-4  # how much further the fingers are told to close [m]
+
+
+def held(dt=5e-3, mass=0.1, **parameters):
+    """Scene of a cube between two fingers."""
+    given = {"friction": 1.0, "stiffness": 1e4, **parameters}
+    servo = effects.Servo((1e5, 2e4, 2e4), (2e3, 3e2, 3e2))
+    grip = effects.Contact(PADS, on="cube", **given)
+    return Scene(gripper(), (DOWN, servo, grip), objects=(Box("cube", mass, size=(CUBE,) * 3),), dt=dt)
+
+
+def grip(scene, *batch, dtype=F64):
+    """State of a cube that was just taken, and the target that holds it."""
+    closed = 0.03 - CUBE / 2 - 0.004
+    q = torch.tensor([0.2, closed, closed], dtype=dtype).expand(*batch, 3)
+    return scene.start(q, X_WO=at((0.0, 0.0, 0.2)).to(dtype).expand(*batch, 1, 8)), q + torch.tensor([0.0, 1e-3, 1e-3])
+
+
+def alone(objects, *contacts, dt=5e-3, gravity=True):
+    """Scene of objects that no robot touches."""
+    return Scene(arm(), (*[DOWN] * gravity, *contacts), objects=objects, dt=dt)
+
+
+def at(position, turn=(1.0, 0.0, 0.0, 0.0)):
+    """Pose of an object, [1, 8]."""
+    turn = torch.nn.functional.normalize(torch.as_tensor(turn, dtype=F64), dim=-1)
+    return dq.from_pose(turn, torch.as_tensor(position, dtype=F64))[..., None, :]
+
+
+def begin(scene, X_WO, V_WO=None):
+    return scene.start(torch.zeros(*X_WO.shape[:-2], scene.n, dtype=F64), X_WO=X_WO, V_WO=V_WO)
+
+
+def twist(*x):
+    return torch.tensor(x, dtype=F64)[None]
+
+
+def place(state):
+    """Positions of the objects [..., objects, 3]."""
+    return dq.translation(state.X_WO)
+
+
+def momenta(state, bodies):
+    """Linear and angular momentum in the world of bodies (mass, principal moments), about its origin."""
+    linear, angular = 0.0, 0.0
+    for k, (mass, moments) in enumerate(bodies):
+        X, V = state.X_WO[..., k, :], state.V_WO[..., k, :]
+        p = mass * dq.rotate(dq.rotation(X), V[..., 3:])
+        spin = dq.rotate(dq.rotation(X), torch.tensor(moments, dtype=F64) * V[..., :3])
+        linear, angular = linear + p, angular + torch.linalg.cross(dq.translation(X), p) + spin
+    return linear, angular
+
+
+# --- on the ground ---------------------------------------------------------------------------------------------------
+
+
+@compiled
+def test_a_box_slides_as_far_as_friction_lets_it():
+    scene = alone((Box("box", 1.0, size=(0.2, 0.2, 0.1)),), effects.Contact(("box",), friction=MU, stiffness=K))
+    speed, start = 2.0, at((0.0, 0.0, 0.05 - G / (4 * K)))
+    path = scene.rollout(begin(scene, start, twist(0, 0, 0, speed, 0, 0)), steps=400)
+    # friction acts from the end of the first step on: half a step less of the way
+    way = speed**2 / (2 * MU * G)
+    assert float(place(path)[-1, 0, 0]) == pytest.approx(way - scene.dt * speed / 2, abs=2e-3 * way)
+    assert path.V_WO[-1].abs().max() < 1e-9
+
+
+@compiled
+@pytest.mark.parametrize("dt", [1e-3, 1e-2])
+def test_a_ball_that_slid_rolls_with_five_sevenths_of_its_speed(dt):
+    scene = alone((Ball("ball", 1.0, radius=0.1),), effects.Contact(("ball",), friction=MU, stiffness=K), dt=dt)
+    path = scene.rollout(begin(scene, at((0.0, 0.0, 0.1 - G / K)), twist(0, 0, 0, 2.0, 0, 0)), steps=round(2 / dt))
+    speed = (place(path)[-1] - place(path)[-2])[0, 0] / dt
+    assert float(speed) / 2.0 == pytest.approx(5 / 7, abs=1e-9)
+
+
+@compiled
+def test_a_box_tips_over_its_edge_with_the_spin_that_energy_says():
+    mass, a, b = 0.2, 0.02, 0.06
+    scene = alone(
+        (Box("box", mass, size=(2 * a, 0.04, 2 * b)),), effects.Contact(("box",), friction=2.0, stiffness=1e5), dt=1e-3
+    )
+    about_edge = mass * ((2 * a) ** 2 + (2 * b) ** 2) / 12 + mass * (a * a + b * b)
+    critical = math.sqrt(2 * mass * G * (math.hypot(a, b) - b) / about_edge)
+    spin = critical * torch.tensor([0.98, 1.02], dtype=F64)
+    V = torch.zeros(2, 1, 6, dtype=F64)
+    V[:, 0, 1], V[:, 0, 3], V[:, 0, 5] = spin, b * spin, a * spin
+    path = scene.rollout(begin(scene, at((0.0, 0.0, b)).expand(2, 1, 8), V), steps=2500)
+    assert (place(path)[-1, :, 0, 2] < 0.7 * b).tolist() == [False, True]
+
+
+@compiled
+@pytest.mark.parametrize(("dt", "stiffness"), [(1e-3, 1e5), (5e-3, 8e4), (1e-2, 2e4)])
+def test_tumbling_boxes_never_gain_energy(dt, stiffness):
+    g = torch.Generator().manual_seed(0)
+    k = torch.tensor(stiffness, dtype=F64)
+    box = Box("box", 0.5, size=(0.1, 0.2, 0.3))
+    scene = alone((box,), effects.Contact(("box",), friction=0.7, stiffness=k, dissipation=0.2), dt=dt)
+    X = at(torch.rand(64, 3, dtype=F64, generator=g) * 0.3 + 0.2, torch.randn(64, 4, dtype=F64, generator=g))
+    V = torch.randn(64, 1, 6, dtype=F64, generator=g) * torch.tensor([6.0] * 3 + [1.5] * 3, dtype=F64)
+    start = begin(scene, X, V)
+    path = scene.rollout(start, steps=round(1 / dt))
+    before, after = scene.energy(start).sum(-1), scene.energy(path).sum(-1)
+    assert bool(path.finite().all())
+    assert float(((after - before) / before).max()) < 1e-3
+    assert float(place(path)[..., 2].min()) > 0.03  # nothing falls through
+
+
+@compiled
+@pytest.mark.parametrize("shape", [Capsule, Cylinder])
+def test_round_shapes_lie_on_the_ground_at_their_radius(shape):
+    scene = alone((shape("it", 0.3, radius=0.05, length=0.2),), effects.Contact(("it",), friction=MU, stiffness=1e4))
+    lying = at((0.0, 0.0, 0.05), (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0))
+    path = scene.rollout(begin(scene, lying), steps=200)
+    assert float(place(path)[-1, 0, 2]) == pytest.approx(0.05, abs=0.3 * G / (2 * 1e4) + 1e-6)
+
+
+# --- between bodies --------------------------------------------------------------------------------------------------
+
+
+@compiled
+@pytest.mark.parametrize("dt", [1e-3, 5e-3])
+def test_a_collision_keeps_linear_and_angular_momentum(dt):
+    ball, cube = Ball("ball", 1.0, radius=0.1), Box("cube", 0.5, size=(0.2, 0.2, 0.2))
+    touching = effects.Contact(("ball",), on="cube", friction=MU, stiffness=K)
+    scene = alone((ball, cube), touching, dt=dt, gravity=False)
+    X = torch.cat([at((-0.3, 0.05, 0.06)), at((0.0, 0.0, 0.0), (0.9, 0.1, -0.2, 0.3))])
+    V = torch.cat([twist(3.0, 1.0, 0.0, 1.0, 0.0, 0.0), twist(0.0, 1.0, 2.0, 0.0, 0.0, 0.0)])
+    start = begin(scene, X, V)
+    path = scene.rollout(start, steps=round(1 / dt))
+    bodies = [(1.0, [0.4 * 0.1**2] * 3), (0.5, [0.5 * 0.2**2 / 6] * 3)]
+    for before, after in zip(momenta(start, bodies), momenta(path, bodies), strict=True):
+        assert (after - before).abs().max() < 1e-13
+    assert float((momenta(path, bodies[:1])[0][-1] - momenta(start, bodies[:1])[0]).norm()) > 0.1  # they did collide
+
+
+@compiled
+def test_the_order_of_objects_does_not_matter():
+    ball, cube = Ball("ball", 1.0, radius=0.1), Box("cube", 0.5, size=(0.2, 0.2, 0.2))
+    touching = effects.Contact(("ball",), on="cube", friction=MU, stiffness=K)
+    X = torch.cat([at((-0.25, 0.05, 0.06)), at((0.0, 0.0, 0.0), (0.9, 0.1, -0.2, 0.3))])
+    V = torch.cat([twist(3.0, 1.0, 0.0, 1.0, 0.0, 0.0), twist(0.0, 1.0, 2.0, 0.0, 0.0, 0.0)])
+    ends = []
+    for order in ([0, 1], [1, 0]):
+        scene = alone(tuple((ball, cube)[k] for k in order), touching, gravity=False)
+        ends.append(scene.rollout(begin(scene, X[order], V[order]), steps=100).X_WO[-1][order])
+    assert (ends[0] - ends[1]).abs().max() < 1e-12
+
+
+@compiled
+def test_turning_the_world_turns_the_result():
+    turn = torch.nn.functional.normalize(torch.tensor([0.6, -0.3, 0.5, 0.2], dtype=F64), dim=0)
+    ball, cube = Ball("ball", 1.0, radius=0.1), Box("cube", 0.5, size=(0.2, 0.2, 0.2))
+    touching = effects.Contact(("ball",), on="cube", friction=MU, stiffness=K)
+    scene = Scene(arm(), (effects.Gravity(torch.zeros(3, dtype=F64)), touching), objects=(ball, cube), dt=5e-3)
+    X = torch.cat([at((-0.25, 0.05, 0.06)), at((0.0, 0.0, 0.0), (0.9, 0.1, -0.2, 0.3))])
+    V = torch.cat([twist(3.0, 1.0, 0.0, 1.0, 0.0, 0.0), twist(0.0, 1.0, 2.0, 0.0, 0.0, 0.0)])
+    by = dq.from_pose(turn, torch.tensor([0.3, 0.1, -0.2], dtype=F64))
+    g = torch.tensor([0.5, 0.2, -1.0], dtype=F64)
+    ends = []
+    for X_0, gravity in ((X, g), (dq.mul(by, X), dq.rotate(turn, g))):
+        turned = scene.replace(effects=(effects.Gravity(gravity), touching))
+        ends.append(turned.rollout(begin(turned, X_0, V), steps=100).X_WO[-1])
+    assert (dq.mul(by, ends[0]) - ends[1]).abs().max() < 1e-11
+
+
+@compiled
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_a_cube_that_is_held_does_not_creep(dtype):
+    scene = held()
+    start, target = grip(scene, dtype=dtype)
+    path = scene.rollout(start, target=target.to(dtype).expand(2200, 3))
+    heights = place(path)[:, 0].double()
+    assert float((heights[-1] - heights[400]).abs().max()) < (5e-8 if dtype == torch.float64 else 5e-7)
+    assert bool(scene.grasped(path.last, "cube"))
+
+
+@compiled
+def test_a_cube_slips_where_its_weight_exceeds_the_friction_of_the_grip():
+    ratios = torch.tensor([0.97, 0.99, 1.01, 1.03], dtype=F64)  # of the weight to the friction of all pads
+    scene = held(friction=torch.ones(4, dtype=F64))
+    start, target = grip(scene, 4)
+    target = target.expand(200, 4, 3)
+    start = scene.rollout(start, target=target).last
+    force = scene.contacts(start, "cube").normal_force.sum(-1)
+    scene = held(friction=0.1 * G / (ratios * force))
+    path = scene.rollout(start, target=target)
+    fallen = place(start)[:, 0, 2] - place(path)[-1, :, 0, 2]
+    assert (fallen > 1e-3).tolist() == [False, False, True, True]
+    assert fallen[:2].abs().max() < 1e-5
+
+
+@compiled
+def test_a_cube_turns_with_the_hand_that_holds_it():
+    """Bristles turn with the object: in axes of the world they would wind up, and let go."""
+    scene = held()
+    start, target = grip(scene)
+    start = scene.rollout(start, target=target.expand(100, 3)).last
+    steps = torch.arange(400, dtype=F64)[:, None]
+    lifted = target + steps * torch.tensor([2e-4, 0.0, 0.0], dtype=F64)
+    path = scene.rollout(start, target=lifted)
+    raised = place(path)[-1, 0] - place(start)[0]
+    assert float(raised[2]) == pytest.approx(float(path.q[-1, 0] - start.q[0]), abs=2e-6)
+
+
+@compiled
+def test_rounded_cubes_stand_on_each_other_and_sharp_ones_are_refused():
+    cubes = tuple(Box(name, 0.1, size=(CUBE,) * 3, rounding=0.006) for name in ("lower", "upper"))
+    contacts = effects.Contact(("lower",), stiffness=1e4), effects.Contact(("upper",), on="lower", stiffness=1e4)
+    scene = alone(cubes, *contacts)
+    X = torch.cat([at((0.0, 0.0, 0.02)), at((0.004, 0.003, 0.06))])
+    path = scene.rollout(begin(scene, X), steps=800)
+    assert (place(path)[-1] - place(path)[400]).abs().max() < 1e-8
+    assert float(place(path)[-1, 1, 2]) == pytest.approx(0.06, abs=1e-3)
+    sharp = tuple(Box(name, 0.1, size=(CUBE,) * 3) for name in ("lower", "upper"))
+    with refused():
+        alone(sharp, contacts[1])
+
+
+# --- gradients -------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def test_gradients_through_a_grasp_are_those_of_differences():
+    scene = held(mass=torch.tensor(0.1, dtype=F64))
+    start, target = grip(scene)
+    start = scene.rollout(start, target=target.expand(40, 3)).last
+    g = torch.Generator().manual_seed(0)
+
+    def height(mass, moved):
+        lifted = scene.with_parameters({"-4.mass": mass})
+        return (lifted.rollout(start, target=(target + moved).expand(20, 3)).X_WO[-1] ** 2).sum()
+
+    x = (torch.tensor(0.1, dtype=F64, requires_grad=True), torch.full((3,), 1e-3, dtype=F64, requires_grad=True))
+    found = torch.autograd.grad(height(*x), x)
+    ways = [torch.randn(a.shape, dtype=F64, generator=g) for a in x]
+    step = 1e-5
+    with torch.no_grad():
+        up, down = (height(*[a + s * step * w for a, w in zip(x, ways, strict=True)]) for s in (1.0, -1.0))
+    expected = float(up - down) / (2 * step)
+    assert float(sum((a * w).sum() for a, w in zip(found, ways, strict=True))) == pytest.approx(expected, rel=1e-5)
+
+
+# --- the scene -------------------------------------------------------------------------------------------------------
+
+
+def test_a_scene_without_objects_has_none_in_its_state_and_records_what_it_did():
+    scene = Scene(arm(), (DOWN,))
+    state = scene.start(torch.zeros(3, 2, dtype=F64))
+    assert state.X_WO is None and state.V_WO is None
+    assert "poses" not in scene.spec.state
+
+
+@pytest.mark.parametrize("touched", [False, True])
+def test_an_arm_beside_an_object_that_it_does_not_reach_moves_as_alone(touched):
+    point = effects.Contact((ContactPoint("b", radius=0.02),), on="far", friction=MU, stiffness=K)
+    far = (Box("far", 1.0, size=(0.1, 0.1, 0.1)),)
+    beside = Scene(arm(), (DOWN, *[point] * touched), objects=far)
+    single = Scene(arm(), (DOWN,))
+    q = torch.tensor([0.3, -0.2], dtype=F64)
+    ends = [begin(beside, at((50.0, 0.0, 0.0)))._replace(q=q), single.start(q)]
+    for _ in range(5):
+        ends = [s.step(x) for s, x in zip((beside, single), ends, strict=True)]
+    assert (ends[0].q - ends[1].q).abs().max() < 1e-13
+
+
+def test_samples_may_have_masses_sizes_and_friction_of_their_own():
+    sizes = torch.tensor([[0.2, 0.2, 0.1], [0.1, 0.1, 0.3]], dtype=F64)
+    scene = alone(
+        (Box("box", torch.tensor([1.0, 2.0], dtype=F64), size=sizes),), effects.Contact(("box",), stiffness=K)
+    )
+    state = begin(scene, at((0.0, 0.0, 0.2)).expand(2, 1, 8))
+    after = scene.step(state)
+    for k in range(2):
+        one = alone((Box("box", float(k + 1), size=tuple(sizes[k].tolist())),), effects.Contact(("box",), stiffness=K))
+        wanted = one.step(begin(one, at((0.0, 0.0, 0.2))))
+        assert (after.poses[k] - wanted.poses).abs().max() < 1e-14
+        assert (after.twists[k] - wanted.twists).abs().max() < 1e-13
+
+
+def test_energy_is_that_of_all_bodies():
+    scene = alone((Ball("ball", 2.0, radius=0.1),))
+    state = begin(scene, at((0.0, 0.0, 3.0)), twist(0.0, 5.0, 0.0, 1.0, 2.0, 0.0))
+    bare = Scene(arm(), (DOWN,))
+    own = bare.energy(bare.start(torch.zeros(2, dtype=F64)))
+    kinetic, potential = (scene.energy(state) - own).tolist()
+    assert kinetic == pytest.approx(0.5 * 2.0 * 5.0 + 0.5 * 0.4 * 2.0 * 0.01 * 25.0)
+    assert potential == pytest.approx(2.0 * G * 3.0)
+
+
+def test_contacts_are_read_by_the_pair():
+    scene = held()
+    state, _ = grip(scene)
+    assert scene.touching == [("left", "cube")] * 4 + [("right", "cube")] * 4
+    assert scene.contacts(state, "left").force.shape == (4, 3)
+    assert scene.contacts(state, "cube").force.shape == (8, 3)
+    assert not bool(scene.grasped(state, "cube"))
+
+
+def test_a_description_prices_objects_and_names_the_pairs():
+    text = str(held().describe(seconds=0))
+    assert "Box cube" in text
+    assert "left on cube (4), right on cube (4)" in text
+
+
+WRONG = {
+    "an object that is none": lambda: alone((1.0,)),
+    "an object, not a sequence": lambda: Scene(arm(), objects=Ball("ball", 1.0, radius=0.1)),
+    "two of one name": lambda: alone((Ball("ball", 1.0, radius=0.1), Ball("ball", 1.0, radius=0.2))),
+    "a name of a frame": lambda: alone((Ball("a", 1.0, radius=0.1),)),
+    "no name": lambda: alone((Ball("", 1.0, radius=0.1),)),
+    "no mass": lambda: alone((Ball("ball", 0.0, radius=0.1),)),
+    "a negative size": lambda: alone((Box("box", 1.0, size=(0.1, -0.1, 0.1)),)),
+    "a contact on an unknown object": lambda: alone((Ball("ball", 1.0, radius=0.1),), effects.Contact(on="cube")),
+    "a contact on no object": lambda: alone((Ball("ball", 1.0, radius=0.1),), effects.Contact(on=())),
+    "poses without an axis of objects": lambda: begin_wrong(at((0.0, 0.0, 0.0))[0]),
+    "poses that are not unit": lambda: begin_wrong(2.0 * at((0.0, 0.0, 0.0))),
+    "poses without objects": lambda: Scene(arm()).start(torch.zeros(2, dtype=F64), X_WO=at((0.0, 0.0, 0.0))),
+    "contacts of an unknown name": lambda: held().contacts(grip(held())[0], "ball"),
+    "a grasp of what nothing touches": lambda: alone((Ball("b2", 1.0, radius=0.1),)).grasped(None, "b2"),
+}
+
+
+def begin_wrong(X_WO):
+    scene = alone((Ball("ball", 1.0, radius=0.1),))
+    return scene.start(torch.zeros(2, dtype=F64), X_WO=X_WO)
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_is_wrong_is_refused_with_its_name(what):
+    with refused():
+        WRONG[what]()
+
+
+@compiled
+@exhaustive
+def test_five_rounded_cubes_stand():
+    cubes = tuple(Box(f"cube{i}", 0.1, size=(CUBE,) * 3, rounding=0.006) for i in range(5))
+    contacts = [effects.Contact(("cube0",), stiffness=1e4)]
+    contacts += [effects.Contact((f"cube{i + 1}",), on=f"cube{i}", stiffness=1e4) for i in range(4)]
+    scene = alone(cubes, *contacts)
+    X = torch.cat([at((0.004 * (i % 2), 0.003 * (i % 2), 0.02 + 0.04 * i)) for i in range(5)])
+    path = scene.rollout(begin(scene, X), steps=2000)
+    assert (place(path)[-1, :, 2] > torch.tensor([0.019 + 0.039 * i for i in range(5)])).all()
