@@ -21,6 +21,7 @@ from torchdq.effects import Effect
 from torchdq.envs.pose_actions import POSITION, ROTATION, PoseActions
 from torchdq.envs.tasks import ranges, velocities
 from torchdq.errors import ArgumentError
+from torchdq.functions.options import independent
 from torchdq.robot import Robot
 from torchdq.scene.defaults import nominal_robot
 from torchdq.scene.free_base import POSE
@@ -55,7 +56,8 @@ class Actions:
             and a translation of at most 0.1 m along each axis; `RobotVectorEnv.pose_action` converts absolute poses.
         controller: controller for "reference", "residual" and "pose". It uses the nominal rigid-body model, without
             friction and randomisation, unless it has a model of its own. None: computed torque, or for "pose"
-            operational space control of the tip in world axes; needed if the base floats.
+            operational space control of the tip in those world axes that the joints move independently; needed if the
+            base floats.
         scale: size of a full action, one number or one for each joint or axis; None: as above [N m or N; rad or m].
         leash: largest distance of the desired pose from the measured one after a "pose" step; larger displacements are
             cut. (0, 0): actions displace the measured pose [rad, m].
@@ -215,7 +217,8 @@ def _with_controller(scene: Scene, kind: Kind, controller: Law | None) -> Scene:
         return scene.replace(controller=ComputedTorque(KP, KD, model=model))
     middle = tuple([r.lower + 0.5 * r.span for r in ranges(scene.robot)])
     rate = min(RATE, 0.5 / scene.dt)  # torques that are held for dt would overshoot beyond
-    firm = OperationalSpaceControl(rate**2, 2 * rate, expressed="world", q_null=middle, model=model)
+    axes = independent(scene.robot, scene.robot.end_effector().name, "world")
+    firm = OperationalSpaceControl(rate**2, 2 * rate, expressed="world", axes=axes, q_null=middle, model=model)
     return scene.replace(controller=firm)
 
 

@@ -34,6 +34,7 @@ from torchdq.envs.reset import KEPT, NOISE, SPARE, STARTS, Reset
 from torchdq.envs.rng import Streams
 from torchdq.envs.row_selection import Host, Indexed
 from torchdq.envs.tasks import STATE
+from torchdq.program.loop import by_steps
 from torchdq.scene.policies import Network
 from torchdq.scene.recording import Stage
 from torchdq.scene.state import State
@@ -69,18 +70,18 @@ def stepped(
     unit: float,
 ) -> Rollout:
     """Rollout by so many calls of a function that takes a step."""
-    observations, rows, infos = [observation], list[tuple[Tensor, ...]](), list[dict[str, Any]]()
-    for k in range(steps):
-        found = policy(observations[-1].clone())  # which it may write into
+
+    def after(k: int, before: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        found = policy(before["observations"].clone())  # which it may write into
         require_tensor("what policy returns", found)
         actions = unit * (found if noise is None else found + noise[k])
-        observation, *others, info = step(actions)
-        observations.append(observation)
-        rows.append((actions, *others, info.get("final_obs", observation)))
-        infos.append({name: x for name, x in info.items() if "final" not in name})
-    info = {name: torch.stack([x[name] for x in infos]) for name in infos[0]}
-    actions, rewards, terminated, truncated, final = map(torch.stack, zip(*rows, strict=True))
-    return Rollout(torch.stack(observations), actions, rewards, terminated, truncated, final, info)
+        now, *others, info = step(actions)
+        rows = zip(Rollout._fields, (now, actions, *others, info.get("final_obs", now)), strict=False)
+        return {**dict(rows), **{INFO + name: x for name, x in info.items() if "final" not in name}}
+
+    rows: dict[str, Tensor] = by_steps(after, {"observations": observation}, range(steps), torch.stack)
+    info = {name.removeprefix(INFO): rows.pop(name) for name in [*rows] if name.startswith(INFO)}
+    return Rollout(**rows, info=info)
 
 
 class Step(NamedTuple):

@@ -42,15 +42,13 @@ EVERY = list(itertools.product(("c", "host"), FUNCTIONS, (TWO, TREE), (F64, F32)
 OF_AN_ARM = [("c", "inverse_dynamics", PANDA, F64), ("c", "mass_matrix", PANDA, F64)]
 FEW = [(backend, name, TREE, dtype) for backend, dtype in (("c", F64), ("host", F32)) for name in KINDS]
 FEW += [
-    (backend, name, TREE, dtype)
-    for backend, dtype in (("c", F32), ("host", F64))
-    for name in ("forward_dynamics", "DQRNEA")
+    (backend, name, TREE, dtype) for backend, dtype in (("c", F32), ("host", F64)) for name in ("forward_dynamics",)
 ]
 
 
 @pytest.mark.parametrize(
     "backend, name, robot, dtype",
-    thinned([*EVERY, *OF_AN_ARM], [*FEW, *OF_AN_ARM]),
+    thinned([*EVERY, *OF_AN_ARM], [*FEW, OF_AN_ARM[0]]),
     ids=lambda x: getattr(x, "name", str(x)),
 )
 def test_compiled_functions_equal_torch_operations(backend, name, robot, dtype):
@@ -77,7 +75,7 @@ def test_robots_that_vary_equal_torch_operations(fields, batch):
 
 
 @pytest.mark.case("P1")
-@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F32]), ids=str)
 @every_kernel
 def test_a_row_of_a_batch_is_bitwise_the_row_alone(backend, dtype):
     wrong = []
@@ -92,7 +90,7 @@ def test_a_row_of_a_batch_is_bitwise_the_row_alone(backend, dtype):
 
 
 @pytest.mark.case("P9")
-@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F32]), ids=str)
 @every_kernel
 def test_a_bad_row_leaves_every_other_bitwise_as_it_was(backend, dtype):
     def run_(s):

@@ -183,7 +183,7 @@ def test_processes_that_start_on_an_empty_cache_at_once_all_succeed(tmp_path):
     code = f"""{ARM}
 expected = torchdq.inverse_dynamics(robot, q, backend="eager")
 children = []
-for _ in range(3):
+for _ in range(2):
     child = os.fork()
     if child == 0:
         found = torchdq.inverse_dynamics(robot, q, backend="c")
@@ -192,7 +192,7 @@ for _ in range(3):
 print(sum(os.waitpid(child, 0)[1] == 0 for child in children))
 """
     status, out, err = ran(code, cache)
-    assert (status, out) == (0, "3"), err
+    assert (status, out) == (0, "2"), err
     assert [path.suffix for path in cache.iterdir()] == [".so"]
 
 
@@ -321,7 +321,7 @@ VERSIONS = {"hangs": "sleep 600 & sleep 600", "fails": "echo no >&2; exit 1"}
 def test_a_named_compiler_that_states_no_version_is_replaced_by_another_with_a_warning(name, tmp_path, monkeypatch):
     named = NAMED.get(name) or script(tmp_path / "bad", VERSIONS[name])
     if name == "hangs":
-        monkeypatch.setattr(machine, "ASKED", 2.0)
+        monkeypatch.setattr(machine, "ASKED", 1.0)
     monkeypatch.setenv("CC", named)
     with messages.warned(UserWarning):
         found = machine.compiler.__wrapped__()
@@ -416,7 +416,7 @@ def test_a_long_program_is_compiled_in_pieces_and_is_right(cache, monkeypatch):
     assert found == [2.0] * 2
 
 
-@pytest.mark.parametrize("arguments", ["", " -g0"])
+@pytest.mark.parametrize("arguments", thinned(["", " -g0"], [" -g0"]))
 def test_the_compiler_named_in_the_environment_is_used_with_its_arguments(arguments, tmp_path):
     log = tmp_path / "log"
     mine = script(tmp_path / "mine", f'echo "$*" >> {log}\nexec {REAL} "$@"\n')
@@ -433,7 +433,7 @@ FAST = [
 ]
 
 
-@pytest.mark.parametrize(("variable", "flags"), thinned(FAST, [FAST[0], FAST[2], FAST[5], FAST[7]]))
+@pytest.mark.parametrize(("variable", "flags"), thinned(FAST, [FAST[0], FAST[7]]))
 def test_no_argument_of_the_user_makes_arithmetic_inexact(variable, flags, tmp_path):
     """Neither that of the program, nor that of the process: start files of -ffast-math make subnormal numbers zero."""
     code = COMPILED + "assert torch.tensor(2.0**-1070, dtype=torch.float64) * 0.5 > 0.0, 'flushed to zero'\n"

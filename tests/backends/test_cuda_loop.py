@@ -73,7 +73,7 @@ def test_values_that_all_samples_share_are_computed_once_for_all_steps(dtype):
     agree([after[0][-1]], [y.to(dtype)], 256)
 
 
-@each_dtype
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F32]), ids=str)
 def test_a_rollout_of_a_scene_is_its_steps_and_asks_the_device_nothing(dtype, monkeypatch):
     parts = (effects.Gravity(), effects.Viscous(0.5), effects.Coulomb(0.3), effects.FirstOrderLag(0.02))
     scene = Scene(TWO, (*parts, effects.Noise(1e-3, 1e-3)), dt=0.005)
@@ -111,9 +111,7 @@ found = nvrtc.found()
 @pytest.mark.skipif(isinstance(found, str), reason="no NVRTC: pip install nvidia-cuda-nvrtc")
 @pytest.mark.parametrize(
     "kind, robot",
-    thinned(
-        [(kind, x) for kind in ("rollout", "adjoint") for x in (TWO, PANDA)], [("rollout", PANDA), ("adjoint", TWO)]
-    ),
+    thinned([(kind, x) for kind in ("rollout", "adjoint") for x in (TWO, PANDA)], [("adjoint", TWO)]),
     ids=lambda x: getattr(x, "name", x),
 )
 def test_loops_compile_for_gpus_in_about_the_registers_of_a_step(kind, robot):

@@ -93,7 +93,7 @@ TRACES = {
     ("name", "backend", "trace"),
     [
         *((name, None, "make_fx") for name in TRACED),
-        *((name, None, "make_fx with symbols") for name in ("a layer", "accelerations")),
+        *((name, None, "make_fx with symbols") for name in ("accelerations",)),
         ("a layer", "c", "make_fx"),
         ("a layer", "eager", "jit"),
     ],

@@ -32,7 +32,11 @@ def rows(package, text):
 FLOORS = rows(
     "torchdq",
     """findings | errors | base algebra numbers | dynamics program | backends | export dq | convert robot | functions
+<<<<<<< HEAD
     | objects | control effects | functional task_space pose_solver | floating scene paper | layers
+=======
+    | control effects | functional task_space pose_solver functions.compile | floating scene paper | layers
+>>>>>>> main
     | layers.residual recommend | nn envs | learning | . | command | __main__""",
 )
 # storeys of the packages that have several: files that a row does not name are on the first
@@ -82,18 +86,20 @@ def longest(module, table):
     return table[max(known, key=len)] if known else None
 
 
-def nodes_at_run_time(node):
-    """All nodes below, but for what only a type checker sees."""
+def statements_at_run_time(node):
+    """All statements below, but for what only a type checker sees."""
     for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.expr):
+            continue
         if isinstance(child, ast.If) and ast.unparse(child.test).endswith("TYPE_CHECKING"):
             continue
         yield child
-        yield from nodes_at_run_time(child)
+        yield from statements_at_run_time(child)
 
 
 def imports_of(tree):
     """Dotted names of the modules that a tree imports, wherever in it."""
-    for node in nodes_at_run_time(tree):
+    for node in statements_at_run_time(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -281,7 +287,8 @@ def functions(tree, path):
         name = f"{path}.{node.name}" if hasattr(node, "name") and not isinstance(node, ast.alias) else path
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             yield name, node
-        yield from functions(node, name)
+        if not isinstance(node, ast.expr):
+            yield from functions(node, name)
 
 
 def lines_of_code(function):

@@ -214,6 +214,21 @@ def test_what_divides_must_be_positive_limits_may_be_infinite_and_little_may_be_
             assert check.least == (1 if (owner, name) == ("LuGre", "ratio") else -math.inf if check.signed else 0)
 
 
+@all_in_one([at for at in PARAMETERS if at[1] in getattr(effects, at[0]).PARAMETERS and at[1] != "normal"])
+def test_a_tensor_parameter_of_an_effect_may_be_as_large_as_is_said(at):
+    kind, name = at
+    effect, names = EVERY[kind]()[0], {name, f"{kind}.{name}"}
+    allowed = [0.0] * (not names & ABOVE_ZERO and at != ("LuGre", "ratio"))
+    allowed += [-0.7] * bool(names & NEGATIVE)
+    # an infinite stall torque is a number
+    allowed += [-math.inf if name == "lower" else math.inf] * bool(names & INFINITE - {"stall"})
+    for x in allowed:
+        pair = getattr(effect, "ORDERED", ())  # neither is above the other
+        given = torch.full_like(getattr(effect, name), x)
+        found = dataclasses.replace(effect, **dict.fromkeys(pair if name in pair else [name], given))
+        assert torch.equal(getattr(found.resolved(CASES["two_link"].robot), name), getattr(found, name)), x
+
+
 @every_function
 def test_a_missing_tensor_is_named_unless_it_may_be_absent(key):
     for name in tensors(key):

@@ -32,7 +32,7 @@ some = pytest.mark.parametrize(
     ("name", "distance"),
     thinned(
         [*itertools.product(ROBOTS, DISTANCES)],
-        [*zip([*ROBOTS][:1] * len(DISTANCES), DISTANCES, strict=True), *((name, [*DISTANCES][-1]) for name in ROBOTS)],
+        [("panda", "37 km"), *((name, [*DISTANCES][-1]) for name in ("puma560", "tree"))],
     ),
 )
 FUNCTIONS = {

@@ -25,10 +25,10 @@ from torchdq import dq, floating
 F64, F32 = torch.float64, torch.float32
 TOLERANCE = {F64: 1e-12, F32: 5e-6}
 NAMES = (*TREES, *ROBOTS, *MORE_ROBOTS)
-KEPT = ("tree1", "tree3", "tree7", "solo12", "hextilt_flying_arm_5", "quadrotor_base")
+KEPT = ("tree1", "tree3", "solo12", "quadrotor_base")
 EVERY = pytest.mark.parametrize("name", thinned(NAMES, KEPT))
 FEW = ("tree1", "tree3", "tree7", "quadrotor_base", "solo12")
-SOME = pytest.mark.parametrize("name", thinned(FEW, ("tree1", "tree3", "quadrotor_base", "solo12")))
+SOME = pytest.mark.parametrize("name", thinned(FEW, ("tree1", "tree3", "quadrotor_base")))
 PLACE, TWIST, CHANGE = ("X_WB", "q"), ("X_WB", "q", "V_WB_B", "qd"), ("X_WB", "q", "V_WB_B", "qd", "A_WB_B", "qdd")
 WRENCHES = ("f_tip", "f_ext", "f_base")
 FUNCTIONS = {
@@ -301,7 +301,7 @@ def tangent(f, *at: torch.Tensor) -> list[torch.Tensor]:
     "name, backend",
     thinned(
         [*itertools.product(["tree1", "tree4", "tree7", "quadrotor_base", "tree12", "solo12"], ["eager", "c"])],
-        (("tree1", "eager"), ("tree4", "eager"), ("tree7", "eager"), ("quadrotor_base", "eager")),
+        (("tree1", "eager"), ("tree4", "eager"), ("quadrotor_base", "eager")),
     ),
 )
 @DYNAMICS
@@ -333,7 +333,7 @@ def test_derivatives_of_forces_and_accelerations(name, backend, function):
 
 
 def test_derivatives_of_all_orders_are_those_of_differences():
-    c, m = case("tree2"), motion(case("tree2"), batch=1)
+    c, m = case("tree1"), motion(case("tree1"), batch=1)
     bodies = ("base_mass", "base_com", "base_inertia", "mass", "gravity")
     given = [m[name].clone().requires_grad_() for name in (*TWIST, "tau", "f_base")]
     tensors = [getattr(c.robot, name).clone().requires_grad_() for name in bodies]
@@ -349,7 +349,7 @@ def test_derivatives_of_all_orders_are_those_of_differences():
 @all_in_one(
     thinned(
         [name for name in FUNCTIONS if "dynamics" not in name],
-        ("closed_form", "momentum", "momentum_rate", "centre_of_mass", "forward_kinematics", "jacobian"),
+        ("momentum_rate", "jacobian"),
     )
 )
 def test_the_other_functions_are_differentiable(function):
@@ -407,7 +407,7 @@ def test_base_bodies_can_differ_from_sample_to_sample(backend):
                 ["tree3", "quadrotor_base"], ["inverse_dynamics", "forward_dynamics", "momentum", "regressor"]
             )
         ],
-        [("tree3", "inverse_dynamics"), ("tree3", "forward_dynamics")],
+        [("tree3", "forward_dynamics")],
     ),
 )
 def test_single_precision_and_compiled_programs(name, function):
@@ -426,7 +426,7 @@ def test_single_precision_and_compiled_programs(name, function):
 
 
 def test_functional_transforms():
-    c, m = case("tree3"), motion(case("tree3"))
+    c, m = case("tree1"), motion(case("tree1"))
     given = tuple(m.pick(*TWIST, "tau").values())
 
     def accelerations(*x):
@@ -469,7 +469,7 @@ ROTATIONS = [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1), (0, 1, 1, 0
              (1, 1e-9, 0, 0), (1, 1, 0, 0), (1, 0, -1, 0), (-1, 0, 0, 0)]  # fmt: skip
 
 
-@all_in_one([*(("tree3", x) for x in ROTATIONS), *(("solo12", x) for x in thinned(ROTATIONS, ((1, 1e-9, 0, 0),)))])
+@all_in_one([*(("tree1", x) for x in ROTATIONS), *(("solo12", x) for x in thinned(ROTATIONS, ()))])
 def test_no_orientation_is_special(of_what):
     name, rotation = of_what
     c = case(name)
@@ -504,7 +504,7 @@ def test_the_distance_from_the_origin_costs_no_digits(name):
     assert alike(c, here, far, "inverse_dynamics", "forward_dynamics", "momentum", "momentum_rate")
 
 
-@all_in_one([*itertools.product(["tree2", "tree7"], [1e-9, 1e-6, 1e6, 1e9])])
+@all_in_one([*itertools.product(thinned(["tree2", "tree7"], ["tree2"]), thinned([1e-9, 1e-6, 1e6, 1e9], [1e-9, 1e9]))])
 def test_light_and_heavy_bases(of_what):
     name, ratio = of_what
     c, m = case(name), motion(case(name))

@@ -22,7 +22,7 @@ ROBOTS = {name: shipped(name).robot for name in ARMS}
 ROBOTS |= {f"tree{n}": random_tree(n, seed=n, armature=n == 7).robot for n in (1, 4, 7, 11)}
 SHORT = ("two_link", "puma560", "tree4", "tree7")  # for what a few robots show as well as all
 
-EVERY = thinned(ROBOTS, ("two_link", "puma560", "panda", "tree1", "tree4", "tree7"))
+EVERY = thinned(ROBOTS, ("two_link", "puma560", "tree1", "tree4"))
 every_robot = pytest.mark.parametrize("robot", [ROBOTS[name] for name in EVERY], ids=EVERY)
 some_robots = pytest.mark.parametrize("robot", [ROBOTS[name] for name in SHORT], ids=SHORT)
 

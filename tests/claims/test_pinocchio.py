@@ -1,6 +1,6 @@
 """Dynamics and kinematics agree with pinocchio, on every robot of example-robot-data, the shipped ones and 200 trees.
 
-A robot of every folder and some trees are in the default run, most of them with torques, masses and poses alone, and
+A robot of every folder and some trees are in the default run, most of them with torques and poses alone, and
 those with joints of every kind with all quantities in both precisions; `make test-all` takes all of all.
 
 Joint order, joint frames and unbounded joints differ between the two, so everything is mapped by name. The trees have
@@ -273,10 +273,10 @@ QUANTITIES = (
 IN_SINGLE = (torques, torques_under_f_ext, mass_matrix, world_jacobians, poses)
 # in the default run these alone are of all robots, and the other quantities of a few with joints of every kind:
 # hinges, slides, screws and unbounded joints, in chains and branches, with and without rotors, one, two and more
-BASIC = (torques, mass_matrix, poses)
+BASIC = (torques, poses)
 THOROUGH = (
-    *("TwoDofs", "double_pendulum_continuous", "hextilt_flying_arm_5", "kinova", "panda", "bolt", "shipped-puma560"),
-    *("tree0", "tree121", "tree110", "tree77", "tree66", "tree55"),
+    *("TwoDofs", "double_pendulum_continuous", "hextilt_flying_arm_5", "bolt", "shipped-puma560"),
+    *("tree0", "tree121", "tree110", "tree55"),
 )
 
 
@@ -328,9 +328,7 @@ def test_agrees_with_pinocchio(name):
 
 
 @pytest.mark.case("D11")
-@pytest.mark.parametrize(
-    "name", thinned(DIFFERENTIATED, ("hextilt_flying_arm_5", "kinova", "shipped-puma560", "tree77"))
-)
+@pytest.mark.parametrize("name", thinned(DIFFERENTIATED, ("hextilt_flying_arm_5", "shipped-puma560", "tree77")))
 def test_derivatives_agree_with_pinocchio(name, margin):
     case = oracles.case(name)
     margin(derivatives(case, oracles.states(case.robot)), TOLERANCE[torch.float64])

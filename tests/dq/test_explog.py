@@ -13,7 +13,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import torch
-from helpers import all_in_one, thinned
+from helpers import EVERYTHING, all_in_one, thinned
 from mpmath import mpf
 from torch.autograd import gradcheck, gradgradcheck
 from torch.autograd.functional import jacobian
@@ -33,6 +33,7 @@ UP_TO_PI = [0.0, 1e-20, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, LOG_SWITCH - 1e-6, LO
 UP_TO_PI += [2.0 - 1e-7, 2.0 + 1e-7, PI - 1e-6, PI]
 UP_TO_FULL = [PI + 1e-6, 4.5, 2 * PI - 1e-3, 2 * PI - 1e-6]
 BEYOND = [7.0, 13.0, 1e3, 1e6]
+ROWS = 4 if EVERYTHING else 2
 TINY = [1e-300, 1e-160]  # whose square is not even a subnormal float32
 
 every_dtype = pytest.mark.parametrize("dtype", [F32, F64], ids=["f32", "f64"])
@@ -52,7 +53,7 @@ def round_trip(a):
     return dq.log(dq.exp(a))
 
 
-def halves(angle, dtype, rows=4, seed=0):
+def halves(angle, dtype, rows=ROWS, seed=0):
     """Half-angle screws [rows, 6]: random lines about a metre from the origin, every second one with a pitch."""
     g = torch.Generator().manual_seed(seed)
     axis = torch.randn(rows, 3, generator=g, dtype=F64)
@@ -223,7 +224,7 @@ SWITCHES = [0.0, 1e-8, LOG_SWITCH - 1e-6, LOG_SWITCH + 1e-6, 2.0 - 1e-7, 2.0 + 1
 
 
 @pytest.mark.case("G1", "G4", "G5", "G6", "G7")
-@all_in_one(thinned([*SWITCHES, 2 * PI - 1e-6, 7.0, 13.0], [0.0, 2.0 - 1e-7, 2.0 + 1e-7, 13.0]))
+@all_in_one(thinned([*SWITCHES, 2 * PI - 1e-6, 7.0, 13.0], [0.0, 2.0 + 1e-7, 13.0]))
 def test_exp_has_its_derivatives(angle):
     a = halves(angle, F64, rows=2)[1].requires_grad_()
     assert gradcheck(dq.exp, a, eps=1e-6, atol=1e-8, rtol=1e-6)
@@ -231,7 +232,7 @@ def test_exp_has_its_derivatives(angle):
 
 
 @pytest.mark.case("G1", "G4", "G5")
-@all_in_one(thinned(SWITCHES, [0.0, LOG_SWITCH + 1e-6, PI + 1e-6]))
+@all_in_one(thinned(SWITCHES, [0.0, PI + 1e-6]))
 def test_log_and_log_of_exp_have_their_derivatives(angle):
     a = halves(angle, F64, rows=2)[1]
     for f, x in ((dq.log, dq.exp(a)), (round_trip, a)):

@@ -13,7 +13,7 @@ from torch.func import jacfwd, jacrev, vmap
 import torchdq
 from torchdq import floating
 from torchdq.dq import Pose
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, DtypeError
 
 F64 = torch.float64
 EPS = 2.0**-52
@@ -127,6 +127,7 @@ def test_batches_broadcast_and_dtypes_stay():
 def test_poses_pass_transforms_and_graphs():
     x, y = poses(5), poses(5, seed=5)
     near(vmap(lambda x, y: x.inverse() @ y)(x, y), x.inverse() @ y)
+    near(jacrev(lambda x: x.log())(x[0]).parameters, jacrev(lambda x: Pose(x).log())(x.parameters[0]))
     difference = torch.compile(lambda x, y: x.inverse().multiply(y), fullgraph=True, backend="eager")
     near(difference(x, y), x.inverse() @ y)
     with pytest.raises(AttributeError):
@@ -158,7 +159,26 @@ def test_functions_take_a_pose_as_its_tensor():
         torchdq.inverse_dynamics(ARM, goal)
 
 
-@pytest.mark.parametrize("wrong", [torch.ones(7, dtype=F64), [1.0] * 8], ids=["seven numbers", "a list"])
-def test_a_pose_of_something_else_is_refused_where_it_is_used(wrong):
-    with refused(ArgumentError):
-        Pose(wrong).log()
+WRONG = {
+    "seven numbers": lambda X: Pose(torch.ones(7, dtype=F64)),
+    "a list": lambda X: Pose([1.0] * 8),
+    "integers": lambda X: Pose(torch.ones(8, dtype=torch.int64)),
+    "four coordinates": lambda X: X.apply(torch.ones(4)),
+    "a motion of seven": lambda X: Pose.exp(torch.ones(7)),
+    "a translation of four": lambda X: Pose.from_rotation_and_translation(X.rotation(), torch.ones(4)),
+    "another dtype": lambda X: X @ X.to(torch.float32),
+    "points of another dtype": lambda X: X.apply(torch.ones(3)),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_is_no_pose_is_refused_by_the_name_it_was_given_as(wrong):
+    with refused((ArgumentError, DtypeError)):
+        WRONG[wrong](poses())
+
+
+def test_an_index_is_one_of_the_batch():
+    x = poses(8, 8)
+    near(x[2, 1:].parameters, x.parameters[2, 1:])
+    near(x[..., 5].parameters, x.parameters[:, 5])
+    assert len([*x[0]]) == 8 and x.to(torch.float32)[0].log().dtype == torch.float32

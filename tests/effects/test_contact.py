@@ -84,7 +84,7 @@ def touched(memory, n, depth, u, h, law, W, Z_others):
 
 
 @pytest.mark.parametrize("by", ["entries", "articulated bodies"])
-@pytest.mark.parametrize("n", thinned([2, 4, 9], [4, 9]))
+@pytest.mark.parametrize("n", thinned([2, 4, 9], [9]))
 def test_a_step_solves_the_law_with_the_mobilities_of_its_points(n, by, monkeypatch):
     """(M + h J^T C J) (v' - v) = h (tau - nle + J^T f), with Pinocchio's matrices of a random tree of all joints."""
     linear = by == "articulated bodies"
@@ -234,11 +234,17 @@ def test_the_mobility_of_a_point_is_that_of_its_body():
     assert np.allclose(ground((robot, points), 1e-2).effects[1].points[0].mobility, expected, rtol=1e-12)
 
 
+FALLING = [
+    ((5e-4, 0.0, 7e-4, 0.0, 0.0, 9e-4), (0.0, 0.0, 0.0)),
+    ((8e-3, 0.0, 0.01, 0.0, 0.0, 0.012), (0.08, 0.02, -0.03)),
+]
+
+
 @pytest.mark.parametrize(
     ("inertia", "com"),
-    [((5e-4, 0.0, 7e-4, 0.0, 0.0, 9e-4), (0.0, 0.0, 0.0)), ((8e-3, 0.0, 0.01, 0.0, 0.0, 0.012), (0.08, 0.02, -0.03))],
+    thinned(FALLING, FALLING[1:]),
 )
-@pytest.mark.parametrize("friction", [0.0, 0.8])
+@pytest.mark.parametrize("friction", thinned([0.0, 0.8], [0.8]))
 def test_a_fall_never_gains_height_whatever_the_body_and_the_stiffness(friction, inertia, com):
     """Boxes of low inertia, without and with an offset of their centre of mass, to 30 m / h^2, by their energy."""
     rng, rows, h = np.random.default_rng(0), 96, 0.01
@@ -350,7 +356,7 @@ def test_turning_the_world_turns_the_motion():
     assert torch.allclose(a.V_WB_B, b.V_WB_B, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("stiction", [True, False])
+@pytest.mark.parametrize("stiction", thinned([True, False], [True]))
 def test_a_tumbling_cube_loses_energy_and_comes_to_rest(stiction):
     scene, state = tumbling(5e-3, stiction=stiction)
     states = path(scene, state, 800)
@@ -476,7 +482,7 @@ def thrown(steps, height=0.012, backend="auto"):
     return end
 
 
-@pytest.mark.parametrize("steps", [24, 128])
+@pytest.mark.parametrize("steps", thinned([24, 128], [24]))
 def test_gradients_through_many_steps_are_differences(steps):
     """Of speed, spin, friction and stiffness, while it lands, slides and comes to rest."""
     point = double(1.5, 0.5, 0.3, 1e4)
@@ -511,7 +517,7 @@ def on_stool(*frames, radius=0.02):
     return tuple(ContactPoint(f"{frame}{k}", radius=radius) for frame in frames for k in range(4))
 
 
-@pytest.mark.parametrize("dtype, most", [(F64, 1e-9), (torch.float32, 1e-5)], ids=str)
+@pytest.mark.parametrize("dtype, most", thinned([(F64, 1e-9), (torch.float32, 1e-5)], [(torch.float32, 1e-5)]), ids=str)
 def test_a_quadruped_that_stands_on_a_slope_does_not_creep(dtype, most):
     """In three seconds, after twenty of settling; the benchmark stands for a minute."""
     normal, turn = tilted(double([math.radians(10)]))
@@ -543,10 +549,11 @@ def test_a_quadruped_in_any_state_gains_no_energy_at_large_steps():
         return scene.energy(state).sum(-1) + 20.0 * (state.q - target).square().sum(-1)
 
     before, touched = energy(state), torch.zeros(rows, dtype=torch.bool)
-    for _ in range(80):
+    for k in range(80):
         state = rolled(scene, state, dt, target=target)
-        touched |= scene.contacts(state).touching.any(-1)
-        assert (energy(state) <= 1.01 * before).all()  # NaN is not
+        if k % 4 == 3:
+            touched |= scene.contacts(state).touching.any(-1)
+            assert (energy(state) <= 1.01 * before).all()  # NaN is not
     assert touched.all()
 
 

@@ -122,14 +122,22 @@ def test_gradients_of_a_step_are_right(kind):
     assert torch.autograd.gradcheck(*differentiable(*EVERY[kind](), LinearlyImplicit(), 1), atol=1e-7, fast_mode=True)
 
 
-@all_in_one(sorted(set(EVERY) - set(STEPPED)))
+def _remembers(kind):
+    return EVERY[kind]()[0].SLOT in ("actuator", "sensor")
+
+
+# those with memory, and stiff ones; the gradients of other steps are the chain rule's
+ROLLED = [kind for kind in EVERY if kind in ("Elastic", "JointLimits", "Contact", "LuGre") or _remembers(kind)]
+
+
+@all_in_one(thinned(sorted(set(EVERY) - set(STEPPED)), ROLLED))
 def test_gradients_of_a_rollout_are_right(kind):
     integrator = LinearlyImplicit() if kind in ("Elastic", "JointLimits", "Contact") else SemiImplicitEuler()
-    steps = 4 if EVERY[kind]()[0].SLOT in ("actuator", "sensor") or kind in ("Elastic", "Contact", "LuGre") else 2
+    steps = 4 if _remembers(kind) or kind in ("Elastic", "Contact", "LuGre") else 2
     assert torch.autograd.gradcheck(*differentiable(*EVERY[kind](), integrator, steps), atol=1e-7, fast_mode=True)
 
 
-@pytest.mark.parametrize("kind", ["Coulomb", "Elastic"])
+@pytest.mark.parametrize("kind", thinned(["Coulomb", "Elastic"], ("Elastic",)))
 def test_gradients_through_runge_kutta_are_right(kind):
     assert torch.autograd.gradcheck(*differentiable(*EVERY[kind](), RungeKutta4(), 2), atol=1e-7, fast_mode=True)
 
@@ -141,13 +149,13 @@ def test_gradients_through_rounding_are_those_of_a_staircase(kind):
 
 
 @pytest.mark.case("T10", "T11", "P11")
-@pytest.mark.parametrize("where", ["rest", "limit", "home"])
+@pytest.mark.parametrize("where", thinned(["rest", "limit", "home"], ("limit", "home")))
 def test_gradients_are_finite_where_formulas_have_corners(where):
     """At rest without a torque; at the limits exactly; and with both, at home."""
     q = {"rest": p(0.4, -0.7), "limit": p(0.2, -0.6), "home": p(0.0, 0.0)}[where]
     qd, torque = (p(0.9, -1.2), p(2.0, -0.7)) if where == "limit" else (p(0.0, 0.0), p(0.0, 0.0))
-    of_euler = [SemiImplicitEuler(), LinearlyImplicit()]
-    for kind, integrator in integrated(*thinned([*of_euler, RungeKutta4()], of_euler)):
+    implicit = [LinearlyImplicit()]
+    for kind, integrator in integrated(*thinned([SemiImplicitEuler(), *implicit, RungeKutta4()], implicit)):
         end, (_, _, _, *rest) = differentiable(*EVERY[kind](), integrator, 2)
         x = [q, qd, torque, *rest]
         found = torch.autograd.grad(end(*x).square().sum(), x, allow_unused=True)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from helpers import exhaustive
 from messages import refused
 from small_envs import ON_FOUR, PUSHES, policy_of, same, started, steps, stool
 
@@ -52,6 +53,7 @@ def test_pushes_follow_new_ranges_from_the_next_one_on():
     assert float(push[:, 2].abs().max()) > 5.0 and torch.allclose(push[:, 7] - push[:, 6], torch.tensor(0.06))
 
 
+@exhaustive
 def test_commands_of_a_walk_grow_without_a_new_program(monkeypatch):
     envs = RobotVectorEnv(64, replace(ON_FOUR, forward=(0.0, 0.1)), stool(), simulation=Simulation(substeps=1))
     envs.reset(seed=0)

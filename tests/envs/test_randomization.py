@@ -48,7 +48,7 @@ MIDDLE = {"com": 0.0, "payload": 0.15, "delay": 0.15}
 HALF = {"payload": 0.15, "delay": 0.15}
 
 
-@pytest.mark.parametrize("name", WAYS)
+@pytest.mark.parametrize("name", thinned(WAYS, [*WAYS][::3]))
 def test_a_number_is_a_fraction_and_a_pair_is_a_range(name):
     """And a distribution is drawn from."""
     assert set(SHORT) <= set(WAYS)

@@ -52,7 +52,7 @@ STEPPED = {
     "resets at the next step": {"autoreset_mode": "NextStep", "max_episode_steps": 4},
     "torch": {"backend": "eager", "max_episode_steps": 4},
 }
-LONG = {"wipe", "positions that a controller follows"}
+LONG = {"wipe", "positions that a controller follows", "torch"}
 
 
 @pytest.mark.parametrize("name", thinned([*ONE_CALL, *STEPPED], [x for x in (*ONE_CALL, *STEPPED) if x not in LONG]))

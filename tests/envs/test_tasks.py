@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 import torch
+from helpers import exhaustive
 from messages import refused
 from small_envs import FREE, ROBOT, make, started, steps
 
@@ -82,6 +83,7 @@ def errors(**arguments):
     return info["error"].square().mean().sqrt().item()
 
 
+@exhaustive
 def test_a_controller_that_is_left_alone_tracks_with_the_true_model_and_not_with_a_wrong_one():
     right = errors(effects=(effects.Gravity(),))
     heavy = errors(effects=(effects.Gravity(), effects.Payload(1.0)))

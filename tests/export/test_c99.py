@@ -30,7 +30,6 @@ GCC = needs("gcc")
 
 # one of each kind: of an arm, with numbers that all samples share, on a base that moves, with comparisons and roots
 KINDS = ("inverse dynamics", "gradient in parameters", "floating base", "scene with limits")
-SHORT = [name for name in PROGRAMS if "arm" not in name]
 BUILDS = list(product(PROGRAMS, ("float64", "float32"), ("gcc", "clang")))
 
 
@@ -39,10 +38,8 @@ BUILDS = list(product(PROGRAMS, ("float64", "float32"), ("gcc", "clang")))
     thinned(
         BUILDS,
         [
-            *product(
-                (*KINDS, "closed form", "forward dynamics", "derivatives", "a trained layer"), ("float64",), ("gcc",)
-            ),
-            *product(KINDS[1:], ("float32",), ("gcc",)),
+            *product(("scene with limits", "derivatives", "a trained layer"), ("float64",), ("gcc",)),
+            *product(("gradient in parameters", "scene with limits"), ("float32",), ("gcc",)),
             *product(KINDS, ("float64",), ("clang",)),
         ],
     ),
@@ -55,8 +52,9 @@ def test_files_are_strict_c99_and_their_test_of_a_sample_and_of_a_batch_passes(n
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-def test_the_loop_over_samples_becomes_vector_instructions(compiler, tmp_path):
-    made = PROGRAMS["computed torque of an arm"]("float64").export(tmp_path, "exported", batch=True)
+@pytest.mark.parametrize("name", thinned(["computed torque of an arm", "computed torque"], ("computed torque",)))
+def test_the_loop_over_samples_becomes_vector_instructions(name, compiler, tmp_path):
+    made = PROGRAMS[name]("float64").export(tmp_path, "exported", batch=True)
     said = {"gcc": "-fopt-info-vec-optimized", "clang": "-Rpass=loop-vectorize"}[compiler]
     flags = ("-std=c99", "-O3", "-march=native", said, "-I", str(tmp_path), "-c", "-o", str(tmp_path / "f.o"))
     done = subprocess.run([compiler, *flags, str(made.source)], capture_output=True, text=True, timeout=300)
@@ -65,7 +63,7 @@ def test_the_loop_over_samples_becomes_vector_instructions(compiler, tmp_path):
 
 
 @GCC
-@pytest.mark.parametrize("name", thinned(PROGRAMS, (*KINDS, "closed form")))
+@pytest.mark.parametrize("name", thinned(PROGRAMS, KINDS[1:]))
 def test_nothing_is_read_or_written_out_of_bounds(name, tmp_path):
     made = PROGRAMS[name]("float64").export(tmp_path, "exported", "own", batch=True)
     passes_its_test(made, "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
@@ -90,7 +88,7 @@ def replayed(program, rows):
 
 
 @GCC
-@pytest.mark.parametrize("name", thinned(PROGRAMS, (*KINDS, "closed form", "operational space", "a trained layer")))
+@pytest.mark.parametrize("name", thinned(PROGRAMS, (*KINDS, "operational space")))
 def test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit(name, tmp_path):
     compiled = PROGRAMS[name]("float64")
     made = compiled.export(tmp_path, "exported")
@@ -183,7 +181,7 @@ def test_what_is_not_a_number_stays_so_and_is_told_by_the_status(name, library, 
     compiled = TOLD[name]()
     made, program = compiled.export(tmp_path, "exported", library, batch=True), compiled.program
     assert "Returns 1 where a result is not finite" in made.header.read_text()
-    functions, wide = loaded(made), [a for a in program.arguments if a.width]
+    functions, wide = loaded(made, "-std=c99", "-O0"), [a for a in program.arguments if a.width]
     sizes = [len(r.values) for r in outputs(program) if r.values]
     for k, a in enumerate(wide):
         for bad in (math.nan, math.inf, 0.1):
@@ -303,7 +301,7 @@ def test_the_panda_fits_in_sixty_kilobytes(tmp_path):
 
 
 def test_everything_in_a_header_has_words_and_the_joints_have_an_order(tmp_path):
-    for name in thinned(PROGRAMS, SHORT):
+    for name in thinned(PROGRAMS, (*KINDS[1:], "closed form", "control of a frame", "a trained layer")):
         compiled = PROGRAMS[name]("float64")
         for k, one in enumerate((compiled, compiled.vjp())):
             text = one.export(tmp_path / f"{name}{k}", "exported", batch=True).header.read_text()
@@ -361,11 +359,9 @@ def test_what_cannot_be_exported_is_refused_and_nothing_is_written(tmp_path):
 
 
 @GCC
-@pytest.mark.parametrize(
-    "name", thinned(["tau", "q", "expected", "first_", "largest", "x1"], ["tau", "expected", "x1"])
-)
+@pytest.mark.parametrize("name", thinned(["tau", "q", "expected", "first_", "largest", "x1"], ["tau", "expected"]))
 def test_a_function_may_have_the_name_of_an_argument_or_a_result(name, tmp_path):
-    passes_its_test(torchdq.compile(TWO, "inverse_dynamics").export(tmp_path, name, "own", batch=True), "-O2")
+    passes_its_test(torchdq.compile(TWO, "inverse_dynamics").export(tmp_path, name, "own", batch=True), "-O0")
 
 
 ODD = ("größe", "Δ*/int", "/* x", "line\nbreak", "x??/", "end\\", "\u202eabc", "%s%n")
@@ -385,15 +381,16 @@ def test_any_names_of_joints_and_robots_make_files_in_ascii_that_build(language,
 @needs("cmake")
 def test_functions_in_one_folder_are_built_and_tested_together_also_if_cmake_reserves_their_names(tmp_path):
     compiled = torchdq.compile(TWO, "inverse_dynamics")
-    for name, library in (("torques", "own"), ("test", "math.h"), ("all", "math.h"), ("install", "math.h")):
-        made = compiled.export(tmp_path, name, library, batch=True)
+    names = thinned(("torques", "test", "all", "install"), ("torques", "test"))
+    for name in names:
+        made = compiled.export(tmp_path, name, "own" if name == "torques" else "math.h", batch=True)
     assert made.cmake == tmp_path / "CMakeLists.txt"
-    for build in (tmp_path / "build", tmp_path):  # the second in the folder itself
+    for build in thinned((tmp_path / "build", tmp_path), (tmp_path,)):  # also in the folder itself
         run("cmake", "-S", str(tmp_path), "-B", str(build))
         run("cmake", "--build", str(build))
         assert (build / "libtorques.a").is_file()
-    said = run("ctest", "--test-dir", str(tmp_path / "build"))
-    assert "100% tests passed" in said and "out of 4" in said
+    said = run("ctest", "--test-dir", str(tmp_path))
+    assert "100% tests passed" in said and f"out of {len(names)}" in said
 
 
 def test_a_function_has_no_memory_loops_or_branches_and_its_header_says_order_shapes_and_units(tmp_path):
@@ -410,7 +407,7 @@ def cpp(made, text, standard="-std=c++20"):
     """Output of a program in C++ with an exported function."""
     folder = made.source.parent
     (folder / "main.cpp").write_text(f'#include "{made.spans.name}"\n#include "{made.spans.name}"\n{text}\n')
-    run("gcc", *STRICT, "-O2", "-c", "-I", str(folder), str(made.source), "-o", str(folder / "f.o"))
+    run("gcc", *STRICT, "-c", "-I", str(folder), str(made.source), "-o", str(folder / "f.o"))
     flags = (standard, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I", str(folder))
     run("g++", *flags, str(folder / "main.cpp"), str(folder / "f.o"), "-o", str(folder / "main"), "-lm")
     return run(str(folder / "main"))
@@ -427,10 +424,10 @@ def test_spans_of_cpp_call_the_function(tmp_path):
 
 @needs("g++")
 def test_spans_of_a_batch_that_are_too_short_are_refused(tmp_path):
-    made = PROGRAMS["inverse dynamics"]("float64").export(tmp_path, "exported", batch=True)
+    made = torchdq.compile(TWO, "inverse_dynamics").export(tmp_path, "exported", batch=True)
     text = (
-        "#include <cassert>\n#include <vector>\n"
-        "int main(){std::vector<double> q(21),v(21),a(21),t(21),s(20);using torchdq::exported_batch;\n"
+        "#include <cassert>\n"
+        "int main(){double q[6]={},v[6]={},a[6]={},t[6]={},s[5]={};using torchdq::exported_batch;\n"
         "assert(exported_batch(3,q,v,a,t)==0);assert(exported_batch(3,s,v,a,t)==2);assert(exported_batch(3,q,v,a,s)==2);\n"
         "assert(exported_batch(static_cast<std::size_t>(-1),q,v,a,t)==2);return 0;}"
     )

@@ -4,6 +4,7 @@ Expected values are those of the compiled programs, which other tests hold again
 that loads a file is part of docs/export.md, which test_documents.py runs.
 """
 
+import io
 import shutil
 import subprocess
 import sys
@@ -94,7 +95,6 @@ SUBJECTS = {  # module of a robot, and how many inputs [..., n] it takes
     "step": (lambda robot: stepped(Scene(robot, FELT)), 3),
     "rollout": (lambda robot: rolled(Scene(robot, FELT)), 2),
 }
-every_subject = pytest.mark.parametrize("name", thinned(SUBJECTS, ("residual network", "rollout")))
 
 
 @cache
@@ -128,13 +128,13 @@ def test_torch_approves_of_every_operator_of_the_package():
     for name, program in programs.items():
         given = [random(*(() if a.uniform else (3,)), a.width, seed=k) for k, a in enumerate(program.arguments)]
         operators.opcheck(torch.ops.torchdq.run.default, (name, given))
-        for requires_grad in (False, True):
+        for requires_grad in thinned((False, True), (True,)):
             operators.opcheck(
                 torch.ops.torchdq.evaluate.default, (name, [y.clone().requires_grad_(requires_grad) for y in given])
             )
 
 
-@every_subject
+@pytest.mark.parametrize("name", thinned(SUBJECTS, ("rollout",)))
 def test_a_module_compiles_without_a_graph_break(name):
     module, inputs = subject(name)
     compiled = torch.compile(module, fullgraph=True, backend="aot_eager")
@@ -174,13 +174,16 @@ def test_steps_of_a_scene_compile_without_a_graph_break(name):
 # --- torch.export ----------------------------------------------------------------------------------------------------
 
 
-@every_subject
+@pytest.mark.parametrize("name", thinned(SUBJECTS, ("learned inverse dynamics",)))
 def test_an_exported_module_consists_of_torch_operations_for_any_batch(name):
     module, inputs = subject(name)
     graph = exported(name)
     calls = [str(node.target) for node in graph.graph.nodes if node.op == "call_function"]
     assert calls and not [call for call in calls if "torchdq" in call]
-    assert distance(graph.module()(*inputs(7, seed=1)), module(*inputs(7, seed=1))) < 1e-12
+    file = io.BytesIO()
+    torch.export.save(graph, file)
+    for one in (graph, torch.export.load(file)):
+        assert distance(one.module()(*inputs(7, seed=1)), module(*inputs(7, seed=1))) < 1e-12
 
 
 def in_another_process(code, folder):
@@ -190,6 +193,7 @@ def in_another_process(code, folder):
     assert done.returncode == 0, done.stderr
 
 
+@exhaustive
 def test_saved_graphs_run_in_a_process_without_the_package(tmp_path):
     expected = []
     for k, (name, strict) in enumerate((("residual network", False), ("inverse dynamics", True))):
@@ -257,17 +261,17 @@ NOT_EXPORTED = {  # by the backend of a block
 }
 
 
-@pytest.mark.parametrize("strict", [False, True])
 @pytest.mark.parametrize("name", NOT_EXPORTED)
-def test_programs_of_this_process_and_reverse_mode_are_not_exported(name, strict):
+def test_programs_of_this_process_and_reverse_mode_are_not_exported(name):
     block, function = NOT_EXPORTED[name]
-    with refused(ArgumentError), torchdq.backend(block):
-        torch.export.export(Traced(function), (random(3, 2),), strict=strict)
+    for strict in thinned((False, True), (False,)):
+        with refused(ArgumentError), torchdq.backend(block):
+            torch.export.export(Traced(function), (random(3, 2),), strict=strict)
 
 
 @pytest.mark.parametrize(
     "transform, strict",
-    thinned([(name, strict) for name in ("vmap", "jvp") for strict in (False, True)], [("vmap", True), ("jvp", False)]),
+    thinned([(name, strict) for name in ("vmap", "jvp") for strict in (False, True)], [("vmap", True)]),
 )
 def test_other_transforms_are_exported(transform, strict):
     def torques(q):
@@ -299,5 +303,5 @@ def test_what_depends_on_values_is_in_no_graph(name):
         torch.export.export(Traced(function), (x,))
     with pytest.raises(torch._dynamo.exc.Unsupported, match=words):
         torch.compile(function, fullgraph=True, backend="eager")(x)
-    if EVERYTHING or name == "environment":  # without fullgraph, torch breaks the graph there
+    if EVERYTHING:  # without fullgraph, torch breaks the graph there
         assert torch.compile(function, backend="eager")(x).isfinite().all()

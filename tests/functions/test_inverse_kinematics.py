@@ -93,12 +93,12 @@ SOME = {
     ("name", "expressed"),
     thinned(
         [(x, y) for x in SOME for y in ("body", "world")],
-        [*((x, "world") for x in SOME), ("orientation of seven joints", "body"), ("two joints", "body")],
+        [*((x, "world") for x in SOME if "seven" not in x), ("orientation of seven joints", "body")],
     ),
 )
 def test_the_axes_that_count_are_served(name, expressed):
     robot, axes = SOME[name]
-    X = poses(robot, within(robot, 50, seed=2))
+    X = poses(robot, within(robot, 20, seed=2))
     found = torchdq.inverse_kinematics(robot, X, expressed=expressed, axes=axes)
     off = left(robot, found.q, X)
     if expressed == "world":
@@ -139,7 +139,7 @@ def closest(robot, X, axes, starts):
     return math.sqrt(min(minimize(squared, x, jac=True, bounds=limits, options=stop).fun for x in starts.numpy()))
 
 
-@pytest.mark.parametrize("axes", ["position", "pose"])
+@pytest.mark.parametrize("axes", thinned(["position", "pose"], ("pose",)))
 def test_goals_beyond_reach_leave_the_closest_point(axes):
     robot = ARM
     far = double(2.0, 0.0, 0.5, 0.5, 0.0, 2.0, -1.5, 0.3, 0.2).view(3, 3)
@@ -150,7 +150,7 @@ def test_goals_beyond_reach_leave_the_closest_point(axes):
     torch.testing.assert_close(found.error[:, 1], off[:, 1], rtol=1e-12, atol=0)  # of this q, and not of the last
     assert ((found.q >= robot.limits.lower) & (found.q <= robot.limits.upper)).all()
     for k in range(3):
-        starts = torch.cat([found.q[k : k + 1], within(robot, 2, seed=k)])
+        starts = torch.cat([found.q[k : k + 1], within(robot, 1, seed=k)])
         assert found.error[k].norm() <= closest(robot, X[k], axes, starts) + 1e-6
 
 
@@ -162,7 +162,9 @@ def test_goals_beyond_reach_of_two_joints_are_faced():
     torch.testing.assert_close(found.error[:, 1], double(1e-3, 10, 0), rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize(("dtype", "size"), [(F64, 1e200), (F64, 1e9), (torch.float32, 1e30)])
+@pytest.mark.parametrize(
+    ("dtype", "size"), thinned([(F64, 1e200), (F64, 1e9), (torch.float32, 1e30)], [(F64, 1e200), (torch.float32, 1e30)])
+)
 def test_goals_at_any_distance_turn_the_arm_towards_them_and_leave_other_rows_alone(dtype, size):
     toward = double(0.6, 0.0, 0.8).to(dtype)
     near = poses(ARM, within(ARM, 1)).to(dtype)
@@ -223,7 +225,7 @@ FLAT = ("rx", "ry", "rz", "x", "y")  # anywhere along its z axis
 
 
 @pytest.mark.usefixtures("by_torch")
-@pytest.mark.parametrize("axes", thinned(["pose", AXIS, FLAT], [AXIS, FLAT]), ids=len)
+@pytest.mark.parametrize("axes", thinned(["pose", AXIS, FLAT], [FLAT]), ids=len)
 def test_gradients_are_those_of_the_solution(axes):
     robot = FIVE if axes == AXIS else ARM
     q = torch.stack([0.6 * x + 0.4 * sum(bounds(robot)) / 2 for x in within(robot, 2, seed=5)])

@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -35,7 +36,7 @@ CONTROLLED = {  # robots, and axes that their joints can serve
     "five joints": (FIVE, ("y", "rx", "ry", "rz", "x")),
     "two joints": (TWO, ("y", "x")),
 }
-FEW = ("panda by names", "ur10e", "five joints", "two joints")
+FEW = ("panda by names", "five joints")
 controlled = pytest.mark.parametrize("name", thinned(CONTROLLED, FEW))
 in_axes = pytest.mark.parametrize("expressed", AXES)
 
@@ -69,7 +70,7 @@ def moved(X, turn, shift):
 
 
 @in_axes
-@pytest.mark.parametrize("name", thinned([*oracles.SHIPPED_NAMES, *TREES], ["shipped-panda", *TREES[:2]]))
+@pytest.mark.parametrize("name", thinned([*oracles.SHIPPED_NAMES, *TREES], ["shipped-panda", TREES[1]]))
 def test_motion_of_frames_is_that_of_pinocchio(name, expressed):
     case = oracles.case(name)
     s, world = oracles.states(case.robot), expressed == "world"
@@ -242,8 +243,6 @@ OBEYED |= {f"{name} with a posture": (*x, True) for name, x in CONTROLLED.items(
 OBEYED["panda"] = (*CONTROLLED["panda"], True)
 KEPT = (
     "panda-body",
-    "puma560-body",
-    "panda by position-body",
     "panda by names with a posture-world",
     "two joints-world",
 )
@@ -367,9 +366,12 @@ def test_a_pose_its_opposite_and_a_multiple_are_the_same_goal(expressed):
     torch.testing.assert_close(control(q, qd, stretched, **more), tau, rtol=1e-10, atol=1e-10)
 
 
-@in_axes
 @pytest.mark.parametrize(
-    "angle", thinned([0.0, 1e-300, 1e-9, 3.0, math.pi - 1e-9, math.pi, math.pi + 1e-9], [0.0, 1e-9, 3.0, math.pi])
+    ("angle", "expressed"),
+    thinned(
+        list(product([0.0, 1e-300, 1e-9, 3.0, math.pi - 1e-9, math.pi, math.pi + 1e-9], AXES)),
+        [(0.0, "world"), (1e-9, "body"), (3.0, "body"), (math.pi, "body")],
+    ),
 )
 def test_every_error_of_the_rotation_has_a_torque_with_two_derivatives(angle, expressed):
     axis = double(2, -3, 6) / 7
@@ -397,7 +399,7 @@ SINGULAR = {  # robots, singular postures, and the way through them
 
 
 @in_axes
-@pytest.mark.parametrize("name", thinned(SINGULAR, ("panda at zero", "wrist", "stretched along an axis")))
+@pytest.mark.parametrize("name", thinned(SINGULAR, ("wrist", "stretched along an axis")))
 def test_torques_through_a_singular_posture_are_bounded_and_continuous(name, expressed):
     """And away from it they are those without damping to the last bit, where a singular row is NaN."""
     robot, q, way, axes = SINGULAR[name]
@@ -444,9 +446,7 @@ def test_damping_adds_what_its_formula_says_to_the_inverse_of_the_inertia(robot,
 SINGLE = [(name, x, axes) for name in ("panda", "ur10e") for x in (2.0**-8, None) for axes in AXES]
 
 
-@pytest.mark.parametrize(
-    ("name", "damping", "expressed"), thinned(SINGLE, [("ur10e", 2.0**-8, "world"), ("ur10e", None, "body")])
-)
+@pytest.mark.parametrize(("name", "damping", "expressed"), thinned(SINGLE, [("ur10e", None, "body")]))
 def test_torques_in_single_precision_are_those_in_double(name, damping, expressed):
     """Near singular postures too, where rows whose growth is above the limit are computed in double precision."""
     robot = CONTROLLED[name][0]
@@ -577,7 +577,8 @@ def test_the_law_goes_through_transforms_graphs_and_backends():
 
     expected = law(q, qd, X)
     assert torch.equal(torch.func.vmap(law)(q, qd, X), expected)
-    assert torch.equal(torch.compile(law, fullgraph=True, backend="eager")(q, qd, X), expected)
+    if EVERYTHING:  # layers/test_task_control.py compiles another law
+        assert torch.equal(torch.compile(law, fullgraph=True, backend="eager")(q, qd, X), expected)
     with torchdq.backend("auto"):
         torch.testing.assert_close(law(q, qd, X), expected, rtol=1e-12, atol=1e-12)
     inputs = [x[:2].clone().requires_grad_() for x in (q, qd, X)]

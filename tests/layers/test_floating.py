@@ -2,7 +2,7 @@
 
 import torch
 from free_flyers import body, case, motion, random_body
-from helpers import all_in_one, random
+from helpers import all_in_one, exhaustive, random
 from messages import refused
 
 import torchdq
@@ -49,6 +49,7 @@ def test_every_quantity_has_the_gradient_of_differences(learn):
         assert abs(p.grad.view(-1)[k] - (found[0] - found[1]) / (2 * h)) <= 1e-6 * (1 + p.grad.abs().max())
 
 
+@exhaustive
 def test_the_body_of_the_base_is_learned_from_its_motion():
     """Least squares on the wrenches and torques of another base, by Newton's method of torch."""
     true = C.robot.replace(**body(random_body(9)))

@@ -77,6 +77,20 @@ def test_the_loss_is_error_over_variance_of_each_joint():
         assert found == pytest.approx([float(expected)], rel=1e-5)
 
 
+def test_the_course_has_an_entry_every_hundred_steps_whatever_torque_a_joint_has(monkeypatch):
+    """A joint whose torque never changes counts in the variance of the other."""
+    monkeypatch.undo()
+    train = data(8)
+    train.tau[:, 1] = 0.0
+    model = Network(1, dropout=0.0)
+    with torch.no_grad():
+        wrong = model(train.q, train.qd, train.qdd) - train.tau
+    history = fit(model, train, steps=250, batch=8, rate=1e-9)
+    assert history.step == [100, 200, 250]
+    expected = (wrong.square() / train.tau[:, 0].var(correction=0)).mean()
+    assert history.train == pytest.approx(3 * [float(expected)], rel=1e-4)
+
+
 def test_the_steps_are_those_of_adamw_with_a_cosine():
     """Written out again with torch's own schedule, on whole batches."""
     train, model, again = data(), Network(dropout=0.0), Network(dropout=0.0)

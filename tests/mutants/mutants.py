@@ -352,6 +352,7 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="say which faults fit no source or test; run nothing")
     parser.add_argument("-j", metavar="N", type=int, default=os.cpu_count() or 1, help="faults examined at a time")
     options = parser.parse_args()
+    os.environ |= {"OMP_NUM_THREADS": "1", "TORCHDQ_TESTS": "all"}  # tests of `make test-all` notice, too
     console = Console(markup=False, highlight=False, **({} if sys.stdout.isatty() else {"width": 200}))
     everything = read()
     mutants = [mutant for mutant in everything if not options.only or mutant.name in options.only]
@@ -367,7 +368,6 @@ def main() -> int:
         console.print("\n".join(found) or f"all {len(mutants)} faults fit the sources and the tests")
         return bool(found)
     start = time.perf_counter()
-    os.environ["OMP_NUM_THREADS"] = "1"
     FRESH.set_forkserver_preload(HEAVY)
     with tempfile.TemporaryDirectory(prefix="torchdq-mutants-") as folder:
         copies = [Copy(Path(folder, str(k))) for k in range(max(options.j, 1)) if Path(folder, str(k)).mkdir() is None]

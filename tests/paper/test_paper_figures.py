@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import all_in_one, double, eager, random, thinned
+from helpers import all_in_one, double, eager, exhaustive, random, thinned
 from messages import refused
 from places import ROOT
 
@@ -227,6 +227,7 @@ def test_numbers_of_a_joint_are_counted():
 # --- pictures --------------------------------------------------------------------------------------------------------
 
 
+@exhaustive
 def test_the_figures_are_written(tmp_path, capsys):
     worst, off = figures.main(figures.Args(joints=3, step=0.02, dpi=25, out=tmp_path / "new"))
     assert max(worst.values()) < 1e-12 and 0 < off < 1e-5

@@ -1,12 +1,14 @@
 """Loops as values: what they return of each step, in both directions, and their adjoints, by formulas and torch."""
 
+import weakref
+
 import pytest
 import torch
 from helpers import random
 from loops import interpreted, loop, step, tensors
 from programs import agree
 
-from torchdq.program.loop import Loop, adjoint, shapes, with_states
+from torchdq.program.loop import Loop, adjoint, by_steps, shapes, with_states
 from torchdq.program.program import Argument, record
 
 GAIN = 0.5
@@ -64,3 +66,16 @@ def test_an_adjoint_has_the_gradients_of_torch_and_runs_the_other_way(backwards)
     rows = [before, *list(given.values())[1:], torch.zeros_like(end), over_y, over_z, more]
     found = interpreted(back, [r.detach() for r in rows], samples, steps)
     agree(found, expected)
+
+
+def test_of_what_is_wanted_of_the_last_step_no_other_step_is_kept():
+    """Steps that count: what there is at a time is the start, and what the steps before and after have returned."""
+    alive = weakref.WeakSet()
+
+    def step(k, rows):
+        alive.add(x := rows["x"] + 1)
+        assert len(alive) <= 2
+        return {"x": x, "k": torch.tensor(k)}
+
+    found = by_steps(step, {"x": torch.zeros(())}, range(9), torch.stack, last=("x",))
+    assert found["x"] == 9 and found["k"].tolist() == [*range(9)]

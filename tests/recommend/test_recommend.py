@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import all_in_one, rods, thinned
+from helpers import all_in_one, exhaustive, rods, thinned
 from messages import refused, warned
 from oracles import pinocchio_model, random_tree
 from scipy.integrate import solve_ivp
@@ -70,7 +70,7 @@ def falling(name, *more, dt=HORIZON / 8):
 
 ASKED = [(name, error, HORIZON) for name in ("two_link", "ur10e", "a tree of four") for error in (1e-2, 1e-8)]
 MORE = [(name, 1e-4, HORIZON) for name in ROBOTS] + [("panda", 1e-3, 1.0)]
-KEPT = [("ur10e", 1e-2, HORIZON), ("two_link", 1e-8, HORIZON)]
+KEPT = [("two_link", 1e-8, HORIZON)]
 
 
 @pytest.mark.parametrize(("name", "error", "horizon"), thinned([*ASKED, *MORE], KEPT))
@@ -123,7 +123,7 @@ def test_a_scene_with_a_controller_keeps_its_interval():
     found = recommend_settings(scene, 1e-6, 0.2, State(q, qd), reference=wanted)
     assert found.scene.dt == scene.dt and found.repeats == 1
     assert found.step == pytest.approx(scene.dt / found.scene.substeps)
-    fine = scene.replace(integrator=integrators.RungeKutta4(), substeps=64)
+    fine = scene.replace(integrator=integrators.RungeKutta4(), substeps=64, unroll=False)
     ends = [end(s, State(q, qd), 0.2, d, reference=wanted) for s, d in ((found.scene, found.dtype), (fine, F64))]
     assert (ends[0] - ends[1]).abs().max() <= 1e-6
 
@@ -155,7 +155,7 @@ def test_accelerations_keep_the_error_on_other_states(name, error):
 def test_a_long_chain_is_recommended_articulated_bodies_in_double_precision_at_once():
     """Float32 cannot bear it."""
     assert recommended("two_link", 1e-2, None).method == "mass matrix"
-    found = recommend_settings(rods(40, planar=True), 1e-3, None)
+    found = recommend_settings(rods(24, planar=True), 1e-3, None)
     assert found.method == "articulated bodies"
     assert (found.dtype, found.precision) in ((torch.float64, "auto"), (torch.float32, "double"))
 
@@ -171,6 +171,7 @@ def test_starts_are_within_the_limits_that_are_simulated():
     assert (ends[0] - ends[1]).abs().max() <= 1e-3
 
 
+@exhaustive
 def test_a_falling_arm_is_held_no_longer_than_it_can_be():
     with warned(UserWarning):
         found = recommend_settings(ROBOTS["ur10e"], 0.1, 1000.0)
@@ -181,23 +182,24 @@ def test_a_falling_arm_is_held_no_longer_than_it_can_be():
 
 
 def test_the_growth_of_errors_is_that_of_a_small_change():
-    found = recommended("ur10e", 1e-2)
-    q, qd = (x[:SAMPLES] for x in others(ROBOTS["ur10e"], SAMPLES))
+    found = recommended("two_link", 1e-2)
+    q, qd = (x[:SAMPLES] for x in others(ROBOTS["two_link"], SAMPLES))
     ends = [end(found.scene, State(x, qd), HORIZON, F64) for x in (q, q + 1e-7)]
     grown = float((ends[0] - ends[1]).abs().max()) / 1e-7
     assert found.growth / 10 <= grown <= 10 * found.growth
 
 
 def test_damping_lets_a_trajectory_be_held():
-    found = recommend_settings(falling("two_link", effects.Viscous(2.0), dt=2.5), 0.1, 20.0)
-    assert found.horizon == 20.0 and not found.limit and found.growth < 100
+    found = recommend_settings(falling("two_link", effects.Viscous(2.0), dt=2.5), 0.1, 10.0)
+    assert found.horizon == 10.0 and not found.limit and found.growth < 100
 
 
 def test_a_scene_is_held_for_some_of_its_steps():
     with warned(UserWarning):
         found = recommend_settings(falling("ur10e", dt=0.2), 0.1, 3.2)
     assert found.scene.dt * found.repeats == pytest.approx(0.2)
-    assert 1.4 <= found.horizon <= 2.0
+    assert 1.4 <= found.horizon <= 2.0 and found.growth > 1e4
+    assert f"{found.horizon:.3g} s only: trajectories of 'ur10e' cannot be held" in str(found)
 
 
 def test_it_says_what_it_recommends():
@@ -240,7 +242,7 @@ def test_what_cannot_be_recommended_is_named(what):
         MISUSE[what]()
 
 
-@all_in_one([128, 2**13])
+@all_in_one(thinned([128, 2**13], (128,)))
 def test_the_search_costs_little_more_than_what_it_finds(most, monkeypatch):
     """Where stiff joints make a method of low order hopeless, it is soon left: no candidate costs much more.
 

@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 import torch
-from helpers import called, double, random, thinned
+from helpers import called, double, exhaustive, random, thinned
 from messages import refused
 from scenes import ARM, KD, KP, PANDA, TREE
 
@@ -30,7 +30,7 @@ HELD = (effects.Gravity(), effects.RotorInertia(0.2), effects.Payload(double(0.3
     ("robot", "integrator"),
     thinned(
         [*itertools.product((ARM, PANDA), (ExplicitEuler(), SemiImplicitEuler()))],
-        [(ARM, ExplicitEuler()), (PANDA, SemiImplicitEuler())],
+        [(ARM, ExplicitEuler())],
     ),
     ids=lambda x: getattr(x, "name", type(x).__name__),
 )
@@ -60,7 +60,7 @@ def tracking_error(dt, integrator):
     return reference(1.0, 2)[:2] - state.q - e
 
 
-@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), RungeKutta4()], ids=called)
+@pytest.mark.parametrize("integrator", thinned([SemiImplicitEuler(), RungeKutta4()], [RungeKutta4()]), ids=called)
 def test_the_error_equation_holds_up_to_holding_the_torque_over_a_step(integrator):
     errors = [float(tracking_error(dt, integrator).norm()) for dt in (0.02, 0.01)]
     assert errors[0] < 0.02
@@ -156,7 +156,7 @@ FACES = {
 }
 
 
-@pytest.mark.parametrize("case", LAWS)
+@pytest.mark.parametrize("case", thinned(LAWS, ("computed torque", "pose", "spring")))
 def test_a_law_is_the_same_as_function_layer_controller_and_program(case):
     """With gravity in the scene, and with poses of any norm."""
     law, q, qd = LAWS[case], random(4, 7), random(4, 7, seed=1)
@@ -186,6 +186,7 @@ def test_a_controller_with_a_model_is_the_function_of_that(case):
     assert torch.allclose(found.qd, expected.qd, rtol=1e-10, atol=1e-10)
 
 
+@exhaustive
 def test_small_steps_have_the_poles_of_the_error_equation():
     """Six of each root of s^2 + kd s + kp, up to the step, around a pose that is held."""
     q, dt = double(0.1, -1.0, 1.2, 0.3, 0.8, 0.2), 1e-5
@@ -212,7 +213,9 @@ def test_a_rollout_follows_a_screw_path():
     assert worst[0] < 0.01 and worst[0] / worst[1] == pytest.approx(2.0, rel=0.2)
 
 
-@pytest.mark.parametrize("kind", [OperationalSpaceControl, CartesianImpedance], ids=lambda x: x.__name__)
+@pytest.mark.parametrize(
+    "kind", thinned([OperationalSpaceControl, CartesianImpedance], [OperationalSpaceControl]), ids=lambda x: x.__name__
+)
 def test_gains_of_a_frame_and_a_posture_may_be_learned(kind):
     """One number for all axes or several, with a gain of the posture for every sample."""
     q, qd, X = random(2, 3), random(2, 3, seed=1), dq.exp(random(2, 6, seed=2))

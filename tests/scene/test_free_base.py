@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from free_flyers import case, motion
-from helpers import called, double, exhaustive, thinned
+from helpers import EVERYTHING, called, double, exhaustive, thinned
 from messages import refused
 from scipy.integrate import solve_ivp
 
@@ -51,7 +51,7 @@ def invariants(scene, state):
     return torch.cat([scene.energy(state)[..., :1], p, L], -1)
 
 
-@pytest.mark.parametrize("dt", thinned([1e-3, 5e-3, 0.02], [5e-3, 0.02]))
+@pytest.mark.parametrize("dt", thinned([1e-3, 5e-3, 0.02], [0.02]))
 def test_a_spinning_body_keeps_the_size_of_its_momentum_and_never_gains_energy(dt):
     """Of any inertia, at 20 rad/s, over 1000 steps; the direction of the momentum is right to the order of the step."""
     rng, rows = np.random.default_rng(1), 64
@@ -84,7 +84,7 @@ def drift(integrator, dt, steps, name="tree2", backend="eager"):
 # --- conservation ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("integrator", STEPPED, ids=called)
+@pytest.mark.parametrize("integrator", thinned(STEPPED, STEPPED[2:]), ids=called)
 @pytest.mark.parametrize("name", thinned(["tree3", "tree2", "quadrotor_base"], ["tree2"]))
 def test_momentum_and_energy_are_conserved_at_the_order_of_the_integrator(name, integrator):
     dt, steps = (0.02, 5) if isinstance(integrator, RungeKutta4) else (1e-3, 10)
@@ -101,7 +101,7 @@ def spinning(com, dtype=F64, size=10.0):
     return robot, {"q": torch.zeros(0, dtype=dtype), "X_WB": X.to(dtype), "V_WB_B": V.to(dtype)}
 
 
-@pytest.mark.parametrize("integrator", [*STEPPED, DormandPrince(1e-3, 1e-3)], ids=called)
+@pytest.mark.parametrize("integrator", [*thinned(STEPPED, STEPPED[1:3]), DormandPrince(1e-3, 1e-3)], ids=called)
 def test_a_body_in_flight_keeps_its_linear_momentum(integrator):
     """But for its weight, however its angular velocity is integrated; its centre of mass moves as a point would."""
     robot, start = spinning((0.1, -0.05, 0.2))
@@ -121,7 +121,7 @@ def test_a_body_in_flight_keeps_its_linear_momentum(integrator):
     assert (path.V_WB_B[-1, 3:] - path.V_WB_B[0, 3:]).abs().max() > 0.5  # of the origin, in axes that turn
 
 
-@pytest.mark.parametrize("integrator", thinned(STEPPED, STEPPED[2:]), ids=called)
+@pytest.mark.parametrize("integrator", thinned(STEPPED, STEPPED[2:3]), ids=called)
 def test_a_body_in_flight_keeps_its_linear_momentum_in_single_precision(integrator):
     robot, start = spinning((0.1, -0.05, 0.2), torch.float32)
     scene = Scene(robot, integrator=integrator, dt=0.01)
@@ -147,6 +147,7 @@ def test_substeps_of_a_free_base_in_a_loop_are_those_of_one_program(integrator):
         torch.testing.assert_close(x, expected[name], rtol=1e-13, atol=1e-13)
 
 
+@exhaustive
 def test_an_adaptive_integrator_keeps_momentum_and_energy():
     assert drift(DormandPrince(1e-11, 1e-13), 0.1, 1, backend="auto") <= 1e-9
 
@@ -210,14 +211,14 @@ def test_a_spinning_t_handle_flips():
     path = scene.rollout(start, steps=round(T / scene.dt))
     assert (path.V_WB_B[:, 1] < -5.9).any()  # it has turned over
     assert (path.V_WB_B[-1, :3] - w).abs().max() <= 1e-8 * 6
-    adaptive = scene.replace(integrator=DormandPrince(1e-11, 1e-13), dt=T)
-    with torchdq.backend("auto"):
-        ends = path.last, adaptive.step(start)
+    ends = [path.last]
+    if EVERYTHING:
+        ends.append(scene.replace(integrator=DormandPrince(1e-11, 1e-13), dt=T).step(start))
     assert all((dq.rotation(end.X_WB) - r).abs().max() <= 1e-8 for end in ends)
 
 
 @pytest.mark.case("T4")
-@pytest.mark.parametrize("integrator", thinned(STEPPED, STEPPED[2:]), ids=called)
+@pytest.mark.parametrize("integrator", thinned(STEPPED, STEPPED[3:]), ids=called)
 def test_poses_stay_unit_dual_quaternions(integrator):
     c, m = case("tree1"), motion(case("tree1"))
     scene = Scene(c.robot, (effects.Gravity(), effects.Viscous(0.5)), None, integrator, dt=2e-3, backend="auto")
@@ -281,6 +282,7 @@ def under_effects_of_all_kinds():
     return exact, state, inputs, exact.step(state, **inputs).rows()
 
 
+@exhaustive
 @pytest.mark.parametrize(("integrator", "steps"), [(LinearlyImplicit(), 64), (RungeKutta4(), 8)], ids=called)
 def test_the_error_falls_with_the_order_under_effects_of_all_kinds(integrator, steps):
     exact, state, inputs, expected = under_effects_of_all_kinds()
@@ -342,12 +344,13 @@ def test_no_orientation_is_special_in_time():
     c, m = case("tree1"), motion(case("tree1"))
     scene = Scene(c.robot, dt=0.02)
     turns = dq.from_pose(double((0.0, 0.0, 0.6, 0.8), (-1.0, 0.0, 0.0, 0.0)), torch.zeros(2, 3, dtype=F64))[:, None]
-    path = scene.rollout(begun(scene, m), steps=40)
-    other = scene.rollout(begun(scene, {**m, "X_WB": dq.mul(turns, m["X_WB"])}), steps=40)
+    path = scene.rollout(begun(scene, m), steps=20)
+    other = scene.rollout(begun(scene, {**m, "X_WB": dq.mul(turns, m["X_WB"])}), steps=20)
     assert (other.X_WB - dq.mul(turns, path.X_WB[:, None])).abs().max() <= 1e-11
     assert (other.q - path.q[:, None]).abs().max() <= 1e-11
 
 
+@exhaustive
 def test_feedback_of_the_joints_moves_a_free_robot_without_a_force_from_outside():
     robot, m = case("tree3").robot.replace(gravity=None), motion(case("tree3"))
     scene = Scene(robot, (effects.RotorInertia(0.5),), PD(40.0, 20.0), RungeKutta4(), dt=0.005, backend="auto")

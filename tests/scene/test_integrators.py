@@ -74,7 +74,7 @@ def under_continuous_effects():
 
 
 @pytest.mark.case("T1")
-@pytest.mark.parametrize("integrator", FIXED, ids=str)
+@pytest.mark.parametrize("integrator", thinned(FIXED, FIXED[2:4]), ids=str)
 def test_the_error_falls_with_the_stated_order(integrator, compiled, margin):
     """With effects of all kinds; hard_cases/test_time.py has the arm alone."""
     scene, start, inputs, end = under_continuous_effects()
@@ -109,7 +109,9 @@ def test_substeps_are_steps():
 # --- the adaptive one ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case", thinned([shipped("two_link"), PANDA], [PANDA]), ids=lambda case: case.robot.name)
+@pytest.mark.parametrize(
+    "case", thinned([PANDA, shipped("two_link")], [shipped("two_link")]), ids=lambda case: case.robot.name
+)
 def test_dormand_prince_agrees_with_scipy_on_pinocchios_accelerations(case, compiled):
     n, T = case.robot.n, 0.3
     q, qd, torque = random(3, n, seed=5)
@@ -313,18 +315,18 @@ def test_an_elastic_wheel_swings_as_two_masses_on_a_spring():
 
 @cache
 def of_elastic_joints():
-    """Scene in short steps of Runge-Kutta, its start, and the state after 0.2 s."""
+    """Scene in short steps of Runge-Kutta, its start, and the state after 0.1 s."""
     scene = Scene(ARM, (effects.Gravity(), effects.Elastic(200.0, 0.5, 0.2)), integrator=RungeKutta4(), dt=1e-4)
     start = scene.start(double(0.3, 0.4), double(1.0, -1.0))
     with torchdq.backend("auto"):
-        return scene, start, rolled(scene, start, 2000, double(1.0, 0.5))
+        return scene, start, rolled(scene, start, 1000, double(1.0, 0.5))
 
 
 @pytest.mark.parametrize(
     ("integrator", "error"),
     [
-        *((ExplicitEuler(), 0.1), (SemiImplicitEuler(), 0.03), (LinearlyImplicit(), 0.1), (RungeKutta4(), 1e-6)),
-        *((StoermerVerlet(), 1e-3), (DormandPrince(1e-9, 1e-11), 1e-7)),
+        *thinned([(ExplicitEuler(), 0.1), (SemiImplicitEuler(), 0.03), (RungeKutta4(), 1e-6)], []),
+        *((LinearlyImplicit(), 0.1), (StoermerVerlet(), 1e-3), (DormandPrince(1e-9, 1e-11), 1e-7)),
     ],
     ids=called,
 )
@@ -333,7 +335,7 @@ def test_all_integrators_move_elastic_joints_alike(integrator, error):
     scene, start, exact = of_elastic_joints()
     dt = 1e-3 if integrator in FIXED else 0.02
     scene = scene.replace(integrator=integrator, dt=dt)
-    assert distance(rolled(scene, start, round(0.2 / dt), double(1.0, 0.5)), exact) < error
+    assert distance(rolled(scene, start, round(0.1 / dt), double(1.0, 0.5)), exact) < error
     assert (exact.memory[:2] - exact.q).abs().max() > 1e-3
 
 
@@ -358,6 +360,6 @@ def test_ordinary_effects_hold_at_the_default_integrator_and_step():
         effects.JointLimits(stiffness=1e4 * limits),
     )
     scene = Scene(PANDA.robot, (effects.Gravity(), *parts))
-    speeds = trace(scene, scene.start(home.expand(6, 7)), 100, target=home).qd.abs()
+    speeds = trace(scene, scene.start(home.expand(6, 7)), 100 if EVERYTHING else 40, target=home).qd.abs()
     assert speeds.max() < 50.0  # a joint that falls reaches 20 rad/s
     assert (speeds.amax((0, 2)) > 1e-3).sum() >= 4  # servos and springs that hold the start are at rest

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 from free_flyers import case, motion
-from helpers import random
+from helpers import random, thinned
 from scenes import ARM, equal, inputs_of, rich, uniform
 
 from torchdq import Scene, effects
@@ -83,7 +83,7 @@ def looped(scene, start, noise, inputs):
     return with_gradients([*found.rows().values(), *told.values()], [*rows.values(), *inputs.values()])
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", thinned(SCENES, ("effects of every slot", "a floating base with contact")))
 def test_loops_are_steps_to_the_bit(name):
     scene, start = SCENES[name]()
     inputs, noise = inputs_of_task(scene), uniform(scene, STEPS, ROWS)

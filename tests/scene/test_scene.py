@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 import torch
 from effect_harness import EVERY, constant
-from helpers import FIXED, WHEEL, all_in_one, called, double, random, thinned
+from helpers import FIXED, WHEEL, all_in_one, called, double, exhaustive, random, thinned
 from messages import refused
 from oracles import shipped, states
 from scenes import ARM, PANDA, RICH, TREE, ZERO, equal, inputs_of, rich, uniform
@@ -69,7 +69,7 @@ def test_an_effect_of_no_size_is_no_operation(robot):
 
 
 @pytest.mark.case("T14")
-@pytest.mark.parametrize("integrator", FIXED, ids=called)
+@pytest.mark.parametrize("integrator", thinned(FIXED, FIXED[2:4]), ids=called)
 def test_an_effect_of_no_size_leaves_the_very_same_program(integrator):
     bare = Scene(TREE, integrator=integrator)
     for kind in ("Viscous", "Coulomb", "Spring", "Limits", "Saturation", "RotorInertia"):
@@ -240,7 +240,7 @@ PAIRS = [*itertools.product(COMPILED, (torch.float64, torch.float32))]
 
 
 @needs_compiler
-@pytest.mark.parametrize(("which", "dtype"), thinned(PAIRS, [PAIRS[1], PAIRS[4]]), ids=str)
+@pytest.mark.parametrize(("which", "dtype"), thinned(PAIRS, [PAIRS[4]]), ids=str)
 def test_compiled_scenes_agree_with_eager_ones(which, dtype):
     """Values and gradients, of state, inputs and parameters, over three steps."""
     scene, tolerance = COMPILED[which], 1e-11 if dtype == torch.float64 else 2e-3
@@ -370,6 +370,7 @@ def test_a_start_has_a_graph_of_what_its_reading_depends_on_alone():
     assert torch.equal(gradients(learned, learned.start(q), bias)[0], first)
 
 
+@exhaustive
 @pytest.mark.case("P4")
 def test_steps_are_traced_whole():
     """torch.compile without a break, with gradients in parameters; hard_cases/test_tensors.py has compiled programs."""
@@ -377,10 +378,7 @@ def test_steps_are_traced_whole():
     scene = Scene(WHEEL, (effects.Gravity(), effects.Viscous(learned), effects.Coulomb(0.2)))
 
     def roll(q, qd):
-        state = State(q, qd)
-        for _ in range(2):
-            state = scene.step(state, q)
-        return state.q
+        return scene.step(State(q, qd), q).qd
 
     traced = torch.compile(roll, fullgraph=True, backend="aot_eager")
     for batch in (3, 5):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers import INERTIA, WHEEL, called, double, thinned
+from helpers import INERTIA, WHEEL, called, double, exhaustive, thinned
 from messages import refused, warned
 from on_ground import body
 from scenes import ARM, PANDA
@@ -87,7 +87,7 @@ STIFF = {
 }
 
 
-@pytest.mark.parametrize("kind", thinned(STIFF, ["Viscous", "Elastic"]))
+@pytest.mark.parametrize("kind", thinned(STIFF, ["Viscous"]))
 def test_unstable_steps_come_with_stable_ones(kind):
     effect, inputs = STIFF[kind]
     scene = Scene(ARM, (effects.Gravity(), effect), integrator=SemiImplicitEuler())
@@ -111,9 +111,7 @@ def test_the_joint_with_the_least_inertia_is_named():
     assert "of panda_joint7" in str(found)
 
 
-@pytest.mark.parametrize(
-    "integrator", thinned([*EXPLICIT, LinearlyImplicit()], [RungeKutta4(), LinearlyImplicit()]), ids=called
-)
+@pytest.mark.parametrize("integrator", thinned([*EXPLICIT, LinearlyImplicit()], [RungeKutta4()]), ids=called)
 def test_a_falling_arm_is_not_stiff(integrator):
     scene = Scene(PANDA, (effects.Gravity(), effects.RotorInertia(0.1)), integrator=integrator)
     assert scene.check(scene.start(HOME), seconds=0.2)
@@ -125,7 +123,7 @@ def test_rows_diverge_one_by_one():
     scene = Scene(ARM, (effects.Viscous(damping),), integrator=SemiImplicitEuler())
     start = scene.start(double((0.1, 0.2), (0.1, 0.2), (math.nan, 0.2)), double(0.1, 0.2))
     with warned(UserWarning):
-        found = scene.check(start, seconds=0.5)
+        found = scene.check(start, seconds=0.2)
     assert found.diverged.tolist() == [False, True, False]
     assert len(found.alternatives) == 2
 
@@ -211,6 +209,7 @@ def test_a_base_that_turns_far_in_a_step_is_pointed_out():
         assert check.turn == pytest.approx(speed * 0.01) and ("turns by up to" in str(check)) is far
 
 
+@exhaustive
 def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta(monkeypatch):
     """Inertial torques of links at the start of a step give energy."""
     monkeypatch.setattr(stability, "FEW", 512)  # of trials of shorter steps
@@ -227,7 +226,7 @@ def test_a_base_that_spins_while_its_joints_swing_is_given_to_runge_kutta(monkey
     assert not check and bool(check.diverged) and str(check).endswith("integrator=RungeKutta4(), steps of 0.02 s")
 
 
-@pytest.mark.parametrize("make", [PD, ComputedTorque], ids=["PD", "computed torque"])
+@pytest.mark.parametrize("make", thinned([PD, ComputedTorque], [PD]), ids=lambda make: make.__name__)
 def test_a_controller_too_stiff_for_the_step_is_named_with_the_joint(make):
     """Torques held over a step: kp h^2 / I + 2 kd h / I = 4 is the edge (Jury's criterion)."""
     inertia = INERTIA if make is PD else 1.0
@@ -272,6 +271,7 @@ def test_rotors_take_the_torques_of_a_controller_that_sees_the_links():
         assert bool((path.q[-100:] - 0.1).abs().max() < 1e-3) is settles
 
 
+@exhaustive
 def test_rows_that_are_not_finite_leave_the_others_their_own_ground():
     scene, state = on_ground(heights=(0.05, 0.05))
     gravity, ground = scene.effects

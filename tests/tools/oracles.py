@@ -375,7 +375,7 @@ REPRESENTATIVE_ROBOTS = (
     *("simple_humanoid_classical", "so101", "solo12", "talos_left_arm", "tiago_no_hand", "tiago_pro", "ur10_robot"),
     *("xarm7", "z1"),
 )
-REPRESENTATIVE_TREES = (*TREE_NAMES[::11], "tree124")
+REPRESENTATIVE_TREES = (*TREE_NAMES[::22], "tree55", "tree121", "tree124")
 REPRESENTATIVES = (*REPRESENTATIVE_ROBOTS, *SHIPPED_NAMES, *REPRESENTATIVE_TREES)
 
 

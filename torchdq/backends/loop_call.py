@@ -11,7 +11,7 @@ from torchdq.backends.call import Computation, Repeated, batch_of, evaluate, lay
 from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.precision import run_loop
 from torchdq.base.checks import is_dense
-from torchdq.program.loop import Loop
+from torchdq.program.loop import Loop, by_steps
 from torchdq.program.transforms import dispatching, transforming, without_values
 
 TOGETHER = 2048  # rows of a processor's core that take some steps together, before others take their places
@@ -35,7 +35,8 @@ def repeat(
 ) -> dict[str, Tensor]:
     """Results of a computation that is evaluated a number of times, with what is carried from one to the next, by name.
 
-    Of what is carried there are steps + 1, with the start; of other results one for every step, or their total.
+    Of what is carried there are steps + 1, with the start; of other results one for every step, or their total. Steps
+    that are not `repeatable` are so many calls.
 
     Args:
         what: the computation.
@@ -47,6 +48,14 @@ def repeat(
         ends: whether only the last of what is carried is returned.
         backend: as in `torchdq.backend`.
     """
+    if not repeatable(next(iter(carried.values())), backend):
+
+        def step(k: int, before: Mapping[str, Tensor]) -> dict[str, Tensor]:
+            now = {name: x[k] for name, x in stepped.items()}
+            return evaluate(what, {**{name: before[name] for name in carried}, **now, **fixed}, backend)
+
+        last = carried if ends else carried.keys() & {*total}
+        return by_steps(step, carried, range(steps), torch.stack, total, last)
     same = {name: x[0] for name, x in stepped.items() if steps and is_dense(x) and x.stride(0) == 0}
     series = tuple([name for name in stepped if name not in same])
     repeated = Repeated(steps, tuple(carried), series, tuple(total), ends)

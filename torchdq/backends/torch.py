@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdq.backends.backend import Backend, Kernel
 from torchdq.errors import TorchdqError
 from torchdq.numbers.ops import OPS
-from torchdq.program.loop import Loop, by_steps, evaluated, joined, shapes
+from torchdq.program.loop import Loop, by_steps, evaluated, shapes
 from torchdq.program.program import Output, Program, outputs
 from torchdq.program.transforms import number
 
@@ -83,11 +83,10 @@ def interpreted_loop(
             rows[k] = rows[k] + inputs[more][s]
         return dict(enumerate(evaluated(loop.body, rows, lambda program, x: run(program, x, samples))))
 
-    order, way = range(steps), -1 if loop.backwards else 1
-    found: dict[int, list[Tensor]] = by_steps(step, {r: inputs[k] for r, k in own.items()}, order[::way])
-    growth, forms = len(loop.body.results), shapes(loop, samples, steps)
-    totals = {*range(growth)} - {*own, *loop.kept}
-    rows = joined(found, lambda x: torch.stack(x[::way]), totals, own.keys() - {*loop.kept})
+    way, start = -1 if loop.backwards else 1, {r: inputs[k] for r, k in own.items()}
+    growth, forms, order = len(loop.body.results), shapes(loop, samples, steps), range(steps)[::way]
+    totals, last = {*range(growth)} - {*own, *loop.kept}, own.keys() - {*loop.kept}
+    rows: dict[int, Tensor] = by_steps(step, start, order, lambda x: torch.stack(x[::way]), totals, last)
     if growth in rows:
         rows[growth] = rows[growth].amax(0)
     return [rows[r] if r in rows else inputs[0].new_zeros(shape) for r, shape in enumerate(forms)]

@@ -192,6 +192,12 @@ def require(name: str, x: Any, check: Check) -> None:
         raise ArgumentError(f"{name} must be {check.expected}, found {x!r}" + f"; {check.cure}" * bool(check.cure))
 
 
+def require_all(name: str, x: Tensor, check: Check) -> None:
+    """Raise unless all numbers of a tensor are what a check expects."""
+    for one in torch.stack(x.detach().aminmax()).tolist() if x.numel() else ():
+        require(name, one, check)
+
+
 def require_choice(name: str, x: Any, known: Sequence[Any]) -> None:
     """Raise unless x is among the known values."""
     require(name, x, OneOf(tuple(known)))

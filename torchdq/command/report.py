@@ -13,7 +13,8 @@ from torchdq.dynamics.friction import COLUMNS, SPEEDS, STATED
 from torchdq.errors import SingularInertiaError
 from torchdq.functions.catalogue import FLOATING, RECIPES, Function
 from torchdq.functions.options import options_of
-from torchdq.program.program import Argument, Count
+from torchdq.numbers.ops import Count
+from torchdq.program.program import Argument
 from torchdq.robot import Robot
 from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.check.report import HEADER

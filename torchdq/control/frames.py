@@ -51,6 +51,7 @@ class FrameLaw(Law):
     """
 
     OPTIONAL: ClassVar[frozenset[str]] = frozenset({"V_des", "A_des"})
+    WHERE: ClassVar[tuple[str, ...]] = ("frame", "expressed", "axes")
     FIXED: ClassVar[str] = "no motor moves its base, so its joints alone cannot give a frame every acceleration"
     GAINS: ClassVar[tuple[str, str]]  # of the error and of its rate, a number for each of the axes
     frame: str | None = None

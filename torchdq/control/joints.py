@@ -63,7 +63,7 @@ class ComputedTorque(Feedback):
 class PD(Feedback):
     """Torques of errors alone: tau = kp (q_des - q) + kd (qd_des - qd), and of gravity if a model is given.
 
-    Its reference is that of `ComputedTorque`, with accelerations that it does not use.
+    Its reference is that of `ComputedTorque`, with accelerations that it does not use and that calls may leave out.
 
     Args:
         kp: position gain [N m/rad or N/m], shape [..., n].
@@ -76,6 +76,8 @@ class PD(Feedback):
     >>> robot = torchdq.robots.load("two_link")
     >>> scene = Scene(robot, (effects.Gravity(),), controller=controllers.PD(kp=50.0, kd=10.0, model=robot))
     """
+
+    OPTIONAL: ClassVar[frozenset[str]] = frozenset({"qdd_des"})
 
     def torques(self, at: Posed, goal: Mapping[str, Any], q: Row, qd: Row) -> Results:
         """Torques of the errors, and the model's weight."""

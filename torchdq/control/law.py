@@ -54,6 +54,7 @@ class Law(Parametric):
     OPTIONAL: ClassVar[frozenset[str]] = frozenset()  # rows of the goal that are zero if they are not given
     WRENCHES: ClassVar[tuple[str, ...]] = ()  # wrenches on the environment that may be given beside the goal
     SWITCHES: ClassVar[frozenset[str]] = frozenset()  # parameters that may be True or False
+    WHERE: ClassVar[tuple[str, ...]] = ()  # options of its program by their order: a frame and its axes
     FIXED: ClassVar[str] = ""  # reason why a robot with a floating base is refused; "": it is not
     model: Robot | None = field(default=None, kw_only=True)
 
@@ -75,6 +76,15 @@ class Law(Parametric):
     def subject(self) -> str:
         """Text about it before the joints, in error messages."""
         return ""
+
+    @classmethod
+    def of_arguments(cls, options: Sequence[str]) -> Self:
+        """Law whose gains are arguments of its program; `options` are those of the frame, in the order of WHERE."""
+        if len(options) > len(cls.WHERE):
+            expected = f"at most {', '.join(cls.WHERE)}, in this order" if cls.WHERE else "left out: there are none"
+            raise ArgumentError(f"options of {cls.named()!r} must be {expected}, found {options!r}")
+        gain, where = torch.ones((), dtype=torch.float64), dict[str, Any](zip(cls.WHERE, options, strict=False))
+        return cls(gain, gain, **where)  # type: ignore[arg-type,call-arg]
 
     @classmethod
     def require_gain(cls, name: str, x: Tensor, given: Tensors) -> None:

@@ -60,9 +60,8 @@ def computed(formula: Callable[..., Any], shape: tuple[int, ...] | None = None, 
         shape: trailing axes of the result; None: one axis.
         x: tensors, whose last axes are checked already.
     """
-    first = next(iter(x.values()))
-    if first.dtype not in DTYPES or any([y.dtype != first.dtype or y.device != first.device for y in x.values()]):
-        found = stack([*numbers(formula(*[form(y.unbind(-1)) for y in x.values()]))])  # torch promotes dtypes
+    if all([y.dtype not in DTYPES for y in x.values()]):  # half precision, which has no programs
+        found = stack([*numbers(formula(*[form(y.unbind(-1)) for y in x.values()]))])
         return found if shape is None else found.reshape(*found.shape[:-1], *shape)
     widths = tuple([(name, index(y.shape[-1])) for name, y in x.items()])
     # torch.compile fuses torch operations itself

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.utils import _pytree
 
-from torchdq.base.checks import TensorValue
+from torchdq.algebra import dual_quaternion, quaternion
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.quaternion import Pure
+from torchdq.base.checks import TensorValue, destination
 from torchdq.dq import poses, tensors
+from torchdq.dq.components import checked, unit
+from torchdq.dq.formulas import computed
 from torchdq.errors import ArgumentError
 
 
@@ -21,9 +27,9 @@ class Pose(TensorValue):
         X_AC = X_AB @ X_BC,   X_BA = X_AB.inverse(),   p_A = X_AB.apply(p_B),   xi = (X.inverse() @ X_des).log()
 
     Every function of this package that takes poses takes these and plain tensors alike. Results are tensors, of which
-    `Pose(torchdq.forward_kinematics(robot, q, "tip"))` makes poses. Leading axes are batch axes and broadcast; dtype
-    and device are those of the tensor. torch.func and torch.compile take poses as arguments and results; a full graph
-    of torch.compile needs `multiply`, since it does not trace `@` between objects.
+    `Pose(torchdq.forward_kinematics(robot, q, "tip"))` makes poses. Leading axes are batch axes and broadcast, and
+    `X[i]` are some of a batch; dtype and device are those of the tensor. torch.func and torch.compile take poses as
+    arguments and results; a full graph of torch.compile needs `multiply`, since it does not trace `@` between objects.
 
     A motion xi [..., 6] is (angular [rad], linear [m]), the order of twists: the constant twist in B's axes that
     carries the frame from A to B in one second. It is the whole motion, twice the half-angle screw of `dq.exp` and
@@ -41,6 +47,9 @@ class Pose(TensorValue):
 
     parameters: Tensor
 
+    def __post_init__(self) -> None:
+        checked("parameters", self.parameters, 8)
+
     @staticmethod
     def identity(
         batch: Sequence[int] = (), dtype: torch.dtype | None = None, device: torch.device | str | None = None
@@ -56,12 +65,21 @@ class Pose(TensorValue):
     @staticmethod
     def from_rotation_and_translation(rotation: Tensor, translation: Tensor) -> Pose:
         """Pose of a unit quaternion (w, x, y, z) [..., 4] and the position of B's origin in A [m], [..., 3]."""
-        return Pose(poses.from_pose(rotation, translation))
+        r, p = unit("rotation", checked("rotation", rotation, 4)), checked("translation", translation, 3)
+        return Pose(computed(dual_quaternion.from_pose, rotation=r, translation=p))
 
     @staticmethod
     def exp(xi: Tensor) -> Pose:
         """Pose reached by a motion xi [..., 6] from the identity."""
-        return Pose(poses.exp(0.5 * xi))
+        return Pose(poses.exp(0.5 * checked("xi", xi, 6)))
+
+    def to(self, dtype: Any = None, device: torch.device | str | None = None) -> Pose:
+        """Same pose in another dtype, on another device, or both."""
+        return Pose(self.parameters.to(**destination(dtype, device)))
+
+    def __getitem__(self, index: Any) -> Pose:
+        """Poses at an index of the batch axes."""
+        return Pose(torch.stack([x[index] for x in self.parameters.unbind(-1)], -1))
 
     def as_matrix(self) -> Tensor:
         """Homogeneous matrix [..., 4, 4]."""
@@ -77,13 +95,13 @@ class Pose(TensorValue):
 
     def apply(self, points: Tensor) -> Tensor:
         """Points [..., 3] given in B [m], in A."""
-        return poses.rotate(self.rotation(), points) + self.translation()
+        return computed(_moved, pose=self.parameters, points=checked("points", points, 3))
 
     def multiply(self, other: Pose) -> Pose:
         """Composition X_AC = X_AB X_BC, also `X_AB @ X_BC`; raises unless both are poses."""
         if not isinstance(other, Pose):
             raise ArgumentError(f"a Pose is multiplied by a Pose, found {type(other).__name__}; use torchdq.dq.Pose(X)")
-        return Pose(tensors.mul(self.parameters, other.parameters))
+        return Pose(computed(dual_quaternion.mul, pose=self.parameters, other=other.parameters))
 
     __matmul__ = multiply
 
@@ -104,4 +122,21 @@ class Pose(TensorValue):
         return Pose(tensors.normalize(self.parameters))
 
 
-_pytree.register_dataclass(Pose)
+def _moved(x: DualQuaternion, p: Pure) -> Pure:
+    """Point in A of one in B."""
+    return quaternion.add(quaternion.rotate(x[0], p), dual_quaternion.translation(x))
+
+
+def _of_leaves(leaves: Any, _: None) -> Pose:
+    """Pose around whatever a transform puts instead of its tensor."""
+    pose = object.__new__(Pose)
+    object.__setattr__(pose, "parameters", *leaves)
+    return pose
+
+
+_pytree.register_pytree_node(
+    Pose,
+    lambda pose: ([pose.parameters], None),
+    _of_leaves,
+    flatten_with_keys_fn=lambda pose: ([(_pytree.GetAttrKey("parameters"), pose.parameters)], None),
+)

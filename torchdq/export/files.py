@@ -38,8 +38,8 @@ class Exported(NamedTuple):
     cmake: Path | None = None
 
 
-def write(folder: Path, texts: Mapping[str, str]) -> list[Path]:
-    """Paths of files with texts in ASCII, by name, in a folder, which is made if it is not there.
+def write(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+    """Paths of files with bytes or texts in ASCII, by name, in a folder, which is made if it is not there.
 
     Neither a full disk nor a killed process leaves a part of a file, and a build that runs meanwhile reads old files or
     new ones.
@@ -47,7 +47,9 @@ def write(folder: Path, texts: Mapping[str, str]) -> list[Path]:
     Raises:
         ArgumentError: the folder is a file, or nothing can be written there.
     """
-    files: dict[Path, str | bytes] = {folder / name: text.encode("ascii") for name, text in texts.items()}
+    files: dict[Path, str | bytes] = {}
+    for name, content in contents.items():
+        files[folder / name] = content.encode("ascii") if isinstance(content, str) else content
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(files)

@@ -18,8 +18,9 @@ from torchdq.backends.call import Computation, evaluate
 from torchdq.backends.choice import choose
 from torchdq.backends.one_sample import one_sample
 from torchdq.base.checks import dtype_of, names_of, require_choice, require_count, require_tensor
+from torchdq.control import LAWS
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.export import casadi, golden
+from torchdq.export import casadi, golden, graph
 from torchdq.export.c99 import CFunction, Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported
@@ -28,9 +29,10 @@ from torchdq.export.names import distinct, identifier
 from torchdq.functions import arrays
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
+from torchdq.numbers.ops import Count
 from torchdq.program.autodiff import jacobian
 from torchdq.program.autograd import vjp
-from torchdq.program.program import Argument, Count, Program
+from torchdq.program.program import Argument, Program
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.fields import SHAPES
@@ -39,7 +41,7 @@ from torchdq.robot.robot import constants
 
 CPU = torch.device("cpu")
 Language = Literal["c", "cuda"]
-ExportLanguage = Literal["c", "casadi"]
+ExportLanguage = Literal["c", "casadi", "torch"]
 
 
 class _RecordedFields(NamedTuple):
@@ -160,7 +162,8 @@ class CompiledProgram:
             library: source of sine, cosine and roots: "math.h", or "own", the polynomials of compiled programs, with
                 sine and cosine up to 1e5 rad (4e3 in float32), beyond which the function returns 1 and NaN, and
                 square roots to 1 ulp, but no exponentials and logarithms.
-            language: "c", or "casadi", which takes programs in float64.
+            language: "c"; "casadi", which takes programs in float64; or "torch", a graph of torch operations for any
+                number of samples, which `torch.export.load` reads.
             batch: whether there is a function NAME_batch beside it, which takes the rows of many samples and which
                 compilers turn into vector instructions. Its sine and cosine are those of "own".
             knots: for "casadi": number of knots of every call, with sine and cosine of "own"; 0: one column.
@@ -184,6 +187,8 @@ class CompiledProgram:
             if batch:
                 raise ArgumentError("batch must be False for language 'casadi', which has knots, or f.map(n)")
             return self._casadi(named, library, knots, derivatives).write(Path(folder))
+        if language == "torch":
+            return graph.write(Path(folder), named, self.program, self.dtype, self)
         if knots:
             raise ArgumentError(
                 f"knots are for language 'casadi', found {knots!r}; in 'c', batch=True takes any number"
@@ -322,8 +327,9 @@ def compile(
             "inverse_dynamics_jacobian" (the same without the mass matrix), "frame_motion", "operational_space",
             "manipulability", "coriolis_matrix", "differential_inverse_kinematics", "inverse_kinematics_step" and
             "inverse_kinematics_newton" (parts of the solver); of a robot with a floating base,
-            "floating.inverse_dynamics" and so on. Or a control law, an object of `torchdq.scene.controllers` and not a
-            name, whose gains are constants where they are numbers, and arguments where they are tensors.
+            "floating.inverse_dynamics" and so on. Or a control law: "computed_torque", "operational_space_control" or
+            "cartesian_impedance", whose gains are arguments then; or an object of `torchdq.scene.controllers`, whose
+            gains are constants where they are numbers, and arguments where they are tensors.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
@@ -346,6 +352,8 @@ def compile(
             )
         return replace(_ready(robot, dtype_of("dtype", dtype)), about=robot.about)
     _require_compilable(robot)
+    if isinstance(function, str) and function in LAWS:
+        function, options = LAWS[function].of_arguments(options), ()
     if callable(getattr(function, "program", None)):
         _require_law(function)
         if options:
@@ -353,10 +361,10 @@ def compile(
         recorded = function.program(robot, arguments)
         ready = _ready(recorded, dtype_of("dtype", dtype))
         return replace(ready, about=recorded.about, examples=function.resolved(robot).tensors())
+    known = (*RECIPES, *LAWS)
     if not isinstance(function, str) or not function:
-        names = ", ".join(RECIPES)
-        raise ArgumentError(f"function must be the name of one, found {function!r}; known: {names}")
-    names_of("function", function, RECIPES, "function that is compiled")
+        raise ArgumentError(f"function must be the name of one, found {function!r}; known: {', '.join(known)}")
+    names_of("function", function, known, "function that is compiled")
     what = Function(constants(robot), function, options_of(robot, function, options))
     what.require_base()
     parameters = {name: getattr(robot, name) for name in tensors_of(robot)}

@@ -1,5 +1,6 @@
 """Options of public functions: names that a program depends on, checked, with the defaults of the functions."""
 
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import require
 from torchdq.dynamics.task_space import AXES, COMPONENTS, Task, rows_of
 from torchdq.errors import ArgumentError
+from torchdq.findings import Finding
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.posed import frame, posed
 from torchdq.functions.recipe import TASK, TIP
@@ -82,19 +84,23 @@ def _components(axes: str) -> tuple[str, ...]:
 def require_served(robot: Robot, name: str, expressed: str, axes: str) -> None:
     """Raise unless axes are components of the twist of a frame that the joints can move independently."""
     wanted = _components(axes)
-    served = _served(robot, name, expressed, wanted)
+    served = independent(robot, name, expressed, wanted)
     if len(served) < len(wanted):
-        cure = f"take axes={served}" if served else "take another frame"
-        raise ArgumentError(
-            f"axes must be at most {len(served)} of {' '.join(wanted)} for frame {name!r} of robot {robot.name!r}, "
-            f"whose joints move no more of them independently; {cure}"
+        cure, option = "take another frame", None
+        if served:
+            cure = f"take axes={served}"
+            option = f"take --options {shlex.join((name, expressed, ' '.join(served)))}"
+        expected = (
+            f"axes must be at most {len(served)} of {' '.join(wanted)}, of which its joints move no more independently"
         )
+        subject = f"frame {name!r} of robot {robot.name!r}"
+        raise ArgumentError(Finding("axes.unserved", subject, expected, cure=cure, option=option))
 
 
-def _served(robot: Robot, name: str, expressed: str, wanted: tuple[str, ...]) -> tuple[str, ...]:
-    """Components that the joints move independently at some posture, of those that are wanted; displacements first.
+def independent(robot: Robot, name: str, expressed: str, wanted: tuple[str, ...] = COMPONENTS) -> tuple[str, ...]:
+    """Components of the twist of a frame, of those wanted, that the joints move independently at some posture.
 
-    All of them for a geometry that is an argument, whose numbers are not known.
+    Displacements are taken first. All of them for a geometry that is an argument, whose numbers are not known.
     """
     if any(x.isnan().any() for x in (robot.X_PB_home, robot.screw, robot.home) if x is not None):
         return wanted

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import Interval, is_number, require, require_tensor
+from torchdq.base.checks import Interval, is_number, require, require_all, require_tensor
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
 from torchdq.functions.signature import Field, declared
@@ -119,9 +119,8 @@ class Parametric:
                 value = value.expand(shape)
             if shape and value.shape[-1] not in ((1, size) if per_joint else (size,)):
                 raise ArgumentError(f"{what} must have the shape [..., {size}], found {tuple(value.shape)}")
-            if value.numel() and not without_values((value,)):
-                for x in torch.stack(value.detach().aminmax()).tolist():
-                    require(what, x, check)
+            if not without_values((value,)):
+                require_all(what, value, check)
             return value.expand((*value.shape[: value.ndim - len(shape)], *shape))
         value = value.tolist() if isinstance(value, np.ndarray) else value
         given = value if isinstance(value, Sequence) and not isinstance(value, str | bytes) else [value] * size

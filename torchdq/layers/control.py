@@ -84,7 +84,7 @@ class Control(RobotModule):
             _require_torques(model, own, learn if others else (), effects)
             backend = getattr(model, "backend", backend)
             sign_width = getattr(model, "sign_width", sign_width)
-        self._function = law.named()
+        self._function, self._own = law.named(), own
         super().__init__(known, others, backend, sign_width, effects)
         self.model, self._rigid = model, False
         if isinstance(model, InverseDynamics):
@@ -93,7 +93,6 @@ class Control(RobotModule):
         alone = model is None or isinstance(model, InverseDynamics)
         if friction is True and alone and not self._friction.effects:
             self._friction = described(known, self.sign_width)
-        self._own = own
         held: dict[str, Any] = dict.fromkeys(own, TENSOR)
         self.law = replace(whole, **held)
         self._axes, self._form = self.law.SHAPES, self.law.form(own)

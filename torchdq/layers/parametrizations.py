@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torchdq.base.checks import require_finite
+from torchdq.base.checks import NOT_NEGATIVE, REAL, Interval, require_all
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import second_moments
 
@@ -60,16 +60,14 @@ class Positive(_Quantity):
 
     def right_inverse(self, value: Tensor) -> Tensor:
         """Unconstrained numbers of given values; raises `ArgumentError` unless they are finite and not negative."""
-        require_finite(**{self.name: value})
-        if bool((value < 0).any()):
-            raise ArgumentError(f"{self.name} must not be negative, found {value[value < 0][0].item():g}")
+        require_all(self.name, value, NOT_NEGATIVE)
         return value.where(value > 0, SMALLEST).log()
 
 
 class Fraction(_Quantity):
     """Numbers between 0 and 1 as logistic functions of unconstrained ones.
 
-    Zero and one are none, and become 1e-6 and 1 - 1e-6. Errors call the numbers by `name`.
+    Zero is none, and becomes 1e-6. Errors call the numbers by `name`.
 
     >>> form = Fraction()
     >>> form(torch.tensor([0.0])), form(form.right_inverse(torch.tensor([0.0, 0.25])))
@@ -81,13 +79,9 @@ class Fraction(_Quantity):
         return x.sigmoid()
 
     def right_inverse(self, value: Tensor) -> Tensor:
-        """Unconstrained numbers of given fractions; raises `ArgumentError` unless they are from 0 to 1."""
-        require_finite(**{self.name: value})
-        if bool(((value < 0) | (value > 1)).any()):
-            raise ArgumentError(
-                f"{self.name} must be from 0 to 1, found {value[(value < 0) | (value > 1)][0].item():g}"
-            )
-        return value.clamp(SMALLEST, 1 - SMALLEST).logit()
+        """Unconstrained numbers of given fractions; raises `ArgumentError` unless they are at least 0 and below 1."""
+        require_all(self.name, value, Interval(0.0, below=1.0))
+        return value.clamp(min=SMALLEST).logit()
 
 
 class PhysicalInertia(_Quantity):
@@ -141,7 +135,7 @@ class PhysicalInertia(_Quantity):
         Raises:
             ArgumentError: a value is not finite.
         """
-        require_finite(**{self.name: value})
+        require_all(self.name, value, REAL)
         if value.shape[-1:] != (6,):
             raise ArgumentError(
                 f"{self.name} must have the shape [..., 6], xx xy yy xz yz zz, found {tuple(value.shape)}"

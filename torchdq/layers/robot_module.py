@@ -50,6 +50,7 @@ class RobotModule(nn.Module):
     coulomb: Tensor  # [n], if friction is learned
     offset: Tensor  # [n], if it is learned
     _function = ""  # in the catalogue, without friction and offset
+    _own: tuple[str, ...] = ()  # quantities that a derived layer learns itself
     precision: Precision = "auto"
     OPTIONS: ClassVar[Mapping[str, Field]] = {
         "sign_width": Field("sign_width", kind="option", check=POSITIVE),
@@ -76,7 +77,7 @@ class RobotModule(nn.Module):
                 f"use {cure}, or effects.Servo to control joints on any base"
             )
         self._robot = robot
-        self.learn = learnable(robot, learn)
+        self.learn = learnable(robot, learn, self._own)
         self.backend = backend
         self.sign_width = float(sign_width)
         self._friction = layer_friction(robot, friction, "friction" in self.learn, self.sign_width)
@@ -255,16 +256,15 @@ class RobotModule(nn.Module):
         return restored, (parametrize.type_before_parametrizations(self), state, lists)
 
 
-def learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
-    """Names in `learn`, each once; raises unless all are quantities that the robot has."""
-    known = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
-    known += LAYER_TORQUES
+def learnable(robot: Robot, learn: Any, own: Sequence[str] = ()) -> tuple[str, ...]:
+    """Names in `learn`, each once; raises unless all are the layer's own or quantities that the robot has."""
+    described = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
+    known = [*own, *described, *LAYER_TORQUES]
     names = (learn,) if isinstance(learn, str) else learn
     wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
     if wrong:
-        raise ArgumentError(
-            f"learn must name what robot {robot.name!r} has among {known}, found {wrong[0]!r}{_cure(wrong[0], known)}"
-        )
+        expected = f"learn must be among {', '.join(known)} for robot {robot.name!r}"
+        raise ArgumentError(f"{expected}, found {wrong[0]!r}{_cure(wrong[0], known)}")
     if "inertia" in names:
         require_bodies(robot, "learning inertias")
     return tuple(dict.fromkeys(names))

@@ -10,6 +10,8 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from torchdq.errors import ArgumentError
+
 Value = Any  # a number of any type
 
 
@@ -21,6 +23,23 @@ class Mirror(NamedTuple):
     reverse: bool = False  # whether g takes the operands in reverse order
 
 
+class Count(NamedTuple):
+    """Operation counts of a program, by class of cost."""
+
+    multiplications: int = 0
+    additions: int = 0
+    divisions: int = 0
+    sines: int = 0
+    roots: int = 0
+    exponentials: int = 0
+    comparisons: int = 0
+
+    @property
+    def total(self) -> int:
+        """Number of all operations; a sine or another function counts as one."""
+        return sum(self)
+
+
 class Operation(NamedTuple):
     """Row of the table.
 
@@ -29,7 +48,7 @@ class Operation(NamedTuple):
     divisor of all partial derivatives is kept apart, so that there is only one division.
     """
 
-    cost: str  # class of cost, a field of `program.Count`
+    cost: str  # class of cost, a field of `Count`
     value: Callable[..., Value]  # on plain numbers
     partials: tuple[Callable[..., Value] | None, ...]
     c: str = ""  # expression in C, of single numbers; "": `infix`, or the function of math.h with the operation's name
@@ -40,6 +59,17 @@ class Operation(NamedTuple):
     even: tuple[int, ...] = ()  # positions of operands whose sign does not matter
     mirror: Mirror | None = None  # None: there is no identity for negated operands
     idempotent: bool = False  # whether f(a, a) = a, operands of `even` left out
+
+    def require(self, code: str, operands: int) -> None:
+        """Raise unless it has a derivative for each of so many operands, and its cost is counted."""
+        if len(self.partials) != operands:
+            raise ArgumentError(
+                f"operation {code!r} must have as many operands as `partials` in its row of the table, "
+                f"{len(self.partials)}, found {operands}"
+            )
+        if self.cost not in Count._fields:
+            known = ", ".join(Count._fields)
+            raise ArgumentError(f"cost of operation {code!r} must be among {known}, found {self.cost!r}")
 
 
 def apply(code: str, *x: Value) -> Value:

@@ -131,6 +131,7 @@ class Recorded:
     def applied(code: str, x: Sequence[Recorded | float]) -> Recorded:
         """Value of an operation other than + - * /; at least one of its operands is recorded."""
         row = OPS[code]
+        row.require(code, len(x))
         tape = next(v.tape for v in x if isinstance(v, Recorded))
         signed = [v for k, v in enumerate(x) if k not in row.even]
         signs = {v.negative for v in signed if isinstance(v, Recorded)}

@@ -6,8 +6,9 @@ from collections.abc import Callable, Container, Hashable, Iterable, Mapping, Se
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
+from torchdq.numbers.ops import Count
 from torchdq.program.autodiff import vjp
-from torchdq.program.program import Argument, Count, Program, Result, outputs
+from torchdq.program.program import Argument, Program, Result, outputs
 
 Name = TypeVar("Name", bound=Hashable)
 Rows = Mapping[Name, Any]  # tensors by name
@@ -110,18 +111,29 @@ def shapes(loop: Loop, samples: int, steps: int) -> list[tuple[int, ...]]:
     return found
 
 
-def by_steps(step: Callable[[int, Rows], Rows], start: Rows, order: Iterable[int]) -> dict[Name, list[Any]]:
-    """Rows by name, those of the start and those after every step; `step(k, rows)` takes the rows of the step before.
+def by_steps(
+    step: Callable[[int, Rows], Rows],
+    start: Rows,
+    order: Iterable[int],
+    join: Callable[..., Any],
+    total: Container[Name] = (),
+    last: Container[Name] = (),
+) -> dict[Name, Any]:
+    """Rows by name of the start and of every step, `joined`; `step(k, rows)` takes the rows of the step before.
 
-    It serves what is no compiled loop: policies that are functions, torch operations, and rows near a limit.
+    It serves what is no compiled loop: functions of a caller, torch operations, and rows near a limit. Where the last
+    of some rows is wanted no other is kept.
     """
     found: dict[Name, list[Any]] = {}
     rows = start
     for k in order:
         rows = step(k, rows)
         for name, x in rows.items():
-            found.setdefault(name, [start[name]] if name in start else []).append(x)
-    return found or {name: [x] for name, x in start.items()}
+            if name in last:
+                found[name] = [x]
+            else:
+                found.setdefault(name, [start[name]] if name in start else []).append(x)
+    return joined(found or {name: [x] for name, x in start.items()}, join, total, last)
 
 
 def joined(

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from torchdq.base.progress import Progress
 from torchdq.errors import NumberError
 from torchdq.numbers.functions import maximum
-from torchdq.numbers.ops import OPS, apply
+from torchdq.numbers.ops import OPS, Count, apply
 from torchdq.numbers.record import FUNCTIONS, Op, Recorded, Tape
 
 Value = Any  # a recorded number or a constant
@@ -47,23 +47,6 @@ class Result(NamedTuple):
     name: str
     values: tuple[Output, ...]
     summed: bool = False
-
-
-class Count(NamedTuple):
-    """Operation counts of a program, by class of cost."""
-
-    multiplications: int = 0
-    additions: int = 0
-    divisions: int = 0
-    sines: int = 0
-    roots: int = 0
-    exponentials: int = 0
-    comparisons: int = 0
-
-    @property
-    def total(self) -> int:
-        """Number of all operations; a sine or another function counts as one."""
-        return sum(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,9 @@ from torchdq.effects.joint import JointEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.call import Precision, check_precision
+from torchdq.numbers.ops import Count
 from torchdq.objects import Object
-from torchdq.program.program import Argument, Count, Program
+from torchdq.program.program import Argument, Program
 from torchdq.program.transforms import constant_in_graphs
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot

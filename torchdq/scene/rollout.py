@@ -230,8 +230,8 @@ class _Steps(NamedTuple):
 
     def part(self, first: int, last: int, start: dict[str, Tensor]) -> dict[str, Tensor]:
         """Rows of steps that are calls of their own."""
-        found: dict[str, list[Tensor]] = by_steps(self.after, start, range(first, last))
-        return self.plan.after(joined(found, torch.stack, self.plan.total, self.plan.last), start)
+        steps, plan = range(first, last), self.plan
+        return plan.after(by_steps(self.after, start, steps, torch.stack, plan.total, plan.last), start)
 
     def after(self, k: int, before: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Rows after step k of those that have not ended, and the task's rows, which are zero where they have."""

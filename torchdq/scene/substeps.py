@@ -13,7 +13,6 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.backends.loop_call import repeat, repeatable
 from torchdq.base.progress import Progress
@@ -33,7 +32,8 @@ def flow(
     if isinstance(spec.integrator, DormandPrince):
         return _adaptive(spec, spec.integrator, x, v, held, backend)
     h = x.new_full((1,), spec.dt / spec.substeps)
-    rows = _repeated(Stage(spec, "substep"), spec.substeps, {"x": x, "v": v}, {}, {"h": h, **held}, backend)
+    start, fixed = {"x": x, "v": v}, {"h": h, **held}
+    rows = repeat(Stage(spec, "substep"), spec.substeps, start, {}, fixed, ends=True, backend=backend)
     return rows["x"], rows["v"]
 
 
@@ -64,31 +64,13 @@ def _adaptive(
         while count < most and bool((rows[CLOCK][..., 2] > 0).any()):  # NaN in rows without a mass matrix
             notice.at(f"{count} of at most {most}")
             times = min(block, most - count)
-            rows = _repeated(Stage(spec, "attempt"), times, rows, {}, fixed, backend)
+            rows = repeat(Stage(spec, "attempt"), times, rows, {}, fixed, ends=True, backend=backend)
             found.append(rows.pop(TAKEN))
             count, block = count + times, min(2 * block, MOST) if block > 1 else 1
     arrived = rows[CLOCK][..., :1] >= goal[0] * (1.0 - goal[3])
     if in_a_graph([x, v, *held.values()]):
         sizes = torch.cat(found) if found else x.new_empty(0, *x.shape[:-1], 1)
         sizes = sizes[sizes.flatten(1).any(1)]
-        rows = _repeated(Stage(spec, "substep"), len(sizes), {"x": x, "v": v}, {TAKEN: sizes}, held, backend)
+        start, accepted = {"x": x, "v": v}, {TAKEN: sizes}
+        rows = repeat(Stage(spec, "substep"), len(sizes), start, accepted, held, ends=True, backend=backend)
     return torch.where(arrived, rows["x"], torch.nan), torch.where(arrived, rows["v"], torch.nan)
-
-
-def _repeated(
-    what: Stage,
-    times: int,
-    carried: Mapping[str, Tensor],
-    stepped: Mapping[str, Tensor],
-    fixed: Mapping[str, Tensor],
-    backend: BackendName | None,
-) -> dict[str, Tensor]:
-    """Rows after a program was evaluated a number of times; of those that are not carried, [times, ...]."""
-    if repeatable(next(iter(carried.values())), backend):
-        return repeat(what, times, carried, stepped, fixed, ends=True, backend=backend)
-    rows, others = dict(carried), list[dict[str, Tensor]]()
-    for k in range(times):
-        found = evaluate(what, {**rows, **{name: x[k] for name, x in stepped.items()}, **fixed}, backend)
-        rows = {name: found.pop(name) for name in carried}
-        others.append(found)
-    return {**rows, **{name: torch.stack([one[name] for one in others]) for name in (others or [{}])[0]}}

@@ -134,7 +134,7 @@ def test_any_free_numbers_have_a_positive_definite_mass_matrix_and_finite_deriva
     module = torchdq.ForwardDynamics(robot, learn=("mass", "com", "inertia", "armature"))
     assert all(p.isfinite().all() for p in module.parameters())  # a rod, at the limit, has free numbers as well
     q, qd, tau = random(3, 5, 3, dtype=dtype)
-    for seed in thinned(range(20), range(6)):
+    for seed in thinned(range(20), range(3)):
         for k, p in enumerate(module.parameters()):
             p.data = random(*p.shape, seed=10 * seed + k) * (1 + seed % 3)
         with torchdq.backend(backend):
@@ -196,7 +196,11 @@ def test_accelerations_of_unequal_masses_are_as_good_as_their_condition(kind, ma
 
 @pytest.mark.case("I5")
 @pytest.mark.parametrize(
-    ("kind", "backend"), [*((kind, "eager") for kind in RATIOS), pytest.param("heavy tip", "c", marks=compiler)]
+    ("kind", "backend"),
+    [
+        *((kind, "eager") for kind in RATIOS),
+        *(pytest.param(kind, "c", marks=compiler) for kind in thinned(["heavy tip"], [])),
+    ],
 )
 def test_single_precision_knows_which_unequal_masses_it_can_bear(kind, backend, margin):
     """Heavy tips are computed in double precision without being asked; heavy bases need not be."""
@@ -244,7 +248,7 @@ def stretched(mass, far, seed):
 @every_dtype
 def test_a_stretched_arm_without_inertia_has_no_acceleration(dtype):
     """Its pivot is zero but for rounding, of either sign, which must not become a huge acceleration."""
-    for mass, far, seed in itertools.product([1e-9, 1.0, 1e9], [0.0, 1.0, 1e4], thinned(range(5), range(2))):
+    for mass, far, seed in itertools.product([1e-9, 1.0, 1e9], [0.0, 1.0, 1e4], thinned(range(5), range(1))):
         robot, q = stretched(mass, far, 10 * seed), torch.zeros(2, dtype=dtype)
         tau = torch.ones(2, dtype=dtype, requires_grad=True)
         qdd = torchdq.forward_dynamics(robot, q, None, tau)
@@ -280,7 +284,7 @@ def test_a_nearly_stretched_arm_has_its_digits_or_none(mass, dtype, backend, mar
 def test_a_heavy_point_on_its_axis_is_noted_when_the_robot_is_read_and_has_no_acceleration_either():
     """Up to the rounding of where the axis is."""
     ones = torch.ones(2, dtype=F64)
-    for seed in range(0, 200, 10):
+    for seed in thinned(range(0, 200, 10), range(0, 200, 40)):
         given = 1e9, (1.0, 0, 0.7), (0, 1, 0, 0, 0, 0, 0, 0, 1, 0, -1, 0), seed
         assert point_mass(*given).notes[0].text().startswith("joint 'joint2': it moves no inertia")
         with contextlib.suppress(SingularInertiaError):
@@ -330,7 +334,7 @@ def test_a_robot_of_any_size_moves_alike(size, dtype, backend, margin):
 
 @pytest.mark.case("I8")
 @every_backend_and_dtype
-@pytest.mark.parametrize("n", [3, 16])  # by entries, and by articulated bodies
+@pytest.mark.parametrize("n", thinned([3, 16], [3]))  # by entries, and by articulated bodies
 def test_rotors_are_in_every_form_of_the_dynamics(n, dtype, backend, margin):
     """They add armature qdd to the torques and themselves to the diagonal of M, and nothing to anything else."""
     bare = random_tree(n, seed=7).robot if n == 3 else rods([1.0] * n)

@@ -99,7 +99,7 @@ def rows_of(n):
 
 LENGTHS = (1, 2, 7, 42, 200, 300, 1000)
 CHAINS = [*itertools.product(LENGTHS, (False, True))]
-SHORT = [(1, False), (2, True), (7, False), (42, True), (200, True)]
+SHORT = [(1, False), (2, True), (7, False), (42, True)]
 
 
 @pytest.mark.case("D1")
@@ -144,7 +144,7 @@ def test_torques_of_the_accelerations_of_a_chain_are_the_torques_given(n, planar
 
 @pytest.mark.case("D2", "D9")
 @every_backend_and_dtype
-@pytest.mark.parametrize("n", [2, 7, 16])
+@pytest.mark.parametrize("n", thinned([2, 7, 16], [7]))
 def test_accelerations_of_a_chain_are_as_exact_as_their_condition(n, dtype, backend, margin):
     """In units of 1 / sqrt(M_ii); rounded are M, and on the right side torques, some of which cancel."""
     case = chain_case(n, False)
@@ -236,7 +236,7 @@ UNTRACED = [route for route in ROUTES if route != "torch.compile"]
         *itertools.product(thinned(ROUTES, UNTRACED), ["eager"], thinned((F64, F32), (F64,))),
         *(
             pytest.param(route, "c", dtype, marks=compiler)
-            for route in thinned(ROUTES, ("gradients", "hessian under vmap"))
+            for route in thinned(ROUTES, ("gradients",))
             for dtype in thinned((F64, F32), (F32,))
         ),
     ],
@@ -259,7 +259,7 @@ def test_a_good_row_is_bitwise_what_it_is_alone_beside_singular_ones(route, back
     ("route", "backend"),
     [
         *((route, "eager") for route in thinned(ROUTES, UNTRACED)),
-        *(pytest.param(route, "c", marks=compiler) for route in thinned(ROUTES, ("second gradients", "torch.compile"))),
+        *(pytest.param(route, "c", marks=compiler) for route in thinned(ROUTES, ("second gradients",))),
     ],
 )
 def test_a_row_that_is_indefinite_in_single_precision_is_that_of_double_rounded(route, backend):
@@ -382,7 +382,11 @@ def test_the_mass_matrix_of_a_chain_is_symmetric_and_definite_to_rounding(tip, d
 
 @pytest.mark.case("D7")
 @pytest.mark.parametrize(
-    ("n", "planar", "backend"), [(9, False, "eager"), (16, True, "eager"), pytest.param(4, False, "c", marks=compiler)]
+    ("n", "planar", "backend"),
+    [
+        *thinned([(9, False, "eager"), (16, True, "eager")], [(9, False, "eager")]),
+        pytest.param(4, False, "c", marks=compiler),
+    ],
 )
 def test_the_closed_form_of_a_long_chain_is_its_recursion(n, planar, backend, margin):
     """Its operations grow with the cube of the length, which is why the chain is no longer."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from helpers import called, double, thinned
+from helpers import called, double, exhaustive, thinned
 from oracles import EPS
 from precisions import compiled
 from scenes import ARM, swinging, trace
@@ -47,7 +47,7 @@ DRIFT = {
 
 @pytest.mark.case("T2")
 @compiled
-@pytest.mark.parametrize("integrator", thinned(DRIFT, (RungeKutta4(), StoermerVerlet())), ids=called)
+@pytest.mark.parametrize("integrator", thinned(DRIFT, (StoermerVerlet(),)), ids=called)
 def test_the_energy_of_a_double_pendulum_drifts_as_stated_over_1e5_steps(integrator, backend, margin):
     h, slope = DRIFT[integrator]
     error, found = drift(integrator, backend, h, 100_000)
@@ -60,6 +60,7 @@ def test_the_energy_of_a_double_pendulum_drifts_as_stated_over_1e5_steps(integra
         assert (found > 0) == (not isinstance(integrator, RungeKutta4))
 
 
+@exhaustive
 @pytest.mark.case("T2")
 @compiled
 def test_the_energy_of_adaptive_steps_is_kept_to_tolerance(backend, margin):
@@ -67,6 +68,7 @@ def test_the_energy_of_adaptive_steps_is_kept_to_tolerance(backend, margin):
     margin(np.abs(error).max(), 20 * 1e-9, "energy over 4 s, DormandPrince")
 
 
+@exhaustive
 @pytest.mark.case("T2")
 @compiled
 def test_in_single_precision_the_band_is_as_narrow_and_wanders_by_rounding(backend, margin):

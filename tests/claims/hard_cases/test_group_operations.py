@@ -90,7 +90,7 @@ def test_a_joint_at_home_has_the_derivatives_of_its_exponential(dtype, backend, 
 @pytest.mark.case("G1", "G2")
 @every_dtype
 def test_derivatives_where_squares_underflow_are_those_at_the_identity(dtype, margin):
-    sizes = (1e-20, 1e-30, 1e-38) if dtype == F32 else (1e-20, 1e-160, 1e-300)
+    sizes = (1e-20, 1e-38) if dtype == F32 else (1e-20, 1e-300)
     screw = torch.tensor([0.6, -0.48, 0.64, 0.3, -0.5, 0.7], dtype=dtype)
     for size, (name, f) in itertools.product(sizes, (("exp", dq.exp), ("log", lambda a: dq.log(dq.exp(a))))):
         a = screw * torch.tensor([size] * 3 + [1.0] * 3, dtype=dtype)
@@ -160,7 +160,7 @@ def test_a_distance_does_not_see_the_sign_of_a_pose(dtype):
         assert dq.ad_matrix(middle).equal(dq.ad_matrix(other))
 
 
-PRODUCTS, BETWEEN, AT_ONCE = 1_000_000, 100, 20
+PRODUCTS, BETWEEN, AT_ONCE = 1_000_000, 1000, 20
 
 
 def multiplied(x, step):
@@ -175,7 +175,7 @@ def multiplied(x, step):
 @compiler
 @pytest.mark.parametrize(
     "dtype, normalised",
-    thinned([*itertools.product((F32, F64), (True, False))], ((F32, True), (F64, False))),
+    thinned([*itertools.product((F32, F64), (True, False))], ((F32, True),)),
     ids=lambda x: {True: "normalised", False: "left alone"}.get(x, str(x)),
 )
 def test_a_million_products_stay_a_pose_if_normalised_now_and_then(dtype, normalised, margin):

@@ -14,10 +14,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import EVERYTHING, FIXED, INERTIA, WHEEL, called, double, one_thread, random, thinned  # noqa: F401
+from helpers import EVERYTHING, FIXED, INERTIA, WHEEL, called, double, exhaustive, one_thread, random, thinned  # noqa: F401
 from messages import warned
 from oracles import EPS, pinocchio_model, shipped
-from precisions import F32, F64, C, compiled, eager_first, every_backend_and_dtype, every_dtype, single_compiled
+from precisions import (
+    F32,
+    F64,
+    C,
+    compiled,
+    eager_first,
+    every_backend_and_dtype,
+    every_dtype,
+    of_backends_and_dtypes,
+    single_compiled,
+)
 from scenes import ARM, rolled, swinging, trace
 from scipy.integrate import solve_ivp
 
@@ -78,7 +88,7 @@ def damped(integrator, backend, k):
 
 @pytest.mark.case("T1")
 @compiled
-@pytest.mark.parametrize("integrator", thinned(ORDERS, [*ORDERS][2::2] + [*ORDERS][-1:]), ids=called)
+@pytest.mark.parametrize("integrator", thinned(ORDERS, [RungeKutta4()]), ids=called)
 def test_the_error_falls_with_the_order_over_two_quarterings(integrator, backend, margin):
     order, coarsest = ORDERS[integrator]
     starts, ends = ends_by_scipy()
@@ -170,7 +180,7 @@ def oscillation(rtol, atol, dtype, T=1.0):
 
 
 @pytest.mark.case("T5")
-@every_dtype
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F32]), ids=str)
 def test_a_tolerance_below_rounding_is_that_of_rounding(dtype, margin):
     least = 1e-300 if dtype == F64 else 1e-38
     end, at_rounding = (oscillation(rtol, least, dtype) for rtol in (1e-30, 100 * EPS[dtype]))
@@ -203,7 +213,7 @@ def test_samples_with_adaptive_steps_are_bitwise_what_they_are_alone(dtype, back
             return scene.step(State(q[rows], qd[rows]))
 
     together = end(slice(0, 6))
-    for i in range(6):
+    for i in thinned(range(6), (0, 1, 3)):
         for a, b in zip(end(slice(i, i + 1))[:2], together[:2], strict=True):
             assert torch.equal(a[0].nan_to_num(99.0), b[i].nan_to_num(99.0))
     assert together.q[[0, 1, 2, 5]].isfinite().all()
@@ -253,7 +263,12 @@ def gradient_of(end, x):
 @pytest.mark.case("T7")
 @compiled
 @pytest.mark.parametrize(
-    "rtol, dtype, allowed", [(1e-10, F64, 1e-9), (1e-2, F64, 1e-2), (1e-4, F64, 1e-4), (1e-4, F32, 1e-4)], ids=str
+    "rtol, dtype, allowed",
+    thinned(
+        [(1e-10, F64, 1e-9), (1e-2, F64, 1e-2), (1e-4, F64, 1e-4), (1e-4, F32, 1e-4)],
+        [(1e-10, F64, 1e-9), (1e-4, F32, 1e-4)],
+    ),
+    ids=str,
 )
 def test_gradients_through_adaptive_steps_are_finite_differences_up_to_the_tolerance(
     rtol, dtype, allowed, backend, margin
@@ -263,6 +278,7 @@ def test_gradients_through_adaptive_steps_are_finite_differences_up_to_the_toler
     margin((found - gradient).abs().max() / gradient.abs().max(), allowed, f"gradient at a tolerance of {rtol:g}")
 
 
+@exhaustive
 @pytest.mark.case("T7")
 @compiled
 def test_second_derivatives_through_adaptive_steps_are_finite_differences(backend, margin):
@@ -294,7 +310,7 @@ DRIVEN = double(0.3, -0.4, 0.8, -0.5, 4.0, 2.0, 1.0, -0.5)
 
 @pytest.mark.case("T8")
 @compiled
-@pytest.mark.parametrize("integrator", thinned(FIXED[1:], (LinearlyImplicit(), StoermerVerlet())), ids=called)
+@pytest.mark.parametrize("integrator", thinned(FIXED[1:], (LinearlyImplicit(),)), ids=called)
 def test_gradients_through_a_thousand_steps_are_finite_differences(integrator, backend, margin):
     """In single precision to its rounding."""
     end = after_a_thousand(integrator, backend)
@@ -392,7 +408,7 @@ def creeping(level, tau, width):
 
 
 @pytest.mark.case("T10")
-@single_compiled
+@of_backends_and_dtypes(("eager", F64))
 def test_creep_is_that_of_the_width_and_so_are_its_derivatives(dtype, backend, margin):
     """Speed, and its first and second derivatives in torque, level and width, when it has settled."""
     # the nearer the level, the longer it takes to settle
@@ -496,7 +512,7 @@ def test_an_arm_under_dry_friction_never_gains_energy(dtype, backend, margin):
 @pytest.mark.case("T11")
 @single_compiled
 @pytest.mark.parametrize("dissipation", [0.0, 1.0])
-@pytest.mark.parametrize("stiffness, h", [(1e6, 1e-2), (1e7, 1e-3), (1e8, 1e-2)])
+@pytest.mark.parametrize("stiffness, h", thinned([(1e6, 1e-2), (1e7, 1e-3), (1e8, 1e-2)], [(1e7, 1e-3), (1e8, 1e-2)]))
 def test_no_bounce_gains_speed_or_goes_deeper_than_a_step(stiffness, h, dissipation, dtype, backend, margin):
     """Restitution at most 1 + 1e-6, which the rounding of positions must not spoil in single precision either."""
     speed = torch.logspace(-3, 2, 60, dtype=F64)[:, None].to(dtype)
@@ -600,7 +616,7 @@ def conserved(states):
 
 @pytest.mark.case("T12")
 @compiled
-@every_dtype
+@pytest.mark.parametrize("dtype", thinned([F64, F32], [F64]), ids=str)
 def test_a_tumbling_body_keeps_energy_and_momenta_and_turns_as_eulers_equations_say(dtype, backend, margin):
     """1e4 steps of 1 ms, to rounding; Euler's equations with a quaternion by DOP853 know nothing of hinges."""
     scene = Scene(TUMBLING, integrator=RungeKutta4(), dt=1e-3, backend=backend)
@@ -629,7 +645,7 @@ def test_a_tumbling_body_keeps_energy_and_momenta_and_turns_as_eulers_equations_
 
 SIMULATED = (effects.Gravity(), effects.Viscous(0.3), effects.Coulomb(0.2, 1e-3), effects.JointLimits(-2.0, 2.0))
 DIVERGING = (LinearlyImplicit(), RungeKutta4(), DormandPrince(1e-4, 1e-6))
-KEPT = [(DIVERGING[0], "c", F32), (DIVERGING[2], "c", F64)]
+KEPT = [(DIVERGING[0], "c", F32)]
 
 
 @pytest.mark.case("T13")

@@ -8,7 +8,7 @@ import warnings
 
 import pytest
 import torch
-from helpers import EVERYTHING, all_in_one, random
+from helpers import EVERYTHING, all_in_one, random, thinned
 from messages import refused, warned
 from recorded_logs import fitted, recordings
 
@@ -62,7 +62,7 @@ def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
     assert torch.allclose(moved(frame.X_BF) @ inertial_parameters(J), change[frame.link], atol=1e-12)
 
 
-@pytest.mark.parametrize("frame", [None, "wrist_2_link"])
+@pytest.mark.parametrize("frame", thinned([None, "wrist_2_link"], ["wrist_2_link"]))
 def test_exact_torques_give_the_exact_payload(arm, frame):
     moved = moving(300)
     heavy = arm.with_payload(MASS, COM, INERTIA, frame=frame)
@@ -78,7 +78,7 @@ def test_errors_are_those_that_noise_makes(arm, empty):
     """Mean square of the deviations over the stated errors, over draws of the noise of 150 samples each."""
     heavy = arm.with_payload(MASS, COM, INERTIA)
     squares = []
-    for k in range(40 if EVERYTHING else 15):
+    for k in range(40 if EVERYTHING else 8):
         q, qd, qdd = moving(150, seed=10 + k)
         found = identify_payload(empty, q, qd, qdd, with_friction(heavy, q, qd, qdd, seed=k), prior=1e-3)
         errors = torch.cat([found.mass_error[None], found.com_error, found.inertia_error])

@@ -17,7 +17,7 @@ from torchdq.learning import LogWarning, Model, Samples, fit, identify
 from torchdq.learning.evaluation.diagnostics import diagnose
 
 ROBOTS = ("two_link", "panda", "ur10e", "puma560")
-ARMS = thinned(ROBOTS, ("two_link", "ur10e", "puma560"))
+ARMS = thinned(ROBOTS, ("two_link", "puma560"))
 
 
 def found(robot, data):
@@ -39,7 +39,7 @@ def negative(x, j):
     return torch.where(torch.arange(x.shape[1]) == j, -x, x)
 
 
-@pytest.mark.parametrize("name", thinned(ROBOTS, ("two_link", "puma560")))
+@pytest.mark.parametrize("name", thinned(ROBOTS, ("two_link",)))
 @pytest.mark.parametrize("seed", thinned([0, 1], [0]))
 def test_a_robot_that_differs_from_its_description_has_no_findings(name, seed):
     robot, data = recorded(name, seed)
@@ -165,7 +165,7 @@ def test_torques_that_nothing_explains_have_findings():
 
 def test_the_warning_can_be_silenced_and_a_few_rows_have_no_findings():
     robot, data = recorded("two_link")
-    wrong = data._replace(tau=-data.tau)
+    wrong = Samples(*(x[:200] for x in data._replace(tau=-data.tau)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", LogWarning)
@@ -173,7 +173,7 @@ def test_the_warning_can_be_silenced_and_a_few_rows_have_no_findings():
     assert warned(robot, Samples(*(x[:90] for x in wrong))) == []
 
 
-@pytest.mark.parametrize("residual", [False, True])
+@pytest.mark.parametrize("residual", thinned([False, True], [True]))
 def test_a_fit_of_a_model_that_holds_a_robot_has_them_too(residual):
     robot, data = recorded("two_link", seed=1)
     model = torchdq.DQRNEA(robot, learn=("mass", "friction"))

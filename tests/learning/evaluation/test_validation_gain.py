@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from helpers import double, thinned
+from helpers import double, exhaustive, thinned
 from messages import refused, warned
 from recorded_logs import ROBOT as TWO
 from recorded_logs import waves
@@ -104,6 +104,7 @@ def test_a_network_of_ones_own_is_measured_if_its_copies_can_have_new_weights():
     assert fit(model, motion(0, cable), motion(1, cable), steps=2).residual is not None
 
 
+@exhaustive
 @pytest.mark.filterwarnings("ignore")
 def test_a_motion_that_repeats_itself_does_not_pass_for_others():
     """Its network knows the recorded path, and blocks left out of one pass are in the next; regions are in none."""

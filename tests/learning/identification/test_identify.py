@@ -71,7 +71,7 @@ def assert_can_exist(found):
 EXACT = ("shipped-panda", "shipped-ur10e", "shipped-two_link", "tree3", "tree5", "tree7")
 
 
-@pytest.mark.parametrize("name", thinned(EXACT, ("shipped-ur10e", "tree3", "tree5", "tree7")))
+@pytest.mark.parametrize("name", thinned(EXACT, ("shipped-ur10e", "tree3")))
 def test_exact_data_give_the_exact_robot(name):
     robot = oracles.case(name).robot
     real, (viscous, coulomb, offset) = altered(robot)
@@ -113,8 +113,9 @@ def test_rotors_are_left_as_described_or_found():
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_errors_are_those_that_noise_makes():
+def test_the_errors_are_those_that_noise_makes(monkeypatch):
     """Mean squares of deviations, in their stated covariance, are one over draws of the noise."""
+    monkeypatch.setattr(import_module("torchdq.learning.identification.identify"), "FEW", 1000)  # of no findings
     robot = oracles.case("tree3").robot
     real, friction = altered(robot)
     q, qd, qdd = moving(robot.n, 300)

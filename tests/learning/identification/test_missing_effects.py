@@ -7,7 +7,7 @@ import math
 
 import pytest
 import torch
-from helpers import thinned
+from helpers import exhaustive, thinned
 from places import DATA
 from recorded_logs import COULOMB, REAL, ROBOT, WIDTH, codes, fitted, recordings, sign, states, torques, with_findings
 
@@ -106,6 +106,7 @@ def test_robots_that_are_drawn_have_all_friction_found():
     assert torch.allclose((after.qd - v) / 1e-4, expected, rtol=0.02, atol=0.02 * float(expected.abs().max()))
 
 
+@exhaustive
 def test_errors_hold_what_blocks_that_were_left_out_show():
     """Torques that no term explains: intervals of the parameters alone are too narrow in motions that were left out."""
 

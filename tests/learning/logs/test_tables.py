@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+from helpers import thinned
 from messages import refused
 from recorded_logs import HEADS, KNOWN, TABLE, TIME, arrays, assert_holds, log_refused
 
@@ -15,7 +16,7 @@ ROBOT = torchdq.robots.load("two_link")
 NUMBERED = {"time": "1", "q": "{2}", "qd": "{4}", "tau": "{6}"}
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t", "|", " "])
+@pytest.mark.parametrize("separator", thinned([",", ";", "\t", "|", " "], [",", " "]))
 @pytest.mark.parametrize("head", ["", "# ", "# measured today\n# at 21 degrees, indoors\n# "])
 def test_texts_of_all_separators_are_read_below_comments(tmp_path, separator, head):
     path = tmp_path / "log.txt"

@@ -136,7 +136,7 @@ def test_slopes_at_the_first_nodes_are_those_of_savitzky_and_golay(case):
 
 
 @pytest.mark.filterwarnings("error")
-@all_in_one([None, 1.0, 0.1])
+@all_in_one(thinned([None, 1.0, 0.1], [None, 0.1]))
 def test_exact_logs_give_the_exact_parameters(segment, motion, guess):
     before = guess.effects
     found = fit_rollout(guess, logged(motion), FRICTION, segment, integrator=RULE)
@@ -239,7 +239,9 @@ def test_positions_of_another_simulator():
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("dt", thinned([0.005, 0.02], [0.005]))
-@pytest.mark.parametrize("coulomb", [(0.0, 0.0), (0.5, 0.2)], ids=["viscous", "dry"])
+@pytest.mark.parametrize(
+    "coulomb", thinned([(0.0, 0.0), (0.5, 0.2)], [(0.5, 0.2)]), ids=lambda x: "dry" if any(x) else "viscous"
+)
 def test_errors_are_those_of_a_motion_in_continuous_time(dt, coulomb):
     """Whatever the steps of the scene: a first-order step of 5 ms is tens of standard errors wrong."""
     log = by_mujoco(round(2 / dt), dt, round(dt / 5e-4), "RK4", coulomb)
@@ -269,6 +271,7 @@ def test_first_order_steps_are_told_by_correlated_residuals():
     assert worst_z(found, *DAMPING.tolist()) > 10
 
 
+@exhaustive
 def test_errors_that_shorter_steps_contradict_are_wider(monkeypatch):
     """Where no integrator is fine enough, the change by the finest is a standard error, too."""
     coulomb = (0.5, 0.2)
@@ -287,6 +290,7 @@ def test_errors_that_shorter_steps_contradict_are_wider(monkeypatch):
 # --- hard cases ------------------------------------------------------------------------------------------------------
 
 
+@exhaustive
 def test_stiff_friction():
     """Friction that stops a joint within a step, over many reversals."""
     dt = 0.005

@@ -211,7 +211,7 @@ def clear(robot):
         return units.diagnostics(robot) == []
 
 
-@all_in_one(thinned(EXISTING, (*oracles.REPRESENTATIVE_ROBOTS[::2], "romeo", "tiago_dual")))
+@all_in_one(thinned(EXISTING, (*oracles.REPRESENTATIVE_ROBOTS[::4], "romeo", "tiago_dual")))
 def test_no_robot_that_exists_is_suspected(name):
     assert clear(torchdq.Robot.from_urdf(oracles.urdf_paths()[name], on_unphysical="ignore"))
 

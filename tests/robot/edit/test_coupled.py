@@ -19,7 +19,7 @@ WORST = 1e-11
 GEARS = {"j2": {"j0": -1.5}, "j4": {"j3": 0.5}, "j5": {"j3": 2.0}}  # each joint follows one coordinate
 
 RUNS = [("gears", 0), ("dense", 5), ("gears", 5), ("dense", 0)]
-SEEDS = pytest.mark.parametrize("kind, seed", thinned(RUNS, RUNS[:2]))
+SEEDS = pytest.mark.parametrize("kind, seed", thinned(RUNS, RUNS[1:2]))
 
 
 def reduced(seed: int, kind: str, free: bool = False) -> tuple[Robot, Robot, torch.Tensor, torch.Tensor]:

@@ -21,6 +21,11 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
 }
 
 
+def __dir__() -> list[str]:
+    """Public names."""
+    return __all__
+
+
 def names() -> tuple[str, ...]:
     """Names of the shipped robots.
 

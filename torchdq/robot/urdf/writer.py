@@ -36,7 +36,7 @@ def to_urdf(robot: RobotModel, original: Any) -> str:
 
     Args:
         robot: the robot, with all joints of the file, or those that it was read with.
-        original: the file that it was read from, as in `from_urdf`.
+        original: the file that it was read from, as in `from_urdf`; shipped robots, which are tables, have none.
 
     Raises:
         ArgumentError: the robot has other links, joints or frames than the file (it was cut, or locked elsewhere than
