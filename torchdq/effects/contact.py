@@ -196,12 +196,8 @@ class Contact(BodyEffect):
         on = self.on if self.on is None else matching("on", self.on, bodies, "object of the scene")
         if on == ():
             raise ArgumentError("on of Contact must name an object at least, found none; None is the ground")
-        points: list[Any] = []
-        for one in (
-            self.points
-            if isinstance(self.points, tuple) and not isinstance(self.points, ContactPoint)
-            else (self.points,)
-        ):
+        points: Any = []
+        for one in _each(self.points):
             names = fnmatch.filter(bodies, one) if isinstance(one, str) else []
             points += [ObjectPoint(name, k) for name in names for k in range(bodies[name].POINTS)] or [one]
         own = [x.frame for x in points if isinstance(x, ObjectPoint)]
@@ -216,11 +212,12 @@ class Contact(BodyEffect):
         stiffness = self.stiffness
         if touching and (stiffness is None or isinstance(stiffness, _Chosen)):
             stiffness = _Chosen(STIFF * min(float(tensor_of(bodies[name].mass).detach().min()) for name in touching))
-        return replace(self, points=None if points == [None] else tuple(points), on=on, stiffness=stiffness)
+        points = None if self.points is None else tuple(points)
+        return replace(self, points=points, on=on, stiffness=stiffness)
 
     def described(self, robot: Robot) -> Self:
         """Copy with its contact points, on links that move, and a stiffness."""
-        named = (ContactPoint(robot.end_effector().name),) if self.points is None else self.points
+        named = (ContactPoint(robot.end_effector().name),) if self.points is None else _each(self.points)
         of_objects = tuple(x for x in named if isinstance(x, ObjectPoint))
         own = [x for x in named if not isinstance(x, ObjectPoint)]
         points = points_of(robot, tuple(own)) if own or not of_objects else ()
@@ -480,6 +477,13 @@ class Contact(BodyEffect):
         w = 1.0 / sqrt(1.0 + a * a + b * b)
         # of its lowest point: the distance of its centre would jump where slopes do, and give energy
         return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w
+
+
+def _each(points: Any) -> tuple[Any, ...]:
+    """Points, one by one; () if there are none, the end effector's."""
+    if points is None:
+        return ()
+    return points if isinstance(points, tuple) and not isinstance(points, ContactPoint) else (points,)
 
 
 def _with_mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:
