@@ -25,7 +25,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functions.posed import frame, posed
 from torchdq.numbers.functions import at_least, sqrt, tanh
 from torchdq.objects import Box, Object
-from torchdq.robot import Robot
+from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.contact_points import points_of
 from torchdq.scene.spec import Rows, View
 
@@ -40,6 +40,7 @@ AROUND, SPREAD = 0.02, 0.1  # largest deviations of a start: of joints [rad], of
 PRESSING = 0.5  # normal force of each finger in a grasp [N]
 WIDEST = 10.0  # bound of observed numbers
 NEAR = 0.03  # distance from which the tip pushes [m]
+LEVEL = 0.003  # heights above the lowest point of a finger that count as lowest [m]
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class Manipulation(EpisodeTask):
                 effects.Servo(STIFF, DAMPED, limit=limit),
                 effects.Contact(self.pads, on=name, friction=PADS, stiffness=k),
                 effects.Contact((name,), friction=TABLE, stiffness=k),
-                effects.Contact(self.pads, friction=TABLE, stiffness=k),
+                effects.Contact(self._lowest(robot), friction=TABLE, stiffness=k),
             ),
             "scale": [0.5 * self._open(robot) if one else STEP for one in grip],
             "dt": 0.05,
@@ -118,6 +119,16 @@ class Manipulation(EpisodeTask):
                 f"with the gripper open and above the table, found {len(self.home)}; give home=(...)"
             )
         return self.home
+
+    def _lowest(self, robot: Robot) -> tuple[ContactPoint, ...]:
+        """Lowest points of the pads at a start, those that can touch the table."""
+        at, heights = posed(robot, self._home(robot), {}, ()), {}
+        for point in points_of(robot, self.pads):
+            link, X_BF = frame(robot, point.frame)
+            center = at.point(link, dq.mul(X_BF, dq.from_pose(quat.ONE, point.center))).position
+            heights[point] = at.position(link, center)[2] - point.radius
+        least = {x.frame: min(h for y, h in heights.items() if y.frame == x.frame) for x in heights}
+        return tuple(x for x, h in heights.items() if h < least[x.frame] + LEVEL)
 
     def _tip(self, robot: Robot, at: Posed) -> tuple[Pure, Sequence[Pure]]:
         """Position and axes of the tip."""
