@@ -12,11 +12,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from operator import mul
 from typing import Any, ClassVar
 
 from torchdq import effects
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.checks import matching
 from torchdq.dynamics.posed import Point, Posed, Row
@@ -180,20 +182,32 @@ class Manipulation(EpisodeTask):
     def rows(self, view: View) -> Rows:
         """Rows as the class states them."""
         robot, n, goal = view.scene.spec.robot, len(view.q), tuple(view.inputs["goal"])
-        X, V = (tuple(view.poses[:4]), tuple(view.poses[4:])), view.twists
-        p, axes = dq.translation(X), quat.rotation_columns(X[0])
-        w, v = quat.rotate(X[0], tuple(V[:3])), quat.rotate(X[0], tuple(V[3:]))
-        tip, hand = self._tip(robot, view.posed(view.q))
-        pressing = view.pressing(self.object.name)
-        fingers = [at_least(force, PRESSING) for force in pressing.values()]
-        q, qd = view.reading[:n], view.reading[n:]
+        X_WO = tuple(view.poses[:4]), tuple(view.poses[4:])
+        fingers = [at_least(force, PRESSING) for force in view.pressing(self.object.name).values()]
+        q, grip, closed = view.reading[:n], self._fingers(robot), 0.5 * self._open(robot)
+        reward, success = self.judged(robot, view.q, view.qd, X_WO, goal, fingers)
+        return {
+            "observation": self.observed(robot, q, view.reading[n:], X_WO, view.twists, goal, fingers),
+            "reward": [reward],
+            "reference": [*[closed if i in grip else x for i, x in enumerate(q)], *[0.0] * (2 * n)],
+            "success": [success],
+            "distance": [_length(quat.sub(goal, dq.translation(X_WO)))],
+        }
+
+    def observed(
+        self, robot: Robot, q: Row, qd: Row, X_WO: DualQuaternion, V_WO: Row, goal: Pure, fingers: Row
+    ) -> list[Number]:
+        """Observation of a state; `fingers` are 1 for those that press on the object, otherwise 0."""
+        p, (a, b, _) = dq.translation(X_WO), quat.rotation_columns(X_WO[0])
+        w, v = quat.rotate(X_WO[0], tuple(V_WO[:3])), quat.rotate(X_WO[0], tuple(V_WO[3:]))
+        tip, hand = self._tip(robot, posed(robot, q, {}, ()))
         middle, _ = self._tip(robot, posed(robot, self._home(robot), {}, ()))
         seen = [
             *[x - h for x, h in zip(q, self._home(robot), strict=True)],
             *[0.2 * x for x in qd],
             *quat.scale(10.0, quat.sub(p, tip)),
             *quat.scale(5.0, quat.sub(p, (middle[0], middle[1], 0.0))),
-            *(*axes[0], *axes[1]),
+            *(*a, *b),
             *quat.scale(5.0, quat.sub(goal, p)),
             *quat.scale(0.5, v),
             *quat.scale(0.1, w),
@@ -201,18 +215,16 @@ class Manipulation(EpisodeTask):
             10.0 * tip[2] - 1.0,
             *fingers,
         ]
-        grasped = reduce(lambda a, b: a * b, fingers)
-        closed = 0.5 * self._open(robot)
+        return within(seen, self.bounds(robot))
+
+    def judged(
+        self, robot: Robot, q: Row, qd: Row, X_WO: DualQuaternion, goal: Pure, fingers: Row
+    ) -> tuple[Number, Number]:
+        """Reward and success of a state."""
+        tip, _ = self._tip(robot, posed(robot, q, {}, ()))
         grip = self._fingers(robot)
-        still = sqrt(sum([x * x for i, x in enumerate(view.qd) if i not in grip], 1e-12))
-        reward, success = self.earned(tip, p, goal, grasped, still)
-        return {
-            "observation": within(seen, self.bounds(robot)),
-            "reward": [reward],
-            "reference": [*[closed if i in grip else x for i, x in enumerate(q)], *[0.0] * (2 * n)],
-            "success": [success],
-            "distance": [_length(quat.sub(goal, p))],
-        }
+        still = sqrt(sum([x * x for i, x in enumerate(qd) if i not in grip], 1e-12))
+        return self.earned(tip, dq.translation(X_WO), goal, reduce(mul, fingers), still)
 
     def earned(self, tip: Pure, p: Pure, goal: Pure, grasped: Number, still: Number) -> tuple[Number, Number]:
         """Reward and success.

@@ -320,7 +320,9 @@ class Checked:
         widths |= {name: width for name, width in self.inputs(robot.n).items() if name == "carry"}
         rows = self._rows("rows", self.task.rows(view), widths)
         # NaN and infinity survive sums; positions follow the velocities
-        squares = [x * x for x in (*view.qd, *view.V_WB_B, *view.twists, *rows["reward"], sum(rows["observation"], 0.0))]
+        squares = [
+            x * x for x in (*view.qd, *view.V_WB_B, *view.twists, *rows["reward"], sum(rows["observation"], 0.0))
+        ]
         followed = {} if self.pose is None else {"reference": self.pose.reference(view)}
         return {**rows, **followed, "valid": [at_least(SENSIBLE**2, sum(squares, 0.0))]}
 
