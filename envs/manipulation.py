@@ -34,6 +34,7 @@ from torchdq.scene.spec import Rows, View
 __all__ = ["Lift", "Pick", "Push"]
 
 PANDA = (0.0, 0.1125, 0.0, -2.5686, 0.0, 2.6811, 0.7854, 0.04)  # tip 0.12 m above the table, 0.45 m ahead
+CUBE = Box("cube", 0.1, size=(0.04, 0.04, 0.04))
 STEP = 0.1  # full action of a joint of the arm [rad or m]
 STIFF, DAMPED = 1000.0, 100.0  # gains of the servos [N m/rad and N m s/rad, or N/m and N s/m]
 CONTACT = 1e5  # stiffness of contacts over the mass of the object [1/s^2]
@@ -67,7 +68,7 @@ class Manipulation(EpisodeTask):
     TURNED: ClassVar[float] = 0.0  # largest turn of the object at a start [rad]
     OPEN: ClassVar[float] = 1.0  # opening at a start, as a share of the largest
 
-    object: Object = Box("cube", 0.1, size=(0.04, 0.04, 0.04))
+    object: Object = CUBE
     home: tuple[float, ...] = PANDA
     fingers: Any = "finger_joint*"
     pads: Any = "*_finger"

@@ -77,7 +77,8 @@ class EpisodeTask(Task, Protocol):
     def defaults(self, robot: Robot) -> Mapping[str, Any]:
         """Arguments of environments whose effects are not given.
 
-        They are `effects`, `scale`, `dt`, `substeps`, `unroll`, `randomise` and `pushes`. Each may be left out, and is replaced by one that is given. The scale is that of the default `action`.
+        They are `effects`, `scale`, `dt`, `substeps`, `unroll`, `randomise` and `pushes`. Each may be left out, and is
+        replaced by one that is given. The scale is that of the default `action`.
         """
         return {}
 
@@ -99,7 +100,7 @@ class EpisodeTask(Task, Protocol):
     def start(self, robot: Robot, u: Row) -> Rows:
         """Rows "q", "qd" and "goal" of these random numbers, and others where there is something that floats.
 
-        They are "X_WB" and "V_WB_B" of a floating base, and "poses" [8 objects] and "twists" [6 objects] of the objects.
+        They are "X_WB" and "V_WB_B" of a floating base, and "poses" [8 objects] and "twists" [6 objects] of objects.
         What is left out starts at the origin and at rest.
         """
 
