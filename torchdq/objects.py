@@ -2,30 +2,40 @@
 
 An object's frame O is at its centre of mass, which is that of its shape, along the axes of the shape. Its state is the
 pose X_WO in the world, or in the base frame of a fixed robot, and the twist V_WO in its axes. Objects touch nothing by
-themselves: `effects.Contact` says what touches what.
+themselves: `effects.Contact` says what touches what. `from_mjcf` and `from_urdf` read them from files.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, ClassVar
+from os import PathLike
+from typing import IO, Any, ClassVar
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import RigidBody
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.base.checks import NOT_NEGATIVE, POSITIVE
+from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, matching
 from torchdq.dynamics import shapes
 from torchdq.dynamics.free_bodies import FreeBody
 from torchdq.dynamics.shapes import Nearest
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.functions.parametric import Parameter, Parametric, Shapes, undefined
 from torchdq.functions.signature import parameter
 from torchdq.robot import Robot
+from torchdq.robot.description import Shape
+from torchdq.robot.mjcf.joints import FREE, joints_of, names_of
+from torchdq.robot.mjcf.links import body_of, shapes_of
+from torchdq.robot.mjcf.source import compiled
+from torchdq.robot.robot import naming
 
-__all__ = ["Ball", "Box", "Capsule", "Cylinder", "Object"]
+__all__ = ["Ball", "Box", "Capsule", "Cylinder", "Object", "from_mjcf", "from_urdf"]
+
+ROUNDING = 5e-4  # part of a number that is rounding: files are printed with about four digits
 
 
 @dataclass(frozen=True)
@@ -223,3 +233,108 @@ class Cylinder(Object):
 
 SIGNS = tuple(product((-1.0, 1.0), repeat=3))
 RIM = ((-1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0))
+
+
+# --- objects of files ------------------------------------------------------------------------------------------------
+
+
+def from_mjcf(source: str | PathLike[str] | bytes | IO[Any], bodies: str | Sequence[str] = "*") -> tuple[Object, ...]:
+    """Objects of an MJCF file: its bodies with a free joint, by their names.
+
+    Each has one geom that touches, a box, a sphere, a capsule or a cylinder, whose centre is the centre of mass and
+    whose axes are principal axes of the inertia. They are those of the object, whatever the body's own are. The inertia
+    is None where it is that of a solid body. Needs the package `mujoco`.
+
+    `Robot.from_mjcf(source, base="fixed")` is the robot of the same file; its frames say where the bodies are.
+
+    Args:
+        source: as of `Robot.from_mjcf`.
+        bodies: names or patterns of the bodies.
+
+    Raises:
+        MissingLibraryError: mujoco is not installed.
+        DescriptionError: MuJoCo cannot compile the file, no body is free, or one of the bodies is no such object.
+        UnknownNameError: no free body has such a name.
+
+    >>> body = '<body name="cube"><freejoint/><geom type="box" size="0.02 0.02 0.02" mass="0.1"/></body>'
+    >>> from_mjcf(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    (Box(name='cube', mass=0.1, inertia=None, size=(0.04, 0.04, 0.04), rounding=0.0),)
+    """
+    with naming(source):
+        of, found = compiled(source), []
+        names, shapes = names_of(of, "BODY", of.model.nbody), shapes_of(of)
+        free = {names[joint.body]: joint.body for joint in joints_of(of) if joint.kind == FREE}
+        if not free:
+            raise DescriptionError("objects need bodies with a free joint, found none; add <freejoint/> to them")
+        for name in matching("bodies", bodies, free, "body with a free joint"):
+            if carried := [names[i] for i in range(of.model.nbody) if of.model.body_parentid[i] == free[name]]:
+                raise DescriptionError(
+                    f"body {name!r} must carry no others to be an object, found {', '.join(carried)}; read it by "
+                    "Robot.from_mjcf, and name the objects by bodies="
+                )
+            found.append(_object(name, body_of(of, free[name]), shapes[free[name]]))
+    return tuple(found)
+
+
+def from_urdf(source: str | PathLike[str] | bytes | IO[Any]) -> Object:
+    """Object of a URDF file without moving joints, by the name of its robot.
+
+    It has one collision element, as a body of `from_mjcf` has one geom.
+
+    Args:
+        source: as of `Robot.from_urdf`.
+
+    Raises:
+        DescriptionError: the text is not a usable URDF, or no such object.
+
+    >>> inertia = '<inertia ixx="3e-4" iyy="3e-4" izz="3e-4" ixy="0" ixz="0" iyz="0"/>'
+    >>> link = f'<inertial><mass value="0.3"/>{inertia}</inertial>'
+    >>> link += '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
+    >>> from_urdf(f'<robot name="ball"><link name="base">{link}</link></robot>')
+    Ball(name='ball', mass=0.3, inertia=None, radius=0.05)
+    """
+    robot = Robot.from_urdf(source, base="floating")
+    with naming(source):
+        if robot.n:
+            raise DescriptionError(
+                f"{robot.name!r} must be one body to be an object, found the joints {', '.join(robot.joint_names)}; "
+                "read it by Robot.from_urdf, or make these joints fixed"
+            )
+        body = RigidBody(*(x.tolist() for x in (robot.base_mass, robot.base_com, robot.base_inertia)))  # type: ignore[union-attr]
+        own = ((frame, frame.X_BF.tolist()) for frame in robot.frames)
+        shapes = [x._replace(X_FS=dq.mul((X[:4], X[4:]), x.X_FS)) for frame, X in own for x in frame.shapes]
+        return _object(robot.name, body, shapes)
+
+
+def _object(name: str, body: RigidBody, shapes: Sequence[Shape]) -> Object:
+    """Object of a body with collision shapes, all in one frame."""
+    made: Object
+    mass, com, (xx, xy, yy, xz, yz, zz) = body.moved(dq.conj(shapes[0].X_FS) if shapes else dq.ONE)
+    match [(shape.kind, shape.size) for shape in shapes]:
+        case [("box", half)]:
+            made = Box(name, mass, size=tuple(2.0 * x for x in half))
+        case [("sphere", (radius,))]:
+            made = Ball(name, mass, radius=radius)
+        case [("capsule", (radius, half))]:
+            made = Capsule(name, mass, radius=radius, length=2.0 * half)
+        case [("cylinder", (radius, half))]:
+            made = Cylinder(name, mass, radius=radius, length=2.0 * half)
+        case others:
+            found = ", ".join(kind for kind, _ in others) or "none"
+            raise _refused(name, "one collision shape, a box, sphere, capsule or cylinder", found)
+    kind, moments, products = shapes[0].kind, (xx, yy, zz), (xy, xz, yz)
+    if (off := math.hypot(*com)) > ROUNDING * max(shapes[0].size):
+        raise _refused(name, f"its centre of mass at the centre of its {kind}", f"it {off:.4g} m from there")
+    if min(moments) <= 0 or max(map(abs, products)) > ROUNDING * max(moments):
+        found = "xx {:.4g}, yy {:.4g}, zz {:.4g}, xy {:.4g}, xz {:.4g}, yz {:.4g} kg m^2".format(*moments, *products)
+        raise _refused(name, f"positive moments of inertia about the axes of its {kind}, and no products", found)
+    solid = [mass * x for x in made.radii()]
+    same = all(abs(a - b) <= ROUNDING * b for a, b in zip(moments, solid, strict=True))
+    return made if same else replace(made, inertia=moments)
+
+
+def _refused(name: str, expected: str, found: str) -> DescriptionError:
+    return DescriptionError(
+        f"body {name!r} must have {expected}, found {found}; describe it by a torchdq.objects.Box, Ball, Capsule or "
+        "Cylinder of your own numbers"
+    )

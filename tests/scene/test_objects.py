@@ -3,6 +3,8 @@
 import math
 from functools import cache
 
+import mujoco
+import numpy as np
 import pytest
 import torch
 from helpers import PAIR, exhaustive
@@ -11,7 +13,7 @@ from messages import refused
 import torchdq
 from torchdq import Scene, dq, effects
 from torchdq.backends import c_library as build
-from torchdq.objects import Ball, Box, Capsule, Cylinder
+from torchdq.objects import Ball, Box, Capsule, Cylinder, from_mjcf, from_urdf
 from torchdq.robot import ContactPoint
 
 F64 = torch.float64
@@ -30,7 +32,8 @@ def arm():
 @cache
 def gripper():
     """Two fingers on a lift, each with a pad of four spheres; they close along x, and the lift moves along z."""
-    link = '<link name="{}"><inertial><mass value="{}"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial></link>'
+    inertia = '<inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/>'
+    link = f'<link name="{{}}"><inertial><mass value="{{}}"/>{inertia}</inertial></link>'
     joint = (
         '<joint name="{}_joint" type="prismatic"><parent link="{}"/><child link="{}"/><origin xyz="{} 0 0"/>'
         '<axis xyz="{}"/><limit lower="-1" upper="1" effort="100" velocity="10"/></joint>'
@@ -264,7 +267,7 @@ def test_rounded_cubes_stand_on_each_other_and_sharp_ones_are_refused():
     assert (place(path)[-1] - place(path)[400]).abs().max() < 1e-8
     assert float(place(path)[-1, 1, 2]) == pytest.approx(0.06, abs=1e-3)
     sharp = tuple(Box(name, 0.1, size=(CUBE,) * 3) for name in ("lower", "upper"))
-    with refused():
+    with refused(torchdq.ArgumentError):
         alone(sharp, contacts[1])
 
 
@@ -354,6 +357,91 @@ def test_a_description_prices_objects_and_names_the_pairs():
     assert "left on cube (4), right on cube (4)" in text
 
 
+# --- objects of files ------------------------------------------------------------------------------------------------
+
+ARM = (
+    """<body name="arm" pos="0 0 0.5"><joint name="elbow" axis="0 1 0"/><geom type="capsule" size="0.03 0.2"/></body>"""
+)
+FREE = """
+<body name="cube" pos="0.4 0.1 0.02" euler="0 0 30"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>
+<body name="brick"><freejoint/><geom type="box" size="0.02 0.03 0.05" pos="0.1 0 0"/>
+<geom type="sphere" size="0.3" contype="0" conaffinity="0" mass="0"/></body>
+<body name="ball"><freejoint/><geom size="0.03" density="300"/></body>
+<body name="pill"><freejoint/><geom type="capsule" size="0.02 0.04" euler="0 90 0" pos="0 0 0.2"/></body>
+<body name="can"><freejoint/><geom type="cylinder" size="0.03 0.05" mass="0.35"/></body>
+<body name="hollow"><freejoint/><inertial pos="0 0 0" mass="0.2" diaginertia="3e-4 3e-4 2e-4"/>
+<geom type="cylinder" size="0.03 0.05"/></body>
+"""
+TABLE = f"<mujoco><worldbody>{ARM}{FREE}</worldbody></mujoco>"
+
+
+def test_objects_of_a_file_have_the_masses_and_inertias_that_mujoco_computes():
+    model, found = mujoco.MjModel.from_xml_string(TABLE), from_mjcf(TABLE)
+    kinds = {"cube": Box, "brick": Box, "ball": Ball, "pill": Capsule, "can": Cylinder, "hollow": Cylinder}
+    assert {one.name: type(one) for one in found} == kinds
+    for one in found:
+        body = model.body(one.name)
+        moments = one.inertia or [one.mass * x for x in one.radii()]
+        assert math.isclose(one.mass, body.mass.item(), rel_tol=1e-12)
+        assert np.allclose(sorted(moments), sorted(body.inertia), rtol=1e-10)
+        assert (one.inertia is None) == (one.name != "hollow")
+    assert from_mjcf(TABLE, bodies=["c*"])[1] == Cylinder("can", 0.35, radius=0.03, length=0.1)
+    assert found[1].size == (0.04, 0.06, 0.1)
+
+
+def test_an_arm_and_the_objects_beside_it_are_read_from_one_file():
+    robot = torchdq.Robot.from_mjcf(TABLE, base="fixed")
+    alone = torchdq.Robot.from_mjcf(f"<mujoco><worldbody>{ARM}</worldbody></mujoco>")
+    q = torch.tensor([0.3], dtype=F64)
+    assert torch.equal(torchdq.inverse_dynamics(robot, q), torchdq.inverse_dynamics(alone, q))
+    scene = Scene(robot, (DOWN, effects.Contact("cube")), objects=from_mjcf(TABLE, "cube"), dt=5e-3)
+    start = scene.start(q, X_WO=torchdq.forward_kinematics(robot, q, "cube")[None])
+    assert torch.allclose(place(start), torch.tensor([[0.4, 0.1, 0.02]], dtype=F64))
+    assert scene.contacts(start).depth.max().abs() < 1e-12  # it stands on the ground
+
+
+LYING = """<collision><origin xyz="0.1 0 0" rpy="0 1.5707963267948966 0"/>
+<geometry><box size="0.06 0.02 0.08"/></geometry></collision>"""
+
+
+def urdf(com="0.1 0 0", ixx="2e-4", ixy="0", shape=LYING, more=""):
+    body = f'<inertial><origin xyz="{com}"/><mass value="0.6"/><inertia ixx="{ixx}" iyy="5e-4" izz="3.4e-4" '
+    body += f'ixy="{ixy}" ixz="0" iyz="0"/></inertial>'
+    return f'<robot name="block"><link name="base">{body}{shape}</link>{more}</robot>'
+
+
+def test_an_object_of_a_urdf_file_has_the_axes_of_its_shape():
+    """The file prints 0.6 (0.02^2 + 0.08^2) / 12 and the like, in axes that are turned by a quarter."""
+    assert from_urdf(urdf()) == Box("block", 0.6, size=(0.06, 0.02, 0.08))
+    heavier = from_urdf(urdf(ixx="2.1e-4"))
+    assert heavier.inertia == pytest.approx((3.4e-4, 5e-4, 2.1e-4))
+
+
+FREED = "<mujoco><worldbody><body name='x'><freejoint/>{}</body></worldbody></mujoco>"
+GEOM = "<geom type='box' size='0.1 0.1 0.1' pos='{}'/>"
+HINGED = '<link name="b"/><joint name="j" type="revolute"><parent link="base"/><child link="b"/></joint>'
+NO_OBJECT = {
+    "two geoms": lambda: from_mjcf(FREED.format(GEOM.format("0 0 0") + GEOM.format("0.1 0 0"))),
+    "an ellipsoid": lambda: from_mjcf(FREED.format("<geom type='ellipsoid' size='0.1 0.2 0.3'/>")),
+    "nothing that touches": lambda: from_mjcf(FREED.format("<geom size='1' contype='0' conaffinity='0'/>")),
+    "a body on it": lambda: from_mjcf(FREED.format(GEOM.format("0 0 0") + "<body name='lid'><geom size='1'/></body>")),
+    "nothing free": lambda: from_mjcf(f"<mujoco><worldbody>{ARM}</worldbody></mujoco>"),
+    "an unknown body": lambda: from_mjcf(TABLE, bodies="arm"),
+    "a mesh": lambda: from_urdf(urdf(shape='<collision><geometry><mesh filename="a.obj"/></geometry></collision>')),
+    "a centre of mass elsewhere": lambda: from_urdf(urdf(com="0.11 0 0")),
+    "other principal axes": lambda: from_urdf(urdf(ixy="5e-5")),
+    "no inertia": lambda: from_urdf(urdf(ixx="0").replace("5e-4", "0").replace("3.4e-4", "0")),
+    "a joint": lambda: from_urdf(urdf(more=HINGED)),
+    "a fault of the file": lambda: from_urdf("<robot/>"),
+}
+
+
+@pytest.mark.parametrize("what", NO_OBJECT)
+def test_bodies_that_are_no_objects_are_refused_with_the_reason(what):
+    with refused(torchdq.TorchdqError):
+        NO_OBJECT[what]()
+
+
 WRONG = {
     "an object that is none": lambda: alone((1.0,)),
     "an object, not a sequence": lambda: Scene(arm(), objects=Ball("ball", 1.0, radius=0.1)),
@@ -379,7 +467,7 @@ def begin_wrong(X_WO):
 
 @pytest.mark.parametrize("what", WRONG)
 def test_what_is_wrong_is_refused_with_its_name(what):
-    with refused():
+    with refused(torchdq.ArgumentError):
         WRONG[what]()
 
 

@@ -15,6 +15,7 @@ from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_object
 from torchdq.control.law import Law
 from torchdq.dynamics.posed import Row
+from torchdq.dynamics.tree import BASE
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect, PointImpedance
 from torchdq.effects.effect import Effect
@@ -51,10 +52,11 @@ def resolved_objects(objects: Sequence[Object], robot: Robot, integrator: Integr
         raise ArgumentError(f"objects must be a sequence of objects, found {objects!r}; write objects=(Box(...),)")
     for body in objects:
         require_object("objects", body, Object, "torchdq.objects", "Box('cube', mass=0.1, size=(0.04, 0.04, 0.04))")
-    names = [*robot.frame_names, *(body.name for body in objects)]
+    moving = [frame.name for frame in robot.frames if robot.floating or frame.link != BASE]
+    names = [*moving, *(body.name for body in objects)]
     for name, number in Counter(names).items():
         if number > 1 and any(body.name == name for body in objects):
-            raise ArgumentError(f"names of objects must differ, also from those of frames, found {name!r} twice")
+            raise ArgumentError(f"names of objects must differ, also from those of moving frames, found {name!r} twice")
     if objects and integrator.FIXED:
         raise ArgumentError(
             f"integrator must be one for free bodies, such as LinearlyImplicit, in a scene with objects, found "
