@@ -35,6 +35,7 @@ __all__ = ["Lift", "Pick", "Push"]
 
 PANDA = (0.0, 0.1125, 0.0, -2.5686, 0.0, 2.6811, 0.7854, 0.04)  # tip 0.12 m above the table, 0.45 m ahead
 CUBE = Box("cube", 0.1, size=(0.04, 0.04, 0.04))
+PERIOD = 0.05  # between actions [s]
 STEP = 0.1  # full action of a joint of the arm [rad or m]
 STIFF, DAMPED = 1000.0, 100.0  # gains of the servos [N m/rad and N m s/rad, or N/m and N s/m]
 CONTACT = 1e5  # stiffness of contacts over the mass of the object [1/s^2]
@@ -95,7 +96,7 @@ class Manipulation(EpisodeTask):
                 effects.Contact(self._lowest(robot), friction=TABLE, stiffness=k),
             ),
             "scale": [0.5 * self._open(robot) if one else STEP for one in grip],
-            "dt": 0.05,
+            "dt": PERIOD,
             "substeps": 10,
             "unroll": False,
             "randomise": {
@@ -185,15 +186,20 @@ class Manipulation(EpisodeTask):
         robot, n, goal = view.scene.spec.robot, len(view.q), tuple(view.inputs["goal"])
         X_WO = tuple(view.poses[:4]), tuple(view.poses[4:])
         fingers = [at_least(force, PRESSING) for force in view.pressing(self.object.name).values()]
-        q, grip, closed = view.reading[:n], self._fingers(robot), 0.5 * self._open(robot)
+        q = view.reading[:n]
         reward, success = self.judged(robot, view.q, view.qd, X_WO, goal, fingers)
         return {
             "observation": self.observed(robot, q, view.reading[n:], X_WO, view.twists, goal, fingers),
             "reward": [reward],
-            "reference": [*[closed if i in grip else x for i, x in enumerate(q)], *[0.0] * (2 * n)],
+            "reference": [*self.reference(robot, q), *[0.0] * (2 * n)],
             "success": [success],
             "distance": [_length(quat.sub(goal, dq.translation(X_WO)))],
         }
+
+    def reference(self, robot: Robot, q: Row) -> list[Number]:
+        """Targets without an action: the arm where it is, and fingers half open."""
+        grip, closed = self._fingers(robot), 0.5 * self._open(robot)
+        return [closed if i in grip else x for i, x in enumerate(q)]
 
     def observed(
         self, robot: Robot, q: Row, qd: Row, X_WO: DualQuaternion, V_WO: Row, goal: Pure, fingers: Row

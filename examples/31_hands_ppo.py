@@ -1,16 +1,17 @@
 """An arm with a gripper that pushes, lifts or picks a cube, learned on one thread.
 
-    python examples/31_hands_ppo.py pick [--seconds 120] [--seed 0] [--out FOLDER]
+    python examples/31_hands_ppo.py pick [--seconds 120] [--seed 0] [--robot FILE] [--out FOLDER]
 
-PPO as in `21_walk_ppo.py`, with 1024 arms of `torchdq/Push-v0`, `Lift-v0` or `Pick-v0`, whose cubes differ in mass, size
-and friction. A policy is tested now and then on 256 nominal cubes, and has learned its task when 98 % succeed at the end
-of an episode in three tests in a row. Times are those of the processor, without the tests. `out/pick.pt` has the policy.
+PPO as in `21_walk_ppo.py`, with 1024 arms of `torchdq/Push-v0`, `Lift-v0` or `Pick-v0`, whose cubes differ in mass,
+size and friction. A policy is tested now and then on 256 nominal cubes, and has learned its task when 98 % succeed at
+the end of an episode in three tests in a row. Times are those of the processor, without the tests. `out/pick.pt` has
+the policy.
 """
 
 import os
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,6 +22,7 @@ import torch
 import tyro
 from torch import nn
 
+import torchdq
 from torchdq import Robot
 from torchdq.envs import RobotVectorEnv
 from torchdq.envs.manipulation import Manipulation
@@ -39,10 +41,32 @@ class Args:
     """Processor time to learn in, at most."""
     seed: int = 0
     """Seed of policy and robots."""
+    robot: str = "panda_hand"
+    """Name of a shipped robot with a gripper, or a URDF or MJCF file of one."""
+    tip: str | None = None
+    """Frame between the fingers, whose z axis points out of the hand; None: the robot's end effector."""
+    fingers: str = "finger_joint*"
+    """Names or patterns of the joints that open the gripper."""
+    pads: str = "*_finger"
+    """Names or patterns of the frames of the fingers, whose file has spheres on them."""
+    home: tuple[float, ...] = ()
+    """Positions of the joints at a start, the tip above the table and pointing down [rad or m]."""
     robots: int = 1024
     """Number of robots, a multiple of 32."""
     out: Path = Path("out")
     """Folder of the policy."""
+
+    def load(self) -> Robot:
+        """The robot."""
+        if self.robot in torchdq.robots.names():
+            return torchdq.robots.load(self.robot)
+        read = Robot.from_mjcf if Path(self.robot).suffix == ".xml" else Robot.from_urdf
+        return read(self.robot, tip=self.tip)
+
+    def of_task(self) -> Manipulation:
+        """The task."""
+        own = {"home": self.home} if self.home else {}
+        return replace(task_of(self.task), fingers=self.fingers, pads=self.pads, **own)
 
 
 class Test:
@@ -50,10 +74,10 @@ class Test:
 
     Args:
         task: the task.
-        robot: the robot; None: that of the task.
+        robot: the robot.
     """
 
-    def __init__(self, task: Manipulation, robot: Robot | None = None) -> None:
+    def __init__(self, task: Manipulation, robot: Robot) -> None:
         self.envs = RobotVectorEnv(TESTED, task, robot, max_episode_steps=None)
         self.envs.set(randomise=dict.fromkeys(task.defaults(self.envs.robot)["randomise"], (1.0, 1.0)))
 
@@ -64,7 +88,7 @@ class Test:
         return float(info["success"][-1].mean()), float(info["distance"][-1].mean())
 
 
-def learn(task: Manipulation, robot: Robot | None, args: Args) -> tuple[nn.Module, float | None]:
+def learn(task: Manipulation, robot: Robot, args: Args) -> tuple[nn.Module, float | None]:
     """Policy, and processor time after which it had learned the task [s]; None: it has not."""
     envs = RobotVectorEnv(args.robots, task, robot, max_episode_steps=STEPS)
     learner, test = ppo.PPO(envs, args.seed, SETTINGS), Test(task, robot)
@@ -91,7 +115,7 @@ def learn(task: Manipulation, robot: Robot | None, args: Args) -> tuple[nn.Modul
 def main(args: Args) -> float | None:
     """Processor time until the task is learned [s]; None: it is not."""
     torch.set_num_threads(1)
-    policy, learned = learn(task_of(args.task), None, args)
+    policy, learned = learn(args.of_task(), args.load(), args)
     args.out.mkdir(parents=True, exist_ok=True)
     torch.save(policy.state_dict(), args.out / f"{args.task}.pt")
     print("not learned yet" if learned is None else f"learned after {learned:.0f} s")
