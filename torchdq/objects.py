@@ -7,16 +7,17 @@ themselves: `effects.Contact` says what touches what.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.base.checks import NOT_NEGATIVE, POSITIVE
+from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, require_object
 from torchdq.dynamics import shapes
 from torchdq.dynamics.free_bodies import FreeBody
 from torchdq.dynamics.shapes import Nearest
@@ -55,6 +56,11 @@ class Object(Parametric):
         if not isinstance(self.name, str) or not self.name:
             raise ArgumentError(f"name of {type(self).__name__} must be a text, found {self.name!r}")
         return self
+
+    @property
+    def shape(self) -> Self:
+        """The object without mass and inertia of its own."""
+        return replace(self, mass=1.0, inertia=None)
 
     def posed(self, X_WO: DualQuaternion) -> FreeBody:
         """Body at a pose, while it is recorded."""
@@ -223,3 +229,16 @@ class Cylinder(Object):
 
 SIGNS = tuple(product((-1.0, 1.0), repeat=3))
 RIM = ((-1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0))
+
+
+def resolved(objects: Sequence[Object], robot: Robot) -> tuple[Object, ...]:
+    """Objects with checked numbers; raises if their names are not those of different things."""
+    if isinstance(objects, Object) or not isinstance(objects, Sequence):
+        raise ArgumentError(f"objects must be a sequence of objects, found {objects!r}; write objects=(Box(...),)")
+    for body in objects:
+        require_object("objects", body, Object, "torchdq.objects", "Box('cube', mass=0.1, size=(0.04, 0.04, 0.04))")
+    names = [*robot.frame_names, *(body.name for body in objects)]
+    for name, number in Counter(names).items():
+        if number > 1 and any(body.name == name for body in objects):
+            raise ArgumentError(f"names of objects must differ, also from those of frames, found {name!r} twice")
+    return tuple(body.resolved(robot) for body in objects)
