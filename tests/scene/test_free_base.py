@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import torchdq
 from torchdq import Scene, dq, effects, floating
 from torchdq.scene.controllers import PD, ComputedTorque
-from torchdq.scene.free_base import EXACT, ORDER_4, rate
+from torchdq.scene.free_base import EXACT, ORDER_4, as_pose, moved, rate, step_between
 from torchdq.scene.integrators import (
     DormandPrince,
     ExplicitEuler,
@@ -49,6 +49,18 @@ def invariants(scene, state):
     p, L = floating.momentum(*at, state.V_WB_B, state.qd)
     L = L + torch.linalg.cross(floating.centre_of_mass(*at), p)
     return torch.cat([scene.energy(state)[..., :1], p, L], -1)
+
+
+def test_a_step_between_poses_is_undone_by_a_motion():
+    """Up to the terms of the arcsine that are left out, and exactly nothing between equal poses."""
+    X = tuple(dq.from_pose(double(0.5, 0.5, -0.5, 0.5), double(0.3, -0.2, 0.5)).tolist())
+    for size, error in ((1.0, 1e-4), (0.1, 1e-12)):
+        w, u = [size * x for x in (0.3, -0.6, 0.2)], [size * x for x in (0.1, 0.2, 0.4)]
+        *theta, x, y, z = step_between(as_pose(X), as_pose(moved(X, 1.0, (*w, *u))))
+        assert theta == pytest.approx(w, abs=error * size)
+        # the axes of the pose are those of the world in another order
+        assert (x, y, z) == pytest.approx(dq.rotate(double(0.5, -0.5, 0.5, -0.5), double(*u)).tolist(), abs=1e-15)
+    assert step_between(as_pose(X), as_pose(X)) == (0.0,) * 6
 
 
 @pytest.mark.parametrize("dt", thinned([1e-3, 5e-3, 0.02], [0.02]))
