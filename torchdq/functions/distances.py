@@ -50,7 +50,9 @@ def _arguments(body: Any) -> list[tuple[str, Any]]:
 def distances(x: RecipeInputs, points: Points, objects: Objects, ground: str, own: str) -> Results:
     """Distances, each place by the joints before it."""
     at = x.bodies()
-    return _distances(x, lambda link, X_BF: at.position(link, at.point(link, X_BF).position), points, objects, ground, own)
+    return _distances(
+        x, lambda link, X_BF: at.position(link, at.point(link, X_BF).position), points, objects, ground, own
+    )
 
 
 def distances_by_poses(x: RecipeInputs, points: Points, objects: Objects, ground: str, own: str) -> Results:

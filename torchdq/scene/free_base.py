@@ -158,7 +158,10 @@ def step_between(X: DualQuaternion, Y: DualQuaternion) -> tuple[Number, ...]:
     """Small displacement (theta, p) from a pose to another one, in axes of the first; exactly zero where both agree."""
     back = quat.conj(X[0])
     half = quat.im(quat.mul(back, quat.sub(Y[0], X[0])))  # of length sin(|theta|/2)
-    return (*quat.scale(2.0 * polynomial(_ARCSINE, quat.dot(half, half)), half), *quat.rotate(back, quat.sub(dq.translation(Y), dq.translation(X))))
+    return (
+        *quat.scale(2.0 * polynomial(_ARCSINE, quat.dot(half, half)), half),
+        *quat.rotate(back, quat.sub(dq.translation(Y), dq.translation(X))),
+    )
 
 
 def _bodies(x: Row, size: int, y: Row, other: int) -> Iterator[tuple[Row, Row]]:
