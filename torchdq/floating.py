@@ -22,6 +22,7 @@ from torchdq.backends.choice import BackendName
 from torchdq.functional import Distances
 from torchdq.functions.call import Precision, function_of, of_one_frame, of_pairs, on_links, poses
 from torchdq.objects import Object, resolved
+from torchdq.program.transforms import outside_of_graphs
 from torchdq.robot import Robot
 
 __all__ = [
@@ -429,6 +430,7 @@ def external_wrenches(
     return ExternalWrenches(*on_links("floating.external_wrenches", robot, given, wrenches, expressed, backend))
 
 
+@outside_of_graphs
 def distances(
     robot: Robot,
     X_WB: Tensor,

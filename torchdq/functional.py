@@ -22,6 +22,7 @@ from torchdq.base.checks import require_finite
 from torchdq.control.joints import ComputedTorque
 from torchdq.functions.call import Precision, function_of, of_one_frame, of_pairs, on_links, poses, with_options
 from torchdq.objects import Object, resolved
+from torchdq.program.transforms import outside_of_graphs
 from torchdq.robot import Robot
 
 __all__ = [
@@ -349,6 +350,7 @@ class Distances(NamedTuple):
     pairs: tuple[tuple[str, str], ...]  # frame of the sphere, and object, "ground" or frame of the other sphere
 
 
+@outside_of_graphs
 def distances(
     robot: Robot,
     q: Tensor,
@@ -378,15 +380,17 @@ def distances(
         own: whether there are distances between spheres on different links, neighbours too.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.1, 0.2], dtype=torch.float64)
+    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.1, 0.2])
     >>> box = torchdq.objects.Box("box", mass=1.0, size=(1.0, 1.0, 1.0))
-    >>> X_WO = torchdq.dq.from_pose(torch.eye(4)[0], torch.tensor([2.0, 0.5, 0.0])).double()[None]
-    >>> for _ in range(20):  # the tip is in the box; Newton's steps push it out
-    ...     d, dd_dq = torch.func.vjp(lambda q: distances(robot, q, "tip", (box,), X_WO).distance, q)
-    ...     gradient = dd_dq(torch.ones_like(d))[0]
-    ...     q = q - gradient * d.clamp(max=0.0) / gradient.square().sum()
+    >>> X_WO = torchdq.dq.from_pose(torch.eye(4)[0], torch.tensor([2.0, 0.6, 0.0]))[None]
     >>> distances(robot, q, "tip", (box,), X_WO)
-    Distances(distance=tensor([0.], dtype=torch.float64), pairs=(('tip', 'box'),))
+    Distances(distance=tensor([-0.2954]), pairs=(('tip', 'box'),))
+    >>> def depth(q):
+    ...     return distances(robot, q, "tip", (box,), X_WO).distance.clamp(max=0.01).sub(0.01).square().sum()
+    >>> for _ in range(10):
+    ...     q = q - 0.1 * torch.func.grad(depth)(q)
+    >>> distances(robot, q, "tip", (box,), X_WO).distance > 0
+    tensor([True])
     """
     given = {"q": q, "X_WO": X_WO, "height": height, "normal": normal}
     return Distances(*of_pairs("distances", robot, given, (points, resolved(objects, robot), own), backend))

@@ -25,6 +25,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functions.parametric import Parameter, Parametric, Shapes, undefined
 from torchdq.functions.signature import parameter
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
 
 __all__ = ["Ball", "Box", "Capsule", "Cylinder", "Object"]
 
@@ -237,7 +238,7 @@ def resolved(objects: Sequence[Object], robot: Robot) -> tuple[Object, ...]:
         raise ArgumentError(f"objects must be a sequence of objects, found {objects!r}; write objects=(Box(...),)")
     for body in objects:
         require_object("objects", body, Object, "torchdq.objects", "Box('cube', mass=0.1, size=(0.04, 0.04, 0.04))")
-    names = [*robot.frame_names, *(body.name for body in objects)]
+    names = [*require_robot(robot).frame_names, *(body.name for body in objects)]
     for name, number in Counter(names).items():
         if number > 1 and any(body.name == name for body in objects):
             raise ArgumentError(f"names of objects must differ, also from those of frames, found {name!r} twice")

@@ -1,7 +1,6 @@
-"""Distances of spheres from objects, the ground and each other: MuJoCo's, and their derivatives those of differences."""
+"""Distances of spheres from objects, the ground and each other are MuJoCo's, their derivatives those of differences."""
 
 import mujoco
-import numpy as np
 import pytest
 import torch
 from helpers import double
@@ -11,7 +10,6 @@ from robots import on_free_base
 import torchdq
 from torchdq import TorchdqError, dq
 from torchdq.objects import Ball, Box, Capsule, Cylinder
-from torchdq.robot import ContactPoint
 
 F64 = torch.float64
 BACKEND = "auto"
@@ -130,7 +128,7 @@ def test_sizes_and_the_ground_may_be_tensors_of_samples_with_gradients():
         alone = torchdq.distances(robot(), q[k], points(), objects, X_WO[k, :2], float(height[k].detach())).distance
         assert (found[k] - alone).abs().max() < 1e-14
     moved = [torch.autograd.grad(found.sum(), x, retain_graph=True)[0] for x in (size, radius, height)]
-    for k, x in enumerate((size, radius, height)):
+    for k in range(3):
         up, down = (
             distance(*[y + s * 1e-6 * (j == k) for j, y in enumerate((size, radius, height))]).sum() for s in (1, -1)
         )

@@ -34,7 +34,8 @@ def arm():
 @cache
 def gripper():
     """Two fingers on a lift, each with a pad of four spheres; they close along x, about which the wrist turns them."""
-    link = '<link name="{}"><inertial><mass value="{}"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial></link>'
+    moments = 'ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"'
+    link = '<link name="{}"><inertial><mass value="{}"/><inertia ' + moments + "/></inertial></link>"
     joint = (
         '<joint name="{1}_joint" type="{0}"><parent link="{2}"/><child link="{1}"/><origin xyz="{3} 0 0"/>'
         '<axis xyz="{4}"/><limit lower="-2" upper="2" effort="100" velocity="10"/></joint>'

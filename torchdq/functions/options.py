@@ -60,9 +60,9 @@ def _one(robot: Robot, field: Field, x: Any) -> Any:
 
 def task_of(robot: Robot, name: str | None, expressed: str, axes: str | Sequence[str]) -> tuple[str, str, Task]:
     """Name of a frame, its axes, and both as a task; raises unless the joints move these axes independently."""
-    name, expressed, axes = _read(robot, TASK, (name, expressed, axes), "a task")
-    require_served(robot, name, expressed, axes)
-    return name, axes, Task(*frame(robot, name), expressed == "world", rows_of(axes))
+    frame_name, expressed, named = _read(robot, TASK, (name, expressed, axes), "a task")
+    require_served(robot, frame_name, expressed, named)
+    return frame_name, named, Task(*frame(robot, frame_name), expressed == "world", rows_of(named))
 
 
 def axes_of(axes: str | Sequence[str]) -> str:
