@@ -101,7 +101,7 @@ class Manipulation(EpisodeTask):
             "unroll": False,
             "randomise": {
                 f"{name}.mass": 0.3,
-                f"{name}.size": 0.1,
+                **{f"{name}.{x}": 0.1 for x in ("size", "radius", "length") if x in self.object.SHAPES},
                 **{f"Contact.{i}.friction": 0.3 for i in range(3)},
             },
         }

@@ -3,8 +3,8 @@
     python examples/32_hands_in_mujoco.py pick [--runs 64] [--policy out/pick.pt]
 
 The policy of `31_hands_ppo.py` acts on the same arm and cube in MuJoCo, whose contacts follow another law: with
-elliptic cones of friction, with pyramids as by default, and with elliptic cones whose friction is ten times stiffer. It prints
-the share that succeeds at the end of an episode, from the same starts in both engines.
+elliptic cones of friction, with pyramids as by default, and with elliptic cones whose friction is ten times stiffer. It
+prints the share that succeeds at the end of an episode, from the same starts in both engines.
 """
 
 import sys
@@ -19,6 +19,7 @@ import tyro
 from torch import Tensor, nn
 
 from torchdq import Robot, dq, effects
+from torchdq.envs import RobotVectorEnv
 from torchdq.envs.manipulation import PADS, PERIOD, PRESSING, TABLE, Manipulation
 from torchdq.robot.contact_points import points_of
 
@@ -164,13 +165,20 @@ class Hand:
         return bool(task.judged(robot, own, moving, X, there, fingers)[1] > 0)
 
 
+def policy_of(path: Path, envs: RobotVectorEnv) -> nn.Module:
+    """Policy that `31_hands_ppo.py` saved."""
+    spaces = envs.single_observation_space, envs.single_action_space
+    policy = hands.ppo.network(*(space.shape[0] for space in spaces), 0.1, nn.ELU())
+    policy.load_state_dict(torch.load(path))
+    return policy
+
+
 def main(args: Args) -> dict[str, float]:
     """Shares of starts that succeed: here, and with every cone of friction there."""
     task = args.of_task()
     test = hands.Test(task, args.load())
-    envs, sizes = test.envs, (test.envs.single_observation_space.shape[0], test.envs.single_action_space.shape[0])
-    policy = hands.ppo.network(*sizes, 0.1, nn.ELU())
-    policy.load_state_dict(torch.load(args.policy or Path("out") / f"{args.task}.pt"))
+    envs = test.envs
+    policy = policy_of(args.policy or Path("out") / f"{args.task}.pt", envs)
     shares = {"here": test(policy)[0]}
     envs.reset(seed=2_000_000_000)
     state, goals = envs.state, envs.get_state()["goal"]

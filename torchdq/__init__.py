@@ -31,6 +31,7 @@ Functions of a robot, batched and differentiable to any order:
     kinetic_energy, potential_energy
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
     jacobian                twist of a frame from joint velocities
+    distances               distances of spheres from objects, the ground and each other, to keep clear of them
     external_wrenches       wrenches on the links, of wrenches at frames
     computed_torque         torques of a tracking controller
     frame_motion            pose, twist and acceleration of a frame
@@ -91,6 +92,7 @@ from torchdq.errors import no_attribute as _no_attribute
 from torchdq.functional import (
     closed_form,
     computed_torque,
+    distances,
     dynamics_jacobian,
     error_growth,
     external_wrenches,
@@ -151,6 +153,7 @@ __all__ = [
     "convert",
     "coriolis_matrix",
     "differential_inverse_kinematics",
+    "distances",
     "dq",
     "dynamics_jacobian",
     "effects",

@@ -8,25 +8,28 @@ themselves: `effects.Contact` says what touches what. `from_mjcf` and `from_urdf
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from os import PathLike
-from typing import IO, Any, ClassVar
+from typing import IO, Any, ClassVar, Self
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, matching
+from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, matching, require_object
 from torchdq.dynamics import shapes
 from torchdq.dynamics.free_bodies import FreeBody
 from torchdq.dynamics.shapes import Nearest
+from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.functions.parametric import Parameter, Parametric, Shapes, undefined
 from torchdq.functions.signature import parameter
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
 from torchdq.robot.description import Shape
 from torchdq.robot.mjcf.joints import FREE, joints_of, names_of
 from torchdq.robot.mjcf.links import body_of, shapes_of
@@ -65,6 +68,11 @@ class Object(Parametric):
         if not isinstance(self.name, str) or not self.name:
             raise ArgumentError(f"name of {type(self).__name__} must be a text, found {self.name!r}")
         return self
+
+    @property
+    def shape(self) -> Self:
+        """The object without mass and inertia of its own."""
+        return replace(self, mass=1.0, inertia=None)
 
     def posed(self, X_WO: DualQuaternion) -> FreeBody:
         """Body at a pose, while it is recorded."""
@@ -233,6 +241,20 @@ class Cylinder(Object):
 
 SIGNS = tuple(product((-1.0, 1.0), repeat=3))
 RIM = ((-1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0))
+
+
+def resolved(objects: Sequence[Object], robot: Robot) -> tuple[Object, ...]:
+    """Objects with checked numbers; raises if their names are not those of different things."""
+    if isinstance(objects, Object) or not isinstance(objects, Sequence):
+        raise ArgumentError(f"objects must be a sequence of objects, found {objects!r}; write objects=(Box(...),)")
+    for body in objects:
+        require_object("objects", body, Object, "torchdq.objects", "Box('cube', mass=0.1, size=(0.04, 0.04, 0.04))")
+    moving = [x.name for x in require_robot(robot).frames if robot.floating or x.link != BASE]
+    names = [*moving, *(body.name for body in objects)]
+    for name, number in Counter(names).items():
+        if number > 1 and any(body.name == name for body in objects):
+            raise ArgumentError(f"names of objects must differ, also from those of moving frames, found {name!r} twice")
+    return tuple(body.resolved(robot) for body in objects)
 
 
 # --- objects of files ------------------------------------------------------------------------------------------------

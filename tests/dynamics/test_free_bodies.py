@@ -97,10 +97,8 @@ def test_the_relative_twist_is_that_of_the_jacobians_and_a_reaction_has_its_powe
         X = poses()[o - there.first]
         R, p = torchdq.dq.to_rotation_matrix(dq.rotation(X)), dq.translation(X)
         V = ((J[o] - J[a]) @ v[:, :, None])[:, :, 0]
-        wanted = (
-            (R.mT @ V[:, :3, None])[..., 0],
-            (R.mT @ (V[:, 3:] + torch.linalg.cross(V[:, :3], p))[..., None])[..., 0],
-        )
+        linear = V[:, 3:] + torch.linalg.cross(V[:, :3], p)
+        wanted = [(R.mT @ x[..., None])[..., 0] for x in (V[:, :3], linear)]
         found = there.relative((o, a), v.unbind(-1))
         for x, y in zip(found, wanted, strict=True):
             assert (torch.stack(x, -1) - y).abs().max() <= 256 * EPS[F64] * y.abs().max()

@@ -1,22 +1,25 @@
 """Objects slide, roll, tip, collide and are held as analysis and conservation laws say; absent ones cost nothing."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import mujoco
 import numpy as np
 import pytest
 import torch
-from helpers import PAIR, exhaustive
+from helpers import PAIR, double, exhaustive
 from messages import refused
 
 import torchdq
-from torchdq import Scene, dq, effects
+from torchdq import Scene, TorchdqError, dq, effects
+from torchdq.algebra.dual_quaternion import ONE
 from torchdq.backends import c_library as build
 from torchdq.objects import Ball, Box, Capsule, Cylinder, from_mjcf, from_urdf
 from torchdq.robot import ContactPoint
 
 F64 = torch.float64
+BACKEND = "auto"
 G = 9.81
 MU, K = 0.5, 2e4
 DOWN = effects.Gravity((0.0, 0.0, -G))
@@ -31,17 +34,20 @@ def arm():
 
 @cache
 def gripper():
-    """Two fingers on a lift, each with a pad of four spheres; they close along x, and the lift moves along z."""
-    inertia = '<inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/>'
-    link = f'<link name="{{}}"><inertial><mass value="{{}}"/>{inertia}</inertial></link>'
+    """Two fingers on a lift, each with a pad of four spheres; they close along x, about which the wrist turns them."""
+    moments = 'ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"'
+    link = '<link name="{}"><inertial><mass value="{}"/><inertia ' + moments + "/></inertial></link>"
     joint = (
-        '<joint name="{}_joint" type="prismatic"><parent link="{}"/><child link="{}"/><origin xyz="{} 0 0"/>'
-        '<axis xyz="{}"/><limit lower="-1" upper="1" effort="100" velocity="10"/></joint>'
+        '<joint name="{1}_joint" type="{0}"><parent link="{2}"/><child link="{1}"/><origin xyz="{3} 0 0"/>'
+        '<axis xyz="{4}"/><limit lower="-2" upper="2" effort="100" velocity="10"/></joint>'
     )
-    names = ("base", "lift", "left", "right")
-    links = "".join(link.format(name, mass) for name, mass in zip(names, (1, 1, 0.1, 0.1), strict=True))
-    joints = joint.format("lift", "base", "lift", 0, "0 0 1") + joint.format("left", "lift", "left", -0.03, "1 0 0")
-    joints += joint.format("right", "lift", "right", 0.03, "-1 0 0")
+    masses = {"base": 1, "lift": 1, "wrist": 0.1, "left": 0.1, "right": 0.1}
+    links = "".join(link.format(name, mass) for name, mass in masses.items())
+    joints = joint.format("prismatic", "lift", "base", 0, "0 0 1") + joint.format(
+        "revolute", "wrist", "lift", 0, "1 0 0"
+    )
+    joints += joint.format("prismatic", "left", "wrist", -0.03, "1 0 0")
+    joints += joint.format("prismatic", "right", "wrist", 0.03, "-1 0 0")
     return torchdq.Robot.from_urdf(f'<robot name="gripper">{links}{joints}</robot>')
 
 
@@ -58,7 +64,7 @@ SQUEEZED = 5e-4  # how much further the fingers are told to close [m]
 def held(dt=5e-3, mass=0.1, **parameters):
     """Scene of a cube between two fingers."""
     given = {"friction": 1.0, "stiffness": 1e4, **parameters}
-    servo = effects.Servo((1e5, 2e4, 2e4), (2e3, 3e2, 3e2))
+    servo = effects.Servo((1e5, 1e2, 2e4, 2e4), (2e3, 2.0, 3e2, 3e2))
     grip = effects.Contact(PADS, on="cube", **given)
     return Scene(gripper(), (DOWN, servo, grip), objects=(Box("cube", mass, size=(CUBE,) * 3),), dt=dt)
 
@@ -66,8 +72,9 @@ def held(dt=5e-3, mass=0.1, **parameters):
 def grip(scene, *batch, dtype=F64):
     """State of a cube that was just taken, and the target that holds it."""
     closed = 0.03 - CUBE / 2 - 0.004
-    q = torch.tensor([0.2, closed, closed], dtype=dtype).expand(*batch, 3)
-    return scene.start(q, X_WO=at((0.0, 0.0, 0.2)).to(dtype).expand(*batch, 1, 8)), q + torch.tensor([0.0, 1e-3, 1e-3])
+    q = torch.tensor([0.2, 0.0, closed, closed], dtype=dtype).expand(*batch, 4)
+    target = q + torch.tensor([0.0, 0.0, 1e-3, 1e-3])
+    return scene.start(q, X_WO=at((0.0, 0.0, 0.2)).to(dtype).expand(*batch, 1, 8)), target
 
 
 def alone(objects, *contacts, dt=5e-3, gravity=True):
@@ -103,6 +110,58 @@ def momenta(state, bodies):
         spin = dq.rotate(dq.rotation(X), torch.tensor(moments, dtype=F64) * V[..., :3])
         linear, angular = linear + p, angular + torch.linalg.cross(dq.translation(X), p) + spin
     return linear, angular
+
+
+def energy(state, body):
+    """Kinetic energy of the only object."""
+    w, v = state.V_WO[..., 0, :].split(3, -1)
+    return 0.5 * (body.mass * v.square() + torch.tensor(body.posed(ONE).moments, dtype=F64) * w.square()).sum(-1)
+
+
+# --- bodies ---------------------------------------------------------------------------------------------------------
+
+
+SOLIDS = {  # with the geoms of MuJoCo
+    Box("box", 2.0, size=(0.2, 0.3, 0.5)): 'type="box" size="0.1 0.15 0.25"',
+    Ball("ball", 2.0, radius=0.2): 'type="sphere" size="0.2"',
+    Capsule("capsule", 2.0, radius=0.1, length=0.3): 'type="capsule" size="0.1 0.15"',
+    Cylinder("cylinder", 2.0, radius=0.1, length=0.3): 'type="cylinder" size="0.1 0.15"',
+}
+
+
+@pytest.mark.parametrize("body", SOLIDS, ids=lambda body: body.name)
+def test_inertias_are_those_of_mujoco_unless_they_are_given(body):
+    text = f'<mujoco><worldbody><body><freejoint/><geom mass="2" {SOLIDS[body]}/></body></worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(text)
+    turn = torch.from_numpy(model.body_iquat[1]).abs().round(decimals=3)
+    assert turn.tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert body.posed(ONE).moments == pytest.approx(model.body_inertia[1], rel=1e-12)
+    assert replace(body, inertia=(1.0, 2.0, 3.0)).posed(ONE).moments == (1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize("body", SOLIDS, ids=lambda body: body.name)
+def test_the_mobility_of_an_object_is_the_mean_of_its_points_and_directions(body):
+    found = []
+    for p, _ in body.points():
+        turning = torch.linalg.cross(torch.tensor(p, dtype=F64).expand(3, 3), torch.eye(3, dtype=F64), dim=-1)
+        whole = (
+            torch.eye(3, dtype=F64) / body.mass
+            + turning @ torch.diag(1 / torch.tensor(body.posed(ONE).moments, dtype=F64)) @ turning.mT
+        )
+        found.append(float(whole.trace()) / 3.0)
+    assert body.mobility == pytest.approx(sum(found) / len(found), rel=1e-12)
+
+
+@compiled
+def test_a_box_that_spins_keeps_the_size_of_its_momentum_and_never_gains_energy():
+    box = Box("box", 0.5, size=(0.1, 0.2, 0.3))
+    scene, g = alone((box,), gravity=False), torch.Generator().manual_seed(0)
+    V = torch.cat([12.0 * torch.randn(16, 1, 3, dtype=F64, generator=g), torch.ones(16, 1, 3, dtype=F64)], -1)
+    start = begin(scene, at((0.0, 0.0, 0.0)).expand(16, 1, 8), V)
+    path = scene.rollout(start, steps=400)
+    before, after = (momenta(x, [(0.5, box.posed(ONE).moments)])[1].norm(dim=-1) for x in (start, path))
+    assert (after / before - 1.0).abs().max() < 1e-3
+    assert (energy(path, box) / energy(start, box)).max() < 1.0 + 1e-9
 
 
 # --- on the ground ---------------------------------------------------------------------------------------------------
@@ -154,7 +213,7 @@ def test_tumbling_boxes_never_gain_energy(dt, stiffness):
     V = torch.randn(64, 1, 6, dtype=F64, generator=g) * torch.tensor([6.0] * 3 + [1.5] * 3, dtype=F64)
     start = begin(scene, X, V)
     path = scene.rollout(start, steps=round(1 / dt))
-    before, after = scene.energy(start).sum(-1), scene.energy(path).sum(-1)
+    before, after = (energy(x, box) + box.mass * G * place(x)[..., 0, 2] for x in (start, path))
     assert bool(path.finite().all())
     assert float(((after - before) / before).max()) < 1e-3
     assert float(place(path)[..., 2].min()) > 0.03  # nothing falls through
@@ -223,7 +282,7 @@ def test_turning_the_world_turns_the_result():
 def test_a_cube_that_is_held_does_not_creep(dtype):
     scene = held()
     start, target = grip(scene, dtype=dtype)
-    path = scene.rollout(start, target=target.to(dtype).expand(2200, 3))
+    path = scene.rollout(start, target=target.to(dtype).expand(1200, 4))
     heights = place(path)[:, 0].double()
     assert float((heights[-1] - heights[400]).abs().max()) < (5e-8 if dtype == torch.float64 else 5e-7)
     assert bool(scene.grasped(path.last, "cube"))
@@ -234,7 +293,7 @@ def test_a_cube_slips_where_its_weight_exceeds_the_friction_of_the_grip():
     ratios = torch.tensor([0.97, 0.99, 1.01, 1.03], dtype=F64)  # of the weight to the friction of all pads
     scene = held(friction=torch.ones(4, dtype=F64))
     start, target = grip(scene, 4)
-    target = target.expand(200, 4, 3)
+    target = target.expand(200, 4, 4)
     start = scene.rollout(start, target=target).last
     force = scene.contacts(start, "cube").normal_force.sum(-1)
     scene = held(friction=0.1 * G / (ratios * force))
@@ -249,12 +308,13 @@ def test_a_cube_turns_with_the_hand_that_holds_it():
     """Bristles turn with the object: in axes of the world they would wind up, and let go."""
     scene = held()
     start, target = grip(scene)
-    start = scene.rollout(start, target=target.expand(100, 3)).last
-    steps = torch.arange(400, dtype=F64)[:, None]
-    lifted = target + steps * torch.tensor([2e-4, 0.0, 0.0], dtype=F64)
-    path = scene.rollout(start, target=lifted)
-    raised = place(path)[-1, 0] - place(start)[0]
-    assert float(raised[2]) == pytest.approx(float(path.q[-1, 0] - start.q[0]), abs=2e-6)
+    start = scene.rollout(start, target=target.expand(100, 4)).last
+    steps = torch.arange(400, dtype=F64).clamp(max=300)[:, None]
+    end = scene.rollout(start, target=target + steps * double(2e-4, 5e-3, 0.0, 0.0)).last
+    assert float((end.q - start.q)[1]) == pytest.approx(1.5, abs=1e-3)
+    held_at = [dq.mul(dq.conj(torchdq.forward_kinematics(scene.robot, x.q, "wrist")), x.X_WO[0]) for x in (start, end)]
+    assert dq.translation(held_at[1] - held_at[0]).abs().max() < 2 * 0.1 * G / (8 * 1e4)  # what its weight bends
+    assert (dq.rotation(held_at[1]) - dq.rotation(held_at[0])).abs().max() < 1e-4
 
 
 @compiled
@@ -267,7 +327,7 @@ def test_rounded_cubes_stand_on_each_other_and_sharp_ones_are_refused():
     assert (place(path)[-1] - place(path)[400]).abs().max() < 1e-8
     assert float(place(path)[-1, 1, 2]) == pytest.approx(0.06, abs=1e-3)
     sharp = tuple(Box(name, 0.1, size=(CUBE,) * 3) for name in ("lower", "upper"))
-    with refused(torchdq.ArgumentError):
+    with refused(TorchdqError):
         alone(sharp, contacts[1])
 
 
@@ -278,14 +338,14 @@ def test_rounded_cubes_stand_on_each_other_and_sharp_ones_are_refused():
 def test_gradients_through_a_grasp_are_those_of_differences():
     scene = held(mass=torch.tensor(0.1, dtype=F64))
     start, target = grip(scene)
-    start = scene.rollout(start, target=target.expand(40, 3)).last
+    start = scene.rollout(start, target=target.expand(40, 4)).last
     g = torch.Generator().manual_seed(0)
 
     def height(mass, moved):
         lifted = scene.with_parameters({"-4.mass": mass})
-        return (lifted.rollout(start, target=(target + moved).expand(20, 3)).X_WO[-1] ** 2).sum()
+        return (lifted.rollout(start, target=(target + moved).expand(20, 4)).X_WO[-1] ** 2).sum()
 
-    x = (torch.tensor(0.1, dtype=F64, requires_grad=True), torch.full((3,), 1e-3, dtype=F64, requires_grad=True))
+    x = (torch.tensor(0.1, dtype=F64, requires_grad=True), torch.full((4,), 1e-3, dtype=F64, requires_grad=True))
     found = torch.autograd.grad(height(*x), x)
     ways = [torch.randn(a.shape, dtype=F64, generator=g) for a in x]
     step = 1e-5
@@ -320,16 +380,14 @@ def test_an_arm_beside_an_object_that_it_does_not_reach_moves_as_alone(touched):
 
 def test_samples_may_have_masses_sizes_and_friction_of_their_own():
     sizes = torch.tensor([[0.2, 0.2, 0.1], [0.1, 0.1, 0.3]], dtype=F64)
-    scene = alone(
-        (Box("box", torch.tensor([1.0, 2.0], dtype=F64), size=sizes),), effects.Contact(("box",), stiffness=K)
-    )
-    state = begin(scene, at((0.0, 0.0, 0.2)).expand(2, 1, 8))
-    after = scene.step(state)
-    for k in range(2):
-        one = alone((Box("box", float(k + 1), size=tuple(sizes[k].tolist())),), effects.Contact(("box",), stiffness=K))
-        wanted = one.step(begin(one, at((0.0, 0.0, 0.2))))
-        assert (after.poses[k] - wanted.poses).abs().max() < 1e-14
-        assert (after.twists[k] - wanted.twists).abs().max() < 1e-13
+    masses, spin = double(1.0, 2.0), (0.1, 0.2, 0.3, 1.0, 0.0, -0.5)
+    scene = alone((Box("box", masses, size=sizes),), effects.Contact(("box",), friction=double(0.8, 0.1), stiffness=K))
+    after = scene.step(begin(scene, at((0.0, 0.0, 0.1)).expand(2, 1, 8), twist(*spin).expand(2, 1, 6)))
+    one = alone((Box("box", 2.0, size=tuple(sizes[1].tolist())),), effects.Contact(("box",), friction=0.1, stiffness=K))
+    wanted = one.step(begin(one, at((0.0, 0.0, 0.1)), twist(*spin)))
+    assert (after.poses[1] - wanted.poses).abs().max() < 1e-14
+    assert (after.twists[1] - wanted.twists).abs().max() < 1e-13
+    assert (after.twists[1] - after.twists[0]).abs().max() > 1e-3
 
 
 def test_energy_is_that_of_all_bodies():
@@ -467,7 +525,7 @@ def begin_wrong(X_WO):
 
 @pytest.mark.parametrize("what", WRONG)
 def test_what_is_wrong_is_refused_with_its_name(what):
-    with refused(torchdq.ArgumentError):
+    with refused(TorchdqError):
         WRONG[what]()
 
 

@@ -31,7 +31,7 @@ OF_BOTH_BASES = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "corioli
 OF_BOTH_BASES += ("kinetic_energy", "potential_energy")
 PLAIN = (*OF_BOTH_BASES, "inverse_dynamics_jacobian", "dynamics_jacobian", "joint_momentum")
 PLAIN += tuple(f"floating.{name}" for name in (*OF_BOTH_BASES, "closed_form", "centre_of_mass", "momentum"))
-PLAIN += ("floating.momentum_rate",)
+PLAIN += ("floating.momentum_rate", "distances", "floating.distances")
 OF_AXES = ("manipulability", "operational_space", "contact_force")
 OF_AXES += ("inverse_kinematics_step", "inverse_kinematics_newton")
 

@@ -426,7 +426,7 @@ class Contact(BodyEffect):
                     bodies.posed.position(link, c), radius, *(row[k :: len(self.points)] for row in planes)
                 )
                 i, against, normal = link, None, bodies.posed.to_link(link, n)
-                lowest = quat.sub(c, quat.scale(radius, normal)) if radius else c
+                lowest = quat.sub(c, quat.scale(radius, normal))
             else:
                 i, against = body[0], link
                 c = bodies.posed.seen[i, against].point(c)

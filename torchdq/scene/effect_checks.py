@@ -12,10 +12,8 @@ from torch import nn
 
 from torchdq.algebra.screw import Screw
 from torchdq.base.caches import PROGRAMS, Bounded
-from torchdq.base.checks import require_object
 from torchdq.control.law import Law
 from torchdq.dynamics.posed import Row
-from torchdq.dynamics.tree import BASE
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect, PointImpedance
 from torchdq.effects.effect import Effect
@@ -24,7 +22,7 @@ from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.objects import Object
+from torchdq.objects import Object, resolved
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES, trailing
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
@@ -48,21 +46,13 @@ _warned: Bounded[tuple[str, type[Effect]], bool] = Bounded(PROGRAMS)  # idle eff
 
 def resolved_objects(objects: Sequence[Object], robot: Robot, integrator: Integrator) -> tuple[Object, ...]:
     """Objects with checked numbers; raises if they cannot be those of one scene."""
-    if isinstance(objects, Object) or not isinstance(objects, Sequence):
-        raise ArgumentError(f"objects must be a sequence of objects, found {objects!r}; write objects=(Box(...),)")
-    for body in objects:
-        require_object("objects", body, Object, "torchdq.objects", "Box('cube', mass=0.1, size=(0.04, 0.04, 0.04))")
-    moving = [frame.name for frame in robot.frames if robot.floating or frame.link != BASE]
-    names = [*moving, *(body.name for body in objects)]
-    for name, number in Counter(names).items():
-        if number > 1 and any(body.name == name for body in objects):
-            raise ArgumentError(f"names of objects must differ, also from those of moving frames, found {name!r} twice")
-    if objects and integrator.FIXED:
+    found = resolved(objects, robot)
+    if found and integrator.FIXED:
         raise ArgumentError(
             f"integrator must be one for free bodies, such as LinearlyImplicit, in a scene with objects, found "
             f"{type(integrator).__name__}: {integrator.FIXED}"
         )
-    return tuple(body.resolved(robot) for body in objects)
+    return found
 
 
 def resolved_effects(
