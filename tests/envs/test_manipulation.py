@@ -132,7 +132,7 @@ def test_stored_policies_do_their_task_here_and_in_mujoco(name):
     assert test(policy)[0] >= LEARNED
     test.envs.reset(seed=3_000_000_000)
     state, goals, hand = test.envs.state, test.envs.get_state()["goal"], play.Hand(TASKS[name], robot())
-    assert sum(hand.run(policy, state.q[i], state.X_WO[i, 0], goals[i]) for i in range(6)) >= 5
+    assert sum(hand.run(policy, state.q[i], state.X_WO[i, 0], goals[i]) for i in range(3)) >= 2
 
 
 # --- arguments -------------------------------------------------------------------------------------------------------
@@ -150,7 +150,7 @@ WRONG = {
 
 @pytest.mark.parametrize("what", WRONG)
 def test_what_is_wrong_is_refused_with_its_name(what):
-    with refused():
+    with refused(torchdq.TorchdqError):
         WRONG[what]()
 
 
