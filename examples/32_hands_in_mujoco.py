@@ -19,8 +19,12 @@ import tyro
 from torch import Tensor, nn
 
 from torchdq import Robot, dq, effects
+from torchdq.backends.choice import choose
+from torchdq.backends.precision import run
+from torchdq.dynamics.posed import Row
 from torchdq.envs import RobotVectorEnv
 from torchdq.envs.manipulation import PADS, PERIOD, PRESSING, TABLE, Manipulation
+from torchdq.program.program import Argument, Program, record
 from torchdq.robot.contact_points import points_of
 
 hands = import_module("31_hands_ppo")
@@ -116,18 +120,18 @@ class Hand:
               contype="2" conaffinity="1" {sliding}/></body></worldbody>
           <tendon>{tendons}</tendon><equality>{ends}</equality><actuator>{motors}</actuator></mujoco>"""
 
-    def state(self, data: mujoco.MjData) -> tuple[list[float], list[float], tuple, list[float], list[float]]:
+    def state(self, data: mujoco.MjData) -> tuple[list[float], ...]:
         """Positions and velocities of the coordinates, pose and twist of the object, and which fingers press on it."""
         first = self.at[[own[0] for own in self.moved]]
         p, r = np.split(data.qpos[self.place : self.place + 7], [3])
-        X, R = at(p.tolist(), tuple(r.tolist())).tolist(), np.empty(9)
+        R = np.empty(9)
         mujoco.mju_quat2Mat(R, r)
         v, w = np.split(data.qvel[self.speed : self.speed + 6], 2)
-        twist = [*map(float, w), *map(float, R.reshape(3, 3).T @ v)]
+        twist = [*w, *(R.reshape(3, 3).T @ v)]
         return (
-            data.qpos[first].tolist(),
-            data.qvel[first].tolist(),
-            (tuple(X[:4]), tuple(X[4:])),
+            [*data.qpos[first].tolist()],
+            [*data.qvel[first]],
+            at(p.tolist(), tuple(r)).tolist(),
             twist,
             self.fingers(data),
         )
@@ -145,24 +149,39 @@ class Hand:
                 found |= {other: found[other] + force[0]} if other in found else {}
         return [float(x >= PRESSING) for x in found.values()]
 
-    def run(self, policy: nn.Module, q: Tensor, X_WO: Tensor, goal: Tensor) -> bool:
-        """Whether an episode from a start ends in success."""
-        task, robot, data = self.task, self.robot, mujoco.MjData(self.model)
-        for x, own in zip(q.tolist(), self.moved, strict=True):
-            data.qpos[self.at[own]] = x
-        data.qpos[self.place : self.place + 7] = torch.cat([dq.translation(X_WO), dq.rotation(X_WO)])
-        mujoco.mj_forward(self.model, data)
-        there = tuple(goal.tolist())
-        for _ in range(hands.STEPS):
-            own, moving, X, V, fingers = self.state(data)
-            seen = task.observed(robot, own, moving, X, V, there, fingers)
-            with torch.no_grad():
-                action = policy(torch.tensor(seen, dtype=torch.float32)).clamp(-1, 1).double().numpy()
-            target = np.array(task.reference(robot, own)) + self.scale * action
-            data.ctrl[:] = [len(own) * x for own, x in zip(self.moved, target, strict=True)]
-            mujoco.mj_step(self.model, data, round(PERIOD / STEP))
-        own, moving, X, _, fingers = self.state(data)
-        return bool(task.judged(robot, own, moving, X, there, fingers)[1] > 0)
+    def rows(self) -> Program:
+        """Observation, success, and targets without an action, as the task states them, recorded."""
+        task, robot, n, fingers = self.task, self.robot, self.robot.n, len(self.fingers(mujoco.MjData(self.model)))
+        widths = {"q": n, "qd": n, "X_WO": 8, "V_WO": 6, "fingers": fingers, "goal": 3}
+
+        def rows(q: Row, qd: Row, X: Row, V: Row, fingers: Row, goal: Row) -> dict[str, Row]:
+            X_WO, there = (tuple(X[:4]), tuple(X[4:])), tuple(goal)
+            return {
+                "observation": task.observed(robot, q, qd, X_WO, V, there, fingers),
+                "success": [task.judged(robot, q, qd, X_WO, there, fingers)[1]],
+                "target": task.reference(robot, q),
+            }
+
+        return record("hand", [Argument(name, width) for name, width in widths.items()], rows)
+
+    @torch.no_grad()
+    def run(self, policy: nn.Module, q: Tensor, X_WO: Tensor, goal: Tensor) -> Tensor:
+        """Whether episodes end in success, of starts q [N, n], poses of the object [N, 8] and goals [N, 3]."""
+        runs, program, backend = [mujoco.MjData(self.model) for _ in q], self.rows(), choose(None, q.device)
+        for data, start, X in zip(runs, q.tolist(), X_WO, strict=True):
+            for x, own in zip(start, self.moved, strict=True):
+                data.qpos[self.at[own]] = x
+            data.qpos[self.place : self.place + 7] = torch.cat([dq.translation(X), dq.rotation(X)])
+            mujoco.mj_forward(self.model, data)
+        success = torch.zeros(len(q), 1)
+        for k in range(hands.STEPS + 1):
+            states = [torch.tensor(rows) for rows in zip(*map(self.state, runs), strict=True)]
+            observation, success, target = run(program, [x.float() for x in (*states, goal)], backend)
+            action = policy(observation).clamp(-1, 1).double().numpy()
+            for data, x in zip(runs, target.double().numpy() + self.scale * action, strict=True):
+                data.ctrl[:] = [len(own) * y for own, y in zip(self.moved, x, strict=True)]
+                mujoco.mj_step(self.model, data, round(PERIOD / STEP) * (k < hands.STEPS))
+        return success[:, 0] > 0
 
 
 def policy_of(path: Path, envs: RobotVectorEnv) -> nn.Module:
@@ -184,8 +203,8 @@ def main(args: Args) -> dict[str, float]:
     state, goals = envs.state, envs.get_state()["goal"]
     for cone in CONES:
         hand = Hand(task, envs.robot, cone)
-        runs = [hand.run(policy, state.q[i], state.X_WO[i, 0], goals[i]) for i in range(args.runs)]
-        shares[cone] = sum(runs) / len(runs)
+        found = hand.run(policy, *(x[: args.runs] for x in (state.q, state.X_WO[:, 0], goals)))
+        shares[cone] = float(found.float().mean())
         print(f"{cone}: {shares[cone]:.0%} of {args.runs} succeed in MuJoCo, {shares['here']:.0%} here", flush=True)
     return shares
 

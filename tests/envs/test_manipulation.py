@@ -132,7 +132,8 @@ def test_stored_policies_do_their_task_here_and_in_mujoco(name):
     assert test(policy)[0] >= LEARNED
     test.envs.reset(seed=3_000_000_000)
     state, goals, hand = test.envs.state, test.envs.get_state()["goal"], play.Hand(TASKS[name], robot())
-    assert sum(hand.run(policy, state.q[i], state.X_WO[i, 0], goals[i]) for i in range(3)) >= 2
+    found = hand.run(policy, state.q[:16], state.X_WO[:16, 0], goals[:16])
+    assert float(found.double().mean()) >= 0.85
 
 
 # --- arguments -------------------------------------------------------------------------------------------------------
