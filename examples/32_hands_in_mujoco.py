@@ -115,7 +115,7 @@ class Hand:
         sliding = f'friction="{TABLE} 0.005 0.0001"'
         return f"""<mujoco><compiler angle="radian"/>
           <option integrator="implicitfast" timestep="{STEP}" cone="{cone}" impratio="{impratio}"/>
-          <worldbody><geom type="plane" size="2 2 0.1" contype="2" conaffinity="3" {sliding}/>{roots}
+          <worldbody><geom type="plane" size="2 2 0.1" contype="2" conaffinity="3" priority="1" {sliding}/>{roots}
             <body name="object"><freejoint/><geom type="box" size="{half}" mass="{task.object.mass}"
               contype="2" conaffinity="1" {sliding}/></body></worldbody>
           <tendon>{tendons}</tendon><equality>{ends}</equality><actuator>{motors}</actuator></mujoco>"""
