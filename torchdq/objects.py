@@ -301,7 +301,7 @@ def from_urdf(source: str | PathLike[str] | bytes | IO[Any]) -> Object:
                 "read it by Robot.from_urdf, or make these joints fixed"
             )
         body = RigidBody(*(x.tolist() for x in (robot.base_mass, robot.base_com, robot.base_inertia)))  # type: ignore[union-attr]
-        own = ((frame, frame.X_BF.tolist()) for frame in robot.frames)
+        own = ((frame, tuple(frame.X_BF.tolist())) for frame in robot.frames)
         shapes = [x._replace(X_FS=dq.mul((X[:4], X[4:]), x.X_FS)) for frame, X in own for x in frame.shapes]
         return _object(robot.name, body, shapes)
 

@@ -467,7 +467,7 @@ def begin_wrong(X_WO):
 
 @pytest.mark.parametrize("what", WRONG)
 def test_what_is_wrong_is_refused_with_its_name(what):
-    with refused(torchdq.ArgumentError):
+    with refused(torchdq.TorchdqError):
         WRONG[what]()
 
 
