@@ -239,7 +239,7 @@ RIM = ((-1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0))
 
 
 def from_mjcf(source: str | PathLike[str] | bytes | IO[Any], bodies: str | Sequence[str] = "*") -> tuple[Object, ...]:
-    """Objects of an MJCF file: its bodies with a free joint, by their names.
+    """Objects of an MJCF file: its bodies with a free joint, with their names, masses [kg] and inertias [kg m^2].
 
     Each has one geom that touches, a box, a sphere, a capsule or a cylinder, whose centre is the centre of mass and
     whose axes are principal axes of the inertia. They are those of the object, whatever the body's own are. The inertia
@@ -277,7 +277,7 @@ def from_mjcf(source: str | PathLike[str] | bytes | IO[Any], bodies: str | Seque
 
 
 def from_urdf(source: str | PathLike[str] | bytes | IO[Any]) -> Object:
-    """Object of a URDF file without moving joints, by the name of its robot.
+    """Object of a URDF file without moving joints: the name of its robot, its mass [kg] and its inertia [kg m^2].
 
     It has one collision element, as a body of `from_mjcf` has one geom.
 
