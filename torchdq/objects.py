@@ -261,7 +261,7 @@ def resolved(objects: Sequence[Object], robot: Robot) -> tuple[Object, ...]:
 
 
 def from_mjcf(source: str | PathLike[str] | bytes | IO[Any], bodies: str | Sequence[str] = "*") -> tuple[Object, ...]:
-    """Objects of an MJCF file: its bodies with a free joint, by their names.
+    """Objects of an MJCF file: its bodies with a free joint, with their names, masses [kg] and inertias [kg m^2].
 
     Each has one geom that touches, a box, a sphere, a capsule or a cylinder, whose centre is the centre of mass and
     whose axes are principal axes of the inertia. They are those of the object, whatever the body's own are. The inertia
@@ -299,7 +299,7 @@ def from_mjcf(source: str | PathLike[str] | bytes | IO[Any], bodies: str | Seque
 
 
 def from_urdf(source: str | PathLike[str] | bytes | IO[Any]) -> Object:
-    """Object of a URDF file without moving joints, by the name of its robot.
+    """Object of a URDF file without moving joints: the name of its robot, its mass [kg] and its inertia [kg m^2].
 
     It has one collision element, as a body of `from_mjcf` has one geom.
 
@@ -323,8 +323,10 @@ def from_urdf(source: str | PathLike[str] | bytes | IO[Any]) -> Object:
                 "read it by Robot.from_urdf, or make these joints fixed"
             )
         body = RigidBody(*(x.tolist() for x in (robot.base_mass, robot.base_com, robot.base_inertia)))  # type: ignore[union-attr]
-        own = ((frame, frame.X_BF.tolist()) for frame in robot.frames)
-        shapes = [x._replace(X_FS=dq.mul((X[:4], X[4:]), x.X_FS)) for frame, X in own for x in frame.shapes]
+        own = ((frame, tuple(frame.X_BF.tolist())) for frame in robot.frames)
+        shapes = [
+            x._replace(X_FS=dq.mul((tuple(X[:4]), tuple(X[4:])), x.X_FS)) for frame, X in own for x in frame.shapes
+        ]
         return _object(robot.name, body, shapes)
 
 

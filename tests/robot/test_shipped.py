@@ -17,7 +17,8 @@ from places import DATA
 from robots import ARMS, F64, matrices, row, same, states, torques, two
 
 import torchdq
-from torchdq import Robot, UnknownNameError, dq
+from torchdq import Robot, Scene, UnknownNameError, dq
+from torchdq.objects import Box
 
 SHIPPED = torchdq.robots.names()
 
@@ -191,6 +192,8 @@ def test_the_hand_of_the_panda_opens_by_both_fingers_and_has_pads():
     assert same((hand.inverse() @ tcp)[:3, 3], [0.0, 0.0, 0.1034], 1e-13)
     points = robot.contact_points("*_finger")
     assert [p.frame for p in points] == ["left_finger"] * 4 + ["right_finger"] * 4
+    grip, cube = torchdq.effects.Contact(("*_finger",), on="cube"), Box("cube", 0.1, size=(0.04, 0.04, 0.04))
+    assert Scene(robot, (grip,), objects=(cube,), dt=5e-3).touching == [(p.frame, "cube") for p in points]
     # those of a closed hand end 1.5 mm before its middle, as the largest pads of the file do
     closed = [matrices(robot, [0.0] * 8, name) for name in ("hand", "left_finger", "right_finger")]
     at = [(closed[0].inverse() @ closed[1 + (k > 3)] @ row(*p.center, 1.0))[:3] for k, p in enumerate(points)]

@@ -468,9 +468,14 @@ def urdf(com="0.1 0 0", ixx="2e-4", ixy="0", shape=LYING, more=""):
     return f'<robot name="block"><link name="base">{body}{shape}</link>{more}</robot>'
 
 
+STAND = """<link name="stand"/><joint name="j" type="fixed"><origin xyz="1 2 3" rpy="0.1 0.2 0.3"/>
+<parent link="stand"/><child link="base"/></joint>"""
+
+
 def test_an_object_of_a_urdf_file_has_the_axes_of_its_shape():
     """The file prints 0.6 (0.02^2 + 0.08^2) / 12 and the like, in axes that are turned by a quarter."""
     assert from_urdf(urdf()) == Box("block", 0.6, size=(0.06, 0.02, 0.08))
+    assert from_urdf(urdf(more=STAND)) == from_urdf(urdf())
     heavier = from_urdf(urdf(ixx="2.1e-4"))
     assert heavier.inertia == pytest.approx((3.4e-4, 5e-4, 2.1e-4))
 

@@ -143,7 +143,7 @@ class WithFreeBodies(NamedTuple):
 
     def torques(self, v: Row | None, vd: Row | None, exerted: Exerted | None) -> list[Number]:
         """Generalised forces of a motion."""
-        n, found = self._nv, []
+        n, found = self._nv, list[Number]()
         for k, body in enumerate(self.free):
             (w, u), (wd, ud) = ((quat.ZERO, quat.ZERO) if x is None else self._own(x)[k] for x in (v, vd))
             weight = quat.ZERO if self.gravity is None else body.to_own(self.gravity)
@@ -172,8 +172,8 @@ class WithFreeBodies(NamedTuple):
             whole = Articulated.rigid(body.inertia)
             for K in of.values():
                 whole = whole.plus(K)
-            for i, row in enumerate(_square(whole)):
-                for k, x in enumerate(row[: i + 1]):
+            for i, own in enumerate(_square(whole)):
+                for k, x in enumerate(own[: i + 1]):
                     if not (isinstance(x, float) and x == 0):
                         plus(first + i, first + k, x)
             groups = _groups({a: self.seen[o, a].columns for a in of if a is not None})
@@ -226,9 +226,9 @@ class WithFreeBodies(NamedTuple):
 
     def potential_energy(self) -> Number:
         """Potential energy of gravity."""
-        energy = self.robot.potential_energy()
-        for body in self.free if self.gravity is not None else ():
-            energy = energy - body.mass * quat.dot(self.gravity, dq.translation(body.X_WO))
+        energy, g = self.robot.potential_energy(), self.gravity or quat.ZERO
+        for body in self.free:
+            energy = energy - body.mass * quat.dot(g, dq.translation(body.X_WO))
         return energy
 
 
