@@ -12,7 +12,8 @@ from torchdq.envs.vector_env import RobotVectorEnv
 
 __all__ = ["Absolute", "Actions", "Pushes", "RobotEnv", "RobotVectorEnv", "Simulation", "TorchTask"]
 
-for _task, _steps in {"Reach": 250, "Track": 250, "Walk": 1000, "Wipe": 250}.items():
+_STEPS = {"Reach": 250, "Track": 250, "Walk": 1000, "Wipe": 250, "Push": 50, "Lift": 50, "Pick": 50}
+for _task, _steps in _STEPS.items():
     register(
         f"torchdq/{_task}-v0",
         entry_point="torchdq.envs.env:RobotEnv",

@@ -10,6 +10,7 @@
     "gravity"           factor of every component of `Gravity.acceleration`             1 - x to 1 + x
     "gains"             factor of every gain of the controller                          1 - x to 1 + x
     "Effect.parameter"  factor of every number of that parameter of an effect           1 - x to 1 + x
+    "object.parameter"  the same of an object, called by its name                       1 - x to 1 + x
     "com"               shift of every coordinate of the links' centres of mass [m]     -x to x
     "payload"           mass held by the end effector [kg]                              0 to x
     "delay"             delay of commanded torques [time steps], whole or not           0 to x
@@ -48,9 +49,10 @@ from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions import signature
 from torchdq.functions.parametric import Parameter
 from torchdq.numbers.functions import absolute, maximum
+from torchdq.objects import Object
 from torchdq.robot.fields import trailing
 from torchdq.scene.scene import Scene
-from torchdq.scene.spec import CONTROLLER, ROBOT
+from torchdq.scene.spec import CONTROLLER, OBJECTS, ROBOT
 
 
 @dataclass(frozen=True)
@@ -242,13 +244,18 @@ def _require_known(scene: Scene, randomise: Any) -> None:
 
 
 def _parts(scene: Scene) -> dict[int, Any]:
-    """Controller and effects by their owner's number."""
-    return {**({} if scene.controller is None else {CONTROLLER: scene.controller}), **dict(enumerate(scene.effects))}
+    """Controller, objects and effects by their owner's number."""
+    own = {} if scene.controller is None else {CONTROLLER: scene.controller}
+    objects = {OBJECTS - k: body for k, body in enumerate(scene.objects)}
+    return {**own, **objects, **dict(enumerate(scene.effects))}
 
 
 def _parameters(parts: Mapping[int, Any]) -> dict[str, Owned]:
-    """Every parameter of parts by "Class.parameter", or by "Class.0.parameter" where several are of that class."""
-    kinds = [type(part).__name__ for part in parts.values()]
+    """Every parameter of parts by "Class.parameter", or by "Class.0.parameter" where several are of that class.
+
+    An object is called by its own name.
+    """
+    kinds = [part.name if isinstance(part, Object) else type(part).__name__ for part in parts.values()]
     number, before, found = Counter(kinds), Counter[str](), dict[str, Owned]()
     for kind, (owner, part) in zip(kinds, parts.items(), strict=True):
         label = f"{kind}.{before[kind]}" if number[kind] > 1 else kind
@@ -265,7 +272,7 @@ def _targets(scene: Scene, own: Sequence[int], name: str) -> list[list[Owned]]:
     """
     parts = _parts(scene)
     if "." in name:
-        return [[_parameters({i: part for i, part in parts.items() if i == CONTROLLER or i in own})[name]]]
+        return [[_parameters({i: part for i, part in parts.items() if i < 0 or i in own})[name]]]
     if name == "com":
         return [[(ROBOT, "com")]]
     if name == "friction":

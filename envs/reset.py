@@ -23,6 +23,7 @@ from torchdq.robot import Robot
 from torchdq.scene.defaults import mean_robot
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
+from torchdq.scene.spec import OBJECTS
 
 KEPT = ("observation", "reference", "carry")  # rows of a task that an environment keeps from step to step
 SPARE = "spare "  # before the name of a push: that which follows it, drawn ahead
@@ -121,7 +122,11 @@ def _of_rows(scene: Scene, rows: SomeRows) -> Scene:
         replace(effect.of_rows(chosen), **{name: parameters[f"{i}.{name}"] for name in effect.tensors()})
         for i, effect in enumerate(scene.effects)
     ]
-    for name, value in {"parameters": parameters, "effects": tuple(effects)}.items():
+    objects = [
+        replace(body, **{name: parameters[f"{OBJECTS - k}.{name}"] for name in body.tensors()})
+        for k, body in enumerate(scene.objects)
+    ]
+    for name, value in {"parameters": parameters, "effects": tuple(effects), "objects": tuple(objects)}.items():
         object.__setattr__(found, name, value)  # without the checks of a new scene, which take a millisecond
     return found
 

@@ -37,7 +37,8 @@ class Simulation:
     """Settings of the simulation of environments.
 
     Args:
-        dt: duration of a step of an environment, over which an action is constant [s].
+        dt: duration of a step of an environment, over which an action is constant [s]; None: 0.02 s, unless the task
+            says otherwise.
         substeps: steps of the integrator within it; None: 2, unless the task says otherwise.
         integrator: method of `torchdq.scene.integrators`; None: `LinearlyImplicit()`, which stays stable with stiff
             friction and limits.
@@ -47,7 +48,7 @@ class Simulation:
     >>> envs = RobotVectorEnv(64, "reach", "panda", simulation=Simulation(dt=0.01, substeps=1))
     """
 
-    dt: float = 0.02
+    dt: float | None = None
     substeps: int | None = None
     integrator: Integrator | None = None
     backend: BackendName | None = None
@@ -78,16 +79,19 @@ def setup(
     own = ROBOT if isinstance(task, TorchTask) else getattr(task_of(task), "ROBOT", ROBOT)
     robot = _robot_of(own if robot is None else robot)
     known = described(task, robot)
-    given = {"effects": effects, "substeps": timing.substeps, "randomise": randomise, "pushes": pushes}
+    given = {"effects": effects, "dt": timing.dt, "substeps": timing.substeps}
+    given |= {"randomise": randomise, "pushes": pushes}
     chosen: dict[str, Any] = dict(known.defaults(mean_robot(robot))) if effects is None else {}
     chosen |= {name: x for name, x in given.items() if x is not None}
     scene = Scene(
         robot,
         chosen["effects"] if "effects" in chosen else default_effects(robot),
         integrator=timing.integrator or LinearlyImplicit(),
-        dt=timing.dt,
+        dt=chosen.get("dt", 0.02),
         substeps=chosen.get("substeps", 2),
         backend=timing.backend,
+        unroll=chosen.get("unroll"),
+        objects=known.objects(mean_robot(robot)),
     )
     scene = scene.replace(robot=_within_limits(scene))
     actions = action if isinstance(action, Actions) else Actions(action)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
 
+from torchdq.envs.manipulation import Lift, Pick, Push
 from torchdq.envs.tasks import EpisodeTask, Reach, Track
 from torchdq.envs.walk import Walk
 from torchdq.envs.wipe import Wipe
 from torchdq.errors import ArgumentError, UnknownNameError
 
 TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track(), "walk": Walk(), "wipe": Wipe()}
+TASKS |= {"push": Push(), "lift": Lift(), "pick": Pick()}
 
 
 def task_of(task: str | EpisodeTask) -> EpisodeTask:

@@ -32,6 +32,7 @@ from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.posed import frame, posed
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.numbers.record import Recorded
+from torchdq.objects import Object
 from torchdq.program.program import GROWTH
 from torchdq.robot import Robot
 from torchdq.scene.free_base import POSE, START, TWIST
@@ -48,7 +49,7 @@ CLOSE = 0.05  # distance at which half of the bonus is earned [m]
 TIGHT = 0.1  # root mean square error at which half of the reward is earned [rad or m]
 HIGHEST = 2.0  # largest rate of the sinusoids of a reference [rad/s]
 SENSIBLE = 1e6  # bound of velocities and rewards; beyond it the simulation has failed
-STATE = ("q", "qd", "X_WB", "V_WB_B", "memory", "reading")
+STATE = ("q", "qd", "X_WB", "V_WB_B", "poses", "twists", "memory", "reading")
 RESERVED = (*STATE, "valid", GROWTH, "clipped", "nonfinite", "final_obs", "final_info")
 
 
@@ -74,11 +75,16 @@ class EpisodeTask(Task, Protocol):
     ROBOT: ClassVar[str] = ROBOT  # of environments that are given none
 
     def defaults(self, robot: Robot) -> Mapping[str, Any]:
-        """Arguments of environments whose effects are not given: `effects`, `scale`, `substeps`, `randomise`, `pushes`.
+        """Arguments of environments whose effects are not given.
 
-        Each may be left out, and is replaced by one that is given. The scale is that of the default `action`.
+        They are `effects`, `scale`, `dt`, `substeps`, `unroll`, `randomise` and `pushes`. Each may be left out, and is
+        replaced by one that is given. The scale is that of the default `action`.
         """
         return {}
+
+    def objects(self, robot: Robot) -> Sequence[Object]:
+        """Objects of the scene."""
+        return ()
 
     def described(self, robot: Robot) -> EpisodeTask:
         """The task with what it takes from a robot, such as the number of its feet."""
@@ -92,9 +98,10 @@ class EpisodeTask(Task, Protocol):
         return ()
 
     def start(self, robot: Robot, u: Row) -> Rows:
-        """Rows "q", "qd" and "goal" of these random numbers, and of a floating base "X_WB" and "V_WB_B".
+        """Rows "q", "qd" and "goal" of these random numbers, and others where there is something that floats.
 
-        A base whose pose and twist are left out starts at the origin and at rest.
+        They are "X_WB" and "V_WB_B" of a floating base, and "poses" [8 objects] and "twists" [6 objects] of objects.
+        What is left out starts at the origin and at rest.
         """
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
@@ -296,7 +303,10 @@ class Checked:
     def start(self, robot: Robot, u: Row) -> Rows:
         """Rows of the task at a start."""
         widths = {"q": robot.n, "qd": robot.n, "goal": self.inputs(robot.n)["goal"]}
-        base = {"X_WB": START, "V_WB_B": (0.0,) * TWIST} if robot.floating else {}
+        base: Rows = {"X_WB": START, "V_WB_B": (0.0,) * TWIST} if robot.floating else {}
+        if k := len(self.task.objects(robot)):
+            base |= {"poses": START * k, "twists": (0.0,) * TWIST * k}
+            widths |= {"poses": POSE * k, "twists": TWIST * k}
         found = self.task.start(robot, u)
         rows = self._rows("start", {**base, **found} if isinstance(found, Mapping) else found, widths)
         for name in rows:
@@ -311,7 +321,9 @@ class Checked:
         widths |= {name: width for name, width in self.inputs(robot.n).items() if name == "carry"}
         rows = self._rows("rows", self.task.rows(view), widths)
         # NaN and infinity survive sums; positions follow the velocities
-        squares = [x * x for x in (*view.qd, *view.V_WB_B, *rows["reward"], sum(rows["observation"], 0.0))]
+        squares = [
+            x * x for x in (*view.qd, *view.V_WB_B, *view.twists, *rows["reward"], sum(rows["observation"], 0.0))
+        ]
         followed = {} if self.pose is None else {"reference": self.pose.reference(view)}
         return {**rows, **followed, "valid": [at_least(SENSIBLE**2, sum(squares, 0.0))]}
 

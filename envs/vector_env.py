@@ -73,7 +73,7 @@ class RobotVectorEnv(VectorEnv):
         effects: effects of the scene; None: those of the task, or `torchdq.scene.defaults.default_effects(robot)`.
         action: what an action means, "reference", "target", "torque", "residual" or "pose", or an
             `torchdq.envs.Actions` with further settings; None: the default that `Actions` describes.
-        simulation: time step, integrator and backend, `torchdq.envs.Simulation`; None: steps of 0.02 s.
+        simulation: time step, integrator and backend, `torchdq.envs.Simulation`; None: those of the task, or 0.02 s.
         max_episode_steps: steps after which an episode is truncated; None: never.
         randomise: parameters drawn for every episode, such as {"mass": 0.1, "gravity": (0.9, 1.1), "payload": 2.0};
             fractions, ranges, distributions or `Absolute` ranges, see `torchdq.envs.randomization`.

@@ -241,13 +241,13 @@ class Walk(EpisodeTask):
     def _touching(self, view: View) -> tuple[list[Number], list[Number]]:
         """Whether each foot touches the ground, 1 or 0, and whether each other point of the contacts does."""
         feet, others = {point.frame: 0.0 for point in self._feet(view.scene.spec.robot)}, []
-        points = [point for _, effect in view.scene.spec.of(effects.Contact) for point in effect.points]
-        if missing := sorted(feet.keys() - {point.frame for point in points}):
+        touching = view.scene.spec.touching
+        if missing := sorted(feet.keys() - {frame for frame, _ in touching}):
             found = f"found none of {', '.join(missing)}; add effects.Contact({missing!r})"
             raise ArgumentError(f"effects of Walk must hold a Contact of every foot, {found}")
-        for point, contact in zip(points, view.contacts, strict=True):
-            if point.frame in feet:
-                feet[point.frame] = maximum(feet[point.frame], contact.touching)
+        for (frame, _), contact in zip(touching, view.contacts, strict=True):
+            if frame in feet:
+                feet[frame] = maximum(feet[frame], contact.touching)
             else:
                 others.append(contact.touching)
         return list(feet.values()), others

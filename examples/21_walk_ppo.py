@@ -35,7 +35,7 @@ from torchdq import Robot
 from torchdq.envs import Pushes, RobotVectorEnv
 from torchdq.envs.walk import Walk
 
-HORIZON, LAMBDA, CLIP = 24, 0.95, 0.2  # steps of a rollout
+HORIZON, CLIP = 24, 0.2  # steps of a rollout
 FASTEST, SLOWEST = 1e-2, 1e-5  # bounds of the learning rate
 UNIT = 1 / 6  # output of the policy as an action
 GROUP = 32  # robots with random numbers of their own, so that those do not depend on the number of processes
@@ -95,6 +95,7 @@ class Settings:
     value_epochs: int = 1  # passes that learn the values as well
     parts: int = 8  # of a pass
     gamma: float = 0.99
+    decay: float = 0.95  # of later advantages
     entropy: float = 0.003  # weight of the entropy
     change: float = 0.01  # desired change of the policy in an update
     std: float = 0.8  # first standard deviation of the policy's outputs
@@ -176,7 +177,7 @@ class PPO:
         value = torch.stack([policy.value(x) for x in found.observations])
         advantages, advantage = [], torch.zeros_like(reward[0])
         for t in reversed(range(HORIZON)):
-            advantage = reward[t] + settings.gamma * going[t] * (value[t + 1] + LAMBDA * advantage) - value[t]
+            advantage = reward[t] + settings.gamma * going[t] * (value[t + 1] + settings.decay * advantage) - value[t]
             advantages.append(advantage)
         advantage = torch.stack(advantages[::-1])
         returns = advantage + value[:-1]

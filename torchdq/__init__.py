@@ -31,6 +31,7 @@ Functions of a robot, batched and differentiable to any order:
     kinetic_energy, potential_energy
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
     jacobian                twist of a frame from joint velocities
+    distances               distances of spheres from objects, the ground and each other, to keep clear of them
     external_wrenches       wrenches on the links, of wrenches at frames
     computed_torque         torques of a tracking controller
     frame_motion            pose, twist and acceleration of a frame
@@ -62,6 +63,7 @@ Tensors, other libraries, checks:
 Simulation and learning:
     Scene                   a robot with the effects, the integrator and the step size of its simulation
     effects                 gravity, friction, motors, sensors, contact and others
+    objects                 boxes, balls and other loose bodies, which robots push and grasp
     scene                   scene.integrators, scene.controllers, scene.policies, scene.State
     envs                    gymnasium environments
     learning                logs, identification, training of residuals
@@ -71,7 +73,7 @@ Errors derive from TorchdqError and from the built-in error that a caller would 
 
 from typing import TYPE_CHECKING
 
-from torchdq import convert, dq, effects, floating, nn
+from torchdq import convert, dq, effects, floating, nn, objects
 from torchdq.backends.choice import backend
 from torchdq.base.caches import clear_caches
 from torchdq.errors import (
@@ -91,6 +93,7 @@ from torchdq.errors import no_attribute as _no_attribute
 from torchdq.functional import (
     closed_form,
     computed_torque,
+    distances,
     dynamics_jacobian,
     error_growth,
     external_wrenches,
@@ -151,6 +154,7 @@ __all__ = [
     "convert",
     "coriolis_matrix",
     "differential_inverse_kinematics",
+    "distances",
     "dq",
     "dynamics_jacobian",
     "effects",
@@ -169,6 +173,7 @@ __all__ = [
     "manipulability",
     "mass_matrix",
     "nn",
+    "objects",
     "operational_space",
     "operational_space_control",
     "potential_energy",

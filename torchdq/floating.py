@@ -14,18 +14,22 @@ X_WB xi / 2. `torchdq.convert` has converters from and to the configurations of 
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.functions.call import Precision, function_of, of_one_frame, on_links, poses
+from torchdq.functional import Distances
+from torchdq.functions.call import Precision, function_of, of_one_frame, of_pairs, on_links, poses
+from torchdq.objects import Object, resolved
+from torchdq.program.transforms import outside_of_graphs
 from torchdq.robot import Robot
 
 __all__ = [
     "centre_of_mass",
     "closed_form",
     "coriolis_matrix",
+    "distances",
     "error_growth",
     "external_wrenches",
     "forward_dynamics",
@@ -424,3 +428,32 @@ def external_wrenches(
     """
     given = {"X_WB": X_WB, "q": q}
     return ExternalWrenches(*on_links("floating.external_wrenches", robot, given, wrenches, expressed, backend))
+
+
+@outside_of_graphs
+def distances(
+    robot: Robot,
+    X_WB: Tensor,
+    q: Tensor,
+    points: Any = None,
+    objects: Sequence[Object] = (),
+    X_WO: Tensor | None = None,
+    height: Tensor | float | None = None,
+    normal: Tensor | None = None,
+    own: bool = False,
+    backend: BackendName | None = None,
+) -> Distances:
+    """Signed distances [..., pairs] of spheres of a robot from objects, from the ground, and from each other.
+
+    Args:
+        robot, X_WB, q: as in `inverse_dynamics`.
+        points, objects, X_WO, height, normal, own: as in `torchdq.distances`; poses and the ground are in the world.
+
+    >>> import torch, torchdq
+    >>> at = distances(torchdq.robots.load("go2"), torch.eye(8)[0], torch.zeros(12), "F?_foot", height=-0.5)
+    >>> at.pairs
+    (('FL_foot', 'ground'), ('FR_foot', 'ground'))
+    """
+    given = {"X_WB": X_WB, "q": q, "X_WO": X_WO, "height": height, "normal": normal}
+    of = (points, resolved(objects, robot), own)
+    return Distances(*of_pairs("floating.distances", robot, given, of, backend))

@@ -13,19 +13,22 @@ each with that of the base before it.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_finite
 from torchdq.control.joints import ComputedTorque
-from torchdq.functions.call import Precision, function_of, of_one_frame, on_links, poses, with_options
+from torchdq.functions.call import Precision, function_of, of_one_frame, of_pairs, on_links, poses, with_options
+from torchdq.objects import Object, resolved
+from torchdq.program.transforms import outside_of_graphs
 from torchdq.robot import Robot
 
 __all__ = [
     "closed_form",
     "computed_torque",
+    "distances",
     "dynamics_jacobian",
     "error_growth",
     "external_wrenches",
@@ -338,6 +341,59 @@ def external_wrenches(
     tensor([20., 10.])
     """
     return on_links("external_wrenches", robot, {"q": q}, wrenches, expressed, backend)[0]
+
+
+class Distances(NamedTuple):
+    """Signed distances of spheres of a robot, and what each is between."""
+
+    distance: Tensor  # negative where they overlap, [..., pairs] [m]
+    pairs: tuple[tuple[str, str], ...]  # frame of the sphere, and object, "ground" or frame of the other sphere
+
+
+@outside_of_graphs
+def distances(
+    robot: Robot,
+    q: Tensor,
+    points: Any = None,
+    objects: Sequence[Object] = (),
+    X_WO: Tensor | None = None,
+    height: Tensor | float | None = None,
+    normal: Tensor | None = None,
+    own: bool = False,
+    backend: BackendName | None = None,
+) -> Distances:
+    """Signed distances [..., pairs] of spheres of a robot from objects, from the ground, and from each other.
+
+    They are exact outside and inside, where that from the nearest face counts, so that their gradients lead out. Where
+    two faces or edges are equally near, the gradient jumps. Pairs are in the order of things: every object with all
+    spheres, the ground with all spheres, and spheres on different links.
+
+    Args:
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
+        points: the spheres, as in `effects.Contact`: names or patterns of frames, with the points of
+            `robot.contact_points`, or the origin of the frame if the file has none; or `torchdq.robot.ContactPoint`
+            objects; None: the origin of the end effector.
+        objects: those of `torchdq.objects`; their sizes may be tensors, and have gradients.
+        X_WO: poses of the objects in the base frame, shape [..., objects, 8]; None: at the origin.
+        height: height of the ground along its normal [m], a number or [...]; None: there is no ground.
+        normal: unit normal of the ground, shape [..., 3]; None: the z axis.
+        own: whether there are distances between spheres on different links, neighbours too.
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.1, 0.2])
+    >>> box = torchdq.objects.Box("box", mass=1.0, size=(1.0, 1.0, 1.0))
+    >>> X_WO = torchdq.dq.from_pose(torch.eye(4)[0], torch.tensor([2.0, 0.6, 0.0]))[None]
+    >>> distances(robot, q, "tip", (box,), X_WO)
+    Distances(distance=tensor([-0.2954]), pairs=(('tip', 'box'),))
+    >>> def depth(q):
+    ...     return distances(robot, q, "tip", (box,), X_WO).distance.clamp(max=0.01).sub(0.01).square().sum()
+    >>> for _ in range(10):
+    ...     q = q - 0.1 * torch.func.grad(depth)(q)
+    >>> distances(robot, q, "tip", (box,), X_WO).distance > 0
+    tensor([True])
+    """
+    given = {"q": q, "X_WO": X_WO, "height": height, "normal": normal}
+    return Distances(*of_pairs("distances", robot, given, (points, resolved(objects, robot), own), backend))
 
 
 # --- control ---------------------------------------------------------------------------------------------------------

@@ -32,6 +32,7 @@ N = 2
 FIELDS = ("mass", "com", "inertia", "gravity", "armature", "home", "X_PB_home", "screw")
 LAWS = {getattr(controllers, name).named(): getattr(controllers, name) for name in controllers.__all__ if name != "Law"}
 OPTIONS = {"axes": ("x", "y"), "frame": "tip"}  # of a planar arm
+OPTIONS |= {"points": "tip", "objects": (torchdq.objects.Ball("ball", 1.0, radius=0.1),), "own": False}
 NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend", "clear_caches", "recommend_settings"}
 NOT_DYNAMICS |= {
     "external_wrenches",
@@ -49,7 +50,8 @@ def fields_of(key):
     """Fields of a function that are arguments of its face, by name."""
     if key not in LAWS:
         options = [field for field in RECIPES[key].options if field.name == "expressed"]
-        return {field.name: field for field in (*RECIPES[key].arguments, *options)}
+        known = [field for field in RECIPES[key].arguments if field.name != "sizes"]  # which objects have
+        return {field.name: field for field in (*known, *options)}
     law = LAWS[key]
     goal = [Field(name, axes, name in law.OPTIONAL) for name, axes in law.GOAL.items()]
     wrenches, own = [Field(name, (6,), optional=True) for name in law.WRENCHES], {**law.PARAMETERS, **law.OPTIONS}
@@ -83,7 +85,7 @@ def floating_arm():
 
 def tensors(key, batch=(3,)):
     """Inputs of a function, and those parameters of a law that are rows of joints."""
-    g, sizes = torch.Generator().manual_seed(0), {**robot_of(key).sizes, "axes": 2}
+    g, sizes = torch.Generator().manual_seed(0), {**robot_of(key).sizes, "axes": 2, "objects": 1}
     kept = {name: field for name, field in fields_of(key).items() if field.kind == "input" or name == "q_null"}
     return {name: torch.randn(*batch, *trailing(x.axes, sizes), dtype=F64, generator=g) for name, x in kept.items()}
 
@@ -98,7 +100,7 @@ def call(key, robot, arguments):
         if x.default is x.empty and name in getattr(LAWS.get(key), "PARAMETERS", ())
     }
     result = face(key)(robot, **{**options, **gains, **arguments})
-    return (result,) if isinstance(result, torch.Tensor) else tuple(x for x in result if x is not None)
+    return (result,) if isinstance(result, torch.Tensor) else tuple(x for x in result if isinstance(x, torch.Tensor))
 
 
 def require_named(error, parts, function, *arguments, **named):

@@ -123,6 +123,7 @@ def public():
         "torchdq.convert": torchdq.convert,
         "torchdq.dq": torchdq.dq,
         "torchdq.learning": torchdq.learning,
+        "torchdq.objects": torchdq.objects,
         "torchdq.nn": torchdq.nn,
         "torchdq.functional": torchdq.functional,
         "torchdq.floating": torchdq.floating,

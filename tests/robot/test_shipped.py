@@ -5,17 +5,20 @@ Evidence: textbook equations, published numbers, and description files of two ar
 
 import math
 
+import mujoco
 import numpy as np
 import pytest
 import torch
 from helpers import all_in_one
 from messages import refused
+from oracles import states as random_states
 from oracles import urdf_paths
 from places import DATA
 from robots import ARMS, F64, matrices, row, same, states, torques, two
 
 import torchdq
-from torchdq import Robot, UnknownNameError, dq
+from torchdq import Robot, Scene, UnknownNameError, dq
+from torchdq.objects import Box
 
 SHIPPED = torchdq.robots.names()
 
@@ -32,7 +35,7 @@ def test_a_shipped_robot_is_physical(name):
     if name in ARMS:
         assert bool((torch.linalg.eigvalsh(torchdq.mass_matrix(robot, states(robot.n)[0])) > 0).all())
     if name != "puma560":
-        assert robot.floating or robot.notes == ()
+        assert robot.floating or {note.severity for note in robot.notes} <= {"note"}
         robot.check()
         robot.to(torch.float32).check()
 
@@ -117,6 +120,85 @@ def test_go2_is_the_robot_of_its_file():
     heads = 0.001 * row(0.285, 0, 0.01) + 0.001 * row(0.293, 0, -0.06)
     assert same(robot.base_mass, described.base_mass + 0.002)
     assert same(robot.base_mass * robot.base_com, described.base_mass * described.base_com + heads)
+
+
+# Panda with its hand: MuJoCo, with the numbers of franka_emika_panda/panda.xml of its Menagerie
+
+
+PANDA_LINKS = """
+0 0 0.333 | 1 0 0 0 | 4.970684 | 0.003875 0.002081 -0.04762
+0 0 0 | 1 -1 0 0 | 0.646926 | -0.003141 -0.02872 0.003495
+0 -0.316 0 | 1 1 0 0 | 3.228604 | 2.7518e-2 3.9252e-2 -6.6502e-2
+0.0825 0 0 | 1 1 0 0 | 3.587895 | -5.317e-2 1.04419e-1 2.7454e-2
+-0.0825 0.384 0 | 1 -1 0 0 | 1.225946 | -1.1953e-2 4.1065e-2 -3.8437e-2
+0 0 0 | 1 1 0 0 | 1.666555 | 6.0149e-2 -1.4117e-2 -1.0517e-2
+0.088 0 0 | 1 1 0 0 | 7.35522e-01 | 1.0517e-2 -4.252e-3 6.1597e-2
+"""  # at | turned by | mass | centre
+PANDA_INERTIAS = """
+0.70337 0.70661 0.0091170 -0.00013900 0.0067720 0.019169
+0.0079620 2.8110e-2 2.5995e-2 -3.925e-3 1.0254e-2 7.04e-4
+3.7242e-2 3.6155e-2 1.083e-2 -4.761e-3 -1.1396e-2 -1.2805e-2
+2.5853e-2 1.9552e-2 2.8323e-2 7.796e-3 -1.332e-3 8.641e-3
+3.5549e-2 2.9474e-2 8.627e-3 -2.117e-3 -4.037e-3 2.29e-4
+1.964e-3 4.354e-3 5.433e-3 1.09e-4 -1.158e-3 3.41e-4
+1.2516e-2 1.0027e-2 4.815e-3 -4.28e-4 -1.196e-3 -7.41e-4
+"""  # xx yy zz xy xz yz
+FINGER = """<body name="{}_finger" pos="0 0 0.0584" quat="{}"><joint type="slide" axis="0 1 0" armature="0.1"/>
+<inertial mass="0.015" pos="0 0 0" diaginertia="2.375e-6 2.375e-6 7.5e-7"/></body>"""
+
+
+def panda_hand_mjcf():
+    text = '<body name="hand" pos="0 0 0.107" euler="0 0 -45">'
+    text += '<inertial mass="0.73" pos="-0.01 0 0.03" diaginertia="0.001 0.0025 0.0017"/>'
+    text += FINGER.format("left", "1 0 0 0") + FINGER.format("right", "0 0 0 1") + "</body>"
+    links, inertias = (table.strip().splitlines() for table in (PANDA_LINKS, PANDA_INERTIAS))
+    for i in range(7, 0, -1):
+        at, turned, mass, com = links[i - 1].split(" | ")
+        body = f'<inertial mass="{mass}" pos="{com}" fullinertia="{inertias[i - 1]}"/>'
+        body += '<joint axis="0 0 1" armature="0.1"/>'
+        text = f'<body name="link{i}" pos="{at}" quat="{turned}">{body}{text}</body>'
+    return f"<mujoco><worldbody>{text}</worldbody></mujoco>"
+
+
+def test_panda_with_its_hand_is_that_of_mujoco():
+    """Its last coordinate moves both fingers."""
+    robot, model = torchdq.robots.load("panda_hand"), mujoco.MjModel.from_xml_string(panda_hand_mjcf())
+    data, S, M = mujoco.MjData(model), np.eye(9, 8), np.zeros((9, 9))
+    S[8, 7] = 1.0
+    for q, qd, qdd, *_ in random_states(robot).rows():
+        data.qpos[:], data.qvel[:] = S @ q, S @ qd
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, M)
+        found = (torch.from_numpy(x) for x in (q, qd, qdd))
+        assert same(torchdq.mass_matrix(robot, torch.from_numpy(q)), S.T @ M @ S, 1e-12)
+        assert same(torchdq.inverse_dynamics(robot, *found), S.T @ (M @ S @ qdd + data.qfrc_bias), 1e-11)
+        for name in [*robot.link_names, "hand"]:
+            body, T = data.body(name), matrices(robot, q, name)
+            assert same(T[:3, 3], body.xpos, 1e-13) and same(T[:3, :3], body.xmat.reshape(3, 3), 1e-13)
+
+
+def test_the_hand_of_the_panda_opens_by_both_fingers_and_has_pads():
+    robot = torchdq.robots.load("panda_hand")
+    assert robot.joint_names == (*(f"joint{i}" for i in range(1, 8)), "finger_joint1")
+    assert robot.tip == "tcp" and robot.frame_names[0] == "link0"
+    assert [x[-1].item() for x in robot.limits] == [0.0, 0.04, 0.2, 100.0]
+    for ours, theirs in zip(robot.limits, torchdq.robots.load("panda").limits, strict=True):
+        assert torch.equal(ours[:7], theirs)
+    assert robot.damping.tolist() == [1.0] * 7 + [2.0]
+    q = [*states(7)[0][0].tolist(), 0.03]
+    hand, left, right, tcp = (matrices(robot, q, name) for name in ("hand", "left_finger", "right_finger", "tcp"))
+    for finger, side in ((left, 1.0), (right, -1.0)):
+        assert same((hand.inverse() @ finger)[:3, 3], [0.0, side * 0.03, 0.0584], 1e-13)
+    assert same((hand.inverse() @ tcp)[:3, 3], [0.0, 0.0, 0.1034], 1e-13)
+    points = robot.contact_points("*_finger")
+    assert [p.frame for p in points] == ["left_finger"] * 4 + ["right_finger"] * 4
+    grip, cube = torchdq.effects.Contact(("*_finger",), on="cube"), Box("cube", 0.1, size=(0.04, 0.04, 0.04))
+    assert Scene(robot, (grip,), objects=(cube,), dt=5e-3).touching == [(p.frame, "cube") for p in points]
+    # those of a closed hand end 1.5 mm before its middle, as the largest pads of the file do
+    closed = [matrices(robot, [0.0] * 8, name) for name in ("hand", "left_finger", "right_finger")]
+    at = [(closed[0].inverse() @ closed[1 + (k > 3)] @ row(*p.center, 1.0))[:3] for k, p in enumerate(points)]
+    assert all(same(abs(p[1]) - points[0].radius, 0.0015, 1e-12) for p in at)
+    assert {tuple(p.sign().tolist()) for p in at} == {(x, y, 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)}
 
 
 # Panda and UR10e: description files that others wrote

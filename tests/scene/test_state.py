@@ -82,7 +82,7 @@ def test_states_are_named_tuples_with_what_is_needed():
     after = scene.step(state, **inputs_of(scene, 4))
     for found in (state, after):
         assert isinstance(found, tuple)
-        assert found._fields == ("q", "qd", "memory", "reading", "X_WB", "V_WB_B")
+        assert found._fields == ("q", "qd", "memory", "reading", "X_WB", "V_WB_B", "poses", "twists")
         assert [tuple(x.shape) for x in found.rows().values()] == [(4, 2), (4, 2), (4, 2 + 8 + 8), (4, 4)]
     assert equal(after.measured, after.reading.split(2, -1))
     bare = Scene(ARM).start(random(4, 2))

@@ -10,12 +10,13 @@ from places import BENCHMARKS
 from robots import on_free_base as free
 
 import torchdq
-from torchdq import Scene, effects
+from torchdq import Scene, effects, objects
 from torchdq.control import Law
 from torchdq.envs import RobotVectorEnv
 from torchdq.envs.tasks import Checked
 from torchdq.functions.catalogue import FLOATING
 from torchdq.program.program import Program
+from torchdq.robot import ContactPoint
 from torchdq.scene import controllers, integrators
 
 ROBOTS = ("two_link", "panda", "ur10e", "puma560")
@@ -31,7 +32,7 @@ OF_BOTH_BASES = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "corioli
 OF_BOTH_BASES += ("kinetic_energy", "potential_energy")
 PLAIN = (*OF_BOTH_BASES, "inverse_dynamics_jacobian", "dynamics_jacobian", "joint_momentum")
 PLAIN += tuple(f"floating.{name}" for name in (*OF_BOTH_BASES, "closed_form", "centre_of_mass", "momentum"))
-PLAIN += ("floating.momentum_rate",)
+PLAIN += ("floating.momentum_rate", "distances", "floating.distances")
 OF_AXES = ("manipulability", "operational_space", "contact_force")
 OF_AXES += ("inverse_kinematics_step", "inverse_kinematics_newton")
 
@@ -73,6 +74,7 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
         "jacobian world": {"options": (tip, "world")},
         "external_wrenches": {"options": ("world", tip)},
         "frame_motion": {"options": (tip,)},
+        "distances objects": {"options": (spheres(tip, robot(name).link_names[0]), OBJECTS, "ground", "own")},
         **{function: {"options": (tip, "body", axes)} for function in OF_AXES},
         "differential_inverse_kinematics": {"options": (tip, "body", axes, "bounded")},
         "floating.inverse_dynamics vjp": {"derivative": True},
@@ -102,6 +104,14 @@ def laws(name: str) -> dict[str, tuple[Law, tuple[str, ...] | None]]:
             (*STILL[:3], "stiffness", "damping"),
         ),
     }
+
+
+OBJECTS = (objects.Box("box", 1.0, size=(0.1, 0.2, 0.3)), objects.Capsule("capsule", 1.0, radius=0.05, length=0.2))
+
+
+def spheres(*frames: str) -> tuple[ContactPoint, ...]:
+    """A sphere on every frame."""
+    return tuple(ContactPoint(frame, radius=0.05) for frame in frames)
 
 
 # --- steps of scenes -------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ mapped by S^T, the mass matrix is S^T M S. The map wraps a posed robot, so no al
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import add, mul
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import lift, total
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.point_mass import PointMass
-from torchdq.dynamics.posed import Exerted, Factors, Posed, Row, factors_by_entries
+from torchdq.dynamics.posed import Exerted, Factors, Posed, Row, Seen, factors_by_entries
 
 UNMAPPED = ("com", "point", "wrench", "position", "to_world", "to_link", "poses", "composites", "potential_energy")
 
@@ -84,6 +84,23 @@ class Coupled(NamedTuple):
             total([times(s, c) for s, c in zip(row, columns, strict=True)], screw.add)
             for row in matrix.transpose(self.coupling.S)
         ]
+
+    def seen_from(self, X_WO: DualQuaternion, links: Sequence[int]) -> dict[int, Seen]:
+        """Links as seen from a frame O that is not fixed to the robot."""
+        sums: dict[tuple[int, ...], Screw] = {}  # of the columns of joints, which links share
+
+        def column(z: int, own: Mapping[int, Screw]) -> Screw | None:
+            parts = [j for j, row in enumerate(self.coupling.S) if row[z] is not None and j in own]
+            if parts and (z, *parts) not in sums:
+                terms = [screw.scale(self.coupling.S[j][z], own[j]) for j in parts]
+                sums[z, *parts] = total(terms, screw.add)
+            return sums[z, *parts] if parts else None
+
+        found = {}
+        for i, seen in self.robot.seen_from(X_WO, links).items():
+            columns = {z: s for z in range(len(self.coupling.S[0])) if (s := column(z, seen.columns)) is not None}
+            found[i] = seen._replace(columns=columns)
+        return found
 
     def acceleration(self, i: int, X_BF: DualQuaternion, qd: Row, qdd: Row | None, world: bool) -> Screw:
         """Angular acceleration of a frame and acceleration of its origin."""

@@ -28,6 +28,7 @@ class PointMass(NamedTuple):
     normal: Pure | None = None  # n; None: e is zero
     along: Number = 0.0  # e [kg]
     spin: Number = 0.0  # rotational inertia of the point, the same about all axes [kg m^2]
+    against: int | None = None  # body whose relative motion it resists; None: the world
 
     @property
     def beyond(self) -> PointMass:

@@ -9,14 +9,15 @@ Links are those of a `Tree`: link 0 is the base.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple, Protocol, cast
 
+from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.algebra.screw import Screw
+from torchdq.algebra.screw import Screw, columns_times
 from torchdq.dynamics import error_growth, ltdl
 from torchdq.dynamics.point_mass import PointMass
 
@@ -64,6 +65,24 @@ class Point(NamedTuple):
     axes: tuple[Pure, ...]
 
 
+class Seen(NamedTuple):
+    """A body A as seen from a frame O that moves on its own."""
+
+    axes: tuple[Pure, ...]  # of A's frame, in O
+    origin: Pure  # of A's frame, in O [m]
+    columns: Mapping[int, Screw]  # of A's twist, in O and about its origin, by velocities; those of bodies that share
+    # a joint are one object
+
+    def point(self, r: Pure) -> Pure:
+        """Position in O of a point of A."""
+        return quat.add(self.origin, columns_times(self.axes, r))
+
+    def screw(self, s: Screw) -> Screw:
+        """Twist in O of one in A's frame."""
+        w, v = (columns_times(self.axes, x) for x in s)
+        return w, quat.add(v, quat.cross(self.origin, w))
+
+
 class Posed(Protocol):
     """Interface of a robot at one configuration."""
 
@@ -95,6 +114,9 @@ class Posed(Protocol):
 
     def jacobian(self, i: int, X_BF: DualQuaternion, world: bool) -> Sequence[Screw | None]:
         """Columns of the Jacobian of a frame, in its own or in world axes; None: the velocity does not move it."""
+
+    def seen_from(self, X_WO: DualQuaternion, links: Sequence[int]) -> Mapping[int, Seen]:
+        """Links as seen from a frame O that is not fixed to the robot."""
 
     def acceleration(self, i: int, X_BF: DualQuaternion, qd: Row, qdd: Row | None, world: bool) -> Screw:
         """Angular acceleration of a frame and acceleration of its origin, in its own or in world axes."""

@@ -7,9 +7,9 @@ coefficients are, the force cannot overshoot.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 from torch import Tensor
 
@@ -19,13 +19,15 @@ from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.base.checks import POSITIVE, REAL, OneOf
+from torchdq.dynamics.free_bodies import Pair
 from torchdq.dynamics.point_mass import PointMass
-from torchdq.dynamics.posed import Point, Posed, Row
+from torchdq.dynamics.posed import Point, Row
 from torchdq.effects.effect import Effect, Inputs, on_a_link
 from torchdq.functions.parametric import Parameter, undefined
 from torchdq.functions.posed import frame
 from torchdq.functions.signature import option, parameter
 from torchdq.numbers.functions import sqrt
+from torchdq.objects import Object
 from torchdq.robot import Robot
 
 
@@ -43,7 +45,10 @@ class PointImpedance(NamedTuple):
     along: Number = 0.0  # E [N s/m]
     moment: Pure | None = None  # about the point, now; None: zero [N m]
     spin: Number = 0.0  # rotational damping of that moment, the same about all axes, not negative [N m s/rad]
-    kept: Callable[[Pure], Sequence[Number]] | None = None  # memory at the end of the step, of u'; None: there is none
+    # memory at the end of the step, of u' and of the velocity that the displacement has as it is rounded; None: none
+    kept: Callable[[Pure, Pure], Sequence[Number]] | None = None
+    # body on which the opposite force acts, and to which u is relative, if `link` is an object; None: the world
+    against: int | None = None
 
     @property
     def wrench(self) -> Screw:
@@ -53,15 +58,24 @@ class PointImpedance(NamedTuple):
 
     def mass(self, h: Number) -> PointMass:
         """Masses that a step h adds for it."""
-        return PointMass(self.link, self.point, h * self.damping, self.normal, h * self.along, h * self.spin)
+        return PointMass(
+            self.link, self.point, h * self.damping, self.normal, h * self.along, h * self.spin, self.against
+        )
 
 
 class Bodies(NamedTuple):
-    """Links of a posed robot in motion; points, twists and wrenches are in the frames of `posed`."""
+    """Links of a posed robot, and objects, in motion; points, twists and wrenches are in the frames of `posed`."""
 
     robot: Robot
-    posed: Posed
-    V: Sequence[Screw]  # twists of the links
+    posed: Any  # a `Posed`, in a scene with objects `WithFreeBodies`
+    V: Sequence[Screw] = ()  # twists of the links
+    objects: Mapping[str, tuple[int, Object]] = {}  # by name, with their links
+    relative: Mapping[Pair, Screw] = {}  # twists of objects relative to what touches them
+
+    def moving(self, v: Row) -> Self:
+        """The bodies with the twists of velocities in the order of the dynamics."""
+        seen = self.posed.seen if self.objects else ()
+        return self._replace(V=self.posed.twists(v), relative={pair: self.posed.relative(pair, v) for pair in seen})
 
     def frame(self, name: str) -> tuple[int, Point]:
         """Link of a frame, and the frame's origin and axes on it."""
@@ -73,9 +87,9 @@ class Bodies(NamedTuple):
         link, X_BF = frame(self.robot, name)
         return link, self.posed.point(link, dq.mul(X_BF, dq.from_pose(quat.ONE, center))).position
 
-    def velocity(self, i: int, r: Pure) -> Pure:
-        """Velocity of a point of a link, in link axes."""
-        w, v = self.V[i]
+    def velocity(self, i: int, r: Pure, against: int | None = None) -> Pure:
+        """Velocity of a point of a link, in link axes; that of an object may be relative to what touches it."""
+        w, v = self.V[i] if against is None else self.relative[i, against]
         return quat.add(v, quat.cross(w, r))
 
 
@@ -93,6 +107,10 @@ class BodyEffect(Effect):
 
     def impedances(self, bodies: Bodies, inputs: Inputs, memory: Row, h: Number) -> Sequence[PointImpedance]:
         """Impedances of points over a step h, in addition to the wrenches; h = 0: forces now."""
+        return ()
+
+    def pairs(self, robot: Robot, objects: Mapping[str, int]) -> Sequence[Pair]:
+        """Pairs of bodies between which it has impedances: an object and what touches it, by their links."""
         return ()
 
     def places(self, bodies: Bodies) -> Sequence[Number]:

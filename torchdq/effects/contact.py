@@ -1,4 +1,4 @@
-"""Contact of points and spheres of a robot with the ground, implicit in the step, with friction that sticks.
+"""Contact of points and spheres with the ground and with objects, implicit in the step, with friction that sticks.
 
 A step h takes the normal force of Hunt and Crossley and the friction of bristles at its end, where the point has the
 velocity u' (depth d, normal n, bristles z, coefficients as at the start):
@@ -27,7 +27,9 @@ for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import fnmatch
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple, Self
@@ -40,8 +42,9 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.inertia import rotated
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import REAL, tensor_of
+from torchdq.base.checks import REAL, matching, tensor_of
 from torchdq.dynamics.error_growth import NoInertiaError
+from torchdq.dynamics.free_bodies import Pair
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
@@ -54,6 +57,7 @@ from torchdq.functions.posed import frame as frame_of
 from torchdq.functions.posed import posed
 from torchdq.functions.signature import parameter
 from torchdq.numbers.functions import absolute, below, clip, maximum, minimum, select, sqrt
+from torchdq.objects import Object
 from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.constants import Constants
@@ -73,6 +77,7 @@ RECOVERY = 0.1  # speed that sets how fast the compression of a point that is de
 WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
 ANY_DEPTH = 1e3  # compression that no point exceeds [m]
 KEPT = 8  # numbers that a point remembers
+STIFF = 1e5  # stiffness of an object's contact over its mass, which steps of up to 6 ms keep [1/s^2]
 
 
 class _Chosen(float):
@@ -93,12 +98,24 @@ class Contacts(NamedTuple):
     slip: Any  # [..., points] speed along the surface [m/s]
 
 
+class ObjectPoint(NamedTuple):
+    """Point by which an object touches the ground, or another object."""
+
+    frame: str  # name of the object
+    number: int  # among the points of the object
+    radius: None = None  # as the object has it
+
+
 class _Place(NamedTuple):
-    """A point above the ground and its motion, in link axes."""
+    """A point above the ground and its motion, in axes of its link; one at an object, in those of the object.
+
+    Signs are those of the body in whose axes it is: the normal is the direction in which it is pushed.
+    """
 
     link: int
+    against: int | None  # link of the point, where it touches an object
     normal: Pure
-    point: Pure  # of the link, that is lowest
+    point: Pure  # that touches
     depth: Number
     along: Number  # velocity along the normal, negative towards the ground [m/s]
     slip: Pure  # velocity along the surface [m/s]
@@ -131,7 +148,10 @@ class Contact(BodyEffect):
 
     Args:
         points: contact points: names or patterns of frames, with the points of `robot.contact_points`, or the origin of
-            the frame if the file has none; or `ContactPoint` objects; None: the origin of the end effector.
+            the frame if the file has none; or `ContactPoint` objects; or names of objects of the scene, for the corners
+            of a box, the ends of a capsule, a ball, four points of each rim of a cylinder; None: the origin of the end
+            effector.
+        on: names or patterns of objects whose surfaces the points touch; None: they touch the ground.
         height: height of the plane along its normal [m], from the origin of the base, or of the world for a floating
             base.
         normal: unit normal n of the plane, in the base frame or, for a floating base, the world frame, shape [..., 3].
@@ -153,6 +173,7 @@ class Contact(BodyEffect):
 
     IMPLICIT = "its stiff forces act at the end of a step"
     points: Any = None
+    on: Any = field(default=None, kw_only=True)
     height: Parameter = field(default=0.0, metadata=parameter(check=REAL))
     normal: Parameter = field(default=(0.0, 0.0, 1.0), metadata=parameter(3, check=REAL))
     surface: Any = None
@@ -165,12 +186,41 @@ class Contact(BodyEffect):
     # --- parameters ---
 
     def __post_init__(self) -> None:
-        if isinstance(self.points, list):  # which could change after it was recorded
-            object.__setattr__(self, "points", tuple(self.points))
+        for name in ("points", "on"):
+            if isinstance(getattr(self, name), list):  # which could change after it was recorded
+                object.__setattr__(self, name, tuple(getattr(self, name)))
+
+    def among(self, objects: Sequence[Object]) -> Self:
+        """Copy with the points of objects, and the names of those that are touched."""
+        bodies = {body.name: body for body in objects}
+        on = self.on if self.on is None else matching("on", self.on, bodies, "object of the scene")
+        if on == ():
+            raise ArgumentError("on of Contact must name an object at least, found none; None is the ground")
+        points: Any = []
+        for one in _each(self.points):
+            names = fnmatch.filter(bodies, one) if isinstance(one, str) else []
+            points += [ObjectPoint(name, k) for name in names for k in range(bodies[name].POINTS)] or [one]
+        own = [x.frame for x in points if isinstance(x, ObjectPoint)]
+        for name in own if on else ():
+            sharp, flat = bodies[name].sharp, [x for x in on or () if x != name and bodies[x].flat]
+            if sharp and flat:
+                raise ArgumentError(
+                    f"points of Contact on {flat[0]!r} must be round, found {name!r}, whose edges would pass through "
+                    f"those of {flat[0]!r}; give it a rounding of a few millimetres, or make it a Ball or a Capsule"
+                )
+        touching = {*(on or ()), *own}
+        stiffness = self.stiffness
+        if touching and (stiffness is None or isinstance(stiffness, _Chosen)):
+            stiffness = _Chosen(STIFF * min(float(tensor_of(bodies[name].mass).detach().min()) for name in touching))
+        points = None if self.points is None else tuple(points)
+        return replace(self, points=points, on=on, stiffness=stiffness)
 
     def described(self, robot: Robot) -> Self:
         """Copy with its contact points, on links that move, and a stiffness."""
-        points = points_of(robot, ContactPoint(robot.end_effector().name) if self.points is None else self.points)
+        named = (ContactPoint(robot.end_effector().name),) if self.points is None else _each(self.points)
+        of_objects = tuple(x for x in named if isinstance(x, ObjectPoint))
+        own = [x for x in named if not isinstance(x, ObjectPoint)]
+        points = points_of(robot, tuple(own)) if own or not of_objects else ()
         for point in points:
             if robot.frame(point.frame).link == BASE and not robot.floating:
                 raise ArgumentError(f"points of Contact hold {point.frame!r}, which is fixed to the base")
@@ -179,15 +229,15 @@ class Contact(BodyEffect):
         if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
         stiffness = self.stiffness
-        if stiffness is None or isinstance(stiffness, _Chosen):
-            stiffness = max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING)))
-        return replace(self, points=_with_mobilities(robot, points), stiffness=stiffness)
+        if not (of_objects or self.on) and (stiffness is None or isinstance(stiffness, _Chosen)):
+            stiffness = _Chosen(max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING))))
+        return replace(self, points=(*_with_mobilities(robot, points), *of_objects), stiffness=stiffness)
 
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
-        whole = super().resolved(robot)
-        if self.stiffness is None or isinstance(self.stiffness, _Chosen):
-            whole = replace(whole, stiffness=_Chosen(whole.stiffness))
+        whole, described = super().resolved(robot), self.described(robot)
+        if isinstance(described.stiffness, _Chosen):
+            whole = replace(whole, stiffness=described.stiffness)
         normal = tensor_of(whole.normal).double()
         if without_values((normal,)):
             return whole
@@ -205,7 +255,7 @@ class Contact(BodyEffect):
     def computed(self, n: int) -> dict[str, int]:
         """Planes below the points [3 points], if there is a map."""
         mapped = self.surface is TENSOR or isinstance(self.surface, HeightMap)
-        return {f"ground_{self.points[0].frame}": 3 * len(self.points)} if mapped else {}
+        return {f"ground_{self.points[0].frame}": 3 * len(self.points)} if mapped and self.on is None else {}
 
     def of_rows(self, chosen: Callable[[Tensor, int], Tensor]) -> Self:
         """Copy with some of the maps."""
@@ -228,16 +278,36 @@ class Contact(BodyEffect):
 
     def places(self, bodies: Bodies) -> list[Number]:
         """x, and then y, of all points."""
-        found = [bodies.posed.position(*bodies.point(point.frame, point.center)) for point in self.points]
+        found = [bodies.posed.position(*self._point(bodies, point)[:2]) for point in self.points]
         return [p[axis] for axis in (0, 1) for p in found]
 
+    @property
+    def touching(self) -> list[tuple[Any, str | None]]:
+        """Points, each with what it touches: an object by its name, or None, the ground."""
+        return [(point, name) for name in self.on or (None,) for point in self.points if point.frame != name]
+
+    def label(self) -> str:
+        """Name in descriptions, with the pairs of bodies and the number of contacts of each."""
+        if self.on is None and not any(isinstance(point, ObjectPoint) for point in self.points):
+            return type(self).__name__
+        pairs = Counter(f"{point.frame} on {name or 'the ground'}" for point, name in self.touching)
+        return f"{type(self).__name__}: {', '.join(f'{pair} ({n})' for pair, n in pairs.items())}"
+
+    def pairs(self, robot: Robot, objects: Mapping[str, int]) -> list[Pair]:
+        """Objects, and bodies of the points that touch them."""
+
+        def body(point: Any) -> int:
+            return objects[point.frame] if isinstance(point, ObjectPoint) else robot.frame(point.frame).link + 1
+
+        return [(objects[name], body(point)) for point, name in self.touching if name is not None]
+
     def memory(self, n: int) -> int:
-        """Numbers that all points remember; none without stiction."""
-        return KEPT * len(self.points) if self.stiction else 0
+        """Numbers that all contacts remember; none without stiction."""
+        return KEPT * len(self.touching) if self.stiction else 0
 
     def start(self, q: Row, qd: Row) -> Row:
         """Memory of points that may be in the ground, with springs as compressed as they are deep."""
-        return (0.0, 0.0, 0.0, ANY_DEPTH, *[0.0] * (KEPT - 4)) * len(self.points) if self.stiction else ()
+        return (0.0, 0.0, 0.0, ANY_DEPTH, *[0.0] * (KEPT - 4)) * len(self.touching) if self.stiction else ()
 
     # --- law ---
 
@@ -246,7 +316,8 @@ class Contact(BodyEffect):
         places = list(self._places(bodies, inputs, memory, h))
         found = []
         for i, place in enumerate(places):
-            others = [x for x in places if x.link == place.link and x is not place]
+            pair = (place.link, place.against)
+            others = [x for x in places if (x.link, x.against) == pair and x is not place]
             Z_others = sum([select(below(0.0, x.force), x.Z, 0.0) for x in others], 0.0)
             found.append(self._impedance(bodies, place, memory[KEPT * i : KEPT * (i + 1)], Z_others, h))
         return found
@@ -264,8 +335,8 @@ class Contact(BodyEffect):
             T = maximum(self.settling, 0.5 * h)
             Z_t = k * (h + T)
             *bent, _, _, _, pushed, left = memory
-            z = bodies.posed.to_link(place.link, tuple(bent))
-            if self.surface is not None:  # whose normal turns
+            z = tuple(bent) if place.against is not None else bodies.posed.to_link(place.link, tuple(bent))
+            if self.surface is not None or place.against is not None:  # whose normal turns
                 z = quat.sub(z, quat.scale(quat.dot(n, z), n))
             trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
             size = sqrt(quat.dot(trial, trial) + TINY * TINY)
@@ -273,9 +344,9 @@ class Contact(BodyEffect):
             slides = below(limit, ahead)
             share = select(slides, limit / ahead, 1.0)
 
-            def kept(end: Pure) -> Row:
+            def kept(end: Pure, rounded: Pure) -> Row:
                 lag, along = T / h, quat.dot(n, end)
-                slip = quat.sub(end, quat.scale(along, n))
+                slip = quat.sub(rounded, quat.scale(quat.dot(n, rounded), n))
                 # s y / k = s (z + (h + T) u_t')
                 acted = quat.scale(share, quat.add(z, quat.scale(h + T, slip)))
                 after = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, z)))
@@ -288,13 +359,16 @@ class Contact(BodyEffect):
                 if place.mobility is not None:
                     moved = moved - k * quat.dot(place.mobility, acted)
                 row = [deepest, pressing, size, moved - (along - place.along) / h, rest]
-                return [*bodies.posed.to_world(place.link, after), *(select(active, x, 0.0) for x in row)]
+                if place.against is None:
+                    after = bodies.posed.to_world(place.link, after)
+                return [*after, *(select(active, x, 0.0) for x in row)]
 
             normal = select(active, force - h * Z_n * pushed, 0.0)
 
         D = share * Z_t
         acting = quat.sub(quat.scale(normal, n), quat.scale(share, trial))
-        return PointImpedance(place.link, place.point, acting, D, n, select(active, Z_n, 0.0) - D, kept=kept)
+        E = select(active, Z_n, 0.0) - D
+        return PointImpedance(place.link, place.point, acting, D, n, E, kept=kept, against=place.against)
 
     def _cone(
         self, place: _Place, memory: Row, trial: Pure, size: Number, Z_others: Number, heavy: Number, h: Number
@@ -322,9 +396,12 @@ class Contact(BodyEffect):
             if self.stiction:
                 *z, _, f_n, _, _, _ = memory[KEPT * i : KEPT * (i + 1)]
                 bent = select(below(0.0, f_n), self.stiffness, 0.0)  # those of a point that left relax without a force
-                force = quat.sub(quat.scale(f_n, to_world(place.normal)), quat.scale(bent, tuple(z)))
+                held = to_world(tuple(z)) if place.against is not None else tuple(z)
+                force = quat.sub(quat.scale(f_n, to_world(place.normal)), quat.scale(bent, held))
             else:
                 f_n, force = maximum(place.force, 0.0), to_world(self._impedance(bodies, place, (), 0.0, 0.0).force)
+            if place.against is not None:
+                force = quat.neg(force)
             found.append(Contacts(force, f_n, below(0.0, f_n), place.depth, speed))
         return found
 
@@ -339,15 +416,24 @@ class Contact(BodyEffect):
         return force, select(maximum(lands, leaves), force / speed, Z)
 
     def _places(self, bodies: Bodies, inputs: Inputs, memory: Row = (), h: Number = 0.0) -> Iterator[_Place]:
-        """Places of the points, before a step h."""
+        """Places of the contacts, before a step h."""
         planes = [inputs[name] for name in self.computed(0)]
-        for k, point in enumerate(self.points):
-            link, c = bodies.point(point.frame, point.center)
-            p = bodies.posed.position(link, c)
-            n, depth = self._ground(p, point.radius, *(row[k :: len(self.points)] for row in planes))
-            normal = bodies.posed.to_link(link, n)
-            lowest = quat.sub(c, quat.scale(point.radius, normal)) if point.radius else c
-            u = bodies.velocity(link, lowest)
+        for k, (point, name) in enumerate(self.touching):
+            body = None if name is None else bodies.objects[name]
+            link, c, radius = self._point(bodies, point)
+            if body is None:
+                n, depth = self._ground(
+                    bodies.posed.position(link, c), radius, *(row[k :: len(self.points)] for row in planes)
+                )
+                i, against, normal = link, None, bodies.posed.to_link(link, n)
+                lowest = quat.sub(c, quat.scale(radius, normal))
+            else:
+                i, against = body[0], link
+                c = bodies.posed.seen[i, against].point(c)
+                out, distance = body[1].nearest(c)
+                depth, normal = radius - distance, quat.neg(out)
+                lowest = quat.add(c, quat.scale(radius, normal))
+            u = bodies.velocity(i, lowest, against)
             along = quat.dot(normal, u)
             slip = quat.sub(u, quat.scale(along, normal))
             compression, free = depth, along
@@ -355,12 +441,28 @@ class Contact(BodyEffect):
                 *_, compression, _, _, pushed, _ = memory[KEPT * k : KEPT * (k + 1)]
                 compression, free = minimum(depth, compression), along - h * pushed
             pressing = self._pressing(compression, free, h)
-            lift, W_n = point.mobility, None
-            if not isinstance(lift, float):
-                axes = bodies.frame(point.frame)[1].axes
-                W_n = tuple(quat.dot(row, normal) for row in rotated(axes, point.mobility))
-                lift = quat.dot(W_n, normal)
-            yield _Place(link, normal, lowest, depth, along, slip, lift, W_n, compression, free, *pressing)
+            lift, W_n = self._mobility(bodies, point, normal, body)
+            yield _Place(i, against, normal, lowest, depth, along, slip, lift, W_n, compression, free, *pressing)
+
+    def _point(self, bodies: Bodies, point: Any) -> tuple[int, Pure, Number]:
+        """Link of a point, the point on it, and its radius."""
+        if isinstance(point, ObjectPoint):
+            link, body = bodies.objects[point.frame]
+            return link, *body.points()[point.number]
+        return *bodies.point(point.frame, point.center), point.radius
+
+    def _mobility(self, bodies: Bodies, point: Any, normal: Pure, body: Any) -> tuple[Number, Pure | None]:
+        """Mobilities n.W n and W n of a point, relative to the object that it touches; None: the same everywhere."""
+        if isinstance(point, ObjectPoint):
+            own = bodies.objects[point.frame][1].mobility
+        elif body is not None or isinstance(point.mobility, float):
+            W = point.mobility
+            own = W if isinstance(W, float) else sum(row[k] for k, row in enumerate(W)) / 3.0
+        else:
+            axes = bodies.frame(point.frame)[1].axes
+            W_n = tuple(quat.dot(row, normal) for row in rotated(axes, point.mobility))
+            return quat.dot(W_n, normal), W_n
+        return (own if body is None else own + body[1].mobility), None
 
     def _ground(self, p: Pure, radius: float, plane: Row = ()) -> tuple[Pure, Number]:
         """Normal of the ground below a sphere at p, in the world, and the sphere's depth; `plane`: that of a map."""
@@ -375,6 +477,13 @@ class Contact(BodyEffect):
         w = 1.0 / sqrt(1.0 + a * a + b * b)
         # of its lowest point: the distance of its centre would jump where slopes do, and give energy
         return (-a * w, -b * w, w), (radius - (z - height - self.height)) * w
+
+
+def _each(points: Any) -> tuple[Any, ...]:
+    """Points, one by one; () if there are none, the end effector's."""
+    if points is None:
+        return ()
+    return points if isinstance(points, tuple) and not isinstance(points, ContactPoint) else (points,)
 
 
 def _with_mobilities(robot: Robot, points: Sequence[ContactPoint]) -> tuple[ContactPoint, ...]:

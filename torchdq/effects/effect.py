@@ -7,7 +7,7 @@ recorded, tensors are rows of recorded numbers.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
@@ -20,6 +20,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.functions.parametric import Parameter, Parametric
 from torchdq.functions.signature import option
+from torchdq.objects import Object
 from torchdq.robot import Robot
 
 Inputs = Mapping[str, Row]  # inputs of a step by name
@@ -37,6 +38,10 @@ class Effect(Parametric):
     SHARED: ClassVar[frozenset[str]] = frozenset()  # inputs that it shares with others
     SCALES: ClassVar[tuple[str, ...]] = ()  # parameters that friction randomisation scales together
     IMPLICIT: ClassVar[str] = ""  # reason why only linearly implicit steps hold it; "": all do
+
+    def label(self) -> str:
+        """Name in descriptions."""
+        return type(self).__name__
 
     def inputs(self, n: int) -> dict[str, int]:
         """Names and widths of its inputs at a step."""
@@ -57,6 +62,10 @@ class Effect(Parametric):
     def memory(self, n: int) -> int:
         """Number of its states."""
         return 0
+
+    def among(self, objects: Sequence[Object]) -> Self:
+        """Copy for a scene with these objects."""
+        return self
 
     def of_rows(self, chosen: Callable[[Tensor, int], Tensor]) -> Self:
         """Copy with some rows of its tensors that are not parameters; `chosen` takes one and its trailing axes."""

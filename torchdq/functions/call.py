@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args
@@ -14,10 +15,11 @@ from torch.compiler import is_compiling
 from torchdq.backends.call import Tensors, common_batch, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded, remembered
-from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, Check, OneOf, names_of, require, require_tensor
+from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, REAL, Check, OneOf, names_of, require, require_tensor
 from torchdq.base.progress import FIRST, warn_once
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, recordings
+from torchdq.functions.distances import GROUND, pairs
 from torchdq.functions.options import options_of
 from torchdq.program.transforms import dispatching, with_values
 from torchdq.robot import Robot
@@ -37,7 +39,7 @@ def function_of(
     robot: Robot,
     given: Tensors,
     backend: BackendName | None,
-    options: tuple[str, ...] = (),
+    options: tuple[Any, ...] = (),
     precision: Precision = "auto",
 ) -> list[Tensor]:
     """Results of a function of the catalogue, with the broadcast batch axes of all tensors."""
@@ -138,6 +140,32 @@ def on_links(
     batch = common_batch([(f"wrenches[{x!r}]", F, (6,), False) for x, F in wrenches.items()], "")
     rows = torch.stack([F.expand(*batch, 6) for F in wrenches.values()], -2)
     return function_of(name, robot, {**given, "wrenches": rows}, backend, options)
+
+
+def of_pairs(
+    name: str,
+    robot: Robot,
+    given: dict[str, Any],
+    of: tuple[Any, Sequence[Any], bool],
+    backend: BackendName | None,
+) -> tuple[Tensor, tuple[tuple[str, str], ...]]:
+    """Distances [..., pairs], and the pairs; `of` are the points, the objects, and whether those among points count."""
+    (points, objects, own), q = of, given["q"]
+    bodies, ground = [body.shape for body in objects], given["height"] is not None
+    templates = tuple(body.template() for body in bodies)
+    options = options_of(require_robot(robot), name, (points, templates, GROUND * ground, "own" * bool(own)))
+    names = pairs(robot, *options)
+    if not names:
+        raise ArgumentError("distances must be from something: give objects, a height of the ground, or own=True")
+    require_tensor("q", q)
+    tensors = [(f"{key} of {x.name}", y.to(q), x.SHAPES[key], True) for x in bodies for key, y in x.tensors().items()]
+    if tensors:
+        batch = common_batch(tensors, "")
+        rows = [y.expand(*batch, *axes).reshape(*batch, math.prod(axes)) for _, y, axes, _ in tensors]
+        given = {**given, "sizes": torch.cat(rows, -1)}
+    if ground:
+        given = {**given, "height": gain("height", given["height"], q, REAL)}
+    return function_of(name, robot, given, backend, options)[0], names
 
 
 def of_one_frame(

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 from torchdq.algebra.quaternion import Number
 from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, OneOf, require_tensor
+from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, REAL, OneOf, require_tensor
 from torchdq.dynamics.task_space import rows_of
 from torchdq.errors import ArgumentError
+from torchdq.functions import distances as apart
 from torchdq.functions import floating as free
 from torchdq.functions import formulas as fixed
 from torchdq.functions import inverse_kinematics as ik
@@ -23,6 +24,7 @@ from torchdq.functions import task_space_formulas as task
 from torchdq.functions.recipe import (
     EXPRESSED,
     FRAME,
+    PAIRS,
     TASK,
     WRENCHES,
     Recipe,
@@ -83,6 +85,16 @@ RECIPES: dict[str, Recipe] = {
         ),
         (fixed.external_wrenches,),
         lambda *frames: (("links", 6),),
+    ),
+    "distances": Recipe(
+        (
+            *(*joints("q"), Field("X_WO", ("objects", 8), optional=True)),
+            *(Field("height", (), True, "parameter", REAL), Field("normal", (3,), optional=True)),
+            *(Field("sizes", ("sizes",), optional=True), *PAIRS),
+        ),
+        (apart.distances, apart.distances_by_poses),
+        lambda *pairs: (("pairs",),),
+        each=True,
     ),
     "coriolis_matrix": Recipe(joints("q", "qd"), (task.coriolis_matrix,), lambda: (("n", "n"),), wrt=("V_WB_B", "qd")),
     "frame_motion": Recipe(
@@ -163,6 +175,7 @@ _ALIKE = (
     "regressor",
     "forward_kinematics",
     "jacobian",
+    "distances",
 )
 _FREE: dict[str, Recipe] = {
     **{name: _free(name, (6,), ("n",)) for name in ("inverse_dynamics", "forward_dynamics")},
@@ -181,7 +194,7 @@ class _Call(NamedTuple):
 
     constants: Constants
     name: str
-    options: tuple[str, ...] = ()  # of a control law: gains that are one number for all of their axes
+    options: tuple[Any, ...] = ()  # of a control law: gains that are one number for all of their axes
     form: tuple[Any, ...] = ()  # class and fields of a control law, which has the recipe; (): that of the catalogue
     motors: Any = None  # friction and offset of a layer (`torchdq.effects.resistance.Templates`), which has more fields
 
@@ -206,6 +219,9 @@ class Function(_Call, Computation):
         n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
         axes = len(rows_of(self.options[2])) if self._of_axes else 0
         found = {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating), "axes": axes}
+        if self.recipe.options == PAIRS:
+            objects, pairs = self.options[1], apart.pairs(recorded(self.constants), *self.options)
+            found |= {"objects": len(objects), "sizes": apart.sizes(objects), "pairs": len(pairs)}
         return {**found, "frames": len(self.options) - 1}  # of "external_wrenches"
 
     @property

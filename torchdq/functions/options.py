@@ -13,14 +13,15 @@ from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.posed import frame, posed
-from torchdq.functions.recipe import TASK, TIP
+from torchdq.functions.recipe import PAIRS, TASK, TIP
 from torchdq.functions.signature import Field
 from torchdq.program.transforms import constant_in_graphs, with_values
-from torchdq.robot import Robot
+from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.constants import Constants
+from torchdq.robot.contact_points import points_of
 from torchdq.robot.robot import constants, recorded
 
-Options = tuple[str, ...]
+Options = tuple[Any, ...]
 UNSERVED = ("contact_force",)  # functions of more axes than the joints need to move
 
 
@@ -38,7 +39,7 @@ def _read(robot: Robot, fields: Sequence[Field], given: Sequence[Any], subject: 
     return tuple(found)
 
 
-def _one(robot: Robot, field: Field, x: Any) -> str:
+def _one(robot: Robot, field: Field, x: Any) -> Any:
     """Option of a robot; None: its default."""
     x = field.default if x is None else x
     if field.name == "tip":
@@ -48,18 +49,20 @@ def _one(robot: Robot, field: Field, x: Any) -> str:
         raise ArgumentError(f"frame must be given; the frames are {', '.join(robot.frame_names)}")
     if field.name == "frame":
         return robot.frame(robot.end_effector().name if x == TIP or (x == "" and field.default == TIP) else x).name
+    if field.name == "points":
+        return points_of(robot, ContactPoint(robot.end_effector().name) if x == TIP else x)
     if field.name == "axes":
         x = axes_of(x)
-    else:
+    elif field.name != "objects":
         require(field.name, x, field.check)
     return x
 
 
 def task_of(robot: Robot, name: str | None, expressed: str, axes: str | Sequence[str]) -> tuple[str, str, Task]:
     """Name of a frame, its axes, and both as a task; raises unless the joints move these axes independently."""
-    name, expressed, axes = _read(robot, TASK, (name, expressed, axes), "a task")
-    require_served(robot, name, expressed, axes)
-    return name, axes, Task(*frame(robot, name), expressed == "world", rows_of(axes))
+    frame_name, expressed, named = _read(robot, TASK, (name, expressed, axes), "a task")
+    require_served(robot, frame_name, expressed, named)
+    return frame_name, named, Task(*frame(robot, frame_name), expressed == "world", rows_of(named))
 
 
 def axes_of(axes: str | Sequence[str]) -> str:
@@ -122,7 +125,9 @@ def options_of(robot: Robot, function: str, given: Any) -> Options:
     names = (given,) if isinstance(given, str) else given
     if not isinstance(names, Sequence):
         raise ArgumentError(f"options must be a sequence of names, found {given!r}")
-    return _in_graphs(constants(robot), function, *[axes_of(x) if isinstance(x, list | tuple) else x for x in names])
+    if function not in RECIPES or RECIPES[function].options != PAIRS:
+        names = [axes_of(x) if isinstance(x, list | tuple) else x for x in names]
+    return _in_graphs(constants(robot), function, *names)
 
 
 @constant_in_graphs
@@ -132,7 +137,7 @@ def _in_graphs(*of: Any) -> Options:
 
 
 @remembered(PROGRAMS)
-def _complete(of: Constants, function: str, *given: str) -> Options:
+def _complete(of: Constants, function: str, *given: Any) -> Options:
     """Options of a function of a robot with these constants, complete."""
     fields = RECIPES[function].options if function in RECIPES else ()
     with with_values():

@@ -138,3 +138,9 @@ TIP = "the tip"  # default of a frame
 FRAME = Field("frame", kind="option", default=TIP)
 EXPRESSED = Field("expressed", kind="option", check=OneOf(("body", "world")), default="body")
 TASK = (FRAME, EXPRESSED, Field("axes", kind="option", default="pose"))
+PAIRS = (
+    Field("points", kind="option", default=TIP),
+    Field("objects", kind="option", default=()),
+    Field("ground", kind="option", check=OneOf(("", "ground")), default="ground"),
+    Field("own", kind="option", check=OneOf(("", "own")), default=""),
+)

@@ -103,7 +103,7 @@ def points_of(robot: RobotModel, points: Any) -> tuple[ContactPoint, ...]:
         except UnknownNameError:
             found += map(ContactPoint, matching("points", one, robot.frame_names, "frame"))
     if not found:
-        raise ArgumentError("points of Contact must be at least one, found none")
+        raise ArgumentError("points must be at least one, found none")
     return tuple(found)
 
 

@@ -144,7 +144,7 @@ class Robot(RobotModel):
         """
         require_choice("base", base, get_args(Base))
         require_choice("mimic", mimic, get_args(MimicJoints))
-        with _named(source):
+        with naming(source):
             description = urdf.read(source, joints, lock, base, mimic, on_unphysical == "repair")
             return cls._of(description, tip, gravity, on_unphysical)
 
@@ -171,8 +171,9 @@ class Robot(RobotModel):
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself, whose
                 includes are searched in the current folder.
-            base: "file": floating if the file has a body with a free joint, otherwise fixed; "fixed": such a body is
-                held where the file puts it; "floating": there must be one.
+            base: "file": floating if the file has a body with a free joint, otherwise fixed; "fixed": such bodies are
+                held where the file puts them, and `objects.from_mjcf` reads them as objects of scenes; "floating":
+                there must be one.
             lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at home. Joints
                 that are coupled to a locked one are locked too. Ball and free joints are locked by names alone.
             tip: name of the body or site of the end effector; None: the leaf of the tree, if there is only one.
@@ -187,7 +188,7 @@ class Robot(RobotModel):
             UnphysicalError: a joint moves no inertia.
             UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
         """
-        with _named(source):
+        with naming(source):
             found = mjcf.read(source, base, joints, lock, gravity)
             return cls._of(found.description, tip, found.gravity, on_unphysical)
 
@@ -217,7 +218,7 @@ class Robot(RobotModel):
             UnknownNameError: the file or `from_urdf` has no such argument, or as `from_urdf`.
         """
         _require_options("from_xacro", options, cls.from_xacro, cls.from_urdf)
-        with _named(path):
+        with naming(path):
             return cls.from_urdf(xacro_file.expanded(path, arguments, packages), **options)
 
     @classmethod
@@ -390,7 +391,7 @@ def _require_options(caller: str, options: Mapping[str, Any], *readers: Callable
 
 
 @contextmanager
-def _named(source: Any) -> Iterator[None]:
+def naming(source: Any) -> Iterator[None]:
     """Context in which errors of a description name its file, if it is from one."""
     try:
         yield

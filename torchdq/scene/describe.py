@@ -85,10 +85,12 @@ def describe(
     dtype = dtype_of("dtype", dtype)
     batches = scene.batches.values()
     batch = math.prod(torch.broadcast_shapes(*batches)) if any(batches) else batch
-    bare = scene.replace(effects=(), controller=None)
-    scenes = [bare.replace(effects=scene.effects[:k]) for k in range(len(scene.effects) + 1)]
+    bare = scene.replace(effects=(), controller=None, objects=())
+    scenes = [bare.replace(objects=scene.objects[:k]) for k in range(len(scene.objects) + 1)]
+    scenes += [scenes[-1].replace(effects=scene.effects[: k + 1]) for k in range(len(scene.effects))]
     labels = [("bare step", "rigid bodies, integrator")]
-    labels += [(type(effect).__name__, effect.SLOT) for effect in scene.effects]
+    labels += [(f"{type(body).__name__} {body.name}", "object") for body in scene.objects]
+    labels += [(effect.label(), effect.SLOT) for effect in scene.effects]
     if scene.controller is not None:
         scenes.append(scene)
         labels.append((type(scene.controller).__name__, "controller"))

@@ -22,16 +22,42 @@ from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.objects import Object, resolved
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES, trailing
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 
 SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
-OWN = ("q", "qd", "X_WB", "V_WB_B", "memory", "reading", "torque", "reference", "noise")  # inputs of every scene
+OWN = (
+    "q",
+    "qd",
+    "X_WB",
+    "V_WB_B",
+    "poses",
+    "twists",
+    "memory",
+    "reading",
+    "torque",
+    "reference",
+    "noise",
+)  # inputs of every scene
 _warned: Bounded[tuple[str, type[Effect]], bool] = Bounded(PROGRAMS)  # idle effects that a warning has named
 
 
-def resolved_effects(effects: Sequence[Effect], robot: Robot, integrator: Integrator) -> tuple[Effect, ...]:
+def resolved_objects(objects: Sequence[Object], robot: Robot, integrator: Integrator) -> tuple[Object, ...]:
+    """Objects with checked numbers; raises if they cannot be those of one scene."""
+    found = resolved(objects, robot)
+    if found and integrator.FIXED:
+        raise ArgumentError(
+            f"integrator must be one for free bodies, such as LinearlyImplicit, in a scene with objects, found "
+            f"{type(integrator).__name__}: {integrator.FIXED}"
+        )
+    return found
+
+
+def resolved_effects(
+    effects: Sequence[Effect], robot: Robot, integrator: Integrator, objects: Sequence[Object] = ()
+) -> tuple[Effect, ...]:
     """Effects with the numbers of a robot; raises if they cannot be those of one scene."""
     _require_compatible(effects)
     for effect in effects:
@@ -40,7 +66,7 @@ def resolved_effects(effects: Sequence[Effect], robot: Robot, integrator: Integr
                 f"integrator must be LinearlyImplicit in a scene with {type(effect).__name__}, found {integrator}: "
                 f"{effect.IMPLICIT}"
             )
-    resolved = tuple(effect.resolved(robot) for effect in effects)
+    resolved = tuple(effect.among(objects).resolved(robot) for effect in effects)
     for given, effect in zip(effects, resolved, strict=True):
         _warn_if_idle(given, effect, robot)
         for name in effect.inputs(robot.n):

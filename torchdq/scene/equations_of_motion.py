@@ -8,11 +8,13 @@ from operator import add as plus
 from operator import mul
 from typing import Any, NamedTuple
 
+from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import matrix
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add, difference, neg
+from torchdq.dynamics.free_bodies import Pair
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
 from torchdq.effects.effect import Effect
@@ -24,7 +26,7 @@ from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
 from torchdq.scene import effect_checks, free_base
-from torchdq.scene.free_base import POSE, START, TWIST
+from torchdq.scene.free_base import TWIST
 from torchdq.scene.integrators import System
 from torchdq.scene.spec import RecordedScene, Rows
 
@@ -58,54 +60,59 @@ class SceneSystem(System):
     # --- mechanics ---
 
     def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
-        """Positions at a displacement: joints and rotors along straight lines, a floating base as in `free_base`."""
+        """Positions at a displacement: joints and rotors along straight lines, free bodies as in `free_base`."""
         n = self._moving
         joints = super().moved(x[:n], h, rate[:n])
-        if not self.scene.spec.robot.floating:
-            return joints
-        return [*joints, *free_base.moved(x[-POSE:], h, rate[-TWIST:])]
+        return [*joints, *[y for X, V, _ in self.scene.free_of(x, rate) for y in free_base.moved(X, h, V)]]
 
     def rates(self, h: Number, rate: Row, v: Row) -> Row:
-        """Rates of the displacement: the velocities, up to terms of the displacement of a floating base."""
-        if not self.scene.spec.robot.floating:
-            return v
-        displacement = [h * x for x in rate[-TWIST:]]
+        """Rates of the displacement: the velocities, up to terms of the displacements of free bodies."""
+        first, found = len(v) - len(self._free), [*v]
         series = free_base.EXACT if self.scene.spec.integrator.order > 4 else free_base.ORDER_4
-        return [*v[:-TWIST], *free_base.rate(displacement, v[-TWIST:], series)]
+        for k in range(first, len(v), TWIST):
+            displacement = [h * x for x in rate[k : k + TWIST]]
+            found[k : k + TWIST] = free_base.rate(displacement, v[k : k + TWIST], series)
+        return found
 
     def sizes(self, x: Row) -> Row:
-        """Sizes of the positions of joints and rotors; 1 for the twist of a base, and for memory."""
+        """Sizes of the positions of joints and rotors; 1 for the twists of free bodies, and for memory."""
         n, others = self._moving, self.scene.spec.inner + len(self._free)
         return [*super().sizes(x[:n]), *[1.0] * others]
 
     def _at(self, x: Row) -> Posed:
-        return self.scene.posed(x[: self._n], self.scene.base_of(x))
+        return self.scene.posed(x[: self._n], *self.scene.poses_of(x))
 
     def _motion(self, x: Row, v: Row) -> Row:
-        """Twist of a floating base and velocities of the coordinates, in the order of the dynamics."""
-        n, scene = self._n, self.scene
-        return [*free_base.twist(x[-POSE:], v[-TWIST:], scene.base_com), *v[:n]] if self._free else v[:n]
+        """Twists of free bodies and velocities of the coordinates, in the order of the dynamics."""
+        return [*[y for X, V, c in self.scene.free_of(x, v) for y in free_base.twist(X, V, c)], *v[: self._n]]
 
     def _still(self, x: Row, v: Row) -> Row:
-        """Motion in a frame that moves with the centre of mass of a floating base, where the forces are the same."""
-        return self._motion(x, [*v[:-3], 0.0, 0.0, 0.0]) if self._free else self._motion(x, v)
+        """Motion in frames that move with the centres of mass of free bodies, where the forces are the same."""
+        still = [y for _, V, _ in self.scene.free_of(x, v) for y in (*V[:3], 0.0, 0.0, 0.0)]
+        return self._motion(x, [*v[: len(v) - len(still)], *still])
 
     def _acting(self, at: Posed, x: Row, v: Row, h: Number = 0.0) -> _Acting:
         """Wrenches and impedances on bodies over a step h."""
-        effects, robot = self.scene.spec.of(BodyEffect), self.scene.spec.robot
+        effects, bodies = self.scene.spec.of(BodyEffect), self.scene.bodies(at)
         if not effects:
-            return _Acting(Bodies(robot, at, ()), None, [])
-        bodies = Bodies(robot, at, at.twists(self._motion(x, v)))
-        links, inputs = len(robot.link_names), self.scene.inputs
+            return _Acting(bodies, None, [])
+        bodies = bodies.moving(self._motion(x, v))
+        links, inputs = len(bodies.robot.link_names) + len(bodies.objects), self.scene.inputs
         exerted: list[Screw | None] = [None] * (links + 1)
         points: list[PointImpedance] = []
+        between: dict[Pair, Any] = {}
         for (_, effect), memory in zip(effects, self._remembered(v, BodyEffect), strict=True):
             for i, wrench in effect_checks.wrenches(effect, effect.wrenches(bodies, inputs), links).items():
                 exerted[i] = add(exerted[i], neg(wrench))
             found = effect_checks.points(effect, effect.impedances(bodies, inputs, memory, h), links)
             for point in found:
                 exerted[point.link] = add(exerted[point.link], neg(point.wrench))
+                if point.against is not None:
+                    pair = (point.link, point.against)
+                    between[pair] = add(between.get(pair), point.wrench)
             points += found
+        for pair, wrench in between.items():
+            exerted[pair[1]] = add(exerted[pair[1]], bodies.posed.reaction(pair, wrench))
         return _Acting(bodies, exerted, points)
 
     def _solved(self, at: Posed, b: Row) -> Sequence[Number]:
@@ -115,26 +122,32 @@ class SceneSystem(System):
         return a
 
     def _parts(self, x: Row, a: Sequence[Number]) -> tuple[Sequence[Number], Sequence[Number]]:
-        """Accelerations of the joints, and those that a floating base is integrated with."""
+        """Accelerations of the joints, and those that free bodies are integrated with."""
         split = len(a) - self._n
-        return a[split:], free_base.at_centre(x[-POSE:], a[:split], self.scene.base_com) if split else ()
+        return a[split:], [y for X, A, c in self.scene.free_of(x, a[:split]) for y in free_base.at_centre(X, A, c)]
 
     def _net(self, at: Posed, forces: Row, x: Row, v: Row, exerted: list[Screw | None] | None) -> list[Number]:
-        """Forces on a floating base and on the joints, less those of velocities, gravity and wrenches."""
+        """Forces on free bodies and on the joints, less those of velocities, gravity and wrenches."""
         return difference([*self._free, *forces], at.torques(self._still(x, v), None, exerted))
 
     def _midway(self, v: Row, net: Row, h: Number) -> Row:
-        """Net forces with the inertial torque on a floating base as it is in the middle of a step.
+        """Net forces with the inertial torques on free bodies as they are in the middle of a step.
 
-        The inertia is that of the whole robot with its joints in the middle of their limits: constants, which are near
-        enough to take the greater part of the error of explicit inertial torques away.
+        The inertia of a robot is that of the whole of it with its joints in the middle of their limits: constants,
+        which are near enough to take the greater part of the error of explicit inertial torques away.
         """
-        if not self._free:
-            return net
-        robot = self.scene.spec.robot
-        whole = self.scene.posed(start(0, ranges(robot)), (START[:4], START[4:])).composites()[0]
-        change = free_base.torque_midway(tuple(v[-TWIST:-3]), whole.about_com, h)
-        return [*quat.sub(net[:3], change), *net[3:]]
+        found, scene, origin = [*net], self.scene, dq.ONE
+        for k, body in enumerate((*scene.spec.objects, *[None] * scene.spec.robot.floating)):
+            if body is not None and body.isotropic:
+                continue
+            at = slice(TWIST * k, TWIST * k + 3)
+            if body is None:
+                inertia = scene.posed(start(0, ranges(scene.spec.robot)), origin).composites()[0]
+            else:
+                inertia = body.posed(origin).inertia
+            w = tuple(v[len(v) - len(self._free) :][at])
+            found[at] = quat.sub(tuple(found[at]), free_base.torque_midway(w, inertia.about_com, h))
+        return found
 
     # --- forces at the joints ---
 
@@ -149,8 +162,8 @@ class SceneSystem(System):
 
     @property
     def _free(self) -> Row:
-        """Zeros for the twist of a floating base; none if the base is fixed."""
-        return (0.0,) * TWIST if self.scene.spec.robot.floating else ()
+        """Zeros for the twists of free bodies."""
+        return (0.0,) * (TWIST * self.scene.spec.free)
 
     @property
     def _transmission(self) -> Transmission:
@@ -242,17 +255,33 @@ class SceneSystem(System):
         ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
         rates = [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h)]
         moved = [w + h * a for w, a in zip(v[: len(rates)], rates, strict=True)]
-        kept = self._kept(acting, solution, h)
-        return [*moved, *kept, *[w + h * a for w, a in zip(v[len(v) - len(base) :], base, strict=True)]]
+        free = [w + h * a for w, a in zip(v[len(v) - len(base) :], base, strict=True)]
+        return [*moved, *self._kept(acting, x, [*moved, *free], solution, h), *free]
 
-    def _kept(self, acting: _Acting, a: Row, h: Number) -> Row:
-        """Memory of effects on bodies at the end of a step, with the accelerations a over it."""
-        points = [(p.kept, p.link, p.point) for p in acting.points if p.kept is not None]
+    def _kept(self, acting: _Acting, x: Row, end: Row, a: Row, h: Number) -> Row:
+        """Memory of effects on bodies after a step from x, with velocities `end` and accelerations a over it."""
+        points = [(p.kept, (p.link, p.point, p.against)) for p in acting.points if p.kept is not None]
         now = acting.bodies
-        rates = now._replace(V=now.posed.twists(a)) if points else now
-        ends = [quat.add(now.velocity(i, r), quat.scale(h, rates.velocity(i, r))) for _, i, r in points]
-        found = [x for (kept, *_), end in zip(points, ends, strict=True) for x in kept(end)]
+        rates = now.moving(a) if points else now
+        ends = [quat.add(now.velocity(*of), quat.scale(h, rates.velocity(*of))) for _, of in points]
+        slips = ends
+        if points and now.objects:
+            rounded = now.moving(self._rounded(x, end, h))
+            slips = [rounded.velocity(*of) for _, of in points]
+        found = [y for (kept, _), *of in zip(points, ends, slips, strict=True) for y in kept(*of)]
         return effect_checks.kept([effect for _, effect in self.scene.spec.of(BodyEffect)], found, self._n)
+
+    def _rounded(self, x: Row, end: Row, h: Number) -> Row:
+        """Motion at the end of a step, in the order of the dynamics, that gives its displacement as positions hold it.
+
+        Velocities below the rounding of positions move nothing. What friction remembers must not follow them, or what
+        is held creeps.
+        """
+        to, n, per = self.moved(x, h, end), self._n, 1.0 / h
+        (base, poses), (new_base, new) = self.scene.poses_of(x), self.scene.poses_of(to)
+        pairs = [*zip(poses, new, strict=True), *([] if base is None or new_base is None else [(base, new_base)])]
+        free = [per * y for X, Y in pairs for y in free_base.step_between(X, free_base.as_pose(free_base.unit(Y)))]
+        return [*free, *[per * (b - a) for a, b in zip(x[:n], to[:n], strict=True)]]
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations M(q)^-1 (dL/dq + forces), and those of the rotors."""

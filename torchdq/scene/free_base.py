@@ -20,7 +20,7 @@ G. Wanner, Geometric Numerical Integration, 2006, section IV.7). A method of hig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
@@ -37,6 +37,7 @@ from torchdq.numbers.functions import polynomial
 _BERNOULLI = (1 / 6, 1 / 30, 1 / 42, 1 / 30, 5 / 66, 691 / 2730, 7 / 6, 3617 / 510, 43867 / 798, 174611 / 330)
 ORDER_4 = (1.0 / 12.0,)
 EXACT = tuple(b / math.factorial(2 * k) for k, b in enumerate(_BERNOULLI, 1))  # up to rounding, below a radian
+_ARCSINE = (1.0, 1 / 6, 3 / 40, 5 / 112)  # of asin(x)/x in powers of x^2
 POSE, TWIST = Free.nq, Free.nv  # numbers of a pose and of a twist
 START = (1.0, *(0.0,) * (POSE - 1))  # X_SC at the start of a step
 
@@ -45,7 +46,7 @@ def moved(X: Row, h: Number, rate: Row) -> tuple[Number, ...]:
     """Pose X_SC after a time h at a constant rate of the displacement."""
     w, u = as_screw(rate)
     turn = screw.exp((quat.scale(0.5 * h, w), quat.ZERO), lambda v: entire(v, None))
-    r, d = dq.mul(dq.from_pose(quat.ONE, quat.scale(h, u)), dq.mul(_pose(X), turn))
+    r, d = dq.mul(dq.from_pose(quat.ONE, quat.scale(h, u)), dq.mul(as_pose(X), turn))
     return (*r, *d)
 
 
@@ -110,20 +111,20 @@ def _elimination(a: Pure, b: Pure, c: Pure) -> Callable[[Pure], Pure]:
 def at_centre(X: Row, V: Row, c: Pure) -> tuple[Number, ...]:
     """Velocities (w, u) of C at X_SC, of the twist V of B; also their rates, of the rate of a twist with u = 0."""
     w, v = as_screw(V)
-    return (*w, *quat.rotate(_pose(X)[0], quat.add(v, quat.cross(w, c))))
+    return (*w, *quat.rotate(as_pose(X)[0], quat.add(v, quat.cross(w, c))))
 
 
 def twist(X: Row, v: Row, c: Pure) -> tuple[Number, ...]:
     """Twist V_WB_B of velocities (w, u) of C at X_SC."""
     w, u = as_screw(v)
-    return (*w, *quat.sub(quat.rotate(quat.conj(_pose(X)[0]), u), quat.cross(w, c)))
+    return (*w, *quat.sub(quat.rotate(quat.conj(as_pose(X)[0]), u), quat.cross(w, c)))
 
 
 def placed(X_WB: Row, X: Row, c: Pure) -> DualQuaternion:
     """Pose X_WB at X_SC, of that at the start of the step."""
-    r, d = _pose(X)
+    r, d = as_pose(X)
     lever = quat.cross(c, quat.im(r))  # T(c) r T(-c) = r + eps c x r
-    return dq.mul(_pose(X_WB), (r, quat.add(d, (0.0, *lever))))
+    return dq.mul(as_pose(X_WB), (r, quat.add(d, (0.0, *lever))))
 
 
 def unit(X: DualQuaternion) -> tuple[Number, ...]:
@@ -134,18 +135,40 @@ def unit(X: DualQuaternion) -> tuple[Number, ...]:
     return (*(scale * a for a in r), *(scale * (b - a * along) for a, b in zip(r, d, strict=True)))
 
 
-def rate_of(X: Row, xi: Row) -> Row:
-    """Rate X xi/2 of a pose X as it is displaced to X exp(xi/2)."""
-    w, v = as_screw([0.5 * x for x in xi])
-    r, d = dq.mul(_pose(X), ((0.0, *w), (0.0, *v)))
-    return (*r, *d)
+def rates_of(X: Row, xi: Row) -> Row:
+    """Rates X xi/2 of poses X as they are displaced to X exp(xi/2)."""
+    found: list[Number] = []
+    for x, d in _bodies(X, POSE, xi, TWIST):
+        w, v = as_screw([0.5 * y for y in d])
+        r, moved = dq.mul(as_pose(x), ((0.0, *w), (0.0, *v)))
+        found += [*r, *moved]
+    return found
 
 
-def displacement(X: Row, rate: Row) -> list[Number]:
-    """Displacement xi = 2 im(X* X') of a pose X, of its rate X' = X xi/2."""
-    r, d = dq.mul(dq.conj(_pose(X)), _pose(rate))
-    return [2.0 * x for x in (*r[1:], *d[1:])]
+def displacements(X: Row, rates: Row) -> list[Number]:
+    """Displacements xi = 2 im(X* X') of poses X, of their rates X' = X xi/2."""
+    found: list[Number] = []
+    for x, rate in _bodies(X, POSE, rates, POSE):
+        r, d = dq.mul(dq.conj(as_pose(x)), as_pose(rate))
+        found += [2.0 * y for y in (*r[1:], *d[1:])]
+    return found
 
 
-def _pose(X: Row) -> DualQuaternion:
+def step_between(X: DualQuaternion, Y: DualQuaternion) -> tuple[Number, ...]:
+    """Small displacement (theta, p) from a pose to another one, in axes of the first; exactly zero where both agree."""
+    back = quat.conj(X[0])
+    half = quat.im(quat.mul(back, quat.sub(Y[0], X[0])))  # of length sin(|theta|/2)
+    return (
+        *quat.scale(2.0 * polynomial(_ARCSINE, quat.dot(half, half)), half),
+        *quat.rotate(back, quat.sub(dq.translation(Y), dq.translation(X))),
+    )
+
+
+def _bodies(x: Row, size: int, y: Row, other: int) -> Iterator[tuple[Row, Row]]:
+    """Numbers of every body in two rows."""
+    return ((x[size * k : size * (k + 1)], y[other * k : other * (k + 1)]) for k in range(len(x) // size))
+
+
+def as_pose(X: Row) -> DualQuaternion:
+    """Eight components as a pose."""
     return tuple(X[:4]), tuple(X[4:])

@@ -19,7 +19,7 @@ from torchdq.program.transforms import constant_in_graphs
 from torchdq.scene.free_base import POSE
 from torchdq.scene.model import SceneModel
 from torchdq.scene.recording import Stage
-from torchdq.scene.spec import SceneSpec
+from torchdq.scene.spec import POSES, SceneSpec
 from torchdq.scene.state import State, require_state
 
 LARGEST = 150_000  # operations of a step times columns, up to which a program of all columns compiles within 20 s
@@ -108,14 +108,24 @@ def _by_reverse_mode(
 
     ends, pull, *_ = torch.func.vjp(after, torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1))
     units = torch.eye(ends.shape[-1], dtype=ends.dtype, device=ends.device).expand(*batch, -1, -1)
-    if scene.robot.floating:  # a pose X changes by dX = X xi/2, so that xi = 2 conj(X) dX
-        displaced = 2 * dq.paper.hamilton_left(dq.conj(ends[..., :POSE]))[..., PURE, :]
-        units = torch.cat([torch.nn.functional.pad(displaced, (0, units.shape[-1] - POSE)), units[..., POSE:, :]], -2)
+    poses = POSE * scene.spec.free
+    if poses:  # a pose X changes by dX = X xi/2, so that xi = 2 conj(X) dX
+        each = 2 * dq.paper.hamilton_left(dq.conj(ends[..., :poses].unflatten(-1, (-1, POSE))))[..., PURE, :]
+        displaced = _block_diagonal(each)
+        units = torch.cat([torch.nn.functional.pad(displaced, (0, units.shape[-1] - poses)), units[..., poses:, :]], -2)
     # samples do not depend on each other, so that one gradient per row of the state is enough for all of them
     (found,) = torch.func.vmap(pull)(units.movedim(-2, 0))
     found = found.movedim(0, -2)
-    if scene.robot.floating:
-        directions = dq.paper.hamilton_left(rows["X_WB"])[..., PURE] / 2
-        found = torch.cat([found[..., :POSE] @ directions, found[..., POSE:]], -1)
+    if poses:
+        X = torch.cat([rows[name] for name in POSES if name in rows], -1).unflatten(-1, (-1, POSE))
+        directions = _block_diagonal(dq.paper.hamilton_left(X)[..., PURE] / 2)
+        found = torch.cat([found[..., :poses] @ directions, found[..., poses:]], -1)
     A, B = found.split([units.shape[-2], scene.n], -1)
     return Linearization(A, B)
+
+
+def _block_diagonal(blocks: Tensor) -> Tensor:
+    """Matrices [..., k rows, k columns] of k blocks [..., k, rows, columns] on their diagonals."""
+    k, rows, columns = blocks.shape[-3:]
+    found = torch.eye(k, dtype=blocks.dtype, device=blocks.device)[:, None, :, None] * blocks.unsqueeze(-2)
+    return found.reshape(*blocks.shape[:-3], k * rows, k * columns)

@@ -17,25 +17,27 @@ from torch import Tensor
 from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
-from torchdq.base.checks import require_choice, require_count, require_number, require_object
+from torchdq.base.checks import require_choice, require_count, require_number, require_object, require_tensor
 from torchdq.control.law import Law
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.effect import Effect
 from torchdq.effects.joint import JointEffect
 from torchdq.effects.sensor import Sensor
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.call import Precision, check_precision
 from torchdq.numbers.ops import Count
+from torchdq.objects import Object
 from torchdq.program.program import Argument, Program
 from torchdq.program.transforms import constant_in_graphs
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import arguments, constants, recorded
-from torchdq.scene.effect_checks import require_supported_base, resolved_effects
+from torchdq.scene.effect_checks import require_supported_base, resolved_effects, resolved_objects
+from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit
 from torchdq.scene.recording import Stage
-from torchdq.scene.spec import CONTROLLER, ROBOT, SceneSpec, Task, supplied
+from torchdq.scene.spec import CONTROLLER, OBJECTS, POSES, ROBOT, SceneSpec, Task, supplied
 from torchdq.scene.state import State, initial_motion, outside_limits, require_state
 from torchdq.scene.substeps import flow
 
@@ -57,6 +59,7 @@ class SceneModel:
     backend: BackendName | None = None
     precision: Precision = "auto"
     unroll: bool | None = None
+    objects: Sequence[Object] = ()
     spec: SceneSpec = field(init=False, repr=False)
     noises: int = field(init=False, repr=False)  # random numbers that a step consumes
     computed: dict[str, int] = field(init=False, repr=False)  # rows that a scene computes before a step, with widths
@@ -75,7 +78,8 @@ class SceneModel:
         if self.substeps > 1 and isinstance(self.integrator, DormandPrince):
             raise ArgumentError(f"substeps must be 1 with DormandPrince, which chooses its own, found {self.substeps}")
         require_supported_base(self.robot, self.integrator)
-        resolved = resolved_effects(self.effects, self.robot, self.integrator)
+        objects = resolved_objects(self.objects, self.robot, self.integrator)
+        resolved = resolved_effects(self.effects, self.robot, self.integrator, objects)
         controller = None if self.controller is None else self.controller.resolved(self.robot)
         spec = SceneSpec(
             recorded(constants(self.robot)),
@@ -85,13 +89,15 @@ class SceneModel:
             self.integrator,
             float(self.dt),
             self.substeps,
+            tuple(body.template() for body in objects),
         )
         object.__setattr__(self, "effects", resolved)
+        object.__setattr__(self, "objects", objects)
         object.__setattr__(self, "controller", controller)
         object.__setattr__(self, "spec", _interned.setdefault(spec, spec))
         found = {f"{ROBOT}.{name}": getattr(self.robot, name) for name in spec.arguments}
         parts = () if controller is None else ((CONTROLLER, controller),)
-        for owner, part in (*parts, *enumerate(resolved)):
+        for owner, part in (*parts, *enumerate(resolved), *((OBJECTS - k, x) for k, x in enumerate(objects))):
             found.update({f"{owner}.{name}": x for name, x in part.tensors().items()})
         object.__setattr__(self, "noises", spec.noises)
         object.__setattr__(self, "computed", spec.computed())
@@ -138,7 +144,8 @@ class SceneModel:
         if controller is not None:
             controller = replace(controller, **parts.get(CONTROLLER, {}))
         effects = [replace(effect, **parts.get(i, {})) for i, effect in enumerate(self.effects)]
-        return self.replace(robot=robot, controller=controller, effects=effects)
+        objects = [replace(body, **parts.get(OBJECTS - k, {})) for k, body in enumerate(self.objects)]
+        return self.replace(robot=robot, controller=controller, effects=effects, objects=objects)
 
     # --- time ---
 
@@ -149,6 +156,8 @@ class SceneModel:
         noise: Tensor | None = None,
         X_WB: Tensor | None = None,
         V_WB_B: Tensor | None = None,
+        X_WO: Tensor | None = None,
+        V_WO: Tensor | None = None,
     ) -> State:
         """Initial state, effects at rest, sensors read once; positions far outside `effects.JointLimits` are warned of.
 
@@ -160,11 +169,27 @@ class SceneModel:
             noise: random numbers for the sensors, as in `step`.
             X_WB: pose of a floating base in the world, shape [..., 8]; None: at the origin.
             V_WB_B: twist (angular, linear) of a floating base in its axes [rad/s, m/s], shape [..., 6]; None: at rest.
+            X_WO: poses of the objects in the world, or in the base frame of a fixed robot, shape [..., objects, 8];
+                None: at the origin.
+            V_WO: their twists (angular, linear) in their axes [rad/s, m/s], shape [..., objects, 6]; None: at rest.
         """
-        moved = initial_motion(self.spec, {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B})
+        given = {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B}
+        given |= {"poses": self._of_objects("X_WO", X_WO, POSE), "twists": self._of_objects("V_WO", V_WO, TWIST)}
+        moved = initial_motion(self.spec, given)
         if message := outside_limits(moved["q"], self.effects, self.robot):
             warnings.warn(message, stacklevel=2)
         return self._begin(moved, {}, noise)[0]
+
+    def _of_objects(self, name: str, x: Tensor | None, width: int) -> Tensor | None:
+        """Row of the objects, of a tensor with an axis of objects."""
+        if x is None:
+            return None
+        require_tensor(name, x)
+        if x.shape[-2:] != (len(self.objects), width):
+            names = ", ".join(body.name for body in self.objects) or "none"
+            expected = f"[..., {len(self.objects)}, {width}]"
+            raise ArgumentError(f"{name} must be {expected}, of the objects {names}; found {tuple(x.shape)}")
+        return x.flatten(-2)
 
     def _begin(
         self,
@@ -221,7 +246,7 @@ class SceneModel:
         rows, outside = self._evaluate("drive", {**state.rows(), **present}, task), self._outside(state)
         x, v = rows.pop("x"), rows.pop("v")
         acting = {name: present[name] for e in self.effects for name in e.inputs(self.n) if name in present}
-        held = acting | outside | {name: rows[name] for name in ("u", "X_WB") if name in rows} | self.parameters
+        held = acting | outside | {name: rows[name] for name in ("u", *POSES) if name in rows} | self.parameters
         x, v = flow(self.spec, x, v, held, self.backend)
         given = {"x": x, "v": v, **rows, **present, **{name: outside[name] for name in self.computed}}
         sensed = self._evaluate("sense", self._with_noise(given, noise), task)
@@ -255,11 +280,19 @@ class SceneModel:
         require_state(state)
         return self._evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
 
-    def contacts(self, state: State) -> Contacts:
+    @property
+    def touching(self) -> list[tuple[str, str]]:
+        """Frame or object of the point, and object or "ground" that it touches, of every contact in their order."""
+        return self.spec.touching
+
+    def contacts(self, state: State, name: str | None = None) -> Contacts:
         """Contact of every point; with stiction the forces are those of the last step, as the state remembers.
+
+        They are in the order of `touching`. A force acts on the body of the point.
 
         Args:
             state: from `start`, `step` or `rollout`, shape [...].
+            name: of a frame or an object: the contacts that it takes part in; None: all.
 
         >>> import torch, torchdq
         >>> from torchdq import Scene, effects
@@ -274,7 +307,32 @@ class SceneModel:
             )
         rows = self._evaluate("contacts", {**state.rows(), **self._grounds(state)})
         force = rows.pop("force").unflatten(-1, (-1, 3))
-        return Contacts(force, touching=rows.pop("touching") != 0, **rows)
+        found = Contacts(force, touching=rows.pop("touching") != 0, **rows)
+        if name is None:
+            return found
+        known = sorted({one for pair in self.touching for one in pair})
+        if name not in known:
+            raise UnknownNameError("frame or object with contacts", name, known)
+        chosen = [k for k, pair in enumerate(self.touching) if name in pair]
+        return Contacts(found.force[..., chosen, :], *(x[..., chosen] for x in found[1:]))
+
+    def grasped(self, state: State, name: str, least: float = 0.5) -> Tensor:
+        """True where two or more parts of the robot press on an object, each by a normal force of `least` [N], [...].
+
+        Args:
+            state: from `start`, `step` or `rollout`, shape [...].
+            name: of the object.
+            least: normal force [N].
+        """
+        if name not in self.spec.links:
+            raise UnknownNameError("object of the scene", name, self.spec.links)
+        known = [frame for frame, on in self.touching if on == name and frame not in self.spec.links]
+        if not known:
+            raise ArgumentError(f"the robot must touch {name!r} to grasp it; add effects.Contact(points, on={name!r})")
+        found = self.contacts(state)
+        parts = [[k for k, pair in enumerate(self.touching) if pair == (frame, name)] for frame in dict.fromkeys(known)]
+        pressing = torch.stack([found.normal_force[..., own].sum(-1) >= least for own in parts], -1)
+        return pressing.sum(-1) >= 2
 
     # --- programs ---
 

@@ -18,7 +18,7 @@ from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import Named
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
-from torchdq.effects.body import Bodies, BodyEffect
+from torchdq.effects.body import BodyEffect
 from torchdq.effects.contact import Contacts
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.steady import lines
@@ -30,9 +30,9 @@ from torchdq.program.program import Argument, Program, finish, growths, inputs, 
 from torchdq.robot.fields import trailing
 from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
-from torchdq.scene.free_base import POSE, TWIST, displacement, rate_of
+from torchdq.scene.free_base import POSE, TWIST, displacements, rates_of
 from torchdq.scene.integrators import DormandPrince, Integrator
-from torchdq.scene.spec import POLICY, Formula, Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
+from torchdq.scene.spec import POLICY, POSES, Formula, Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 
 # of adaptive steps, see `DormandPrince.attempt`; names that no input has
 TAKEN, CLOCK, GOAL = "size of a step", "clock of a step", "goal of a step"
@@ -56,7 +56,7 @@ def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
     for i, actuator in spec.of(Actuator):
         driven = actuator.driven(u, v[-n:], memory[i], spec.dt)  # motors turn with the rotors
         u, memory[i] = row_and_memory(actuator, "driven", driven, n, actuator.memory(n))
-    return u, *scene.with_base(x, scene.with_inner(v, memory)), memory
+    return u, *scene.with_free(x, scene.with_inner(v, memory)), memory
 
 
 def flow(system: SceneSystem, x: Row, v: Row) -> tuple[Row, Row]:
@@ -84,8 +84,7 @@ def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memor
     if scene.spec.senses:
         rows["reading"] = reading
     if task is not None:
-        base = moved.get("X_WB", ()), moved.get("V_WB_B", ())
-        rows.update(task.rows(View(scene, q, qd, reading, u, scene.inputs, *base, memory)))
+        rows.update(task.rows(_view(scene, moved, reading, u, memory)))
     return rows
 
 
@@ -105,7 +104,7 @@ def _step(scene: RecordedScene, task: Task | None) -> Rows:
 
 def _drive(scene: RecordedScene, task: Task | None) -> Rows:
     u, x, v, memory = drive(scene)
-    start = {"X_WB": scene.inputs["X_WB"]} if scene.spec.robot.floating else {}
+    start = {name: scene.inputs[name] for name in POSES if name in scene.inputs}
     return {"u": u, "x": x, "v": v, **start, **_remembered(memory)}
 
 
@@ -119,33 +118,33 @@ def _begin(scene: RecordedScene, task: Task | None) -> Rows:
     sensors = {i for i, _ in scene.spec.of(Sensor)}
     memory = {i: e.start(q, qd) for i, e in enumerate(scene.spec.effects) if i not in sensors}
     x, v = scene.packed(q, qd, memory)
-    return sense(scene, task, [0.0] * len(q), *scene.with_base(x, scene.with_inner(v, memory)), memory)
+    return sense(scene, task, [0.0] * len(q), *scene.with_free(x, scene.with_inner(v, memory)), memory)
 
 
 def _energy(scene: RecordedScene, task: Task | None) -> Rows:
-    q, qd = scene.inputs["q"], scene.inputs["qd"]
-    x, _ = scene.with_base(q, qd)
-    at = scene.posed(q, scene.base_of(x))
-    return {"E": (at.kinetic_energy((*scene.inputs.get("V_WB_B", ()), *qd)), at.potential_energy())}
+    view = _view(scene, scene.inputs)
+    at = view.bodies.posed
+    return {"E": (at.kinetic_energy((*view.twists, *view.V_WB_B, *view.qd)), at.potential_energy())}
 
 
-def _seen(scene: RecordedScene) -> View:
-    """A state that is given."""
-    given, memory = scene.inputs, scene.spec.split(scene.inputs.get("memory", ()))
-    base = given.get("X_WB", ()), given.get("V_WB_B", ())
-    return View(scene, given["q"], given["qd"], (), (), given, *base, memory)
+def _view(
+    scene: RecordedScene, moved: Mapping[str, Row], reading: Row = (), u: Row = (), memory: Memory | None = None
+) -> View:
+    """View of a state; the memory is that which is given."""
+    memory = scene.spec.split(scene.inputs.get("memory", ())) if memory is None else memory
+    free = {name: moved[name] for name in ("X_WB", "V_WB_B", "poses", "twists") if name in moved}
+    return View(scene, moved["q"], moved["qd"], reading, u, scene.inputs, memory=memory, **free)
 
 
 def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
-    rows = dict(zip(Contacts._fields, zip(*_seen(scene).contacts, strict=True), strict=True))
+    rows = dict(zip(Contacts._fields, zip(*_view(scene, scene.inputs).contacts, strict=True), strict=True))
     return {**rows, "force": [x for force in rows["force"] for x in force]}
 
 
 def _places(scene: RecordedScene, task: Task | None) -> Rows:
     """Places of points, by the name of the row that is looked up there."""
-    robot, view = scene.spec.robot, _seen(scene)
-    bodies = Bodies(robot, view.posed(view.q), [])
-    return {name: x.places(bodies) for _, x in scene.spec.of(BodyEffect) for name in x.computed(robot.n)}
+    bodies, n = _view(scene, scene.inputs).bodies, scene.spec.robot.n
+    return {name: x.places(bodies) for _, x in scene.spec.of(BodyEffect) for name in x.computed(n)}
 
 
 def _bodies(scene: RecordedScene, task: Task | None) -> Rows:
@@ -236,8 +235,7 @@ class Stage(_StageFields, Computation):
         spec, n = self.spec, self.spec.robot.n
         moving = n + spec.transmission[1].memory(n) // 2
         asked = {} if self.task is None else self.task.inputs(n)
-        poses, twists = (POSE, TWIST) if spec.robot.floating else (0, 0)
-        evaluated = {"u": n, "x": moving + poses, "v": moving + spec.inner + twists, "h": 1}
+        evaluated = {"u": n, "x": moving + POSE * spec.free, "v": moving + spec.inner + TWIST * spec.free, "h": 1}
         evaluated |= {TAKEN: 1, CLOCK: 3, GOAL: 4}
         known = {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
         return known if self.wrt is None else {**known, "direction": sum(spec.displaced.values()) + n}
@@ -334,7 +332,8 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
         return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
 
-    best = min(map(by, alternatives_to_record(spec.robot.n, (False, True))), key=lambda p: p.count().total)
+    forms = (False,) if spec.objects else alternatives_to_record(spec.robot.n, (False, True))
+    best = min(map(by, forms), key=lambda p: p.count().total)
     steps = f"{what.stage} of {spec.dt:g} s" if what.stage == "step" else what.stage
     n = spec.robot.n
     acting = [(k, effect) for k, effect in enumerate(spec.effects) if not effect.idle() or effect.memory(n)]
@@ -365,11 +364,9 @@ def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
         def moved(by: Rows) -> Row:
             """Displacement of the state after the step, of those of its arguments."""
-            if "X_WB" in by:
-                by = {**by, "X_WB": rate_of(known["X_WB"], by["X_WB"])}
+            by = {of: rates_of(known[of], x) if of in POSES else x for of, x in by.items()}
             found = rates(step, values, {(at[of], j): x for of, row in by.items() for j, x in enumerate(row)})
-            if "X_WB" in parts:
-                found["X_WB"] = displacement(after["X_WB"], found["X_WB"])
+            found |= {of: displacements(after[of], found[of]) for of in POSES if of in parts}
             return [x for part in parts for x in found[part]]
 
         def columns(of: str) -> list[Row]:

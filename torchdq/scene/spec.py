@@ -6,10 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.algebra.quaternion import Pure
+from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.control.law import Law
+from torchdq.dynamics.free_bodies import WithFreeBodies
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
 from torchdq.effects.contact import Contact, Contacts
@@ -22,6 +24,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functions.parametric import Shapes
 from torchdq.functions.posed import Overrides, posed
 from torchdq.functions.posed import field as tensor
+from torchdq.objects import Object
 from torchdq.robot import Robot
 from torchdq.robot.fields import BODIES, SHAPES
 from torchdq.scene import free_base
@@ -33,8 +36,11 @@ Rows = dict[str, Row]
 Memory = dict[int, Row]  # remembered values of each effect, by its position
 E = TypeVar("E", bound=Effect)
 
-ORDER = ("X_WB", "q", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state in a linearization
-POLICY, ROBOT, CONTROLLER = -3, -2, -1  # owners of tensors; an effect owns its tensors by its position
+ORDER = ("poses", "X_WB", "q", "twists", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state, linearized
+GROUND = "ground"  # what contacts without an object touch
+POSES = ("poses", "X_WB")  # which are displaced by twists
+# owners of tensors; an effect owns its tensors by its position, and the objects begin with -4, downwards
+OBJECTS, POLICY, ROBOT, CONTROLLER = -4, -3, -2, -1
 
 
 class Task(Protocol):
@@ -68,10 +74,11 @@ class SceneSpec:
     integrator: Integrator
     dt: float
     substeps: int
+    objects: tuple[Object, ...] = ()
 
     def __hash__(self) -> int:
         # at every step; the parameters of the effects would take most of the time
-        return hash((self.robot, self.arguments, self.dt, self.substeps, *map(type, self.effects)))
+        return hash((self.robot, self.arguments, self.dt, self.substeps, *map(type, (*self.effects, *self.objects))))
 
     def of(self, base: type[E]) -> list[tuple[int, E]]:
         """Effects of a class, with their positions among all."""
@@ -88,13 +95,29 @@ class SceneSpec:
     def displaced(self) -> dict[str, int]:
         """Names and widths of the parts of a displacement of a state, in the order of a linearization."""
         state = self.state
-        return {name: TWIST if name == "X_WB" else state[name] for name in ORDER if name in state}
+        return {name: state[name] * TWIST // POSE if name in POSES else state[name] for name in ORDER if name in state}
 
     @property
     def moving(self) -> dict[str, int]:
         """Names and widths of the positions and velocities of a state."""
         base = {"X_WB": POSE, "V_WB_B": TWIST} if self.robot.floating else {}
-        return {"q": self.robot.n, "qd": self.robot.n, **base}
+        k = len(self.objects)
+        return {
+            "q": self.robot.n,
+            "qd": self.robot.n,
+            **base,
+            **({"poses": POSE * k, "twists": TWIST * k} if k else {}),
+        }
+
+    @property
+    def free(self) -> int:
+        """Number of free bodies: the objects, and the base if it is floating."""
+        return len(self.objects) + self.robot.floating
+
+    @property
+    def links(self) -> dict[str, int]:
+        """Links of the objects by their names: those after the robot's own."""
+        return {body.name: i for i, body in enumerate(self.objects, len(self.robot.link_names) + 1)}
 
     @property
     def senses(self) -> bool:
@@ -146,6 +169,11 @@ class SceneSpec:
         return [*self.of(JointEffect), *self.of(BodyEffect)]
 
     @property
+    def touching(self) -> list[tuple[str, str]]:
+        """Frame or object of the point, and object or "ground" that it touches, of every contact."""
+        return [(point.frame, on or GROUND) for _, effect in self.of(Contact) for point, on in effect.touching]
+
+    @property
     def inner(self) -> int:
         """Number of values that those effects remember."""
         return sum(effect.memory(self.robot.n) for _, effect in self.integrated)
@@ -154,7 +182,13 @@ class SceneSpec:
         """Trailing axes of the parameters of the robot, the controller, or the effect at a position."""
         if owner == ROBOT:
             return SHAPES
-        part = self.controller if owner == CONTROLLER else self.effects[owner]
+        part: Any = (
+            self.objects[OBJECTS - owner]
+            if owner <= OBJECTS
+            else self.effects[owner]
+            if owner >= 0
+            else self.controller
+        )
         return {} if part is None else part.SHAPES
 
     def split(self, memory: Row) -> Memory:
@@ -184,9 +218,21 @@ class RecordedScene:
     linear: bool  # True: accelerations by articulated bodies, in O(n)
     inputs: Mapping[str, Row] = field(default_factory=dict)
 
-    def posed(self, q: Row, X_WB: DualQuaternion | None = None) -> Posed:
-        """Robot at joint positions and, if its base is free, at the pose of it, with the scene's changes."""
-        return posed(self.spec.robot, q, self.overrides, self.per_sample, X_WB)
+    def posed(self, q: Row, X_WB: DualQuaternion | None = None, poses: Sequence[DualQuaternion] = ()) -> Posed:
+        """Robot at joint positions, if its base is free at the pose of it, and objects, with the scene's changes."""
+        spec, robot = self.spec, posed(self.spec.robot, q, self.overrides, self.per_sample, X_WB)
+        if not poses:
+            return robot
+        free = [body.posed(X_WO) for body, X_WO in zip(spec.objects, poses, strict=True)]
+        pairs = [pair for _, effect in spec.of(BodyEffect) for pair in effect.pairs(spec.robot, spec.links)]
+        gravity = tensor(spec.robot, "gravity", self.overrides)
+        found: Any = WithFreeBodies.at(robot, free, len(spec.robot.link_names) + 1, gravity, [*dict.fromkeys(pairs)])
+        return found
+
+    def bodies(self, at: Posed) -> Bodies:
+        """Links of the robot and objects, at rest."""
+        links = self.spec.links
+        return Bodies(self.spec.robot, at, objects={body.name: (links[body.name], body) for body in self.spec.objects})
 
     def packed(self, q: Row, qd: Row, memory: Memory) -> tuple[Row, Row]:
         """Positions and velocities of the joints and then of the rotors behind them."""
@@ -198,30 +244,42 @@ class RecordedScene:
         return (*v, *[value for i, _ in self.spec.integrated for value in memory[i]])
 
     @property
-    def base_com(self) -> Pure:
-        """Centre of mass of a floating base, in its frame [m]."""
-        return tensor(self.spec.robot, "base_com", self.overrides)
+    def _coms(self) -> list[Pure]:
+        """Centres of mass of the free bodies in their frames: of the objects, and of a floating base."""
+        base = [tensor(self.spec.robot, "base_com", self.overrides)] if self.spec.robot.floating else []
+        return [*[quat.ZERO] * len(self.spec.objects), *base]
 
-    def with_base(self, x: Row, v: Row) -> tuple[Row, Row]:
-        """Integrated positions x and velocities v: `packed` ones, then those of a floating base; see `free_base`."""
-        if not self.spec.robot.floating:
-            return x, v
-        return (*x, *START), (*v, *free_base.at_centre(START, self.inputs["V_WB_B"], self.base_com))
+    def free_of(self, x: Row, v: Row) -> list[tuple[Row, Row, Pure]]:
+        """Displacement, velocities and centre of mass of every free body, which are the last of x and of v."""
+        k = self.spec.free
+        X, V = _parts(x[len(x) - POSE * k :], POSE), _parts(v[len(v) - TWIST * k :], TWIST)
+        return [*zip(X, V, self._coms, strict=True)]
 
-    def base_of(self, x: Row) -> DualQuaternion | None:
-        """Pose X_WB of a floating base, of integrated positions; None: the base is fixed."""
-        if not self.spec.robot.floating:
-            return None
-        return free_base.placed(self.inputs["X_WB"], x[-POSE:], self.base_com)
+    def with_free(self, x: Row, v: Row) -> tuple[Row, Row]:
+        """Integrated positions x and velocities v: `packed` ones, then those of free bodies; see `free_base`."""
+        V = _parts((*self.inputs.get("twists", ()), *self.inputs.get("V_WB_B", ())), TWIST)
+        centres = [y for V_B, c in zip(V, self._coms, strict=True) for y in free_base.at_centre(START, V_B, c)]
+        return (*x, *START * self.spec.free), (*v, *centres)
+
+    def poses_of(self, x: Row) -> tuple[DualQuaternion | None, list[DualQuaternion]]:
+        """Pose X_WB of a floating base, None if it is fixed, and poses of the objects, of integrated positions."""
+        start = _parts((*self.inputs.get("poses", ()), *self.inputs.get("X_WB", ())), POSE)
+        X = _parts(x[len(x) - POSE * self.spec.free :], POSE)
+        found = [free_base.placed(*at) for at in zip(start, X, self._coms, strict=True)]
+        return (found.pop() if self.spec.robot.floating else None), found
 
     def unpacked(self, x: Row, v: Row, memory: Memory) -> tuple[Rows, Memory]:
         """State of integrated positions x and velocities v, and the memory."""
         (at, _), n = self.spec.transmission, self.spec.robot.n
         rows: Rows = {"q": x[:n], "qd": v[:n]}
-        if (X_WB := self.base_of(x)) is not None:
-            rows["X_WB"] = free_base.unit(X_WB)
-            rows["V_WB_B"] = free_base.twist(x[-POSE:], v[-TWIST:], self.base_com)
-            x, v = x[:-POSE], v[:-TWIST]
+        X_WB, poses = self.poses_of(x)
+        twists = [free_base.twist(*of) for of in self.free_of(x, v)]
+        if X_WB is not None:
+            rows |= {"X_WB": free_base.unit(X_WB), "V_WB_B": twists.pop()}
+        if poses:
+            rows |= {"poses": [y for X in poses for y in free_base.unit(X)], "twists": [y for V in twists for y in V]}
+        k = self.spec.free
+        x, v = x[: len(x) - POSE * k], v[: len(v) - TWIST * k]
         inner, v = v[len(x) :], v[: len(x)]
         memory = {**memory} if at is None else {**memory, at: (*x[n:], *v[n:])}
         for i, effect in self.spec.integrated:
@@ -242,18 +300,38 @@ class View(NamedTuple):
     X_WB: Row = ()  # pose [8] and twist [6] of a floating base
     V_WB_B: Row = ()
     memory: Memory = {}  # noqa: RUF012  # of each effect
+    poses: Row = ()  # [8 objects]
+    twists: Row = ()  # [6 objects]
 
     def posed(self, q: Row) -> Posed:
         """Robot at joint positions, in the world if its base is floating."""
-        return self.scene.posed(q, (tuple(self.X_WB[:4]), tuple(self.X_WB[4:])) if self.X_WB else None)
+        return self.scene.posed(q, free_base.as_pose(self.X_WB) if self.X_WB else None)
+
+    @property
+    def bodies(self) -> Bodies:
+        """Links of the robot and objects, at rest."""
+        poses = [free_base.as_pose(X) for X in _parts(self.poses, POSE)]
+        return self.scene.bodies(self.scene.posed(self.q, free_base.as_pose(self.X_WB) if self.X_WB else None, poses))
 
     @property
     def contacts(self) -> list[Contacts]:
         """Contact of every point of the scene."""
-        spec, at = self.scene.spec, self.posed(self.q)
-        bodies = Bodies(spec.robot, at, at.twists([*self.V_WB_B, *self.qd]))
+        spec, bodies = self.scene.spec, self.bodies.moving([*self.twists, *self.V_WB_B, *self.qd])
         found = [effect.readings(bodies, self.scene.inputs, self.memory[i]) for i, effect in spec.of(Contact)]
         return [point for points in found for point in points]
+
+    def pressing(self, name: str) -> dict[str, Number]:
+        """Sums of the normal forces on an object, by the frames and objects that touch it [N]."""
+        found: dict[str, Number] = {}
+        for (frame, on), contact in zip(self.scene.spec.touching, self.contacts, strict=True):
+            if on == name:
+                found[frame] = found.get(frame, 0.0) + contact.normal_force
+        return found
+
+
+def _parts(row: Row, size: int) -> list[Row]:
+    """Parts of a row, each of that many numbers."""
+    return [row[k : k + size] for k in range(0, len(row), size)]
 
 
 def recorded(
@@ -275,6 +353,7 @@ def recorded(
         spec,
         effects=tuple(bound(i, effect) for i, effect in enumerate(spec.effects)),
         controller=None if spec.controller is None else bound(CONTROLLER, spec.controller),
+        objects=tuple(bound(OBJECTS - k, body) for k, body in enumerate(spec.objects)),
     )
     for i, effect in sorted(spec.of(ModelEffect), key=lambda found: found[1].LATE):
         changed = changes(effect, effect.changed(spec.robot, overrides), spec.robot)

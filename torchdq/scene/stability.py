@@ -245,7 +245,9 @@ class _Trial:
         slip = torch.where(found.touching[-1], found.slip[-1], 0.0)
         contacts: Sequence[Any] = [scene.effects[i] for i, _ in scene.spec.of(Contact)]
         stiffness = max(float(tensor_of(contact.stiffness).detach().max()) for contact in contacts)
-        each = [(tensor_of(contact.friction).detach().double()[..., None], len(contact.points)) for contact in contacts]
+        each = [
+            (tensor_of(contact.friction).detach().double()[..., None], len(contact.touching)) for contact in contacts
+        ]
         mu = torch.cat([x.expand(*kept.shape, points) for x, points in each], -1)[kept]
         friction = (found.force.square().sum(-1) - found.normal_force.square()).clamp(min=0.0).sqrt().sum(0)
         most = mu * found.normal_force.sum(0)

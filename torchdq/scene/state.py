@@ -17,9 +17,9 @@ from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.arrays import unit
-from torchdq.scene.free_base import POSE
+from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.recording import Stage
-from torchdq.scene.spec import SceneSpec
+from torchdq.scene.spec import POSES, SceneSpec
 
 UNIT = 1e-4  # error of a pose that is taken for a unit dual quaternion: finite differences stay below
 OUTSIDE = 0.5  # distance beyond a limit from which its spring throws the joint back at speeds of no real arm [rad or m]
@@ -34,6 +34,8 @@ class State(NamedTuple):
     reading: Tensor | None = None  # [..., 2 n] measured positions and velocities; None: there are no sensors
     X_WB: Tensor | None = None  # [..., 8] pose of a floating base; None: the base is fixed
     V_WB_B: Tensor | None = None  # [..., 6] twist (angular, linear) of a floating base in its axes [rad/s, m/s]
+    poses: Tensor | None = None  # [..., 8 objects] poses of the objects, one after the other; None: there are none
+    twists: Tensor | None = None  # [..., 6 objects] their twists (angular, linear) in their axes [rad/s, m/s]
 
     @property
     def measured(self) -> tuple[Tensor, Tensor]:
@@ -42,6 +44,16 @@ class State(NamedTuple):
             return self.q, self.qd
         n = self.q.shape[-1]
         return self.reading[..., :n], self.reading[..., n:]
+
+    @property
+    def X_WO(self) -> Tensor | None:
+        """Poses of the objects [..., objects, 8]; None: there are none."""
+        return None if self.poses is None else self.poses.unflatten(-1, (-1, POSE))
+
+    @property
+    def V_WO(self) -> Tensor | None:
+        """Twists of the objects in their axes [..., objects, 6]; None: there are none."""
+        return None if self.twists is None else self.twists.unflatten(-1, (-1, TWIST))
 
     @property
     def last(self) -> State:
@@ -82,22 +94,23 @@ def initial_motion(spec: SceneSpec, given: Mapping[str, Tensor | None]) -> dict[
     batch = batch_of(Stage(spec, "start"), present)
     q = present["q"]
     moved = {name: q.new_zeros(width) for name, width in spec.moving.items()}
-    if "X_WB" in present:
-        require_unit(present["X_WB"])
-    if "X_WB" in moved:
-        moved["X_WB"] = torch.eye(1, POSE, dtype=q.dtype, device=q.device)[0]
+    for name in {*POSES} & moved.keys():
+        if name in present:
+            require_unit(name, present[name])
+        moved[name] = torch.eye(1, POSE, dtype=q.dtype, device=q.device)[0].repeat(spec.moving[name] // POSE)
     # clones, so that later changes of q do not move the state
     return {name: x.clone().expand(*batch, x.shape[-1]) for name, x in {**moved, **present}.items()}
 
 
-def require_unit(X_WB: Tensor) -> None:
-    """Raise unless poses, except those with NaN, are unit dual quaternions up to their rounding."""
-    if without_values((X_WB,)) or not X_WB.numel():
+def require_unit(name: str, poses: Tensor) -> None:
+    """Raise unless poses [..., 8 bodies], except those with NaN, are unit dual quaternions up to their rounding."""
+    if without_values((poses,)) or not poses.numel():
         return
-    wrong = ~(unit(X_WB.detach(), UNIT) | X_WB.isnan().any(-1))
+    X = poses.detach().unflatten(-1, (-1, POSE))
+    wrong = ~(unit(X, UNIT) | X.isnan().any(-1))
     if bool(wrong.any()):
-        found = X_WB[tuple(wrong.nonzero()[0].tolist())].tolist()
-        raise ArgumentError(f"X_WB must be unit dual quaternions (see torchdq.dq.normalize), found {found}")
+        found, shown = X[tuple(wrong.nonzero()[0].tolist())].tolist(), "X_WO" if name == "poses" else name
+        raise ArgumentError(f"{shown} must be unit dual quaternions (see torchdq.dq.normalize), found {found}")
 
 
 def nonfinite_rows(state: State, robot: Robot) -> str:

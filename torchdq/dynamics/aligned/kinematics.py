@@ -11,7 +11,7 @@ from torchdq.algebra.quaternion import Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.aligned.placement import Alignment, Steps
 from torchdq.dynamics.joints import Coordinate
-from torchdq.dynamics.posed import Point
+from torchdq.dynamics.posed import Point, Seen
 from torchdq.dynamics.tree import Tree, freedoms, path
 
 
@@ -71,6 +71,28 @@ def joint_screws_in_base(tree: Tree, steps: Steps, i: int, r: Pure) -> dict[int,
             along = tuple(e[2] * step.theta.shift for e in axes[j])
             arm = quat.add(quat.add(arm, along), tuple(quat.dot(e, step.placement.p) for e in axes[link.parent]))
     return found
+
+
+def seen_from(tree: Tree, steps: Steps, axes: Sequence[Pure], p: Pure, links: Sequence[int]) -> dict[int, Seen]:
+    """Links as seen from a frame O, of which axes and origin are given in the base frame."""
+    rows: dict[int, Sequence[Pure]] = {}  # axes of O, in the link's frame
+    origins: dict[int, Pure] = {}
+    columns: dict[int, dict[int, Screw]] = {}
+    for j in sorted({j for i in links for j in path(tree.links, i)}):
+        link, step = tree.links[j], steps[j]
+        if step is None:
+            rows[j], origins[j], columns[j] = axes, tuple(-quat.dot(e, p) for e in axes), {}
+        else:
+            before = rows[link.parent]
+            rows[j] = tuple(step.vector_to_link(e) for e in before)
+            arm = tuple(
+                quat.dot(e, step.placement.p) + f[2] * step.theta.shift for e, f in zip(before, rows[j], strict=True)
+            )
+            origins[j], columns[j] = quat.add(origins[link.parent], arm), dict(columns[link.parent])
+        for k, s in freedoms(link):
+            w, v = (tuple(quat.dot(e, x) for e in rows[j]) for x in s)
+            columns[j][k] = w, quat.add(v, quat.cross(origins[j], w))
+    return {i: Seen(tuple(zip(*rows[i], strict=True)), origins[i], columns[i]) for i in links}
 
 
 def poses(

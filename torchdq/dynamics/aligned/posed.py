@@ -21,7 +21,7 @@ from torchdq.dynamics.aligned import aba, kinematics, rnea
 from torchdq.dynamics.aligned.placement import Alignment, Step, Steps
 from torchdq.dynamics.joints import Along, Coordinate
 from torchdq.dynamics.point_mass import PointMass, on_links, with_outer
-from torchdq.dynamics.posed import Exerted, Factors, Point, Row, factors_by_entries
+from torchdq.dynamics.posed import Exerted, Factors, Point, Row, Seen, factors_by_entries
 from torchdq.dynamics.tree import Tree
 from torchdq.numbers.functions import cos, sin
 
@@ -127,6 +127,14 @@ class Aligned(NamedTuple):
         else:
             found = kinematics.joint_screws(self.tree, self.steps, i, point)
         return [found.get(k) for k in range(self.tree.nv)]
+
+    def seen_from(self, X_WO: DualQuaternion, links: Sequence[int]) -> dict[int, Seen]:
+        """Links as seen from a frame O that is not fixed to the robot."""
+        axes, p = quat.rotation_columns(X_WO[0]), dq.translation(X_WO)
+        if self.X_WB is not None:
+            p = quat.rotate(quat.conj(self.X_WB[0]), quat.sub(p, dq.translation(self.X_WB)))
+            axes = quat.rotation_columns(quat.mul(quat.conj(self.X_WB[0]), X_WO[0]))
+        return kinematics.seen_from(self.tree, self.steps, axes, p, links)
 
     def acceleration(self, i: int, X_BF: DualQuaternion, qd: Row, qdd: Row | None, world: bool) -> Screw:
         """Angular acceleration of a frame and acceleration of its origin, in its own or in world axes."""

@@ -20,7 +20,7 @@ from torchdq.dynamics import crba, energy, regressor
 from torchdq.dynamics.acceleration import tensor
 from torchdq.dynamics.general import kinematics, rnea
 from torchdq.dynamics.point_mass import PointMass, on_links, with_outer
-from torchdq.dynamics.posed import Exerted, Factors, Point, Row, factors_by_entries
+from torchdq.dynamics.posed import Exerted, Factors, Point, Row, Seen, factors_by_entries
 from torchdq.dynamics.tree import Tree
 
 
@@ -82,6 +82,17 @@ class General(NamedTuple):
             return list(columns)
         r = quat.mul(self.poses()[i][0], X_BF[0])
         return [None if c is None else (quat.rotate(r, c[0]), quat.rotate(r, c[1])) for c in columns]
+
+    def seen_from(self, X_WO: DualQuaternion, links: Sequence[int]) -> dict[int, Seen]:
+        """Links as seen from a frame O that is not fixed to the robot."""
+        found, poses, r_OW = {}, self.poses(), quat.conj(X_WO[0])
+        for i in links:
+            r_OA = quat.mul(r_OW, poses[i][0])
+            apart = quat.sub(dq.translation(poses[i]), dq.translation(X_WO))
+            seen = Seen(quat.rotation_columns(r_OA), quat.rotate(r_OW, apart), {})
+            own = kinematics.joint_screws(self.tree, self.Ad, i)
+            found[i] = seen._replace(columns={k: seen.screw(s) for k, s in own.items()})
+        return found
 
     def acceleration(self, i: int, X_BF: DualQuaternion, qd: Row, qdd: Row | None, world: bool) -> Screw:
         """Angular acceleration of a frame and acceleration of its origin, in its own or in world axes."""

@@ -29,7 +29,7 @@ class ModelLinks(NamedTuple):
 
 def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> ModelLinks:
     """Links of a model by the displacements of its joints, on the body that is its floating base, or the world."""
-    m, names, shapes = of.model, names_of(of, "BODY", of.model.nbody), _shapes(of)
+    m, names, shapes = of.model, names_of(of, "BODY", of.model.nbody), shapes_of(of)
     segments = [Segment(names[0], None, dual_quaternion.ONE, shapes=tuple(shapes[0]))]
     for i in range(1, m.nbody):
         own = [joint for joint in joints if joint.body == i and joint.single]
@@ -63,7 +63,7 @@ def _site_names(of: MjcfModel, bodies: list[str]) -> list[str]:
     return found
 
 
-def _shapes(of: MjcfModel) -> list[list[Shape]]:
+def shapes_of(of: MjcfModel) -> list[list[Shape]]:
     """Shapes of the geoms that take part in contacts, by body."""
     m = of.model
     found: list[list[Shape]] = [[] for _ in range(m.nbody)]

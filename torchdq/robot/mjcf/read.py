@@ -112,8 +112,8 @@ def _free_base(joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: Base
     if len(free) > 1:
         names = ", ".join(joint.name for joint in free)
         raise DescriptionError(
-            f"one body may be free, found the free joints {names}; lock all but one by their names, "
-            "or load the file of one robot alone"
+            f"one body may be free, found the free joints {names}; lock all but one by their names, or hold all with "
+            "base='fixed' and read them by torchdq.objects.from_mjcf, as objects of scenes"
         )
     if base == "floating" and not free:
         raise ArgumentError(

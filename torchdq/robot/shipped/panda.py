@@ -27,9 +27,14 @@ LINKS = [
 
 def build() -> Robot:
     """Panda arm."""
+    return arm("panda", "panda_")
+
+
+def arm(name: str, prefix: str) -> Robot:
+    """Panda arm whose joints and links have names with a prefix."""
     mass, com, inertia = zip(*LINKS, strict=True)
     robot = Robot.from_dh(
-        name="panda",
+        name=name,
         convention="modified",
         a=[0, 0, 0, 0.0825, -0.0825, 0, 0.088],
         alpha=[0, -pi / 2, pi / 2, pi / 2, -pi / 2, pi / 2, pi / 2],
@@ -39,8 +44,8 @@ def build() -> Robot:
         com=com,
         inertia=inertia,
         tip_pose=[1, 0, 0, 0, 0, 0, 0, 0.107 / 2],
-        joint_names=[f"panda_joint{i}" for i in range(1, 8)],
-        link_names=[f"panda_link{i}" for i in range(1, 8)],
+        joint_names=[f"{prefix}joint{i}" for i in range(1, 8)],
+        link_names=[f"{prefix}link{i}" for i in range(1, 8)],
     )
     lower = [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973]
     upper = [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]

@@ -1,0 +1,213 @@
+"""A policy that pushes, lifts or picks, in another engine.
+
+    python examples/32_hands_in_mujoco.py pick [--runs 64] [--policy out/pick.pt]
+
+The policy of `31_hands_ppo.py` acts on the same arm and cube in MuJoCo, whose contacts follow another law: with
+elliptic cones of friction, with pyramids as by default, and with elliptic cones whose friction is ten times stiffer. It
+prints the share that succeeds at the end of an episode, from the same starts in both engines.
+"""
+
+import sys
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+import tyro
+from torch import Tensor, nn
+
+from torchdq import Robot, dq, effects
+from torchdq.backends.choice import choose
+from torchdq.backends.precision import run
+from torchdq.dynamics.posed import Row
+from torchdq.envs import RobotVectorEnv
+from torchdq.envs.manipulation import PADS, PERIOD, PRESSING, TABLE, Manipulation
+from torchdq.program.program import Argument, Program, record
+from torchdq.robot.contact_points import points_of
+
+hands = import_module("31_hands_ppo")
+STEP = 0.002  # [s]
+CONES = {"elliptic": ("elliptic", 10), "pyramidal": ("pyramidal", 1), "stiffer": ("elliptic", 100)}  # and impratio
+
+
+@dataclass
+class Args(hands.Args):
+    policy: Path | None = None
+    """File of the policy; None: `out/TASK.pt`."""
+    runs: int = 64
+    """Number of starts."""
+
+
+def at(position: list[float], rotation: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)) -> Tensor:
+    """Pose of a position and a quaternion."""
+    return dq.from_pose(torch.tensor(rotation, dtype=torch.float64), torch.tensor(position, dtype=torch.float64))
+
+
+def text(*rows: Tensor) -> list[str]:
+    """Numbers as MJCF has them."""
+    return [" ".join(f"{x:.12g}" for x in row.tolist()) for row in rows]
+
+
+class Hand:
+    """Arm with a gripper on a fixed base, a box and a plane in MuJoCo, with the spheres of the fingers' pads.
+
+    Args:
+        task: the task.
+        robot: the robot.
+        cone: how friction is limited, one of `CONES`.
+    """
+
+    def __init__(self, task: Manipulation, robot: Robot, cone: str = "elliptic") -> None:
+        self.task, self.robot = task, robot
+        joints, moving = robot.joint_names, torch.eye(robot.n)
+        if robot.joint_map is not None:
+            joints, moving = robot.joint_map.joint_names, robot.joint_map.S
+        # joints that each coordinate moves, all by the same amount
+        self.moved = [row.nonzero()[:, 0].tolist() for row in moving.T]
+        self.model = model = mujoco.MjModel.from_xml_string(self.mjcf(joints, *CONES[cone]))
+        self.at = np.array([int(model.joint(name).qposadr[0]) for name in joints])
+        for i, own in enumerate(self.moved):
+            model.dof_armature[self.at[own]] = float(robot.armature[i]) / len(own)
+            model.dof_damping[self.at[own]] = float(robot.damping[i]) / len(own)
+        free = int(model.body("object").jntadr[0])
+        self.place, self.speed = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
+        self.scale = np.array(task.defaults(robot)["scale"])
+
+    def mjcf(self, joints: tuple[str, ...], cone: str, impratio: float) -> str:
+        """The model as text; fingers that move together pull on one tendon, as those of a real gripper."""
+        task, robot, names, motors, tendons, ends = self.task, self.robot, self.robot.link_names, "", "", ""
+        points, servo = points_of(robot, task.pads), effects.Servo(1.0, 1.0)
+        for effect in task.defaults(robot)["effects"]:
+            servo = effect.resolved(robot) if isinstance(effect, effects.Servo) else servo
+
+        def body(i: int) -> str:
+            screw, turns = robot.screw[i], robot.kinds[i] == "revolute"
+            place, turn, com, inertia, axis = text(
+                dq.translation(robot.X_PB_home[i]),
+                dq.rotation(robot.X_PB_home[i]),
+                robot.com[i],
+                robot.inertia[i, [0, 2, 5, 1, 3, 4]],
+                screw[:3] if turns else screw[3:],
+            )
+            inside = f'<joint name="{joints[i]}" type="{"hinge" if turns else "slide"}" axis="{axis}"/>'
+            inside += f'<inertial pos="{com}" mass="{float(robot.mass[i])}" fullinertia="{inertia}"/>'
+            for point in points:
+                if robot.frame(point.frame).link == i:
+                    (center,) = text(dq.translation(dq.mul(robot.frame(point.frame).X_BF, at(point.center))))
+                    inside += f'<geom size="{point.radius}" pos="{center}" mass="0" contype="1" conaffinity="2" '
+                    inside += f'friction="{PADS} 0.005 0.0001"/>'
+            inside += "".join(body(k) for k, parent in enumerate(robot.parents) if parent == i)
+            return f'<body name="{names[i]}" pos="{place}" quat="{turn}">{inside}</body>'
+
+        for i, own in enumerate(self.moved):
+            k, where = len(own), f'joint="{joints[own[0]]}"'
+            if k > 1:
+                parts = "".join(f'<joint joint="{joints[j]}" coef="1"/>' for j in own)
+                tendons += f'<fixed name="{robot.joint_names[i]}">{parts}</fixed>'
+                ends += "".join(f'<joint joint1="{joints[own[0]]}" joint2="{joints[j]}"/>' for j in own[1:])
+                where = f'tendon="{robot.joint_names[i]}"'
+            kp, kd, most = servo.kp[i] / k**2, servo.kd[i] / k**2, servo.limit[i] / k
+            motors += f'<position {where} kp="{kp}" kv="{kd}" forcerange="-{most} {most}"/>'
+        roots = "".join(body(k) for k, parent in enumerate(robot.parents) if parent < 0)
+        (half,) = text(0.5 * torch.tensor(task.object.size))
+        sliding = f'friction="{TABLE} 0.005 0.0001"'
+        return f"""<mujoco><compiler angle="radian"/>
+          <option integrator="implicitfast" timestep="{STEP}" cone="{cone}" impratio="{impratio}"/>
+          <worldbody><geom type="plane" size="2 2 0.1" contype="2" conaffinity="3" priority="1" {sliding}/>{roots}
+            <body name="object"><freejoint/><geom type="box" size="{half}" mass="{task.object.mass}"
+              contype="2" conaffinity="1" {sliding}/></body></worldbody>
+          <tendon>{tendons}</tendon><equality>{ends}</equality><actuator>{motors}</actuator></mujoco>"""
+
+    def state(self, data: mujoco.MjData) -> tuple[list[float], ...]:
+        """Positions and velocities of the coordinates, pose and twist of the object, and which fingers press on it."""
+        first = self.at[[own[0] for own in self.moved]]
+        p, r = np.split(data.qpos[self.place : self.place + 7], [3])
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, r)
+        v, w = np.split(data.qvel[self.speed : self.speed + 6], 2)
+        twist = [*w, *(R.reshape(3, 3).T @ v)]
+        return (
+            [*data.qpos[first].tolist()],
+            [*data.qvel[first]],
+            at(p.tolist(), tuple(r)).tolist(),
+            twist,
+            self.fingers(data),
+        )
+
+    def fingers(self, data: mujoco.MjData) -> list[float]:
+        """1 for every finger that presses on the object, otherwise 0."""
+        robot, force, cube = self.robot, np.zeros(6), self.model.body("object").id
+        links = [robot.link_names[robot.frame(point.frame).link] for point in points_of(robot, self.task.pads)]
+        found = dict.fromkeys(links, 0.0)
+        for k in range(data.ncon):
+            bodies = [int(self.model.geom_bodyid[geom]) for geom in data.contact[k].geom]
+            if cube in bodies:
+                other = self.model.body(bodies[1 - bodies.index(cube)]).name
+                mujoco.mj_contactForce(self.model, data, k, force)
+                found |= {other: found[other] + force[0]} if other in found else {}
+        return [float(x >= PRESSING) for x in found.values()]
+
+    def rows(self) -> Program:
+        """Observation, success, and targets without an action, as the task states them, recorded."""
+        task, robot, n, fingers = self.task, self.robot, self.robot.n, len(self.fingers(mujoco.MjData(self.model)))
+        widths = {"q": n, "qd": n, "X_WO": 8, "V_WO": 6, "fingers": fingers, "goal": 3}
+
+        def rows(q: Row, qd: Row, X: Row, V: Row, fingers: Row, goal: Row) -> dict[str, Row]:
+            X_WO, there = (tuple(X[:4]), tuple(X[4:])), tuple(goal)
+            return {
+                "observation": task.observed(robot, q, qd, X_WO, V, there, fingers),
+                "success": [task.judged(robot, q, qd, X_WO, there, fingers)[1]],
+                "target": task.reference(robot, q),
+            }
+
+        return record("hand", [Argument(name, width) for name, width in widths.items()], rows)
+
+    @torch.no_grad()
+    def run(self, policy: nn.Module, q: Tensor, X_WO: Tensor, goal: Tensor) -> Tensor:
+        """Whether episodes end in success, of starts q [N, n], poses of the object [N, 8] and goals [N, 3]."""
+        runs, program, backend = [mujoco.MjData(self.model) for _ in q], self.rows(), choose(None, q.device)
+        for data, start, X in zip(runs, q.tolist(), X_WO, strict=True):
+            for x, own in zip(start, self.moved, strict=True):
+                data.qpos[self.at[own]] = x
+            data.qpos[self.place : self.place + 7] = torch.cat([dq.translation(X), dq.rotation(X)])
+            mujoco.mj_forward(self.model, data)
+        success = torch.zeros(len(q), 1)
+        for k in range(hands.STEPS + 1):
+            states = [torch.tensor(rows) for rows in zip(*map(self.state, runs), strict=True)]
+            observation, success, target = run(program, [x.float() for x in (*states, goal)], backend)
+            action = policy(observation).clamp(-1, 1).double().numpy()
+            for data, x in zip(runs, target.double().numpy() + self.scale * action, strict=True):
+                data.ctrl[:] = [len(own) * y for own, y in zip(self.moved, x, strict=True)]
+                mujoco.mj_step(self.model, data, round(PERIOD / STEP) * (k < hands.STEPS))
+        return success[:, 0] > 0
+
+
+def policy_of(path: Path, envs: RobotVectorEnv) -> nn.Module:
+    """Policy that `31_hands_ppo.py` saved."""
+    spaces = envs.single_observation_space, envs.single_action_space
+    policy = hands.ppo.network(*(space.shape[0] for space in spaces), 0.1, nn.ELU())
+    policy.load_state_dict(torch.load(path))
+    return policy
+
+
+def main(args: Args) -> dict[str, float]:
+    """Shares of starts that succeed: here, and with every cone of friction there."""
+    task = args.of_task()
+    test = hands.Test(task, args.load())
+    envs = test.envs
+    policy = policy_of(args.policy or Path("out") / f"{args.task}.pt", envs)
+    shares = {"here": test(policy)[0]}
+    envs.reset(seed=2_000_000_000)
+    state, goals = envs.state, envs.get_state()["goal"]
+    for cone in CONES:
+        hand = Hand(task, envs.robot, cone)
+        found = hand.run(policy, *(x[: args.runs] for x in (state.q, state.X_WO[:, 0], goals)))
+        shares[cone] = float(found.float().mean())
+        print(f"{cone}: {shares[cone]:.0%} of {args.runs} succeed in MuJoCo, {shares['here']:.0%} here", flush=True)
+    return shares
+
+
+if __name__ == "__main__":
+    sys.exit(min(main(tyro.cli(Args)).values()) < 0.5)
