@@ -390,6 +390,13 @@ def test_samples_may_have_masses_sizes_and_friction_of_their_own():
     assert (after.twists[1] - after.twists[0]).abs().max() > 1e-3
 
 
+def test_contacts_follow_an_object_that_is_replaced():
+    scene = alone((Ball("it", 1.0, radius=0.1),), effects.Contact(("it",)))
+    boxed = scene.replace(objects=(Box("it", 1.0, size=(0.1, 0.1, 0.1)),))
+    assert (len(scene.touching), len(boxed.touching)) == (1, 8)
+    assert boxed.replace(dt=0.001).touching == boxed.touching
+
+
 def test_energy_is_that_of_all_bodies():
     scene = alone((Ball("ball", 2.0, radius=0.1),))
     state = begin(scene, at((0.0, 0.0, 3.0)), twist(0.0, 5.0, 0.0, 1.0, 2.0, 0.0))

@@ -197,7 +197,8 @@ class Contact(BodyEffect):
         if on == ():
             raise ArgumentError("on of Contact must name an object at least, found none; None is the ground")
         points: Any = []
-        for one in _each(self.points):
+        given = [one.frame if isinstance(one, ObjectPoint) else one for one in _each(self.points)]  # of another scene
+        for one in dict.fromkeys(given):
             names = fnmatch.filter(bodies, one) if isinstance(one, str) else []
             points += [ObjectPoint(name, k) for name in names for k in range(bodies[name].POINTS)] or [one]
         own = [x.frame for x in points if isinstance(x, ObjectPoint)]
