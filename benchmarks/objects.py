@@ -187,6 +187,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS], help="what is measured")
     torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
     print(report.machine("mujoco"))
     for name in options.parse_args().parts:
         print(f"\n{PARTS[name].__doc__}")
