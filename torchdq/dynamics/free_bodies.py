@@ -14,7 +14,8 @@ Columns that several bodies A share, those of an arm with fingers, are multiplie
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 from torchdq.algebra import dual_quaternion as dq
@@ -169,31 +170,19 @@ class WithFreeBodies(NamedTuple):
         for o, body in enumerate(self.free, self.first):
             first, acting = SIX * (o - self.first), [m for m in self.masses if m.link == o]
             of = {a: _total([m for m in acting if m.against == a]) for a in dict.fromkeys(m.against for m in acting)}
-            whole = Articulated.rigid(body.inertia)
-            for K in of.values():
-                whole = whole.plus(K)
+            whole = reduce(Articulated.plus, of.values(), Articulated.rigid(body.inertia))
             for i, own in enumerate(_square(whole)):
                 for k, x in enumerate(own[: i + 1]):
                     if not (isinstance(x, float) and x == 0):
                         plus(first + i, first + k, x)
             groups = _groups({a: self.seen[o, a].columns for a in of if a is not None})
-            sums: dict[frozenset[int], Articulated] = {}
-
-            def stiff(bodies: frozenset[int], of: Any = of, sums: Any = sums) -> Articulated:
-                if bodies not in sums:
-                    parts = [of[a] for a in sorted(bodies)]
-                    sums[bodies] = parts[0]
-                    for K in parts[1:]:
-                        sums[bodies] = sums[bodies].plus(K)
-                return sums[bodies]
-
             for number, (i, s, bodies) in enumerate(groups):
-                F = stiff(bodies).response(s)
+                F = _sum(of, bodies).response(s)
                 for k, x in enumerate(Free().project(F)):
                     plus(i, first + k, -x)
                 for k, t, others in groups[: number + 1]:
                     if both := bodies & others:
-                        G, along = (F, t) if both == bodies else (stiff(both).response(t), s)
+                        G, along = (F, t) if both == bodies else (_sum(of, both).response(t), s)
                         plus(i, k, screw.power(G, along))
         return tuple(map(tuple, M))
 
@@ -247,6 +236,11 @@ def _total(masses: Sequence[PointMass]) -> Articulated:
         if at.normal is not None:
             K = K.with_outer(at.along, at.wrench)
     return K
+
+
+def _sum(of: Mapping[int | None, Articulated], bodies: Collection[int]) -> Articulated:
+    """Sum of the matrices K of some bodies."""
+    return reduce(Articulated.plus, [of[a] for a in sorted(bodies)])
 
 
 def _square(I: Articulated) -> list[list[Number]]:
