@@ -326,10 +326,11 @@ def compile(
             "forward_kinematics", "kinetic_energy", "potential_energy", "dynamics_jacobian",
             "inverse_dynamics_jacobian" (the same without the mass matrix), "frame_motion", "operational_space",
             "manipulability", "coriolis_matrix", "distances", "differential_inverse_kinematics",
-            "inverse_kinematics_step" and "inverse_kinematics_newton" (parts of the solver); of a robot with a floating base,
-            "floating.inverse_dynamics" and so on. Or a control law: "computed_torque", "operational_space_control" or
-            "cartesian_impedance", whose gains are arguments then; or an object of `torchdq.scene.controllers`, whose
-            gains are constants where they are numbers, and arguments where they are tensors.
+            "inverse_kinematics_step" and "inverse_kinematics_newton" (parts of the solver); of a robot with a floating
+            base, "floating.inverse_dynamics" and so on. Or a control law: "computed_torque",
+            "operational_space_control" or "cartesian_impedance", whose gains are arguments then; or an object of
+            `torchdq.scene.controllers`, whose gains are constants where they are numbers, and arguments where they are
+            tensors.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
