@@ -143,7 +143,7 @@ class WithFreeBodies(NamedTuple):
 
     def torques(self, v: Row | None, vd: Row | None, exerted: Exerted | None) -> list[Number]:
         """Generalised forces of a motion."""
-        n, found = self._nv, []
+        n, found = self._nv, list[Number]()
         for k, body in enumerate(self.free):
             (w, u), (wd, ud) = ((quat.ZERO, quat.ZERO) if x is None else self._own(x)[k] for x in (v, vd))
             weight = quat.ZERO if self.gravity is None else body.to_own(self.gravity)
@@ -227,8 +227,9 @@ class WithFreeBodies(NamedTuple):
     def potential_energy(self) -> Number:
         """Potential energy of gravity."""
         energy = self.robot.potential_energy()
-        for body in self.free if self.gravity is not None else ():
-            energy = energy - body.mass * quat.dot(self.gravity, dq.translation(body.X_WO))
+        for body in self.free:
+            if self.gravity is not None:
+                energy = energy - body.mass * quat.dot(self.gravity, dq.translation(body.X_WO))
         return energy
 
 
@@ -249,9 +250,9 @@ def _total(masses: Sequence[PointMass]) -> Articulated:
     return K
 
 
-def _square(I: Articulated) -> list[list[Number]]:
+def _square(I: Articulated) -> Matrix:
     """Rows of an inertia, angular velocities first."""
-    return [list(Free().project(I.response(s))) for s in Free.columns]
+    return tuple(tuple(Free().project(I.response(s))) for s in Free.columns)
 
 
 def _groups(columns: Mapping[int, Mapping[int, Screw]]) -> list[tuple[int, Screw, frozenset[int]]]:

@@ -102,7 +102,7 @@ class ObjectPoint(NamedTuple):
     """Point by which an object touches the ground, or another object."""
 
     frame: str  # name of the object
-    index: int  # among the points of the object
+    number: int  # among the points of the object
     radius: None = None  # as the object has it
 
 
@@ -451,7 +451,7 @@ class Contact(BodyEffect):
         """Link of a point, the point on it, and its radius."""
         if isinstance(point, ObjectPoint):
             link, body = bodies.objects[point.frame]
-            return link, *body.points()[point.index]
+            return link, *body.points()[point.number]
         return *bodies.point(point.frame, point.center), point.radius
 
     def _mobility(self, bodies: Bodies, point: Any, normal: Pure, body: Any) -> tuple[Number, Pure | None]:

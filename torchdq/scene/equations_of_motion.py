@@ -79,7 +79,7 @@ class SceneSystem(System):
         n, others = self._moving, self.scene.spec.inner + len(self._free)
         return [*super().sizes(x[:n]), *[1.0] * others]
 
-    def _at(self, x: Row) -> Posed:
+    def _at(self, x: Row) -> Any:  # a `Posed`, in a scene with objects `WithFreeBodies`
         return self.scene.posed(x[: self._n], *self.scene.poses_of(x))
 
     def _motion(self, x: Row, v: Row) -> Row:
@@ -91,7 +91,7 @@ class SceneSystem(System):
         still = [y for _, V, _ in self.scene.free_of(x, v) for y in (*V[:3], 0.0, 0.0, 0.0)]
         return self._motion(x, [*v[: len(v) - len(still)], *still])
 
-    def _acting(self, at: Posed, x: Row, v: Row, h: Number = 0.0) -> _Acting:
+    def _acting(self, at: Any, x: Row, v: Row, h: Number = 0.0) -> _Acting:
         """Wrenches and impedances on bodies over a step h."""
         effects, bodies = self.scene.spec.of(BodyEffect), self.scene.bodies(at)
         if not effects:
@@ -100,7 +100,7 @@ class SceneSystem(System):
         links, inputs = len(bodies.robot.link_names) + len(bodies.objects), self.scene.inputs
         exerted: list[Screw | None] = [None] * (links + 1)
         points: list[PointImpedance] = []
-        between: dict[Pair, Screw | None] = {}
+        between: dict[Pair, Any] = {}
         for (_, effect), memory in zip(effects, self._remembered(v, BodyEffect), strict=True):
             for i, wrench in effect_checks.wrenches(effect, effect.wrenches(bodies, inputs), links).items():
                 exerted[i] = add(exerted[i], neg(wrench))
@@ -141,8 +141,10 @@ class SceneSystem(System):
             if body is not None and body.isotropic:
                 continue
             at = slice(TWIST * k, TWIST * k + 3)
-            whole = scene.posed(start(0, ranges(scene.spec.robot)), origin).composites()[0] if body is None else None
-            inertia = body.posed(origin).inertia if whole is None else whole
+            if body is None:
+                inertia = scene.posed(start(0, ranges(scene.spec.robot)), origin).composites()[0]
+            else:
+                inertia = body.posed(origin).inertia
             w = tuple(v[len(v) - len(self._free) :][at])
             found[at] = quat.sub(tuple(found[at]), free_base.torque_midway(w, inertia.about_com, h))
         return found
@@ -277,7 +279,7 @@ class SceneSystem(System):
         """
         to, n, per = self.moved(x, h, end), self._n, 1.0 / h
         (base, poses), (new_base, new) = self.scene.poses_of(x), self.scene.poses_of(to)
-        pairs = [*zip(poses, new, strict=True), *([] if base is None else [(base, new_base)])]
+        pairs = [*zip(poses, new, strict=True), *([] if base is None or new_base is None else [(base, new_base)])]
         free = [per * y for X, Y in pairs for y in free_base.step_between(X, free_base.as_pose(free_base.unit(Y)))]
         return [*free, *[per * (b - a) for a, b in zip(x[:n], to[:n], strict=True)]]
 

@@ -127,7 +127,9 @@ def _energy(scene: RecordedScene, task: Task | None) -> Rows:
     return {"E": (at.kinetic_energy((*view.twists, *view.V_WB_B, *view.qd)), at.potential_energy())}
 
 
-def _view(scene: RecordedScene, moved: Rows, reading: Row = (), u: Row = (), memory: Memory | None = None) -> View:
+def _view(
+    scene: RecordedScene, moved: Mapping[str, Row], reading: Row = (), u: Row = (), memory: Memory | None = None
+) -> View:
     """View of a state; the memory is that which is given."""
     memory = scene.spec.split(scene.inputs.get("memory", ())) if memory is None else memory
     free = {name: moved[name] for name in ("X_WB", "V_WB_B", "poses", "twists") if name in moved}
