@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from helpers import PAIR, double, exhaustive
+from helpers import PAIR, double, exhaustive, thinned
 from messages import refused
 
 import torchdq
@@ -32,22 +32,24 @@ def arm():
     return torchdq.Robot.from_urdf(PAIR)
 
 
+BELOW = 3.0  # depth of the base of the gripper, whose lift has positions with larger rounding than its hand [m]
+
+
 @cache
 def gripper():
     """Two fingers on a lift, each with a pad of four spheres; they close along x, about which the wrist turns them."""
     moments = 'ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"'
     link = '<link name="{}"><inertial><mass value="{}"/><inertia ' + moments + "/></inertial></link>"
     joint = (
-        '<joint name="{1}_joint" type="{0}"><parent link="{2}"/><child link="{1}"/><origin xyz="{3} 0 0"/>'
-        '<axis xyz="{4}"/><limit lower="-2" upper="2" effort="100" velocity="10"/></joint>'
+        '<joint name="{1}_joint" type="{0}"><parent link="{2}"/><child link="{1}"/><origin xyz="{3}"/>'
+        '<axis xyz="{4}"/><limit lower="-4" upper="4" effort="100" velocity="10"/></joint>'
     )
     masses = {"base": 1, "lift": 1, "wrist": 0.1, "left": 0.1, "right": 0.1}
     links = "".join(link.format(name, mass) for name, mass in masses.items())
-    joints = joint.format("prismatic", "lift", "base", 0, "0 0 1") + joint.format(
-        "revolute", "wrist", "lift", 0, "1 0 0"
-    )
-    joints += joint.format("prismatic", "left", "wrist", -0.03, "1 0 0")
-    joints += joint.format("prismatic", "right", "wrist", 0.03, "-1 0 0")
+    joints = joint.format("prismatic", "lift", "base", f"0 0 {-BELOW}", "0 0 1")
+    joints += joint.format("revolute", "wrist", "lift", "0 0 0", "1 0 0")
+    joints += joint.format("prismatic", "left", "wrist", "-0.03 0 0", "1 0 0")
+    joints += joint.format("prismatic", "right", "wrist", "0.03 0 0", "-1 0 0")
     return torchdq.Robot.from_urdf(f'<robot name="gripper">{links}{joints}</robot>')
 
 
@@ -61,10 +63,10 @@ CUBE = 0.04  # edge of the cube that is held [m]
 SQUEEZED = 5e-4  # how much further the fingers are told to close [m]
 
 
-def held(dt=5e-3, mass=0.1, **parameters):
-    """Scene of a cube between two fingers."""
+def held(dt=5e-3, mass=0.1, damping=2e3, **parameters):
+    """Scene of a cube between two fingers on a lift with some damping."""
     given = {"friction": 1.0, "stiffness": 1e4, **parameters}
-    servo = effects.Servo((1e5, 1e2, 2e4, 2e4), (2e3, 2.0, 3e2, 3e2))
+    servo = effects.Servo((1e5, 1e2, 2e4, 2e4), double(damping, 2.0, 3e2, 3e2))
     grip = effects.Contact(PADS, on="cube", **given)
     return Scene(gripper(), (DOWN, servo, grip), objects=(Box("cube", mass, size=(CUBE,) * 3),), dt=dt)
 
@@ -72,9 +74,9 @@ def held(dt=5e-3, mass=0.1, **parameters):
 def grip(scene, *batch, dtype=F64):
     """State of a cube that was just taken, and the target that holds it."""
     closed = 0.03 - CUBE / 2 - 0.004
-    q = torch.tensor([0.2, 0.0, closed, closed], dtype=dtype).expand(*batch, 4)
+    q = torch.tensor([BELOW, 0.0, closed, closed], dtype=dtype).expand(*batch, 4)
     target = q + torch.tensor([0.0, 0.0, 1e-3, 1e-3])
-    return scene.start(q, X_WO=at((0.0, 0.0, 0.2)).to(dtype).expand(*batch, 1, 8)), target
+    return scene.start(q, X_WO=at((0.0, 0.0, 0.0)).to(dtype).expand(*batch, 1, 8)), target
 
 
 def alone(objects, *contacts, dt=5e-3, gravity=True):
@@ -179,7 +181,7 @@ def test_a_box_slides_as_far_as_friction_lets_it():
 
 
 @compiled
-@pytest.mark.parametrize("dt", [1e-3, 1e-2])
+@pytest.mark.parametrize("dt", thinned([1e-3, 1e-2], [1e-2]))
 def test_a_ball_that_slid_rolls_with_five_sevenths_of_its_speed(dt):
     scene = alone((Ball("ball", 1.0, radius=0.1),), effects.Contact(("ball",), friction=MU, stiffness=K), dt=dt)
     path = scene.rollout(begin(scene, at((0.0, 0.0, 0.1 - G / K)), twist(0, 0, 0, 2.0, 0, 0)), steps=round(2 / dt))
@@ -203,7 +205,7 @@ def test_a_box_tips_over_its_edge_with_the_spin_that_energy_says():
 
 
 @compiled
-@pytest.mark.parametrize(("dt", "stiffness"), [(1e-3, 1e5), (5e-3, 8e4), (1e-2, 2e4)])
+@pytest.mark.parametrize(("dt", "stiffness"), thinned([(1e-3, 1e5), (5e-3, 8e4), (1e-2, 2e4)], [(1e-2, 2e4)]))
 def test_tumbling_boxes_never_gain_energy(dt, stiffness):
     g = torch.Generator().manual_seed(0)
     k = torch.tensor(stiffness, dtype=F64)
@@ -232,7 +234,7 @@ def test_round_shapes_lie_on_the_ground_at_their_radius(shape):
 
 
 @compiled
-@pytest.mark.parametrize("dt", [1e-3, 5e-3])
+@pytest.mark.parametrize("dt", thinned([1e-3, 5e-3], [5e-3]))
 def test_a_collision_keeps_linear_and_angular_momentum(dt):
     ball, cube = Ball("ball", 1.0, radius=0.1), Box("cube", 0.5, size=(0.2, 0.2, 0.2))
     touching = effects.Contact(("ball",), on="cube", friction=MU, stiffness=K)
@@ -245,6 +247,20 @@ def test_a_collision_keeps_linear_and_angular_momentum(dt):
     for before, after in zip(momenta(start, bodies), momenta(path, bodies), strict=True):
         assert (after - before).abs().max() < 1e-13
     assert float((momenta(path, bodies[:1])[0][-1] - momenta(start, bodies[:1])[0]).norm()) > 0.1  # they did collide
+
+
+@compiled
+def test_the_friction_of_an_impact_between_objects_keeps_to_the_cone():
+    """In one step or in several, by the normal force that the mobilities of both foresee."""
+    heavy = {"inertia": (1e3,) * 3}  # nothing turns
+    ball, cube = Ball("ball", 1.0, radius=0.1, **heavy), Box("cube", 0.5, size=(0.2, 0.2, 0.2), **heavy)
+    touching = effects.Contact(("ball",), on="cube", friction=0.1, stiffness=K * double(1.0, 10.0), dissipation=0.0)
+    scene = alone((ball, cube), touching, dt=1e-2, gravity=False)
+    X = torch.cat([at((-0.25, 0.0, 0.0)), at((0.0, 0.0, 0.0))]).expand(2, 2, 8)
+    V = torch.cat([twist(0, 0, 0, 3, 2, 0), twist(*[0.0] * 6)]).to(F64).expand(2, 2, 6)
+    normal, along, _ = scene.rollout(begin(scene, X, V), steps=10).last.V_WO[:, 1].mul(0.5)[:, 3:].unbind(-1)
+    assert normal.min() > 0.9
+    assert ((0.085 * normal < along) & (along <= 0.1 * normal)).all()
 
 
 @compiled
@@ -286,6 +302,20 @@ def test_a_cube_that_is_held_does_not_creep(dtype):
     heights = place(path)[:, 0].double()
     assert float((heights[-1] - heights[400]).abs().max()) < (5e-8 if dtype == torch.float64 else 5e-7)
     assert bool(scene.grasped(path.last, "cube"))
+    if dtype == F64:
+        weight = scene.contacts(path.last, "cube").force.sum(-2)  # on the robot
+        assert weight.tolist() == pytest.approx([0.0, 0.0, -0.1 * G], abs=1e-9)
+
+
+@compiled
+def test_a_cube_follows_a_hand_whose_steps_are_lost_in_rounding():
+    """Bristles must not be bent by velocities that move neither of the bodies."""
+    scene = held(damping=1e6)
+    start, target = grip(scene, dtype=torch.float32)
+    path = scene.rollout(start, target=target.to(torch.float32).expand(1200, 4))
+    rates = (path.qd[400:, 0] * scene.dt).abs()
+    assert 0.1 < float(rates.mean()) / (math.ulp(BELOW) * 2**29) < 0.5
+    assert (place(path)[-1] - place(path)[400]).abs().max() < 1e-6
 
 
 @compiled

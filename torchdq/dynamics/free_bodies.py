@@ -243,9 +243,9 @@ def _sum(of: Mapping[int | None, Articulated], bodies: Collection[int]) -> Artic
     return reduce(Articulated.plus, [of[a] for a in sorted(bodies)])
 
 
-def _square(I: Articulated) -> list[list[Number]]:
+def _square(I: Articulated) -> Matrix:
     """Rows of an inertia, angular velocities first."""
-    return [list(Free().project(I.response(s))) for s in Free.columns]
+    return tuple(tuple(Free().project(I.response(s))) for s in Free.columns)
 
 
 def _groups(columns: Mapping[int, Mapping[int, Screw]]) -> list[tuple[int, Screw, frozenset[int]]]:

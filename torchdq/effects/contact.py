@@ -200,7 +200,8 @@ class Contact(BodyEffect):
         given = [one.frame if isinstance(one, ObjectPoint) else one for one in _each(self.points)]  # of another scene
         for one in dict.fromkeys(given):
             names = fnmatch.filter(bodies, one) if isinstance(one, str) else []
-            points += [ObjectPoint(name, k) for name in names for k in range(bodies[name].POINTS)] or [one]
+            of_objects: Any = [ObjectPoint(name, k) for name in names for k in range(bodies[name].POINTS)]
+            points += of_objects or [one]
         own = [x.frame for x in points if isinstance(x, ObjectPoint)]
         for name in own if on else ():
             sharp, flat = bodies[name].sharp, [x for x in on or () if x != name and bodies[x].flat]

@@ -92,9 +92,8 @@ RECIPES: dict[str, Recipe] = {
             *(Field("height", (), True, "parameter", REAL), Field("normal", (3,), optional=True)),
             *(Field("sizes", ("sizes",), optional=True), *PAIRS),
         ),
-        (apart.distances, apart.distances_by_poses),
+        (apart.distances,),
         lambda *pairs: (("pairs",),),
-        each=True,
     ),
     "coriolis_matrix": Recipe(joints("q", "qd"), (task.coriolis_matrix,), lambda: (("n", "n"),), wrt=("V_WB_B", "qd")),
     "frame_motion": Recipe(

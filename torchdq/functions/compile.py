@@ -336,7 +336,7 @@ def compile(
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
             "world" for "jacobian"; the tip or "" for "closed_form", by default the robot's. Of the dynamics of a frame:
             its name, "body" or "world", and axes such as "pose" or "x y rz", as far as they differ from the defaults.
-            Of "distances": the points, a tuple of objects whose numbers are constants, "ground" or "", and "own" or "".
+            Of "distances": the points, a tuple of objects that are constants, "ground" or "", and "own" or "".
     Raises:
         UnknownNameError: there is no such function, argument or frame.
         ArgumentError: an option means nothing to the function.

@@ -6,13 +6,12 @@ Pairs are in the order of things: every object with all spheres, then the ground
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.dynamics import shapes
 from torchdq.functions.parametric import TENSOR
@@ -48,37 +47,11 @@ def _arguments(body: Any) -> list[tuple[str, Any]]:
 
 
 def distances(x: RecipeInputs, points: Points, objects: Objects, ground: str, own: str) -> Results:
-    """Distances, each place by the joints before it."""
-    at = x.bodies()
-    return _distances(
-        x, lambda link, X_BF: at.position(link, at.point(link, X_BF).position), points, objects, ground, own
-    )
-
-
-def distances_by_poses(x: RecipeInputs, points: Points, objects: Objects, ground: str, own: str) -> Results:
-    """Distances, the places of a link by its axes."""
-    X_WB = x.bodies().poses()
-    axes = [quat.rotation_columns(X[0]) for X in X_WB]
-
-    def place(link: int, X_BF: Any) -> Pure:
-        return quat.add(dq.translation(X_WB[link]), screw.columns_times(axes[link], dq.translation(X_BF)))
-
-    return _distances(x, place, points, objects, ground, own)
-
-
-def _distances(
-    x: RecipeInputs,
-    place: Callable[[int, Any], Pure],
-    points: Points,
-    objects: Objects,
-    ground: str,
-    own: str,
-) -> Results:
-    """Distances of spheres; `place(link, X_BF)` is the origin in the world of a frame on a link."""
-    at: dict[ContactPoint, Pure] = {}
+    """Distances of all pairs."""
+    robot, at = x.bodies(), dict[ContactPoint, Pure]()
     for point in points:
         link, X_BF = frame(x.robot, point.frame)
-        at[point] = place(link, dq.mul(X_BF, dq.from_pose(quat.ONE, point.center)))
+        at[point] = robot.position(link, robot.point(link, dq.mul(X_BF, dq.from_pose(quat.ONE, point.center))).position)
     found: list[Number] = []
     for body, (axes, origin) in zip(_bound(objects, x.arguments.get("sizes", ())), _frames(x, objects), strict=True):
         for point in points:

@@ -79,7 +79,7 @@ class SceneSystem(System):
         n, others = self._moving, self.scene.spec.inner + len(self._free)
         return [*super().sizes(x[:n]), *[1.0] * others]
 
-    def _at(self, x: Row) -> Posed:
+    def _at(self, x: Row) -> Any:  # a `Posed`, in a scene with objects `WithFreeBodies`
         return self.scene.posed(x[: self._n], *self.scene.poses_of(x))
 
     def _motion(self, x: Row, v: Row) -> Row:
@@ -91,7 +91,7 @@ class SceneSystem(System):
         still = [y for _, V, _ in self.scene.free_of(x, v) for y in (*V[:3], 0.0, 0.0, 0.0)]
         return self._motion(x, [*v[: len(v) - len(still)], *still])
 
-    def _acting(self, at: Posed, x: Row, v: Row, h: Number = 0.0) -> _Acting:
+    def _acting(self, at: Any, x: Row, v: Row, h: Number = 0.0) -> _Acting:
         """Wrenches and impedances on bodies over a step h."""
         effects, bodies = self.scene.spec.of(BodyEffect), self.scene.bodies(at)
         if not effects:
