@@ -172,9 +172,10 @@ class Skeleton:
 
     def dots(self, radius: float) -> list[tuple[int, float, str]]:
         """Point, radius [m] and colour of every joint, end effector and contact point, in a view of this radius [m]."""
+        share = 0.2 if self.outlines else 1.0  # what would hide an object in the hand is small
         joints = [(point, 0.0225 * radius, INK) for point in self.joints]
-        tip = [] if self.tip is None else [(self.tip, 0.0325 * radius, TIP)]
-        return [*joints, *tip, *((point, max(r, 0.025 * radius), TIP) for point, r in self.balls)]
+        tip = [] if self.tip is None else [(self.tip, 0.0325 * share * radius, TIP)]
+        return [*joints, *tip, *((point, max(r, 0.025 * share * radius), TIP) for point, r in self.balls)]
 
 
 class Painter:
@@ -250,7 +251,7 @@ class Painter:
             strokes.append((_on_ground(self.skeleton.ground, _rules(self.radius, place), place), 0.008, RULE, FLOOR))
         dots = [(_spot(points[:, [at]]), 2 * r / self.radius, c) for at, r, c in self.skeleton.dots(self.radius)]
         for spot, width, colour in (*dots, (mark, 0.05 if edges.size else 0.1, TARGET)):
-            strokes += [(spot, width + 0.025, INK, 0.06), (spot, width, colour, 0.062)]
+            strokes += [(spot, width + min(0.025, width), INK, 0.06), (spot, width, colour, 0.062)]
         self._figure.clear(keep_observers=False)
         self._figure.set_facecolor(PAPER)
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, self.size[0]), ylim=(0, self.size[1]))
