@@ -199,7 +199,7 @@ def test_a_public_function_says_what_it_takes(name):
 
 PURE = {  # take no quantity of physics
     *("train_test_split", "plot_torques", "posterior_samples", "compile", "backend", "load", "names", "clear_caches"),
-    "require_finite",
+    *("require_finite", "from_mjcf", "from_urdf"),
 }
 
 

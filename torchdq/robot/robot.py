@@ -172,7 +172,7 @@ class Robot(RobotModel):
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself, whose
                 includes are searched in the current folder.
             base: "file": floating if the file has a body with a free joint, otherwise fixed; "fixed": such bodies are
-                held where the file puts them, as those beside an arm, which `objects.from_mjcf` reads; "floating":
+                held where the file puts them, as those next to an arm, which `objects.from_mjcf` reads; "floating":
                 there must be one.
             lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at home. Joints
                 that are coupled to a locked one are locked too. Ball and free joints are locked by names alone.
