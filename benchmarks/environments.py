@@ -2,9 +2,9 @@
 
     python benchmarks/environments.py [--quick] [--measure [NAME ...]] [--write]
 
-`--measure` stores steps per second in benchmarks/results/environments.json, with the machine. `--write` writes
-docs/environments from these and from the environments themselves. A new environment needs an entry in
-`pages/environment_cases.py`.
+`--measure` stores steps per second in benchmarks/results/environments.json, with the machine; those of named
+environments are scaled by the rates of Reach, as if on the machine of the others. `--write` writes docs/environments
+from these and from the environments themselves. A new environment needs an entry in `pages/environment_cases.py`.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from torchdq.envs import RobotVectorEnv
 
 FOLDER = environment_page.ROOT / "docs" / "environments"
 BATCHES = (1, 64, 4096)
+SCALE = "reach"  # environment whose rates others are in proportion to
 
 
 def fastest(step: Callable[[], object], seconds: float) -> float:
@@ -95,9 +96,16 @@ def pictures() -> dict[str, bytes]:
 
 def store(quick: bool, names: Sequence[str]) -> None:
     """Measure rates of named environments, or of all, and store them with the machine."""
-    known = environment_page.rates()["rates"] if names else {}
-    rates = {**known, **measured(0.5 if quick else 4.0, names or list(ENVIRONMENTS))}
-    report.into_json(environment_page.RATES, machine=report.machine("gymnasium"), rates=rates)
+    seconds = 0.5 if quick else 4.0
+    if not names:
+        rates = measured(seconds, list(ENVIRONMENTS))
+        report.into_json(environment_page.RATES, machine=report.machine("gymnasium"), rates=rates)
+        return
+    stored, found = environment_page.rates(), measured(seconds, [SCALE, *names])
+    for name in names:
+        rows = zip(found[name], found[SCALE], stored["rates"][SCALE], strict=True)
+        stored["rates"][name] = [(*what, rate * kept / now) for (*what, rate), (*_, now), (*_, kept) in rows]
+    report.into_json(environment_page.RATES, **stored)
 
 
 def main() -> None:

@@ -26,7 +26,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import report
 import torch
 from pages import environment_page
-from pages.environment_page import situation, towards
+from pages.environment_cases import towards
+from pages.environment_page import situation
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed

@@ -9,17 +9,21 @@ ManiSkill's PushCube and PickCube (S. Tao et al., "ManiSkill3", 2024) and robosu
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import mul
 from typing import Any, ClassVar
+
+from torch import Tensor
 
 from torchdq import effects
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
+from torchdq.backends.choice import choose
+from torchdq.backends.precision import run
 from torchdq.base.checks import matching
 from torchdq.dynamics.posed import Point, Posed, Row
 from torchdq.envs.tasks import EpisodeTask, within
@@ -27,6 +31,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functions.posed import frame, posed
 from torchdq.numbers.functions import at_least, sqrt, tanh
 from torchdq.objects import Box, Object
+from torchdq.program.program import Argument, record
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.contact_points import points_of
 from torchdq.scene.spec import Rows, View
@@ -223,6 +228,30 @@ class Manipulation(EpisodeTask):
             *fingers,
         ]
         return within(seen, self.bounds(robot))
+
+    def reader(self, robot: Robot) -> Callable[..., tuple[Tensor, Tensor, Tensor]]:
+        """Function of states of a real arm or of another engine: observations, success, and targets without an action.
+
+        Its arguments are q and qd [N, n], X_WO [N, 8] and V_WO [N, 6] of the object, `fingers`, 1 for those that press
+        on it and otherwise 0, and goals [N, 3].
+        """
+        widths = {"q": robot.n, "qd": robot.n, "X_WO": 8, "V_WO": 6, "fingers": len(self._parts(robot)), "goal": 3}
+
+        def rows(q: Row, qd: Row, X: Row, V: Row, fingers: Row, goal: Row) -> Rows:
+            X_WO, there = (tuple(X[:4]), tuple(X[4:])), tuple(goal)
+            return {
+                "observation": self.observed(robot, q, qd, X_WO, V, there, fingers),
+                "success": [self.judged(robot, q, qd, X_WO, there, fingers)[1]],
+                "target": self.reference(robot, q),
+            }
+
+        program = record(f"read_{robot.name}", [Argument(name, width) for name, width in widths.items()], rows)
+
+        def read(*state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            observation, success, target = run(program, list(state), choose(None, state[0].device))
+            return observation, success[:, 0] > 0, target
+
+        return read
 
     def judged(
         self, robot: Robot, q: Row, qd: Row, X_WO: DualQuaternion, goal: Pure, fingers: Row

@@ -2,7 +2,7 @@
 
 The skeleton is drawn: for every link a thick line from the frame of its parent, through its joint's axis, to its own
 frame. This looks like the robot if link frames lie on the links, as those of URDF and of DH parameters do. The view
-follows a floating base, and lines on the ground pass below it.
+follows a floating base, and lines on the ground pass below it. Objects of a scene are drawn by their edges.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ from torchdq.dynamics.tree import BASE
 from torchdq.effects import Contact, HeightMap
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
-from torchdq.robot import Robot
+from torchdq.objects import RIM, SIGNS, Ball, Box, Cylinder, Object
+from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments
@@ -36,7 +38,7 @@ __all__ = ["Painter", "Skeleton", "save_gif"]
 MOST_ARMS = 16  # arms in one image
 PAPER, GROUND, SHADOW, INK = "#f7f8fa", "#eef1f4", "#cfd6de", "#2f4156"
 RULE = "#d9dfe6"  # lines on the ground
-LINK, TIP, TARGET = "#7d9fc0", "#f2a541", "#d1344b"
+LINK, TIP, TARGET, OBJECT = "#7d9fc0", "#f2a541", "#d1344b", "#1d6b57"
 AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # direction of the camera, which is far away [rad]
 PIECES = 6  # pieces of a line, each drawn at its own depth
 RULES = 4  # lines on the ground in a radius of the view
@@ -50,15 +52,16 @@ def _library(module: str) -> Any:
     return imported(module, package, "drawing", "'torchdq[viz]'")
 
 
-def _rows(name: str, x: Any, size: int, most: int | None = None) -> Tensor:
-    """Rows [k, size] of an argument of shape [size] or, with k <= most, [k, size]; None: any number."""
+def _rows(name: str, x: Any, *axes: int, most: int | None = None) -> Tensor:
+    """Rows [k, *axes] of an argument of shape [*axes] or, with k <= most, [k, *axes]; None: any number."""
     rows = torch.as_tensor(x, dtype=torch.float64, device="cpu").detach()
-    several = rows.ndim == 2 and len(rows) > 0 and (most is None or len(rows) <= most) and most != 1
-    if rows.shape[-1:] != (size,) or not (rows.ndim == 1 or several):
+    one, several = rows.shape == axes, rows.shape[1:] == axes and 0 < len(rows) <= (most or len(rows)) and most != 1
+    if not (one or several):
+        size = ", ".join(map(str, axes))
         expected = f"[{size}]" if most == 1 else f"[{size}] or [k, {size}]"
         expected += f" with k from 1 to {most}" if most and most > 1 else ""
         raise ArgumentError(f"{name} must have the shape {expected}, found {tuple(rows.shape)}")
-    return rows.reshape(-1, size)
+    return rows[None] if one else rows
 
 
 def room(robot: Robot) -> tuple[Tensor, Tensor]:
@@ -73,7 +76,7 @@ class Skeleton:
 
     The points are the base, every link's origin, the points on joint axes that are nearest to the origins, and ends: a
     link that carries no other ends at the end effector, at the last of its frames or, where these are at its origin, at
-    its centre of mass. The contact points of a scene are balls. Of a batch of robots it is the first.
+    its centre of mass. The contact points of a scene are balls, its objects outlines. Of a batch it is the first.
 
     >>> import torchdq
     >>> skeleton = Skeleton(torchdq.robots.load("two_link"))
@@ -94,7 +97,8 @@ class Skeleton:
         self.tip: int | None = None  # point of the end effector
         self.lines: list[tuple[int, int]] = []  # points at their ends
         self.balls: list[tuple[int, float]] = []  # contact points, and their radii [m]
-        self.ground = _ground(contacts)  # its height at x and y [m]
+        self.ground = _ground(contact for contact in contacts if contact.on is None)  # its height at x and y [m]
+        self.outlines = [_outline(body) for body in (() if scene is None else scene.objects)]  # lines of each in O
         self._frames: list[int] = []  # frame that each point but the base is fixed to
         self._offsets: list[Tensor] = []  # position of the point in that frame [m]
 
@@ -117,7 +121,7 @@ class Skeleton:
                 far, frame = max(fixed)
                 end = self._point(frame, torch.zeros(3)) if far > 1e-6 else self._point(name, self.robot.com[i])
                 self.lines.append((origins[i], end))
-        for p in [p for contact in contacts for p in contact.points]:
+        for p in [p for contact in contacts for p in contact.points if isinstance(p, ContactPoint)]:
             self.balls.append((self._point(p.frame, torch.tensor(p.center)), p.radius))
 
     def _point(self, frame: str, offset: Tensor) -> int:
@@ -130,10 +134,10 @@ class Skeleton:
 
         X_WB is the pose of a floating base, shape [8] or [k, 8]; None: at the origin, as a fixed base is.
         """
-        rows = _rows("q", q, self.robot.n, most)
+        rows = _rows("q", q, self.robot.n, most=most)
         if X_WB is not None and not self.robot.floating:
             raise ArgumentError(f"X_WB must be None, found one for robot {self.robot.name!r}, whose base is fixed")
-        base = _rows("X_WB", torch.eye(8)[0] if X_WB is None else X_WB, 8, len(rows)).expand(len(rows), 8)
+        base = _rows("X_WB", torch.eye(8)[0] if X_WB is None else X_WB, 8, most=len(rows)).expand(len(rows), 8)
         with torch.no_grad():
             if self.robot.floating:
                 X = floating.forward_kinematics(self.robot, base, rows, backend="eager")
@@ -142,6 +146,18 @@ class Skeleton:
             X = X[:, self._frames]
             moving = translation(X) + rotate(rotation(X), torch.stack(self._offsets))
         return torch.cat([translation(base)[:, None], moving], 1).numpy()
+
+    def poses(self, X_WO: Any, most: int) -> Tensor:
+        """Poses [k, objects, 8] of the objects, given as [objects, 8] or, with k <= most, [k, objects, 8]."""
+        return _rows("X_WO", X_WO, len(self.outlines), 8, most=most)
+
+    def edges(self, X_WO: Any, arms: int) -> np.ndarray:
+        """Lines [arms, lines, 2, 3] of the objects at their poses; None: no lines."""
+        if X_WO is None or not self.outlines:
+            return np.zeros((arms, 0, 2, 3))
+        X = self.poses(X_WO, arms).expand(arms, -1, 8)[:, :, None, None]
+        drawn = [translation(x) + rotate(rotation(x), own) for x, own in zip(X.unbind(1), self.outlines, strict=True)]
+        return torch.cat(drawn, 1).numpy()
 
     def view(self) -> tuple[np.ndarray, float]:
         """Centre [3] and radius [m] of a ball around the robot, from 512 positions within its limits.
@@ -156,16 +172,17 @@ class Skeleton:
 
     def dots(self, radius: float) -> list[tuple[int, float, str]]:
         """Point, radius [m] and colour of every joint, end effector and contact point, in a view of this radius [m]."""
+        share = 0.2 if self.outlines else 1.0  # what would hide an object in the hand is small
         joints = [(point, 0.0225 * radius, INK) for point in self.joints]
-        tip = [] if self.tip is None else [(self.tip, 0.0325 * radius, TIP)]
-        return [*joints, *tip, *((point, max(r, 0.025 * radius), TIP) for point, r in self.balls)]
+        tip = [] if self.tip is None else [(self.tip, 0.0325 * share * radius, TIP)]
+        return [*joints, *tip, *((point, max(r, 0.025 * share * radius), TIP) for point, r in self.balls)]
 
 
 class Painter:
     """Draws images of a robot, or of up to 16 of them side by side.
 
     Args:
-        what: a robot; or a scene, of which the ground and the contact points are drawn, too.
+        what: a robot; or a scene, of which the ground, the contact points and the objects are drawn, too.
         size: width and height of the images [pixels].
 
     Raises:
@@ -199,7 +216,9 @@ class Painter:
         pixels = centres.reshape(-1, *(1,) * (x.ndim - 2), 2) + seen[..., :2] * cell.min() / 2.1
         return pixels, seen[..., 2], cell.min() / 2.1
 
-    def frame(self, q: Any, target: Any = None, text: str | None = None, X_WB: Any = None) -> np.ndarray:
+    def frame(
+        self, q: Any, target: Any = None, text: str | None = None, X_WB: Any = None, X_WO: Any = None
+    ) -> np.ndarray:
         """Image [height, width, 3], uint8, of one robot or of k <= 16 of them.
 
         Args:
@@ -207,29 +226,32 @@ class Painter:
             target: marked positions in the world, that of a fixed base [m], shape [3] or [k, 3]; None: none.
             text: text in the upper left corner.
             X_WB: pose of a floating base in the world, shape [8] or [k, 8]; None: at the origin.
+            X_WO: poses of the objects of a scene, as in its state, shape [objects, 8] or [k, objects, 8]; None: they
+                are left out.
         """
         points = self.skeleton.points(q, MOST_ARMS, X_WB)
         arms = len(points)
         place = points[:, :1] * self.skeleton.robot.floating  # [k, 1, 3], which the view follows
         points = points - place
-        goal = np.full((1, 3), np.nan) if target is None else _rows("target", target, 3, arms).numpy()
+        goal = np.full((1, 3), np.nan) if target is None else _rows("target", target, 3, most=arms).numpy()
         if len(goal) not in (1, arms):
             raise ArgumentError(f"target must have one row or one for each of the {arms} robots, found {len(goal)}")
-        lines = points[:, self.skeleton.lines]
+        lines, edges = points[:, self.skeleton.lines], self.skeleton.edges(X_WO, arms) - place[:, None]
         mark = _spot(goal[:, None] - place)
         turn = np.linspace(0.0, 2 * np.pi, 97)
         disc = self.radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
-        disc, *shadows = (_on_ground(self.skeleton.ground, x, place) for x in (disc[None], lines, mark))
+        disc, *shadows = (_on_ground(self.skeleton.ground, x, place) for x in (disc[None], lines, mark, edges))
         strokes = [
-            *((x, width, SHADOW, SHADE) for x, width in zip(shadows, (0.06, 0.07), strict=True)),
+            *((x, width, SHADOW, SHADE) for x, width in zip(shadows, (0.06, 0.07, 0.02), strict=True)),
             (_pieces(lines), 0.085, INK, -0.06),
             (_pieces(lines), 0.06, LINK, 0.0),
+            (_pieces(edges), 0.012, OBJECT, 0.064),  # over the fingers that hold them
         ]
         if self.skeleton.robot.floating or self.skeleton.balls:
             strokes.append((_on_ground(self.skeleton.ground, _rules(self.radius, place), place), 0.008, RULE, FLOOR))
         dots = [(_spot(points[:, [at]]), 2 * r / self.radius, c) for at, r, c in self.skeleton.dots(self.radius)]
-        for spot, width, colour in (*dots, (mark, 0.1, TARGET)):
-            strokes += [(spot, width + 0.025, INK, 0.06), (spot, width, colour, 0.062)]
+        for spot, width, colour in (*dots, (mark, 0.05 if edges.size else 0.1, TARGET)):
+            strokes += [(spot, width + min(0.025, width), INK, 0.06), (spot, width, colour, 0.062)]
         self._figure.clear(keep_observers=False)
         self._figure.set_facecolor(PAPER)
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, self.size[0]), ylim=(0, self.size[1]))
@@ -290,26 +312,36 @@ class Viewer:
             point: scene.add_icosphere(f"/points/{point}", radius=r, color=_rgb(colour))
             for point, r, colour in self.skeleton.dots(radius)
         }
+        self.objects = [
+            scene.add_line_segments(f"/objects/{i}", lines.float().numpy(), colors=_rgb(OBJECT), visible=False)
+            for i, lines in enumerate(self.skeleton.outlines)
+        ]
         self.target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
         self.show(torch.zeros(self.skeleton.robot.n))
 
-    def show(self, q: Any, target: Any = None, X_WB: Any = None) -> None:
+    def show(self, q: Any, target: Any = None, X_WB: Any = None, X_WO: Any = None) -> None:
         """Show the robot at the positions q [n] [rad or m], and a target [3] in the world, that of a fixed base [m].
 
-        X_WB is the pose [8] of a floating base in the world; None: at the origin.
+        X_WB is the pose [8] of a floating base in the world; None: at the origin. X_WO are the poses [objects, 8] of
+        the objects of a scene; None: they are not shown.
         """
         points = self.skeleton.points(q, 1, X_WB)[0]
         place = points[0]
         points = points - place
-        goal = None if target is None else tuple(_rows("target", target, 3, 1)[0].numpy() - place)
+        goal = None if target is None else tuple(_rows("target", target, 3, most=1)[0].numpy() - place)
+        poses = None if X_WO is None else self.skeleton.poses(X_WO, 1)[0]
         with self._server.atomic():
             rules = _on_ground(self.skeleton.ground, _rules(self._reach, place[None, None]), place[None, None])
             self.ground.points = rules[0].astype(np.float32)
             if X_WB is not None:
-                self.base.wxyz = tuple(_rows("X_WB", X_WB, 8, 1)[0, :4].tolist())
+                self.base.wxyz = tuple(_rows("X_WB", X_WB, 8, most=1)[0, :4].tolist())
             self.links.points = points[self.skeleton.lines].astype(np.float32)
             for point, ball in self._balls.items():
                 ball.position = tuple(points[point])
+            for i, lines in enumerate(self.objects):
+                lines.visible = poses is not None
+                if poses is not None:
+                    lines.wxyz, lines.position = rotation(poses[i]).numpy(), translation(poses[i]).numpy() - place
             self.target.visible = goal is not None
             if goal is not None:
                 self.target.position = goal
@@ -331,6 +363,27 @@ def _ground(contacts: Iterable[Any]) -> Callable[[Tensor, Tensor], Any]:
         first = replace(surface, heights=heights.reshape(-1, *heights.shape[-2:])[0])
         return lambda x, y: height + first(x, y)[0]
     return lambda x, y: height + surface(x, y)
+
+
+def _outline(body: Object) -> Tensor:
+    """Lines [lines, 2, 3] on the surface of an object in its frame [m]; of several, those of the first."""
+
+    def first(name: str, *axes: int) -> Tensor:
+        return tensor_of(getattr(body, name)).detach().double().cpu().reshape(-1, *axes)[0]
+
+    if isinstance(body, Box):
+        corners = 0.5 * first("size", 3) * torch.tensor(SIGNS, dtype=torch.float64)
+        return torch.stack([torch.stack(ends) for ends in combinations(corners, 2) if (ends[0] != ends[1]).sum() == 1])
+    turn = torch.linspace(0.0, 2.0 * math.pi, 17, dtype=torch.float64)
+    radius, half = first("radius"), torch.zeros(()) if isinstance(body, Ball) else 0.5 * first("length")
+    x, y, none = radius * turn.cos(), radius * turn.sin(), 0.0 * turn
+    rings = [torch.stack([x, y, none + z], -1) for z in (-half, half)]
+    if isinstance(body, Cylinder):
+        sides = [torch.stack([torch.stack([a * radius, b * radius, z * half]) for z in (-1, 1)]) for a, b in RIM]
+    else:
+        z = y + half * y.sign()
+        sides = [torch.stack(axes, -1) for axes in ((x, none, z), (none, x, z))]
+    return torch.cat([torch.stack([line[:-1], line[1:]], 1) for line in (*rings, *sides)])
 
 
 def _rules(radius: float, place: np.ndarray) -> np.ndarray:

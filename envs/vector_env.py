@@ -45,6 +45,7 @@ from torchdq.envs.setup import AnyTask, Simulation, check_scene, described, func
 from torchdq.envs.torch_task import TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
+from torchdq.scene.free_base import POSE
 from torchdq.scene.loops import loops
 from torchdq.scene.policies import Network
 from torchdq.scene.scene import Scene
@@ -334,10 +335,11 @@ class RobotVectorEnv(VectorEnv):
         none, q, goal = [None] * self.num_envs, self._buffers["q"].cpu(), self._buffers["goal"].cpu()
         target = goal if goal.shape[1] == 3 and self.task.POINT else none
         X_WB = self._buffers["X_WB"].cpu() if self.robot.floating else none
+        X_WO = self._buffers["poses"].cpu().unflatten(1, (-1, POSE)) if self._scene.objects else none
         if self.render_mode == "human":
-            self._painter.show(q[0], target[0], X_WB=X_WB[0])
+            self._painter.show(q[0], target[0], X_WB=X_WB[0], X_WO=X_WO[0])
             return None
-        return tuple(self._painter.frame(q[i], target[i], X_WB=X_WB[i]) for i in range(self.num_envs))
+        return tuple(self._painter.frame(q[i], target[i], None, X_WB[i], X_WO[i]) for i in range(self.num_envs))
 
     def set(
         self,

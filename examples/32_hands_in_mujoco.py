@@ -19,13 +19,8 @@ import tyro
 from torch import Tensor, nn
 
 from torchdq import Robot, dq, effects
-from torchdq.backends.choice import choose
-from torchdq.backends.precision import run
-from torchdq.dynamics.posed import Row
 from torchdq.envs import RobotVectorEnv
 from torchdq.envs.manipulation import PADS, PERIOD, PRESSING, TABLE, Manipulation
-from torchdq.program.program import Argument, Program, record
-from torchdq.robot.contact_points import points_of
 
 hands = import_module("31_hands_ppo")
 STEP = 0.002  # [s]
@@ -78,7 +73,7 @@ class Hand:
     def mjcf(self, joints: tuple[str, ...], cone: str, impratio: float) -> str:
         """The model as text; fingers that move together pull on one tendon, as those of a real gripper."""
         task, robot, names, motors, tendons, ends = self.task, self.robot, self.robot.link_names, "", "", ""
-        points, servo = points_of(robot, task.pads), effects.Servo(1.0, 1.0)
+        points, servo = robot.contact_points(task.pads), effects.Servo(1.0, 1.0)
         for effect in task.defaults(robot)["effects"]:
             servo = effect.resolved(robot) if isinstance(effect, effects.Servo) else servo
 
@@ -139,7 +134,7 @@ class Hand:
     def fingers(self, data: mujoco.MjData) -> list[float]:
         """1 for every finger that presses on the object, otherwise 0."""
         robot, force, cube = self.robot, np.zeros(6), self.model.body("object").id
-        links = [robot.link_names[robot.frame(point.frame).link] for point in points_of(robot, self.task.pads)]
+        links = [robot.link_names[robot.frame(point.frame).link] for point in robot.contact_points(self.task.pads)]
         found = dict.fromkeys(links, 0.0)
         for k in range(data.ncon):
             bodies = [int(self.model.geom_bodyid[geom]) for geom in data.contact[k].geom]
@@ -149,39 +144,24 @@ class Hand:
                 found |= {other: found[other] + force[0]} if other in found else {}
         return [float(x >= PRESSING) for x in found.values()]
 
-    def rows(self) -> Program:
-        """Observation, success, and targets without an action, as the task states them, recorded."""
-        task, robot, n, fingers = self.task, self.robot, self.robot.n, len(self.fingers(mujoco.MjData(self.model)))
-        widths = {"q": n, "qd": n, "X_WO": 8, "V_WO": 6, "fingers": fingers, "goal": 3}
-
-        def rows(q: Row, qd: Row, X: Row, V: Row, fingers: Row, goal: Row) -> dict[str, Row]:
-            X_WO, there = (tuple(X[:4]), tuple(X[4:])), tuple(goal)
-            return {
-                "observation": task.observed(robot, q, qd, X_WO, V, there, fingers),
-                "success": [task.judged(robot, q, qd, X_WO, there, fingers)[1]],
-                "target": task.reference(robot, q),
-            }
-
-        return record("hand", [Argument(name, width) for name, width in widths.items()], rows)
-
     @torch.no_grad()
     def run(self, policy: nn.Module, q: Tensor, X_WO: Tensor, goal: Tensor) -> Tensor:
         """Whether episodes end in success, of starts q [N, n], poses of the object [N, 8] and goals [N, 3]."""
-        runs, program, backend = [mujoco.MjData(self.model) for _ in q], self.rows(), choose(None, q.device)
+        runs, read = [mujoco.MjData(self.model) for _ in q], self.task.reader(self.robot)
         for data, start, X in zip(runs, q.tolist(), X_WO, strict=True):
             for x, own in zip(start, self.moved, strict=True):
                 data.qpos[self.at[own]] = x
             data.qpos[self.place : self.place + 7] = torch.cat([dq.translation(X), dq.rotation(X)])
             mujoco.mj_forward(self.model, data)
-        success = torch.zeros(len(q), 1)
+        success = torch.zeros(len(q), dtype=torch.bool)
         for k in range(hands.STEPS + 1):
             states = [torch.tensor(rows) for rows in zip(*map(self.state, runs), strict=True)]
-            observation, success, target = run(program, [x.float() for x in (*states, goal)], backend)
+            observation, success, target = read(*[x.float() for x in (*states, goal)])
             action = policy(observation).clamp(-1, 1).double().numpy()
             for data, x in zip(runs, target.double().numpy() + self.scale * action, strict=True):
                 data.ctrl[:] = [len(own) * y for own, y in zip(self.moved, x, strict=True)]
                 mujoco.mj_step(self.model, data, round(PERIOD / STEP) * (k < hands.STEPS))
-        return success[:, 0] > 0
+        return success
 
 
 def policy_of(path: Path, envs: RobotVectorEnv) -> nn.Module:

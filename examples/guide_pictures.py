@@ -32,6 +32,7 @@ SOURCES = {
     "policy": Source("11_through_the_simulation", "through_the_simulation.png"),
     "million": Source("05_environment", "reach.png"),
     "legs": Source("24_on_feet", "on_feet.png"),
+    "hands": Source("33_hand", "hand.png"),
     "controller": Source("15_real_time", "real_time.png"),
     "paper": Source("10_paper_figures", "paper_torques.png"),
 }

@@ -7,7 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import torchdq
 from pages.text import table
+from torchdq import Scene, effects
+from torchdq.objects import Box
 
 STORED = Path(__file__).resolve().parents[1] / "results" / "contact.json"
 Rows = Sequence[dict[str, Any]]
@@ -130,12 +133,45 @@ SECTIONS = {  # of the page of an effect: title, text and tables
 }
 
 
+OBJECTS = (
+    "With `on`, points touch the surfaces of [objects](../scenes.md#objects) instead of the ground: those of the "
+    "robot, or of other objects, which `points` names. Each body gets the opposite of what the other gets, at the "
+    "same point, and both accelerate in the same linear equations, so that a grasp is as implicit as a foot on the "
+    "ground. `scene.contacts(state, name)` has the forces of the contacts of a frame or an object, on the body of the "
+    "point; `scene.touching` names both bodies of each.",
+    "A point touches where its sphere is nearest to the surface, and inside a box in the direction of the nearest "
+    "face. Edges between points do not touch: a beam falls through a box that is narrower. Corners of a box without "
+    "`rounding`, and rims of a cylinder, touch the ground, balls and capsules; on boxes and cylinders they are "
+    "refused, because edges would pass through edges.",
+    "By default the stiffness is 1e5 1/s^2 times the mass of the lightest object that takes part, which steps of up "
+    "to 6 ms follow; a cube of 0.1 kg then sinks by 0.02 mm on four corners.",
+)
+
+
+def objects() -> str:
+    """Operations of contacts with an object."""
+    robot, cube = torchdq.robots.load("panda_hand"), Box("cube", 0.1, size=(0.04, 0.04, 0.04))
+    ground, fingers = effects.Contact("cube"), effects.Contact("*_finger", on="cube")
+
+    def count(*parts: effects.Effect) -> int:
+        return Scene(robot, parts, objects=(cube,)).count().total
+
+    none = count()
+    rows = [
+        ("a step without contact", f"{none}"),
+        ('`effects.Contact("cube")`, 8 points on the ground', f"+ {count(ground) - none}"),
+        ('`effects.Contact("*_finger", on="cube")`, 8 points on the cube', f"+ {count(fingers) - none}"),
+        ("both", f"+ {count(ground, fingers) - none}"),
+    ]
+    return table(("`panda_hand` and a cube", "operations"), rows)
+
+
 def sections(name: str) -> list[str]:
     """Further sections of the page of an effect, of what was measured and stored."""
     if name not in SECTIONS:
         return []
     found = json.loads(STORED.read_text(encoding="utf-8"))
-    parts = []
+    parts = ["## Objects", *OBJECTS, objects()] if name == "Contact" else []
     for title, (text, names) in SECTIONS[name].items():
         parts += [f"## {title}", text, *[TABLES[part](found[part]) for part in names]]
     machine = ", ".join(f"{key} {value}" for key, value in found["machine"].items())

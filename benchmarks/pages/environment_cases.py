@@ -5,7 +5,7 @@ The name of a task is the one under which `torchdq.envs` registers it, in small 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -13,6 +13,8 @@ from torch import Tensor
 
 import torchdq
 from torchdq.effects.contact import Contacts
+from torchdq.envs.actions import HORIZON
+from torchdq.envs.manipulation import Lift, Manipulation, Pick, Push
 from torchdq.envs.tasks import EpisodeTask, Reach, Track, velocities
 from torchdq.envs.walk import WEIGHTS, Walk
 from torchdq.envs.wipe import Wipe
@@ -29,6 +31,7 @@ class Situation(NamedTuple):
     goal: Tensor  # of the task
     time: float  # since the start of the episode [s]
     contacts: Contacts | None  # of the scene, where it has some
+    touching: Sequence[tuple[str, str]]  # what touches what, of each of them
     state: Mapping[str, Tensor]  # everything else
 
 
@@ -40,6 +43,14 @@ class Entries(NamedTuple):
     value: Callable[[Situation], Tensor]  # [N, entries]
 
 
+class Reward(NamedTuple):
+    """A reward that has no formula in the docstring of its task."""
+
+    words: str
+    value: Callable[[Situation], Tensor]  # [N]
+
+
+MOMENTS = (0, 15, 30, 60, 150)  # of the picture, in steps
 ABSENT = f"Missing ones are {ROTOR:g} kg m^2 for rotors and {DAMPING:g} N m s/rad for damping"
 
 
@@ -55,6 +66,10 @@ class Environment(NamedTuple):
     effects: str = f"those of a typical arm, with the parameters of its description. {ABSENT}"
     more: tuple[str, ...] = ()  # further parts of the page
     ends: str = "only if the simulation failed: a state is non-finite, or far too large"
+    about: tuple[str, ...] = ()  # further sentences on the task
+    reward: Reward | None = None
+    policy: Callable[[Situation], Tensor] | None = None  # actions [N, n] of the picture; None: none
+    moments: tuple[int, ...] = MOMENTS
 
 
 def fractions(robot: Robot, x: Tensor) -> Tensor:
@@ -65,6 +80,17 @@ def fractions(robot: Robot, x: Tensor) -> Tensor:
 def tip(now: Situation) -> Tensor:
     """Position of the end effector [N, 3] in the base frame [m]."""
     return torchdq.dq.translation(torchdq.forward_kinematics(now.robot, now.q, now.robot.end_effector().name))
+
+
+def resolved(now: Situation, way: Tensor) -> Tensor:
+    """Displacements of the joints [N, n] along a way of the end effector, by the damped inverse of the Jacobian."""
+    J = torchdq.jacobian(now.robot, now.q, now.robot.end_effector().name, expressed="world")[:, 3:]
+    return (J.mT @ torch.linalg.solve(J @ J.mT + 0.05**2 * torch.eye(3).to(J), way[:, :, None]))[:, :, 0]
+
+
+def towards(now: Situation) -> Tensor:
+    """Actions that move the end effector towards the goal."""
+    return (resolved(now, now.goal - tip(now)) / (HORIZON * torch.tensor(velocities(now.robot)))).clamp(-1.0, 1.0)
 
 
 def turns(now: Situation) -> Tensor:
@@ -119,6 +145,146 @@ def tip_velocity(now: Situation) -> Tensor:
     return (J @ now.qd[:, :, None])[:, :, 0]
 
 
+# --- objects ---------------------------------------------------------------------------------------------------------
+
+HOME = Manipulation().home
+REST = 0.02  # height of the cube on the table, its half [m]
+HELD = 0.5  # normal force of a finger in a grasp [N]
+FULL = 0.1  # full action of a joint of the arm [rad]
+STIFF = 1000.0  # of the servos of the arm [N m/rad]
+CLOSE, FAR, QUICK = 0.012, 0.04, 2.0  # distance at which fingers close, longest way [m], and gain of the policies
+
+
+def hand(now: Situation, q: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Position [N, 3] and rotation matrix [N, 3, 3] of the tip."""
+    X = torchdq.forward_kinematics(now.robot, now.q if q is None else q, now.robot.end_effector().name)
+    T = torchdq.dq.to_matrix(X)
+    return T[..., :3, 3], T[..., :3, :3]
+
+
+def thing(now: Situation) -> tuple[Tensor, Tensor]:
+    """Position [N, 3] and rotation matrix [N, 3, 3] of the object."""
+    T = torchdq.dq.to_matrix(now.state["poses"])
+    return T[:, :3, 3], T[:, :3, :3]
+
+
+def turned(now: Situation, part: slice) -> Tensor:
+    """Part of the twist of the object [N, 3] in world axes."""
+    return (thing(now)[1] @ now.state["twists"][:, part, None])[:, :, 0]
+
+
+def pressing(now: Situation) -> Tensor:
+    """1 for each finger that presses on the object, otherwise 0, [N, fingers]."""
+    fingers = list(dict.fromkeys(frame for frame, on in now.touching if on == "cube"))
+    forces = [[k for k, pair in enumerate(now.touching) if pair == (finger, "cube")] for finger in fingers]
+    return torch.stack([now.contacts.normal_force[:, own].sum(1) >= HELD for own in forces], 1).to(now.q)
+
+
+def pushed(now: Situation) -> Tensor:
+    """Reward of `Push`."""
+    (p, _), (at, _) = thing(now), hand(now)
+    behind = (at - p + p.new_tensor([REST + 0.015, 0.0, 0.0])).norm(dim=1)
+    away = (p - now.goal)[:, :2].norm(dim=1)
+    reached = 1 - (5 * behind).tanh() + (behind <= 0.03) * (1 - (5 * away).tanh())
+    return torch.where((away <= 0.1) & (p[:, 2] <= REST + 0.01), 3 - (10 * away).tanh(), reached) / 3
+
+
+def carried(there: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Situation], Tensor]:
+    """Reward of `Lift` and `Pick`; `there` says of positions of object and goal whether that is success."""
+
+    def value(now: Situation) -> Tensor:
+        (p, _), (at, _), grasped = thing(now), hand(now), pressing(now).prod(1)
+        near, away, still = (x.norm(dim=1) for x in (at - p, now.goal - p, now.qd[:, :7]))
+        reward = 1 - (5 * near).tanh() + grasped * (2 - (5 * away).tanh())
+        return (reward + there(p, now.goal) * grasped * (2 - (5 * still).tanh())) / 5
+
+    return value
+
+
+def moving(now: Situation, way: Tensor, opening: Tensor) -> Tensor:
+    """Actions that hold the arm, move the tip along a way, and open the gripper, [N] in [-1, 1]."""
+    way = way * (FAR / way.norm(dim=1, keepdim=True)).clamp(max=1.0)
+    move = resolved(now, way)[:, :-1]
+    weight = torchdq.inverse_dynamics(now.robot, now.q, 0 * now.q, 0 * now.q)[:, :-1] / STIFF
+    return torch.cat([(weight + QUICK * move) / FULL, opening[:, None]], 1).clamp(-1.0, 1.0)
+
+
+def grasping(now: Situation) -> Tensor:
+    """Actions that grasp the object and carry it to the goal."""
+    (p, _), (at, _), held = thing(now), hand(now), pressing(now).prod(1) > 0
+    near = (p - at).norm(dim=1) < CLOSE
+    way = torch.where(held[:, None], now.goal - p, p - at)
+    return moving(now, way, torch.where(held | near, -1.0, 1.0).to(p))
+
+
+def pushing(now: Situation) -> Tensor:
+    """Actions that take the tip down behind the object, and then ahead."""
+    (p, _), (at, _) = thing(now), hand(now)
+    way = p - p.new_tensor([REST + 0.03, 0.0, -0.02]) - at
+    ahead = torch.cat([(now.goal - p)[:, :1].clamp(max=FAR), way[:, 1:]], 1)
+    return moving(now, torch.where(way[:, 2:].abs() < FAR, ahead, way), -torch.ones_like(p[:, 0]))
+
+
+SEEN = (
+    Entries("position of each joint less that of the start", "rad or m", lambda now: now.q - now.q.new_tensor(HOME)),
+    Entries("velocity of each joint", "5 rad/s or m/s", lambda now: now.qd / 5),
+    Entries("vector from the tip to the object", "0.1 m", lambda now: 10 * (thing(now)[0] - hand(now)[0])),
+    Entries(
+        "position of the object from the point on the table below the tip at a start",
+        "0.2 m",
+        lambda now: 5 * (thing(now)[0] - hand(now, now.q.new_tensor(HOME))[0] * now.q.new_tensor([1.0, 1.0, 0.0])),
+    ),
+    Entries("x and y axis of the object", "1", lambda now: thing(now)[1][:, :, :2].mT.flatten(1)),
+    Entries("vector from the object to the goal", "0.2 m", lambda now: 5 * (now.goal - thing(now)[0])),
+    Entries("velocity of the object", "2 m/s", lambda now: turned(now, slice(3, 6)) / 2),
+    Entries("angular velocity of the object", "10 rad/s", lambda now: turned(now, slice(0, 3)) / 10),
+    Entries("x and z axis of the tip", "1", lambda now: hand(now)[1][:, :, ::2].mT.flatten(1)),
+    Entries("height of the tip above 0.1 m", "0.1 m", lambda now: 10 * hand(now)[0][:, 2:] - 1),
+    Entries("1 for each finger that presses on the object by 0.5 N or more, otherwise 0", "1", pressing),
+)
+
+
+CARRIED = (
+    "A fifth of a sum: 1 - tanh(5 b), with the distance b of the tip from the object [m]; in a grasp 2 - tanh(5 d), "
+    "with the distance d of the object from the goal; and on success 2 - tanh(5 v), with the size v of the velocities "
+    "of the arm's joints [rad/s]."
+)
+
+
+def handled(
+    task: type[Manipulation],
+    about: str,
+    success: str,
+    reward: Reward,
+    policy: Callable[[Situation], Tensor],
+) -> Environment:
+    """Environment of an arm with a gripper."""
+    return Environment(
+        task,
+        SEEN,
+        {**COMMON, "distance": "of the object from the goal [m]", "success": f"1 where {success}, otherwise 0"},
+        FIRST,
+        "target",
+        "panda_hand",
+        "gravity, rotors, servos, contact of the fingers with the object, and of the object and the fingers with the "
+        "table",
+        (
+            "## Another object, another arm",
+            "[A robot with hands](../guides/hands.md#another-object-another-arm) puts an object and an arm of your own "
+            "into the task, and `examples/31_hands_ppo.py` learns it.",
+        ),
+        about=(
+            about,
+            "The object is a cube of 0.1 kg with edges of 0.04 m, on the table z = 0. Masses differ by 30 %, sizes by "
+            "10 %, each friction by 30 %. The last joint is the opening of the gripper, which is half without an "
+            "action. Targets of the arm are offsets from its measured positions: without an action it sinks slowly.",
+        ),
+        reward=reward,
+        policy=policy,
+        moments=(0, 10, 20, 30, 49),
+    )
+
+
 COMMON = {
     "clipped": "number of entries of the action that were outside [-1, 1]",
     "nonfinite": "true if the simulation failed in this step",
@@ -161,6 +327,7 @@ ENVIRONMENTS: dict[str, Environment] = {
         },
         FIRST,
         "reference",
+        policy=towards,
     ),
     "track": Environment(
         Track,
@@ -244,5 +411,31 @@ ENVIRONMENTS: dict[str, Environment] = {
             "times the normal force; over eight seeds, each of 256 tables, 5.1 % and 0.80 % were the largest.",
         ),
         "if the end effector is 0.1 m from the path, the force above 100 N, or the simulation failed",
+    ),
+    "push": handled(
+        Push,
+        "The goal is 0.2 m ahead of the object, along x, and the gripper is closed at the start.",
+        "the object is within 0.1 m of the goal, along the table, and at most 0.01 m above it",
+        Reward(
+            "On success (3 - tanh(10 d)) / 3, with the distance d from the goal along the table [m]. Until then (1 - "
+            "tanh(5 b)) / 3, with the distance b of the tip from the point 0.035 m behind the object, and where b is "
+            "at most 0.03 m, (1 - tanh(5 d)) / 3 more.",
+            pushed,
+        ),
+        pushing,
+    ),
+    "lift": handled(
+        Lift,
+        "The goal is 0.1 m above the object. Success is less: 0.04 m above its place on the table, in a grasp.",
+        "the object is 0.04 m or more above its place on the table, and all fingers press on it",
+        Reward(CARRIED, carried(lambda p, goal: p[:, 2] >= REST + 0.04)),
+        grasping,
+    ),
+    "pick": handled(
+        Pick,
+        "The goal is 0.04 to 0.3 m above the table, above the square in which objects start.",
+        "the object is within 0.025 m of the goal, and all fingers press on it",
+        Reward(CARRIED, carried(lambda p, goal: (goal - p).norm(dim=1) <= 0.025)),
+        grasping,
     ),
 }

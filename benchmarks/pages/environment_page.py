@@ -23,10 +23,9 @@ from pages.pictures import Curve, Picture, svg
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.effects import Contact
 from torchdq.envs import RobotVectorEnv, episode
-from torchdq.envs.actions import HORIZON, Kind
+from torchdq.envs.actions import Kind
 from torchdq.envs.render import Painter
 from torchdq.envs.task_names import task_of
-from torchdq.envs.tasks import velocities
 from torchdq.robot import Robot
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,7 +34,7 @@ LEARNED = ROOT / "benchmarks" / "results" / "learning.json"
 SCRIPT = "benchmarks/environments.py"
 ROBOT = "panda"  # the default
 DATA = "positions"  # entry of a PNG file: positions of the joints at the moments
-SEED, MOMENTS = 3, (0, 15, 30, 60, 150)  # of the picture, in steps
+SEED = 3  # of the picture
 ACTIONS = {
     "torque": "torque of each joint",
     "residual": "torque added to a controller that follows the task's reference",
@@ -90,8 +89,9 @@ def page(task: str) -> str:
         f'`gymnasium.make("{spec.id}")` creates one environment, `gymnasium.make_vec` many, and '
         f'`torchdq.envs.RobotVectorEnv(4096, "{task}")` many on tensors.',
         f"![One arm at five moments of an episode]({task}.png)",
-        f"One episode, after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s.",
+        f"One episode, after {', '.join(f'{k * dt:g}' for k in case.moments)} s.",
         "## Task",
+        *case.about,
         *_paragraphs(case.task, "Goal", "Reference", "Table", "By default"),
         "## Observation",
         f"`Box({len(case.task().bounds(robot))},)` for the default robot ({joints}), as measured by the sensors. "
@@ -104,6 +104,7 @@ def page(task: str) -> str:
         "## Reward",
         *[f"$$\n{tex(formula, frozenset({'action'}))}\n$$" for formula in said.formulas],
         *_paragraphs(case.task, "Reward: "),
+        *([] if case.reward is None else [case.reward.words]),
         "It is computed from the true state, not from measurements. A step in which the simulation fails has the "
         f"reward {episode.WORST:g}.",
         "## End of an episode",
@@ -171,7 +172,7 @@ def situation(envs: RobotVectorEnv) -> Any:
     found, scene = envs.get_state(), envs.scene
     touching = any(isinstance(effect, Contact) for effect in scene.effects)
     contacts, time = scene.contacts(envs.state) if touching else None, float(found["steps"][0]) * scene.dt
-    return Situation(envs.robot, found["q"], found["qd"], found["goal"], time, contacts, found)
+    return Situation(envs.robot, found["q"], found["qd"], found["goal"], time, contacts, scene.touching, found)
 
 
 def _range(numbers: tuple[float, ...]) -> str:
@@ -192,6 +193,7 @@ def _actions(task: str, robot: Robot) -> str:
 def _effect(effect: Any) -> tuple[str, str]:
     name = type(effect).__name__
     numbers = [f"{k} {_numbers(getattr(effect, k))}" for k in effect.SHAPES if k not in ("warming",)]
+    numbers = [x for x in [effect.label().partition(": ")[2]] if x] + numbers
     return f"[{name}](../effects/{effect_address(name)})", "; ".join(numbers)
 
 
@@ -311,27 +313,20 @@ def picture(task: str) -> bytes:
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    envs = RobotVectorEnv(1, task, robot_of(task), action=ENVIRONMENTS[task].hint)  # type: ignore[arg-type]
+    case = ENVIRONMENTS[task]
+    # in double, because contact multiplies what is rounded
+    envs = RobotVectorEnv(1, task, robot_of(task), action=case.hint, dtype=torch.float64)  # type: ignore[arg-type]
     envs.reset(seed=SEED)
-    painter, frames, positions = Painter(envs.robot, (240, 280)), [], []
-    for step in range(MOMENTS[-1] + 1):
+    painter, frames, positions = Painter(envs.scene if envs.scene.objects else envs.robot, (240, 280)), [], []
+    for step in range(case.moments[-1] + 1):
         now = situation(envs)
-        if step in MOMENTS:
-            target = now.goal[0] if now.goal.shape[1] == 3 else None
-            frames.append(painter.frame(now.q[0], target, X_WB=now.state["X_WB"][0] if "X_WB" in now.state else None))
+        if step in case.moments:
+            target, X_WB = now.goal[0] if now.goal.shape[1] == 3 else None, now.state.get("X_WB", [None])[0]
+            X_WO = None if envs.state.X_WO is None else envs.state.X_WO[0]
+            frames.append(painter.frame(now.q[0], target, None, X_WB, X_WO))
             positions.append([round(x, 4) for x in now.q[0].tolist()])
-        envs.step(towards(now) if task == "reach" else torch.zeros(1, envs.robot.n))
+        envs.step(torch.zeros(1, envs.robot.n) if case.policy is None else case.policy(now))
     file, data = io.BytesIO(), PngInfo()
     data.add_text(DATA, json.dumps(positions))
     Image.fromarray(np.concatenate(frames, 1)).save(file, format="PNG", optimize=True, pnginfo=data)
     return file.getvalue()
-
-
-def towards(now: Any) -> torch.Tensor:
-    """Actions that move the end effector towards the goal, by the damped inverse of the Jacobian."""
-    from pages.environment_cases import tip
-
-    J = torchdq.jacobian(now.robot, now.q, now.robot.end_effector().name, expressed="world")[:, 3:]
-    way = (now.goal - tip(now)).unsqueeze(-1)
-    move = (J.mT @ torch.linalg.solve(J @ J.mT + 0.05**2 * torch.eye(3), way)).squeeze(-1)
-    return (move / (HORIZON * torch.tensor(velocities(now.robot)))).clamp(-1.0, 1.0)

@@ -38,7 +38,7 @@ PUBLIC = set(re.findall(r"`(torchdq[\w.]*)`", (ROOT / "CHANGELOG.md").read_text(
 # modules whose `__all__` others export: they are no doors
 INNER = {"torchdq.control", "torchdq.functional", "torchdq.pose_solver", "torchdq.recommend", "torchdq.task_space"}
 INNER |= {"torchdq.robot.shipped", "torchdq.robot.shipped.go2"}
-MOST = 228  # distinct public names
+MOST = 232  # distinct public names
 
 
 def with_names():
@@ -75,7 +75,8 @@ def test_a_name_means_one_thing_but_for_laws_and_their_layers_and_functions_of_b
         for name in opened(module).__all__:
             meanings.setdefault(name, set()).add(id(getattr(opened(module), name)))
     laws = {"CartesianImpedance", "ComputedTorque", "OperationalSpaceControl"}
-    assert {name for name, of in meanings.items() if len(of) > 1} == laws | {"Box"}  # which a load is in, and an object
+    others = {"Box", "Push"}  # a range of positions and an object, a wrench and a task
+    assert {name for name, of in meanings.items() if len(of) > 1} == laws | others
 
 
 def opened(module):
@@ -148,6 +149,7 @@ GAPS = {
     "nominal_robot",
     "go2",
     "urdf",
+    *("Manipulation", "PADS", "PERIOD", "PRESSING", "TABLE", "points_of", "task_of"),
 }  # of examples, on no face yet
 CODE = re.compile(r"^```(?:python|pycon)[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 

@@ -10,8 +10,8 @@ import gymnasium
 import pytest
 import torch
 from pages.docstrings import documented
-from pages.environment_cases import ENVIRONMENTS
-from pages.environment_page import DATA, learned, newest, picture, rates, registered, robot_of, situation, towards
+from pages.environment_cases import ENVIRONMENTS, towards
+from pages.environment_page import DATA, learned, newest, picture, rates, registered, robot_of, situation
 
 from torchdq.envs import RobotVectorEnv
 from torchdq.envs.walk import WEIGHTS
@@ -71,7 +71,10 @@ def test_the_reward_is_the_formula_of_the_page(task):
     case = ENVIRONMENTS[task]
     (formula, *_) = documented(case.task, frozenset({"action"})).formulas or ("",)
     code = re.sub(r"(?<=\d) (?=[a-z])", " * ", formula.partition(",  ")[0].replace("^", "**"))
-    _, (_, reward, _, _, info), actions = moving(task)
+    envs, (_, reward, _, _, info), actions = moving(task)
+    if case.reward:
+        torch.testing.assert_close(reward, case.reward.value(situation(envs)), rtol=1e-9, atol=1e-9)
+        return
     if task == "walk":  # a sum of terms
         expected = 0.02 * sum(info[name] for name in WEIGHTS).clamp(min=0)
         torch.testing.assert_close(reward, expected, rtol=1e-9, atol=1e-9)
@@ -95,8 +98,8 @@ def test_an_episode_is_truncated_where_the_page_says_and_never_ends_before(task)
     for k in range(1, spec.max_episode_steps + 1):
         _, _, terminated, truncated, _ = env.step(GENTLE.get(task, 1.0) * env.action_space.sample())
         assert not terminated and truncated == (k == spec.max_episode_steps)
-    page = " ".join((FOLDER / f"{task}.md").read_text(encoding="utf-8").split())
-    assert f"| truncated | after {spec.max_episode_steps} steps, {spec.max_episode_steps * 0.02:g} s" in page
+    page, dt = (FOLDER / f"{task}.md").read_text(encoding="utf-8"), env.unwrapped.envs.scene.dt
+    assert f"| truncated | after {spec.max_episode_steps} steps, {spec.max_episode_steps * dt:g} s" in page
 
 
 def test_the_line_of_the_guide_is_the_one_that_was_measured_and_it_learns():
@@ -122,6 +125,15 @@ def test_the_policy_of_the_picture_reaches_its_goal():
         info = envs.step(towards(situation(envs)))[4]
     start = (first.goal - ENVIRONMENTS["reach"].observation[3].value(first)).norm(dim=1)
     assert (info["distance"] < 0.5 * start).all()
+
+
+@pytest.mark.parametrize("task", ["push", "lift", "pick"])
+def test_the_policy_of_a_picture_moves_the_object_to_its_goal(task):
+    envs = RobotVectorEnv(8, task)
+    envs.reset(seed=0)
+    for _ in range(ENVIRONMENTS[task].moments[-1]):
+        info = envs.step(ENVIRONMENTS[task].policy(situation(envs)))[4]
+    assert info["success"].mean() > 0.7
 
 
 @EVERY

@@ -84,3 +84,12 @@ def test_a_cat_lands_on_its_feet(tmp_path):
     turn, momentum = main.main(main.Args(out=tmp_path))
     assert turn > 175 and momentum < 1e-6
     assert imread(tmp_path / "cat.png")[..., :3].std() > 0.03
+
+
+def test_a_hand_lifts_a_cube(tmp_path, monkeypatch):
+    main = import_module("33_hand")
+    monkeypatch.setattr(main, "STEPS", {5e-3: main.STEPS[5e-3]})
+    force, creep, turn = main.main(main.Args(out=tmp_path))[5e-3]
+    spring, weight = 0.5 * 1000.0 * 0.015, 9.81 * 0.1  # of the servo, of which a finger has half
+    assert weight / 2 < force < spring and creep < 1e-6 and turn < 0.05
+    assert imread(tmp_path / "hand.png")[..., :3].std() > 0.03

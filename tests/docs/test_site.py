@@ -130,6 +130,7 @@ def public():
         "torchdq.task_space": torchdq.task_space,
         "torchdq.pose_solver": torchdq.pose_solver,
         "torchdq.envs": torchdq.envs,
+        "torchdq.objects": torchdq.objects,
         "torchdq.scene.policies": policies,
     }
     names = [f"{module}.{name}" for module, of in modules.items() for name in of.__all__]
@@ -199,7 +200,7 @@ def test_a_public_function_says_what_it_takes(name):
 
 PURE = {  # take no quantity of physics
     *("train_test_split", "plot_torques", "posterior_samples", "compile", "backend", "load", "names", "clear_caches"),
-    "require_finite",
+    *("require_finite", "from_mjcf", "from_urdf"),
 }
 
 

@@ -2,6 +2,7 @@
 
 import sys
 import urllib.request
+from dataclasses import replace
 
 import pytest
 import torch
@@ -14,6 +15,7 @@ from torchdq.envs.render import (
     GROUND,
     LINK,
     MOST_ARMS,
+    OBJECT,
     RULES,
     TARGET,
     TIP,
@@ -24,6 +26,7 @@ from torchdq.envs.render import (
     save_gif,
 )
 from torchdq.errors import MissingLibraryError
+from torchdq.objects import Ball, Box, Capsule, Cylinder
 from torchdq.robot import ContactPoint
 
 np = pytest.importorskip("numpy")
@@ -227,6 +230,45 @@ def test_the_ground_of_a_scene_is_drawn_below_its_contact_points(walker, contact
     assert painter.skeleton.points(q, X_WB=X[0])[0, ball] == pytest.approx(dq.translation(p).numpy()) and radius == 0.03
 
 
+THINGS = (
+    Box("box", 1.0, size=(0.1, 0.2, 0.3)),
+    Ball("ball", 1.0, radius=0.1),
+    Capsule("capsule", 1.0, radius=0.1, length=0.2),
+    Cylinder("cylinder", 1.0, radius=torch.tensor([0.1, 0.5]), length=0.2),  # of two, the first
+)
+
+
+def among(*objects):
+    """A scene of an arm and objects, and poses apart from each other and from the arm."""
+    scene = Scene(torchdq.robots.load("two_link"), (effects.Contact("box", on="ball"),), objects=objects, dt=0.01)
+    poses = [dq.exp(torch.tensor([0.3, 0.2, -0.5, 0.1, 0.4 * k - 0.6, 0.3]).double()) for k in range(len(objects))]
+    return scene, torch.stack(poses)
+
+
+def test_outlines_lie_on_the_surfaces_of_objects_and_span_them():
+    spans = ((0.05, 0.1, 0.15), (0.1, 0.1, 0.1), (0.1, 0.1, 0.2), (0.1, 0.1, 0.1))
+    scene, X_WO = among(*THINGS)
+    skeleton = Skeleton(scene)
+    ends = torch.from_numpy(skeleton.edges(X_WO, 1))[0].split([len(lines) for lines in skeleton.outlines])
+    for X, body, own, span in zip(X_WO, THINGS, ends, spans, strict=True):
+        p = dq.rotate(dq.conj(dq.rotation(X)), own.reshape(-1, 3) - dq.translation(X))
+        assert p.abs().amax(0).tolist() == pytest.approx(span)
+        single = replace(body, radius=0.1) if isinstance(body, Cylinder) else body
+        assert all(abs(single.nearest(tuple(row)).distance) < 1e-7 for row in p.tolist())
+
+
+def test_an_object_is_drawn_where_it_is():
+    scene, X_WO = among(*THINGS)
+    painter = Painter(scene)
+    bare, image = painter.frame([0.0, 0.0]), painter.frame([0.0, 0.0], X_WO=X_WO)
+    assert not coloured(bare, OBJECT).any()
+    pixels, *_ = painter.project(dq.translation(X_WO).numpy()[None, :, None])
+    for x, y in pixels[0, :, 0]:
+        row, column = 400 - round(y), round(x)
+        around = np.s_[row - 20 : row + 20, column - 20 : column + 20]
+        assert image[around].mean() < bare[around].mean() - 1 and coloured(image[around], OBJECT).any()
+
+
 # --- refusals --------------------------------------------------------------------------------------------------------
 
 
@@ -240,6 +282,7 @@ MISUSE = [
     *(lambda painter, frames=frames: save_gif(frames, "never.gif") for frames in FRAMES),
     *(lambda painter, fps=fps: save_gif([painter.frame(POSE)], "never.gif", fps) for fps in (0, 51, float("nan"))),
     lambda painter: painter.frame(POSE, X_WB=torch.eye(8)[0]),
+    lambda painter: Painter(among(*THINGS)[0]).frame([0.0, 0.0], X_WO=torch.eye(8)[:3]),
 ]
 
 

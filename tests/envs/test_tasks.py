@@ -251,6 +251,15 @@ def test_a_floating_robot_is_drawn_where_its_base_is():
     assert (frame != painter.frame(now["q"][0], now["goal"][0])).any()
 
 
+def test_an_object_is_drawn_where_it_is():
+    pytest.importorskip("matplotlib")
+    envs = RobotVectorEnv(1, "push", render_mode="rgb_array")
+    envs.reset(seed=0)
+    now, (frame,), painter = envs.get_state(), envs.render(), Painter(envs.scene)
+    assert (frame == painter.frame(now["q"][0], now["goal"][0], X_WO=envs.state.X_WO[0])).all()
+    assert (frame != painter.frame(now["q"][0], now["goal"][0])).any()
+
+
 def test_a_floating_robot_sees_its_base_and_the_way_of_its_end_effector_in_the_world():
     envs = free()
     spinning = torch.linspace(-2.0, 2.0, 24, dtype=torch.float64).reshape(4, 6)

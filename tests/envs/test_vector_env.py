@@ -646,7 +646,7 @@ PD, PLANE = controllers.PD(1.0, 1.0), controllers.OperationalSpaceControl(100.0,
 POSED = {"action": "pose", "scale": None, "controller": PLANE}
 SOME = {"joints": ROBOT.joint_names[:1]}  # the other one is passive
 WRONG = {
-    "task": ("push", 3, Reach),
+    "task": ("pull", 3, Reach),
     "robot": ("pandaa", torchdq.robots.load("panda").with_tip(None), stacked(limits=True), stacked()),
     "effects": ((effects.Gravity,), (effects.Servo(10.0),), (effects.Payload(torch.rand(4, 1)),), (effects.Push(),)),
     "action": ("force",),
