@@ -130,7 +130,6 @@ def public():
         "torchdq.task_space": torchdq.task_space,
         "torchdq.pose_solver": torchdq.pose_solver,
         "torchdq.envs": torchdq.envs,
-        "torchdq.objects": torchdq.objects,
         "torchdq.scene.policies": policies,
     }
     names = [f"{module}.{name}" for module, of in modules.items() for name in of.__all__]
