@@ -196,6 +196,15 @@ def test_ppo_learns_in_any_vector_environment():
     assert sum(reward[-10:]) > sum(reward[10:20]) + 4.0  # a policy that does not learn stays within 2
 
 
+def test_hands_learn_and_act_in_mujoco(tmp_path, capsys):
+    """A second is enough to learn something; that policies do their task is held by envs/test_manipulation.py."""
+    module, play = import_module("31_hands_ppo"), import_module("32_hands_in_mujoco")
+    assert module.main(module.Args(task="push", seconds=1.0, robots=32, out=tmp_path)) is None
+    shares = play.main(play.Args(task="push", policy=EXAMPLES / "hands_push.pt", runs=4))
+    assert set(shares) == {"here", *play.CONES} and min(shares.values()) > 0.5
+    assert "not learned yet" in capsys.readouterr().out
+
+
 def test_a_film_of_walking_robots(tmp_path):
     module = import_module("25_walk_film")
     path, fell = module.main(module.Args(policy=EXAMPLES / "go2_walk.pt", robots=12, frames=2, out=tmp_path))
