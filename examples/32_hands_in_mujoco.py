@@ -3,8 +3,8 @@
     python examples/32_hands_in_mujoco.py pick [--runs 64] [--policy out/pick.pt]
 
 The policy of `31_hands_ppo.py` acts on the same arm and cube in MuJoCo, whose contacts follow another law: with
-elliptic cones of friction, with pyramids as by default, and with elliptic cones whose friction is ten times stiffer. It prints
-the share that succeeds at the end of an episode, from the same starts in both engines.
+elliptic cones of friction, with pyramids as by default, and with elliptic cones whose friction is ten times stiffer. It
+prints the share that succeeds at the end of an episode, from the same starts in both engines.
 """
 
 import sys
