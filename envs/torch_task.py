@@ -44,6 +44,7 @@ from torchdq.robot.fields import SHAPES, trailing
 from torchdq.robot.model import batches
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
+from torchdq.scene.spec import POSES
 from torchdq.scene.state import State, require_unit
 
 
@@ -217,8 +218,8 @@ class Functions(NamedTuple):
         rows = {name: _row(f"start's {name!r}", x, (len(u), widths[name]), u) for name, x in found.items()}
         for name, x in rows.items() if looks else ():
             require_finite_start(f"start's {name!r}", x)
-        if looks and "X_WB" in rows:
-            require_unit(rows["X_WB"])
+        for name in [name for name in POSES if looks and name in rows]:
+            require_unit(name, rows[name])
         return rows
 
     def observed(self, now: Now) -> Tensor:

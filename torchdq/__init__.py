@@ -63,7 +63,7 @@ Tensors, other libraries, checks:
 Simulation and learning:
     Scene                   a robot with the effects, the integrator and the step size of its simulation
     effects                 gravity, friction, motors, sensors, contact and others
-    objects                 boxes, balls and other loose bodies, which robots push and grasp
+    objects                 free bodies that robots push, grasp and lift
     scene                   scene.integrators, scene.controllers, scene.policies, scene.State
     envs                    gymnasium environments
     learning                logs, identification, training of residuals

@@ -160,7 +160,7 @@ STARTS = [*((lambda robot, u: {}, True), (lambda robot, u: u, 0), (lambda robot,
           *((lambda robot, u: {"q": u}, 3), (lambda robot, u: {"q": u / 0}, 2))]  # fmt: skip
 SEEN = [(state, None), (state, [(1, -1)]), (state, BOUNDS[:3]), (lambda now: state(now) / 0, BOUNDS)]
 TASKS = [
-    *(lambda: TorchTask("push"), lambda: TorchTask(lambda now: now.q.sum(1)), lambda: TorchTask()),
+    *(lambda: TorchTask("pull"), lambda: TorchTask(lambda now: now.q.sum(1)), lambda: TorchTask()),
     *(lambda x=x: TorchTask("reach", x) for x in REWARDS),
     *(lambda x=x: TorchTask("reach", terminated=x) for x in (True, lambda now: now.q[:, 0])),
     *(lambda x=x: TorchTask(reward=x) for x in ALONE),

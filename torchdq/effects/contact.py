@@ -91,7 +91,7 @@ class Contacts(NamedTuple):
     impulse that acted, which is the change of `floating.momentum`.
     """
 
-    force: Any  # [..., points, 3] on the robot, in world axes, or base axes if the base is fixed [N]
+    force: Any  # [..., points, 3] on the body of the point, in world axes, or base axes if the base is fixed [N]
     normal_force: Any  # [..., points] [N]
     touching: Any  # [..., points] bool; while it is recorded 1, or 0 where no force acts
     depth: Any  # [..., points] of the point in the ground, negative above it [m]
@@ -129,7 +129,7 @@ class _Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Contact(BodyEffect):
-    """Compliant contact of points of the robot with the ground, by normal forces and dry friction that sticks.
+    """Compliant contact of points of the robot, or of objects, with the ground or objects, with friction that sticks.
 
         f_n = k d (1 + c dd) >= 0,   |f_t| <= mu f_n
 
@@ -160,7 +160,8 @@ class Contact(BodyEffect):
             plane below every point before each step. A sphere of radius r touches with its lowest point, and therefore
             sinks by r (1 - cos) on a slope. None: the plane.
         stiffness: stiffness k of each point, of the normal force and of sticking friction [N/m], a number or [...];
-            None: a robot at rest sinks by 1 mm on four points, or on all if there are fewer.
+            None: a robot at rest sinks by 1 mm on four points, or on all if there are fewer; of objects 1e5 1/s^2
+            times the mass of the lightest, which steps of up to 6 ms follow.
         dissipation: dissipation c [s/m], a number or [...].
         friction: friction coefficient mu, a number or [...].
         stiction: False: no memory, and viscous friction below 10 mm/s, which has a smooth gradient and creeps.
