@@ -42,6 +42,7 @@ PANDA = (0.0, 0.1125, 0.0, -2.5686, 0.0, 2.6811, 0.7854, 0.04)  # tip 0.12 m abo
 CUBE = Box("cube", 0.1, size=(0.04, 0.04, 0.04))
 PERIOD = 0.05  # between actions [s]
 STEP = 0.1  # full action of a joint of the arm [rad or m]
+ROTOR = 0.01  # rotor inertia where the description has none [kg m^2 or kg]
 STIFF, DAMPED = 1000.0, 100.0  # gains of the servos [N m/rad and N m s/rad, or N/m and N s/m]
 CONTACT = 1e5  # stiffness of contacts over the mass of the object [1/s^2]
 PADS, TABLE = 1.0, 0.5  # friction of the fingers, and of the table
@@ -93,7 +94,7 @@ class Manipulation(EpisodeTask):
         return {
             "effects": (
                 effects.Gravity(),
-                effects.RotorInertia(),
+                effects.RotorInertia(ROTOR if robot.armature is None else None),
                 effects.Viscous(),
                 effects.Servo(STIFF, DAMPED, limit=limit),
                 effects.Contact(self.pads, on=name, friction=PADS, stiffness=k),

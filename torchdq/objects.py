@@ -20,7 +20,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, matching, require_object
+from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, matching, require_object, tensor_of
 from torchdq.dynamics import shapes
 from torchdq.dynamics.free_bodies import FreeBody
 from torchdq.dynamics.shapes import Nearest
@@ -28,6 +28,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.functions.parametric import Parameter, Parametric, Shapes, undefined
 from torchdq.functions.signature import parameter
+from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.description import Shape
@@ -127,6 +128,17 @@ class Box(Object):
     POINTS, flat = 8, True
     size: Parameter = field(metadata=parameter(3, check=POSITIVE), kw_only=True)
     rounding: Parameter = field(default=0.0, metadata=parameter(check=NOT_NEGATIVE), kw_only=True)
+
+    def described(self, robot: Robot) -> Any:
+        """The box itself; raises unless its rounding leaves something of every face."""
+        rounding = tensor_of(self.rounding)
+        room = 0.5 * tensor_of(self.size).min(-1).values - rounding
+        if not without_values((room,)) and bool(((rounding > 0) & (room < 0)).any()):
+            raise ArgumentError(
+                f"rounding of Box {self.name!r} must be at most half of its shortest length, found one that is "
+                f"{-float(room.min()):.3g} m longer"
+            )
+        return super().described(robot)
 
     @property
     def sharp(self) -> bool:

@@ -10,12 +10,11 @@ from free_flyers import case, motion
 from helpers import EVERYTHING, called, double, exhaustive, thinned
 from messages import refused
 from scipy.integrate import solve_ivp
-from scipy.spatial.transform import Rotation
 
 import torchdq
 from torchdq import Scene, dq, effects, floating
 from torchdq.scene.controllers import PD, ComputedTorque
-from torchdq.scene.free_base import EXACT, ORDER_4, as_pose, rate, step_between
+from torchdq.scene.free_base import EXACT, ORDER_4, rate
 from torchdq.scene.integrators import (
     DormandPrince,
     ExplicitEuler,
@@ -50,20 +49,6 @@ def invariants(scene, state):
     p, L = floating.momentum(*at, state.V_WB_B, state.qd)
     L = L + torch.linalg.cross(floating.centre_of_mass(*at), p)
     return torch.cat([scene.energy(state)[..., :1], p, L], -1)
-
-
-def test_a_step_between_poses_is_undone_by_a_motion():
-    """Up to the terms of the arcsine that are left out, and exactly nothing between equal poses."""
-    turn, place = double(0.5, 0.5, -0.5, 0.5), double(0.3, -0.2, 0.5)
-    X = as_pose(dq.from_pose(turn, place).tolist())
-    for size, error in ((1.0, 1e-4), (0.1, 1e-12)):
-        w, u = size * double(0.3, -0.6, 0.2), size * double(0.1, 0.2, 0.4)
-        moved = torch.from_numpy((Rotation.from_quat(turn.roll(-1)) * Rotation.from_rotvec(w)).as_quat()).roll(1)
-        Y = as_pose(dq.from_pose(moved * (moved @ turn).sign(), place + u).tolist())
-        found = double(*step_between(X, Y))
-        assert (found[:3] - w).abs().max() < error * size
-        assert (dq.rotate(turn, found[3:]) - u).abs().max() < 1e-15
-    assert step_between(X, X) == (0.0,) * 6
 
 
 @pytest.mark.parametrize("dt", thinned([1e-3, 5e-3, 0.02], [0.02]))

@@ -427,6 +427,29 @@ def test_contacts_follow_an_object_that_is_replaced():
     assert boxed.replace(dt=0.001).touching == boxed.touching
 
 
+@compiled
+@pytest.mark.parametrize("dt", [5e-3, 1e-3])
+def test_a_cube_stays_where_it_is_held_in_a_hand_that_turns_fast(dt):
+    """Its hand moves on an arc, and a step along its tangent: friction remembers displacements, not velocities."""
+    robot = torchdq.robots.load("panda_hand")
+    servo = effects.Servo(1e3, 1e2, limit=robot.limits.effort.tolist())
+    parts = (effects.RotorInertia(), effects.Viscous(), servo, effects.Contact("*_finger", on="cube", friction=1.0))
+    scene = Scene(robot, parts, objects=(Box("cube", 0.1, size=(0.04,) * 3),), dt=dt)
+    q = torch.tensor([0.0, 0.1, 0.0, -2.57, 0.0, 2.68, 0.785, 0.0185], dtype=F64)
+    X_WT = torchdq.forward_kinematics(robot, q, "tcp")
+    target = torch.cat([q[:7], torch.zeros(1, dtype=F64)])
+    state = scene.rollout(scene.start(q, X_WO=X_WT[None]), target=target.expand(round(0.5 / dt), 8)).last
+    turned = target.expand(round(2.0 / dt), 8).clone()
+    turned[:, 0] = 1.5 * (torch.arange(len(turned), dtype=F64) * dt / 1.0).clamp(max=1.0)
+    path = scene.rollout(state, target=turned)
+    places = [
+        dq.translation(dq.mul(dq.conj(torchdq.forward_kinematics(robot, x.q, "tcp")), x.X_WO[..., 0, :]))
+        for x in (state, path.last)
+    ]
+    assert float(path.qd[:, 0].max()) > 1.0
+    assert float((places[1] - places[0]).norm()) < 1e-4
+
+
 def test_energy_is_that_of_all_bodies():
     scene = alone((Ball("ball", 2.0, radius=0.1),))
     state = begin(scene, at((0.0, 0.0, 3.0)), twist(0.0, 5.0, 0.0, 1.0, 2.0, 0.0))
@@ -552,6 +575,10 @@ WRONG = {
     "a negative size": lambda: alone((Box("box", 1.0, size=(0.1, -0.1, 0.1)),)),
     "a contact on an unknown object": lambda: alone((Ball("ball", 1.0, radius=0.1),), effects.Contact(on="cube")),
     "a contact on no object": lambda: alone((Ball("ball", 1.0, radius=0.1),), effects.Contact(on=())),
+    "a contact of an object with itself": lambda: alone(
+        (Ball("ball", 1.0, radius=0.1),), effects.Contact("ball", on="ball")
+    ),
+    "a rounding beyond the middle": lambda: alone((Box("box", 1.0, size=(0.1, 0.1, 0.1), rounding=0.06),)),
     "poses without an axis of objects": lambda: begin_wrong(at((0.0, 0.0, 0.0))[0]),
     "poses that are not unit": lambda: begin_wrong(2.0 * at((0.0, 0.0, 0.0))),
     "poses without objects": lambda: Scene(arm()).start(torch.zeros(2, dtype=F64), X_WO=at((0.0, 0.0, 0.0))),

@@ -45,7 +45,7 @@ class PointImpedance(NamedTuple):
     along: Number = 0.0  # E [N s/m]
     moment: Pure | None = None  # about the point, now; None: zero [N m]
     spin: Number = 0.0  # rotational damping of that moment, the same about all axes, not negative [N m s/rad]
-    # memory at the end of the step, of u' and of the velocity that the displacement has as it is rounded; None: none
+    # memory at the end of the step, of u' and of the angular velocity then, relative as u' is; None: there is none
     kept: Callable[[Pure, Pure], Sequence[Number]] | None = None
     # body on which the opposite force acts, and to which u is relative, if `link` is an object; None: the world
     against: int | None = None
@@ -89,8 +89,12 @@ class Bodies(NamedTuple):
 
     def velocity(self, i: int, r: Pure, against: int | None = None) -> Pure:
         """Velocity of a point of a link, in link axes; that of an object may be relative to what touches it."""
-        w, v = self.V[i] if against is None else self.relative[i, against]
+        w, v = self.twist(i, against)
         return quat.add(v, quat.cross(w, r))
+
+    def twist(self, i: int, against: int | None = None) -> Screw:
+        """Twist of a link; that of an object may be relative to what touches it."""
+        return self.V[i] if against is None else self.relative[i, against]
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ import fnmatch
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple, Self
 
 import torch
@@ -115,7 +115,11 @@ class _Place(NamedTuple):
     link: int
     against: int | None  # link of the point, where it touches an object
     normal: Pure
+    center: Pure  # of the sphere
     point: Pure  # that touches
+    # displacement of the body along the surface, up to a constant, where an object takes part: in axes of the object
+    # that is touched, or of the world; None: friction of feet sums up the slip of every step
+    anchored: Pure | None
     depth: Number
     along: Number  # velocity along the normal, negative towards the ground [m/s]
     slip: Pure  # velocity along the surface [m/s]
@@ -211,10 +215,16 @@ class Contact(BodyEffect):
                     f"points of Contact on {flat[0]!r} must be round, found {name!r}, whose edges would pass through "
                     f"those of {flat[0]!r}; give it a rounding of a few millimetres, or make it a Ball or a Capsule"
                 )
+        if on is not None and {*on} == {*own} and len(on) == 1 and len(own) == len(points):
+            raise ArgumentError(f"on of Contact must name an object other than that of its points, found {on[0]!r}")
         touching = {*(on or ()), *own}
         stiffness = self.stiffness
         if touching and (stiffness is None or isinstance(stiffness, _Chosen)):
-            stiffness = _Chosen(STIFF * min(float(tensor_of(bodies[name].mass).detach().min()) for name in touching))
+            masses = [bodies[name].mass for name in sorted(touching)]
+            if any(isinstance(x, Tensor) for x in masses):  # a stiffness of its own for every row
+                stiffness = STIFF * reduce(torch.minimum, [tensor_of(x).detach() for x in masses])
+            else:
+                stiffness = _Chosen(STIFF * min(map(float, masses)))
         points = None if self.points is None else tuple(points)
         return replace(self, points=points, on=on, stiffness=stiffness)
 
@@ -337,22 +347,20 @@ class Contact(BodyEffect):
             # bristles that relax in less than half of the step would double what differs between steps
             T = maximum(self.settling, 0.5 * h)
             Z_t = k * (h + T)
-            *bent, _, _, _, pushed, left = memory
-            z = tuple(bent) if place.against is not None else bodies.posed.to_link(place.link, tuple(bent))
-            if self.surface is not None or place.against is not None:  # whose normal turns
-                z = quat.sub(z, quat.scale(quat.dot(n, z), n))
+            *_, pushed, left = memory
+            z = self._bristles(bodies, place, memory)
             trial = quat.add(quat.scale(k, z), quat.scale(Z_t, place.slip))
             size = sqrt(quat.dot(trial, trial) + TINY * TINY)
             limit, ahead = self._cone(place, memory, trial, size, Z_others, h * Z_t, h)
             slides = below(limit, ahead)
             share = select(slides, limit / ahead, 1.0)
 
-            def kept(end: Pure, rounded: Pure) -> Row:
+            def kept(end: Pure, turning: Pure) -> Row:
                 lag, along = T / h, quat.dot(n, end)
-                slip = quat.sub(rounded, quat.scale(quat.dot(n, rounded), n))
+                slip = quat.sub(end, quat.scale(along, n))
                 # s y / k = s (z + (h + T) u_t')
-                acted = quat.scale(share, quat.add(z, quat.scale(h + T, slip)))
-                after = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, z)))
+                whole = quat.add(z, quat.scale(h + T, slip))
+                acted = quat.scale(share, whole)
                 pressing = maximum(force - Z_n * (along - place.free), 0.0)
                 used = k * sqrt(quat.dot(acted, acted) + NONE)
                 d, worked = maximum(place.compression, 0.0), pressing * (-2.0 * h) * along / k
@@ -362,9 +370,16 @@ class Contact(BodyEffect):
                 if place.mobility is not None:
                     moved = moved - k * quat.dot(place.mobility, acted)
                 row = [deepest, pressing, size, moved - (along - place.along) / h, rest]
-                if place.against is None:
-                    after = bodies.posed.to_world(place.link, after)
-                return [*after, *(select(active, x, 0.0) for x in row)]
+                if place.anchored is None:
+                    after = quat.scale(1.0 / (1.0 + lag), quat.add(acted, quat.scale(lag, z)))
+                    bent = bodies.posed.to_world(place.link, after)
+                else:
+                    # where the bristles would be straight: it moves with what slides, and as the sphere rolls
+                    slid = quat.scale((1.0 - share) * (1.0 / (1.0 + lag)), whole)
+                    rolled = quat.add(quat.scale(along, n), quat.cross(turning, quat.sub(place.center, place.point)))
+                    back = quat.sub(z, quat.add(slid, quat.scale(h, rolled)))
+                    bent = quat.sub(place.anchored, self._outside(bodies, place, back))
+                return [*bent, *(select(active, x, 0.0) for x in row)]
 
             normal = select(active, force - h * Z_n * pushed, 0.0)
 
@@ -372,6 +387,21 @@ class Contact(BodyEffect):
         acting = quat.sub(quat.scale(normal, n), quat.scale(share, trial))
         E = select(active, Z_n, 0.0) - D
         return PointImpedance(place.link, place.point, acting, D, n, E, kept=kept, against=place.against)
+
+    def _bristles(self, bodies: Bodies, place: _Place, memory: Row) -> Pure:
+        """Displacement of the bristles, along the surface; none at a point that did not touch before."""
+        bent, n, pressed = tuple(memory[:3]), place.normal, memory[4]
+        if place.anchored is None:
+            z = bodies.posed.to_link(place.link, bent)
+            return z if self.surface is None else quat.sub(z, quat.scale(quat.dot(n, z), n))  # whose normal turns
+        apart = quat.sub(place.anchored, bent)
+        z = apart if place.against is not None else bodies.posed.to_link(place.link, apart)
+        along, was = quat.dot(n, z), below(0.0, pressed)
+        return tuple(select(was, x - along * y, 0.0) for x, y in zip(z, n, strict=True))
+
+    def _outside(self, bodies: Bodies, place: _Place, v: Pure) -> Pure:
+        """Vector in the axes in which a point remembers: those of the object that it touches, or of the world."""
+        return v if place.against is not None else bodies.posed.to_world(place.link, v)
 
     def _cone(
         self, place: _Place, memory: Row, trial: Pure, size: Number, Z_others: Number, heavy: Number, h: Number
@@ -397,9 +427,10 @@ class Contact(BodyEffect):
         for i, place in enumerate(self._places(bodies, inputs)):
             to_world, speed = partial(bodies.posed.to_world, place.link), sqrt(quat.dot(place.slip, place.slip))
             if self.stiction:
-                *z, _, f_n, _, _, _ = memory[KEPT * i : KEPT * (i + 1)]
+                own = memory[KEPT * i : KEPT * (i + 1)]
+                *z, _, f_n, _, _, _ = own
                 bent = select(below(0.0, f_n), self.stiffness, 0.0)  # those of a point that left relax without a force
-                held = to_world(tuple(z)) if place.against is not None else tuple(z)
+                held = tuple(z) if place.anchored is None else to_world(self._bristles(bodies, place, own))
                 force = quat.sub(quat.scale(f_n, to_world(place.normal)), quat.scale(bent, held))
             else:
                 f_n, force = maximum(place.force, 0.0), to_world(self._impedance(bodies, place, (), 0.0, 0.0).force)
@@ -425,17 +456,17 @@ class Contact(BodyEffect):
             body = None if name is None else bodies.objects[name]
             link, c, radius = self._point(bodies, point)
             if body is None:
-                n, depth = self._ground(
-                    bodies.posed.position(link, c), radius, *(row[k :: len(self.points)] for row in planes)
-                )
+                p = bodies.posed.position(link, c)
+                n, depth = self._ground(p, radius, *(row[k :: len(self.points)] for row in planes))
                 i, against, normal = link, None, bodies.posed.to_link(link, n)
+                anchored = p if isinstance(point, ObjectPoint) else None
                 lowest = quat.sub(c, quat.scale(radius, normal))
             else:
                 i, against = body[0], link
                 c = bodies.posed.seen[i, against].point(c)
                 out, distance = body[1].nearest(c)
                 depth, normal = radius - distance, quat.neg(out)
-                lowest = quat.add(c, quat.scale(radius, normal))
+                anchored, lowest = quat.neg(c), quat.add(c, quat.scale(radius, normal))
             u = bodies.velocity(i, lowest, against)
             along = quat.dot(normal, u)
             slip = quat.sub(u, quat.scale(along, normal))
@@ -445,7 +476,9 @@ class Contact(BodyEffect):
                 compression, free = minimum(depth, compression), along - h * pushed
             pressing = self._pressing(compression, free, h)
             lift, W_n = self._mobility(bodies, point, normal, body)
-            yield _Place(i, against, normal, lowest, depth, along, slip, lift, W_n, compression, free, *pressing)
+            yield _Place(
+                i, against, normal, c, lowest, anchored, depth, along, slip, lift, W_n, compression, free, *pressing
+            )
 
     def _point(self, bodies: Bodies, point: Any) -> tuple[int, Pure, Number]:
         """Link of a point, the point on it, and its radius."""

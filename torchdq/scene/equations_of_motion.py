@@ -256,32 +256,19 @@ class SceneSystem(System):
         rates = [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h)]
         moved = [w + h * a for w, a in zip(v[: len(rates)], rates, strict=True)]
         free = [w + h * a for w, a in zip(v[len(v) - len(base) :], base, strict=True)]
-        return [*moved, *self._kept(acting, x, [*moved, *free], solution, h), *free]
+        return [*moved, *self._kept(acting, solution, h), *free]
 
-    def _kept(self, acting: _Acting, x: Row, end: Row, a: Row, h: Number) -> Row:
-        """Memory of effects on bodies after a step from x, with velocities `end` and accelerations a over it."""
-        points = [(p.kept, (p.link, p.point, p.against)) for p in acting.points if p.kept is not None]
+    def _kept(self, acting: _Acting, a: Row, h: Number) -> Row:
+        """Memory of effects on bodies at the end of a step, with the accelerations a over it."""
+        points = [p for p in acting.points if p.kept is not None]
         now = acting.bodies
         rates = now.moving(a) if points else now
-        ends = [quat.add(now.velocity(*of), quat.scale(h, rates.velocity(*of))) for _, of in points]
-        slips = ends
-        if points and now.objects:
-            rounded = now.moving(self._rounded(x, end, h))
-            slips = [rounded.velocity(*of) for _, of in points]
-        found = [y for (kept, _), *of in zip(points, ends, slips, strict=True) for y in kept(*of)]
+        found: list[Number] = []
+        for p in points:
+            (w, _), (wd, _) = (x.twist(p.link, p.against) for x in (now, rates))
+            u, ud = (x.velocity(p.link, p.point, p.against) for x in (now, rates))
+            found += p.kept(quat.add(u, quat.scale(h, ud)), quat.add(w, quat.scale(h, wd)))
         return effect_checks.kept([effect for _, effect in self.scene.spec.of(BodyEffect)], found, self._n)
-
-    def _rounded(self, x: Row, end: Row, h: Number) -> Row:
-        """Motion at the end of a step, in the order of the dynamics, that gives its displacement as positions hold it.
-
-        Velocities below the rounding of positions move nothing. What friction remembers must not follow them, or what
-        is held creeps.
-        """
-        to, n, per = self.moved(x, h, end), self._n, 1.0 / h
-        (base, poses), (new_base, new) = self.scene.poses_of(x), self.scene.poses_of(to)
-        pairs = [*zip(poses, new, strict=True), *([] if base is None or new_base is None else [(base, new_base)])]
-        free = [per * y for X, Y in pairs for y in free_base.step_between(X, free_base.as_pose(free_base.unit(Y)))]
-        return [*free, *[per * (b - a) for a, b in zip(x[:n], to[:n], strict=True)]]
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations M(q)^-1 (dL/dq + forces), and those of the rotors."""

@@ -37,7 +37,6 @@ from torchdq.numbers.functions import polynomial
 _BERNOULLI = (1 / 6, 1 / 30, 1 / 42, 1 / 30, 5 / 66, 691 / 2730, 7 / 6, 3617 / 510, 43867 / 798, 174611 / 330)
 ORDER_4 = (1.0 / 12.0,)
 EXACT = tuple(b / math.factorial(2 * k) for k, b in enumerate(_BERNOULLI, 1))  # up to rounding, below a radian
-_ARCSINE = (1.0, 1 / 6, 3 / 40, 5 / 112)  # of asin(x)/x in powers of x^2
 POSE, TWIST = Free.nq, Free.nv  # numbers of a pose and of a twist
 START = (1.0, *(0.0,) * (POSE - 1))  # X_SC at the start of a step
 
@@ -152,16 +151,6 @@ def displacements(X: Row, rates: Row) -> list[Number]:
         r, d = dq.mul(dq.conj(as_pose(x)), as_pose(rate))
         found += [2.0 * y for y in (*r[1:], *d[1:])]
     return found
-
-
-def step_between(X: DualQuaternion, Y: DualQuaternion) -> tuple[Number, ...]:
-    """Small displacement (theta, p) from a pose to another one, in axes of the first; exactly zero where both agree."""
-    back = quat.conj(X[0])
-    half = quat.im(quat.mul(back, quat.sub(Y[0], X[0])))  # of length sin(|theta|/2)
-    return (
-        *quat.scale(2.0 * polynomial(_ARCSINE, quat.dot(half, half)), half),
-        *quat.rotate(back, quat.sub(dq.translation(Y), dq.translation(X))),
-    )
 
 
 def _bodies(x: Row, size: int, y: Row, other: int) -> Iterator[tuple[Row, Row]]:
