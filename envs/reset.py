@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -122,9 +123,9 @@ def _of_rows(scene: Scene, rows: SomeRows) -> Scene:
         replace(effect.of_rows(chosen), **{name: parameters[f"{i}.{name}"] for name in effect.tensors()})
         for i, effect in enumerate(scene.effects)
     ]
+    parts: list[tuple[int, Any]] = [(OBJECTS - k, body) for k, body in enumerate(scene.objects)]
     objects = [
-        replace(body, **{name: parameters[f"{OBJECTS - k}.{name}"] for name in body.tensors()})
-        for k, body in enumerate(scene.objects)
+        replace(body, **{name: parameters[f"{owner}.{name}"] for name in body.tensors()}) for owner, body in parts
     ]
     for name, value in {"parameters": parameters, "effects": tuple(effects), "objects": tuple(objects)}.items():
         object.__setattr__(found, name, value)  # without the checks of a new scene, which take a millisecond

@@ -79,7 +79,7 @@ def setup(
     own = ROBOT if isinstance(task, TorchTask) else getattr(task_of(task), "ROBOT", ROBOT)
     robot = _robot_of(own if robot is None else robot)
     known = described(task, robot)
-    given = {"effects": effects, "dt": timing.dt, "substeps": timing.substeps}
+    given: dict[str, Any] = {"effects": effects, "dt": timing.dt, "substeps": timing.substeps}
     given |= {"randomise": randomise, "pushes": pushes}
     chosen: dict[str, Any] = dict(known.defaults(mean_robot(robot))) if effects is None else {}
     chosen |= {name: x for name, x in given.items() if x is not None}

@@ -260,14 +260,14 @@ class SceneSystem(System):
 
     def _kept(self, acting: _Acting, a: Row, h: Number) -> Row:
         """Memory of effects on bodies at the end of a step, with the accelerations a over it."""
-        points = [p for p in acting.points if p.kept is not None]
+        points = [(p.kept, p) for p in acting.points if p.kept is not None]
         now = acting.bodies
         rates = now.moving(a) if points else now
         found: list[Number] = []
-        for p in points:
+        for kept, p in points:
             (w, _), (wd, _) = (x.twist(p.link, p.against) for x in (now, rates))
             u, ud = (x.velocity(p.link, p.point, p.against) for x in (now, rates))
-            found += p.kept(quat.add(u, quat.scale(h, ud)), quat.add(w, quat.scale(h, wd)))
+            found += kept(quat.add(u, quat.scale(h, ud)), quat.add(w, quat.scale(h, wd)))
         return effect_checks.kept([effect for _, effect in self.scene.spec.of(BodyEffect)], found, self._n)
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
