@@ -26,9 +26,10 @@ from torchdq.dynamics.tree import BASE
 from torchdq.effects import Contact, HeightMap
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
-from torchdq.objects import RIM, SIGNS, Ball, Box, Cylinder, Object
+from torchdq.objects import Ball, Box, Cylinder, Object
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.argument import require_robot
+from torchdq.robot.contact_points import points_of_shape
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments
 from torchdq.scene.model import SceneModel
@@ -372,14 +373,17 @@ def _outline(body: Object) -> Tensor:
         return tensor_of(getattr(body, name)).detach().double().cpu().reshape(-1, *axes)[0]
 
     if isinstance(body, Box):
-        corners = 0.5 * first("size", 3) * torch.tensor(SIGNS, dtype=torch.float64)
+        corners = 0.5 * first("size", 3) * torch.tensor(points_of_shape("box", (1.0, 1.0, 1.0)), dtype=torch.float64)
         return torch.stack([torch.stack(ends) for ends in combinations(corners, 2) if (ends[0] != ends[1]).sum() == 1])
     turn = torch.linspace(0.0, 2.0 * math.pi, 17, dtype=torch.float64)
     radius, half = first("radius"), torch.zeros(()) if isinstance(body, Ball) else 0.5 * first("length")
     x, y, none = radius * turn.cos(), radius * turn.sin(), 0.0 * turn
     rings = [torch.stack([x, y, none + z], -1) for z in (-half, half)]
     if isinstance(body, Cylinder):
-        sides = [torch.stack([torch.stack([a * radius, b * radius, z * half]) for z in (-1, 1)]) for a, b in RIM]
+        sides = [
+            torch.stack([torch.stack([a * radius, b * radius, z * half]) for z in (-1, 1)])
+            for a, b, _ in points_of_shape("cylinder", (1.0, 1.0))[:4]
+        ]
     else:
         z = y + half * y.sign()
         sides = [torch.stack(axes, -1) for axes in ((x, none, z), (none, x, z))]

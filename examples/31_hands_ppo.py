@@ -36,7 +36,7 @@ STEPS, TESTED, SHARE, ROW = 50, 256, 0.98, 3  # of an episode; robots, share and
 @dataclass
 class Args:
     task: Annotated[Literal["push", "lift", "pick"], tyro.conf.Positional] = "pick"
-    """What is learned."""
+    """Task to learn."""
     seconds: float = 120.0
     """Processor time to learn in, at most."""
     seed: int = 0

@@ -11,7 +11,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from os import PathLike
 from typing import IO, Any, ClassVar, Self
 
@@ -31,6 +30,7 @@ from torchdq.functions.signature import parameter
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
+from torchdq.robot.contact_points import points_of_shape
 from torchdq.robot.description import Shape
 from torchdq.robot.mjcf.joints import FREE, joints_of, names_of
 from torchdq.robot.mjcf.links import body_of, shapes_of
@@ -158,7 +158,7 @@ class Box(Object):
     def points(self) -> list[tuple[Pure, Number]]:
         """The corners."""
         inner = [a - self.rounding for a in self.half]
-        return [(tuple(s * x for s, x in zip(signs, inner, strict=True)), self.rounding) for signs in SIGNS]
+        return [(p, self.rounding) for p in points_of_shape("box", inner)]
 
     def nearest(self, p: Pure) -> Nearest:
         """Surface where it is nearest to a point."""
@@ -214,7 +214,7 @@ class Capsule(Object):
 
     def points(self) -> list[tuple[Pure, Number]]:
         """The end spheres."""
-        return [((0.0, 0.0, s * self.length), self.radius) for s in (-0.5, 0.5)]
+        return [(p, self.radius) for p in points_of_shape("capsule", (self.radius, 0.5 * self.length))]
 
     def nearest(self, p: Pure) -> Nearest:
         """Surface where it is nearest to a point."""
@@ -243,16 +243,11 @@ class Cylinder(Object):
 
     def points(self) -> list[tuple[Pure, Number]]:
         """Four points of each rim."""
-        r, h = self.radius, 0.5 * self.length
-        return [((x * r, y * r, z * h), 0.0) for z in (-1.0, 1.0) for x, y in RIM]
+        return [(p, 0.0) for p in points_of_shape("cylinder", (self.radius, 0.5 * self.length))]
 
     def nearest(self, p: Pure) -> Nearest:
         """Surface where it is nearest to a point."""
         return shapes.cylinder(self.radius, 0.5 * self.length, p)
-
-
-SIGNS = tuple(product((-1.0, 1.0), repeat=3))
-RIM = ((-1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0))
 
 
 def resolved(objects: Sequence[Object], robot: Robot) -> tuple[Object, ...]:

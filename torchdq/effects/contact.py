@@ -46,6 +46,7 @@ from torchdq.base.checks import REAL, matching, tensor_of
 from torchdq.dynamics.error_growth import NoInertiaError
 from torchdq.dynamics.free_bodies import Pair
 from torchdq.dynamics.posed import Row
+from torchdq.dynamics.shapes import NONE
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
 from torchdq.effects.effect import Inputs
@@ -69,7 +70,6 @@ SINK = 1e-3  # depth of the points of a robot at rest, where the stiffness follo
 CARRYING = 4  # points that it then rests on at most; others are there for falls
 WEIGHT = 9.81  # acceleration that the weight of a robot at rest is taken with [m/s^2]
 NEAR = 1e-6  # depth from which a point was in contact over the last step, above the rounding of its memory [m]
-NONE = 1e-24  # square of a length beside which that of none counts as zero [m^2]
 TINY = 1e-6  # friction beside which the size of none counts as zero [N]
 OWED = 0.03  # share of the cone from which friction that is left over is made up for at once
 SLOWEST = 1e-9  # speed that a point has at least where it lands or leaves within a step [m/s]
@@ -142,9 +142,10 @@ class Contact(BodyEffect):
     stiffness; impacts are first-order accurate in the step size. Contact never adds energy, for any stiffness and body,
     in steps in which the base turns by less than 1.5 rad. Over an impact the friction impulse is at most mu times the
     normal impulse; in single steps it may exceed it. A point that another contact lifts within a step is held until
-    the end of the step. Each point has eight states: friction bristles in world axes [m], largest compression of its
-    spring [m], the normal force, the friction force and the unused friction of the last step [N], and the
-    acceleration towards the ground by all other forces [m/s^2].
+    the end of the step. Each point has eight states: friction bristles in world axes [m], or, where an object
+    takes part, the place at which they would be straight, largest compression of its spring [m], the normal force, the
+    friction force and the unused friction of the last step [N], and the acceleration towards
+    the ground by all other forces [m/s^2].
 
     Sources: K. H. Hunt and F. R. E. Crossley, "Coefficient of restitution interpreted as damping in vibroimpact",
     Journal of Applied Mechanics, 1975, for the normal force; M. Anitescu and F. A. Potra, "A time-stepping method for

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.algebra.quaternion import Pure
+from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.checks import matching, require_number, require_object
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.robot.description import Shape
 from torchdq.robot.model import RobotModel
 
 DIGITS = 12  # of a centre [m]
@@ -66,7 +65,10 @@ def contact_points(robot: RobotModel, pattern: str | Sequence[str]) -> tuple[Con
         others |= {f"{x.kind} on {frame.name!r}": frame.name for x in own if x not in taken}
         for shape in taken:
             radius = shape.size[0] if shape.kind in ROUND else 0.0
-            found += [ContactPoint(frame.name, _placed(shape.X_FS, p), radius) for p in _points(shape)]
+            found += [
+                ContactPoint(frame.name, _placed(shape.X_FS, p), radius)
+                for p in points_of_shape(shape.kind, shape.size)
+            ]
     shown, bare = _listed([*others]), [*dict.fromkeys(others.values())]
     bare = [name for name in bare if name not in {point.frame for point in found}]
     points = f"points instead, as in ContactPoint({bare[0]!r}, center=(0.0, 0.0, 0.0), radius=0.02)" if bare else ""
@@ -107,14 +109,15 @@ def points_of(robot: RobotModel, points: Any) -> tuple[ContactPoint, ...]:
     return tuple(found)
 
 
-def _points(shape: Shape) -> list[Pure]:
-    if shape.kind == "sphere":
+def points_of_shape(kind: str, size: Sequence[Number]) -> list[Pure]:
+    """Points at which a shape touches, in its own axes; `size` as of `Shape`, numbers of any kind."""
+    if kind == "sphere":
         return [quat.ZERO]
-    if shape.kind == "capsule":
-        return [(0.0, 0.0, z) for z in (-shape.size[1], shape.size[1])]
-    if shape.kind == "box":
-        return [*product(*((-x, x) for x in shape.size))]
-    a, h = shape.size  # of a cylinder
+    if kind == "capsule":
+        return [(0.0, 0.0, z) for z in (-size[1], size[1])]
+    if kind == "box":
+        return [*product(*((-x, x) for x in size))]
+    a, h = size  # of a cylinder
     return [(x, y, z) for z in (-h, h) for x, y in ((-a, 0.0), (0.0, -a), (0.0, a), (a, 0.0))]
 
 
