@@ -46,11 +46,12 @@ _SINE_AND_COSINE = """
 static void sine_and_cosine(S x, S *s, S *c)
 {
 @TURN@    const S zero = 0, none = zero / zero;
-    const int inside = x <= LARGEST && x >= -LARGEST;
-    const int q = inside ? (int)k : 0;
-    const S a = (q & 1) ? cr : sr, b = (q & 1) ? sr : cr;
-    *s = inside ? ((q & 2) ? -a : a) : none;
-    *c = inside ? (((q + 1) & 2) ? -b : b) : none;
+    const S quarter = k - 4 * ((k * (S)0.25 + ROUND) - ROUND);
+    const int odd = (quarter == 1) | (quarter == -1), half = (quarter == 2) | (quarter == -2);
+    const int inside = (x <= LARGEST) & (x >= -LARGEST);
+    const S a = odd ? cr : sr, b = odd ? sr : cr;
+    *s = inside ? ((half | (quarter == -1)) ? -a : a) : none;
+    *c = inside ? ((half | (quarter == 1)) ? -b : b) : none;
 }
 """.replace("@TURN@", TURN.replace("  T ", "    const S "))
 

@@ -1,10 +1,12 @@
-"""Distance of a robot to its description: its slopes and curvature are those of differences."""
+"""Distance of a robot to its description: its slopes and curvature are those of differences; its minimum is found."""
 
 import torch
 from recorded_logs import ROBOT
 
 from torchdq.learning.identification import terms
-from torchdq.learning.identification.feasible import Neighbourhood
+from torchdq.learning.identification.feasible import Distance, Neighbourhood
+from torchdq.learning.identification.regression import Information
+from torchdq.learning.identification.solution import minimum
 
 
 def test_slopes_of_the_distance_to_the_description_are_those_of_differences():
@@ -20,3 +22,31 @@ def test_slopes_of_the_distance_to_the_description_are_those_of_differences():
     assert float((slope - found).abs().max()) < 1e-7 * float(slope.abs().max())
     turned = torch.stack([(near.slopes(y + h)[0] - near.slopes(y - h)[0]) / 2e-5 for h in steps])
     assert float((turned - curvature).abs().max()) < 1e-7 * float(curvature.abs().max())
+
+
+class Rough(Distance):
+    """Distance from five positive coefficients, with slopes as if rounded to 1e-5; it counts its evaluations."""
+
+    def __init__(self):
+        super().__init__(0, torch.zeros(5, dtype=torch.bool), torch.zeros(5).double())
+        self.evaluations = 0
+
+    def distance(self, y):
+        self.evaluations += 1
+        return super().distance(y)
+
+    def slopes(self, y):
+        slope, curvature = super().slopes(y)
+        return slope + 1e-5 * torch.sin(1e9 * y), curvature
+
+
+def test_a_minimum_is_found_in_few_evaluations_where_slopes_are_rounded():
+    """Steps that rounding alone makes short do not go on: what a rounded slope says is below the digits of the cost."""
+    for seed in range(8):
+        generator = torch.Generator().manual_seed(seed)
+        e, w = 10.0 ** torch.arange(5).double(), torch.randn(5, generator=generator).double()
+        V, near = torch.linalg.qr(torch.randn(5, 5, generator=generator).double()).Q, Rough()
+        y, settled = minimum(near, Information(e, V, w, e.new_ones(1)), 1.0)
+        assert settled and near.evaluations < 50
+        slope = Distance.slopes(near, y)[0] + V @ (2 * e * (y @ V - w))
+        assert float(slope.abs().max()) < 1e-4

@@ -126,6 +126,8 @@ def minimum(
         step = -scale * torch.cholesky_solve((scale * gradient)[..., None], factor)[..., 0]
         before, expected, last = squares + weight * distance, -(gradient * step).sum(-1), weight == prior
         settled = expected <= torch.where(last, tolerance, 0.1) * weight + 1e-14 * before
+        # a self-concordant cost falls by a part 1 / (1 + lambda) of the step; what must be far shorter is rounding
+        shortest = 1e-3 / (1 + (expected.clamp_min(0.0) / weight).sqrt())
         length = torch.where(settled, 0.0, 1.0)
         while True:
             squares, distance = parts(w + length[..., None] * step)
@@ -133,7 +135,7 @@ def minimum(
             if not bool(long.any()):
                 break
             length = torch.where(long, length / 2, length)
-            length = torch.where(length < 1e-9, 0.0, length)  # by rounding
+            length = torch.where(length < shortest, 0.0, length)
         w, settled = w + length[..., None] * step, length == 0
         if done := bool((settled & last).all()):
             break
