@@ -39,7 +39,7 @@ BUILDS = list(product(PROGRAMS, ("float64", "float32"), ("gcc", "clang")))
         BUILDS,
         [
             *product(("scene with limits", "derivatives", "a trained layer"), ("float64",), ("gcc",)),
-            *product(("gradient in parameters", "scene with limits"), ("float32",), ("gcc",)),
+            ("gradient in parameters", "float32", "gcc"),
             *product(KINDS, ("float64",), ("clang",)),
         ],
     ),

@@ -256,7 +256,7 @@ def columns(compiled, knots=KNOTS):
 KNOTTED = ["inverse dynamics", "forward dynamics", "closed form", "jacobian", "gradient", "parameters", "scene"]
 
 
-@pytest.mark.parametrize("name", thinned(KNOTTED, ("closed form", "parameters", "scene")))
+@pytest.mark.parametrize("name", thinned(KNOTTED, ("closed form", "scene")))
 def test_functions_of_all_knots_are_maps(name, ready, all_knots):
     """Shapes, values, Jacobians, gradients and second derivatives, and their stored places, are those of `map`."""
     (compiled, function), every = ready(name), all_knots(name)

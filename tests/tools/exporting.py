@@ -3,6 +3,9 @@
 import ctypes
 import shutil
 import subprocess
+import tempfile
+from functools import cache
+from pathlib import Path
 
 import pytest
 import torch
@@ -34,13 +37,20 @@ def run(*command: str, cwd=None) -> str:
     return done.stdout
 
 
+@cache
+def library(command, *texts):
+    """Shared library of files, by name and text, of which the last is its source."""
+    folder = tempfile.mkdtemp(prefix="torchdq-exported-")
+    for name, text in texts:
+        Path(folder, name).write_text(text)
+    run(*command, "-shared", "-fPIC", texts[-1][0], "-o", "exported.so", "-lm", cwd=folder)
+    return ctypes.CDLL(f"{folder}/exported.so")
+
+
 def loaded(made, *flags, compiler="gcc"):
-    """Exported file as a shared library."""
-    folder = made.source.parent
-    path = str(folder / "exported.so")
-    flags = flags or ("-std=c99", "-O2")
-    run(compiler, *flags, "-shared", "-fPIC", "-I", str(folder), str(made.source), "-o", path, "-lm")
-    return ctypes.CDLL(path)
+    """Exported file as a shared library, which is built once for all that have the same text."""
+    texts = ((path.name, path.read_text()) for path in (made.header, made.source))
+    return library((compiler, *(flags or ("-std=c99", "-O2"))), *texts)
 
 
 def passes_its_test(made, *flags, compiler="gcc"):
