@@ -31,6 +31,7 @@ Functions of a robot, batched and differentiable to any order:
     kinetic_energy, potential_energy
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
     jacobian                twist of a frame from joint velocities
+    closed, closure_errors  positions at which loops of links are closed, and how far others are from it
     distances               distances of spheres from objects, the ground and each other, to keep clear of them
     external_wrenches       wrenches on the links, of wrenches at frames
     computed_torque         torques of a tracking controller
@@ -76,6 +77,7 @@ from typing import TYPE_CHECKING
 from torchdq import convert, dq, effects, floating, nn, objects
 from torchdq.backends.choice import backend
 from torchdq.base.caches import clear_caches
+from torchdq.closures import closed, closure_errors
 from torchdq.errors import (
     ArgumentError,
     DescriptionError,
@@ -110,7 +112,7 @@ from torchdq.functional import (
 from torchdq.functions.compile import compile
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics, InverseDynamics, ResidualDynamics
 from torchdq.pose_solver import differential_inverse_kinematics, inverse_kinematics
-from torchdq.robot import Robot
+from torchdq.robot import Closure, Robot
 from torchdq.robot import shipped as robots
 from torchdq.task_space import (
     cartesian_impedance,
@@ -129,6 +131,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DQRNEA",
     "ArgumentError",
+    "Closure",
     "ComputedTorque",
     "DescriptionError",
     "DtypeError",
@@ -148,7 +151,9 @@ __all__ = [
     "backend",
     "cartesian_impedance",
     "clear_caches",
+    "closed",
     "closed_form",
+    "closure_errors",
     "compile",
     "computed_torque",
     "convert",

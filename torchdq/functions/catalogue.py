@@ -14,6 +14,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, REAL, OneOf, require_tensor
+from torchdq.dynamics.closures import ROWS
 from torchdq.dynamics.task_space import rows_of
 from torchdq.errors import ArgumentError
 from torchdq.functions import distances as apart
@@ -85,6 +86,9 @@ RECIPES: dict[str, Recipe] = {
         ),
         (fixed.external_wrenches,),
         lambda *frames: (("links", 6),),
+    ),
+    "closure_gaps": Recipe(
+        joints("q"), (fixed.closure_gaps,), lambda: (("gaps",), ("gaps", "n")), of_joints=True
     ),
     "distances": Recipe(
         (
@@ -217,7 +221,8 @@ class Function(_Call, Computation):
         fields = self.constants.fields
         n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
         axes = len(rows_of(self.options[2])) if self._of_axes else 0
-        found = {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating), "axes": axes}
+        gaps = sum(ROWS[kind] for *_, kind in fields["closures"])
+        found = {"n": n, "links": links, "gaps": gaps, "all": 6 + n, "parameters": 10 * (links + floating), "axes": axes}
         if self.recipe.options == PAIRS:
             objects, pairs = self.options[1], apart.pairs(recorded(self.constants), *self.options)
             found |= {"objects": len(objects), "sizes": apart.sizes(objects), "pairs": len(pairs)}
@@ -274,7 +279,7 @@ class Function(_Call, Computation):
     def require_base(self) -> None:
         """Raise unless the base of the robot is fixed, or floating, as the function has it."""
         fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
-        if self.form:  # a law says by itself which base it takes
+        if self.form or self.recipe.of_joints:  # a law says by itself which base it takes
             return
         if (fields["base_mass"] is not None) != (plain != self.name):
             if FLOATING + plain not in RECIPES:

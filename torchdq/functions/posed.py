@@ -9,9 +9,10 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Moments
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import error_growth
+from torchdq.dynamics import closures, error_growth
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.aligned.regroup import regrouped
+from torchdq.dynamics.closures import Gap, Held
 from torchdq.dynamics.coupling import Coupled, Coupling
 from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import Coordinate, Free, along_z
@@ -163,10 +164,17 @@ def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
         ) from error
 
 
-def solve(robot: Robot, at: Posed, b: Sequence[Number], linear: bool) -> tuple[Sequence[Number], Number]:
-    """Solution x of M x = b, and the factor by which it magnifies rounding errors."""
-    parts = factors(robot, at, linear)
-    return parts.solve(b), parts.growth
+def solve(
+    robot: Robot, at: Posed, b: Sequence[Number], linear: bool, held: Sequence[Held] = ()
+) -> tuple[Sequence[Number], Number]:
+    """Solution x of M x = b, as closures hold it, and the factor by which it magnifies rounding errors."""
+    parts = factors(robot, at, linear and not held)
+    return closures.solve(parts, b, held) if held else parts.solve(b), parts.growth
+
+
+def gaps(robot: Robot, at: Posed, v: Sequence[Number] | None) -> list[Gap]:
+    """Gaps of the closures of a robot; see `closures.gap`."""
+    return [closures.gap(at, x.kind, frame(robot, x.frame_a), frame(robot, x.frame_b), v) for x in robot.closures]
 
 
 def constant_pose(x) -> DualQuaternion:

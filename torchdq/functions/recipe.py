@@ -104,6 +104,7 @@ class Recipe(NamedTuple):
     results: Callable[..., tuple[Axes, ...]]  # trailing axes of the results, from the options
     each: bool = False  # whether all candidates are recorded, whatever the number of joints
     wrt: tuple[str, ...] = ()  # arguments that the result of the formula is differentiated by
+    of_joints: bool = False  # whether it does not depend on the base, and is for any
     fixed_only: str = ""  # reason why it has no form for a floating base; "": it may have one
 
     @property

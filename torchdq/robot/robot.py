@@ -32,7 +32,7 @@ from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.constants import Constants
 from torchdq.robot.contact_points import contact_points
 from torchdq.robot.description import Base, RobotDescription
-from torchdq.robot.edit import combined, coupled, reduced, replaced, stacked
+from torchdq.robot.edit import closed, combined, coupled, reduced, replaced, stacked
 from torchdq.robot.mjcf import read as mjcf
 from torchdq.robot.mjcf import writer as mjcf_writer
 from torchdq.robot.model import RobotModel, require_unchanged
@@ -357,6 +357,7 @@ class Robot(RobotModel):
 
     replace, with_tip = replaced.replace, replaced.with_tip
     lock, subchain, couple = reduced.lock, reduced.subchain, coupled.couple
+    with_closures = closed.with_closures
     with_payload, with_tool, attach = combined.with_payload, combined.with_tool, combined.attach
     stack = classmethod(stacked.stack)
 

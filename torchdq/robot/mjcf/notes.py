@@ -46,7 +46,7 @@ def diagnostics(
     """
     return [
         *_ignored(of, joints, moves, bodies, falls),
-        *_open(others, bodies),
+        *_open(others),
         *_degrees(of, joints),
         *_used_otherwise(of, joints, moves, bodies),
         *_unsimulated(of, joints, moves),
@@ -156,16 +156,19 @@ def _ignored(
     return found
 
 
-def _open(others: Sequence[Equality], bodies: ModelLinks) -> list[Finding]:
-    """Warnings about ignored equality constraints; those between bodies on one link hold anyway."""
+def _open(others: Sequence[Equality]) -> list[Finding]:
+    """Warnings about equality constraints that are ignored."""
     found = []
-    for name, ends, of, disabled in others:
-        if disabled:
-            found.append(note(f"{UNSIMULATED}equality", [name], "disabled by a flag of the file, not used"))
-        elif len({bodies.of.places[i][0] for i in of}) != 1:
-            what = f"ignored, so that {ends} move apart, because kinematic loops are not supported"
-            cure = "write it as a linear coupling of joints, or lock its joints"
-            found.append(Finding(f"{UNSIMULATED}equality", name, what, cure=cure))
+    for one in others:
+        if one.disabled:
+            found.append(note(f"{UNSIMULATED}equality", [str(one)], "disabled by a flag of the file, not used"))
+        elif one.places:
+            what = f"ignored, so that {one.ends} move apart, because it holds a floating base to the world"
+            found.append(Finding(f"{UNSIMULATED}equality", str(one), what, cure="read the file with base='fixed'"))
+        else:
+            what = f"ignored, so that {one.ends} move apart"
+            cure = "write it as a linear coupling of joints, or as a connect or weld between bodies"
+            found.append(Finding(f"{UNSIMULATED}equality", str(one), what, cure=cure))
     return found
 
 

@@ -1,0 +1,85 @@
+"""Closed loops: gaps and their motion are those of the frames, and accelerations solve the equations with multipliers."""
+
+import numpy as np
+import pytest
+import torch
+from free_flyers import B, case, motion
+from robots import EPS
+
+import torchdq
+from torchdq import dq
+from torchdq.dynamics import closures
+from torchdq.dynamics.posed import factors_by_entries
+from torchdq.functions import posed
+
+F64 = torch.float64
+SIZES = {"point": 3, "hinge": 5, "weld": 6}
+KINDS = pytest.mark.parametrize("kind", SIZES)
+
+
+def ends(robot):
+    """Two frames of different links, the first on the base or near it, with poses there."""
+    g = torch.Generator().manual_seed(7)
+    r = torch.nn.functional.normalize(torch.randn(2, 4, dtype=F64, generator=g), dim=-1)
+    X = dq.from_pose(r, torch.randn(2, 3, dtype=F64, generator=g))
+    return [(1, X[0]), (robot.n, X[1])]
+
+
+def numbers(X):
+    return tuple(X[:4].tolist()), tuple(X[4:].tolist())
+
+
+def moved(robot, m, t):
+    """Base and joints along a motion without accelerations [B, ...], after a time t [B]."""
+    return dq.mul(m["X_WB"], dq.exp(t[:, None] * m["V_WB_B"])), m["q"] + t[:, None] * m["qd"]
+
+
+def gap(robot, m, kind, t):
+    """Gap by the poses of the links, [B, rows]."""
+    X_WB, q = moved(robot, m, t)
+    poses = torchdq.floating.forward_kinematics(robot, X_WB, q, list(robot.link_names))
+    X_WA, X_WE = (dq.mul(poses[:, i - 1], X) for i, X in ends(robot))
+    X = dq.mul(dq.conj(X_WA), X_WE)
+    d, R = dq.translation(X), dq.to_matrix(X)[:, :3, :3]
+    if kind == "point":
+        return d
+    if kind == "hinge":
+        return torch.cat([d, R[:, :2, 2]], -1)
+    skew = (R - R.mT) / 2
+    return torch.cat([d, torch.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], -1)], -1)
+
+
+@KINDS
+@pytest.mark.parametrize("form", ["general", "aligned"])
+@pytest.mark.parametrize("name", ["tree5", "tree8"])
+def test_gaps_and_their_motion_are_those_of_the_frames(name, form, kind):
+    robot, m = case(name).robot, motion(case(name))
+    t = torch.zeros(B, dtype=F64, requires_grad=True)
+    whole = gap(robot, m, kind, t)
+    rate = torch.stack([torch.autograd.grad(x.sum(), t, create_graph=True)[0] for x in whole.unbind(-1)], -1)
+    bend = torch.stack([torch.autograd.grad(x.sum(), t, retain_graph=True)[0] for x in rate.unbind(-1)], -1)
+    a, b = ((i, numbers(X)) for i, X in ends(robot))
+    for k in range(B):
+        q, X_WB = m["q"][k].tolist(), numbers(m["X_WB"][k])
+        at = posed.general(robot, q, {}, X_WB) if form == "general" else posed.aligned(robot, q, {}, False, X_WB)
+        found = closures.gap(at, kind, a, b, (*m["V_WB_B"][k].tolist(), *m["qd"][k].tolist()))
+        size = float(m["V_WB_B"][k].square().sum() + m["qd"][k].square().sum())
+        for one, other in ((found.values, whole), (found.rate, rate), (found.gamma, bend)):
+            assert torch.allclose(torch.tensor(one, dtype=F64), other[k].detach(), 0, 1e3 * EPS * size)
+
+
+@KINDS
+def test_accelerations_are_those_of_the_equations_with_multipliers(kind):
+    """(M -J^T; J 0) (a; lambda) = (b; c), by the factors of M alone, with a row that others imply."""
+    rng = np.random.default_rng(3)
+    n, m = 9, SIZES[kind]
+    root = rng.normal(size=(n, n))
+    M, J, b = root @ root.T + np.eye(n), rng.normal(size=(m + 1, n)), rng.normal(size=n)
+    J[m] = J[:m].sum(0)
+    c = J @ rng.normal(size=n)
+    whole = np.block([[M, -J.T], [J, np.zeros((m + 1, m + 1))]])
+    expected = np.linalg.lstsq(whole, np.concatenate([b, c]), rcond=1e-12)[0][:n]
+    factors = factors_by_entries(range(-1, n - 1), M.tolist())
+    columns = {k: J[:, k].tolist() for k in range(n)}
+    found = closures.solve(factors, b.tolist(), [closures.Held(columns, c.tolist())])
+    assert np.abs(np.array(found) - expected).max() < 1e3 * EPS * np.linalg.cond(M) * np.abs(expected).max()
