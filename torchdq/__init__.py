@@ -19,6 +19,7 @@ Conventions, everywhere:
 
 Robots:
     Robot                   from_urdf, from_screws, from_dh; `report()` says what was read, `replace` changes a copy
+    Closure                 frames that are held together, for loops of links: robot.with_closures(Closure("a", "b"))
     robots                  robots that ship with the package: robots.load("panda")
 
 Functions of a robot, batched and differentiable to any order:

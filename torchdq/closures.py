@@ -91,7 +91,7 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
         a, b, _ = robot.closures[worst]
         raise ArgumentError(
             f"q must be near positions at which {a!r} and {b!r} of robot {robot.name!r} come together, found "
-            f"{float(distance[:, worst].max()):.3g} m between them after {MOST} steps; start nearer, or hold other joints"
+            f"{float(distance[:, worst].max()):.3g} m between them after {MOST} steps; start nearer, or hold others"
         )
     moved = q + (at - q.detach())
     g, _ = function_of("closure_gaps", robot, {"q": moved}, backend)

@@ -87,9 +87,7 @@ RECIPES: dict[str, Recipe] = {
         (fixed.external_wrenches,),
         lambda *frames: (("links", 6),),
     ),
-    "closure_gaps": Recipe(
-        joints("q"), (fixed.closure_gaps,), lambda: (("gaps",), ("gaps", "n")), of_joints=True
-    ),
+    "closure_gaps": Recipe(joints("q"), (fixed.closure_gaps,), lambda: (("gaps",), ("gaps", "n")), of_joints=True),
     "distances": Recipe(
         (
             *(*joints("q"), Field("X_WO", ("objects", 8), optional=True)),
@@ -188,6 +186,18 @@ _FREE: dict[str, Recipe] = {
     "momentum": _free("kinetic_energy", (3,), (3,), formula=free.momentum),
     "momentum_rate": _free("regressor", (3,), (3,), formula=free.momentum_rate),
 }
+# functions that take a robot for the tree of its links
+_OPEN = {
+    **dict.fromkeys(("inverse_dynamics", "regressor"), "its torques would need the forces of the closures"),
+    **dict.fromkeys(
+        ("inverse_dynamics_jacobian", "dynamics_jacobian", "joint_momentum", "operational_space", "contact_force"),
+        "its motion would need the forces of the closures",
+    ),
+    **dict.fromkeys(
+        ("inverse_kinematics_step", "inverse_kinematics_newton", "differential_inverse_kinematics"),
+        "it moves the joints as if all loops were open",
+    ),
+}
 FLOATING = "floating."  # names of functions of robots with a floating base begin so
 RECIPES |= {FLOATING + name: recipe for name, recipe in _FREE.items()}
 
@@ -222,7 +232,14 @@ class Function(_Call, Computation):
         n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
         axes = len(rows_of(self.options[2])) if self._of_axes else 0
         gaps = sum(ROWS[kind] for *_, kind in fields["closures"])
-        found = {"n": n, "links": links, "gaps": gaps, "all": 6 + n, "parameters": 10 * (links + floating), "axes": axes}
+        found = {
+            "n": n,
+            "links": links,
+            "gaps": gaps,
+            "all": 6 + n,
+            "parameters": 10 * (links + floating),
+            "axes": axes,
+        }
         if self.recipe.options == PAIRS:
             objects, pairs = self.options[1], apart.pairs(recorded(self.constants), *self.options)
             found |= {"objects": len(objects), "sizes": apart.sizes(objects), "pairs": len(pairs)}
@@ -266,6 +283,12 @@ class Function(_Call, Computation):
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise unless all required arguments are present."""
         self.require_base()
+        reason = None if self.form else _OPEN.get(plain := self.name.removeprefix(FLOATING))
+        if reason and self.constants.fields["closures"]:
+            raise ArgumentError(
+                f"robot {self.constants.fields['name']!r} has closures, which {plain.removesuffix('_step')} does not "
+                f"take: {reason}; robot.replace(closures=()) is the tree without them"
+            )
         for field in self.recipe.arguments:
             if not field.optional:
                 require_tensor(field.name, tensors.get(field.name))

@@ -39,7 +39,10 @@ def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
     at, free = x.posed(), () if x.base() is None else (0.0,) * BASE
     bias = at.torques(x.velocities(), None, x.exerted(at))
     forces = (*free, *x.arguments["tau"])
-    held = [closures.stabilised(gap) for gap in gaps(x.robot, at, x.velocities() or (0.0,) * len(forces))]
+    held = [
+        closures.stabilised(gap, len(free))
+        for gap in gaps(x.robot, x.on_fixed_base(), x.arguments.get("qd") or (0.0,) * x.robot.n)
+    ]
     net = [f if b is None else f - b for f, b in zip(forces, bias, strict=True)]
     a, growth = solve(x.robot, at, net, linear, held)
     rows = {"A_WB_B": a[:BASE], "qdd": a[BASE:]} if free else {"qdd": a}
@@ -77,7 +80,7 @@ def closed_form(x: RecipeInputs, tip_name: str = "") -> Results:
 def closure_gaps(x: RecipeInputs) -> Results:
     """Gaps of all closures, and their Jacobian J in the joints, row-major."""
     n = x.robot.n
-    found = gaps(x.robot, x.posed(), None)
+    found = gaps(x.robot, x.on_fixed_base(), None)
     J = [g.columns[k][i] if k in g.columns else None for g in found for i in range(len(g.values)) for k in range(n)]
     return {"g": [value for g in found for value in g.values], "J": J}
 

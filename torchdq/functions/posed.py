@@ -23,6 +23,7 @@ from torchdq.functions import mdh
 from torchdq.numbers.functions import cos, sin
 from torchdq.robot.description import JointMap
 from torchdq.robot.fields import BASE_BODY, BODIES, SHAPES
+from torchdq.robot.model import factors as factors_of
 from torchdq.robot.robot import Robot
 from torchdq.robot.tree import MASSLESS, general_tree, massless, plain
 
@@ -172,9 +173,24 @@ def solve(
     return closures.solve(parts, b, held) if held else parts.solve(b), parts.growth
 
 
-def gaps(robot: Robot, at: Posed, v: Sequence[Number] | None) -> list[Gap]:
-    """Gaps of the closures of a robot; see `closures.gap`."""
-    return [closures.gap(at, x.kind, frame(robot, x.frame_a), frame(robot, x.frame_b), v) for x in robot.closures]
+def gaps(robot: Robot, at: Posed, qd: Sequence[Number] | None) -> list[Gap]:
+    """Gaps of the closures of a robot, `at` being it on a fixed base; see `closures.gap`."""
+    found, S = [], factors_of(robot).bool()
+    for x in robot.closures:
+        a, b = frame(robot, x.frame_a), frame(robot, x.frame_b)
+        loop = _path(robot, a[0]) ^ _path(robot, b[0])
+        moving = [k for k in range(robot.n) if any(S[i, k] for i in loop)]
+        found.append(closures.gap(at, x.kind, (a, b), moving, qd))
+    return found
+
+
+def _path(robot: Robot, link: int) -> set[int]:
+    """Joints between the base and a link, which is numbered as in a tree."""
+    found, i = set[int](), link - 1
+    while i >= 0:
+        found.add(i)
+        i = robot.parents[i]
+    return found
 
 
 def constant_pose(x) -> DualQuaternion:

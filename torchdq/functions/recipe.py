@@ -49,6 +49,10 @@ class RecipeInputs(NamedTuple):
         """Robot at q, and at X_WB if its base is free."""
         return posed(self.robot, self.arguments["q"], self.overrides, self.per_sample, self.base())
 
+    def on_fixed_base(self) -> Posed:
+        """Robot at q, its base at the origin and at rest."""
+        return posed(self.robot, self.arguments["q"], self.overrides, self.per_sample)
+
     def bodies(self) -> Posed:
         """Robot at the same place whose joints are all its coordinates, for functions of the place alone."""
         at = self.posed()

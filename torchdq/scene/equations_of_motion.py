@@ -14,7 +14,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add, difference, neg
-from torchdq.dynamics.closures import Gap, Held, at_end, stabilised
+from torchdq.dynamics.closures import Held, at_end, stabilised
 from torchdq.dynamics.free_bodies import Pair
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
@@ -122,9 +122,11 @@ class SceneSystem(System):
         self.watch(growth)
         return a
 
-    def _gaps(self, at: Posed, x: Row, v: Row) -> list[Gap]:
-        """Gaps of the closures of the robot, whose velocities come after those of the objects."""
-        return gaps(self.scene.spec.robot, at, self._motion(x, v))
+    def _held(self, x: Row, v: Row, condition: Callable[..., Held], *how: Number) -> list[Held]:
+        """Conditions on the accelerations of the robot, whose joints come after all free bodies."""
+        n, robot = self._n, self.scene.spec.robot
+        found = gaps(robot, self.scene.posed(x[:n]), v[:n]) if robot.closures else []
+        return [condition(gap, len(self._free), *how) for gap in found]
 
     def _parts(self, x: Row, a: Sequence[Number]) -> tuple[Sequence[Number], Sequence[Number]]:
         """Accelerations of the joints, and those that free bodies are integrated with."""
@@ -238,7 +240,7 @@ class SceneSystem(System):
         at = self._at(x)
         forces = self._explicit(x, v)
         net = self._net(at, forces.torques, x, v, self._acting(at, x, v).exerted)
-        qdd, base = self._parts(x, self._solved(at, net, [*map(stabilised, self._gaps(at, x, v))]))
+        qdd, base = self._parts(x, self._solved(at, net, self._held(x, v, stabilised)))
         rotors = self._transmission.accelerations(self.u, forces.passed)
         kept = sum(effect.memory(self._n) for _, effect in self.scene.spec.of(BodyEffect))  # by implicit steps alone
         return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *[0.0] * kept, *base]
@@ -254,7 +256,7 @@ class SceneSystem(System):
         if acting.points:
             heavy = heavy.with_masses([point.mass(h) for point in acting.points])
         net = self._midway(v, self._net(at, forces.torques, x, v, acting.exerted), h)
-        solution = self._solved(heavy, net, [at_end(gap, h) for gap in self._gaps(at, x, v)])
+        solution = self._solved(heavy, net, self._held(x, v, at_end, h))
         qdd, base = self._parts(x, solution)
         ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
         rates = [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h)]

@@ -34,7 +34,7 @@ def with_closures(robot: AnyRobot, *closures: Closure) -> AnyRobot:
         a, b = robot.frame(closure.frame_a), robot.frame(closure.frame_b)
         if a.link == b.link:
             raise ArgumentError(
-                f"frames of a closure must be on different links, found {a.name!r} and {b.name!r} on one; what is fixed "
-                "to one link is held together anyway"
+                f"frames of a closure must be on different links, found {a.name!r} and {b.name!r} on one; what is "
+                "fixed to one link is held together anyway"
             )
     return replace(robot, closures=(*robot.closures, *closures))

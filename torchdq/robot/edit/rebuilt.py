@@ -64,9 +64,7 @@ def hung(robot: RobotModel, places: Places, links: Sequence[int]) -> dict[str, A
     return {
         # what is on one link now is held together anyway
         "closures": tuple(
-            x
-            for x in robot.closures
-            if {x.frame_a, x.frame_b} <= kept.keys() and kept[x.frame_a] != kept[x.frame_b]
+            x for x in robot.closures if {x.frame_a, x.frame_b} <= kept.keys() and kept[x.frame_a] != kept[x.frame_b]
         ),
         "parents": tuple(parent for parent, _ in at),
         "X_PB_home": stacked(robot, "X_PB_home", X_PB_home),

@@ -14,15 +14,15 @@ from torchdq.dynamics.joints import KINDS
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.source import MjcfModel
 
-FREE, BALL = "free", "ball"
+FREE = "free"
 
 
 class MjcfJoint(NamedTuple):
-    """Joint of a model; ball and free joints have zero-filled numbers."""
+    """Joint of a model; free joints have zero-filled numbers."""
 
     row: int  # among the joints of the model
     name: str
-    kind: str  # "revolute", "prismatic", FREE or BALL
+    kind: str  # "revolute", "prismatic" or FREE
     body: int
     screw: Screw  # in the frame of the body
     home: float  # [rad or m]
@@ -45,7 +45,6 @@ def joints_of(of: MjcfModel) -> list[MjcfJoint]:
     kinds = {
         of.mujoco.mjtJoint.mjJNT_HINGE: "revolute",
         of.mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
-        of.mujoco.mjtJoint.mjJNT_BALL: BALL,
         of.mujoco.mjtJoint.mjJNT_FREE: FREE,
     }
     names = names_of(of, "JOINT", of.model.njnt)
@@ -68,7 +67,7 @@ def _new(name: str, taken: list[str]) -> str:
 def _joint(of: MjcfModel, i: int, name: str, kind: str) -> MjcfJoint:
     m = of.model
     body = int(m.jnt_bodyid[i])
-    if kind in (FREE, BALL):
+    if kind == FREE:
         none = (quat.ZERO, quat.ZERO)
         return MjcfJoint(i, name, kind, body, none, 0.0, -math.inf, math.inf, None, 0.0, 0.0, 0.0)
     axis, point = tuple(m.jnt_axis[i].tolist()), tuple(m.jnt_pos[i].tolist())
@@ -170,9 +169,7 @@ def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
     return Equalities(found, others)
 
 
-def _held_together(
-    of: MjcfModel, equality: int, word: str
-) -> tuple[str, tuple[int, ...], tuple[DualQuaternion, ...]]:
+def _held_together(of: MjcfModel, equality: int, word: str) -> tuple[str, tuple[int, ...], tuple[DualQuaternion, ...]]:
     """Names of what an equality constraint holds together, and its bodies and frames on them, if it has any."""
     m, ids = of.model, [int(x[equality]) for x in (of.model.eq_obj1id, of.model.eq_obj2id) if x[equality] >= 0]
     if word in ("JOINT", "TENDON") or word.startswith("FLEX"):

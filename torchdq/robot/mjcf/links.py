@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
 from torchdq.robot.arrays import IDENTITY, double
 from torchdq.robot.assembly import APART, Links, Segment, linked

@@ -17,6 +17,11 @@ from torchdq.robot.mjcf.links import ModelLinks
 from torchdq.robot.mjcf.source import MjcfModel
 from torchdq.robot.xml_text import root_name
 
+BALL = (
+    "read as three hinges {name}_x, {name}_y and {name}_z, which cannot turn freely where {name}_y is near a right "
+    "angle; keep it below 70 degrees (1.2 rad)"
+)
+
 
 def gravity(of: MjcfModel) -> tuple[float, ...] | None:
     """Gravitational acceleration of a file [m/s^2]; None: there is none, or every moving body is relieved of it."""
@@ -136,7 +141,13 @@ def _ignored(
         "armature ignored: MuJoCo adds it to the mass matrix of the base, also where the joint inherits it from a "
         "default class"
     )
+    turning = {joint.name for joint in joints if moves[joint.row].leader is not None}
     found = [
+        Finding("joint.ball", f"ball joint {name!r}", BALL.format(name=name))
+        for name in of.balls
+        if f"{name}_y" in turning
+    ]
+    found += [
         Finding(f"{UNSIMULATED}armature", f"free joint {x.name!r}", inherited, cure="write <freejoint/>, without any")
         for x in free
         if m.dof_armature[(dof := int(m.jnt_dofadr[x.row])) : dof + 6].any()

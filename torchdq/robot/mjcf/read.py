@@ -23,7 +23,7 @@ from torchdq.robot.description import Base, RobotDescription, note, require_usab
 from torchdq.robot.edit.couplings import Follows, solved
 from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep
 from torchdq.robot.mjcf import notes as mjcf_notes
-from torchdq.robot.mjcf.joints import BALL, FREE, MjcfJoint, equalities, joints_of
+from torchdq.robot.mjcf.joints import FREE, MjcfJoint, equalities, joints_of
 from torchdq.robot.mjcf.links import ModelLinks, closures_of, links_of
 from torchdq.robot.mjcf.source import MjcfModel, compiled
 
@@ -103,13 +103,8 @@ def _kept(
 
 
 def _free_base(joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: Base) -> int | None:
-    """Body that is the floating base; None: the base is fixed. Raises for two of them, and for ball joints."""
+    """Body that is the floating base; None: the base is fixed. Raises for two of them."""
     left = [joint for joint in joints if moves[joint.row].leader is not None]
-    if balls := [joint.name for joint in left if joint.kind == BALL]:
-        raise DescriptionError(
-            f"joints must have one coordinate each, found the ball joints {', '.join(balls)}, whose "
-            "positions are quaternions; describe each by three hinges, or lock it by its name"
-        )
     free = [joint for joint in left if joint.kind == FREE]
     if len(free) > 1:
         names = ", ".join(joint.name for joint in free)
