@@ -86,7 +86,7 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
             step = (inverse @ g[..., None])[..., 0]
             at = at - step * (FARTHEST / step.norm(dim=-1, keepdim=True)).clamp(max=1.0)
     if not done:
-        distance = closure_errors(robot, at).distance.flatten(0, -2)
+        distance = closure_errors(robot, at).distance.reshape(-1, len(robot.closures))
         worst = int(distance.amax(0).argmax())
         a, b, _ = robot.closures[worst]
         raise ArgumentError(
