@@ -33,6 +33,7 @@ Functions of a robot, batched and differentiable to any order:
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
     jacobian                twist of a frame from joint velocities
     closed, closure_errors  positions at which loops of links are closed, and how far others are from it
+    constrained_inverse_dynamics        torques of the motors of a robot with loops, and forces in its closures
     distances               distances of spheres from objects, the ground and each other, to keep clear of them
     external_wrenches       wrenches on the links, of wrenches at frames
     computed_torque         torques of a tracking controller
@@ -78,7 +79,7 @@ from typing import TYPE_CHECKING
 from torchdq import convert, dq, effects, floating, nn, objects
 from torchdq.backends.choice import backend
 from torchdq.base.caches import clear_caches
-from torchdq.closures import closed, closure_errors
+from torchdq.closures import closed, closure_errors, constrained_inverse_dynamics
 from torchdq.errors import (
     ArgumentError,
     DescriptionError,
@@ -155,6 +156,7 @@ __all__ = [
     "closed",
     "closed_form",
     "closure_errors",
+    "constrained_inverse_dynamics",
     "compile",
     "computed_torque",
     "convert",

@@ -21,7 +21,7 @@ from torchdq.program.transforms import outside_of_graphs
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 
-__all__ = ["closed", "closure_errors"]
+__all__ = ["closed", "closure_errors", "constrained_inverse_dynamics"]
 
 MOST = 50  # Newton steps
 FARTHEST = 0.5  # largest change of a step [rad or m], as the gap is not linear
@@ -96,6 +96,65 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     moved = q + (at - q.detach())
     g, _ = function_of("closure_gaps", robot, {"q": moved}, backend)
     return moved - (inverse @ g[..., None])[..., 0]
+
+
+class ConstrainedInverseDynamics(NamedTuple):
+    """Torques of a robot with loops."""
+
+    tau: Tensor  # of all joints, zero for those without a motor [N m or N], shape [..., n]
+    forces: Tensor  # of the closures on their second frames, row by row [N or N m], shape [..., rows]
+
+
+def constrained_inverse_dynamics(
+    robot: Robot,
+    q: Tensor,
+    qd: Tensor | None = None,
+    qdd: Tensor | None = None,
+    actuated: Sequence[str] | str = "*",
+    f_tip: Tensor | None = None,
+    f_ext: Tensor | None = None,
+    backend: BackendName | None = None,
+) -> ConstrainedInverseDynamics:
+    """Torques of the actuated joints that produce a motion of a robot with loops, and the forces in its closures.
+
+        tau + J^T forces = M qdd + c + g,    tau = 0 at the other joints
+
+    Of the torques that do, where there are more motors than degrees of freedom, those of least norm.
+
+    Args:
+        robot: the robot, with a fixed base.
+        q, qd, qdd: joint positions, velocities and accelerations that keep the loops closed, as in `inverse_dynamics`.
+        actuated: names or patterns of the joints that have motors.
+        f_tip, f_ext: wrenches, as in `inverse_dynamics`.
+    Raises:
+        ArgumentError: no torques of these joints produce the motion of a row.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").with_closures(torchdq.Closure("base", "tip"))
+    >>> constrained_inverse_dynamics(robot, torch.tensor([0.3, torch.pi]), actuated="joint1").tau.shape
+    torch.Size([2])
+    """
+    names = matching("actuated", actuated, _looped(robot).joint_names, f"joint of robot {robot.name!r}")
+    given = {"q": q, "qd": qd, "qdd": qdd, "f_tip": f_tip, "f_ext": f_ext}
+    tree, J = function_of("loop_torques", robot, given, backend)
+    motors = torch.tensor([name in names for name in robot.joint_names], dtype=q.dtype, device=q.device)
+    J_T, passive, motors = J.mT, (1 - motors)[:, None], motors[:, None]
+
+    def inverse(A: Tensor) -> Tensor:
+        return torch.linalg.pinv(A, atol=SINGULAR * torch.linalg.matrix_norm(J), rtol=0.0)
+
+    bound = inverse(passive * J_T)  # forces are those that torques of zero need, and what they leave free
+    first, free = bound @ (passive * tree[..., None]), torch.eye(J.shape[-2]).to(J) - bound @ (passive * J_T)
+    forces = first + free @ (inverse(motors * (J_T @ free)) @ (motors * (tree[..., None] - J_T @ first)))
+    tau = tree - (J_T @ forces)[..., 0]
+    left, size = (passive[:, 0] * tau).detach().abs(), tree.detach().abs()
+    if left.numel() and bool((left > 1e3 * torch.finfo(q.dtype).eps / SINGULAR * size.amax(-1, keepdim=True)).any()):
+        joint = robot.joint_names[int(left.reshape(-1, robot.n).amax(0).argmax())]
+        raise ArgumentError(
+            f"actuated must be joints that move robot {robot.name!r} as asked, found {', '.join(names) or 'none'}, "
+            f"which leave a torque of {float(left.amax()):.3g} at {joint!r}; name it, too, or others of its loop"
+        )
+    return ConstrainedInverseDynamics(tau * motors[:, 0], forces[..., 0])
 
 
 def _looped(robot: Robot) -> Robot:

@@ -148,3 +148,43 @@ def test_what_would_need_the_forces_of_closures_is_refused():
         with refused(TorchdqError):
             call()
     assert torchdq.inverse_dynamics(robot.replace(closures=()), q).shape == (3,)
+
+
+def motion_of_the_loop(robot, q, qd, qdd):
+    """Velocities and accelerations of all joints of the four-bar linkage, of those of its crank."""
+    q = q.requires_grad_()
+
+    def gap(q):
+        s = q.cumsum(-1)
+        return torch.stack([(torch.tensor([0.2, 0.4, 0.4]) * f(s)).sum() for f in (torch.cos, torch.sin)])
+
+    J = torch.autograd.functional.jacobian(gap, q)
+    rates = torch.cat([torch.ones(1, dtype=F64), -torch.linalg.solve(J[:, 1:], J[:, 0])])
+    v = qd * rates
+    bend = torch.autograd.functional.jvp(
+        lambda t: torch.autograd.functional.jvp(gap, q + t * v, v, create_graph=True)[1],
+        torch.zeros((), dtype=F64),
+        torch.ones((), dtype=F64),
+    )[1]
+    a = torch.cat([torch.full((1,), qdd, dtype=F64), -torch.linalg.solve(J[:, 1:], bend + J[:, 0] * qdd)])
+    return v.detach(), a.detach()
+
+
+def test_a_motor_of_a_loop_has_the_torque_of_its_virtual_work():
+    """Of the forces at all joints of the tree; whichever joint has the motor, its power is the same."""
+    robot = four_bar()
+    q = torchdq.closed(robot, torch.tensor([1.0, -0.6, -1.2], dtype=F64), hold="ja")
+    v, a = motion_of_the_loop(robot, q.detach(), 1.3, -0.7)
+    tree = torchdq.inverse_dynamics(robot.replace(closures=()), q, v, a)
+    for joint in ("ja", "jb", "jc"):
+        tau, forces = torchdq.constrained_inverse_dynamics(robot, q, v, a, actuated=joint)
+        assert abs(float(tau @ v - tree @ v)) < 1e-12 and int((tau != 0).sum()) == 1
+        found = torchdq.forward_dynamics(robot, q, v, tau)
+        assert torch.allclose(found, a, rtol=0, atol=1e-10)
+    least = torchdq.constrained_inverse_dynamics(robot, q, v, a).tau
+    assert float(least.norm()) < min(
+        float(torchdq.constrained_inverse_dynamics(robot, q, v, a, x).tau.norm()) for x in ("ja", "jb", "jc")
+    )
+    assert torch.allclose(torchdq.forward_dynamics(robot, q, v, least), a, rtol=0, atol=1e-10)
+    with refused(TorchdqError):
+        torchdq.constrained_inverse_dynamics(robot, q, v, a, actuated=())

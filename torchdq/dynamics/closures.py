@@ -1,7 +1,7 @@
 """Closed loops: frames A and B of two links that are held together, and accelerations that keep them so.
 
-The gap g of a closure is zero where it is closed. It has rows of the vector from A's origin to B's, in axes of the base,
-and of cosines a_i . b_j between axes of A and of B:
+The gap g of a closure is zero where it is closed. Its rows are the vector from A's origin to B's, in axes of the base,
+and cosines a_i . b_j between axes of A and of B:
 
     point   the vector                                          3 rows
     hinge   and a_1 . b_3, a_2 . b_3: B turns about its z axis  5 rows

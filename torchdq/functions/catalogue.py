@@ -88,6 +88,7 @@ RECIPES: dict[str, Recipe] = {
         lambda *frames: (("links", 6),),
     ),
     "closure_gaps": Recipe(joints("q"), (fixed.closure_gaps,), lambda: (("gaps",), ("gaps", "n")), of_joints=True),
+    "loop_torques": Recipe((*joints("q"), *_MOVED, *WRENCHES), (fixed.loop_torques,), lambda: (("n",), ("gaps", "n"))),
     "distances": Recipe(
         (
             *(*joints("q"), Field("X_WO", ("objects", 8), optional=True)),

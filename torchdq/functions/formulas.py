@@ -77,6 +77,11 @@ def closed_form(x: RecipeInputs, tip_name: str = "") -> Results:
     return rows
 
 
+def loop_torques(x: RecipeInputs) -> Results:
+    """Torques tau of a motion of the tree, and the Jacobian J of all closures in the joints, row-major."""
+    return {"tau": inverse_dynamics(x)["tau"], "J": closure_gaps(x)["J"]}
+
+
 def closure_gaps(x: RecipeInputs) -> Results:
     """Gaps of all closures, and their Jacobian J in the joints, row-major."""
     n = x.robot.n

@@ -193,8 +193,8 @@ class SceneModel:
         if far.numel() and float(far.amax()) > MOVED:
             joint = self.robot.joint_names[int(far.amax(0).argmax())]
             warnings.warn(
-                f"q was moved by up to {float(far.amax()):.3g} rad or m, at joint {joint!r}, to where the loops of robot "
-                f"{self.robot.name!r} are closed; torchdq.closed(robot, q, hold=...) says which joints stay",
+                f"q was moved by up to {float(far.amax()):.3g} rad or m, at joint {joint!r}, to where the loops of "
+                f"robot {self.robot.name!r} are closed; torchdq.closed(robot, q, hold=...) says which joints stay",
                 stacklevel=3,
             )
         return found
