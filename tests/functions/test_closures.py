@@ -177,7 +177,7 @@ def test_a_motor_of_a_loop_has_the_torque_of_its_virtual_work():
     v, a = motion_of_the_loop(robot, q.detach(), 1.3, -0.7)
     tree = torchdq.inverse_dynamics(robot.replace(closures=()), q, v, a)
     for joint in ("ja", "jb", "jc"):
-        tau, forces = torchdq.constrained_inverse_dynamics(robot, q, v, a, actuated=joint)
+        tau, _ = torchdq.constrained_inverse_dynamics(robot, q, v, a, actuated=joint)
         assert abs(float(tau @ v - tree @ v)) < 1e-12 and int((tau != 0).sum()) == 1
         found = torchdq.forward_dynamics(robot, q, v, tau)
         assert torch.allclose(found, a, rtol=0, atol=1e-10)

@@ -92,8 +92,8 @@ def test_a_welded_link_moves_like_a_part_of_the_other():
     """Two links on one trunk; the second one is welded to the first."""
     text = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="a"><joint name="j" axis="0 1 0"/>
       <inertial mass="1" pos=".2 0 0" diaginertia=".01 .02 .03"/>
-      <body name="b" pos=".3 .1 0"><joint name="k" axis="1 0 0"/><inertial mass=".5" pos="0 .1 .2" diaginertia=".01 .01 .02"/>
-      </body></body></worldbody>{}</mujoco>"""
+      <body name="b" pos=".3 .1 0"><joint name="k" axis="1 0 0"/>
+      <inertial mass=".5" pos="0 .1 .2" diaginertia=".01 .01 .02"/></body></body></worldbody>{}</mujoco>"""
     weld = '<equality><weld body1="a" body2="b"/></equality>'
     held = torchdq.Robot.from_mjcf(text.format(weld), on_unphysical="ignore")
     one = torchdq.Robot.from_mjcf(text.format(""), lock={"k": 0.0})

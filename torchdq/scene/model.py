@@ -42,7 +42,7 @@ from torchdq.scene.spec import CONTROLLER, OBJECTS, POSES, ROBOT, SceneSpec, Tas
 from torchdq.scene.state import State, initial_motion, outside_limits, require_state
 from torchdq.scene.substeps import flow
 
-MOVED = 1e-4  # change of positions that closes loops, and is not told [rad or m]
+MOVED = 1e-4  # change of positions that closes loops, and is not warned of [rad or m]
 MOST_OPERATIONS = 150_000  # of substeps up to which they are one program, which then compiles within 20 s
 _lengths: Bounded[SceneSpec, int] = Bounded(PROGRAMS)  # operations of all substeps in one program
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
