@@ -19,6 +19,7 @@ Conventions, everywhere:
 
 Robots:
     Robot                   from_urdf, from_screws, from_dh; `report()` says what was read, `replace` changes a copy
+    Closure                 frames that are held together, for loops of links: robot.with_closures(Closure("a", "b"))
     robots                  robots that ship with the package: robots.load("panda")
 
 Functions of a robot, batched and differentiable to any order:
@@ -31,6 +32,8 @@ Functions of a robot, batched and differentiable to any order:
     kinetic_energy, potential_energy
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
     jacobian                twist of a frame from joint velocities
+    closed, closure_errors  positions at which loops of links are closed, and how far others are from it
+    constrained_inverse_dynamics        torques of the motors of a robot with loops, and forces in its closures
     distances               distances of spheres from objects, the ground and each other, to keep clear of them
     external_wrenches       wrenches on the links, of wrenches at frames
     computed_torque         torques of a tracking controller
@@ -76,6 +79,7 @@ from typing import TYPE_CHECKING
 from torchdq import convert, dq, effects, floating, nn, objects
 from torchdq.backends.choice import backend
 from torchdq.base.caches import clear_caches
+from torchdq.closures import closed, closure_errors, constrained_inverse_dynamics
 from torchdq.errors import (
     ArgumentError,
     DescriptionError,
@@ -110,7 +114,7 @@ from torchdq.functional import (
 from torchdq.functions.compile import compile
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics, InverseDynamics, ResidualDynamics
 from torchdq.pose_solver import differential_inverse_kinematics, inverse_kinematics
-from torchdq.robot import Robot
+from torchdq.robot import Closure, Robot
 from torchdq.robot import shipped as robots
 from torchdq.task_space import (
     cartesian_impedance,
@@ -129,6 +133,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DQRNEA",
     "ArgumentError",
+    "Closure",
     "ComputedTorque",
     "DescriptionError",
     "DtypeError",
@@ -148,9 +153,12 @@ __all__ = [
     "backend",
     "cartesian_impedance",
     "clear_caches",
+    "closed",
     "closed_form",
+    "closure_errors",
     "compile",
     "computed_torque",
+    "constrained_inverse_dynamics",
     "convert",
     "coriolis_matrix",
     "differential_inverse_kinematics",

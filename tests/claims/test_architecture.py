@@ -32,8 +32,8 @@ def rows(package, text):
 FLOORS = rows(
     "torchdq",
     """findings | errors | base algebra numbers | dynamics program | backends | export dq | convert robot | functions
-    | objects | control effects | functional task_space pose_solver functions.compile | floating scene paper | layers
-    | layers.residual recommend | nn envs | learning | . | command | __main__""",
+    | objects | control effects | functional closures task_space pose_solver functions.compile | floating scene paper
+    | layers | layers.residual recommend | nn envs | learning | . | command | __main__""",
 )
 # storeys of the packages that have several: files that a row does not name are on the first
 STOREYS = {

@@ -37,7 +37,8 @@ NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend
 NOT_DYNAMICS |= {
     "external_wrenches",
     "inverse_kinematics",
-}  # a dictionary of tensors; rows have conditions of their own
+    *("closed", "closure_errors", "constrained_inverse_dynamics"),
+}  # a dictionary of tensors; rows have conditions of their own; robots with loops
 
 
 def face(key):

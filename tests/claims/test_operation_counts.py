@@ -54,7 +54,10 @@ def test_the_record_is_of_these_programs_in_order():
 
 
 def test_every_public_function_is_on_record():
-    assert {key.split("/")[1].split()[0] for key in recipes("two_link")} == {*RECIPES, *LAWS}
+    assert {key.split("/")[1].split()[0] for key in recipes("two_link")} == {*RECIPES, *LAWS} - {
+        "closure_gaps",
+        "loop_torques",
+    }  # of loops
 
 
 def test_every_case_and_method_of_the_study_is_on_record():

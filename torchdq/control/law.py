@@ -97,6 +97,11 @@ class Law(Parametric):
 
     def described(self, robot: Robot) -> Self:
         """Copy for a robot, with a constant copy of its model; raises where its base floats and must not."""
+        if robot.closures and self.FIXED:
+            raise ArgumentError(
+                f"robot {robot.name!r} has closures, which {self.named()} does not take: its torques would need their "
+                "forces; use PD or effects.Servo"
+            )
         if robot.floating and self.FIXED:
             raise ArgumentError(
                 f"robot {robot.name!r} has a floating base, which {self.named()} does not take: {self.FIXED}; load it "

@@ -84,7 +84,12 @@ def half(before: Sequence[int], factors: TreeFactors, b: Sequence[Number]) -> li
 
 def solve(before: Sequence[int], factors: TreeFactors, b: Sequence[Number]) -> tuple[Number, ...]:
     """Solution x of M x = b."""
-    x = [x_i * d for x_i, d in zip(half(before, factors, b), factors.inverses, strict=True)]
+    return rest(before, factors, half(before, factors, b))
+
+
+def rest(before: Sequence[int], factors: TreeFactors, b: Sequence[Number]) -> tuple[Number, ...]:
+    """Solution x of D L x = b: of M x = L^T b, the product `half` being b."""
+    x = [x_i * d for x_i, d in zip(b, factors.inverses, strict=True)]
     for i in range(len(x)):
         for j in _path(before, before[i]):
             x[i] = x[i] - factors.lower[i, j] * x[j]

@@ -32,6 +32,7 @@ class Factors(NamedTuple):
     inverses: Row  # inverse pivots
     solve: Callable[[Row], Row]  # x of M x = b
     half: Callable[[Row], Row] | None = None  # L^-T b of M = L^T D L; None: by articulated bodies
+    rest: Callable[[Row], Row] | None = None  # x of D L x = b, what is left of M x = L^T b
 
     @property
     def growth(self) -> Number:
@@ -54,8 +55,8 @@ def dot(a: Row, b: Row) -> Number:
 def factors_by_entries(before: Sequence[int], M: Matrix) -> Factors:
     """Factors L^T D L of a mass matrix; `before` as in `ltdl.factorise`."""
     found = ltdl.factorise(before, M)
-    solve, half = partial(ltdl.solve, before, found), partial(ltdl.half, before, found)
-    return Factors([M[i][i] for i in range(len(M))], found.inverses, solve, half)
+    solve, half, rest = (partial(part, before, found) for part in (ltdl.solve, ltdl.half, ltdl.rest))
+    return Factors([M[i][i] for i in range(len(M))], found.inverses, solve, half, rest)
 
 
 class Point(NamedTuple):

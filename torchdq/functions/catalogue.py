@@ -14,6 +14,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import NOT_NEGATIVE, POSITIVE, REAL, OneOf, require_tensor
+from torchdq.dynamics.closures import ROWS
 from torchdq.dynamics.task_space import rows_of
 from torchdq.errors import ArgumentError
 from torchdq.functions import distances as apart
@@ -86,6 +87,8 @@ RECIPES: dict[str, Recipe] = {
         (fixed.external_wrenches,),
         lambda *frames: (("links", 6),),
     ),
+    "closure_gaps": Recipe(joints("q"), (fixed.closure_gaps,), lambda: (("gaps",), ("gaps", "n")), of_joints=True),
+    "loop_torques": Recipe((*joints("q"), *_MOVED, *WRENCHES), (fixed.loop_torques,), lambda: (("n",), ("gaps", "n"))),
     "distances": Recipe(
         (
             *(*joints("q"), Field("X_WO", ("objects", 8), optional=True)),
@@ -184,6 +187,18 @@ _FREE: dict[str, Recipe] = {
     "momentum": _free("kinetic_energy", (3,), (3,), formula=free.momentum),
     "momentum_rate": _free("regressor", (3,), (3,), formula=free.momentum_rate),
 }
+# functions that take a robot for the tree of its links
+_OPEN = {
+    **dict.fromkeys(("inverse_dynamics", "regressor"), "its torques would need the forces of the closures"),
+    **dict.fromkeys(
+        ("inverse_dynamics_jacobian", "dynamics_jacobian", "joint_momentum", "operational_space", "contact_force"),
+        "its motion would need the forces of the closures",
+    ),
+    **dict.fromkeys(
+        ("inverse_kinematics_step", "inverse_kinematics_newton", "differential_inverse_kinematics"),
+        "it moves the joints as if all loops were open",
+    ),
+}
 FLOATING = "floating."  # names of functions of robots with a floating base begin so
 RECIPES |= {FLOATING + name: recipe for name, recipe in _FREE.items()}
 
@@ -217,7 +232,15 @@ class Function(_Call, Computation):
         fields = self.constants.fields
         n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
         axes = len(rows_of(self.options[2])) if self._of_axes else 0
-        found = {"n": n, "links": links, "all": 6 + n, "parameters": 10 * (links + floating), "axes": axes}
+        gaps = sum(ROWS[kind] for *_, kind in fields["closures"])
+        found = {
+            "n": n,
+            "links": links,
+            "gaps": gaps,
+            "all": 6 + n,
+            "parameters": 10 * (links + floating),
+            "axes": axes,
+        }
         if self.recipe.options == PAIRS:
             objects, pairs = self.options[1], apart.pairs(recorded(self.constants), *self.options)
             found |= {"objects": len(objects), "sizes": apart.sizes(objects), "pairs": len(pairs)}
@@ -261,6 +284,12 @@ class Function(_Call, Computation):
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise unless all required arguments are present."""
         self.require_base()
+        reason = None if self.form else _OPEN.get(plain := self.name.removeprefix(FLOATING))
+        if reason and self.constants.fields["closures"]:
+            raise ArgumentError(
+                f"robot {self.constants.fields['name']!r} has closures, which {plain.removesuffix('_step')} does not "
+                f"take: {reason}; robot.replace(closures=()) is the tree without them"
+            )
         for field in self.recipe.arguments:
             if not field.optional:
                 require_tensor(field.name, tensors.get(field.name))
@@ -274,7 +303,7 @@ class Function(_Call, Computation):
     def require_base(self) -> None:
         """Raise unless the base of the robot is fixed, or floating, as the function has it."""
         fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
-        if self.form:  # a law says by itself which base it takes
+        if self.form or self.recipe.of_joints:  # a law says by itself which base it takes
             return
         if (fields["base_mass"] is not None) != (plain != self.name):
             if FLOATING + plain not in RECIPES:

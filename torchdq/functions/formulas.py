@@ -8,9 +8,10 @@ from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
+from torchdq.dynamics import closures
 from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
-from torchdq.functions.posed import BASE, as_screw, factors, frame, general, solve
+from torchdq.functions.posed import BASE, as_screw, factors, frame, gaps, general, solve
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.program.program import GROWTH, Value
 
@@ -38,7 +39,12 @@ def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
     at, free = x.posed(), () if x.base() is None else (0.0,) * BASE
     bias = at.torques(x.velocities(), None, x.exerted(at))
     forces = (*free, *x.arguments["tau"])
-    a, growth = solve(x.robot, at, [f if b is None else f - b for f, b in zip(forces, bias, strict=True)], linear)
+    held = [
+        closures.stabilised(gap, len(free))
+        for gap in gaps(x.robot, x.on_fixed_base(), x.arguments.get("qd") or (0.0,) * x.robot.n)
+    ]
+    net = [f if b is None else f - b for f, b in zip(forces, bias, strict=True)]
+    a, growth = solve(x.robot, at, net, linear, held)
     rows = {"A_WB_B": a[:BASE], "qdd": a[BASE:]} if free else {"qdd": a}
     return {**rows, GROWTH: [growth]}  # (63) solved for qdd
 
@@ -69,6 +75,19 @@ def closed_form(x: RecipeInputs, tip_name: str = "") -> Results:
         # a wrench is (force, moment) and a twist (angular, linear)
         rows["Jt"] = [entry for c in columns for entry in _six(None if c is None else screw.swap(c))]  # (72)
     return rows
+
+
+def loop_torques(x: RecipeInputs) -> Results:
+    """Torques tau of a motion of the tree, and the Jacobian J of all closures in the joints, row-major."""
+    return {"tau": inverse_dynamics(x)["tau"], "J": closure_gaps(x)["J"]}
+
+
+def closure_gaps(x: RecipeInputs) -> Results:
+    """Gaps of all closures, and their Jacobian J in the joints, row-major."""
+    n = x.robot.n
+    found = gaps(x.robot, x.on_fixed_base(), None)
+    J = [g.columns[k][i] if k in g.columns else None for g in found for i in range(len(g.values)) for k in range(n)]
+    return {"g": [value for g in found for value in g.values], "J": J}
 
 
 def regressor(x: RecipeInputs) -> Results:

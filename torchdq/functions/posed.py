@@ -9,9 +9,10 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Moments
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import error_growth
+from torchdq.dynamics import closures, error_growth
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.aligned.regroup import regrouped
+from torchdq.dynamics.closures import Gap, Held
 from torchdq.dynamics.coupling import Coupled, Coupling
 from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import Coordinate, Free, along_z
@@ -22,6 +23,7 @@ from torchdq.functions import mdh
 from torchdq.numbers.functions import cos, sin
 from torchdq.robot.description import JointMap
 from torchdq.robot.fields import BASE_BODY, BODIES, SHAPES
+from torchdq.robot.model import factors as factors_of
 from torchdq.robot.robot import Robot
 from torchdq.robot.tree import MASSLESS, general_tree, massless, plain
 
@@ -163,10 +165,32 @@ def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
         ) from error
 
 
-def solve(robot: Robot, at: Posed, b: Sequence[Number], linear: bool) -> tuple[Sequence[Number], Number]:
-    """Solution x of M x = b, and the factor by which it magnifies rounding errors."""
-    parts = factors(robot, at, linear)
-    return parts.solve(b), parts.growth
+def solve(
+    robot: Robot, at: Posed, b: Sequence[Number], linear: bool, held: Sequence[Held] = ()
+) -> tuple[Sequence[Number], Number]:
+    """Solution x of M x = b, as closures hold it, and the factor by which it magnifies rounding errors."""
+    parts = factors(robot, at, linear and not held)
+    return closures.solve(parts, b, held) if held else parts.solve(b), parts.growth
+
+
+def gaps(robot: Robot, at: Posed, qd: Sequence[Number] | None) -> list[Gap]:
+    """Gaps of the closures of a robot, `at` being it on a fixed base; see `closures.gap`."""
+    found, S = [], factors_of(robot).bool()
+    for x in robot.closures:
+        a, b = frame(robot, x.frame_a), frame(robot, x.frame_b)
+        loop = _path(robot, a[0]) ^ _path(robot, b[0])
+        moving = [k for k in range(robot.n) if any(S[i, k] for i in loop)]
+        found.append(closures.gap(at, x.kind, (a, b), moving, qd))
+    return found
+
+
+def _path(robot: Robot, link: int) -> set[int]:
+    """Joints between the base and a link, which is numbered as in a tree."""
+    found, i = set[int](), link - 1
+    while i >= 0:
+        found.add(i)
+        i = robot.parents[i]
+    return found
 
 
 def constant_pose(x) -> DualQuaternion:

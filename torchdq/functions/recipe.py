@@ -49,6 +49,10 @@ class RecipeInputs(NamedTuple):
         """Robot at q, and at X_WB if its base is free."""
         return posed(self.robot, self.arguments["q"], self.overrides, self.per_sample, self.base())
 
+    def on_fixed_base(self) -> Posed:
+        """Robot at q, its base at the origin and at rest."""
+        return posed(self.robot, self.arguments["q"], self.overrides, self.per_sample)
+
     def bodies(self) -> Posed:
         """Robot at the same place whose joints are all its coordinates, for functions of the place alone."""
         at = self.posed()
@@ -104,6 +108,7 @@ class Recipe(NamedTuple):
     results: Callable[..., tuple[Axes, ...]]  # trailing axes of the results, from the options
     each: bool = False  # whether all candidates are recorded, whatever the number of joints
     wrt: tuple[str, ...] = ()  # arguments that the result of the formula is differentiated by
+    of_joints: bool = False  # whether it does not depend on the base, and is for any
     fixed_only: str = ""  # reason why it has no form for a floating base; "": it may have one
 
     @property

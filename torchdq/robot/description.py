@@ -11,6 +11,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.errors import DescriptionError
 from torchdq.findings import Finding
 
+ClosureKind = Literal["point", "hinge", "weld"]
 Base = Literal["file", "fixed", "floating"]
 NO_TIP = "tip.missing"  # code of a note that goes when a tip is chosen
 NO_MASS = "robot.massless"  # code of a warning that goes when bodies are changed
@@ -66,6 +67,24 @@ class JointMap(NamedTuple):
     S: Tensor  # [links, n] positions of the joints per coordinate
 
 
+class Closure(NamedTuple):
+    """Frames A and B of two links that are held together, which closes a loop of links.
+
+    Args:
+        frame_a, frame_b: names of the frames.
+        kind: "point": they have one origin, as on a ball joint; "hinge": and one z axis, about which they turn; "weld":
+            all axes.
+
+    >>> import torchdq
+    >>> torchdq.Closure("rod_end", "crank_end", "hinge")
+    Closure(frame_a='rod_end', frame_b='crank_end', kind='hinge')
+    """
+
+    frame_a: str
+    frame_b: str
+    kind: ClosureKind = "point"
+
+
 @dataclass(frozen=True)
 class RobotDescription:
     """Fields of a `Robot` that its source gives; see there for shapes and units."""
@@ -91,4 +110,5 @@ class RobotDescription:
     base_com: Tensor | None = None
     base_inertia: Tensor | None = None
     joint_map: JointMap | None = None
+    closures: tuple[Closure, ...] = ()
     notes: tuple[Finding, ...] = ()  # faults, suspicions and parts that are not used

@@ -12,7 +12,7 @@ from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.tree import BASE
 from torchdq.findings import Finding
 from torchdq.program.transforms import without_values
-from torchdq.robot.description import Frame, JointMap, Limits
+from torchdq.robot.description import Closure, Frame, JointMap, Limits
 
 Axes = tuple[int | str, ...]  # trailing axes, by number or by name
 
@@ -97,6 +97,10 @@ STRUCTURE: dict[str, tuple[str, Callable[[Any, int, int], bool]]] = {
     "joint_map": (
         "a JointMap of the names of all joints and a tensor [links, n], or None",
         lambda x, n, links: links == n if x is None else _joint_map(x, n, links),
+    ),
+    "closures": (
+        "a tuple of Closures",
+        lambda x, n, links: isinstance(x, tuple) and all(isinstance(one, Closure) for one in x),
     ),
     "tip": ("the name of a frame or None", lambda x, n, links: x is None or isinstance(x, str)),
     "notes": (

@@ -21,7 +21,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.findings import Finding
 from torchdq.robot.constants import Constants, stored, version
-from torchdq.robot.description import NO_MASS, NO_TIP, Frame, JointMap, Limits
+from torchdq.robot.description import NO_MASS, NO_TIP, Closure, Frame, JointMap, Limits
 from torchdq.robot.fields import BASE_BODY, DESCRIBED, INERTIAL, OPTIONAL, SHAPES, trailing
 
 
@@ -51,6 +51,7 @@ class RobotModel:
     base_com: Tensor | None = None  # [..., 3] in the frame of the base [m]
     base_inertia: Tensor | None = None  # [..., 6] about its centre of mass, as `inertia` [kg m^2]
     joint_map: JointMap | None = None  # joints that follow the coordinates; None: every joint is a coordinate
+    closures: tuple[Closure, ...] = ()  # frames that are held together, which close loops; see `with_closures`
     notes: tuple[Finding, ...] = ()  # faults, suspicions, and parts of the description that are not used
     _arguments: tuple[str, ...] = field(default=(), repr=False)  # see `arguments`
     _constants: Constants | None = field(default=None, repr=False)  # see `constants`; None: those of the fields

@@ -32,7 +32,7 @@ from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.constants import Constants
 from torchdq.robot.contact_points import contact_points
 from torchdq.robot.description import Base, RobotDescription
-from torchdq.robot.edit import combined, coupled, reduced, replaced, stacked
+from torchdq.robot.edit import closed, combined, coupled, reduced, replaced, stacked
 from torchdq.robot.mjcf import read as mjcf
 from torchdq.robot.mjcf import writer as mjcf_writer
 from torchdq.robot.model import RobotModel, require_unchanged
@@ -163,10 +163,12 @@ class Robot(RobotModel):
 
         Positions are MuJoCo's `qpos`, which is `ref` at home. Bodies without joints are merged with their parents and
         stay as frames, as sites do. Rotor inertia (`armature`) is part of the mass matrix; linear equality constraints
-        between joints are part of the robot. Damping, friction loss and limits are read but are not part of the
-        rigid-body dynamics; actuators, tendons, contacts and springs are noted. `report()` lists them. Armature of a
-        free joint, `gravcomp` of some bodies only or in part, and all other equality constraints, as of kinematic
-        loops, are ignored with a warning. Meshes are opened only where a body's mass comes from them.
+        between joints are part of the robot, and `connect` and `weld` between bodies its `closures`. A ball joint
+        NAME is three hinges NAME_x, NAME_y, NAME_z, with a warning, as NAME_y must stay below 70 degrees. Damping,
+        friction loss and limits are read but are not part of the rigid-body dynamics; actuators, tendons, contacts and
+        springs are noted. `report()` lists them. Armature of a free joint, `gravcomp` of some bodies only or in part,
+        and all other equality constraints are ignored with a warning. Meshes are opened only where a body's mass comes
+        from them.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself, whose
@@ -175,7 +177,7 @@ class Robot(RobotModel):
                 held where the file puts them, and `objects.from_mjcf` reads them as objects of scenes; "floating":
                 there must be one.
             lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at home. Joints
-                that are coupled to a locked one are locked too. Ball and free joints are locked by names alone.
+                that are coupled to a locked one are locked too. Free joints are locked by names alone.
             tip: name of the body or site of the end effector; None: the leaf of the tree, if there is only one.
             gravity: acceleration in the frame of the world [m/s^2]; "file": that of the file; None: none.
             on_unphysical: treatment of a body that cannot exist, as in `from_urdf`.
@@ -184,7 +186,7 @@ class Robot(RobotModel):
 
         Raises:
             MissingLibraryError: mujoco is not installed.
-            DescriptionError: MuJoCo cannot compile the file; it has ball joints, or several free bodies.
+            DescriptionError: MuJoCo cannot compile the file; it has several free bodies.
             UnphysicalError: a joint moves no inertia.
             UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
         """
@@ -345,8 +347,8 @@ class Robot(RobotModel):
         if on_unphysical != "ignore":
             units.warn(f"robot {robot.name!r}", suspicions, stacklevel=3)
             if ignored := "\n  ".join(str(x) for x in warned if x not in suspicions):
-                what = f"robot {robot.name!r}: the file contains elements that are ignored but may affect the dynamics"
-                warnings.warn(f"{what}:\n  {ignored}", stacklevel=3)
+                what = "elements that are ignored or read differently, which may affect the dynamics"
+                warnings.warn(f"robot {robot.name!r}: the file contains {what}:\n  {ignored}", stacklevel=3)
         inert = trees.inert_joints(robot)  # accelerations raise, and all dynamics where no mass moves
         if on_unphysical != "ignore" and trees.MASSLESS in inert:
             warnings.warn(f"robot {robot.name!r}: {trees.MASSLESS}", stacklevel=3)
@@ -357,6 +359,7 @@ class Robot(RobotModel):
 
     replace, with_tip = replaced.replace, replaced.with_tip
     lock, subchain, couple = reduced.lock, reduced.subchain, coupled.couple
+    with_closures = closed.with_closures
     with_payload, with_tool, attach = combined.with_payload, combined.with_tool, combined.attach
     stack = classmethod(stacked.stack)
 

@@ -138,9 +138,10 @@ def require_supported_base(robot: Robot, integrator: Integrator) -> None:
             f"robot {robot.name!r} must have a joint that moves or a floating base to be simulated, found neither; "
             "where it is a single body, load it with base='floating'"
         )
-    if robot.floating and integrator.FIXED:
+    if (robot.floating or robot.closures) and integrator.FIXED:
+        what = "a floating base" if robot.floating else "closures"
         raise ArgumentError(
-            f"integrator must be one for robots with a floating base, such as RungeKutta4, found "
+            f"integrator must be one for robots with {what}, such as RungeKutta4, found "
             f"{type(integrator).__name__}: {integrator.FIXED}"
         )
 

@@ -14,6 +14,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add, difference, neg
+from torchdq.dynamics.closures import Held, at_end, stabilised
 from torchdq.dynamics.free_bodies import Pair
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
@@ -21,7 +22,7 @@ from torchdq.effects.effect import Effect
 from torchdq.effects.joint import Impedance, JointEffect, load_size, total
 from torchdq.effects.transmission import Transmission
 from torchdq.functions.inverse_kinematics import ranges, start
-from torchdq.functions.posed import posed, solve
+from torchdq.functions.posed import gaps, posed, solve
 from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
@@ -115,11 +116,17 @@ class SceneSystem(System):
             exerted[pair[1]] = add(exerted[pair[1]], bodies.posed.reaction(pair, wrench))
         return _Acting(bodies, exerted, points)
 
-    def _solved(self, at: Posed, b: Row) -> Sequence[Number]:
-        """Solution of M a = b."""
-        a, growth = solve(self.scene.spec.robot, at, b, self.scene.linear)
+    def _solved(self, at: Posed, b: Row, held: Sequence[Held] = ()) -> Sequence[Number]:
+        """Solution of M a = b, as closures hold it."""
+        a, growth = solve(self.scene.spec.robot, at, b, self.scene.linear, held)
         self.watch(growth)
         return a
+
+    def _held(self, x: Row, v: Row, condition: Callable[..., Held], *how: Number) -> list[Held]:
+        """Conditions on the accelerations of the robot, whose joints come after all free bodies."""
+        n, robot = self._n, self.scene.spec.robot
+        found = gaps(robot, self.scene.posed(x[:n]), v[:n]) if robot.closures else []
+        return [condition(gap, len(self._free), *how) for gap in found]
 
     def _parts(self, x: Row, a: Sequence[Number]) -> tuple[Sequence[Number], Sequence[Number]]:
         """Accelerations of the joints, and those that free bodies are integrated with."""
@@ -232,9 +239,8 @@ class SceneSystem(System):
         """Accelerations in a state."""
         at = self._at(x)
         forces = self._explicit(x, v)
-        qdd, base = self._parts(
-            x, self._solved(at, self._net(at, forces.torques, x, v, self._acting(at, x, v).exerted))
-        )
+        net = self._net(at, forces.torques, x, v, self._acting(at, x, v).exerted)
+        qdd, base = self._parts(x, self._solved(at, net, self._held(x, v, stabilised)))
         rotors = self._transmission.accelerations(self.u, forces.passed)
         kept = sum(effect.memory(self._n) for _, effect in self.scene.spec.of(BodyEffect))  # by implicit steps alone
         return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *[0.0] * kept, *base]
@@ -250,7 +256,7 @@ class SceneSystem(System):
         if acting.points:
             heavy = heavy.with_masses([point.mass(h) for point in acting.points])
         net = self._midway(v, self._net(at, forces.torques, x, v, acting.exerted), h)
-        solution = self._solved(heavy, net)
+        solution = self._solved(heavy, net, self._held(x, v, at_end, h))
         qdd, base = self._parts(x, solution)
         ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
         rates = [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h)]

@@ -18,6 +18,7 @@ from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_choice, require_count, require_number, require_object, require_tensor
+from torchdq.closures import closed
 from torchdq.control.law import Law
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.contact import Contact, Contacts
@@ -41,6 +42,7 @@ from torchdq.scene.spec import CONTROLLER, OBJECTS, POSES, ROBOT, SceneSpec, Tas
 from torchdq.scene.state import State, initial_motion, outside_limits, require_state
 from torchdq.scene.substeps import flow
 
+MOVED = 1e-4  # change of positions that closes loops, and is not warned of [rad or m]
 MOST_OPERATIONS = 150_000  # of substeps up to which they are one program, which then compiles within 20 s
 _lengths: Bounded[SceneSpec, int] = Bounded(PROGRAMS)  # operations of all substeps in one program
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
@@ -161,6 +163,8 @@ class SceneModel:
     ) -> State:
         """Initial state, effects at rest, sensors read once; positions far outside `effects.JointLimits` are warned of.
 
+        Loops of a robot with closures are closed by `torchdq.closed`, with a warning where that moves joints.
+
         Start again after `backward` if parameters of sensors are learned: the reading depends on them.
 
         Args:
@@ -176,9 +180,24 @@ class SceneModel:
         given = {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B}
         given |= {"poses": self._of_objects("X_WO", X_WO, POSE), "twists": self._of_objects("V_WO", V_WO, TWIST)}
         moved = initial_motion(self.spec, given)
+        if self.robot.closures:
+            moved = {**moved, "q": self._closed(moved["q"])}
         if message := outside_limits(moved["q"], self.effects, self.robot):
             warnings.warn(message, stacklevel=2)
         return self._begin(moved, {}, noise)[0]
+
+    def _closed(self, q: Tensor) -> Tensor:
+        """Positions at which loops are closed; a warning says how far they are from others."""
+        found = closed(self.robot, q, backend=self.backend)
+        far = (found - q).detach().abs().flatten(0, -2) if q.ndim > 1 else (found - q).detach().abs()[None]
+        if far.numel() and float(far.amax()) > MOVED:
+            joint = self.robot.joint_names[int(far.amax(0).argmax())]
+            warnings.warn(
+                f"q was moved by up to {float(far.amax()):.3g} rad or m, at joint {joint!r}, to where the loops of "
+                f"robot {self.robot.name!r} are closed; torchdq.closed(robot, q, hold=...) says which joints stay",
+                stacklevel=3,
+            )
+        return found
 
     def _of_objects(self, name: str, x: Tensor | None, width: int) -> Tensor | None:
         """Row of the objects, of a tensor with an axis of objects."""

@@ -332,7 +332,7 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
         return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
 
-    forms = (False,) if spec.objects else alternatives_to_record(spec.robot.n, (False, True))
+    forms = (False,) if spec.objects or spec.robot.closures else alternatives_to_record(spec.robot.n, (False, True))
     best = min(map(by, forms), key=lambda p: p.count().total)
     steps = f"{what.stage} of {spec.dt:g} s" if what.stage == "step" else what.stage
     n = spec.robot.n

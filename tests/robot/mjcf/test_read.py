@@ -20,6 +20,7 @@ from rotations import tensor
 from urdf_text import codes
 
 import torchdq
+from torchdq import dq
 from torchdq.robot.mjcf import read as mjcf
 
 TOLERANCE = 1e-10
@@ -156,10 +157,6 @@ FOUR_BAR = """<mujoco><worldbody><site name="post" pos=".6 0 0"/><body name="a">
   <fixed name="t"><joint joint="m" coef="1"/></fixed></tendon>
   <equality>{}</equality></mujoco>"""
 OPEN = {  # constraint: its subject, and what a warning of it names
-    '<connect name="loop" body1="b" body2="c" anchor=".3 0 0"/>': ("connect 'loop'", ("b", "c")),
-    '<connect body1="b" anchor=".3 0 0"/>': ("connect 'equality0'", ("b", "world")),
-    '<connect name="loop" site1="end" site2="post"/>': ("connect 'loop'", ("end", "post")),
-    '<weld name="loop" body1="b" body2="c"/>': ("weld 'loop'", ("b", "c")),
     '<joint name="curve" joint1="k" joint2="j" polycoef="0 1 2 0 0"/>': ("joint 'curve'", ("k", "j")),
     '<tendon name="pull" tendon1="s" tendon2="t"/>': ("tendon 'pull'", ("s", "t")),
 }
@@ -176,12 +173,47 @@ def test_an_equality_constraint_that_is_left_open_is_warned_of_by_name(constrain
     assert not [x for x in torchdq.Robot.from_mjcf(FOUR_BAR.format(off)).notes if x.code == "unsimulated.equality"]
 
 
-def test_a_loop_that_locked_joints_close_is_not_warned_of():
+CLOSED = (
+    '<connect name="loop" body1="b" body2="c" anchor=".3 0 0"/>',
+    '<connect body1="b" anchor=".3 0 0"/>',
+    '<connect name="loop" site1="end" site2="post"/>',
+    '<weld name="loop" body1="b" body2="c"/>',
+    '<weld name="loop" body1="b" body2="c" anchor=".1 .2 .3" relpose=".4 .1 0 .6 0 0 .8"/>',
+    '<weld name="loop" site1="end" site2="post"/>',
+)
+
+
+@all_in_one(CLOSED)
+def test_connect_and_weld_are_closures_with_the_gaps_of_mujoco(constraint):
+    text = FOUR_BAR.format(constraint)
+    robot = torchdq.Robot.from_mjcf(text)
+    (closure,) = robot.closures
+    assert closure.kind == ("weld" if "weld" in constraint else "point")
+    model = mujoco.MjModel.from_xml_string(text)
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    for _ in range(3):
+        data.qpos[:] = rng.normal(size=3)
+        mujoco.mj_forward(model, data)
+        found = torchdq.closure_errors(robot, torch.tensor(data.qpos))
+        near(found.distance, [np.linalg.norm(data.efc_pos[:3])])
+        # MuJoCo's rows are the vector part of a quaternion, the sine of half of the angle
+        half = np.linalg.norm(data.efc_pos[3:6]) if closure.kind == "weld" else 0.0
+        near(found.sine, [2 * half * np.sqrt(1 - half**2)])
+
+
+def test_a_loop_that_locked_joints_close_is_no_closure():
     loop = FOUR_BAR.format('<connect name="loop" body1="b" body2="c" anchor=".3 0 0"/>')
     still = torchdq.Robot.from_mjcf(loop, joints=["j"], lock=["k", "m"], on_unphysical="ignore")
-    assert [x.code for x in still.notes if x.code == "unsimulated.equality"]  # a moves b, and c stands
+    assert len(still.closures) == 1  # a moves b, and c stands
     rigid = FOUR_BAR.format('<weld name="w" body1="a" body2="b"/>')
-    assert not [x for x in torchdq.Robot.from_mjcf(rigid, lock="k").notes if x.code == "unsimulated.equality"]
+    assert torchdq.Robot.from_mjcf(rigid, lock="k").closures == ()
+
+
+def test_a_floating_base_that_is_held_to_the_world_is_warned_of():
+    text = FREE.replace("</mujoco>", '<equality><connect body1="torso" anchor="0 0 0"/></equality></mujoco>')
+    with messages.warned(UserWarning):
+        robot = torchdq.Robot.from_mjcf(text)
+    assert ("unsimulated.equality", "connect 'equality0'") in codes(robot) and not robot.closures
 
 
 def test_gravity_is_the_files_unless_it_is_given():
@@ -364,7 +396,7 @@ STUCK = f"""<mujoco><worldbody><body name='a'><joint name='j'/><geom size='1'/><
 <geom size='1'/></body></body></worldbody><equality>{TWICE}</equality></mujoco>"""
 FAULTY = [
     STUCK,
-    FREE.replace('<body name="leg"', BALL + '<body name="leg"'),
+    FREE.replace('<body name="leg"', BALL.replace("/><geom", "/><joint/><geom") + '<body name="leg"'),
     FREE.replace("</worldbody>", CUBE + "</worldbody>"),
     FREE.replace("</worldbody>", DOOR + "</worldbody>"),
     "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>",
@@ -386,10 +418,25 @@ def test_files_and_arguments_that_make_no_robot_are_refused(given):
         torchdq.Robot.from_mjcf(text, **arguments)
 
 
-def test_a_ball_joint_may_be_locked():
-    text = FREE.replace('<body name="leg"', BALL + '<body name="leg"')
-    found = mjcf.read(text, "file", None, ["knob"]).description
-    assert found.joint_names == ("hip",) and ("joint.held", "knob") in codes(found)
+def test_a_ball_joint_is_three_hinges_with_a_warning_of_their_range():
+    """Three hinges about x, y and z have the orientation of the ball joint whose quaternion is their product."""
+    knob = BALL.replace("/>", " damping='.3' pos='.1 .2 .3'/>", 1)
+    text = f"<mujoco><worldbody>{knob}</worldbody></mujoco>"
+    with messages.warned(UserWarning):
+        robot = torchdq.Robot.from_mjcf(text)
+    assert robot.joint_names == ("knob_x", "knob_y", "knob_z") and ("joint.ball", "ball joint 'knob'") in codes(robot)
+    near(robot.damping, [0.3] * 3)
+    model = mujoco.MjModel.from_xml_string(text)
+    data, q = mujoco.MjData(model), torch.tensor([0.4, -0.9, 1.3], dtype=torch.float64)
+    x, y, z = dq.exp(torch.cat([torch.diag(q / 2), torch.zeros(3, 3).double()], -1))
+    data.qpos[:] = dq.mul(dq.mul(x, y), z)[:4].numpy()
+    mujoco.mj_forward(model, data)
+    X = torchdq.forward_kinematics(robot, q, "x")
+    near(dq.translation(X), data.xpos[1])
+    near(dq.to_matrix(X)[:3, :3], data.xmat[1].reshape(3, 3))
+    more = text.replace("</body>", "<body><joint/><geom size='1'/></body></body>")
+    held = torchdq.Robot.from_mjcf(more, lock="knob_*")
+    assert held.n == 1 and not [x for x in held.notes if x.code == "joint.ball"]
 
 
 # --- files -----------------------------------------------------------------------------------------------------------

@@ -137,6 +137,7 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
     places = {BASE: (at.link, X)} | {i: (i + count, own) for i in range(len(other.link_names))}
     moved = hung(other, places, range(len(other.link_names)))
     frames = (x._replace(name=start + x.name) for x in moved["frames"])
+    closures = (x._replace(frame_a=start + x.frame_a, frame_b=start + x.frame_b) for x in other.closures)
     carrier, known = {name: getattr(robot, name) for name in (*LINK_BODY, *BASE_BODY)}, set(robot._arguments)
     if with_base := other.floating and (at.link != BASE or robot.floating):
         changed = _held(robot, at.link, X, body_at(other, BASE))
@@ -161,6 +162,7 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
         "X_PB_home": _cat((robot.X_PB_home, moved["X_PB_home"]), 2),
         "limits": Limits(*(_cat(pair, 1) for pair in zip(robot.limits, other.limits, strict=True))),
         "frames": (*robot.frames, *frames),
+        "closures": (*robot.closures, *closures),
         "tip": robot.tip if other.tip is None else start + other.tip,
         "notes": (
             *robot.notes,

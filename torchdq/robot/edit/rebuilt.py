@@ -56,11 +56,16 @@ def rebuilt(
 
 
 def hung(robot: RobotModel, places: Places, links: Sequence[int]) -> dict[str, Any]:
-    """Parents, poses at home and frames of links that hang on others now."""
+    """Parents, poses at home, frames and closures of links that hang on others now."""
     at = [places[robot.parents[i]] for i in links]
     X_PB_home = [dq.mul(X, robot.X_PB_home[..., i, :]) for i, (_, X) in zip(links, at, strict=True)]
     moved = [(x, *places[x.link]) for x in robot.frames if x.link in places]
+    kept = {x.name: link for x, link, _ in moved}
     return {
+        # what is on one link now is held together anyway
+        "closures": tuple(
+            x for x in robot.closures if {x.frame_a, x.frame_b} <= kept.keys() and kept[x.frame_a] != kept[x.frame_b]
+        ),
         "parents": tuple(parent for parent, _ in at),
         "X_PB_home": stacked(robot, "X_PB_home", X_PB_home),
         "frames": tuple(x._replace(link=link, X_BF=dq.mul(X, x.X_BF)) for x, link, X in moved),

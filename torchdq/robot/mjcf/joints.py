@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.joints import KINDS
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.source import MjcfModel
 
-FREE, BALL = "free", "ball"
+FREE = "free"
 
 
 class MjcfJoint(NamedTuple):
-    """Joint of a model; ball and free joints have zero-filled numbers."""
+    """Joint of a model; free joints have zero-filled numbers."""
 
     row: int  # among the joints of the model
     name: str
-    kind: str  # "revolute", "prismatic", FREE or BALL
+    kind: str  # "revolute", "prismatic" or FREE
     body: int
     screw: Screw  # in the frame of the body
     home: float  # [rad or m]
@@ -42,7 +45,6 @@ def joints_of(of: MjcfModel) -> list[MjcfJoint]:
     kinds = {
         of.mujoco.mjtJoint.mjJNT_HINGE: "revolute",
         of.mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
-        of.mujoco.mjtJoint.mjJNT_BALL: BALL,
         of.mujoco.mjtJoint.mjJNT_FREE: FREE,
     }
     names = names_of(of, "JOINT", of.model.njnt)
@@ -65,7 +67,7 @@ def _new(name: str, taken: list[str]) -> str:
 def _joint(of: MjcfModel, i: int, name: str, kind: str) -> MjcfJoint:
     m = of.model
     body = int(m.jnt_bodyid[i])
-    if kind in (FREE, BALL):
+    if kind == FREE:
         none = (quat.ZERO, quat.ZERO)
         return MjcfJoint(i, name, kind, body, none, 0.0, -math.inf, math.inf, None, 0.0, 0.0, 0.0)
     axis, point = tuple(m.jnt_axis[i].tolist()), tuple(m.jnt_pos[i].tolist())
@@ -126,23 +128,28 @@ def _force(of: MjcfModel, k: int) -> float:
 
 
 class Equality(NamedTuple):
-    """Equality constraint that is not simulated."""
+    """Equality constraint that is no linear coupling of joints."""
 
-    name: str  # with its kind, as in connect 'loop'
+    name: str
+    kind: str  # as in the file: "connect", "weld", "joint" ...
     ends: str  # what it holds together
-    bodies: set[int]  # that it holds together; empty where it holds others
+    bodies: tuple[int, ...]  # that it holds together; () where it holds others
+    places: tuple[DualQuaternion, ...]  # of the frames on them that come together; () where it is no closure
     disabled: bool  # by a flag of the file
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name!r}"
 
 
 class Equalities(NamedTuple):
     """Equality constraints of a model that are active from the start."""
 
     couplings: list[tuple[str, int, Follows]]  # name, joint that follows, and how
-    others: list[Equality]  # those that are not linear couplings of joints, or are disabled by a flag
+    others: list[Equality]  # those that are not, or are disabled by a flag
 
 
 def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
-    """Equality constraints between joints that are linear, and the names of the others."""
+    """Linear couplings of joints, and the other equality constraints."""
     m, found, others = of.model, [], []
     flags = of.mujoco.mjtDisableBit
     off = bool(m.opt.disableflags & int(flags.mjDSBL_EQUALITY | flags.mjDSBL_CONSTRAINT))
@@ -158,20 +165,32 @@ def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
             found.append((name, first, Follows(leader, factor, a0)))
         else:
             word = kind.name.removeprefix("mjEQ_")
-            others.append(Equality(f"{word.lower()} {name!r}", *_held_together(of, i, word), off))
+            others.append(Equality(name, word.lower(), *_held_together(of, i, word), off))
     return Equalities(found, others)
 
 
-def _held_together(of: MjcfModel, equality: int, word: str) -> tuple[str, set[int]]:
-    """Names of what an equality constraint holds together, and the bodies, where these are bodies or sites on them."""
+def _held_together(of: MjcfModel, equality: int, word: str) -> tuple[str, tuple[int, ...], tuple[DualQuaternion, ...]]:
+    """Names of what an equality constraint holds together, and its bodies and frames on them, if it has any."""
     m, ids = of.model, [int(x[equality]) for x in (of.model.eq_obj1id, of.model.eq_obj2id) if x[equality] >= 0]
     if word in ("JOINT", "TENDON") or word.startswith("FLEX"):
         kind = word[:4] if word.startswith("FLEX") else word
         count = {"JOINT": m.njnt, "TENDON": m.ntendon, "FLEX": m.nflex}[kind]
-        return f"{kind.lower()} {_both(names_of(of, kind, count), ids)}", set()
+        return f"{kind.lower()} {_both(names_of(of, kind, count), ids)}", (), ()
     if m.eq_objtype[equality] == int(of.mujoco.mjtObj.mjOBJ_SITE):
-        return f"site {_both(names_of(of, 'SITE', m.nsite), ids)}", {int(m.site_bodyid[k]) for k in ids}
-    return f"body {_both(names_of(of, 'BODY', m.nbody), ids)}", {*ids}
+        at = tuple(pose(m.site_quat[k], m.site_pos[k]) for k in ids)
+        return f"site {_both(names_of(of, 'SITE', m.nsite), ids)}", tuple(int(m.site_bodyid[k]) for k in ids), at
+    first, second, turn = (m.eq_data[equality, k : k + size] for k, size in ((0, 3), (3, 3), (6, 4)))
+    unit = (1.0, 0.0, 0.0, 0.0)
+    if word == "CONNECT":
+        at = (pose(unit, first), pose(unit, second))
+    else:
+        at = (pose(turn, second), pose(unit, first)) if word == "WELD" else ()
+    return f"body {_both(names_of(of, 'BODY', m.nbody), ids)}", (*ids, *[0] * (2 - len(ids))), at
+
+
+def pose(rotation: Iterable[float], position: Iterable[float]) -> DualQuaternion:
+    """Pose of a unit quaternion and a position of a model."""
+    return dual_quaternion.from_pose(tuple(map(float, rotation)), tuple(map(float, position)))
 
 
 def _both(names: list[str], ids: list[int]) -> str:

@@ -7,13 +7,12 @@ from typing import NamedTuple
 
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import RigidBody
 from torchdq.robot.arrays import IDENTITY, double
 from torchdq.robot.assembly import APART, Links, Segment, linked
-from torchdq.robot.description import Frame, Shape
+from torchdq.robot.description import Closure, Frame, Shape
 from torchdq.robot.edit.couplings import Follows
-from torchdq.robot.mjcf.joints import MjcfJoint, names_of
+from torchdq.robot.mjcf.joints import Equality, MjcfJoint, names_of, pose
 from torchdq.robot.mjcf.source import MjcfModel
 
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3}  # numbers of a geom's size
@@ -33,14 +32,14 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
     segments = [Segment(names[0], None, dual_quaternion.ONE, shapes=tuple(shapes[0]))]
     for i in range(1, m.nbody):
         own = [joint for joint in joints if joint.body == i and joint.single]
-        X = _pose(m.body_quat[i], m.body_pos[i])
+        X = pose(m.body_quat[i], m.body_pos[i])
         segments.append(Segment(names[i], int(m.body_parentid[i]), X, own, body_of(of, i), shapes=tuple(shapes[i])))
     found = linked(segments, moves, base)
     carried = {link.joint.body for link in found.links} | {base}
     sites = [(name, *found.places[m.site_bodyid[i]], i) for i, name in enumerate(_site_names(of, names))]
     left_out = [name for name, (link, _) in zip(names[1:], found.places[1:], strict=True) if link == APART]
     frames = [
-        Frame(name, link, double(sum(dual_quaternion.mul(X, _pose(m.site_quat[i], m.site_pos[i])), ())))
+        Frame(name, link, double(sum(dual_quaternion.mul(X, pose(m.site_quat[i], m.site_pos[i])), ())))
         for name, link, X, i in sites
         if link != APART
     ]
@@ -51,6 +50,30 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
         sum(i not in carried for i in range(1, m.nbody)),
         [*left_out, *(name for name, link, *_ in sites if link == APART)],
     )
+
+
+def closures_of(found: Links, equalities: Sequence[Equality]) -> tuple[list[Frame], list[Closure], list[Equality]]:
+    """Closures between links of a model, the frames that they hold together, and the equality constraints left."""
+    frames, closures, others = list[Frame](), list[Closure](), list[Equality]()
+    taken = {frame.name for frame in found.frames}
+    for one in equalities:
+        at = [found.places[i] for i in one.bodies]
+        if not one.places or one.disabled or APART in (link for link, _ in at):
+            others.append(one)
+        elif at[0][0] != at[1][0]:  # those between bodies on one link hold anyway
+            names = [_new(f"{one.name}_{end}", taken) for end in "ab"]
+            for name, (link, X), place in zip(names, at, one.places, strict=True):
+                frames.append(Frame(name, link, double(sum(dual_quaternion.mul(X, place), ()))))
+            closures.append(Closure(*names, "point" if one.kind == "connect" else "weld"))
+    return frames, closures, others
+
+
+def _new(name: str, taken: set[str]) -> str:
+    """Name that no frame has yet."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
 
 
 def _site_names(of: MjcfModel, bodies: list[str]) -> list[str]:
@@ -74,12 +97,8 @@ def shapes_of(of: MjcfModel) -> list[list[Shape]]:
             kind = of.mujoco.mjtGeom(int(m.geom_type[i])).name.removeprefix("mjGEOM_").lower()
             geom = m.geom(i)
             size = m.geom_size[i, : SIZES.get(kind, 0)].tolist()
-            found[m.geom_bodyid[i]].append(Shape(kind, tuple(size), _pose(m.geom_quat[i], m.geom_pos[i]), geom.name))
+            found[m.geom_bodyid[i]].append(Shape(kind, tuple(size), pose(m.geom_quat[i], m.geom_pos[i]), geom.name))
     return found
-
-
-def _pose(rotation, position) -> DualQuaternion:
-    return dual_quaternion.from_pose(tuple(rotation.tolist()), tuple(position.tolist()))
 
 
 def body_of(of: MjcfModel, body: int) -> RigidBody:

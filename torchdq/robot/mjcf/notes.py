@@ -17,6 +17,11 @@ from torchdq.robot.mjcf.links import ModelLinks
 from torchdq.robot.mjcf.source import MjcfModel
 from torchdq.robot.xml_text import root_name
 
+BALL = (
+    "read as three hinges {name}_x, {name}_y and {name}_z, which cannot turn freely where {name}_y is near a right "
+    "angle; keep it below 70 degrees (1.2 rad)"
+)
+
 
 def gravity(of: MjcfModel) -> tuple[float, ...] | None:
     """Gravitational acceleration of a file [m/s^2]; None: there is none, or every moving body is relieved of it."""
@@ -46,7 +51,7 @@ def diagnostics(
     """
     return [
         *_ignored(of, joints, moves, bodies, falls),
-        *_open(others, bodies),
+        *_open(others),
         *_degrees(of, joints),
         *_used_otherwise(of, joints, moves, bodies),
         *_unsimulated(of, joints, moves),
@@ -136,7 +141,13 @@ def _ignored(
         "armature ignored: MuJoCo adds it to the mass matrix of the base, also where the joint inherits it from a "
         "default class"
     )
+    turning = {joint.name for joint in joints if moves[joint.row].leader is not None}
     found = [
+        Finding("joint.ball", f"ball joint {name!r}", BALL.format(name=name))
+        for name in of.balls
+        if f"{name}_y" in turning
+    ]
+    found += [
         Finding(f"{UNSIMULATED}armature", f"free joint {x.name!r}", inherited, cure="write <freejoint/>, without any")
         for x in free
         if m.dof_armature[(dof := int(m.jnt_dofadr[x.row])) : dof + 6].any()
@@ -156,16 +167,19 @@ def _ignored(
     return found
 
 
-def _open(others: Sequence[Equality], bodies: ModelLinks) -> list[Finding]:
-    """Warnings about ignored equality constraints; those between bodies on one link hold anyway."""
+def _open(others: Sequence[Equality]) -> list[Finding]:
+    """Warnings about equality constraints that are ignored."""
     found = []
-    for name, ends, of, disabled in others:
-        if disabled:
-            found.append(note(f"{UNSIMULATED}equality", [name], "disabled by a flag of the file, not used"))
-        elif len({bodies.of.places[i][0] for i in of}) != 1:
-            what = f"ignored, so that {ends} move apart, because kinematic loops are not supported"
-            cure = "write it as a linear coupling of joints, or lock its joints"
-            found.append(Finding(f"{UNSIMULATED}equality", name, what, cure=cure))
+    for one in others:
+        if one.disabled:
+            found.append(note(f"{UNSIMULATED}equality", [str(one)], "disabled by a flag of the file, not used"))
+        elif one.places:
+            what = f"ignored, so that {one.ends} move apart, because it holds a floating base to the world"
+            found.append(Finding(f"{UNSIMULATED}equality", str(one), what, cure="read the file with base='fixed'"))
+        else:
+            what = f"ignored, so that {one.ends} move apart"
+            cure = "write it as a linear coupling of joints, or as a connect or weld between bodies"
+            found.append(Finding(f"{UNSIMULATED}equality", str(one), what, cure=cure))
     return found
 
 

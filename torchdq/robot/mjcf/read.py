@@ -23,8 +23,8 @@ from torchdq.robot.description import Base, RobotDescription, note, require_usab
 from torchdq.robot.edit.couplings import Follows, solved
 from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep
 from torchdq.robot.mjcf import notes as mjcf_notes
-from torchdq.robot.mjcf.joints import BALL, FREE, MjcfJoint, equalities, joints_of
-from torchdq.robot.mjcf.links import ModelLinks, links_of
+from torchdq.robot.mjcf.joints import FREE, MjcfJoint, equalities, joints_of
+from torchdq.robot.mjcf.links import ModelLinks, closures_of, links_of
 from torchdq.robot.mjcf.source import MjcfModel, compiled
 
 
@@ -62,13 +62,15 @@ def read(source: Any, base: Base, kept: Any = None, lock: Any = None, gravity: A
     still = {j.name: at[j.name] for j in joints if j.name in at and freely[j.row].leader is None and j.row not in held}
     locked = {name: x for name, x in at.items() if name not in still}
     given = mjcf_notes.gravity(of) if isinstance(gravity, str) and gravity == "file" else gravity
-    notes = mjcf_notes.diagnostics(of, joints, moves, bodies, found.others, given is not None)
+    frames, closures, others = closures_of(bodies.of, found.others)
+    notes = mjcf_notes.diagnostics(of, joints, moves, bodies, others, given is not None)
     notes += lock_notes(of.name, asked, locked, {j.name: (j.lower, j.upper) for j in joints}, stacklevel=3)
     if still:
         standing = ", ".join(f"{name} at {x:g}" for name, x in still.items())
         notes.append(note("joint.stuck", [*still], f"held by equality constraints: {standing}"))
     _require_numbers(joints, moves)
     description = described(of.name, bodies.of, moves, free is not None, notes)
+    description = replace(description, frames=(*description.frames, *frames), closures=tuple(closures))
     _require_finite(description)
     faults = consistency.bodies(description.link_names, description.mass, matrices(description.inertia))
     return Mjcf(replace(description, notes=(*faults, *description.notes)), given, of, joints, bodies)
@@ -101,13 +103,8 @@ def _kept(
 
 
 def _free_base(joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: Base) -> int | None:
-    """Body that is the floating base; None: the base is fixed. Raises for two of them, and for ball joints."""
+    """Body that is the floating base; None: the base is fixed. Raises for two of them."""
     left = [joint for joint in joints if moves[joint.row].leader is not None]
-    if balls := [joint.name for joint in left if joint.kind == BALL]:
-        raise DescriptionError(
-            f"joints must have one coordinate each, found the ball joints {', '.join(balls)}, whose "
-            "positions are quaternions; describe each by three hinges, or lock it by its name"
-        )
     free = [joint for joint in left if joint.kind == FREE]
     if len(free) > 1:
         names = ", ".join(joint.name for joint in free)

@@ -44,6 +44,7 @@ class MjcfModel(NamedTuple):
     weighed: bool  # whether masses come from geoms even where the file states them
     collides: bool  # whether geoms of the file take part in contacts
     meshes: list[tuple[int, str, str]]  # body, name and mesh of geoms that take part in contacts and were left out
+    balls: list[str]  # names of ball joints that three hinges stand for
     source: MjcfText
 
 
@@ -56,17 +57,40 @@ def compiled(source: Any) -> MjcfModel:
         )
     text = source if isinstance(source, MjcfText) else _text(source)
     spec = _attempt(lambda: _parsed(mujoco, text))
+    balls = hinged(mujoco, spec)
     name, collides = spec.modelname, any(x.contype or x.conaffinity for x in spec.geoms) or bool(spec.pairs)
     needed, left_out = _without_meshes(mujoco, spec)
     try:
         model = spec.compile()
         meshes = [(body.id, *names) for body, *names in left_out]
     except (ValueError, mujoco.FatalError):  # whatever was left out was wanted
-        model, meshes = _attempt(lambda: _parsed(mujoco, text).compile(), needed), []
+        spec = _attempt(lambda: _parsed(mujoco, text))
+        balls = hinged(mujoco, spec)
+        model, meshes = _attempt(spec.compile, needed), []
     degrees, weighed = bool(spec.compiler.degree), _from_geoms(mujoco, spec)
     return MjcfModel(
-        mujoco, model, "robot" if name in ("", UNNAMED) else name, degrees, weighed, collides, meshes, text
+        mujoco, model, "robot" if name in ("", UNNAMED) else name, degrees, weighed, collides, meshes, balls, text
     )
+
+
+def hinged(mujoco: Any, spec: Any) -> list[str]:
+    """Names of the ball joints of a specification, in which three hinges about x, y and z take their places."""
+    names = []
+    for ball in [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_BALL]:
+        body, name = ball.parent, ball.name or f"{ball.parent.name}_ball"
+        if ball is not body.joints[-1] and ball.name != body.joints[-1].name:
+            raise DescriptionError(
+                f"a ball joint must be the last of its body, found {name!r} before {body.joints[-1].name!r}; put a "
+                "body between them"
+            )
+        for letter, axis in zip("xyz", ((1, 0, 0), (0, 1, 0), (0, 0, 1)), strict=True):
+            hinge = body.add_joint(name=f"{name}_{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+            for number in ("pos", "damping", "frictionloss", "armature", "stiffness"):
+                setattr(hinge, number, getattr(ball, number))
+            hinge.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        spec.delete(ball)
+        names.append(name)
+    return names
 
 
 def _attempt(step: Callable[[], Any], needed: list[str] | None = None) -> Any:

@@ -98,6 +98,10 @@ class MjcfElements(Elements):
     def set_joint(self, name: str, changes: Sequence[ChangedJoint]) -> None:
         """Write numbers of a joint; what a coordinate has is the sum over its joints and their actuators."""
         of, m = self.of.of, self.of.of.model
+        if (ball := name[:-2]) in of.balls:
+            raise ArgumentError(
+                f"numbers of {name!r} must stay as they are: the file has the ball joint {ball!r} there"
+            )
         (joint,) = (joint for joint in self.of.joints if joint.name == name)
         dof = int(m.jnt_dofadr[joint.row])
         element = [*_inside(self.bodies[joint.body], *JOINTS)][joint.row - int(m.body_jntadr[joint.body])]

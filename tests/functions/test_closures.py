@@ -1,0 +1,190 @@
+"""Robots with loops: accelerations are those of Pinocchio's terms with multipliers, and loops are closed by Newton."""
+
+import math
+
+import numpy as np
+import oracles
+import pinocchio as pin
+import pytest
+import torch
+from closed_loops import four_bar
+from free_flyers import case as flyer
+from free_flyers import motion
+from messages import refused
+from robots import EPS, two
+
+import torchdq
+from torchdq import Closure, TorchdqError
+from torchdq.dynamics.closures import DECAY
+
+F64 = torch.float64
+KINDS = pytest.mark.parametrize("kind", ["point", "hinge", "weld"])
+
+
+def deepest(robot):
+    """Link behind the most joints."""
+    depths = [0]
+    for parent in robot.parents:
+        depths.append(1 + depths[parent + 1])
+    return robot.link_names[max(range(robot.n), key=lambda i: depths[i + 1])]
+
+
+def cosines(R, kind):
+    """Rows of a gap that are about axes, of the rotation of B in A; and for each, its terms (weight, i, j)."""
+    sines = [[(0.5, k - 1, k - 2), (-0.5, k - 2, k - 1)] for k in range(3)]
+    terms = {"point": [], "hinge": [[(1, 0, 2)], [(1, 1, 2)]], "weld": sines}[kind]
+    return [sum(s * R[i, j] for s, i, j in row) for row in terms], terms
+
+
+def expected(c, base, ends, kind, x, v, tau):
+    """Accelerations by Pinocchio's M, bias and frames, the gap being in axes of the base."""
+    model, data = c.model, c.model.createData()
+    M, h = pin.crba(model, data, x), pin.nonLinearEffects(model, data, v=v, q=x)
+    M = np.triu(M) + np.triu(M, 1).T
+    still = v.copy()
+    still[:base] = 0  # the loop moves on a base at rest
+    pin.forwardKinematics(model, data, x, still, np.zeros(model.nv))
+    pin.updateFramePlacements(model, data)
+    W, at = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, [0 if name == "universe" else c.frame_id(name) for name in ends]
+    J = np.subtract(*(pin.computeFrameJacobian(model, data, x, k, W) for k in at[::-1]))
+    J[:, :base] = 0
+    a = np.subtract(*(pin.getFrameClassicalAcceleration(model, data, k, W).vector for k in at[::-1]))
+    A, B = (data.oMf[k] for k in at)
+    w = [pin.getFrameVelocity(model, data, k, W).angular for k in at]
+    root = data.oMi[c.root].rotation
+    linear = [root.T @ y for y in (B.translation - A.translation, J[:3], a[:3])]
+    values, terms = cosines(A.rotation.T @ B.rotation, kind)
+    rows, bends = [], []
+    for row in terms:
+        m = sum(s * np.cross(B.rotation[:, j], A.rotation[:, i]) for s, i, j in row)
+        turned = sum(
+            s * np.cross(np.cross(w[1], B.rotation[:, j]), A.rotation[:, i])
+            + s * np.cross(B.rotation[:, j], np.cross(w[0], A.rotation[:, i]))
+            for s, i, j in row
+        )
+        rows.append(m @ J[3:])
+        bends.append(m @ a[3:] + turned @ (w[1] - w[0]))
+    g, J = np.array([*linear[0], *values]), np.array([*linear[1], *rows])
+    gamma = np.array([*linear[2], *bends])
+    right = -(gamma + 2 * DECAY * J @ v + DECAY**2 * g)
+    whole = np.block([[M, -J.T], [J, np.zeros((len(g), len(g)))]])
+    return np.linalg.solve(whole, np.concatenate([tau - h, right]))[: model.nv], np.linalg.cond(whole)
+
+
+@KINDS
+@pytest.mark.parametrize("seed", range(3))
+def test_accelerations_are_those_of_pinocchios_terms_with_multipliers(kind, seed):
+    """Of random trees of which a link is held to the base, far from where the loop is closed."""
+    c = oracles.random_tree(14, seed)
+    leaf, base = deepest(c.robot), next(x.name for x in c.robot.frames if x.link == -1)
+    robot = c.robot.with_closures(Closure(base, leaf, kind))
+    s = oracles.states(c.robot)
+    found = torchdq.forward_dynamics(robot, s.q, s.qd, s.qdd)
+    for k, (q, v, tau, *_) in enumerate(s.rows()):
+        x, u, b = c.configuration(q), c.velocity(v), c.velocity(tau)
+        a, condition = expected(c, 0, ("universe", leaf), kind, x, u, b)
+        close = 10 * EPS * condition * np.abs(a).max()
+        assert np.abs(found[k].numpy() - a[c.order]).max() < close
+
+
+@KINDS
+def test_a_loop_on_a_floating_base_is_that_of_its_joints(kind):
+    c = flyer("tree12")
+    m, leaf = motion(c), deepest(c.robot)
+    base = next(x.name for x in c.robot.frames if x.link == -1)
+    robot = c.robot.with_closures(Closure(base, leaf, kind))
+    given = m.pick("X_WB", "q", "V_WB_B", "qd", "tau")
+    A, qdd = torchdq.floating.forward_dynamics(robot, **given)
+    for k in range(len(qdd)):
+        x, v = c.configuration(m["X_WB"][k].numpy(), m["q"][k].numpy()), c.velocity(m["V_WB_B"][k], m["qd"][k])
+        tau = c.velocity(torch.zeros(6), m["tau"][k])
+        a, condition = expected(c, 6, (base, leaf), kind, x, v, tau)
+        found = np.concatenate([A[k].numpy(), qdd[k].numpy()])
+        assert np.abs(found - a[c.order]).max() < 10 * EPS * condition * np.abs(a).max()
+
+
+def test_a_loop_is_closed_with_the_joints_that_are_held_where_they_are():
+    robot = four_bar()
+    q = torch.tensor([[1.0, -0.5, -1.0], [0.4, -0.6, -1.2]], dtype=F64, requires_grad=True)
+    found = torchdq.closed(robot, q, hold="ja")
+    assert (
+        torch.equal(found[:, 0], q[:, 0])
+        and float(torchdq.closure_errors(robot, found).distance.detach().max()) < 1e-14
+    )
+    (slope,) = torch.autograd.grad(found[:, 1].sum(), q)
+    h = 1e-5
+    ends = [torchdq.closed(robot, q.detach() + h * s * torch.tensor([1.0, 0, 0]), hold="ja")[:, 1] for s in (1, -1)]
+    assert torch.allclose(slope[:, 0], (ends[0] - ends[1]) / (2 * h), rtol=0, atol=1e-6)
+    assert float(torchdq.closure_errors(robot, torchdq.closed(robot, q)).distance.detach().max()) < 1e-14
+
+
+def test_errors_of_closures_are_distances_and_angles():
+    robot = two().with_closures(Closure("base", "tip"), Closure("base", "tip", "weld"))
+    q = torch.tensor([0.3, 0.2], dtype=F64)
+    found = torchdq.closure_errors(robot, q)
+    distance = math.hypot(math.cos(0.3) + math.cos(0.5), math.sin(0.3) + math.sin(0.5))
+    assert torch.allclose(found.distance, torch.full((2,), distance, dtype=F64))
+    assert torch.allclose(found.sine, torch.tensor([0.0, math.sin(0.5)], dtype=F64))
+
+
+def test_what_would_need_the_forces_of_closures_is_refused():
+    robot, q = four_bar(), torch.zeros(3, dtype=F64)
+    calls = (
+        lambda: torchdq.inverse_dynamics(robot, q),
+        lambda: torchdq.dynamics_jacobian(robot, q, q, q),
+        lambda: torchdq.regressor(robot, q, q, q),
+        lambda: torchdq.computed_torque(robot, q, q, q, q, q, 1.0, 1.0),
+        lambda: torchdq.operational_space(robot, q, q),
+        lambda: torchdq.inverse_kinematics(robot, torchdq.forward_kinematics(robot, q, "end")),
+        lambda: torchdq.closed(robot, torch.tensor([0.0, 0.0, 0.0], dtype=F64), hold=["ja", "jb"]),
+        lambda: torchdq.closed(robot, q, hold="jd"),
+        lambda: torchdq.closed(two(), torch.zeros(2)),
+        lambda: two().with_closures(Closure("base", "tip", "bolt")),
+        lambda: two().with_closures(Closure("link2", "tip")),
+        lambda: two().with_closures(Closure("base", "top")),
+        lambda: two().with_closures(("base", "tip")),
+    )
+    for call in calls:
+        with refused(TorchdqError):
+            call()
+    assert torchdq.inverse_dynamics(robot.replace(closures=()), q).shape == (3,)
+
+
+def motion_of_the_loop(robot, q, qd, qdd):
+    """Velocities and accelerations of all joints of the four-bar linkage, of those of its crank."""
+    q = q.requires_grad_()
+
+    def gap(q):
+        s = q.cumsum(-1)
+        return torch.stack([(torch.tensor([0.2, 0.4, 0.4]) * f(s)).sum() for f in (torch.cos, torch.sin)])
+
+    J = torch.autograd.functional.jacobian(gap, q)
+    rates = torch.cat([torch.ones(1, dtype=F64), -torch.linalg.solve(J[:, 1:], J[:, 0])])
+    v = qd * rates
+    bend = torch.autograd.functional.jvp(
+        lambda t: torch.autograd.functional.jvp(gap, q + t * v, v, create_graph=True)[1],
+        torch.zeros((), dtype=F64),
+        torch.ones((), dtype=F64),
+    )[1]
+    a = torch.cat([torch.full((1,), qdd, dtype=F64), -torch.linalg.solve(J[:, 1:], bend + J[:, 0] * qdd)])
+    return v.detach(), a.detach()
+
+
+def test_a_motor_of_a_loop_has_the_torque_of_its_virtual_work():
+    """Of the forces at all joints of the tree; whichever joint has the motor, its power is the same."""
+    robot = four_bar()
+    q = torchdq.closed(robot, torch.tensor([1.0, -0.6, -1.2], dtype=F64), hold="ja")
+    v, a = motion_of_the_loop(robot, q.detach(), 1.3, -0.7)
+    tree = torchdq.inverse_dynamics(robot.replace(closures=()), q, v, a)
+    for joint in ("ja", "jb", "jc"):
+        tau, _ = torchdq.constrained_inverse_dynamics(robot, q, v, a, actuated=joint)
+        assert abs(float(tau @ v - tree @ v)) < 1e-12 and int((tau != 0).sum()) == 1
+        found = torchdq.forward_dynamics(robot, q, v, tau)
+        assert torch.allclose(found, a, rtol=0, atol=1e-10)
+    least = torchdq.constrained_inverse_dynamics(robot, q, v, a).tau
+    assert float(least.norm()) < min(
+        float(torchdq.constrained_inverse_dynamics(robot, q, v, a, x).tau.norm()) for x in ("ja", "jb", "jc")
+    )
+    assert torch.allclose(torchdq.forward_dynamics(robot, q, v, least), a, rtol=0, atol=1e-10)
+    with refused(TorchdqError):
+        torchdq.constrained_inverse_dynamics(robot, q, v, a, actuated=())

@@ -1,0 +1,164 @@
+"""Robots with closed loops: positions at which their closures are closed, and how far they are from it.
+
+A robot's links are a tree; `Robot.closures` are pairs of frames that are held together besides. They do not depend on
+the pose of a floating base, so that the functions here are for robots on any base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.choice import BackendName
+from torchdq.base.checks import matching
+from torchdq.dynamics.closures import ROWS
+from torchdq.errors import ArgumentError
+from torchdq.functions.call import function_of
+from torchdq.program.transforms import outside_of_graphs
+from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
+
+__all__ = ["closed", "closure_errors", "constrained_inverse_dynamics"]
+
+MOST = 50  # Newton steps
+FARTHEST = 0.5  # largest change of a step [rad or m], as the gap is not linear
+TOLERANCES = {torch.float32: 1e-6, torch.float64: 1e-12}  # [m] and [rad]
+SINGULAR = 1e-6  # singular values of the Jacobian, relative to the largest, that are left out: rows others imply
+
+
+class ClosureErrors(NamedTuple):
+    """Errors of every closure of a robot."""
+
+    distance: Tensor  # between the origins of its frames [m], shape [..., closures]
+    sine: Tensor  # of the angle between the axes that it holds, zero for points, shape [..., closures]
+
+
+def closure_errors(robot: Robot, q: Tensor, backend: BackendName | None = None) -> ClosureErrors:
+    """Distances between the frames that closures hold together, and sines of the angles between their axes.
+
+    Args:
+        robot: the robot, on any base.
+        q: joint positions [rad or m], shape [..., n].
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").with_closures(torchdq.Closure("base", "tip"))
+    >>> closure_errors(robot, torch.tensor([0.0, 0.0])).distance
+    tensor([2.])
+    """
+    g, _ = function_of("closure_gaps", _looped(robot), {"q": q}, backend)
+    parts = g.split([ROWS[x.kind] for x in robot.closures], -1)
+    found = [(x[..., :3].norm(dim=-1), x[..., 3:].norm(dim=-1)) for x in parts]
+    return ClosureErrors(*(torch.stack(x, -1) for x in zip(*found, strict=True)))
+
+
+@outside_of_graphs
+def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: BackendName | None = None) -> Tensor:
+    """Joint positions [..., n] near q at which all closures are closed, by Newton's method.
+
+    Each step is the smallest change that closes the gaps to first order, q - J^+ g. Gradients in q are those of the
+    solution: of the projection on positions that are closed.
+
+    Args:
+        robot: the robot, on any base.
+        q: joint positions to begin with [rad or m], shape [..., n].
+        hold: names or patterns of joints that keep their positions.
+    Raises:
+        ArgumentError: the closures of a row cannot be closed from there.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").with_closures(torchdq.Closure("base", "tip"))
+    >>> closed(robot, torch.tensor([0.3, 3.0]), hold="joint1")
+    tensor([0.3000, 3.1416])
+    """
+    held = matching("hold", hold, _looped(robot).joint_names, f"joint of robot {robot.name!r}")
+    free = torch.tensor([name not in held for name in robot.joint_names], device=q.device)
+    tolerance, at = TOLERANCES.get(q.dtype, 0.0), q.detach()
+    for k in range(MOST + 1):
+        with torch.no_grad():
+            g, J = function_of("closure_gaps", robot, {"q": at}, backend)
+            inverse = torch.linalg.pinv(J * free, rtol=SINGULAR)
+            done = bool((g.abs() <= tolerance).all())
+            if done or k == MOST:
+                break
+            step = (inverse @ g[..., None])[..., 0]
+            at = at - step * (FARTHEST / step.norm(dim=-1, keepdim=True)).clamp(max=1.0)
+    if not done:
+        distance = closure_errors(robot, at).distance.reshape(-1, len(robot.closures))
+        worst = int(distance.amax(0).argmax())
+        a, b, _ = robot.closures[worst]
+        raise ArgumentError(
+            f"q must be near positions at which {a!r} and {b!r} of robot {robot.name!r} come together, found "
+            f"{float(distance[:, worst].max()):.3g} m between them after {MOST} steps; start nearer, or hold others"
+        )
+    moved = q + (at - q.detach())
+    g, _ = function_of("closure_gaps", robot, {"q": moved}, backend)
+    return moved - (inverse @ g[..., None])[..., 0]
+
+
+class ConstrainedInverseDynamics(NamedTuple):
+    """Torques of a robot with loops."""
+
+    tau: Tensor  # of all joints, zero for those without a motor [N m or N], shape [..., n]
+    forces: Tensor  # of the closures on their second frames, row by row [N or N m], shape [..., rows]
+
+
+def constrained_inverse_dynamics(
+    robot: Robot,
+    q: Tensor,
+    qd: Tensor | None = None,
+    qdd: Tensor | None = None,
+    actuated: Sequence[str] | str = "*",
+    f_tip: Tensor | None = None,
+    f_ext: Tensor | None = None,
+    backend: BackendName | None = None,
+) -> ConstrainedInverseDynamics:
+    """Torques of the actuated joints that produce a motion of a robot with loops, and the forces in its closures.
+
+        tau + J^T forces = M qdd + c + g,    tau = 0 at the other joints
+
+    Of the torques that do, where there are more motors than degrees of freedom, those of least norm.
+
+    Args:
+        robot: the robot, with a fixed base.
+        q, qd, qdd: joint positions, velocities and accelerations that keep the loops closed, as in `inverse_dynamics`.
+        actuated: names or patterns of the joints that have motors.
+        f_tip, f_ext: wrenches, as in `inverse_dynamics`.
+    Raises:
+        ArgumentError: no torques of these joints produce the motion of a row.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").with_closures(torchdq.Closure("base", "tip"))
+    >>> constrained_inverse_dynamics(robot, torch.tensor([0.3, torch.pi]), actuated="joint1").tau.shape
+    torch.Size([2])
+    """
+    names = matching("actuated", actuated, _looped(robot).joint_names, f"joint of robot {robot.name!r}")
+    given = {"q": q, "qd": qd, "qdd": qdd, "f_tip": f_tip, "f_ext": f_ext}
+    tree, J = function_of("loop_torques", robot, given, backend)
+    motors = torch.tensor([name in names for name in robot.joint_names], dtype=q.dtype, device=q.device)
+    J_T, passive, motors = J.mT, (1 - motors)[:, None], motors[:, None]
+
+    def inverse(A: Tensor) -> Tensor:
+        return torch.linalg.pinv(A, atol=SINGULAR * torch.linalg.matrix_norm(J), rtol=0.0)
+
+    bound = inverse(passive * J_T)  # forces are those that torques of zero need, and what they leave free
+    first, free = bound @ (passive * tree[..., None]), torch.eye(J.shape[-2]).to(J) - bound @ (passive * J_T)
+    forces = first + free @ (inverse(motors * (J_T @ free)) @ (motors * (tree[..., None] - J_T @ first)))
+    tau = tree - (J_T @ forces)[..., 0]
+    left, size = (passive[:, 0] * tau).detach().abs(), tree.detach().abs()
+    if left.numel() and bool((left > 1e3 * torch.finfo(q.dtype).eps / SINGULAR * size.amax(-1, keepdim=True)).any()):
+        joint = robot.joint_names[int(left.reshape(-1, robot.n).amax(0).argmax())]
+        raise ArgumentError(
+            f"actuated must be joints that move robot {robot.name!r} as asked, found {', '.join(names) or 'none'}, "
+            f"which leave a torque of {float(left.amax()):.3g} at {joint!r}; name it, too, or others of its loop"
+        )
+    return ConstrainedInverseDynamics(tau * motors[:, 0], forces[..., 0])
+
+
+def _looped(robot: Robot) -> Robot:
+    """Robot, if it has closures."""
+    if not require_robot(robot).closures:
+        raise ArgumentError(f"robot {robot.name!r} must have closures, found none; see Robot.with_closures")
+    return robot
