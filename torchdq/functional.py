@@ -374,7 +374,8 @@ def distances(
             `robot.contact_points`, or the origin of the frame if the file has none; or `torchdq.robot.ContactPoint`
             objects; None: the origin of the end effector.
         objects: those of `torchdq.objects`; their sizes may be tensors, and have gradients.
-        X_WO: poses of the objects in the base frame, shape [..., objects, 8]; None: at the origin.
+        X_WO: poses of the objects in the base frame, unit dual quaternions, shape [..., objects, 8]; None: at the
+            origin.
         height: height of the ground along its normal [m], a number or [...]; None: there is no ground.
         normal: unit normal of the ground, shape [..., 3]; None: the z axis.
         own: whether there are distances between spheres on different links, neighbours too.

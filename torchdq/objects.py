@@ -62,7 +62,7 @@ class Object(Parametric):
     @property
     def SHAPES(self) -> Shapes:  # type: ignore[override]
         """Trailing axes of each parameter that is there."""
-        return {name: x.axes for name, x in self.PARAMETERS.items() if getattr(self, name) is not None}
+        return self.present()
 
     def described(self, robot: Robot) -> Any:
         """The object itself; raises unless its name is a word."""

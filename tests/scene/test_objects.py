@@ -427,6 +427,30 @@ def test_contacts_follow_an_object_that_is_replaced():
     assert boxed.replace(dt=0.001).touching == boxed.touching
 
 
+def test_a_stiffness_that_is_not_given_is_1e5_times_the_mass_of_the_lightest_object():
+    """A point at rest, as deep as d, is pushed by k d."""
+    depth, touching = 1e-3, (effects.Contact(("it",), stiction=False), effects.Contact("it", on="far"))
+
+    def force(scene, X_WO):
+        return scene.contacts(begin(scene, X_WO), "ground").normal_force[..., 0]
+
+    def with_masses(it, far):
+        return alone((Ball("it", it, radius=0.1), Ball("far", far, radius=0.1)), *touching)
+
+    X_WO = torch.cat([at((0.0, 0.0, 0.1 - depth)), at((0.0, 0.0, 0.3))], -2)
+    scene = with_masses(0.5, 2.0)
+    assert force(scene, X_WO) == pytest.approx(1e5 * 0.5 * depth)
+    assert force(scene.replace(objects=with_masses(3.0, 2.0).objects), X_WO) == pytest.approx(1e5 * 3.0 * depth)
+    mass = double(0.5, 3.0).requires_grad_()
+    found = force(with_masses(mass, 2.0), X_WO.expand(2, 2, 8))
+    assert found.tolist() == pytest.approx([1e5 * x * depth for x in (0.5, 3.0)])
+    assert torch.autograd.grad(found.sum(), mass)[0].tolist() == pytest.approx([1e5 * depth] * 2)
+    apart = torch.cat([at((0.0, 0.0, 0.1)), at((0.0, 0.0, 0.3 - depth))], -2).expand(2, 2, 8)
+    scene = alone(with_masses(mass, 2.0).objects, effects.Contact("it", on="far", stiction=False))
+    between = scene.contacts(begin(scene, apart)).normal_force[:, 0]
+    assert between.tolist() == pytest.approx([1e5 * x * depth for x in (0.5, 2.0)])
+
+
 @compiled
 @pytest.mark.parametrize("dt", [5e-3, 1e-3])
 def test_a_cube_stays_where_it_is_held_in_a_hand_that_turns_fast(dt):

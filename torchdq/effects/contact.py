@@ -43,6 +43,7 @@ from torchdq.algebra.inertia import rotated
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import REAL, matching, tensor_of
+from torchdq.dq.components import unit
 from torchdq.dynamics.error_growth import NoInertiaError
 from torchdq.dynamics.free_bodies import Pair
 from torchdq.dynamics.posed import Row
@@ -53,13 +54,12 @@ from torchdq.effects.effect import Inputs
 from torchdq.effects.surface import HeightMap, tangent
 from torchdq.errors import ArgumentError
 from torchdq.functions.inverse_kinematics import ranges, start
-from torchdq.functions.parametric import TENSOR, Parameter
+from torchdq.functions.parametric import TENSOR, Parameter, Shapes
 from torchdq.functions.posed import frame as frame_of
 from torchdq.functions.posed import posed
 from torchdq.functions.signature import parameter
 from torchdq.numbers.functions import absolute, below, clip, maximum, minimum, select, sqrt
 from torchdq.objects import Object
-from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.constants import Constants
 from torchdq.robot.contact_points import points_of
@@ -191,6 +191,11 @@ class Contact(BodyEffect):
 
     # --- parameters ---
 
+    @property
+    def SHAPES(self) -> Shapes:  # type: ignore[override]
+        """Trailing axes of each parameter that is there: the stiffness of objects may follow from their masses."""
+        return self.present()
+
     def __post_init__(self) -> None:
         for name in ("points", "on"):
             if isinstance(getattr(self, name), list):  # which could change after it was recorded
@@ -218,16 +223,7 @@ class Contact(BodyEffect):
                 )
         if on is not None and {*on} == {*own} and len(on) == 1 and len(own) == len(points):
             raise ArgumentError(f"on of Contact must name an object other than that of its points, found {on[0]!r}")
-        touching = {*(on or ()), *own}
-        stiffness = self.stiffness
-        if touching and (stiffness is None or isinstance(stiffness, _Chosen)):
-            masses = [bodies[name].mass for name in sorted(touching)]
-            if any(isinstance(x, Tensor) for x in masses):  # a stiffness of its own for every row
-                stiffness = STIFF * reduce(torch.minimum, [tensor_of(x).detach() for x in masses])
-            else:
-                stiffness = _Chosen(STIFF * min(map(float, masses)))
-        points = None if self.points is None else tuple(points)
-        return replace(self, points=points, on=on, stiffness=stiffness)
+        return replace(self, points=None if self.points is None else tuple(points), on=on)
 
     def described(self, robot: Robot) -> Self:
         """Copy with its contact points, on links that move, and a stiffness."""
@@ -242,24 +238,26 @@ class Contact(BodyEffect):
             raise ArgumentError(f"surface of Contact must be a function of (x, y), found {self.surface!r}")
         if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
-        stiffness = self.stiffness
-        if not (of_objects or self.on) and (stiffness is None or isinstance(stiffness, _Chosen)):
+        stiffness = None if isinstance(self.stiffness, _Chosen) else self.stiffness
+        if stiffness is None and not (of_objects or self.on):
             stiffness = _Chosen(max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING))))
         return replace(self, points=(*_with_mobilities(robot, points), *of_objects), stiffness=stiffness)
 
     def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
+        """Copy for a robot; raises unless the normal is a unit vector."""
         whole, described = super().resolved(robot), self.described(robot)
         if isinstance(described.stiffness, _Chosen):
             whole = replace(whole, stiffness=described.stiffness)
-        normal = tensor_of(whole.normal).double()
-        if without_values((normal,)):
-            return whole
-        wrong = (normal.square().sum(-1) - 1).abs() > 1e-5
-        if bool(wrong.any()):
-            found = ", ".join(f"{x:.4g}" for x in normal[wrong][0].tolist())
-            raise ArgumentError(f"normal of Contact must be a unit vector, found ({found})")
+        unit("normal of Contact", tensor_of(whole.normal))
         return whole
+
+    def beside(self, objects: Sequence[Object]) -> Self:
+        """Copy with the stiffness that follows from the masses of the objects that take part, where none is given."""
+        if self.stiffness is not None:
+            return self
+        names = {name for point, on in self.touching for name in (point.frame, on)}
+        masses = [body.mass for body in objects if body.name in names]
+        return replace(self, stiffness=STIFF * reduce(minimum, masses))
 
     def template(self) -> Self:
         """Copy without the heights of a map, because programs do not depend on them."""

@@ -67,6 +67,10 @@ class Effect(Parametric):
         """Copy for a scene with these objects."""
         return self
 
+    def beside(self, objects: Sequence[Object]) -> Self:
+        """Copy while it is recorded, beside these objects, all of whose parameters are numbers."""
+        return self
+
     def of_rows(self, chosen: Callable[[Tensor, int], Tensor]) -> Self:
         """Copy with some rows of its tensors that are not parameters; `chosen` takes one and its trailing axes."""
         return self

@@ -59,8 +59,12 @@ class Parametric:
         cls.PARAMETERS = {name: field for name, field in whole.items() if field.kind == "parameter"}
         cls.OPTIONS = {name: field for name, field in whole.items() if field.kind == "option"}
         cls.DESCRIBED = {name: field.described for name, field in cls.PARAMETERS.items() if field.described}
-        if not isinstance(cls.SHAPES, property):  # which depends on the axes of a frame
+        if not isinstance(cls.SHAPES, property):  # which depends on what is given
             cls.SHAPES = {name: field.axes for name, field in cls.PARAMETERS.items()}
+
+    def present(self) -> Shapes:
+        """Trailing axes of each parameter that is there: `SHAPES` of a class that may be without one."""
+        return {name: field.axes for name, field in self.PARAMETERS.items() if getattr(self, name) is not None}
 
     def missing(self) -> dict[str, str]:
         """Parameters that are None, with the attributes of the robot that replace them."""
