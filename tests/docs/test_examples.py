@@ -214,6 +214,15 @@ def test_a_film_of_walking_robots(tmp_path):
     assert fell == 0
 
 
+def test_a_film_of_arms_that_pick(tmp_path):
+    module = import_module("34_hands_film")
+    path, success = module.main(module.Args(policy=EXAMPLES / "hands_pick.pt", arms=5, frames=2, out=tmp_path))
+    with Image.open(path) as film:
+        assert film.n_frames == 2 and film.size == (960, 400)
+        assert np.asarray(film.convert("RGB")).std() > 8
+    assert success == 0  # after a tenth of a second
+
+
 def test_walk_shac(tmp_path):
     module = import_module("22_walk_shac")
     walkers = module.Walkers(8, 5e3, module.ppo.Walker())
