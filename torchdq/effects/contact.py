@@ -52,7 +52,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
 from torchdq.effects.effect import Inputs
 from torchdq.effects.surface import HeightMap, tangent
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.inverse_kinematics import ranges, start
 from torchdq.functions.parametric import TENSOR, Parameter, Shapes
 from torchdq.functions.posed import frame as frame_of
@@ -77,6 +77,7 @@ RECOVERY = 0.1  # speed that sets how fast the compression of a point that is de
 WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
 ANY_DEPTH = 1e3  # compression that no point exceeds [m]
 KEPT = 8  # numbers that a point remembers
+GIVEN = "object in Scene(objects=...)"
 STIFF = 1e5  # stiffness of an object's contact over its mass, which steps of up to 6 ms keep [1/s^2]
 
 
@@ -183,7 +184,7 @@ class Contact(BodyEffect):
     height: Parameter = field(default=0.0, metadata=parameter(check=REAL))
     normal: Parameter = field(default=(0.0, 0.0, 1.0), metadata=parameter(3, check=REAL))
     surface: Any = None
-    stiffness: Parameter = field(default=None, metadata=parameter())
+    stiffness: Parameter = field(default=None, metadata=parameter(optional=True))
     dissipation: Parameter = field(default=1.0, metadata=parameter())
     friction: Parameter = field(default=0.8, metadata=parameter())
     stiction: bool = True
@@ -193,7 +194,7 @@ class Contact(BodyEffect):
 
     @property
     def SHAPES(self) -> Shapes:  # type: ignore[override]
-        """Trailing axes of each parameter that is there: the stiffness of objects may follow from their masses."""
+        """Trailing axes of each parameter; the stiffness of objects may follow from their masses."""
         return self.present()
 
     def __post_init__(self) -> None:
@@ -201,10 +202,10 @@ class Contact(BodyEffect):
             if isinstance(getattr(self, name), list):  # which could change after it was recorded
                 object.__setattr__(self, name, tuple(getattr(self, name)))
 
-    def among(self, objects: Sequence[Object]) -> Self:
-        """Copy with the points of objects, and the names of those that are touched."""
+    def among(self, robot: Robot, objects: Sequence[Object]) -> Self:
+        """Copy with the points of robot and objects, and the names of those that are touched."""
         bodies = {body.name: body for body in objects}
-        on = self.on if self.on is None else matching("on", self.on, bodies, "object of the scene")
+        on = self.on if self.on is None else matching("on", self.on, bodies, GIVEN)
         if on == ():
             raise ArgumentError("on of Contact must name an object at least, found none; None is the ground")
         points: Any = []
@@ -212,7 +213,11 @@ class Contact(BodyEffect):
         for one in dict.fromkeys(given):
             names = fnmatch.filter(bodies, one) if isinstance(one, str) else []
             of_objects: Any = [ObjectPoint(name, k) for name in names for k in range(bodies[name].POINTS)]
-            points += of_objects or [one]
+            try:
+                points += of_objects or points_of(robot, one)
+            except UnknownNameError as error:
+                kind = f"frame of robot {robot.name!r} or {GIVEN}"
+                raise UnknownNameError(kind, one, [*robot.frame_names, *bodies]) from error
         own = [x.frame for x in points if isinstance(x, ObjectPoint)]
         for name in own if on else ():
             sharp, flat = bodies[name].sharp, [x for x in on or () if x != name and bodies[x].flat]

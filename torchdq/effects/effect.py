@@ -63,8 +63,8 @@ class Effect(Parametric):
         """Number of its states."""
         return 0
 
-    def among(self, objects: Sequence[Object]) -> Self:
-        """Copy for a scene with these objects."""
+    def among(self, robot: Robot, objects: Sequence[Object]) -> Self:
+        """Copy for a scene of a robot and these objects."""
         return self
 
     def beside(self, objects: Sequence[Object]) -> Self:
