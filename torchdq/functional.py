@@ -380,6 +380,9 @@ def distances(
         normal: unit normal of the ground, shape [..., 3]; None: the z axis.
         own: whether there are distances between spheres on different links, neighbours too.
 
+    `torch.compile` calls it between two graphs, since objects are none of its constants; `torchdq.compile(robot,
+    "distances", options=...)` is part of a graph.
+
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.1, 0.2])
     >>> box = torchdq.objects.Box("box", mass=1.0, size=(1.0, 1.0, 1.0))

@@ -203,6 +203,9 @@ def test_hands_learn_and_act_in_mujoco(tmp_path, capsys):
     shares = play.main(play.Args(task="push", policy=EXAMPLES / "hands_push.pt", runs=4))
     assert set(shares) == {"here", *play.CONES} and min(shares.values()) > 0.5
     assert "not learned yet" in capsys.readouterr().out
+    ball = {"task": "lift", "object": "ball", "size": (0.02,)}
+    assert module.main(module.Args(**ball, seconds=1.0, robots=32, out=tmp_path)) is None
+    assert set(play.main(play.Args(**ball, policy=tmp_path / "lift.pt", runs=2))) == {"here", *play.CONES}
 
 
 def test_a_film_of_walking_robots(tmp_path):

@@ -39,6 +39,7 @@ OBJECTS = {
 }
 THINGS = tuple(body for body, _ in OBJECTS.values())
 HEIGHT = -0.2
+BALL, HERE = Ball("ball", 1.0, radius=0.1), torch.eye(1, 8, dtype=F64)
 
 
 def robot(free=False):
@@ -161,6 +162,15 @@ def test_the_ground_may_slope_and_the_tip_is_the_point_by_default():
     assert float(found.distance) == pytest.approx(0.6 * 2.0 - 0.5)
 
 
+def test_a_compiled_program_takes_what_there_is_and_is_part_of_a_graph():
+    arm, at = robot(), (points(), (BALL,), "", "")
+    assert [a.name for a in torchdq.compile(arm, "distances").program.arguments] == ["q", "height", "normal"]
+    program = torchdq.compile(arm, "distances", arguments=("q", "X_WO"), options=at)
+    q = double(0.1, 0.2)[None]
+    found = torch.compile(lambda q: program(q, HERE) ** 2, fullgraph=True)(q)
+    assert torch.equal(found, torchdq.distances(arm, q, points(), (BALL,)).distance ** 2)
+
+
 def test_an_arm_in_a_box_is_pushed_out_by_steps_along_the_gradients():
     arm, q = robot(), double(0.1, 0.2)
     box, X_WO = Box("box", 1.0, size=(0.3, 0.2, 0.3)), dq.from_pose(double(1, 0, 0, 0), double(0.6, 0.1, 0.2))[None]
@@ -174,7 +184,6 @@ def test_an_arm_in_a_box_is_pushed_out_by_steps_along_the_gradients():
     assert float(torchdq.distances(arm, q, points(), (box,), X_WO).distance.min()) > 0.0
 
 
-BALL, HERE = Ball("ball", 1.0, radius=0.1), torch.eye(1, 8, dtype=F64)
 WRONG = {
     "nothing to be apart from": lambda q: torchdq.distances(robot(), q),
     "one object, not a sequence": lambda q: torchdq.distances(robot(), q, objects=BALL),
