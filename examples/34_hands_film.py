@@ -50,7 +50,7 @@ class Args:
 
 
 class Motion(NamedTuple):
-    """What is drawn of all arms."""
+    """Motion of all arms, their cubes and goals."""
 
     q: Tensor  # [frame, arm, joint]
     X_WO: Tensor  # [frame, arm, 8]

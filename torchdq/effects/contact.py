@@ -256,7 +256,7 @@ class Contact(BodyEffect):
         unit("normal of Contact", tensor_of(whole.normal))
         return whole
 
-    def beside(self, objects: Sequence[Object]) -> Self:
+    def of_objects(self, objects: Sequence[Object]) -> Self:
         """Copy with the stiffness that follows from the masses of the objects that take part, where none is given."""
         if self.stiffness is not None:
             return self

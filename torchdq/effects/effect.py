@@ -67,7 +67,7 @@ class Effect(Parametric):
         """Copy for a scene of a robot and these objects."""
         return self
 
-    def beside(self, objects: Sequence[Object]) -> Self:
+    def of_objects(self, objects: Sequence[Object]) -> Self:
         """Copy while it is recorded, beside these objects, all of whose parameters are numbers."""
         return self
 

@@ -353,7 +353,7 @@ def recorded(
     objects = tuple(bound(OBJECTS - k, body) for k, body in enumerate(spec.objects))
     spec = replace(
         spec,
-        effects=tuple(bound(i, effect).beside(objects) for i, effect in enumerate(spec.effects)),
+        effects=tuple(bound(i, effect).of_objects(objects) for i, effect in enumerate(spec.effects)),
         controller=None if spec.controller is None else bound(CONTROLLER, spec.controller),
         objects=objects,
     )
