@@ -26,8 +26,7 @@ from torchdq.backends.choice import choose
 from torchdq.backends.precision import run
 from torchdq.base.checks import matching
 from torchdq.dynamics.posed import Point, Posed, Row
-from torchdq.envs.tasks import EpisodeTask, within
-from torchdq.errors import ArgumentError
+from torchdq.envs.tasks import EpisodeTask, home_of, within
 from torchdq.functions.posed import frame, posed
 from torchdq.numbers.functions import at_least, sqrt, tanh
 from torchdq.objects import Box, Object
@@ -123,12 +122,7 @@ class Manipulation(EpisodeTask):
 
     def _home(self, robot: Robot) -> Row:
         """Joint positions at a start."""
-        if len(self.home) != robot.n:
-            raise ArgumentError(
-                f"home of {type(self).__name__} must be the {robot.n} positions of the joints of robot {robot.name!r}, "
-                f"with the gripper open and above the table, found {len(self.home)}; give home=(...)"
-            )
-        return self.home
+        return home_of(self, robot, "with the gripper open and above the table")
 
     def _lowest(self, robot: Robot) -> tuple[ContactPoint, ...]:
         """Lowest points of the pads at a start, those that can touch the table."""

@@ -25,6 +25,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
+from torchdq.base.checks import require_number
 from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.envs.pose_actions import PoseActions
@@ -410,6 +411,28 @@ def tip(robot: Robot, at: Posed) -> Pure:
     """Position of the end effector in the base frame, or in the world if the base is floating [m]."""
     link, X_BF = frame(robot, robot.end_effector().name)
     return at.position(link, at.point(link, X_BF).position)
+
+
+def home_of(task: Any, robot: Robot, place: str) -> Row:
+    """Positions `home` of a task; raises unless they are those of a robot's joints, within their limits.
+
+    Args:
+        place: where they bring the robot, in words.
+    """
+    kind = type(task).__name__
+    if len(task.home) != robot.n:
+        raise ArgumentError(
+            f"home of {kind} must be the {robot.n} positions of the joints of robot {robot.name!r}, {place}, found "
+            f"{len(task.home)}; give it by {kind}(home=...)"
+        )
+    lower, upper = (x.tolist() for x in robot.limits[:2])
+    for name, x, low, high in zip(robot.joint_names, task.home, lower, upper, strict=True):
+        require_number(f"home of {kind}", x)
+        if not low <= x <= high:
+            raise ArgumentError(
+                f"home of {kind} must be within the limits of joint {name!r}, {low:g} to {high:g}, found {x:g}"
+            )
+    return task.home
 
 
 def reach(robot: Robot) -> float:

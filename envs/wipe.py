@@ -13,8 +13,7 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.posed import Row
 from torchdq.envs.randomization import Absolute
-from torchdq.envs.tasks import EpisodeTask, cost, seen, seen_bounds, tip, within
-from torchdq.errors import ArgumentError
+from torchdq.envs.tasks import EpisodeTask, cost, home_of, seen, seen_bounds, tip, within
 from torchdq.functions.posed import frame, posed
 from torchdq.numbers.functions import absolute, at_least, maximum, minimum, sqrt
 from torchdq.robot import Robot
@@ -80,12 +79,8 @@ class Wipe(EpisodeTask):
 
     def table(self, robot: Robot) -> float:
         """Height of the table as described [m]."""
-        if len(self.home) != robot.n:
-            raise ArgumentError(
-                f"home of Wipe must be the {robot.n} positions of the joints of robot {robot.name!r}, with the end "
-                f"effector on the table, found {len(self.home)}; give task=Wipe(home=...) of torchdq.envs.wipe"
-            )
-        return float(tip(robot, posed(robot, self.home, {}, ()))[2])
+        home = home_of(self, robot, "with the end effector on the table")
+        return float(tip(robot, posed(robot, home, {}, ()))[2])
 
     def inputs(self, n: int) -> dict[str, int]:
         """Names and widths of the inputs: the goal, the action, the time, and the position of the reference."""

@@ -15,14 +15,15 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import films
 import numpy as np
 import torch
 import tyro
+from films import CARD, CHOSEN, FAST, FOG, INK, QUIET, SLOW
 from matplotlib import pyplot as plt
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from PIL import Image, ImageDraw
 from torch import Tensor
 
 import torchdq
@@ -31,7 +32,6 @@ from torchdq.envs.render import Skeleton
 from torchdq.scene import controllers, integrators
 
 WIDTH, HEIGHT, VIEW = 960, 440, 640  # of the film, and width of its part with the arms [pixels]
-CARD, FOG, SLOW, FAST, CHOSEN, INK, QUIET = "#0d1b2a", "#1b2f45", "#5f8fb8", "#d3ecff", "#ffa62b", "#e6eef6", "#8fa3b8"
 EYE = np.array([0.0, -7.5, 4.4])  # place of the camera [m]
 PITCH, FOCUS = 0.40, 700.0  # how far it looks down [rad], its focal length [pixels]
 SPACING, REACH = 1.25, 120  # of the lattice of arms [m]; its rows
@@ -171,25 +171,13 @@ def main(args: Args) -> tuple[Path, float]:
     motion = simulated(robot, at, args.frames, args.step)
 
     with plt.rc_context({"font.size": 10, "text.color": INK}):
-        figure = plt.figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100, facecolor=CARD)
+        subtitle = "computed torque, with unknown masses and friction"
+        figure = films.card(WIDTH, HEIGHT, f"{len(at)} arms, one program", subtitle)
         arms = arms_moving(figure, robot, at, motion, chosen)
         torques = torque_panels(figure, motion.tau[:, chosen].numpy())
-        figure.text(0.025, 0.935, f"{len(at)} arms, one program", size=15, weight="bold", va="center")
-        subtitle = "computed torque, with unknown masses and friction"
-        figure.text(0.025, 0.875, subtitle, color=QUIET, va="center")
         figure.text(0.70, 0.935, "torques of the orange arm [N m]", va="center")
-        corners = Image.new("L", (4 * WIDTH, 4 * HEIGHT))
-        ImageDraw.Draw(corners).rounded_rectangle((0, 0, 4 * WIDTH - 1, 4 * HEIGHT - 1), 64, fill=255)
-        corners = corners.resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)
-        images = []
-        for _ in zip(arms, torques, strict=True):
-            figure.canvas.draw()
-            images.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba()).copy()))
-            images[-1].putalpha(corners)
-        plt.close(figure)
-    args.out.mkdir(parents=True, exist_ok=True)
-    path, pace = args.out / "arms.webp", round(1e3 * PERIOD / args.frames)
-    images[0].save(path, save_all=True, append_images=images[1:], duration=pace, loop=0, quality=args.quality, method=6)
+        path, pace = args.out / "arms.webp", round(1e3 * PERIOD / args.frames)
+        films.save(figure, zip(arms, torques, strict=True), path, pace, args.quality)
     return path, float(motion.error.abs().max())
 
 

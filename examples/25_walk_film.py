@@ -6,17 +6,17 @@ All robots are rows of one environment. The camera goes with the herd; the orang
 """
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+import films
 import numpy as np
 import torch
 import tyro
-from matplotlib import pyplot as plt
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
-from PIL import Image, ImageDraw
 from torch import Tensor
 
 import torchdq
@@ -45,9 +45,9 @@ class Args:
     """Folder of the film."""
 
 
-def project(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels [..., 2] from the lower left corner, and distances [...] [m], of places seen from the camera."""
-    seen, depth = arms.project(x * ZOOM)
+def project(x: np.ndarray, zoom: float = ZOOM) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels [..., 2] from the lower left corner, and distances [...] [m / zoom], of places seen from the camera."""
+    seen, depth = arms.project(x * zoom)
     return seen + np.array([(WIDTH - arms.VIEW) / 2, 0.0]), depth
 
 
@@ -92,43 +92,35 @@ def main(args: Args) -> tuple[Path, int]:
     chosen = int(np.argmin(np.abs(at[:, 0] + 1.0) + np.abs(at[:, 1] - 1.0)))
     q, X, fell = simulated(play.policy_of(args.policy), at, args.frames, chosen)
     skeleton = Skeleton(torchdq.robots.load("go2"))
-    dark, robot, mist = (np.array(to_rgb(colour)) for colour in (arms.CARD, arms.FAST, arms.FOG))
-    figure = plt.figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100, facecolor=arms.CARD)
+    dark, robot, mist = (np.array(to_rgb(colour)) for colour in (films.CARD, films.FAST, films.FOG))
+    subtitle = f"a policy learned in {ppo.Args.seconds:.0f} s on one thread"
+    figure = films.card(WIDTH, HEIGHT, f"{len(at)} quadrupeds, one program", subtitle)
     panel = figure.add_axes((0, 0, 1, 1), xlim=(0, WIDTH), ylim=(0, HEIGHT))
     panel.set_axis_off()
-    rules, strokes = LineCollection([], colors=arms.FOG, linewidths=0.8), LineCollection([], capstyle="round")
+    rules, strokes = LineCollection([], colors=films.FOG, linewidths=0.8), LineCollection([], capstyle="round")
     panel.add_collection(rules, autolim=False)
     panel.add_collection(strokes, autolim=False)
-    figure.text(0.025, 0.93, f"{len(at)} quadrupeds, one program", size=15, weight="bold", color=arms.INK, va="center")
-    figure.text(
-        0.025, 0.865, f"a policy learned in {ppo.Args.seconds:.0f} s on one thread", color=arms.QUIET, va="center"
-    )
-    corners = Image.new("L", (4 * WIDTH, 4 * HEIGHT))
-    ImageDraw.Draw(corners).rounded_rectangle((0, 0, 4 * WIDTH - 1, 4 * HEIGHT - 1), 64, fill=255)
-    corners = corners.resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)
-    images, lines = [], len(skeleton.lines)
-    grid = np.array([[(x, -2.0, 0.0), (x, 26.0, 0.0)] for x in range(-40, 60)])
-    for k, (joints, poses) in enumerate(zip(q, X, strict=True)):
-        camera = np.array([SPEED * (WARM + k / 15), 0.0, 0.0])
-        ends = skeleton.points(joints, X_WB=poses)[:, skeleton.lines] - camera
-        order = np.argsort(-ends[:, 0, 0, 1], kind="stable")
-        both = np.concatenate([ends * (1.0, 1.0, 0.0), ends], 1)[order]
-        seen, depth = project(both)
-        near = depth.mean((1, 2))[:, None]
-        fog = 0.9 * np.clip((near - near.min()) / np.ptp(near), 0, 1) ** 0.6
-        colours = robot * (1 - fog) + mist * fog
-        colours[order == chosen] = to_rgb(arms.CHOSEN)
-        strokes.set_segments(seen.reshape(-1, 2, 2))
-        strokes.set_linewidths(np.repeat(np.maximum(0.028 * ZOOM * arms.FOCUS / near[:, 0], 0.7), 2 * lines))
-        strokes.set_color(np.repeat(np.stack([0 * colours + 0.55 * dark, colours], 1), lines, 1).reshape(-1, 3))
-        rules.set_segments(project(grid - camera)[0])
-        figure.canvas.draw()
-        images.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba()).copy()))
-        images[-1].putalpha(corners)
-    plt.close(figure)
-    args.out.mkdir(parents=True, exist_ok=True)
+    lines, grid = len(skeleton.lines), np.array([[(x, -2.0, 0.0), (x, 26.0, 0.0)] for x in range(-40, 60)])
+
+    def moves() -> Iterator[None]:
+        for k, (joints, poses) in enumerate(zip(q, X, strict=True)):
+            camera = np.array([SPEED * (WARM + k / 15), 0.0, 0.0])
+            ends = skeleton.points(joints, X_WB=poses)[:, skeleton.lines] - camera
+            order = np.argsort(-ends[:, 0, 0, 1], kind="stable")
+            both = np.concatenate([ends * (1.0, 1.0, 0.0), ends], 1)[order]
+            seen, depth = project(both)
+            near = depth.mean((1, 2))[:, None]
+            fog = 0.9 * np.clip((near - near.min()) / np.ptp(near), 0, 1) ** 0.6
+            colours = robot * (1 - fog) + mist * fog
+            colours[order == chosen] = to_rgb(films.CHOSEN)
+            strokes.set_segments(seen.reshape(-1, 2, 2))
+            strokes.set_linewidths(np.repeat(np.maximum(0.028 * ZOOM * arms.FOCUS / near[:, 0], 0.7), 2 * lines))
+            strokes.set_color(np.repeat(np.stack([0 * colours + 0.55 * dark, colours], 1), lines, 1).reshape(-1, 3))
+            rules.set_segments(project(grid - camera)[0])
+            yield
+
     path = args.out / "walk.webp"
-    images[0].save(path, save_all=True, append_images=images[1:], duration=67, loop=0, quality=args.quality, method=6)
+    films.save(figure, moves(), path, 67, args.quality)
     return path, fell
 
 

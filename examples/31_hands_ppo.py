@@ -1,6 +1,7 @@
 """An arm with a gripper that pushes, lifts or picks a cube, learned on one thread.
 
     python examples/31_hands_ppo.py pick [--seconds 120] [--seed 0] [--robot FILE] [--out FOLDER]
+    python examples/31_hands_ppo.py lift --object cylinder --size 0.02 0.06
 
 PPO as in `21_walk_ppo.py`, with 1024 arms of `torchdq/Push-v0`, `Lift-v0` or `Pick-v0`, whose cubes differ in mass,
 size and friction. A policy is tested now and then on 256 nominal cubes, and has learned its task when 98 % succeed at
@@ -27,6 +28,7 @@ from torchdq import Robot
 from torchdq.envs import RobotVectorEnv
 from torchdq.envs.manipulation import Manipulation
 from torchdq.envs.task_names import task_of
+from torchdq.objects import Ball, Box, Capsule, Cylinder, Object
 
 ppo = import_module("21_walk_ppo")
 SETTINGS = ppo.Settings(epochs=3, value_epochs=3, gamma=0.9, decay=0.9, entropy=0.001, change=0.01, std=0.6, unit=1.0)
@@ -49,6 +51,12 @@ class Args:
     """Names or patterns of the joints that open the gripper."""
     pads: str = "*_finger"
     """Names or patterns of the frames of the fingers, whose file has spheres on them."""
+    object: Literal["box", "ball", "capsule", "cylinder"] = "box"
+    """Shape of the object."""
+    size: tuple[float, ...] = (0.04, 0.04, 0.04)
+    """Lengths of a box, radius of a ball, radius and length of a capsule or a cylinder [m]."""
+    mass: float = 0.1
+    """Mass of the object [kg]."""
     home: tuple[float, ...] = ()
     """Positions of the joints at a start, the tip above the table and pointing down [rad or m]."""
     robots: int = 1024
@@ -66,7 +74,15 @@ class Args:
     def of_task(self) -> Manipulation:
         """The task."""
         own = {"home": self.home} if self.home else {}
-        return replace(task_of(self.task), fingers=self.fingers, pads=self.pads, **own)
+        return replace(task_of(self.task), object=self.of_object(), fingers=self.fingers, pads=self.pads, **own)
+
+    def of_object(self) -> Object:
+        """The object."""
+        if self.object == "box":
+            return Box("cube", self.mass, size=self.size)
+        kind = {"ball": Ball, "capsule": Capsule, "cylinder": Cylinder}[self.object]
+        names = ("radius",) if self.object == "ball" else ("radius", "length")
+        return kind(self.object, self.mass, **dict(zip(names, self.size, strict=True)))
 
 
 class Test:

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torchdq import Robot, dq, effects
 from torchdq.envs import RobotVectorEnv
 from torchdq.envs.manipulation import PADS, PERIOD, PRESSING, TABLE, Manipulation
+from torchdq.objects import Ball, Box, Object
 
 hands = import_module("31_hands_ppo")
 STEP = 0.002  # [s]
@@ -45,8 +46,20 @@ def text(*rows: Tensor) -> list[str]:
     return [" ".join(f"{x:.12g}" for x in row.tolist()) for row in rows]
 
 
+def geom(body: Object) -> tuple[str, str]:
+    """Type and size of an object as MJCF has them."""
+    match body:
+        case Box():
+            kind, size = "box", [0.5 * x for x in body.size]
+        case Ball():
+            kind, size = "sphere", [body.radius]
+        case _:
+            kind, size = type(body).__name__.lower(), [body.radius, 0.5 * body.length]
+    return kind, text(torch.tensor(size, dtype=torch.float64))[0]
+
+
 class Hand:
-    """Arm with a gripper on a fixed base, a box and a plane in MuJoCo, with the spheres of the fingers' pads.
+    """Arm with a gripper on a fixed base, an object and a plane in MuJoCo, with the spheres of the fingers' pads.
 
     Args:
         task: the task.
@@ -106,12 +119,12 @@ class Hand:
             kp, kd, most = servo.kp[i] / k**2, servo.kd[i] / k**2, servo.limit[i] / k
             motors += f'<position {where} kp="{kp}" kv="{kd}" forcerange="-{most} {most}"/>'
         roots = "".join(body(k) for k, parent in enumerate(robot.parents) if parent < 0)
-        (half,) = text(0.5 * torch.tensor(task.object.size))
+        kind, size = geom(task.object)
         sliding = f'friction="{TABLE} 0.005 0.0001"'
         return f"""<mujoco><compiler angle="radian"/>
           <option integrator="implicitfast" timestep="{STEP}" cone="{cone}" impratio="{impratio}"/>
           <worldbody><geom type="plane" size="2 2 0.1" contype="2" conaffinity="3" priority="1" {sliding}/>{roots}
-            <body name="object"><freejoint/><geom type="box" size="{half}" mass="{task.object.mass}"
+            <body name="object"><freejoint/><geom type="{kind}" size="{size}" mass="{task.object.mass}"
               contype="2" conaffinity="1" {sliding}/></body></worldbody>
           <tendon>{tendons}</tendon><equality>{ends}</equality><actuator>{motors}</actuator></mujoco>"""
 

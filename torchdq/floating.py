@@ -446,7 +446,7 @@ def distances(
     """Signed distances [..., pairs] of spheres of a robot from objects, from the ground, and from each other.
 
     Args:
-        robot, X_WB, q: as in `inverse_dynamics`.
+        robot, X_WB, q: as in `inverse_dynamics`; X_WB is checked here.
         points, objects, X_WO, height, normal, own: as in `torchdq.distances`; poses and the ground are in the world.
 
     >>> import torch, torchdq

@@ -374,10 +374,14 @@ def distances(
             `robot.contact_points`, or the origin of the frame if the file has none; or `torchdq.robot.ContactPoint`
             objects; None: the origin of the end effector.
         objects: those of `torchdq.objects`; their sizes may be tensors, and have gradients.
-        X_WO: poses of the objects in the base frame, shape [..., objects, 8]; None: at the origin.
+        X_WO: poses of the objects in the base frame, unit dual quaternions, shape [..., objects, 8]; None: at the
+            origin.
         height: height of the ground along its normal [m], a number or [...]; None: there is no ground.
         normal: unit normal of the ground, shape [..., 3]; None: the z axis.
         own: whether there are distances between spheres on different links, neighbours too.
+
+    `torch.compile` calls it between two graphs, since objects are none of its constants; `torchdq.compile(robot,
+    "distances", options=...)` is part of a graph.
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.1, 0.2])

@@ -30,6 +30,7 @@ from torchdq.functions.signature import parameter
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
+from torchdq.robot.check.consistency import require_body
 from torchdq.robot.contact_points import points_of_shape
 from torchdq.robot.description import Shape
 from torchdq.robot.mjcf.joints import FREE, joints_of, names_of
@@ -57,18 +58,26 @@ class Object(Parametric):
     flat: ClassVar[bool] = False  # whether it has faces and edges
     name: str
     mass: Parameter = field(metadata=parameter(check=POSITIVE))
-    inertia: Parameter = field(default=None, metadata=parameter(3, check=POSITIVE), kw_only=True)
+    inertia: Parameter = field(default=None, metadata=parameter(3, check=POSITIVE, optional=True), kw_only=True)
 
     @property
     def SHAPES(self) -> Shapes:  # type: ignore[override]
-        """Trailing axes of each parameter that is there."""
-        return {name: x.axes for name, x in self.PARAMETERS.items() if getattr(self, name) is not None}
+        """Trailing axes of each parameter, without an inertia that is that of a solid body."""
+        return self.present()
 
     def described(self, robot: Robot) -> Any:
         """The object itself; raises unless its name is a word."""
         if not isinstance(self.name, str) or not self.name:
             raise ArgumentError(f"name of {type(self).__name__} must be a text, found {self.name!r}")
         return self
+
+    def resolved(self, robot: Robot) -> Self:
+        """Object with checked numbers; raises unless mass and inertia, if they are not learned, are those of a body."""
+        whole = super().resolved(robot)
+        if whole.inertia is not None:
+            moments = tensor_of(whole.inertia)
+            require_body(f"{type(self).__name__} {self.name!r}", tensor_of(whole.mass), moments.diag_embed())
+        return whole
 
     @property
     def shape(self) -> Self:
@@ -129,16 +138,17 @@ class Box(Object):
     size: Parameter = field(metadata=parameter(3, check=POSITIVE), kw_only=True)
     rounding: Parameter = field(default=0.0, metadata=parameter(check=NOT_NEGATIVE), kw_only=True)
 
-    def described(self, robot: Robot) -> Any:
-        """The box itself; raises unless its rounding leaves something of every face."""
-        rounding = tensor_of(self.rounding)
-        room = 0.5 * tensor_of(self.size).min(-1).values - rounding
+    def resolved(self, robot: Robot) -> Self:
+        """Box with checked numbers; raises unless its rounding leaves something of every face."""
+        whole = super().resolved(robot)
+        rounding = tensor_of(whole.rounding)
+        room = 0.5 * tensor_of(whole.size).min(-1).values - rounding
         if not without_values((room,)) and bool(((rounding > 0) & (room < 0)).any()):
             raise ArgumentError(
                 f"rounding of Box {self.name!r} must be at most half of its shortest length, found one that is "
                 f"{-float(room.min()):.3g} m longer"
             )
-        return super().described(robot)
+        return whole
 
     @property
     def sharp(self) -> bool:

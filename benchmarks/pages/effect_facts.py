@@ -102,9 +102,9 @@ def kinds() -> list[type[Effect]]:
 
 def allowed(effect: Effect, name: str, robot: Robot) -> str:
     """Text for the allowed values of a parameter, found by trying some."""
-    axes = effect.SHAPES.get(name)
-    if axes is None:
+    if name not in effect.PARAMETERS:
         return ""
+    axes = effect.PARAMETERS[name].axes
     if axes and not any(isinstance(axis, str) for axis in axes):
         return f"{axes[0]} numbers"
     ordered: Sequence[str] = getattr(effect, "ORDERED", ())

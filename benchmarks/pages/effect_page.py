@@ -112,8 +112,8 @@ def parameters(kind: type[Effect]) -> str:
             (
                 f"`{entry.name}`",
                 linked(text.meaning or entry.name, kind.__name__),
-                text.unit or ("1" if entry.name in kind.SHAPES else ""),
-                f"`{text.shape}`" if text.shape else "one number" if entry.name in kind.SHAPES else "",
+                text.unit or ("1" if entry.name in kind.PARAMETERS else ""),
+                f"`{text.shape}`" if text.shape else "one number" if entry.name in kind.PARAMETERS else "",
                 _default(effect, entry),
                 values,
             )

@@ -20,7 +20,7 @@ from messages import refused
 from robots import on_free_base
 
 import torchdq
-from torchdq import ArgumentError, DtypeError, Scene, TorchdqError, effects, floating
+from torchdq import ArgumentError, DtypeError, Scene, TorchdqError, dq, effects, floating
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.signature import Field, joints
 from torchdq.learning import Samples, fit, identify
@@ -84,11 +84,15 @@ def floating_arm():
     return on_free_base(arm())
 
 
+UNIT = {"X_WB": dq.normalize, "X_WO": dq.normalize, "normal": lambda x: x / x.norm(dim=-1, keepdim=True)}
+
+
 def tensors(key, batch=(3,)):
     """Inputs of a function, and those parameters of a law that are rows of joints."""
     g, sizes = torch.Generator().manual_seed(0), {**robot_of(key).sizes, "axes": 2, "objects": 1}
     kept = {name: field for name, field in fields_of(key).items() if field.kind == "input" or name == "q_null"}
-    return {name: torch.randn(*batch, *trailing(x.axes, sizes), dtype=F64, generator=g) for name, x in kept.items()}
+    found = {name: torch.randn(*batch, *trailing(x.axes, sizes), dtype=F64, generator=g) for name, x in kept.items()}
+    return {name: UNIT[name](x) if name in UNIT else x for name, x in found.items()}
 
 
 def call(key, robot, arguments):

@@ -36,7 +36,9 @@ def write() -> None:
 
 # every function of two joints, those that others are made of of seven, and every effect under one integrator
 BASIC = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "forward_kinematics", "jacobian")
-KINDS = [key for key in PROGRAMS if key.startswith(("two_link/", "panda/scene/implicit/", "Reach/panda"))]
+KINDS = [
+    key for key in PROGRAMS if key.startswith(("two_link/", "panda/scene/implicit/", "panda_hand/", "Reach/panda"))
+]
 KINDS += [f"panda/scene/{step}" for step in ("semi/none", "semi/Drag", "rk4/none", "verlet/none")]
 KINDS += [key for key in PROGRAMS if key.startswith("panda/") and key.split("/")[1].split()[0] in BASIC]
 KINDS += [key for key in PROGRAMS if key.startswith("study/") and "chain42" not in key][::4]

@@ -203,6 +203,9 @@ def test_hands_learn_and_act_in_mujoco(tmp_path, capsys):
     shares = play.main(play.Args(task="push", policy=EXAMPLES / "hands_push.pt", runs=4))
     assert set(shares) == {"here", *play.CONES} and min(shares.values()) > 0.5
     assert "not learned yet" in capsys.readouterr().out
+    ball = {"task": "lift", "object": "ball", "size": (0.02,)}
+    assert module.main(module.Args(**ball, seconds=1.0, robots=32, out=tmp_path)) is None
+    assert set(play.main(play.Args(**ball, policy=tmp_path / "lift.pt", runs=2))) == {"here", *play.CONES}
 
 
 def test_a_film_of_walking_robots(tmp_path):
@@ -212,6 +215,15 @@ def test_a_film_of_walking_robots(tmp_path):
         assert film.n_frames == 2 and film.size == (960, 400)
         assert np.asarray(film.convert("RGB")).std() > 8
     assert fell == 0
+
+
+def test_a_film_of_arms_that_pick(tmp_path):
+    module = import_module("34_hands_film")
+    path, success = module.main(module.Args(policy=EXAMPLES / "hands_pick.pt", arms=5, frames=2, out=tmp_path))
+    with Image.open(path) as film:
+        assert film.n_frames == 2 and film.size == (960, 400)
+        assert np.asarray(film.convert("RGB")).std() > 8
+    assert success == 0  # after a tenth of a second
 
 
 def test_walk_shac(tmp_path):

@@ -15,7 +15,7 @@ import torchdq
 from torchdq import dq
 from torchdq.backends import c_library as build
 from torchdq.envs import RobotVectorEnv, Simulation
-from torchdq.envs.manipulation import Lift, Pick, Push
+from torchdq.envs.manipulation import PANDA, Lift, Pick, Push
 from torchdq.objects import Ball, Box
 
 sys.path.append(str(EXAMPLES))
@@ -141,6 +141,9 @@ def test_stored_policies_do_their_task_here_and_in_mujoco(name):
 
 WRONG = {
     "a home of another robot": lambda: RobotVectorEnv(2, Lift(home=(0.0,) * 6), robot()),
+    "a home beyond a limit": lambda: RobotVectorEnv(2, Lift(home=(*PANDA[:7], 0.05)), robot()),
+    "a home that is not finite": lambda: RobotVectorEnv(2, Lift(home=(math.nan, *PANDA[1:])), robot()),
+    "a home in words": lambda: RobotVectorEnv(2, Lift(home=("0", *PANDA[1:])), robot()),
     "fingers that are not there": lambda: RobotVectorEnv(2, Lift(fingers="thumb"), robot()),
     "pads that are not there": lambda: RobotVectorEnv(2, Lift(pads="*_palm"), robot()),
     "an object with the name of a frame": lambda: RobotVectorEnv(

@@ -39,6 +39,7 @@ OBJECTS = {
 }
 THINGS = tuple(body for body, _ in OBJECTS.values())
 HEIGHT = -0.2
+BALL, HERE = Ball("ball", 1.0, radius=0.1), torch.eye(1, 8, dtype=F64)
 
 
 def robot(free=False):
@@ -135,6 +136,13 @@ def test_sizes_and_the_ground_may_be_tensors_of_samples_with_gradients():
         assert float(moved[k].sum()) == pytest.approx(float((up - down).detach()) / 2e-6, abs=1e-6)
 
 
+def test_one_size_as_a_tensor_without_axes_is_that_number():
+    q, radius = double(0.1, 0.2), double(0.1)[0].requires_grad_()
+    found = torchdq.distances(robot(), q, points(), (Ball("ball", 1.0, radius=radius),)).distance
+    assert torch.equal(found, torchdq.distances(robot(), q, points(), (BALL,)).distance)
+    assert torch.autograd.grad(found.sum(), radius)[0] == pytest.approx(-3.0)
+
+
 def test_a_floating_base_carries_the_spheres():
     q, X_WO = postures()
     g = torch.Generator().manual_seed(1)
@@ -154,6 +162,15 @@ def test_the_ground_may_slope_and_the_tip_is_the_point_by_default():
     assert float(found.distance) == pytest.approx(0.6 * 2.0 - 0.5)
 
 
+def test_a_compiled_program_takes_what_there_is_and_is_part_of_a_graph():
+    arm, at = robot(), (points(), (BALL,), "", "")
+    assert [a.name for a in torchdq.compile(arm, "distances").program.arguments] == ["q", "height", "normal"]
+    program = torchdq.compile(arm, "distances", arguments=("q", "X_WO"), options=at)
+    q = double(0.1, 0.2)[None]
+    found = torch.compile(lambda q: program(q, HERE) ** 2, fullgraph=True)(q)
+    assert torch.equal(found, torchdq.distances(arm, q, points(), (BALL,)).distance ** 2)
+
+
 def test_an_arm_in_a_box_is_pushed_out_by_steps_along_the_gradients():
     arm, q = robot(), double(0.1, 0.2)
     box, X_WO = Box("box", 1.0, size=(0.3, 0.2, 0.3)), dq.from_pose(double(1, 0, 0, 0), double(0.6, 0.1, 0.2))[None]
@@ -167,7 +184,6 @@ def test_an_arm_in_a_box_is_pushed_out_by_steps_along_the_gradients():
     assert float(torchdq.distances(arm, q, points(), (box,), X_WO).distance.min()) > 0.0
 
 
-BALL = Ball("ball", 1.0, radius=0.1)
 WRONG = {
     "nothing to be apart from": lambda q: torchdq.distances(robot(), q),
     "one object, not a sequence": lambda q: torchdq.distances(robot(), q, objects=BALL),
@@ -179,6 +195,9 @@ WRONG = {
     "poses of other objects": lambda q: torchdq.distances(
         robot(), q, objects=(BALL,), X_WO=torch.ones(2, 8, dtype=F64)
     ),
+    "a pose that is not unit": lambda q: torchdq.distances(robot(), q, objects=(BALL,), X_WO=2.0 * HERE),
+    "a base whose pose is not unit": lambda q: torchdq.floating.distances(robot(True), 2.0 * HERE[0], q, height=0.0),
+    "a normal that is not unit": lambda q: torchdq.distances(robot(), q, height=0.0, normal=double(0.0, 0.0, 2.0)),
     "a height that is a text": lambda q: torchdq.distances(robot(), q, height="low"),
     "a floating base": lambda q: torchdq.distances(robot(True), q, height=0.0),
 }

@@ -427,6 +427,30 @@ def test_contacts_follow_an_object_that_is_replaced():
     assert boxed.replace(dt=0.001).touching == boxed.touching
 
 
+def test_a_stiffness_that_is_not_given_is_1e5_times_the_mass_of_the_lightest_object():
+    """A point at rest, as deep as d, is pushed by k d."""
+    depth, touching = 1e-3, (effects.Contact(("it",), stiction=False), effects.Contact("it", on="far"))
+
+    def force(scene, X_WO):
+        return scene.contacts(begin(scene, X_WO), "ground").normal_force[..., 0]
+
+    def with_masses(it, far):
+        return alone((Ball("it", it, radius=0.1), Ball("far", far, radius=0.1)), *touching)
+
+    X_WO = torch.cat([at((0.0, 0.0, 0.1 - depth)), at((0.0, 0.0, 0.3))], -2)
+    scene = with_masses(0.5, 2.0)
+    assert force(scene, X_WO) == pytest.approx(1e5 * 0.5 * depth)
+    assert force(scene.replace(objects=with_masses(3.0, 2.0).objects), X_WO) == pytest.approx(1e5 * 3.0 * depth)
+    mass = double(0.5, 3.0).requires_grad_()
+    found = force(with_masses(mass, 2.0), X_WO.expand(2, 2, 8))
+    assert found.tolist() == pytest.approx([1e5 * x * depth for x in (0.5, 3.0)])
+    assert torch.autograd.grad(found.sum(), mass)[0].tolist() == pytest.approx([1e5 * depth] * 2)
+    apart = torch.cat([at((0.0, 0.0, 0.1)), at((0.0, 0.0, 0.3 - depth))], -2).expand(2, 2, 8)
+    scene = alone(with_masses(mass, 2.0).objects, effects.Contact("it", on="far", stiction=False))
+    between = scene.contacts(begin(scene, apart)).normal_force[:, 0]
+    assert between.tolist() == pytest.approx([1e5 * x * depth for x in (0.5, 2.0)])
+
+
 @compiled
 @pytest.mark.parametrize("dt", [5e-3, 1e-3])
 def test_a_cube_stays_where_it_is_held_in_a_hand_that_turns_fast(dt):
@@ -574,12 +598,28 @@ WRONG = {
     "no mass": lambda: alone((Ball("ball", 0.0, radius=0.1),)),
     "a negative size": lambda: alone((Box("box", 1.0, size=(0.1, -0.1, 0.1)),)),
     "a contact on an unknown object": lambda: alone((Ball("ball", 1.0, radius=0.1),), effects.Contact(on="cube")),
+    "points of an unknown object": lambda: alone((Ball("ball", 1.0, radius=0.1),), effects.Contact("can")),
+    "points of an object without objects": lambda: alone((), effects.Contact("can")),
+    "a contact on an object without objects": lambda: alone((), effects.Contact(on="can")),
     "a contact on no object": lambda: alone((Ball("ball", 1.0, radius=0.1),), effects.Contact(on=())),
     "a contact of an object with itself": lambda: alone(
         (Ball("ball", 1.0, radius=0.1),), effects.Contact("ball", on="ball")
     ),
+    "a size of two numbers": lambda: alone((Box("box", 1.0, size=(0.1, 0.1)),)),
+    "a size that is one number": lambda: alone((Box("box", 1.0, size=0.1),)),
+    "a size that is a text": lambda: alone((Box("box", 1.0, size="large"),)),
+    "no radius": lambda: alone((Ball("ball", 1.0, radius=None),)),
+    "two radii": lambda: alone((Ball("ball", 1.0, radius=(0.1, 0.1)),)),
+    "an inertia against the triangle inequality": lambda: alone((inert(1.0, 1.0, 3.0),)),
+    "such an inertia of one row": lambda: alone((inert(double(1.0, 1.0, 1.0), double(1.0, 1.0, 3.0)),)),
+    "an inertia that is not positive": lambda: alone((inert(1.0, 1.0, -0.5),)),
+    "an inertia that is a matrix": lambda: alone((inert(*torch.eye(3, dtype=F64)),)),
     "a rounding beyond the middle": lambda: alone((Box("box", 1.0, size=(0.1, 0.1, 0.1), rounding=0.06),)),
     "poses without an axis of objects": lambda: begin_wrong(at((0.0, 0.0, 0.0))[0]),
+    "poses of another dtype": lambda: begin_wrong(at((0.0, 0.0, 0.0)).float()),
+    "poses of another batch": lambda: begin_wrong(at((0.0, 0.0, 0.0)).expand(3, 1, 8), batch=2),
+    "twists of another dtype": lambda: begin_wrong(None, V_WO=torch.zeros(1, 6)),
+    "twists of another batch": lambda: begin_wrong(None, V_WO=torch.zeros(3, 1, 6, dtype=F64), batch=2),
     "poses that are not unit": lambda: begin_wrong(2.0 * at((0.0, 0.0, 0.0))),
     "poses without objects": lambda: Scene(arm()).start(torch.zeros(2, dtype=F64), X_WO=at((0.0, 0.0, 0.0))),
     "contacts of an unknown name": lambda: held().contacts(grip(held())[0], "ball"),
@@ -587,9 +627,15 @@ WRONG = {
 }
 
 
-def begin_wrong(X_WO):
+def inert(*rows):
+    """Ball with an inertia of its own."""
+    inertia = torch.stack(rows) if isinstance(rows[0], torch.Tensor) else rows
+    return Ball("ball", 1.0, radius=0.1, inertia=inertia)
+
+
+def begin_wrong(X_WO, V_WO=None, batch=1):
     scene = alone((Ball("ball", 1.0, radius=0.1),))
-    return scene.start(torch.zeros(2, dtype=F64), X_WO=X_WO)
+    return scene.start(torch.zeros(batch, 2, dtype=F64), X_WO=X_WO, V_WO=V_WO)
 
 
 @pytest.mark.parametrize("what", WRONG)

@@ -146,6 +146,15 @@ def step(integrator: str, effect: str, floating: bool = False) -> Program:
     return Scene(known, EFFECTS[effect], integrator=INTEGRATORS[integrator][0], dt=0.01).program()
 
 
+CUBE = objects.Box("cube", 0.1, size=(0.04, 0.04, 0.04))
+TOUCHING = {"beside": (), "held": (effects.Contact("*_finger", on="cube"), effects.Contact("cube"))}
+
+
+def cube_step(how: str) -> Program:
+    """Program of a step of an arm with a gripper and a cube."""
+    return Scene(robot("panda_hand"), (effects.Gravity(), *TOUCHING[how]), objects=(CUBE,), dt=0.005).program()
+
+
 def linearization(name: str) -> Program:
     """Program of the derivatives of a step under gravity and friction."""
     return Scene(robot(name), (effects.Gravity(), effects.Viscous(1.0)), dt=0.01).program(wrt=("torque",))
@@ -197,6 +206,7 @@ PROGRAMS: dict[str, Callable[[], Program]] = {
     **{key: program for name in ROBOTS for key, program in recipes(name).items()},
     **{f"panda/scene/{i}/{e}": partial(step, i, e) for i, (_, several) in INTEGRATORS.items() for e in several},
     **{f"panda/floating scene/{i}/{e}": partial(step, i, e, True) for i, e in FLOATING_STEPS},
+    **{f"panda_hand/cube/{how}": partial(cube_step, how) for how in TOUCHING},
     **{f"{name}/linearization": partial(linearization, name) for name in ("panda", "ur10e")},
     **{f"{task.title()}/{name}": partial(environment, name, task) for task, name in TASKS},
     **{f"study/{name}/{method}": partial(studied, name, method) for name, method in STUDIED},

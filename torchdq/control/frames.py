@@ -58,19 +58,15 @@ class FrameLaw(Law):
     expressed: Literal["body", "world"] = field(default="body", metadata=option(EXPRESSED.check))
     axes: str | tuple[str, ...] = "pose"
     q_null: Parameter | None = field(default=None, metadata=parameter("n", check=REAL, optional=True))
-    k_null: Parameter = field(default=10.0, metadata=parameter(optional=True))  # where there is no posture
+    k_null: Parameter = field(default=10.0, metadata=parameter())  # absent without a posture
     task: Task | None = field(default=None, repr=False)  # the frame and its axes, found for a robot
 
     @property
     def SHAPES(self) -> Shapes:  # type: ignore[override]  # gains have as many numbers as there are axes
         """Trailing axes of the parameters that are not absent."""
         named = AXES.get(self.axes, self.axes.split()) if isinstance(self.axes, str) else self.axes
-        found: dict[str, tuple[int | str, ...]] = {}
-        for name, (_, axes, optional, *_) in self.PARAMETERS.items():
-            x = getattr(self, "q_null" if name == "k_null" else name)
-            if not (optional and (x is None or x is False)):
-                found[name] = (len(named),) if axes == ("axes",) else axes
-        return found
+        own = {name: (len(named),) if axes == ("axes",) else axes for name, axes in self.present().items()}
+        return own if "q_null" in own else {name: axes for name, axes in own.items() if name != "k_null"}
 
     @classmethod
     def require_gain(cls, name: str, x: Tensor, given: Tensors) -> None:

@@ -12,6 +12,11 @@ from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 
 UNIT = 1e-4  # error of a norm that is taken for 1: finite differences, and logs printed with six digits, stay below
+UNIT_ROWS = {  # what rows of that many components must do, and the cure
+    3: ("be a unit vector", "divide it by its length"),
+    4: ("hold unit quaternions", "normalize that part by torchdq.dq.normalize"),
+    8: ("be unit dual quaternions", "see torchdq.dq.normalize"),
+}
 
 
 def require_square(name: str, x: Tensor, size: int) -> None:
@@ -30,13 +35,20 @@ def checked(name: str, x: Tensor, *sizes: int) -> Tensor:
     return x
 
 
-def unit(name: str, r: Tensor) -> Tensor:
-    """Quaternions [..., 4] of a row; raises unless they are unit ones, those with NaN apart."""
-    found = _first(r, lambda x: (x.norm(dim=-1) - 1).abs() > _close(x))
+def unit(name: str, x: Tensor) -> Tensor:
+    """Vectors, quaternions or dual quaternions x; raises unless they are unit ones, those with NaN apart."""
+    found = _first(x, lambda x: ~(is_unit(x, _close(x)) | x.isnan().any(-1)))
     if found:
-        cure = "normalize that part by torchdq.dq.normalize" if any(found) else "zero is not a rotation"
-        raise ArgumentError(f"{name} must hold unit quaternions, found {found}; {cure}")
-    return r
+        expected, cure = UNIT_ROWS[len(found)]
+        raise ArgumentError(f"{name} must {expected}, found {found}; {cure if any(found) else 'zero is none'}")
+    return x
+
+
+def is_unit(x: Tensor, slack: float) -> Tensor:
+    """Mask of unit vectors [..., 3], quaternions [..., 4] or dual quaternions [..., 8], whose errors are in a slack."""
+    r, d = x.double().tensor_split((4,), -1)
+    size = (r.norm(dim=-1) - 1).abs() <= slack
+    return size & ((r * d).sum(-1).abs() <= slack * (1 + d.norm(dim=-1))) if d.shape[-1] else size
 
 
 def require_rotation(name: str, matrix: Tensor) -> None:

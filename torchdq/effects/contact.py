@@ -43,6 +43,7 @@ from torchdq.algebra.inertia import rotated
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import REAL, matching, tensor_of
+from torchdq.dq.components import unit
 from torchdq.dynamics.error_growth import NoInertiaError
 from torchdq.dynamics.free_bodies import Pair
 from torchdq.dynamics.posed import Row
@@ -51,15 +52,14 @@ from torchdq.dynamics.tree import BASE
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
 from torchdq.effects.effect import Inputs
 from torchdq.effects.surface import HeightMap, tangent
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.inverse_kinematics import ranges, start
-from torchdq.functions.parametric import TENSOR, Parameter
+from torchdq.functions.parametric import TENSOR, Parameter, Shapes
 from torchdq.functions.posed import frame as frame_of
 from torchdq.functions.posed import posed
 from torchdq.functions.signature import parameter
 from torchdq.numbers.functions import absolute, below, clip, maximum, minimum, select, sqrt
 from torchdq.objects import Object
-from torchdq.program.transforms import without_values
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.constants import Constants
 from torchdq.robot.contact_points import points_of
@@ -77,6 +77,7 @@ RECOVERY = 0.1  # speed that sets how fast the compression of a point that is de
 WIDTH = 1e-2  # sliding speed below which friction without stiction is viscous [m/s]
 ANY_DEPTH = 1e3  # compression that no point exceeds [m]
 KEPT = 8  # numbers that a point remembers
+GIVEN = "object in Scene(objects=...)"
 STIFF = 1e5  # stiffness of an object's contact over its mass, which steps of up to 6 ms keep [1/s^2]
 
 
@@ -183,7 +184,7 @@ class Contact(BodyEffect):
     height: Parameter = field(default=0.0, metadata=parameter(check=REAL))
     normal: Parameter = field(default=(0.0, 0.0, 1.0), metadata=parameter(3, check=REAL))
     surface: Any = None
-    stiffness: Parameter = field(default=None, metadata=parameter())
+    stiffness: Parameter = field(default=None, metadata=parameter(optional=True))
     dissipation: Parameter = field(default=1.0, metadata=parameter())
     friction: Parameter = field(default=0.8, metadata=parameter())
     stiction: bool = True
@@ -191,15 +192,20 @@ class Contact(BodyEffect):
 
     # --- parameters ---
 
+    @property
+    def SHAPES(self) -> Shapes:  # type: ignore[override]
+        """Trailing axes of each parameter; the stiffness of objects may follow from their masses."""
+        return self.present()
+
     def __post_init__(self) -> None:
         for name in ("points", "on"):
             if isinstance(getattr(self, name), list):  # which could change after it was recorded
                 object.__setattr__(self, name, tuple(getattr(self, name)))
 
-    def among(self, objects: Sequence[Object]) -> Self:
-        """Copy with the points of objects, and the names of those that are touched."""
+    def among(self, robot: Robot, objects: Sequence[Object]) -> Self:
+        """Copy with the points of robot and objects, and the names of those that are touched."""
         bodies = {body.name: body for body in objects}
-        on = self.on if self.on is None else matching("on", self.on, bodies, "object of the scene")
+        on = self.on if self.on is None else matching("on", self.on, bodies, GIVEN)
         if on == ():
             raise ArgumentError("on of Contact must name an object at least, found none; None is the ground")
         points: Any = []
@@ -207,7 +213,11 @@ class Contact(BodyEffect):
         for one in dict.fromkeys(given):
             names = fnmatch.filter(bodies, one) if isinstance(one, str) else []
             of_objects: Any = [ObjectPoint(name, k) for name in names for k in range(bodies[name].POINTS)]
-            points += of_objects or [one]
+            try:
+                points += of_objects or points_of(robot, one)
+            except UnknownNameError as error:
+                kind = f"frame of robot {robot.name!r} or {GIVEN}"
+                raise UnknownNameError(kind, one, [*robot.frame_names, *bodies]) from error
         own = [x.frame for x in points if isinstance(x, ObjectPoint)]
         for name in own if on else ():
             sharp, flat = bodies[name].sharp, [x for x in on or () if x != name and bodies[x].flat]
@@ -218,16 +228,7 @@ class Contact(BodyEffect):
                 )
         if on is not None and {*on} == {*own} and len(on) == 1 and len(own) == len(points):
             raise ArgumentError(f"on of Contact must name an object other than that of its points, found {on[0]!r}")
-        touching = {*(on or ()), *own}
-        stiffness = self.stiffness
-        if touching and (stiffness is None or isinstance(stiffness, _Chosen)):
-            masses = [bodies[name].mass for name in sorted(touching)]
-            if any(isinstance(x, Tensor) for x in masses):  # a stiffness of its own for every row
-                stiffness = STIFF * reduce(torch.minimum, [tensor_of(x).detach() for x in masses])
-            else:
-                stiffness = _Chosen(STIFF * min(map(float, masses)))
-        points = None if self.points is None else tuple(points)
-        return replace(self, points=points, on=on, stiffness=stiffness)
+        return replace(self, points=None if self.points is None else tuple(points), on=on)
 
     def described(self, robot: Robot) -> Self:
         """Copy with its contact points, on links that move, and a stiffness."""
@@ -242,24 +243,26 @@ class Contact(BodyEffect):
             raise ArgumentError(f"surface of Contact must be a function of (x, y), found {self.surface!r}")
         if self.surface is not None and self.normal != (0.0, 0.0, 1.0):
             raise ArgumentError("normal of Contact must be left out where a surface is given, which has its own")
-        stiffness = self.stiffness
-        if not (of_objects or self.on) and (stiffness is None or isinstance(stiffness, _Chosen)):
+        stiffness = None if isinstance(self.stiffness, _Chosen) else self.stiffness
+        if stiffness is None and not (of_objects or self.on):
             stiffness = _Chosen(max(1.0, moving_mass(robot) * WEIGHT / (SINK * min(len(points), CARRYING))))
         return replace(self, points=(*_with_mobilities(robot, points), *of_objects), stiffness=stiffness)
 
     def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
+        """Copy for a robot; raises unless the normal is a unit vector."""
         whole, described = super().resolved(robot), self.described(robot)
         if isinstance(described.stiffness, _Chosen):
             whole = replace(whole, stiffness=described.stiffness)
-        normal = tensor_of(whole.normal).double()
-        if without_values((normal,)):
-            return whole
-        wrong = (normal.square().sum(-1) - 1).abs() > 1e-5
-        if bool(wrong.any()):
-            found = ", ".join(f"{x:.4g}" for x in normal[wrong][0].tolist())
-            raise ArgumentError(f"normal of Contact must be a unit vector, found ({found})")
+        unit("normal of Contact", tensor_of(whole.normal))
         return whole
+
+    def of_objects(self, objects: Sequence[Object]) -> Self:
+        """Copy with the stiffness that follows from the masses of the objects that take part, where none is given."""
+        if self.stiffness is not None:
+            return self
+        names = {name for point, on in self.touching for name in (point.frame, on)}
+        masses = [body.mass for body in objects if body.name in names]
+        return replace(self, stiffness=STIFF * reduce(minimum, masses))
 
     def template(self) -> Self:
         """Copy without the heights of a map, because programs do not depend on them."""

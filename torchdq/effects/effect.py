@@ -63,8 +63,12 @@ class Effect(Parametric):
         """Number of its states."""
         return 0
 
-    def among(self, objects: Sequence[Object]) -> Self:
-        """Copy for a scene with these objects."""
+    def among(self, robot: Robot, objects: Sequence[Object]) -> Self:
+        """Copy for a scene of a robot and these objects."""
+        return self
+
+    def of_objects(self, objects: Sequence[Object]) -> Self:
+        """Copy while it is recorded, beside these objects, all of whose parameters are numbers."""
         return self
 
     def of_rows(self, chosen: Callable[[Tensor, int], Tensor]) -> Self:

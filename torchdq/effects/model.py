@@ -16,10 +16,9 @@ from torchdq.functions.parametric import Parameter, undefined
 from torchdq.functions.posed import Overrides, constant_pose
 from torchdq.functions.posed import field as row_of
 from torchdq.functions.signature import parameter
-from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.arrays import matrices
-from torchdq.robot.check.consistency import bodies
+from torchdq.robot.check.consistency import require_body
 from torchdq.robot.robot import GRAVITY
 
 
@@ -111,14 +110,7 @@ class Payload(ModelEffect):
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless mass and inertia, if they are not learned, are physically consistent."""
         whole = super().resolved(robot)
-        parts = [tensor_of(x) for x in (whole.mass, whole.inertia)]
-        if all(x.numel() and not (x.requires_grad or without_values((x,))) for x in parts):
-            mass, inertia = (x.double() for x in parts)
-            faults = bodies(("payload",), mass.unsqueeze(-1), matrices(inertia).unsqueeze(-3))
-            if faults:
-                raise ArgumentError(
-                    f"Payload must be physically consistent, inertia in the order xx xy yy xz yz zz: {faults[0]}"
-                )
+        require_body("Payload", tensor_of(whole.mass), matrices(tensor_of(whole.inertia)))
         return whole
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:

@@ -15,8 +15,9 @@ from torch.compiler import is_compiling
 from torchdq.backends.call import Tensors, common_batch, evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded, remembered
-from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, REAL, Check, OneOf, names_of, require, require_tensor
+from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, REAL, Check, OneOf, names_of, require, require_tensor, tensor_in
 from torchdq.base.progress import FIRST, warn_once
+from torchdq.dq.components import unit
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, recordings
 from torchdq.functions.distances import GROUND, pairs
@@ -161,11 +162,15 @@ def of_pairs(
     tensors = [(f"{key} of {x.name}", y.to(q), x.SHAPES[key], True) for x in bodies for key, y in x.tensors().items()]
     if tensors:
         batch = common_batch(tensors, "")
-        rows = [y.expand(*batch, *axes).reshape(*batch, math.prod(axes)) for _, y, axes, _ in tensors]
+        rows = [y.expand((*batch, *axes)).reshape((*batch, math.prod(axes))) for _, y, axes, _ in tensors]
         given = {**given, "sizes": torch.cat(rows, -1)}
     if ground:
         given = {**given, "height": gain("height", given["height"], q, REAL)}
-    return function_of(name, robot, given, backend, options)[0], names
+    (found,) = function_of(name, robot, given, backend, options)
+    for key in ("X_WB", "X_WO", "normal"):  # whose shapes are right by now
+        if given.get(key) is not None:
+            unit(key, tensor_in(given[key]))
+    return found, names
 
 
 def of_one_frame(

@@ -370,8 +370,9 @@ def compile(
     what = Function(constants(robot), function, options_of(robot, function, options))
     what.require_base()
     parameters = {name: getattr(robot, name) for name in tensors_of(robot)}
-    present = RECIPES[function].present(function, arguments)
-    taken = [Argument(field.name, math.prod(what.axes(field.name))) for field in present]
+    present = [(field, math.prod(what.axes(field.name))) for field in RECIPES[function].present(function, arguments)]
+    # numbers of objects that there are none of are no arguments
+    taken = [Argument(x.name, width) for x, width in present if width or arguments is not None or not x.optional]
     taken += [Argument(name, math.prod(what.axes(name)), x.ndim == len(SHAPES[name])) for name, x in parameters.items()]
     recorded = what.program(tuple(taken))
     found = _ready(recorded, dtype_of("dtype", dtype), what.results(recorded))

@@ -59,8 +59,13 @@ class Parametric:
         cls.PARAMETERS = {name: field for name, field in whole.items() if field.kind == "parameter"}
         cls.OPTIONS = {name: field for name, field in whole.items() if field.kind == "option"}
         cls.DESCRIBED = {name: field.described for name, field in cls.PARAMETERS.items() if field.described}
-        if not isinstance(cls.SHAPES, property):  # which depends on the axes of a frame
+        if not isinstance(cls.SHAPES, property):  # which depends on what is given
             cls.SHAPES = {name: field.axes for name, field in cls.PARAMETERS.items()}
+
+    def present(self) -> Shapes:
+        """Trailing axes of each parameter that is not absent: `SHAPES` of a class that may be without one."""
+        absent = {name for name, x in self.PARAMETERS.items() if x.optional and _absent(getattr(self, name))}
+        return {name: x.axes for name, x in self.PARAMETERS.items() if name not in absent}
 
     def missing(self) -> dict[str, str]:
         """Parameters that are None, with the attributes of the robot that replace them."""
@@ -105,7 +110,8 @@ class Parametric:
         shape = trailing(axes, robot.sizes)
         size = math.prod(shape)
         if value is None:
-            raise ArgumentError(f"{what} must be given: the description of robot {robot.name!r} has none")
+            reason = f": the description of robot {robot.name!r} has none" if name in self.DESCRIBED else ", found None"
+            raise ArgumentError(f"{what} must be given{reason}")
         single = value.ndim == 0 if isinstance(value, Tensor) else is_number(value) and value != 0
         per_joint = any(isinstance(axis, str) for axis in axes)
         if single and axes and not per_joint:  # one number for all joints is meaningful, one for all components is not
@@ -127,7 +133,10 @@ class Parametric:
         if not all(map(is_number, given)):  # float() would accept strings and booleans, and detach tensors
             raise ArgumentError(f"{what} must be a number, {size} numbers or a tensor, found {value!r}")
         if len(given) != size:
-            raise ArgumentError(f"{what} must be one number or {size}, found {len(given)}")
+            expected = (
+                f"be one number or {size}" if per_joint else f"have {size} components" if axes else "be one number"
+            )
+            raise ArgumentError(f"{what} must {expected}, found {len(given)}")
         for x in given:
             require(what, float(x), check)
         return tuple(map(float, given)) if shape else float(given[0])
@@ -152,6 +161,10 @@ class Parametric:
     def bound(self, rows: Mapping[str, Row]) -> Self:
         """Copy with rows of recorded numbers instead of its tensors."""
         return replace(self, **{name: tuple(row) if self.SHAPES[name] else row[0] for name, row in rows.items()})
+
+
+def _absent(x: Any) -> bool:
+    return x is None or x is False
 
 
 def undefined(part: Any, method: str) -> NotImplementedError:

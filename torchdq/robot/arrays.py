@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.base.checks import tensor_in
+from torchdq.dq.components import is_unit
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.findings import Finding
 
@@ -82,15 +83,9 @@ def slack(x: Any) -> float:
     return UNIT if "float" not in (dtype := str(getattr(x, "dtype", ""))) or "float64" in dtype else UNIT_SINGLE
 
 
-def unit(x: Tensor, slack: float) -> Tensor:
-    """Mask of unit dual quaternions among dual quaternions [..., 8], whose errors are at most the slack."""
-    r, d = x.double().split(4, -1)
-    return ((r.norm(dim=-1) - 1).abs() <= slack) & ((r * d).sum(-1).abs() <= slack * (1 + d.norm(dim=-1)))
-
-
 def not_unit(name: str, x: Tensor, slack: float, subject: str = "") -> Finding | None:
     """Fault of poses [..., 8] that are not unit dual quaternions; None: there is none."""
-    fits = unit(x, slack)
+    fits = is_unit(x, slack)
     if bool(fits.all()):
         return None
     at, found = first(x, ~fits)

@@ -66,7 +66,7 @@ def resolved_effects(
                 f"integrator must be LinearlyImplicit in a scene with {type(effect).__name__}, found {integrator}: "
                 f"{effect.IMPLICIT}"
             )
-    resolved = tuple(effect.among(objects).resolved(robot) for effect in effects)
+    resolved = tuple(effect.among(robot, objects).resolved(robot) for effect in effects)
     for given, effect in zip(effects, resolved, strict=True):
         _warn_if_idle(given, effect, robot)
         for name in effect.inputs(robot.n):

@@ -32,7 +32,19 @@ from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
 from torchdq.scene.free_base import POSE, TWIST, displacements, rates_of
 from torchdq.scene.integrators import DormandPrince, Integrator
-from torchdq.scene.spec import POLICY, POSES, Formula, Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
+from torchdq.scene.spec import (
+    LABELS,
+    POLICY,
+    POSES,
+    Formula,
+    Memory,
+    RecordedScene,
+    Rows,
+    SceneSpec,
+    Task,
+    View,
+    recorded,
+)
 
 # of adaptive steps, see `DormandPrince.attempt`; names that no input has
 TAKEN, CLOCK, GOAL = "size of a step", "clock of a step", "goal of a step"
@@ -257,8 +269,8 @@ class Stage(_StageFields, Computation):
         return "." in name or name in ("h", GOAL)
 
     def label(self, name: str) -> str:
-        """Name without its owner."""
-        return name.rpartition(".")[2]
+        """Name of a parameter without its owner, and of a row of objects as it is given."""
+        return LABELS.get(name, name.rpartition(".")[2])
 
     def subject(self) -> str:
         """Robot that shapes are for, in error messages."""

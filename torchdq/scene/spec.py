@@ -38,6 +38,7 @@ E = TypeVar("E", bound=Effect)
 
 ORDER = ("poses", "X_WB", "q", "twists", "V_WB_B", "qd", "memory", "reading")  # of the rows of a state, linearized
 GROUND = "ground"  # what contacts without an object touch
+LABELS = {"poses": "X_WO", "twists": "V_WO"}  # arguments that rows of a state are
 POSES = ("poses", "X_WB")  # which are displaced by twists
 # owners of tensors; an effect owns its tensors by its position, and the objects begin with -4, downwards
 OBJECTS, POLICY, ROBOT, CONTROLLER = -4, -3, -2, -1
@@ -349,11 +350,12 @@ def recorded(
     def bound(owner: int, part: Any) -> Any:
         return part.bound({name: row for (of, name), row in tensors.items() if of == owner})
 
+    objects = tuple(bound(OBJECTS - k, body) for k, body in enumerate(spec.objects))
     spec = replace(
         spec,
-        effects=tuple(bound(i, effect) for i, effect in enumerate(spec.effects)),
+        effects=tuple(bound(i, effect).of_objects(objects) for i, effect in enumerate(spec.effects)),
         controller=None if spec.controller is None else bound(CONTROLLER, spec.controller),
-        objects=tuple(bound(OBJECTS - k, body) for k, body in enumerate(spec.objects)),
+        objects=objects,
     )
     for i, effect in sorted(spec.of(ModelEffect), key=lambda found: found[1].LATE):
         changed = changes(effect, effect.changed(spec.robot, overrides), spec.robot)

@@ -12,16 +12,15 @@ from torch import Tensor, dtype
 
 from torchdq.backends.call import batch_of
 from torchdq.base.checks import require_tensor, tensor_in, tensor_of
+from torchdq.dq.components import unit
 from torchdq.effects.effect import Effect
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
-from torchdq.robot.arrays import unit
 from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.recording import Stage
-from torchdq.scene.spec import POSES, SceneSpec
+from torchdq.scene.spec import LABELS, POSES, SceneSpec
 
-UNIT = 1e-4  # error of a pose that is taken for a unit dual quaternion: finite differences stay below
 OUTSIDE = 0.5  # distance beyond a limit from which its spring throws the joint back at speeds of no real arm [rad or m]
 
 
@@ -103,14 +102,8 @@ def initial_motion(spec: SceneSpec, given: Mapping[str, Tensor | None]) -> dict[
 
 
 def require_unit(name: str, poses: Tensor) -> None:
-    """Raise unless poses [..., 8 bodies], except those with NaN, are unit dual quaternions up to their rounding."""
-    if without_values((poses,)) or not poses.numel():
-        return
-    X = poses.detach().unflatten(-1, (-1, POSE))
-    wrong = ~(unit(X, UNIT) | X.isnan().any(-1))
-    if bool(wrong.any()):
-        found, shown = X[tuple(wrong.nonzero()[0].tolist())].tolist(), "X_WO" if name == "poses" else name
-        raise ArgumentError(f"{shown} must be unit dual quaternions (see torchdq.dq.normalize), found {found}")
+    """Raise unless poses [..., 8 bodies], those with NaN apart, are unit dual quaternions."""
+    unit(LABELS.get(name, name), poses.unflatten(-1, (-1, POSE)))
 
 
 def nonfinite_rows(state: State, robot: Robot) -> str:
@@ -121,7 +114,7 @@ def nonfinite_rows(state: State, robot: Robot) -> str:
     row = tuple(bad.nonzero()[0].tolist())
     rows = {name: x for name, x in state.rows().items() if not bool(x[row].isfinite().all())}
     name = next(iter(rows))
-    found = f"{'the memory of the effects' if name == 'memory' else name} is not finite"
+    found = f"{'the memory of the effects' if name == 'memory' else LABELS.get(name, name)} is not finite"
     for name, x in (("qd", state.qd), ("q", state.q)):
         wrong = ~x[row].isfinite()
         if bool(wrong.any()):

@@ -15,8 +15,9 @@ from torchdq.dynamics import crba
 from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.tree import Tree
-from torchdq.errors import UnphysicalError
+from torchdq.errors import ArgumentError, UnphysicalError
 from torchdq.findings import Finding, Severity
+from torchdq.program.transforms import without_values
 
 OnUnphysical = Literal["error", "warn", "repair", "ignore"]
 TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about six digits
@@ -73,6 +74,17 @@ def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[Finding]
                 faults.append(Finding(code, subject, EXPECTED[code], found, severity=severity))
                 break
     return faults
+
+
+def require_body(what: str, mass: Tensor, inertia: Tensor) -> None:
+    """Raise unless a body of masses [...] [kg] and inertias [..., 3, 3] [kg m^2] can be; one that is learned may pass.
+
+    So may one whose numbers cannot be read.
+    """
+    if any(not x.numel() or x.requires_grad or without_values((x,)) for x in (mass, inertia)):
+        return
+    for fault in bodies((what,), mass.unsqueeze(-1), inertia.unsqueeze(-3)):
+        raise ArgumentError(f"{what} must be physically consistent: {fault.expected}, found {fault.found}")
 
 
 def _listed(moments: Tensor) -> str:
