@@ -205,6 +205,16 @@ def test_hands_learn_and_act_in_mujoco(tmp_path, capsys):
     assert "not learned yet" in capsys.readouterr().out
 
 
+def test_a_hand_learns_to_turn_a_cube(tmp_path, capsys):
+    """A second is enough to learn something; that a policy turns the cube is held by envs/test_turn.py."""
+    main = import_module("34_turn")
+    shares = main.main(main.Args(seconds=1.0, robots=32, runs=2, out=tmp_path))
+    assert set(shares) == {"here", *main.play.CONES}
+    again = main.main(main.Args(policy=tmp_path / "turn.pt", runs=1))
+    assert again["here"] == shares["here"]
+    assert "not learned yet" in capsys.readouterr().out
+
+
 def test_a_film_of_walking_robots(tmp_path):
     module = import_module("25_walk_film")
     path, fell = module.main(module.Args(policy=EXAMPLES / "go2_walk.pt", robots=12, frames=2, out=tmp_path))
