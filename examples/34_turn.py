@@ -61,8 +61,8 @@ class Turn(Manipulation):
 
     Actions are offsets of the targets of all joints from `home`. Observation: positions of the joints from there,
     velocities, position of the cube from its place, its velocities, its yaw, of which quarters look the same, and tilt,
-    and for every finger whether it presses. Reward of a cube that is held, 0.3 times the rate at which it turns less
-    5 times its distance and 0.01 times the speed of the joints; of a lost one -2, and the episode ends.
+    and for every part of the fingers whether it presses. Reward of a cube that is held: 0.3 times the rate at which it
+    turns, less 5 times its distance and 0.01 times the speed of the joints; of a lost one -2, and the episode ends.
     """
 
     TURNED: ClassVar[float] = math.pi / 2
