@@ -42,7 +42,6 @@ CUBE = Box("cube", 0.1, size=(0.04, 0.04, 0.04))
 PERIOD = 0.05  # between actions [s]
 STEP = 0.1  # full action of a joint of the arm [rad or m]
 ROTOR = 0.01  # rotor inertia where the description has none [kg m^2 or kg]
-STIFF, DAMPED = 1000.0, 100.0  # gains of the servos [N m/rad and N m s/rad, or N/m and N s/m]
 CONTACT = 1e5  # stiffness of contacts over the mass of the object [1/s^2]
 PADS, TABLE = 1.0, 0.5  # friction of the fingers, and of the table
 AROUND, SPREAD = 0.02, 0.1  # largest deviations of a start: of joints [rad], of the object along x and y [m]
@@ -73,6 +72,7 @@ class Manipulation(EpisodeTask):
     ROBOT: ClassVar[str] = "panda_hand"
     TURNED: ClassVar[float] = 0.0  # largest turn of the object at a start [rad]
     OPEN: ClassVar[float] = 1.0  # opening at a start, as a share of the largest
+    GAINS: ClassVar[tuple[float, float]] = (1000.0, 100.0)  # of the servos [N m/rad, N m s/rad, or N/m, N s/m]
 
     object: Object = CUBE
     home: tuple[float, ...] = PANDA
@@ -95,10 +95,10 @@ class Manipulation(EpisodeTask):
                 effects.Gravity(),
                 effects.RotorInertia(ROTOR if robot.armature is None else None),
                 effects.Viscous(),
-                effects.Servo(STIFF, DAMPED, limit=limit),
+                effects.Servo(*self.GAINS, limit=limit),
                 effects.Contact(self.pads, on=name, friction=PADS, stiffness=k),
                 effects.Contact((name,), friction=TABLE, stiffness=k),
-                effects.Contact(self._lowest(robot), friction=TABLE, stiffness=k),
+                effects.Contact(self.lowest(robot), friction=TABLE, stiffness=k),
             ),
             "scale": [0.5 * self._open(robot) if one else STEP for one in grip],
             "dt": PERIOD,
@@ -124,7 +124,7 @@ class Manipulation(EpisodeTask):
         """Joint positions at a start."""
         return home_of(self, robot, "with the gripper open and above the table")
 
-    def _lowest(self, robot: Robot) -> tuple[ContactPoint, ...]:
+    def lowest(self, robot: Robot) -> tuple[ContactPoint, ...]:
         """Lowest points of the pads at a start, those that can touch the table."""
         at, heights = posed(robot, self._home(robot), {}, ()), {}
         for point in points_of(robot, self.pads):
@@ -140,7 +140,7 @@ class Manipulation(EpisodeTask):
         point: Point = at.point(link, X_BF)
         return at.position(link, point.position), [at.to_world(link, e) for e in point.axes]
 
-    def _rest(self) -> float:
+    def rest(self) -> float:
         """Height of the object on the table [m]."""
         return max(r - float(p[2]) for p, r in self.object.points())
 
@@ -159,12 +159,12 @@ class Manipulation(EpisodeTask):
         n, home, grip = robot.n, self._home(robot), self._fingers(robot)
         around = [0.0 if i in grip else AROUND * (2.0 * x - 1.0) for i, x in enumerate(u[:n])]
         q = [self.OPEN * 0.98 * h if i in grip else h + x for i, (h, x) in enumerate(zip(home, around, strict=True))]
-        x, y, half = *self._place(robot, u[n : n + 2]), 0.5 * self.TURNED * (2.0 * u[n + 2] - 1.0)
+        x, y, half = *self.place(robot, u[n : n + 2]), 0.5 * self.TURNED * (2.0 * u[n + 2] - 1.0)
         turn = (half.cos(), 0.0, 0.0, half.sin()) if self.TURNED else quat.ONE
-        X_WO = dq.from_pose(turn, (x, y, 1.1 * self._rest()))
+        X_WO = dq.from_pose(turn, (x, y, 1.1 * self.rest()))
         return {"q": q, "qd": [0.0] * n, "poses": [*X_WO[0], *X_WO[1]], "goal": self.goal(robot, (x, y), u[n + 3 :])}
 
-    def _place(self, robot: Robot, u: Row) -> tuple[Number, Number]:
+    def place(self, robot: Robot, u: Row) -> tuple[Number, Number]:
         """Place of the object."""
         (x, y, _), _ = self._tip(robot, posed(robot, self._home(robot), {}, ()))
         return x + SPREAD * (2.0 * u[0] - 1.0), y + SPREAD * (2.0 * u[1] - 1.0)
@@ -175,9 +175,9 @@ class Manipulation(EpisodeTask):
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
         """Bounds of the observation."""
-        return [(-WIDEST, WIDEST)] * (2 * robot.n + 28 + len(self._parts(robot)))
+        return [(-WIDEST, WIDEST)] * (2 * robot.n + 28 + len(self.parts(robot)))
 
-    def _parts(self, robot: Robot) -> list[str]:
+    def parts(self, robot: Robot) -> list[str]:
         """Frames of the points that touch the object."""
         return [*dict.fromkeys(point.frame for point in points_of(robot, self.pads))]
 
@@ -230,7 +230,7 @@ class Manipulation(EpisodeTask):
         Its arguments are q and qd [N, n], X_WO [N, 8] and V_WO [N, 6] of the object, `fingers`, 1 for those that press
         on it and otherwise 0, and goals [N, 3].
         """
-        widths = {"q": robot.n, "qd": robot.n, "X_WO": 8, "V_WO": 6, "fingers": len(self._parts(robot)), "goal": 3}
+        widths = {"q": robot.n, "qd": robot.n, "X_WO": 8, "V_WO": 6, "fingers": len(self.parts(robot)), "goal": 3}
 
         def rows(q: Row, qd: Row, X: Row, V: Row, fingers: Row, goal: Row) -> Rows:
             X_WO, there = (tuple(X[:4]), tuple(X[4:])), tuple(goal)
@@ -276,16 +276,16 @@ class Push(Manipulation):
 
     def goal(self, robot: Robot, at: tuple[Number, Number], u: Row) -> list[Number]:
         """A place ahead of the object."""
-        return [at[0] + 0.2, at[1], self._rest()]
+        return [at[0] + 0.2, at[1], self.rest()]
 
-    def _place(self, robot: Robot, u: Row) -> tuple[Number, Number]:
+    def place(self, robot: Robot, u: Row) -> tuple[Number, Number]:
         """Place of the object, ahead of the tip."""
-        x, y = super()._place(robot, u)
+        x, y = super().place(robot, u)
         return x + 0.1, y
 
     def earned(self, tip: Pure, p: Pure, goal: Pure, grasped: Number, still: Number) -> tuple[Number, Number]:
         """Reward for being behind the object, and for its place."""
-        rest = self._rest()
+        rest = self.rest()
         behind = _length(quat.sub(tip, quat.sub(p, (rest + 0.015, 0.0, 0.0))))
         x, y, _ = quat.sub(p, goal)
         away = _length((x, y, 0.0))
@@ -302,11 +302,11 @@ class Lift(Manipulation):
 
     def goal(self, robot: Robot, at: tuple[Number, Number], u: Row) -> list[Number]:
         """A place above the object."""
-        return [*at, self._rest() + 0.1]
+        return [*at, self.rest() + 0.1]
 
     def achieved(self, p: Pure, goal: Pure) -> Number:
         """1 where an object in a grasp is where it should be."""
-        return at_least(p[2], self._rest() + 0.04)
+        return at_least(p[2], self.rest() + 0.04)
 
     def earned(self, tip: Pure, p: Pure, goal: Pure, grasped: Number, still: Number) -> tuple[Number, Number]:
         """Reward for reaching, grasping, carrying, and holding still."""
@@ -322,7 +322,7 @@ class Pick(Lift):
 
     def goal(self, robot: Robot, at: tuple[Number, Number], u: Row) -> list[Number]:
         """A point around the place where objects start, 0.04 to 0.3 m high."""
-        x, y = self._place(robot, u[:2])
+        x, y = self.place(robot, u[:2])
         return [x, y, 0.04 + 0.26 * u[2]]
 
     def achieved(self, p: Pure, goal: Pure) -> Number:

@@ -36,13 +36,21 @@ STEPS, TESTED, SHARE, ROW = 50, 256, 0.98, 3  # of an episode; robots, share and
 
 
 @dataclass
-class Args:
-    task: Annotated[Literal["push", "lift", "pick"], tyro.conf.Positional] = "pick"
-    """Task to learn."""
+class Learning:
     seconds: float = 120.0
     """Processor time to learn in, at most."""
     seed: int = 0
     """Seed of policy and robots."""
+    robots: int = 1024
+    """Number of robots, a multiple of 32."""
+    out: Path = Path("out")
+    """Folder of the policy."""
+
+
+@dataclass
+class Args(Learning):
+    task: Annotated[Literal["push", "lift", "pick"], tyro.conf.Positional] = "pick"
+    """Task to learn."""
     robot: str = "panda_hand"
     """Name of a shipped robot with a gripper, or a URDF or MJCF file of one."""
     tip: str | None = None
@@ -59,10 +67,6 @@ class Args:
     """Mass of the object [kg]."""
     home: tuple[float, ...] = ()
     """Positions of the joints at a start, the tip above the table and pointing down [rad or m]."""
-    robots: int = 1024
-    """Number of robots, a multiple of 32."""
-    out: Path = Path("out")
-    """Folder of the policy."""
 
     def load(self) -> Robot:
         """The robot."""
@@ -100,11 +104,12 @@ class Test:
     def __call__(self, policy: nn.Module) -> tuple[float, float]:
         """Share that succeeds at the end of an episode, and mean distance from the goal [m]."""
         self.envs.reset(seed=1_000_000_000)
-        info = self.envs.rollout(policy, STEPS).info
-        return float(info["success"][-1].mean()), float(info["distance"][-1].mean())
+        found = self.envs.rollout(policy, STEPS)
+        success = found.info["success"][-1] * ~found.terminated.any(0)
+        return float(success.mean()), float(found.info["distance"][-1].mean())
 
 
-def learn(task: Manipulation, robot: Robot, args: Args) -> tuple[nn.Module, float | None]:
+def learn(task: Manipulation, robot: Robot, args: Learning) -> tuple[nn.Module, float | None]:
     """Policy, and processor time after which it had learned the task [s]; None: it has not."""
     envs = RobotVectorEnv(args.robots, task, robot, max_episode_steps=STEPS)
     learner, test = ppo.PPO(envs, args.seed, SETTINGS), Test(task, robot)

@@ -22,6 +22,7 @@ from torchdq import Robot, dq, effects
 from torchdq.envs import RobotVectorEnv
 from torchdq.envs.manipulation import PADS, PERIOD, PRESSING, TABLE, Manipulation
 from torchdq.objects import Ball, Box, Object
+from torchdq.robot.contact_points import points_of
 
 hands = import_module("31_hands_ppo")
 STEP = 0.002  # [s]
@@ -86,7 +87,7 @@ class Hand:
     def mjcf(self, joints: tuple[str, ...], cone: str, impratio: float) -> str:
         """The model as text; fingers that move together pull on one tendon, as those of a real gripper."""
         task, robot, names, motors, tendons, ends = self.task, self.robot, self.robot.link_names, "", "", ""
-        points, servo = robot.contact_points(task.pads), effects.Servo(1.0, 1.0)
+        low, points, servo = task.lowest(robot), points_of(robot, task.pads), effects.Servo(1.0, 1.0)
         for effect in task.defaults(robot)["effects"]:
             servo = effect.resolved(robot) if isinstance(effect, effects.Servo) else servo
 
@@ -104,7 +105,8 @@ class Hand:
             for point in points:
                 if robot.frame(point.frame).link == i:
                     (center,) = text(dq.translation(dq.mul(robot.frame(point.frame).X_BF, at(point.center))))
-                    inside += f'<geom size="{point.radius}" pos="{center}" mass="0" contype="1" conaffinity="2" '
+                    kind = 1 if point in low else 4  # others do not touch the plane
+                    inside += f'<geom size="{point.radius}" pos="{center}" mass="0" contype="{kind}" conaffinity="0" '
                     inside += f'friction="{PADS} 0.005 0.0001"/>'
             inside += "".join(body(k) for k, parent in enumerate(robot.parents) if parent == i)
             return f'<body name="{names[i]}" pos="{place}" quat="{turn}">{inside}</body>'
@@ -125,7 +127,7 @@ class Hand:
           <option integrator="implicitfast" timestep="{STEP}" cone="{cone}" impratio="{impratio}"/>
           <worldbody><geom type="plane" size="2 2 0.1" contype="2" conaffinity="3" priority="1" {sliding}/>{roots}
             <body name="object"><freejoint/><geom type="{kind}" size="{size}" mass="{task.object.mass}"
-              contype="2" conaffinity="1" {sliding}/></body></worldbody>
+              contype="2" conaffinity="5" {sliding}/></body></worldbody>
           <tendon>{tendons}</tendon><equality>{ends}</equality><actuator>{motors}</actuator></mujoco>"""
 
     def state(self, data: mujoco.MjData) -> tuple[list[float], ...]:
@@ -147,7 +149,7 @@ class Hand:
     def fingers(self, data: mujoco.MjData) -> list[float]:
         """1 for every finger that presses on the object, otherwise 0."""
         robot, force, cube = self.robot, np.zeros(6), self.model.body("object").id
-        links = [robot.link_names[robot.frame(point.frame).link] for point in robot.contact_points(self.task.pads)]
+        links = [robot.link_names[robot.frame(point.frame).link] for point in points_of(robot, self.task.pads)]
         found = dict.fromkeys(links, 0.0)
         for k in range(data.ncon):
             bodies = [int(self.model.geom_bodyid[geom]) for geom in data.contact[k].geom]
@@ -158,23 +160,27 @@ class Hand:
         return [float(x >= PRESSING) for x in found.values()]
 
     @torch.no_grad()
-    def run(self, policy: nn.Module, q: Tensor, X_WO: Tensor, goal: Tensor) -> Tensor:
-        """Whether episodes end in success, of starts q [N, n], poses of the object [N, 8] and goals [N, 3]."""
+    def run(self, policy: nn.Module, q: Tensor, X_WO: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
+        """Whether episodes end in success [N], and poses of the object [steps + 1, N, 8].
+
+        Starts are q [N, n], poses of the object [N, 8] and goals [N, 3].
+        """
         runs, read = [mujoco.MjData(self.model) for _ in q], self.task.reader(self.robot)
         for data, start, X in zip(runs, q.tolist(), X_WO, strict=True):
             for x, own in zip(start, self.moved, strict=True):
                 data.qpos[self.at[own]] = x
             data.qpos[self.place : self.place + 7] = torch.cat([dq.translation(X), dq.rotation(X)])
             mujoco.mj_forward(self.model, data)
-        success = torch.zeros(len(q), dtype=torch.bool)
+        success, poses = torch.zeros(len(q), dtype=torch.bool), []
         for k in range(hands.STEPS + 1):
             states = [torch.tensor(rows) for rows in zip(*map(self.state, runs), strict=True)]
+            poses.append(states[2])
             observation, success, target = read(*[x.float() for x in (*states, goal)])
             action = policy(observation).clamp(-1, 1).double().numpy()
             for data, x in zip(runs, target.double().numpy() + self.scale * action, strict=True):
                 data.ctrl[:] = [len(own) * y for own, y in zip(self.moved, x, strict=True)]
                 mujoco.mj_step(self.model, data, round(PERIOD / STEP) * (k < hands.STEPS))
-        return success
+        return success, torch.stack(poses)
 
 
 def policy_of(path: Path, envs: RobotVectorEnv) -> nn.Module:
@@ -196,7 +202,7 @@ def main(args: Args) -> dict[str, float]:
     state, goals = envs.state, envs.get_state()["goal"]
     for cone in CONES:
         hand = Hand(task, envs.robot, cone)
-        found = hand.run(policy, *(x[: args.runs] for x in (state.q, state.X_WO[:, 0], goals)))
+        found, _ = hand.run(policy, *(x[: args.runs] for x in (state.q, state.X_WO[:, 0], goals)))
         shares[cone] = float(found.float().mean())
         print(f"{cone}: {shares[cone]:.0%} of {args.runs} succeed in MuJoCo, {shares['here']:.0%} here", flush=True)
     return shares

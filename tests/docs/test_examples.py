@@ -208,6 +208,16 @@ def test_hands_learn_and_act_in_mujoco(tmp_path, capsys):
     assert set(play.main(play.Args(**ball, policy=tmp_path / "lift.pt", runs=2))) == {"here", *play.CONES}
 
 
+def test_a_hand_learns_to_turn_a_cube(tmp_path, capsys):
+    """A second is enough to learn something; that a policy turns the cube is held by envs/test_turn.py."""
+    main = import_module("34_turn")
+    shares = main.main(main.Args(seconds=1.0, robots=32, runs=2, out=tmp_path))
+    assert set(shares) == {"here", *main.play.CONES}
+    again = main.main(main.Args(policy=tmp_path / "turn.pt", runs=1))
+    assert again["here"] == shares["here"]
+    assert "not learned yet" in capsys.readouterr().out
+
+
 def test_a_film_of_walking_robots(tmp_path):
     module = import_module("25_walk_film")
     path, fell = module.main(module.Args(policy=EXAMPLES / "go2_walk.pt", robots=12, frames=2, out=tmp_path))
@@ -218,7 +228,7 @@ def test_a_film_of_walking_robots(tmp_path):
 
 
 def test_a_film_of_arms_that_pick(tmp_path):
-    module = import_module("34_hands_film")
+    module = import_module("36_hands_film")
     path, success = module.main(module.Args(policy=EXAMPLES / "hands_pick.pt", arms=5, frames=2, out=tmp_path))
     with Image.open(path) as film:
         assert film.n_frames == 2 and film.size == (960, 400)

@@ -133,7 +133,7 @@ def test_stored_policies_do_their_task_here_and_in_mujoco(name):
     assert test(policy)[0] >= LEARNED
     test.envs.reset(seed=3_000_000_000)
     state, goals, hand = test.envs.state, test.envs.get_state()["goal"], play.Hand(TASKS[name], robot())
-    found = hand.run(policy, state.q[:16], state.X_WO[:16, 0], goals[:16])
+    found, _ = hand.run(policy, state.q[:16], state.X_WO[:16, 0], goals[:16])
     assert float(found.double().mean()) >= 0.85
 
 

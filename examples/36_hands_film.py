@@ -1,6 +1,6 @@
 """Arms that pick a cube each as a film: the policy of `31_hands_ppo.py`, from a start of its own for every arm.
 
-    python examples/34_hands_film.py [out/pick.pt]
+    python examples/36_hands_film.py [out/pick.pt]
 
 All arms are rows of one environment. Each brings its cube, of a mass, a size and a friction of its own, to the red dot.
 """
