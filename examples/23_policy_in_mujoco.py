@@ -133,14 +133,19 @@ class Player:
         self.at, self.moving = [int(x.qposadr[0]) for x in joints], [int(x.dofadr[0]) for x in joints]
         self.stand, self.lowest = np.array(task.joints(robot)), task.lowest
         self.height = float(task.height(robot, task.joints(robot)))
-        data = mujoco.MjData(model)
-        data.qpos[3], data.qpos[self.at] = 1.0, self.stand
-        described = floating.mass_matrix(robot, torch.eye(8)[0].double(), torch.tensor(self.stand)).M
-        require_the_same(model, data, np.eye(model.nv)[:, [3, 4, 5, 0, 1, 2, *self.moving]], described)
+        self.require_the_same(robot)
         self.kp, self.limit = servo.kp, np.array(servo.limit)
         model.dof_damping[self.moving] = servo.kd
         rotors = parts[effects.RotorInertia].inertia
         model.dof_armature[self.moving] = robot.armature if rotors is None else rotors
+
+    def require_the_same(self, robot: Robot) -> None:
+        """Raise unless MuJoCo has the mass matrix of the robot."""
+        data = mujoco.MjData(self.model)
+        data.qpos[3], data.qpos[self.at] = 1.0, self.stand
+        S = np.eye(self.model.nv)[:, [3, 4, 5, 0, 1, 2, *self.moving]]
+        expected = floating.mass_matrix(robot, torch.eye(8)[0].double(), torch.tensor(self.stand)).M
+        require_the_same(self.model, data, S, expected)
 
     def run(self, policy: nn.Module, command: tuple[float, float, float], seed: int = 0, seconds: float = 10.0) -> Run:
         """Run of a policy from a start near the stand."""

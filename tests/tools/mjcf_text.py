@@ -153,7 +153,9 @@ PANDA_PADS = """
 0.003 0.002 0.0035 | 0.0055 0.002 0.0395
 0.003 0.002 0.0035 | -0.0055 0.002 0.0395
 """  # half edges | at
-PAD = "".join('<geom type="box" size="{}" pos="{}"/>'.format(*row.split("|")) for row in PANDA_PADS.strip().splitlines())
+PAD = "".join(
+    '<geom type="box" size="{}" pos="{}"/>'.format(*row.split("|")) for row in PANDA_PADS.strip().splitlines()
+)
 FINGER = """<body name="{}_finger" pos="0 0 0.0584" quat="{}">
 <joint name="finger_joint{}" type="slide" axis="0 1 0" armature="0.1"/>
 <inertial mass="0.015" pos="0 0 0" diaginertia="2.375e-6 2.375e-6 7.5e-7"/>{}</body>"""
