@@ -179,7 +179,28 @@ def accuracy() -> None:
         print(f"{1e3 * dt:.0f} ms: a ball rolls at {speed:.7f} of its speed (5/7), a box slides {share:.4f} of its way")
 
 
-PARTS = {"price": price, "operations": operations, "accuracy": accuracy}
+def slip() -> None:
+    """Speed at which a held cube of 40 mm slides down through the fingers, in MuJoCo."""
+    play = import_module("32_hands_in_mujoco")
+    for cone in play.CONES:
+        hand = play.Hand(Lift(), robot(), cone)
+        for over, opening in ((0.0, 0.0), (0.0, -0.03), (0.01, 0.0)):  # tip over the cube's middle, and target [m]
+            data, heights = mujoco.MjData(hand.model), []
+            q = above(0.2 + over)[:7].tolist()
+            data.qpos[hand.at] = [*q, 0.0199, 0.0199]
+            data.qpos[hand.place : hand.place + 7] = [0.5, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0]
+            data.ctrl[:] = [*q, 2 * opening]
+            for _ in range(2):
+                mujoco.mj_step(hand.model, data, 250)
+                heights.append(data.qpos[hand.place + 2] - data.xpos[hand.pads[0], 2])
+            found = 1e3 * (heights[0] - heights[1]) / (250 * play.STEP)
+            print(
+                f"{cone:9s} {1e3 * over:2.0f} mm below the tip, {data.ncon} contacts, each finger presses by "
+                f"{-data.actuator_force[7]:4.1f} N: {found:5.2f} mm/s"
+            )
+
+
+PARTS = {"price": price, "operations": operations, "accuracy": accuracy, "slip": slip}
 
 
 def main() -> None:

@@ -29,8 +29,18 @@ from torchdq.envs.walk import Walk
 
 ppo = import_module("21_walk_ppo")
 UNIT = ppo.UNIT  # output of the policy as an action
-HORIZON, GAMMA, LAMBDA, FALL = 16, 0.99, 0.95, -0.2  # steps, discounts, and reward of a fall
+LAMBDA, FALL = 0.95, -0.2  # decay of later returns, and reward of a fall
 STD, STEP, SUBSTEPS = 0.74, 0.005, 4  # first standard deviation, and step of the scene [s] and their number
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Numbers of SHAC that are of a task."""
+
+    horizon: int = 16  # steps that a return is differentiated through
+    gamma: float = 0.99
+    unit: float = UNIT
+    episode: int = 500  # steps
 
 
 @dataclass
@@ -117,36 +127,43 @@ class Walkers:
         return SUBSTEPS * STEP * reward, (down[:, 2] > -0.6) | (z < self.task.lowest * self.height) | ~torch.isfinite(z)
 
 
-def improve(walkers: Walkers, policy: nn.Module, slow: nn.Module, optimizer: torch.optim.Optimizer) -> list[Tensor]:
+def improve(
+    walkers: Any, policy: nn.Module, slow: nn.Module, optimizer: torch.optim.Optimizer, settings: Settings = Settings()
+) -> list[Tensor]:
     """Step up the gradient of the return; what was observed, earned and expected after it, and where episodes ended."""
     walkers.cut()
+    horizon, gamma = settings.horizon, settings.gamma
     total, discount, seen = 0.0, torch.ones(len(walkers.goal)), []
-    for k in range(HORIZON):
+    for k in range(horizon):
         observation = walkers.observation()
         mean = policy(observation)
-        reward, fell = walkers.step(UNIT * (mean + policy.log_std.exp() * torch.randn_like(mean)))
+        reward, fell = walkers.step(settings.unit * (mean + policy.log_std.exp() * torch.randn_like(mean)))
         reward = torch.where(fell, FALL, reward)
-        value, late = slow.value(walkers.observation()), walkers.steps >= 500
+        value, late = slow.value(walkers.observation()), walkers.steps >= settings.episode
         done = fell | late
-        ahead = torch.where(fell | ~(late | (k == HORIZON - 1)), 0.0, GAMMA * value)
+        ahead = torch.where(fell | ~(late | (k == horizon - 1)), 0.0, gamma * value)
         total = total + discount * (reward + ahead)
         seen.append([observation.detach(), reward.detach(), torch.where(fell, 0.0, value.detach()), done.float()])
-        discount = torch.where(done, 1.0, GAMMA * discount)
+        discount = torch.where(done, 1.0, gamma * discount)
         walkers.reset(done)
     optimizer.zero_grad()
-    (-total.mean() / HORIZON).backward()
+    (-total.mean() / horizon).backward()
     trained = [x for group in optimizer.param_groups for x in group["params"]]
     if torch.isfinite(nn.utils.clip_grad_norm_(trained, 1.0)):
         optimizer.step()
     return [torch.stack(x) for x in zip(*seen, strict=True)]
 
 
-def fit(critic: nn.Module, optimizer: torch.optim.Optimizer, seen: list[Tensor]) -> None:
+def fit(
+    critic: nn.Module, optimizer: torch.optim.Optimizer, seen: list[Tensor], settings: Settings = Settings()
+) -> None:
     """Bring values closer to the returns."""
     observation, reward, value, done = seen
     returns, after = [], value[-1]
-    for k in reversed(range(HORIZON)):
-        after = reward[k] + GAMMA * torch.where(done[k] > 0, value[k], (1 - LAMBDA) * value[k] + LAMBDA * after)
+    for k in reversed(range(settings.horizon)):
+        after = reward[k] + settings.gamma * torch.where(
+            done[k] > 0, value[k], (1 - LAMBDA) * value[k] + LAMBDA * after
+        )
         returns.append(after)
     inputs, targets = observation.flatten(0, 1), torch.stack(returns[::-1]).flatten()
     for _ in range(2):
@@ -179,7 +196,7 @@ def main(args: Args) -> float | None:
                 old.lerp_(new, 0.6)
         k, spent = k + 1, time.process_time() - begin
         if k % 20 == 0:
-            samples, fell = k * HORIZON * args.robots / 1e6, float((seen[1] == FALL).float().mean())
+            samples, fell = k * Settings.horizon * args.robots / 1e6, float((seen[1] == FALL).float().mean())
             print(
                 f"{spent:5.1f} s  {samples:.2f} million samples  reward {seen[1].mean():.4f}  fell {fell:.4f}",
                 flush=True,

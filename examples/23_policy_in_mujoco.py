@@ -19,7 +19,7 @@ import numpy as np
 import torch
 import tyro
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 
 from torchdq import Robot, effects, floating
 from torchdq.envs.walk import Walk
@@ -37,19 +37,19 @@ class Run(NamedTuple):
     velocity: NDArray
 
 
-def read(walker: ppo.Walker, robot: Robot) -> mujoco.MjSpec:
-    """Description of a robot whose other joints are locked, of its file.
+def read(file: str, robot: Robot) -> mujoco.MjSpec:
+    """Description of a robot whose other joints are locked, of its file or of "go2".
 
     Of an MJCF file without actuators. Of a URDF file without meshes, and links on fixed joints are added to those that
     carry them, as readers of URDF do. Left alone, MuJoCo gives a link without `<inertial>` the mass of its geoms, and
     refuses one whose inertia no rigid body can have, such as a placeholder, although the sum is sound.
     """
-    if walker.robot.endswith(".xml"):
-        spec = mujoco.MjSpec.from_file(walker.robot)
+    if file.endswith(".xml"):
+        spec = mujoco.MjSpec.from_file(file)
         for part in (*spec.sensors, *spec.keys, *spec.actuators, *locked(spec, robot)):
             spec.delete(part)
         return spec
-    urdf = go2.urdf() if walker.robot == "go2" else Path(walker.robot).read_text()
+    urdf = go2.urdf() if file == "go2" else Path(file).read_text()
     compiler = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="true"/></mujoco></robot>'
     spec = mujoco.MjSpec.from_string(urdf.replace("</robot>", compiler))
     meshes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
@@ -74,7 +74,8 @@ def read(walker: ppo.Walker, robot: Robot) -> mujoco.MjSpec:
 
 def locked(spec: mujoco.MjSpec, robot: Robot) -> list[mujoco.MjsJoint]:
     """Joints that the robot does not have."""
-    known = (*robot.joint_names, *(joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE))
+    own = robot.joint_names if robot.joint_map is None else robot.joint_map.joint_names
+    known = (*own, *(joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE))
     return [joint for joint in spec.joints if joint.name not in known]
 
 
@@ -93,6 +94,16 @@ def inertia(body: mujoco.MjsBody, p: NDArray, R: NDArray, center: NDArray) -> ND
     return own + body.mass * (d @ d * np.eye(3) - np.outer(d, d))
 
 
+def require_the_same(model: mujoco.MjModel, data: mujoco.MjData, S: NDArray, expected: Tensor) -> None:
+    """Raise unless the mass matrix of velocities S v is expected: masses, centres of mass and inertias are the same."""
+    M = np.empty((model.nv, model.nv))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, M)
+    error = np.abs(S.T @ M @ S - expected.numpy()).max() / expected.abs().max()
+    if error > 1e-6:
+        raise ValueError(f"MuJoCo reads another robot: its mass matrix differs by {error:.2g} of the largest entry")
+
+
 class Player:
     """A robot with feet in MuJoCo, on a plane, which only the feet touch.
 
@@ -107,7 +118,7 @@ class Player:
         task = task.described(robot)
         chosen = task.defaults(robot)
         parts, self.full = {type(effect): effect for effect in chosen["effects"]}, chosen["scale"]
-        spec = read(walker, robot)
+        spec = read(walker.robot, robot)
         if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.worldbody.first_body().joints):
             spec.worldbody.first_body().add_freejoint()
         feet = {point.frame for point in task.feet}
@@ -129,16 +140,12 @@ class Player:
         model.dof_armature[self.moving] = robot.armature if rotors is None else rotors
 
     def require_the_same(self, robot: Robot) -> None:
-        """Raise unless MuJoCo has the mass matrix of the robot, and so its masses, centres of mass and inertias."""
-        model, data = self.model, mujoco.MjData(self.model)
+        """Raise unless MuJoCo has the mass matrix of the robot."""
+        data = mujoco.MjData(self.model)
         data.qpos[3], data.qpos[self.at] = 1.0, self.stand
-        mujoco.mj_forward(model, data)
-        found, order = np.empty((model.nv, model.nv)), [3, 4, 5, 0, 1, 2, *self.moving]
-        mujoco.mj_fullM(model, data, found)
-        expected = floating.mass_matrix(robot, torch.eye(8)[0].double(), torch.tensor(self.stand)).M.numpy()
-        error = np.abs(found[np.ix_(order, order)] - expected).max() / expected.max()
-        if error > 1e-6:
-            raise ValueError(f"MuJoCo reads another robot: its mass matrix differs by {error:.2g} of the largest entry")
+        S = np.eye(self.model.nv)[:, [3, 4, 5, 0, 1, 2, *self.moving]]
+        expected = floating.mass_matrix(robot, torch.eye(8)[0].double(), torch.tensor(self.stand)).M
+        require_the_same(self.model, data, S, expected)
 
     def run(self, policy: nn.Module, command: tuple[float, float, float], seed: int = 0, seconds: float = 10.0) -> Run:
         """Run of a policy from a start near the stand."""

@@ -218,6 +218,25 @@ def test_a_hand_learns_to_turn_a_cube(tmp_path, capsys):
     assert "not learned yet" in capsys.readouterr().out
 
 
+def test_hands_learn_from_gradients(tmp_path, capsys):
+    """Gradients reach the policy through the grasp and change it; a second is too short to learn more."""
+    module = import_module("35_hands_shac")
+    policy, best = module.main(module.Args(task="lift", seconds=1.0, robots=32, out=tmp_path))
+    assert best < 0.5 and "succeed" in capsys.readouterr().out
+    new = import_module("21_walk_ppo").network(46, 8, 0.1, torch.nn.ELU())
+    new.load_state_dict(torch.load(tmp_path / "lift.pt"))
+    assert all(x.isfinite().all() for x in policy.actor.parameters())
+    assert policy.actor[0].bias.grad.norm() > 0
+
+
+def test_a_long_or_broken_gradient_is_bounded():
+    module = import_module("35_hands_shac")
+    found = module.bounded(torch.tensor([[3.0, 4.0], [float("nan"), 1.0], [1e-5, 0.0]]))
+    torch.testing.assert_close(
+        found, torch.tensor([[0.6, 0.8], [0.0, 0.0], [1e-5 / module.STEEPEST, 0.0]]) * module.STEEPEST
+    )
+
+
 def test_a_film_of_walking_robots(tmp_path):
     module = import_module("25_walk_film")
     path, fell = module.main(module.Args(policy=EXAMPLES / "go2_walk.pt", robots=12, frames=2, out=tmp_path))
@@ -243,7 +262,7 @@ def test_walk_shac(tmp_path):
     before = [x.clone() for x in policy.actor.parameters()]
     optimizer = torch.optim.Adam(policy.actor.parameters(), lr=1e-3)
     observation, reward, value, done = module.improve(walkers, policy, policy, optimizer)
-    assert observation.shape == (module.HORIZON, 8, 48) and reward.shape == value.shape == done.shape
+    assert observation.shape == (module.Settings.horizon, 8, 48) and reward.shape == value.shape == done.shape
     assert reward.isfinite().all() and all(
         (a != b).any() for a, b in zip(before, policy.actor.parameters(), strict=True)
     )

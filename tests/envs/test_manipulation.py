@@ -9,6 +9,7 @@ import pytest
 import torch
 from helpers import exhaustive
 from messages import refused
+from mjcf_text import panda_hand_mjcf
 from places import EXAMPLES
 
 import torchdq
@@ -135,6 +136,29 @@ def test_stored_policies_do_their_task_here_and_in_mujoco(name):
     state, goals, hand = test.envs.state, test.envs.get_state()["goal"], play.Hand(TASKS[name], robot())
     found, _ = hand.run(policy, state.q[:16], state.X_WO[:16, 0], goals[:16])
     assert float(found.double().mean()) >= 0.85
+
+
+@pytest.mark.skipif(build.compiler() is None, reason="thousands of steps need a C compiler")
+def test_a_policy_lifts_with_the_pads_that_a_file_of_the_arm_has(tmp_path):
+    """MuJoCo Menagerie's Panda, whose five boxes on each finger are no spheres."""
+    play, path = import_module("32_hands_in_mujoco"), tmp_path / "panda.xml"
+    path.write_text(panda_hand_mjcf())
+    envs = started("lift")
+    policy, state, goals = play.policy_of(EXAMPLES / "hands_lift.pt", envs), envs.state, envs.get_state()["goal"]
+    hand = play.Hand(TASKS["lift"], robot(), file=path)
+    assert sorted(hand.model.geom_type) == [0] + [6] * 11  # the table, and the object among the boxes
+    found = hand.run(policy, *(x[:16] for x in (state.q, state.X_WO[:, 0], goals)))
+    assert float(found.double().mean()) >= 0.8
+
+
+def test_a_file_of_another_arm_or_without_pads_is_refused(tmp_path):
+    play, path = import_module("32_hands_in_mujoco"), tmp_path / "panda.xml"
+    path.write_text(panda_hand_mjcf().replace('mass="0.73"', 'mass="0.74"'))
+    with pytest.raises(ValueError, match="another robot"):
+        play.Hand(TASKS["lift"], robot(), file=path)
+    path.write_text(panda_hand_mjcf(pad=""))
+    with pytest.raises(ValueError, match="left_finger"):
+        play.Hand(TASKS["lift"], robot(), file=path)
 
 
 # --- arguments -------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import pytest
 import torch
 from helpers import all_in_one
 from messages import refused
+from mjcf_text import panda_hand_mjcf
 from oracles import states as random_states
 from oracles import urdf_paths
 from places import DATA
@@ -123,41 +124,6 @@ def test_go2_is_the_robot_of_its_file():
 
 
 # Panda with its hand: MuJoCo, with the numbers of franka_emika_panda/panda.xml of its Menagerie
-
-
-PANDA_LINKS = """
-0 0 0.333 | 1 0 0 0 | 4.970684 | 0.003875 0.002081 -0.04762
-0 0 0 | 1 -1 0 0 | 0.646926 | -0.003141 -0.02872 0.003495
-0 -0.316 0 | 1 1 0 0 | 3.228604 | 2.7518e-2 3.9252e-2 -6.6502e-2
-0.0825 0 0 | 1 1 0 0 | 3.587895 | -5.317e-2 1.04419e-1 2.7454e-2
--0.0825 0.384 0 | 1 -1 0 0 | 1.225946 | -1.1953e-2 4.1065e-2 -3.8437e-2
-0 0 0 | 1 1 0 0 | 1.666555 | 6.0149e-2 -1.4117e-2 -1.0517e-2
-0.088 0 0 | 1 1 0 0 | 7.35522e-01 | 1.0517e-2 -4.252e-3 6.1597e-2
-"""  # at | turned by | mass | centre
-PANDA_INERTIAS = """
-0.70337 0.70661 0.0091170 -0.00013900 0.0067720 0.019169
-0.0079620 2.8110e-2 2.5995e-2 -3.925e-3 1.0254e-2 7.04e-4
-3.7242e-2 3.6155e-2 1.083e-2 -4.761e-3 -1.1396e-2 -1.2805e-2
-2.5853e-2 1.9552e-2 2.8323e-2 7.796e-3 -1.332e-3 8.641e-3
-3.5549e-2 2.9474e-2 8.627e-3 -2.117e-3 -4.037e-3 2.29e-4
-1.964e-3 4.354e-3 5.433e-3 1.09e-4 -1.158e-3 3.41e-4
-1.2516e-2 1.0027e-2 4.815e-3 -4.28e-4 -1.196e-3 -7.41e-4
-"""  # xx yy zz xy xz yz
-FINGER = """<body name="{}_finger" pos="0 0 0.0584" quat="{}"><joint type="slide" axis="0 1 0" armature="0.1"/>
-<inertial mass="0.015" pos="0 0 0" diaginertia="2.375e-6 2.375e-6 7.5e-7"/></body>"""
-
-
-def panda_hand_mjcf():
-    text = '<body name="hand" pos="0 0 0.107" euler="0 0 -45">'
-    text += '<inertial mass="0.73" pos="-0.01 0 0.03" diaginertia="0.001 0.0025 0.0017"/>'
-    text += FINGER.format("left", "1 0 0 0") + FINGER.format("right", "0 0 0 1") + "</body>"
-    links, inertias = (table.strip().splitlines() for table in (PANDA_LINKS, PANDA_INERTIAS))
-    for i in range(7, 0, -1):
-        at, turned, mass, com = links[i - 1].split(" | ")
-        body = f'<inertial mass="{mass}" pos="{com}" fullinertia="{inertias[i - 1]}"/>'
-        body += '<joint axis="0 0 1" armature="0.1"/>'
-        text = f'<body name="link{i}" pos="{at}" quat="{turned}">{body}{text}</body>'
-    return f"<mujoco><worldbody>{text}</worldbody></mujoco>"
 
 
 def test_panda_with_its_hand_is_that_of_mujoco():
