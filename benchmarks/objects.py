@@ -190,8 +190,8 @@ def slip() -> None:
             data.qpos[hand.at] = [*q, 0.0199, 0.0199]
             data.qpos[hand.place : hand.place + 7] = [0.5, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0]
             data.ctrl[:] = [*q, 2 * opening]
-            for _ in range(2):
-                mujoco.mj_step(hand.model, data, 250)
+            for steps in (500, 250):
+                mujoco.mj_step(hand.model, data, steps)
                 heights.append(data.qpos[hand.place + 2] - data.xpos[hand.pads[0], 2])
             found = 1e3 * (heights[0] - heights[1]) / (250 * play.STEP)
             print(
