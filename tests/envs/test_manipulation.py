@@ -147,7 +147,7 @@ def test_a_policy_lifts_with_the_pads_that_a_file_of_the_arm_has(tmp_path):
     policy, state, goals = play.policy_of(EXAMPLES / "hands_lift.pt", envs), envs.state, envs.get_state()["goal"]
     hand = play.Hand(TASKS["lift"], robot(), file=path)
     assert sorted(hand.model.geom_type) == [0] + [6] * 11  # the table, and the object among the boxes
-    found = hand.run(policy, *(x[:16] for x in (state.q, state.X_WO[:, 0], goals)))
+    found, _ = hand.run(policy, *(x[:16] for x in (state.q, state.X_WO[:, 0], goals)))
     assert float(found.double().mean()) >= 0.8
 
 
