@@ -123,7 +123,8 @@ def constrained_inverse_dynamics(
 
     Args:
         robot: the robot, with a fixed base.
-        q, qd, qdd: joint positions, velocities and accelerations that keep the loops closed, as in `inverse_dynamics`.
+        q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2] that keep
+            the loops closed, shape [..., n].
         actuated: names or patterns of the joints that have motors.
         f_tip, f_ext: wrenches, as in `inverse_dynamics`.
     Raises:

@@ -93,3 +93,11 @@ def test_a_hand_lifts_a_cube(tmp_path, monkeypatch):
     spring, weight = 0.5 * 1000.0 * 0.015, 9.81 * 0.1  # of the servo, of which a finger has half
     assert weight / 2 < force < spring and creep < 1e-6 and turn < 0.05
     assert imread(tmp_path / "hand.png")[..., :3].std() > 0.03
+
+
+def test_a_linkage_swings_with_its_loop_closed(tmp_path):
+    main = import_module("37_linkage")
+    found = main.main(main.Args(out=tmp_path))
+    assert abs(found["RungeKutta4"][0]) < 1e-6 and 0 < found["LinearlyImplicit"][0] < 0.03
+    assert all(gap < 1e-6 for _, gap in found.values())
+    assert imread(tmp_path / "linkage.png")[..., :3].std() > 0.03

@@ -137,7 +137,7 @@ def solve(factors: Factors, b: Row, held: Sequence[Held]) -> Row:
     rows = [(i, part) for part in held for i in range(len(part.accelerations)) if not _still(part, i)]
     J = [[part.columns[k][i] if k in part.columns else 0.0 for k in range(len(b))] for i, part in rows]
     half, rest = (cast("Callable[[Row], Row]", part) for part in (factors.half, factors.rest))
-    A, pushed, halves = factors.mobility(J), half(b), list(map(half, J))
+    A, pushed, halves = factors.mobility(tuple(map(tuple, J))), half(b), list(map(half, J))
     moved = [x * d for x, d in zip(pushed, factors.inverses, strict=True)]
     of = [[A[i][i] for i, (_, other) in enumerate(rows) if other is part] for _, part in rows]
     least = [MOBILE / len(own) * sum(own, 0.0) for own in of]  # what is less is rounding

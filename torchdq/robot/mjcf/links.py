@@ -61,10 +61,10 @@ def closures_of(found: Links, equalities: Sequence[Equality]) -> tuple[list[Fram
         if not one.places or one.disabled or APART in (link for link, _ in at):
             others.append(one)
         elif at[0][0] != at[1][0]:  # those between bodies on one link hold anyway
-            names = [_new(f"{one.name}_{end}", taken) for end in "ab"]
-            for name, (link, X), place in zip(names, at, one.places, strict=True):
+            a, b = (_new(f"{one.name}_{end}", taken) for end in "ab")
+            for name, (link, X), place in zip((a, b), at, one.places, strict=True):
                 frames.append(Frame(name, link, double(sum(dual_quaternion.mul(X, place), ()))))
-            closures.append(Closure(*names, "point" if one.kind == "connect" else "weld"))
+            closures.append(Closure(a, b, "point" if one.kind == "connect" else "weld"))
     return frames, closures, others
 
 
