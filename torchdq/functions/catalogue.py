@@ -229,22 +229,7 @@ class Function(_Call, Computation):
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes of axes, by name; see `Robot.sizes`."""
-        fields = self.constants.fields
-        n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
-        axes = len(rows_of(self.options[2])) if self._of_axes else 0
-        gaps = sum(ROWS[kind] for *_, kind in fields["closures"])
-        found = {
-            "n": n,
-            "links": links,
-            "gaps": gaps,
-            "all": 6 + n,
-            "parameters": 10 * (links + floating),
-            "axes": axes,
-        }
-        if self.recipe.options == PAIRS:
-            objects, pairs = self.options[1], apart.pairs(recorded(self.constants), *self.options)
-            found |= {"objects": len(objects), "sizes": apart.sizes(objects), "pairs": len(pairs)}
-        return {**found, "frames": len(self.options) - 1}  # of "external_wrenches"
+        return _sizes(self)
 
     @property
     def _of_axes(self) -> bool:
@@ -326,6 +311,27 @@ class Function(_Call, Computation):
         if self.motors is not None:
             return self.motors.program(self._replace(motors=None), arguments)
         return _program(self, arguments)
+
+
+@remembered(PROGRAMS)
+def _sizes(what: Function) -> dict[str, int]:
+    """Sizes of axes of a function, found once: several are asked for at every call."""
+    fields = what.constants.fields
+    n, links, floating = len(fields["joint_names"]), len(fields["link_names"]), fields["base_mass"] is not None
+    axes = len(rows_of(what.options[2])) if what._of_axes else 0
+    gaps = sum(ROWS[kind] for *_, kind in fields["closures"])
+    found = {
+        "n": n,
+        "links": links,
+        "gaps": gaps,
+        "all": 6 + n,
+        "parameters": 10 * (links + floating),
+        "axes": axes,
+    }
+    if what.recipe.options == PAIRS:
+        objects, pairs = what.options[1], apart.pairs(recorded(what.constants), *what.options)
+        found |= {"objects": len(objects), "sizes": apart.sizes(objects), "pairs": len(pairs)}
+    return {**found, "frames": len(what.options) - 1}  # of "external_wrenches"
 
 
 def recordings() -> int:
