@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import matching
+from torchdq.base.checks import matching, require_tensor
 from torchdq.dynamics.closures import ROWS
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import function_of
@@ -25,19 +25,21 @@ __all__ = ["closed", "closure_errors", "constrained_inverse_dynamics"]
 
 MOST = 50  # Newton steps
 FARTHEST = 0.5  # largest change of a step [rad or m], as the gap is not linear
-TOLERANCES = {torch.float32: 1e-6, torch.float64: 1e-12}  # [m] and [rad]
-SINGULAR = 1e-6  # singular values of the Jacobian, relative to the largest, that are left out: rows others imply
+TOLERANCES = {torch.float32: 4e-6, torch.float64: 4e-12}  # [m] and [rad], of a machine of a metre
+# singular values, relative to the norm of the Jacobian, that are left out: of rows that others imply
+SINGULAR = {torch.float32: 1e-5, torch.float64: 1e-9}
+UNBALANCED = 1e-6  # torque that is left at joints without motors, relative to the largest
 
 
 class ClosureErrors(NamedTuple):
     """Errors of every closure of a robot."""
 
     distance: Tensor  # between the origins of its frames [m], shape [..., closures]
-    sine: Tensor  # of the angle between the axes that it holds, zero for points, shape [..., closures]
+    angle: Tensor  # between the axes that it holds [rad], zero for points, shape [..., closures]
 
 
 def closure_errors(robot: Robot, q: Tensor, backend: BackendName | None = None) -> ClosureErrors:
-    """Distances between the frames that closures hold together, and sines of the angles between their axes.
+    """Distances between the frames that closures hold together, and angles between their axes.
 
     Args:
         robot: the robot, on any base.
@@ -48,10 +50,10 @@ def closure_errors(robot: Robot, q: Tensor, backend: BackendName | None = None) 
     >>> closure_errors(robot, torch.tensor([0.0, 0.0])).distance
     tensor([2.])
     """
-    g, _ = function_of("closure_gaps", _looped(robot), {"q": q}, backend)
+    g, _, cosine = function_of("closure_gaps", _looped(robot), {"q": q}, backend)
     parts = g.split([ROWS[x.kind] for x in robot.closures], -1)
-    found = [(x[..., :3].norm(dim=-1), x[..., 3:].norm(dim=-1)) for x in parts]
-    return ClosureErrors(*(torch.stack(x, -1) for x in zip(*found, strict=True)))
+    distance, sine = (torch.stack([x[..., of].norm(dim=-1) for x in parts], -1) for of in (slice(3), slice(3, None)))
+    return ClosureErrors(distance, torch.atan2(sine, cosine))
 
 
 @outside_of_graphs
@@ -59,14 +61,14 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     """Joint positions [..., n] near q at which all closures are closed, by Newton's method.
 
     Each step is the smallest change that closes the gaps to first order, q - J^+ g. Gradients in q are those of the
-    solution: of the projection on positions that are closed.
+    solution: of the projection on positions that are closed. A row that is not finite remains so.
 
     Args:
         robot: the robot, on any base.
         q: joint positions to begin with [rad or m], shape [..., n].
         hold: names or patterns of joints that keep their positions.
     Raises:
-        ArgumentError: the closures of a row cannot be closed from there.
+        ArgumentError: the closures of a row cannot be closed from there, or only with axes half a turn apart.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").with_closures(torchdq.Closure("base", "tip"))
@@ -74,28 +76,46 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     tensor([0.3000, 3.1416])
     """
     held = matching("hold", hold, _looped(robot).joint_names, f"joint of robot {robot.name!r}")
+    require_tensor("q", q)
     free = torch.tensor([name not in held for name in robot.joint_names], device=q.device)
-    tolerance, at = TOLERANCES.get(q.dtype, 0.0), q.detach()
+    at = q.detach()
     for k in range(MOST + 1):
         with torch.no_grad():
-            g, J = function_of("closure_gaps", robot, {"q": at}, backend)
-            inverse = torch.linalg.pinv(J * free, rtol=SINGULAR)
-            done = bool((g.abs() <= tolerance).all())
+            g, J, cosine = function_of("closure_gaps", robot, {"q": at}, backend)
+            inverse = _inverse(J * free, J)
+            size = J.abs().amax((-2, -1)).nan_to_num().clamp_min(1.0)[..., None]  # of the machine
+            done = bool((~(g.abs() > TOLERANCES[q.dtype] * size)).all())
             if done or k == MOST:
                 break
             step = (inverse @ g[..., None])[..., 0]
             at = at - step * (FARTHEST / step.norm(dim=-1, keepdim=True)).clamp(max=1.0)
-    if not done:
-        distance = closure_errors(robot, at).distance.reshape(-1, len(robot.closures))
-        worst = int(distance.amax(0).argmax())
-        a, b, _ = robot.closures[worst]
+    if not done or bool((cosine < 0).any()):
+        errors = closure_errors(robot, at)
+        found = (errors.angle if done else errors.distance).nan_to_num().reshape(-1, len(robot.closures)).amax(0)
+        a, b, _ = robot.closures[int(found.argmax())]
+        apart = f"an angle of {float(found.max()):.3g} rad" if done else f"{float(found.max()):.3g} m"
         raise ArgumentError(
-            f"q must be near positions at which {a!r} and {b!r} of robot {robot.name!r} come together, found "
-            f"{float(distance[:, worst].max()):.3g} m between them after {MOST} steps; start nearer, or hold others"
+            f"q must be near positions at which {a!r} and {b!r} of robot {robot.name!r} come together, found {apart} "
+            f"between them after {k} steps; start nearer, or hold others"
         )
     moved = q + (at - q.detach())
-    g, _ = function_of("closure_gaps", robot, {"q": moved}, backend)
+    g, *_ = function_of("closure_gaps", robot, {"q": moved}, backend)
     return moved - (inverse @ g[..., None])[..., 0]
+
+
+def held_velocities(robot: Robot, q: Tensor, qd: Tensor) -> Tensor:
+    """Velocities [..., n] nearest to qd that keep the loops closed, at closed positions q."""
+    _, J, _ = function_of("closure_gaps", robot, {"q": q}, None)
+    return qd - (_inverse(J.detach(), J) @ (J @ qd[..., None]))[..., 0]
+
+
+def _inverse(A: Tensor, J: Tensor) -> Tensor:
+    """Pseudo-inverse of a matrix, without singular values that are small beside J; of one that is not finite NaN."""
+    finite = J.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
+    whole = torch.where(finite, J, 0.0).detach()
+    least = SINGULAR[J.dtype] * torch.linalg.matrix_norm(whole)
+    found = torch.linalg.pinv(torch.where(finite, A, 0.0), atol=least, rtol=torch.zeros_like(least))
+    return torch.where(finite, found, torch.nan)
 
 
 class ConstrainedInverseDynamics(NamedTuple):
@@ -119,7 +139,8 @@ def constrained_inverse_dynamics(
 
         tau + J^T forces = M qdd + c + g,    tau = 0 at the other joints
 
-    Of the torques that do, where there are more motors than degrees of freedom, those of least norm.
+    Of the torques that do, where there are more motors than degrees of freedom, those of least norm. They are computed
+    in float64 whatever the inputs are.
 
     Args:
         robot: the robot, with a fixed base.
@@ -137,25 +158,25 @@ def constrained_inverse_dynamics(
     """
     names = matching("actuated", actuated, _looped(robot).joint_names, f"joint of robot {robot.name!r}")
     given = {"q": q, "qd": qd, "qdd": qdd, "f_tip": f_tip, "f_ext": f_ext}
-    tree, J = function_of("loop_torques", robot, given, backend)
-    motors = torch.tensor([name in names for name in robot.joint_names], dtype=q.dtype, device=q.device)
-    J_T, passive, motors = J.mT, (1 - motors)[:, None], motors[:, None]
-
-    def inverse(A: Tensor) -> Tensor:
-        return torch.linalg.pinv(A, atol=SINGULAR * torch.linalg.matrix_norm(J), rtol=0.0)
-
-    bound = inverse(passive * J_T)  # forces are those that torques of zero need, and what they leave free
+    for name, x in given.items():
+        require_tensor(name, q if x is None else x)
+    double = {name: None if x is None else x.double() for name, x in given.items()}
+    tree, J = function_of("loop_torques", robot, double, backend)
+    has = torch.tensor([name in names for name in robot.joint_names], device=q.device).to(J)
+    J_T, passive, motors = J.mT, (1 - has)[:, None], has[:, None]
+    bound = _inverse(passive * J_T, J_T)  # forces are those that torques of zero need, and what they leave free
     first, free = bound @ (passive * tree[..., None]), torch.eye(J.shape[-2]).to(J) - bound @ (passive * J_T)
-    forces = first + free @ (inverse(motors * (J_T @ free)) @ (motors * (tree[..., None] - J_T @ first)))
+    forces = first + free @ (_inverse(motors * (J_T @ free), J_T) @ (motors * (tree[..., None] - J_T @ first)))
     tau = tree - (J_T @ forces)[..., 0]
     left, size = (passive[:, 0] * tau).detach().abs(), tree.detach().abs()
-    if left.numel() and bool((left > 1e3 * torch.finfo(q.dtype).eps / SINGULAR * size.amax(-1, keepdim=True)).any()):
-        joint = robot.joint_names[int(left.reshape(-1, robot.n).amax(0).argmax())]
+    if bool((left > UNBALANCED * size.amax(-1, keepdim=True)).any()):
+        joint = robot.joint_names[int(left.nan_to_num().reshape(-1, robot.n).amax(0).argmax())]
         raise ArgumentError(
             f"actuated must be joints that move robot {robot.name!r} as asked, found {', '.join(names) or 'none'}, "
-            f"which leave a torque of {float(left.amax()):.3g} at {joint!r}; name it, too, or others of its loop"
+            f"which leave a torque of {float(left.nan_to_num().amax()):.3g} at {joint!r}; name it, too, or others of "
+            "its loop"
         )
-    return ConstrainedInverseDynamics(tau * motors[:, 0], forces[..., 0])
+    return ConstrainedInverseDynamics((tau * has).to(q.dtype), forces[..., 0].to(q.dtype))
 
 
 def _looped(robot: Robot) -> Robot:

@@ -124,7 +124,7 @@ def test_errors_of_closures_are_distances_and_angles():
     found = torchdq.closure_errors(robot, q)
     distance = math.hypot(math.cos(0.3) + math.cos(0.5), math.sin(0.3) + math.sin(0.5))
     assert torch.allclose(found.distance, torch.full((2,), distance, dtype=F64))
-    assert torch.allclose(found.sine, torch.tensor([0.0, math.sin(0.5)], dtype=F64))
+    assert torch.allclose(found.angle, torch.tensor([0.0, 0.5], dtype=F64))
 
 
 def test_what_would_need_the_forces_of_closures_is_refused():
@@ -186,5 +186,57 @@ def test_a_motor_of_a_loop_has_the_torque_of_its_virtual_work():
         float(torchdq.constrained_inverse_dynamics(robot, q, v, a, x).tau.norm()) for x in ("ja", "jb", "jc")
     )
     assert torch.allclose(torchdq.forward_dynamics(robot, q, v, least), a, rtol=0, atol=1e-10)
+    single = [x.float() for x in (q, v, a)]
+    for given in ((q, v, a), single):
+        with refused(TorchdqError):
+            torchdq.constrained_inverse_dynamics(robot, *given, actuated=())
+    near = torchdq.constrained_inverse_dynamics(robot, *single, actuated="ja").tau
+    assert torch.allclose(near.double(), torchdq.constrained_inverse_dynamics(robot, q, v, a, "ja").tau, atol=1e-6)
+
+
+def test_rows_of_motors_are_those_alone_with_gradients_and_a_nan_stays_in_its_row():
+    robot, still = four_bar(), torch.zeros(3, dtype=F64)
+    q = torchdq.closed(robot, torch.tensor([[1.0, -0.6, -1.2], [0.5, -0.6, -1.2]], dtype=F64), hold="ja").detach()
+    broken = torch.cat([q, torch.full((1, 3), torch.nan, dtype=F64)])
+    alone = torch.stack([torchdq.constrained_inverse_dynamics(robot, x, still, still, "ja").tau for x in q])
+    found = torchdq.constrained_inverse_dynamics(robot, broken, still, still, "ja").tau
+    assert torch.allclose(found[:2], alone, rtol=0, atol=1e-13) and bool(found[2].isnan().any())
+    again = torchdq.closed(robot, broken)
+    assert torch.allclose(again[:2], q, rtol=0, atol=1e-12) and bool(again[2].isnan().all())
+
+    def holding(angle):
+        x = torchdq.closed(robot, torch.cat([angle, q[0, 1:]]), hold="ja")
+        return torchdq.constrained_inverse_dynamics(robot, x, still, still, "ja").tau[0]
+
+    angle = q[0, :1].requires_grad_()
+    (slope,) = torch.autograd.grad(holding(angle), angle)
+    h = 1e-5
+    assert abs(float(slope) - float(holding(angle + h) - holding(angle - h)) / (2 * h)) < 1e-6
+
+
+def test_frames_half_a_turn_apart_are_not_closed():
+    """Two links on one base about one axis, the second one welded to the first."""
+    links = [[0, 0, 1, 0, 0, 0]] * 2
+    body = {"mass": [1.0, 1.0], "com": [[0.1, 0, 0]] * 2, "inertia": [[0.1, 0, 0.1, 0, 0, 0.1]] * 2}
+    robot = torchdq.Robot.from_screws(links, **body, parents=[-1, -1]).with_closures(Closure("link1", "link2", "weld"))
+    assert torch.allclose(torchdq.closed(robot, torch.tensor([0.0, 1.0])), torch.tensor([0.5, 0.5]))
+    turned = torchdq.closure_errors(robot, torch.tensor([0.0, 3.0], dtype=F64))
+    assert abs(float(turned.angle) - 3.0) < 1e-12
     with refused(TorchdqError):
-        torchdq.constrained_inverse_dynamics(robot, q, v, a, actuated=())
+        torchdq.closed(robot, torch.tensor([0.0, 2.0]))
+
+
+def test_a_light_link_of_a_loop_keeps_its_conditions():
+    """A bar of a tenth of a milligram beside bars of kilograms, in a plane along no axes of the base."""
+    mul, rotate = torchdq.dq.mul, torchdq.dq.rotate
+    turn = torch.nn.functional.normalize(torch.tensor([0.7, 0.3, 0.5, -0.2], dtype=F64), dim=0)
+    tilt, robot = torchdq.dq.from_pose(turn, torch.zeros(3, dtype=F64)), four_bar()
+    X, inertia = robot.X_PB_home.clone(), robot.inertia * torch.tensor([[1.0], [1.0], [1e-7]])
+    X[0] = mul(tilt, X[0])
+    frames = tuple(f._replace(X_BF=mul(tilt, f.X_BF)) if f.link == -1 else f for f in robot.frames)
+    level = robot.replace(mass=torch.tensor([0.2, 0.4, 1e-7], dtype=F64), inertia=inertia)
+    tilted = level.replace(X_PB_home=X, frames=frames, gravity=rotate(turn, robot.gravity)).bake()
+    q = torchdq.closed(level, torch.tensor([1.0, -0.6, -1.2], dtype=F64), hold="ja")
+    qd, tau = torch.ones(3, dtype=F64), torch.zeros(3, dtype=F64)
+    found, expected = (torchdq.forward_dynamics(r, q, qd, tau) for r in (tilted, level.bake()))
+    assert torch.allclose(found, expected, rtol=1e-6, atol=0)

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import torchdq
 from torchdq import Closure, Scene, TorchdqError, effects
+from torchdq.envs import RobotVectorEnv
 from torchdq.objects import Ball
 from torchdq.scene import controllers, integrators
 
@@ -135,7 +136,10 @@ def test_a_start_that_is_not_closed_is_moved_with_a_warning():
     scene = Scene(four_bar(), (DOWN,), dt=1e-3)
     with warned(UserWarning):
         state = scene.start(double(1.0, -0.5, -1.0))
-    assert float(torchdq.closure_errors(scene.robot, state.q).distance) < 1e-12
+    assert float(torchdq.closure_errors(scene.robot, state.q).distance) < 1e-11
+    moving = scene.start(start(), double(2.0, 0.0, 0.0))  # and velocities are those of the linkage
+    after = torchdq.closure_errors(scene.robot, moving.q + 1e-6 * moving.qd)
+    assert float(after.distance) < 1e-10 and float(moving.qd[0]) > 0.5
 
 
 def test_what_does_not_serve_loops_is_refused():
@@ -146,6 +150,8 @@ def test_what_does_not_serve_loops_is_refused():
     ):
         with refused(TorchdqError):
             Scene(robot, (DOWN,), **given)
+    with refused(TorchdqError):
+        RobotVectorEnv(2, "reach", robot)
 
 
 def test_robots_that_are_cut_or_put_together_keep_their_closures():

@@ -39,8 +39,8 @@ COSINES: Mapping[str, tuple[Cosines, ...]] = {
     "weld": _SINES,
 }
 ROWS = {kind: 3 + len(rows) for kind, rows in COSINES.items()}
-# least part of a row's mobility that other rows do not imply, and least mobility of a row among those of a closure
-INDEPENDENT, MOBILE = 1e-5, 1e-10
+# least part of the square of a row of J that others do not imply, and least square of a row among those of a closure
+INDEPENDENT, MOBILE = 1e-6, 1e-10
 HUGE = 1e30
 DECAY = 50.0  # rate at which gaps close where accelerations are integrated [1/s]
 
@@ -52,6 +52,7 @@ class Gap(NamedTuple):
     columns: Mapping[int, Row]  # of J, by joints
     rate: Row  # J qd; (): at rest
     gamma: Row  # d2g/dt2 without accelerations
+    cosine: Number = 1.0  # of the angle between the axes that it holds
 
 
 class Held(NamedTuple):
@@ -76,8 +77,10 @@ def gap(at: Posed, kind: str, ends: tuple[End, End], moving: Collection[int], qd
             columns[k] = (*u, *(quat.dot(m, w) for m in across))
     cosines = [sum((s * quat.dot(of_a[i], of_b[j]) for s, i, j in terms), 0.0) for terms in rows]
     values = (*quat.sub(origins[1], origins[0]), *cosines)
+    along = [quat.dot(e, f) for e, f in zip(of_a, of_b, strict=True)]
+    cosine = {"point": 1.0, "hinge": along[2], "weld": 0.5 * (along[0] + along[1] + along[2] - 1.0)}[kind]
     if qd is None:
-        return Gap(values, columns, (), ())
+        return Gap(values, columns, (), (), cosine)
     v = [x if k in columns else 0.0 for k, x in enumerate(qd)]
     rate = [sum((c[i] * v[k] for k, c in columns.items()), 0.0) for i in range(len(values))]
     (wd_a, ud_a), (wd_b, ud_b) = (at.acceleration(*end, v, None, True) for end in ends)
@@ -139,14 +142,23 @@ def solve(factors: Factors, b: Row, held: Sequence[Held]) -> Row:
     half, rest = (cast("Callable[[Row], Row]", part) for part in (factors.half, factors.rest))
     A, pushed, halves = factors.mobility(tuple(map(tuple, J))), half(b), list(map(half, J))
     moved = [x * d for x, d in zip(pushed, factors.inverses, strict=True)]
-    of = [[A[i][i] for i, (_, other) in enumerate(rows) if other is part] for _, part in rows]
+    before, independent = ltdl.dense(len(rows)), _independent([part for _, part in rows], J)
+    right = [part.accelerations[i] - dot(x, moved) for (i, part), x in zip(rows, halves, strict=True)]
+    kept = ltdl.factorise(before, A, lambda i, left: select(independent[i], left, HUGE))
+    forces = ltdl.solve(before, kept, right)
+    return rest([x + dot([row[k] for row in halves], forces) for k, x in enumerate(pushed)])
+
+
+def _independent(held: Sequence[Held], J: Sequence[Row]) -> dict[int, Number]:
+    """1 for every row of J that those after it do not imply, otherwise 0; whatever the masses are."""
+    squares = [[dot(a, b) for b in J] for a in J]
+    of = [[squares[k][k] for k, other in enumerate(held) if other is part] for part in held]
     least = [MOBILE / len(own) * sum(own, 0.0) for own in of]  # what is less is rounding
+    found: dict[int, Number] = {}
 
     def pivot(i: int, left: Number) -> Number:
-        independent = at_least(left, INDEPENDENT * A[i][i]) * at_least(A[i][i], least[i])
-        return select(independent, left, HUGE)
+        found[i] = at_least(left, INDEPENDENT * squares[i][i]) * at_least(squares[i][i], least[i])
+        return select(found[i], left, HUGE)
 
-    before = ltdl.dense(len(rows))
-    right = [part.accelerations[i] - dot(x, moved) for (i, part), x in zip(rows, halves, strict=True)]
-    forces = ltdl.solve(before, ltdl.factorise(before, A, pivot), right)
-    return rest([x + dot([row[k] for row in halves], forces) for k, x in enumerate(pushed)])
+    ltdl.factorise(ltdl.dense(len(J)), squares, pivot)
+    return found

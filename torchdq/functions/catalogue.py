@@ -87,7 +87,9 @@ RECIPES: dict[str, Recipe] = {
         (fixed.external_wrenches,),
         lambda *frames: (("links", 6),),
     ),
-    "closure_gaps": Recipe(joints("q"), (fixed.closure_gaps,), lambda: (("gaps",), ("gaps", "n")), of_joints=True),
+    "closure_gaps": Recipe(
+        joints("q"), (fixed.closure_gaps,), lambda: (("gaps",), ("gaps", "n"), ("closures",)), of_joints=True
+    ),
     "loop_torques": Recipe((*joints("q"), *_MOVED, *WRENCHES), (fixed.loop_torques,), lambda: (("n",), ("gaps", "n"))),
     "distances": Recipe(
         (
@@ -195,6 +197,10 @@ _OPEN = {
         "its motion would need the forces of the closures",
     ),
     **dict.fromkeys(
+        ("manipulability",),
+        "the loops leave its joints less freedom",
+    ),
+    **dict.fromkeys(
         ("inverse_kinematics_step", "inverse_kinematics_newton", "differential_inverse_kinematics"),
         "it moves the joints as if all loops were open",
     ),
@@ -269,12 +275,6 @@ class Function(_Call, Computation):
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise unless all required arguments are present."""
         self.require_base()
-        reason = None if self.form else _OPEN.get(plain := self.name.removeprefix(FLOATING))
-        if reason and self.constants.fields["closures"]:
-            raise ArgumentError(
-                f"robot {self.constants.fields['name']!r} has closures, which {plain.removesuffix('_step')} does not "
-                f"take: {reason}; robot.replace(closures=()) is the tree without them"
-            )
         for field in self.recipe.arguments:
             if not field.optional:
                 require_tensor(field.name, tensors.get(field.name))
@@ -288,6 +288,11 @@ class Function(_Call, Computation):
     def require_base(self) -> None:
         """Raise unless the base of the robot is fixed, or floating, as the function has it."""
         fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
+        if fields["closures"] and not self.form and plain in _OPEN:
+            raise ArgumentError(
+                f"robot {fields['name']!r} has closures, which {plain.removesuffix('_step')} does not take: "
+                f"{_OPEN[plain]}; robot.replace(closures=()) is the tree without them"
+            )
         if self.form or self.recipe.of_joints:  # a law says by itself which base it takes
             return
         if (fields["base_mass"] is not None) != (plain != self.name):
@@ -324,6 +329,7 @@ def _sizes(what: Function) -> dict[str, int]:
         "n": n,
         "links": links,
         "gaps": gaps,
+        "closures": len(fields["closures"]),
         "all": 6 + n,
         "parameters": 10 * (links + floating),
         "axes": axes,

@@ -87,7 +87,7 @@ def closure_gaps(x: RecipeInputs) -> Results:
     n = x.robot.n
     found = gaps(x.robot, x.on_fixed_base(), None)
     J = [g.columns[k][i] if k in g.columns else None for g in found for i in range(len(g.values)) for k in range(n)]
-    return {"g": [value for g in found for value in g.values], "J": J}
+    return {"g": [value for g in found for value in g.values], "J": J, "cosine": [g.cosine for g in found]}
 
 
 def regressor(x: RecipeInputs) -> Results:

@@ -18,7 +18,7 @@ from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_choice, require_count, require_number, require_object, require_tensor
-from torchdq.closures import closed
+from torchdq.closures import closed, held_velocities
 from torchdq.control.law import Law
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.contact import Contact, Contacts
@@ -163,7 +163,8 @@ class SceneModel:
     ) -> State:
         """Initial state, effects at rest, sensors read once; positions far outside `effects.JointLimits` are warned of.
 
-        Loops of a robot with closures are closed by `torchdq.closed`, with a warning where that moves joints.
+        Loops of a robot with closures are closed by `torchdq.closed`, with a warning where that moves joints;
+        velocities are the nearest that keep them closed.
 
         Start again after `backward` if parameters of sensors are learned: the reading depends on them.
 
@@ -181,7 +182,8 @@ class SceneModel:
         given |= {"poses": self._of_objects("X_WO", X_WO, POSE), "twists": self._of_objects("V_WO", V_WO, TWIST)}
         moved = initial_motion(self.spec, given)
         if self.robot.closures:
-            moved = {**moved, "q": self._closed(moved["q"])}
+            q = self._closed(moved["q"])
+            moved = {**moved, "q": q, "qd": held_velocities(self.robot, q, moved["qd"])}
         if message := outside_limits(moved["q"], self.effects, self.robot):
             warnings.warn(message, stacklevel=2)
         return self._begin(moved, {}, noise)[0]

@@ -34,6 +34,8 @@ def report(robot: RobotModel) -> Report:
     used += [] if robot.armature is None else ["rotor inertia"]
     base = robot.base_mass
     used += [] if base is None else [f"a floating base of {float(base.detach().mean()):.4g} kg"]
+    loops = ", ".join(f"{x.frame_a} and {x.frame_b} ({x.kind})" for x in robot.closures)
+    used += [f"closures of {loops}"] if loops else []
     joints = tuple(
         (name, kind, link, f"{float(robot.mass.detach()[..., i].mean()):.4g} kg", _range(robot, name))
         for i, (name, kind, link) in enumerate(zip(robot.every_joint, robot.kinds, robot.link_names, strict=True))

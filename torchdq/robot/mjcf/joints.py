@@ -165,7 +165,8 @@ def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
             found.append((name, first, Follows(leader, factor, a0)))
         else:
             word = kind.name.removeprefix("mjEQ_")
-            others.append(Equality(name, word.lower(), *_held_together(of, i, word), off))
+            held = "connect" if word == "WELD" and not m.eq_data[i, 10] else word.lower()  # a weld may be free to turn
+            others.append(Equality(name, held, *_held_together(of, i, word), off))
     return Equalities(found, others)
 
 
