@@ -151,7 +151,7 @@ def solve(factors: Factors, b: Row, held: Sequence[Held]) -> Row:
 
 def _independent(held: Sequence[Held], J: Sequence[Row]) -> dict[int, Number]:
     """1 for every row of J that those after it do not imply, otherwise 0; whatever the masses are."""
-    squares = [[dot(a, b) for b in J] for a in J]
+    squares = tuple(tuple(dot(a, b) for b in J) for a in J)
     of = [[squares[k][k] for k, other in enumerate(held) if other is part] for part in held]
     least = [MOBILE / len(own) * sum(own, 0.0) for own in of]  # what is less is rounding
     found: dict[int, Number] = {}
