@@ -66,18 +66,19 @@ class Manipulation(EpisodeTask):
         home: positions of the joints, the tip above the place where objects start, pointing down [rad or m].
         fingers: names or patterns of the joints that open the gripper, the wider, the larger.
         pads: points of the fingers that touch the object, as `effects.Contact` takes them.
+        gains: stiffness [N m/rad or N/m] and damping [N m s/rad or N s/m] of the servos; stiffer for a heavy arm.
     """
 
     POINT: ClassVar[bool] = True
     ROBOT: ClassVar[str] = "panda_hand"
     TURNED: ClassVar[float] = 0.0  # largest turn of the object at a start [rad]
     OPEN: ClassVar[float] = 1.0  # opening at a start, as a share of the largest
-    GAINS: ClassVar[tuple[float, float]] = (1000.0, 100.0)  # of the servos [N m/rad, N m s/rad, or N/m, N s/m]
 
     object: Object = CUBE
     home: tuple[float, ...] = PANDA
     fingers: Any = "finger_joint*"
     pads: Any = "*_finger"
+    gains: tuple[float, float] = (1000.0, 100.0)
 
     # --- what it consists of ---
 
@@ -95,7 +96,7 @@ class Manipulation(EpisodeTask):
                 effects.Gravity(),
                 effects.RotorInertia(ROTOR if robot.armature is None else None),
                 effects.Viscous(),
-                effects.Servo(*self.GAINS, limit=limit),
+                effects.Servo(*self.gains, limit=limit),
                 effects.Contact(self.pads, on=name, friction=PADS, stiffness=k),
                 effects.Contact((name,), friction=TABLE, stiffness=k),
                 effects.Contact(self.lowest(robot), friction=TABLE, stiffness=k),

@@ -65,6 +65,8 @@ class Args(Learning):
     """Lengths of a box, radius of a ball, radius and length of a capsule or a cylinder [m]."""
     mass: float = 0.1
     """Mass of the object [kg]."""
+    gains: tuple[float, float] = (1000.0, 100.0)
+    """Stiffness and damping of the servos [N m/rad, N m s/rad]; a heavy arm needs stiffer ones."""
     home: tuple[float, ...] = ()
     """Positions of the joints at a start, the tip above the table and pointing down [rad or m]."""
 
@@ -78,7 +80,8 @@ class Args(Learning):
     def of_task(self) -> Manipulation:
         """The task."""
         own = {"home": self.home} if self.home else {}
-        return replace(task_of(self.task), object=self.of_object(), fingers=self.fingers, pads=self.pads, **own)
+        own |= {"object": self.of_object(), "fingers": self.fingers, "pads": self.pads, "gains": self.gains}
+        return replace(task_of(self.task), **own)
 
     def of_object(self) -> Object:
         """The object."""

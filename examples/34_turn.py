@@ -66,12 +66,12 @@ class Turn(Manipulation):
     """
 
     TURNED: ClassVar[float] = math.pi / 2
-    GAINS: ClassVar[tuple[float, float]] = (10.0, 1.0)
 
     object: Object = CUBE
     home: tuple[float, ...] = (*FINGER, *THUMB, *FINGER, *FINGER)
     fingers: Any = ()
     pads: Any = ("*_tip", *LAST, *FIRST)
+    gains: tuple[float, float] = (10.0, 1.0)
 
     def defaults(self, robot: Robot) -> Mapping[str, Any]:
         """Arguments of environments; targets stay within the limits of the joints."""
