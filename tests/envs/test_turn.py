@@ -33,7 +33,7 @@ def cube(yaw=0.0, tilt=0.0, at=PLACE):
 
 
 def view(X_WO, qd=(0.0,) * 16, **inputs):
-    """What the task sees of a hand at its home, some of whose links press on the cube."""
+    """Rows of the task for a hand at its home, some of whose links press on the cube."""
     spec = SimpleNamespace(robot=hand(), dt=0.05)
     return SimpleNamespace(
         scene=SimpleNamespace(spec=spec),

@@ -25,6 +25,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.structural import total
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.posed import Factors, Posed, Row, dot
 from torchdq.numbers.functions import at_least, select
@@ -69,7 +70,7 @@ def gap(at: Posed, kind: str, ends: tuple[End, End], moving: Collection[int], qd
     of_a, of_b = ([at.to_world(i, e) for e in point.axes] for (i, _), point in zip(ends, points, strict=True))
     rows = COSINES[kind]
     # rate of a sum of cosines: the relative angular velocity times this vector
-    across = [_total([quat.scale(s, quat.cross(of_b[j], of_a[i])) for s, i, j in terms]) for terms in rows]
+    across = [total([quat.scale(s, quat.cross(of_b[j], of_a[i])) for s, i, j in terms], quat.add) for terms in rows]
     columns: dict[int, Row] = {}
     for k, (a, b) in enumerate(zip(*(at.jacobian(*end, True) for end in ends), strict=True)):
         if k in moving and (a is not None or b is not None):
@@ -94,21 +95,13 @@ def gap(at: Posed, kind: str, ends: tuple[End, End], moving: Collection[int], qd
                 quat.scale(s, quat.add(_turned(w_b, of_b[j], of_a[i]), quat.cross(of_b[j], quat.cross(w_a, of_a[i]))))
                 for s, i, j in terms
             ]
-            gamma.append(quat.dot(m, wd) + quat.dot(_total(turned), w))
+            gamma.append(quat.dot(m, wd) + quat.dot(total(turned, quat.add), w))
     return Gap(values, columns, rate, gamma)
 
 
 def _turned(w: Pure, e: Pure, other: Pure) -> Pure:
     """Product (w x e) x other."""
     return quat.cross(quat.cross(w, e), other)
-
-
-def _total(vectors: Sequence[Pure]) -> Pure:
-    """Sum of vectors."""
-    found = vectors[0]
-    for x in vectors[1:]:
-        found = quat.add(found, x)
-    return found
 
 
 def stabilised(closure: Gap, first: int) -> Held:
