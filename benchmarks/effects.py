@@ -54,7 +54,7 @@ def price(effect: Effect, rounds: int) -> tuple[float, float, float]:
     Both steps take turns, one call at a time, and the fastest twentieth of the calls counts: others were disturbed by
     whatever else the machine does. The spread is what the fastest tenth would have said instead.
     """
-    calls = [stepped(Scene(arm())), stepped(Scene(arm(), (effect,)))]
+    calls = [stepped(Scene(arm())), stepped(Scene(arm(type(effect).__name__), (effect,)))]
     times: list[list[float]] = [[], []]
     for _ in range(rounds):
         for call, found in zip(calls, times, strict=True):
@@ -71,7 +71,7 @@ def measured(rounds: int, names: Sequence[str]) -> dict[str, Any]:
     found: dict[str, dict[str, list[float]]] = {}
     for name in names:
         effect = built(CASES[name].made)
-        kinds = {"numbers": effect} | ({"tensors": tensors_of(effect, arm(), BATCH)} if effect.SHAPES else {})
+        kinds = {"numbers": effect} | ({"tensors": tensors_of(effect, arm(name), BATCH)} if effect.SHAPES else {})
         found[name] = {}
         for kind, made in kinds.items():
             nanoseconds, spread, without = price(made, rounds)

@@ -225,6 +225,15 @@ CASES: dict[str, Case] = {
         """,
         "effects.PointSpring(stiffness=0.0)",
     ),
+    "Closures": _case(
+        "effects.Closures(1e5, damping=100.0, rotational_stiffness=100.0)",
+        """
+        loop = robot.with_closures(torchdq.Closure("base", "tip"))  # an elastic band
+        scene = Scene(loop, (effects.Viscous(1.0), effects.Closures(stiffness=20.0)))
+        state = scene.rollout(scene.start(torch.tensor([0.2, 0.8])), steps=500).last
+        assert torchdq.closure_errors(loop, state.q).distance < 0.01
+        """,
+    ),
     "Contact": _case(
         "effects.Contact(height=0.1, friction=0.5)",
         """

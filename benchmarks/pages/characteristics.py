@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+import torchdq
 from pages.pictures import Curve, Picture
 from torchdq import Scene, effects
 from torchdq.effects import Effect
@@ -253,6 +254,17 @@ def _point_spring() -> Picture:
     return Picture(TIME, "height of a mass [m]", {k: Curve(times(steps, dt), column(x)) for k, x in found.items()})
 
 
+def _closures() -> Picture:
+    steps, dt = 300, 0.01
+    robot = torchdq.robots.load("two_link").with_closures(torchdq.Closure("base", "tip"))
+    found = {}
+    for k in (20.0, 200.0):
+        scene = Scene(robot, (effects.Viscous(0.5), effects.Closures(k)), dt=dt)
+        states = scene.rollout(scene.start(torch.tensor([0.2, 0.8], dtype=torch.float64)), steps=steps)
+        found[f"stiffness {k:g}"] = torchdq.closure_errors(robot, states.q).distance[:, 0]
+    return Picture(TIME, "gap [m]", {k: Curve(times(steps, dt), column(x)) for k, x in found.items()})
+
+
 def _contact() -> Picture:
     steps, dt = 1500, 0.001
     found = {}
@@ -304,6 +316,7 @@ CHARACTERISTICS: dict[str, Callable[[], Picture]] = {
     "Push": _push,
     "Drag": _drag,
     "PointSpring": _point_spring,
+    "Closures": _closures,
     "Contact": _contact,
     "Saturation": lambda: over_command(4.0, limit__2=effects.Saturation(2.0)),
     "TorqueSpeed": _motor,

@@ -13,7 +13,7 @@ from torch import Tensor
 
 import torchdq
 from pages.cases import CASES, built
-from torchdq import Scene, effects
+from torchdq import Closure, Scene, effects
 from torchdq.effects import Effect
 from torchdq.effects.friction import of_layers
 from torchdq.errors import TorchdqError
@@ -43,15 +43,17 @@ class Facts(NamedTuple):
 
 
 @cache
-def arm() -> Robot:
-    """The seven-joint arm."""
-    return torchdq.robots.load(ARM)
+def arm(name: str = "") -> Robot:
+    """The seven-joint arm, for the effect of that name: elastic closures need a loop."""
+    robot = torchdq.robots.load(ARM)
+    loop = Closure(robot.frame_names[0], robot.end_effector().name, "weld")
+    return robot.with_closures(loop) if name == "Closures" else robot
 
 
 @cache
 def operations(*parts: Effect) -> int:
     """Operations of a step of the arm with some effects."""
-    return Scene(arm(), parts).count().total
+    return Scene(arm(*[type(part).__name__ for part in parts]), parts).count().total
 
 
 def tensors_of(effect: Effect, robot: Robot, batch: int) -> Effect:
@@ -70,8 +72,8 @@ def tensors_of(effect: Effect, robot: Robot, batch: int) -> Effect:
 @cache
 def facts(name: str) -> Facts:
     """Facts about the effect of that name."""
-    robot, effect = arm(), built(CASES[name].made)
-    bare, n = operations(), arm().n
+    robot, effect = arm(name), built(CASES[name].made)
+    bare, n = operations(), robot.n
     differing = operations(tensors_of(effect, robot, 2)) - bare if effect.SHAPES else None
     return Facts(
         operations(effect) - bare,

@@ -107,7 +107,7 @@ def parameters(kind: type[Effect]) -> str:
     rows = []
     for entry in sorted(dataclasses.fields(kind), key=lambda found: found.kw_only):
         text = said[entry.name]
-        values = allowed(effect, entry.name, arm())
+        values = allowed(effect, entry.name, arm(type(effect).__name__))
         rows.append(
             (
                 f"`{entry.name}`",
@@ -134,7 +134,9 @@ def _arguments(kind: type[Effect]) -> dict[str, ArgumentText]:
 def _default(effect: Effect, entry: Any) -> str:
     if entry.name in effect.DESCRIBED:
         return f"`robot.{effect.DESCRIBED[entry.name]}`"
-    if entry.default is dataclasses.MISSING or (entry.default is None and required(effect, entry.name, arm())):
+    if entry.default is dataclasses.MISSING or (
+        entry.default is None and required(effect, entry.name, arm(type(effect).__name__))
+    ):
         return "must be given"
     return f"`{entry.default!r}`"
 

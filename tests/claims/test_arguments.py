@@ -14,7 +14,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 import torch
-from effect_harness import CASES, EVERY
+from effect_harness import EVERY, home_of
 from helpers import EVERYTHING, all_in_one, thinned
 from messages import refused
 from robots import on_free_base
@@ -180,7 +180,7 @@ PARAMETERS = [
 def test_every_parameter_of_an_effect_is_refused_by_name_in_every_way(at):
     """Also one bad entry among good ones, in a batch, in both precisions."""
     kind, name = at
-    effect, robot = EVERY[kind]()[0], CASES["two_link"].robot
+    effect, robot = EVERY[kind]()[0], home_of(kind)
     field = {**effect.PARAMETERS, **effect.OPTIONS}[name]
     good = getattr(effect, name)
     ways = [x for _, x in field.wrong(good.detach() if field.kind == "parameter" else None)]
@@ -207,7 +207,13 @@ NEGATIVE = {
 }
 NEGATIVE |= {"Payload.inertia", "Bias.position", "Bias.velocity", "q_null"}
 ABOVE_ZERO = {*("sign_width", "step", "Stribeck.velocity", "LuGre.velocity", "deflection", "period", "speed")}
-ABOVE_ZERO |= {"Servo.limit", "Elastic.inertia", "operational_space_control.damping"}
+ABOVE_ZERO |= {
+    "Servo.limit",
+    "Elastic.inertia",
+    "Closures.stiffness",
+    "rotational_stiffness",
+    "operational_space_control.damping",
+}
 INFINITE = {"limit", "limits", "stall", "speed", "lower", "upper"}
 
 
@@ -234,7 +240,7 @@ def test_a_tensor_parameter_of_an_effect_may_be_as_large_as_is_said(at):
         pair = getattr(effect, "ORDERED", ())  # neither is above the other
         given = torch.full_like(getattr(effect, name), x)
         found = dataclasses.replace(effect, **dict.fromkeys(pair if name in pair else [name], given))
-        assert torch.equal(getattr(found.resolved(CASES["two_link"].robot), name), getattr(found, name)), x
+        assert torch.equal(getattr(found.resolved(home_of(kind)), name), getattr(found, name)), x
 
 
 @every_function

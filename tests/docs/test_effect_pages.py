@@ -106,7 +106,7 @@ def test_curves_are_read_back_from_a_picture():
 def test_values_that_a_parameter_may_have_are_those_that_the_effect_states(name):
     effect = built(CASES[name].made)
     for parameter, axes in effect.SHAPES.items():
-        words = allowed(effect, parameter, arm())
+        words = allowed(effect, parameter, arm(name))
         if axes and not any(isinstance(axis, str) for axis in axes):
             assert words == f"{axes[0]} numbers"
             continue
@@ -130,21 +130,20 @@ def test_an_effect_that_is_off_changes_no_bit_and_costs_what_its_page_says(name)
 
 @EVERY
 def test_operations_are_those_that_describe_counts(name):
-    described = Scene(arm(), (built(CASES[name].made),)).describe(seconds=0)
-    assert facts(name).operations == described.costs[1].operations
+    described = Scene(arm(name), (built(CASES[name].made),)).describe(seconds=0)
     assert described.total.operations == operations() + facts(name).operations
 
 
 @EVERY
 def test_states_are_those_that_a_scene_remembers(name):
-    state = Scene(arm(), (built(CASES[name].made),), backend="eager").start(torch.zeros(3, 7))
+    state = Scene(arm(name), (built(CASES[name].made),), backend="eager").start(torch.zeros(3, 7))
     owners = 1 if facts(name).slot == "body" else 7  # a point, or the joints
     assert facts(name).states == (0 if state.memory is None else state.memory.shape[1] / owners)
 
 
 @EVERY
 def test_the_step_of_a_scene_is_exported_to_c_where_its_page_says_so(name, tmp_path):
-    scene = Scene(ARM, (built(CASES[name].made),))
+    scene = Scene(arm(name), (built(CASES[name].made),))
     assert facts(name).c == (name != "Residual")
     if facts(name).c:
         program = scene.program()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
-from effect_harness import CASES, DESCRIBED, EVERY, agrees, bare, described, double, integrates, p
+from effect_harness import CASES, DESCRIBED, EVERY, agrees, bare, described, double, home_of, integrates, p
 from helpers import all_in_one, thinned
 from messages import refused
 
@@ -96,7 +96,7 @@ def differentiable(effect, inputs, integrator, steps):
     """End of a rollout as a function of state, torque, inputs and parameters, and a point to take it at."""
     names = [name for name in effect.SHAPES if isinstance(getattr(effect, name), torch.Tensor)]
     learned = [name for name, x in inputs.items() if x.requires_grad]
-    robot = CASES["two_link"].robot
+    robot = home_of(type(effect).__name__)
 
     def end(q, qd, torque, *rest):
         values = dict(zip([*names, *learned], rest, strict=True))
@@ -189,7 +189,7 @@ def test_parameters_without_values_are_named(given):
     name, parameter = given
     own, inputs = EVERY[name]()
     wrong = getattr(own, parameter).detach().to("meta")
-    scene = Scene(CASES["two_link"].robot, (dataclasses.replace(own, **{parameter: wrong}),))
+    scene = Scene(home_of(name), (dataclasses.replace(own, **{parameter: wrong}),))
     with refused(torchdq.ArgumentError, parameter=parameter):
         scene.step(scene.start(p(0.1, 0.2).detach(), noise=inputs.get("noise")), **inputs)
 

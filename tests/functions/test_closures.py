@@ -14,8 +14,9 @@ from messages import refused
 from robots import EPS, two
 
 import torchdq
-from torchdq import Closure, TorchdqError
+from torchdq import Closure, Scene, TorchdqError, effects
 from torchdq.dynamics.closures import DECAY
+from torchdq.scene import integrators
 
 F64 = torch.float64
 KINDS = pytest.mark.parametrize("kind", ["point", "hinge", "weld"])
@@ -36,8 +37,8 @@ def cosines(R, kind):
     return [sum(s * R[i, j] for s, i, j in row) for row in terms], terms
 
 
-def expected(c, base, ends, kind, x, v, tau):
-    """Accelerations by Pinocchio's M, bias and frames, the gap being in axes of the base."""
+def expected(c, base, ends, kind, x, v, tau, springs=None):
+    """Accelerations by Pinocchio's M, bias and frames, of a gap in axes of the base; springs are (k, d) of rows."""
     model, data = c.model, c.model.createData()
     M, h = pin.crba(model, data, x), pin.nonLinearEffects(model, data, v=v, q=x)
     M = np.triu(M) + np.triu(M, 1).T
@@ -66,6 +67,9 @@ def expected(c, base, ends, kind, x, v, tau):
         bends.append(m @ a[3:] + turned @ (w[1] - w[0]))
     g, J = np.array([*linear[0], *values]), np.array([*linear[1], *rows])
     gamma = np.array([*linear[2], *bends])
+    if springs is not None:
+        k, d = springs[:, : len(g)]
+        return np.linalg.solve(M, tau - h - J.T @ (k * g + d * (J @ v))), np.linalg.cond(M)
     right = -(gamma + 2 * DECAY * J @ v + DECAY**2 * g)
     whole = np.block([[M, -J.T], [J, np.zeros((len(g), len(g)))]])
     return np.linalg.solve(whole, np.concatenate([tau - h, right]))[: model.nv], np.linalg.cond(whole)
@@ -85,6 +89,21 @@ def test_accelerations_are_those_of_pinocchios_terms_with_multipliers(kind, seed
         a, condition = expected(c, 0, ("universe", leaf), kind, x, u, b)
         close = 10 * EPS * condition * np.abs(a).max()
         assert np.abs(found[k].numpy() - a[c.order]).max() < close
+
+
+@KINDS
+def test_elastic_closures_are_springs_and_dampers_on_pinocchios_gaps(kind):
+    c = oracles.random_tree(14, 1)
+    leaf, base = deepest(c.robot), next(x.name for x in c.robot.frames if x.link == -1)
+    robot, s = c.robot.with_closures(Closure(base, leaf, kind)), oracles.states(c.robot)
+    parts = (effects.Gravity(c.robot.gravity.tolist()), effects.Closures(40.0, 3.0, 20.0, 2.0))
+    scene = Scene(robot, parts, integrator=integrators.ExplicitEuler(), dt=1.0)
+    found = scene.step(scene.start(s.q, s.qd), s.qdd).qd - s.qd
+    springs = np.array([[40.0] * 3 + [20.0] * 3, [3.0] * 3 + [2.0] * 3])
+    for k, (q, v, tau, *_) in enumerate(s.rows()):
+        x, u, b = c.configuration(q), c.velocity(v), c.velocity(tau)
+        a, condition = expected(c, 0, ("universe", leaf), kind, x, u, b, springs)
+        assert np.abs(found[k].numpy() - a[c.order]).max() < 10 * EPS * condition * np.abs(a).max()
 
 
 @KINDS

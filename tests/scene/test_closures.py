@@ -83,6 +83,22 @@ def test_implicit_steps_are_of_first_order_and_keep_the_loop_closed():
     assert abs(ends[0] / ends[1] - 2) < 0.1
 
 
+def test_steps_of_elastic_loops_are_of_first_order_and_become_those_of_rigid_ones():
+    """From a loop that is open, whose spring the first step takes at its end."""
+    q, spring = start() + double(0.0, 0.05, 0.0), effects.Closures(2e3, 20.0)
+
+    def end(integrator, h, *parts, at=q):
+        scene = Scene(four_bar(), (DOWN, *parts), integrator=integrator, dt=h)
+        return scene.rollout(scene.start(at), steps=round(0.2 / h)).q[-1]
+
+    exact = end(integrators.RungeKutta4(), 5e-4, spring)
+    errors = [end(integrators.LinearlyImplicit(), h, spring) - exact for h in (1e-3, 5e-4)]
+    assert float((errors[0] / errors[1] - 2).abs().max()) < 0.1
+    rigid = end(integrators.LinearlyImplicit(), 1e-3, at=start())
+    stiff = [end(integrators.LinearlyImplicit(), 1e-3, effects.Closures(k), at=start()) - rigid for k in (1e6, 1e7)]
+    assert float((stiff[0] / stiff[1] - 10).abs().max()) < 0.1
+
+
 def test_a_loop_in_float32_stays_with_the_one_in_float64():
     scene = Scene(four_bar(), (DOWN,), dt=1e-3)
     exact, found = (scene.rollout(scene.start(start().to(t)), steps=500).q for t in (F64, torch.float32))

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from effect_harness import EVERY, constant
+from effect_harness import EVERY, constant, home_of
 from helpers import FIXED, WHEEL, all_in_one, called, double, exhaustive, random, thinned
 from messages import refused
 from oracles import shipped, states
@@ -79,8 +79,10 @@ def test_an_effect_of_no_size_leaves_the_very_same_program(integrator):
 @pytest.mark.case("T14")
 @all_in_one(EVERY)
 def test_a_scene_without_its_effect_is_one_that_never_had_it(kind):
-    (effect, _), damped = constant(kind), Scene(ARM, (effects.Viscous(0.2),))
-    assert Scene(ARM, (effect,)).replace(effects=()).spec is Scene(ARM).spec  # and so are its programs
+    (effect, _), damped = constant(kind), Scene(home_of(kind), (effects.Viscous(0.2),))
+    assert (
+        damped.replace(effects=(effect,)).replace(effects=()).spec is damped.replace(effects=()).spec
+    )  # and so are its programs
     assert damped.replace(effects=(effect, *damped.effects)).replace(effects=damped.effects).spec is damped.spec
 
 
@@ -88,11 +90,11 @@ def test_a_scene_without_its_effect_is_one_that_never_had_it(kind):
 @all_in_one(EVERY)
 def test_an_effect_costs_what_its_description_says(kind):
     """Operations of the bare step and of its parts add up to those of the scene."""
-    (effect, _), damped = constant(kind), Scene(ARM, (effects.Viscous(0.2),))
+    (effect, _), damped = constant(kind), Scene(home_of(kind), (effects.Viscous(0.2),))
     scene = damped.replace(effects=(*damped.effects, effect))
     description = scene.describe(batch=2, seconds=0.0)
     bare, first, second = description.costs
-    assert bare.operations == Scene(ARM).count().total
+    assert bare.operations == damped.replace(effects=()).count().total
     assert bare.operations + first.operations == damped.count().total
     assert (second.effect, second.slot) == (kind, effect.SLOT)
     assert sum(cost.operations for cost in description.costs) == description.total.operations == scene.count().total

@@ -15,7 +15,7 @@ import torch
 from helpers import thinned
 from oracles import Case, random_tree, shipped, states
 
-from torchdq import Scene, effects
+from torchdq import Closure, Scene, effects
 from torchdq.robot import Limits
 from torchdq.scene.integrators import ExplicitEuler, LinearlyImplicit
 
@@ -232,6 +232,7 @@ EVERY = {
     "Push": lambda: (effects.Push(axes="body"), {"push": p(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)}),
     "Drag": lambda: (effects.Drag(p(0.3, 0.1), p(0.2, 0.4), p(0.01, 0.02), p(0.1)), {}),
     "PointSpring": lambda: (effects.PointSpring(None, p(0.3, 0.2, 0.1), p(40.0), p(2.0)), {}),
+    "Closures": alone(effects.Closures, (40.0, 30.0), (2.0, 1.0), (3.0, 5.0), (0.5, 0.2)),
     "Contact": lambda: (
         effects.Contact(None, p(1.5), p(0.28, 0.96, 0.0), None, p(40.0), p(0.5), p(0.6), settling=p(0.03)),
         {},
@@ -248,6 +249,12 @@ EVERY = {
     "Residual": lambda: (effects.Residual(torch.mul), {}),
     "QuantisedReading": lambda: (effects.QuantisedReading(p(0.03, 0.04), p(0.3, 0.4)), {}),
 }
+
+
+def home_of(kind):
+    """Robot on which an effect acts: elastic closures need a loop."""
+    robot = CASES["two_link"].robot
+    return robot.with_closures(Closure("base", "tip", "weld"), Closure("base", "tip")) if kind == "Closures" else robot
 
 
 def integrates(kind, integrator):

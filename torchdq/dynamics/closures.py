@@ -13,7 +13,8 @@ A, and
     M qdd = b + J^T lambda,     J qdd = c,     (J M^-1 J^T) lambda = c - J M^-1 b
 
 Joints that move both links alike, those before the loop, leave it as it is: rates are those with these joints at rest.
-A row that others imply, as the third of a point in a plane, has no multiplier.
+A row that others imply, as the third of a point in a plane, has no multiplier. In an elastic closure lambda is the
+force of a spring and a damper on the gap.
 """
 
 from __future__ import annotations
@@ -56,11 +57,19 @@ class Gap(NamedTuple):
     cosine: Number = 1.0  # of the angle between the axes that it holds
 
 
+class Spring(NamedTuple):
+    """Spring and damper on a row of a gap g: lambda = -k g - d dg/dt."""
+
+    stiffness: Number  # k
+    damping: Number  # d
+
+
 class Held(NamedTuple):
-    """Condition J a = c on accelerations, which multipliers keep."""
+    """Condition J a + e lambda = c on accelerations, which multipliers lambda keep."""
 
     columns: Mapping[int, Row]  # of J
     accelerations: Row  # c
+    compliances: Row = ()  # e; (): zero
 
 
 def gap(at: Posed, kind: str, ends: tuple[End, End], moving: Collection[int], qd: Row | None = None) -> Gap:
@@ -113,14 +122,30 @@ def stabilised(closure: Gap, first: int) -> Held:
     return _held(closure, first, [-(y + 2.0 * DECAY * u + DECAY * DECAY * g) for y, u, g in terms])
 
 
-def at_end(closure: Gap, first: int, h: Number) -> Held:
-    """Condition on the mean accelerations of a step h under which the gap is closed at its end, to third order."""
-    terms = zip(closure.gamma, closure.rate, closure.values, strict=True)
-    return _held(closure, first, [-(0.5 * y + (u + g / h) / h) for y, u, g in terms])
+def at_end(closure: Gap, first: int, h: Number, springs: Sequence[Spring] = ()) -> Held:
+    """Condition on the mean accelerations of a step h under which the gap is closed at its end, to third order.
+
+    With springs, the condition under which the multipliers are their forces at the end.
+    """
+    terms = [*zip(closure.gamma, closure.rate, closure.values, strict=True)]
+    if not springs:
+        return _held(closure, first, [-(0.5 * y + (u + g / h) / h) for y, u, g in terms])
+    D = [d + h * k for k, d in springs]
+    accelerations = [
+        -(y * ((d + 0.5 * h * k) / D_i) + (u + g * (k / D_i)) / h)
+        for (y, u, g), (k, d), D_i in zip(terms, springs, D, strict=True)
+    ]
+    return _held(closure, first, accelerations, [1.0 / (h * D_i) for D_i in D])
 
 
-def _held(closure: Gap, first: int, accelerations: Row) -> Held:
-    return Held({k + first: c for k, c in closure.columns.items()}, accelerations)
+def torques(closure: Gap, springs: Sequence[Spring]) -> dict[int, Number]:
+    """Torques of springs at the joints of a loop."""
+    forces = [-(k * g + d * u) for (k, d), g, u in zip(springs, closure.values, closure.rate, strict=True)]
+    return {k: dot(column, forces) for k, column in closure.columns.items()}
+
+
+def _held(closure: Gap, first: int, accelerations: Row, compliances: Row = ()) -> Held:
+    return Held({k + first: c for k, c in closure.columns.items()}, accelerations, compliances)
 
 
 def _still(held: Held, row: int) -> bool:
@@ -129,7 +154,7 @@ def _still(held: Held, row: int) -> bool:
 
 
 def solve(factors: Factors, b: Row, held: Sequence[Held]) -> Row:
-    """Solution a of M a = b + J^T lambda with J a = c."""
+    """Solution a of M a = b + J^T lambda with J a + e lambda = c."""
     rows = [(i, part) for part in held for i in range(len(part.accelerations)) if not _still(part, i)]
     J = [[part.columns[k][i] if k in part.columns else 0.0 for k in range(len(b))] for i, part in rows]
     half, rest = (cast("Callable[[Row], Row]", part) for part in (factors.half, factors.rest))
@@ -137,8 +162,12 @@ def solve(factors: Factors, b: Row, held: Sequence[Held]) -> Row:
     moved = [x * d for x, d in zip(pushed, factors.inverses, strict=True)]
     before, independent = ltdl.dense(len(rows)), _independent([part for _, part in rows], J)
     right = [part.accelerations[i] - dot(x, moved) for (i, part), x in zip(rows, halves, strict=True)]
-    kept = ltdl.factorise(before, A, lambda i, left: select(independent[i], left, HUGE))
-    forces = ltdl.solve(before, kept, right)
+
+    def pivot(k: int, left: Number) -> Number:
+        i, part = rows[k]
+        return left + part.compliances[i] if part.compliances else select(independent[k], left, HUGE)
+
+    forces = ltdl.solve(before, ltdl.factorise(before, A, pivot), right)
     return rest([x + dot([row[k] for row in halves], forces) for k, x in enumerate(pushed)])
 
 

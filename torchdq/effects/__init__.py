@@ -2,6 +2,7 @@
 
 from torchdq.effects.actuator import CommandDelay, DeadBand, FirstOrderLag, QuantisedCommand, Saturation, TorqueSpeed
 from torchdq.effects.body import Drag, PointSpring, Push
+from torchdq.effects.closures import Closures
 from torchdq.effects.contact import Contact
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Coulomb, Directional, LoadDependent, LuGre, Quadratic, Ripple, Stribeck, Viscous
@@ -14,6 +15,7 @@ from torchdq.effects.transmission import Elastic
 
 __all__ = [
     "Bias",
+    "Closures",
     "CommandDelay",
     "Contact",
     "Coulomb",

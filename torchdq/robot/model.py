@@ -90,8 +90,8 @@ class RobotModel:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Numbers of coordinates, "n", and of "links", which name axes of tensors."""
-        return {"n": len(self.joint_names), "links": len(self.link_names)}
+        """Numbers of coordinates, "n", of "links", and of "closures", which name axes of tensors."""
+        return {"n": len(self.joint_names), "links": len(self.link_names), "closures": len(self.closures)}
 
     @property
     def every_joint(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from torchdq.control.law import Law
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect, PointImpedance
+from torchdq.effects.closures import Closures
 from torchdq.effects.effect import Effect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.model import ModelEffect
@@ -27,7 +28,7 @@ from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES, trailing
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 
-SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
+SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Closures, Actuator, Sensor)
 OWN = (
     "q",
     "qd",

@@ -14,10 +14,11 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add, difference, neg
-from torchdq.dynamics.closures import Held, at_end, stabilised
+from torchdq.dynamics.closures import Gap, Held, Spring, at_end, stabilised, torques
 from torchdq.dynamics.free_bodies import Pair
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect, PointImpedance
+from torchdq.effects.closures import Closures
 from torchdq.effects.effect import Effect
 from torchdq.effects.joint import Impedance, JointEffect, load_size, total
 from torchdq.effects.transmission import Transmission
@@ -122,11 +123,12 @@ class SceneSystem(System):
         self.watch(growth)
         return a
 
-    def _held(self, x: Row, v: Row, condition: Callable[..., Held], *how: Number) -> list[Held]:
-        """Conditions on the accelerations of the robot, whose joints come after all free bodies."""
+    def _closures(self, x: Row, v: Row) -> list[tuple[Gap, Sequence[Spring]]]:
+        """Gaps of the closures of the robot, each with its springs; (): it is rigid."""
         n, robot = self._n, self.scene.spec.robot
         found = gaps(robot, self.scene.posed(x[:n]), v[:n]) if robot.closures else []
-        return [condition(gap, len(self._free), *how) for gap in found]
+        springs = [effect.springs(robot) for _, effect in self.scene.spec.of(Closures)]
+        return [*zip(found, *(springs or [[()] * len(found)]), strict=True)]
 
     def _parts(self, x: Row, a: Sequence[Number]) -> tuple[Sequence[Number], Sequence[Number]]:
         """Accelerations of the joints, and those that free bodies are integrated with."""
@@ -238,9 +240,12 @@ class SceneSystem(System):
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
         at = self._at(x)
-        forces = self._explicit(x, v)
+        forces, closures, first = self._explicit(x, v), self._closures(x, v), len(self._free)
         net = self._net(at, forces.torques, x, v, self._acting(at, x, v).exerted)
-        qdd, base = self._parts(x, self._solved(at, net, self._held(x, v, stabilised)))
+        for k, torque in [found for closure in closures if closure[1] for found in torques(*closure).items()]:
+            net[first + k] = net[first + k] + torque
+        held = [stabilised(gap, first) for gap, springs in closures if not springs]
+        qdd, base = self._parts(x, self._solved(at, net, held))
         rotors = self._transmission.accelerations(self.u, forces.passed)
         kept = sum(effect.memory(self._n) for _, effect in self.scene.spec.of(BodyEffect))  # by implicit steps alone
         return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *[0.0] * kept, *base]
@@ -256,7 +261,8 @@ class SceneSystem(System):
         if acting.points:
             heavy = heavy.with_masses([point.mass(h) for point in acting.points])
         net = self._midway(v, self._net(at, forces.torques, x, v, acting.exerted), h)
-        solution = self._solved(heavy, net, self._held(x, v, at_end, h))
+        held = [at_end(gap, len(self._free), h, springs) for gap, springs in self._closures(x, v)]
+        solution = self._solved(heavy, net, held)
         qdd, base = self._parts(x, solution)
         ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
         rates = [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h)]

@@ -21,6 +21,7 @@ from torchdq.base.checks import require_choice, require_count, require_number, r
 from torchdq.closures import closed, held_velocities
 from torchdq.control.law import Law
 from torchdq.effects.body import BodyEffect
+from torchdq.effects.closures import Closures
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.effect import Effect
 from torchdq.effects.joint import JointEffect
@@ -164,7 +165,7 @@ class SceneModel:
         """Initial state, effects at rest, sensors read once; positions far outside `effects.JointLimits` are warned of.
 
         Loops of a robot with closures are closed by `torchdq.closed`, with a warning where that moves joints;
-        velocities are the nearest that keep them closed.
+        velocities are the nearest that keep them closed. Elastic ones start as they are.
 
         Start again after `backward` if parameters of sensors are learned: the reading depends on them.
 
@@ -181,7 +182,7 @@ class SceneModel:
         given = {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B}
         given |= {"poses": self._of_objects("X_WO", X_WO, POSE), "twists": self._of_objects("V_WO", V_WO, TWIST)}
         moved = initial_motion(self.spec, given)
-        if self.robot.closures:
+        if self.robot.closures and not self.spec.of(Closures):
             q = self._closed(moved["q"])
             moved = {**moved, "q": q, "qd": held_velocities(self.robot, q, moved["qd"])}
         if message := outside_limits(moved["q"], self.effects, self.robot):

@@ -44,7 +44,7 @@ def require_structure(robot: RobotModel, values: Mapping[str, Any]) -> None:
     sizes = robot.sizes
     for name, value in values.items():
         expected, fits = STRUCTURE.get(name, ("", lambda x, n, links: True))
-        if not fits(value, **sizes):
+        if not fits(value, robot.n, sizes["links"]):
             counts = f"n = {robot.n}" + ("" if robot.joint_map is None else f" and links = {sizes['links']}")
             raise ArgumentError(f"{name} of robot {robot.name!r} must be {expected}, with {counts}, found {value!r}")
 
