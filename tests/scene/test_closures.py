@@ -8,6 +8,7 @@ from closed_loops import four_bar
 from helpers import double
 from messages import refused, warned
 from scipy.integrate import solve_ivp
+from torch.func import jvp
 
 import torchdq
 from torchdq import Closure, Scene, TorchdqError, effects
@@ -97,6 +98,26 @@ def test_steps_of_elastic_loops_are_of_first_order_and_become_those_of_rigid_one
     rigid = end(integrators.LinearlyImplicit(), 1e-3, at=start())
     stiff = [end(integrators.LinearlyImplicit(), 1e-3, effects.Closures(k), at=start()) - rigid for k in (1e6, 1e7)]
     assert float((stiff[0] / stiff[1] - 10).abs().max()) < 0.1
+
+
+def test_computed_torques_of_one_motor_move_a_linkage_along_its_path():
+    """From a tenth of a radian beside it; the error decays like that of every joint, to first order in the step."""
+    robot, t = four_bar(), torch.arange(500, dtype=F64) * 2e-3
+    guess, one = start().expand(500, 3), torch.ones_like(t)
+
+    def path(t):
+        return torchdq.closed(robot, torch.cat([1.0 + 0.3 * torch.sin(2 * t)[:, None], guess[:, 1:]], -1), hold="ja")
+
+    (q, qd), (_, qdd) = jvp(lambda t: jvp(path, (t,), (one,)), (t,), (one,))
+
+    def policy(state, k):
+        a = qdd[k] + 900 * (q[k] - state.q) + 60 * (qd[k] - state.qd)
+        return torchdq.constrained_inverse_dynamics(robot, state.q, state.qd, a, actuated="ja").tau
+
+    scene = Scene(robot, (DOWN,), dt=2e-3)
+    first = torchdq.closed(robot, q[0] + double(0.1, 0.0, 0.0), hold="ja")
+    errors = (scene.rollout(scene.start(first), steps=499, policy=policy).q - q[1:]).abs().amax(-1)
+    assert float(errors[0]) > 0.09 and float(errors[250:].max()) < 2e-3
 
 
 def test_a_loop_in_float32_stays_with_the_one_in_float64():

@@ -100,7 +100,7 @@ class Law(Parametric):
         if robot.closures and self.FIXED:
             raise ArgumentError(
                 f"robot {robot.name!r} has closures, which {self.named()} does not take: its torques would need their "
-                "forces; use PD or effects.Servo"
+                "forces; use PD, effects.Servo, or torques of torchdq.constrained_inverse_dynamics"
             )
         if robot.floating and self.FIXED:
             raise ArgumentError(

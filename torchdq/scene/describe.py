@@ -88,7 +88,7 @@ def describe(
     bare = scene.replace(effects=(), controller=None, objects=())
     scenes = [bare.replace(objects=scene.objects[:k]) for k in range(len(scene.objects) + 1)]
     scenes += [scenes[-1].replace(effects=scene.effects[: k + 1]) for k in range(len(scene.effects))]
-    labels = [("bare step", "rigid bodies, integrator")]
+    labels = [("bare step", f"rigid bodies, {'loops, ' if scene.robot.closures else ''}integrator")]
     labels += [(f"{type(body).__name__} {body.name}", "object") for body in scene.objects]
     labels += [(effect.label(), effect.SLOT) for effect in scene.effects]
     if scene.controller is not None:
