@@ -10,9 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchdq.backends.choice import choose
+from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.precision import run
 from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.envs.loops import Loops
 from torchdq.envs.pushes import DRAWS, Pushes
 from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams, ranged, seeded
@@ -41,6 +42,7 @@ class Reset:
     pushes: Mapping[str, Pushes]  # inputs that are drawn as well
     functions: Functions | None  # functions of tensors that replace parts of the task; None: there are none
     dtype: torch.dtype  # of what is drawn
+    loops: Loops | None = None  # closed loops of the robot; None: it has none
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -66,16 +68,12 @@ class Reset:
         widths = [*draws, *[r.width for r in self.randomised], *[DRAWS] * len(self.pushes), self.scene.noises]
         u, after = streams.column(STARTS).uniform(sum(widths), self.dtype)
         u, u_own, *drawn, noise = u.split(widths, 1)
-        if spans := task.spans():
-            u = torch.cat([u[:, : -len(spans)], ranged(u[:, -len(spans) :], spans)], 1)
         begun, drawn = drawn[len(self.randomised) :], drawn[: len(self.randomised)]
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)
-        program = _program(self.checked, self.robot)
-        outputs = run(program, [u], choose(self.scene.backend, u.device))
-        fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
-        if own is not None:
-            fresh.update(own.started(u_own, looks))
+        fresh = started(self.checked, own, self.robot, u, u_own, self.scene.backend, looks)
+        if self.loops is not None:
+            fresh["q"], fresh["qd"] = self.loops.closed(fresh["q"], fresh["qd"])
         steps = u.new_zeros(len(u))
         fresh.update(streams.with_column(STARTS, after)._asdict(), steps=steps, finished=steps.to(torch.bool))
         for (name, pushes), x in zip(self.pushes.items(), begun, strict=True):
@@ -130,6 +128,24 @@ def _of_rows(scene: Scene, rows: SomeRows) -> Scene:
     for name, value in {"parameters": parameters, "effects": tuple(effects), "objects": tuple(objects)}.items():
         object.__setattr__(found, name, value)  # without the checks of a new scene, which take a millisecond
     return found
+
+
+def started(
+    checked: Checked,
+    own: Functions | None,
+    robot: Robot,
+    u: Tensor,
+    u_own: Tensor,
+    backend: BackendName | None,
+    looks: bool,
+) -> dict[str, Tensor]:
+    """Rows of the start of a task, of random numbers in (0, 1); `looks` as in `Functions.started`."""
+    if spans := checked.task.spans():
+        u = torch.cat([u[:, : -len(spans)], ranged(u[:, -len(spans) :], spans)], 1)
+    program = _program(checked, robot)
+    outputs = run(program, [u], choose(backend, u.device))
+    fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
+    return fresh if own is None else fresh | own.started(u_own, looks)
 
 
 @remembered(PROGRAMS)

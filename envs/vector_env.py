@@ -135,11 +135,6 @@ class RobotVectorEnv(VectorEnv):
         self._nominal, self._meaning, self._scale = made.nominal, made.meaning, made.scale
         self._use(made.reset)
         self.robot, names = self._scene.robot, ("rgb_array", "human")
-        if self.robot.closures:
-            raise ArgumentError(
-                f"robot must have no closures, found those of {self.robot.name!r}: episodes would start with its loops "
-                "open; simulate it by a Scene, whose start closes them"
-            )
         rate = max(1, round(1 / self._scene.dt))
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": [*names], "render_fps": rate}
         self.single_observation_space = self._observed(task)

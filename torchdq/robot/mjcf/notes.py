@@ -10,7 +10,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.findings import Finding
 from torchdq.robot.assembly import APART
 from torchdq.robot.check.units import TURN
-from torchdq.robot.description import UNSIMULATED, note
+from torchdq.robot.description import UNACTUATED, UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import FREE, Equality, MjcfJoint, actuators_at, names_of
 from torchdq.robot.mjcf.links import ModelLinks
@@ -84,7 +84,7 @@ def _used_otherwise(
         note("joint.held", still, "held where the file puts it"),
     ]
     if m.nactuator:
-        found.append(listed("joint.unactuated", lambda j: j.effort is None, "joints without actuators"))
+        found.append(listed(UNACTUATED, lambda j: j.effort is None, "joints without actuators"))
     more = {
         "body.lumped": lumped if bodies.lumped else "",
         "gravity.compensated": "no gravity, because every moving body is compensated for it (gravcomp)"
