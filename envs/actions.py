@@ -158,7 +158,7 @@ def resolved(actions: Actions, scene: Scene, defaults: Mapping[str, Any]) -> tup
     Args:
         defaults: those of the task, whose scale is of the default kind of action.
     """
-    robot, joints = scene.robot, _joints(scene.robot, actions.joints)
+    robot, joints = scene.robot, actuated(scene.robot, actions.joints)
     default = _kind(None, robot, joints, scene.effects)
     kind = default if actions.kind is None else _kind(actions.kind, robot, joints, scene.effects)
     scene = _with_controller(scene, kind, actions.controller)
@@ -171,7 +171,7 @@ def resolved(actions: Actions, scene: Scene, defaults: Mapping[str, Any]) -> tup
     return scene, meaning, _full(robot, meaning, scale)
 
 
-def _joints(robot: Robot, given: str | Sequence[str] | None) -> tuple[int, ...]:
+def actuated(robot: Robot, given: str | Sequence[str] | None) -> tuple[int, ...]:
     """Numbers of the actuated joints, each once, in the order given; those of a pattern or a set in the robot's."""
     names = robot.joint_names
     if given is None and robot.closures:

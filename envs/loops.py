@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.closures import held_velocities, towards_closed
+from torchdq.closures import towards_closed
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import function_of
 from torchdq.robot import Robot
@@ -46,7 +46,7 @@ class Loops(NamedTuple):
         drawn = torch.zeros_like(q[0]) if robot.home is None or robot.joint_map is not None else robot.home.to(q)
         found = cls(robot, drawn, bounds, (*first, Way(every, every)), backend)
         if bool(found.usable(towards_closed(robot, drawn, every, 0, backend))):
-            return found._replace(home=found.closed(q[:1], torch.zeros_like(q[:1]))[0][0])
+            return found._replace(home=found.closed(q[:1])[0])
         for _, free in found.ways:
             at = towards_closed(robot, q, free, backend=backend)
             if len(rows := found.usable(at).nonzero()):
@@ -63,8 +63,8 @@ class Loops(NamedTuple):
         at, apart, turned, _ = found
         return ((at >= self.bounds[0]) & (at <= self.bounds[1])).all(-1) & ~(apart | turned)
 
-    def closed(self, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor]:
-        """Closed positions for those that a task drew [k, n], and velocities that keep them closed.
+    def closed(self, q: Tensor) -> Tensor:
+        """Closed positions for those that a task drew [k, n].
 
         The actuated joints go from home to where they were drawn and the others follow, so that a mechanism stays on
         the branch of its home. Where that leaves loops open or limits behind, all joints give way; where that does not
@@ -83,5 +83,4 @@ class Loops(NamedTuple):
             ended = towards_closed(self.robot, at, free, MOST, self.backend)
             found = torch.where((self.usable(ended) & ~there)[:, None], ended[0], found)
             there = there | self.usable(ended)
-        found = torch.where(there[:, None], found, home)
-        return found, held_velocities(self.robot, found, qd, self.backend)
+        return torch.where(there[:, None], found, home)

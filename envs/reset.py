@@ -13,6 +13,7 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.precision import run
 from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.closures import held_velocities
 from torchdq.envs.loops import Loops
 from torchdq.envs.pushes import DRAWS, Pushes
 from torchdq.envs.randomization import Randomised
@@ -73,7 +74,11 @@ class Reset:
             parameters.draw(self.scene, rows, x)
         fresh = started(self.checked, own, self.robot, u, u_own, self.scene.backend, looks)
         if self.loops is not None:
-            fresh["q"], fresh["qd"] = self.loops.closed(fresh["q"], fresh["qd"])
+            fresh["q"] = self.loops.closed(fresh["q"])
+            fresh["qd"] = held_velocities(self.loops.robot, fresh["q"], fresh["qd"], self.scene.backend)
+            if (there := fresh.pop("there", None)) is not None:
+                aim, at = _aim(self.checked, self.robot), self.loops.closed(there)
+                (fresh["goal"],) = run(aim, [at], choose(self.scene.backend, u.device))
         steps = u.new_zeros(len(u))
         fresh.update(streams.with_column(STARTS, after)._asdict(), steps=steps, finished=steps.to(torch.bool))
         for (name, pushes), x in zip(self.pushes.items(), begun, strict=True):
@@ -145,7 +150,16 @@ def started(
     program = _program(checked, robot)
     outputs = run(program, [u], choose(backend, u.device))
     fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
-    return fresh if own is None else fresh | own.started(u_own, looks)
+    given = {} if own is None else own.started(u_own, looks)
+    if "goal" in given:
+        fresh.pop("there", None)
+    return fresh | given
+
+
+@remembered(PROGRAMS)
+def _aim(checked: Checked, robot: Robot) -> Program:
+    """Program of the goal of positions at which loops are closed."""
+    return record(f"aim_{robot.name}", [Argument("q", robot.n)], lambda q: {"goal": checked.task.aim(robot, q)})
 
 
 @remembered(PROGRAMS)

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_object, tensor_of
 from torchdq.effects import Effect
-from torchdq.envs.actions import Actions, Kind, Meaning, resolved
+from torchdq.envs.actions import Actions, Kind, Meaning, actuated, resolved
 from torchdq.envs.loops import Loops
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Randomise, randomised
@@ -81,13 +81,15 @@ def setup(
     own = ROBOT if isinstance(task, TorchTask) else getattr(task_of(task), "ROBOT", ROBOT)
     robot = _robot_of(own if robot is None else robot)
     known = described(task, robot)
+    actions = action if isinstance(action, Actions) else Actions(action)
+    motors = [robot.joint_names[i] for i in actuated(robot, actions.joints)] if robot.closures else None
     given: dict[str, Any] = {"effects": effects, "dt": timing.dt, "substeps": timing.substeps}
     given |= {"randomise": randomise, "pushes": pushes}
     chosen: dict[str, Any] = dict(known.defaults(mean_robot(robot))) if effects is None else {}
     chosen |= {name: x for name, x in given.items() if x is not None}
     scene = Scene(
         robot,
-        chosen["effects"] if "effects" in chosen else default_effects(robot),
+        chosen["effects"] if "effects" in chosen else default_effects(robot, motors),
         integrator=timing.integrator or LinearlyImplicit(),
         dt=chosen.get("dt", 0.02),
         substeps=chosen.get("substeps", 2),
@@ -96,7 +98,6 @@ def setup(
         objects=known.objects(mean_robot(robot)),
     )
     scene = scene.replace(robot=_within_limits(scene))
-    actions = action if isinstance(action, Actions) else Actions(action)
     scene, meaning, scale = resolved(actions, scene, chosen)
     pushed = chosen.get("pushes", {})
     check_scene(scene, len(like), pushed)
