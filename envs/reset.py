@@ -72,13 +72,14 @@ class Reset:
         begun, drawn = drawn[len(self.randomised) :], drawn[: len(self.randomised)]
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)
-        fresh = started(self.checked, own, self.robot, u, u_own, self.scene.backend, looks)
+        fresh = started(self.checked, own, self.robot, (u, u_own), self.scene.backend, looks)
         if self.loops is not None:
-            fresh["q"] = self.loops.closed(fresh["q"])
+            there = [fresh.pop("there")] if "there" in fresh else []
+            fresh["q"], *there = self.loops.closed(torch.cat([fresh["q"], *there])).split(len(u))
             fresh["qd"] = held_velocities(self.loops.robot, fresh["q"], fresh["qd"], self.scene.backend)
-            if (there := fresh.pop("there", None)) is not None:
-                aim, at = _aim(self.checked, self.robot), self.loops.closed(there)
-                (fresh["goal"],) = run(aim, [at], choose(self.scene.backend, u.device))
+            if there:
+                aim = _aim(self.checked, self.robot)
+                (fresh["goal"],) = run(aim, there, choose(self.scene.backend, u.device))
         steps = u.new_zeros(len(u))
         fresh.update(streams.with_column(STARTS, after)._asdict(), steps=steps, finished=steps.to(torch.bool))
         for (name, pushes), x in zip(self.pushes.items(), begun, strict=True):
@@ -139,12 +140,12 @@ def started(
     checked: Checked,
     own: Functions | None,
     robot: Robot,
-    u: Tensor,
-    u_own: Tensor,
+    draws: tuple[Tensor, Tensor],
     backend: BackendName | None,
     looks: bool,
 ) -> dict[str, Tensor]:
-    """Rows of the start of a task, of random numbers in (0, 1); `looks` as in `Functions.started`."""
+    """Rows of the start of a task and of its functions, of random numbers of either; `looks` as in these."""
+    u, u_own = draws
     if spans := checked.task.spans():
         u = torch.cat([u[:, : -len(spans)], ranged(u[:, -len(spans) :], spans)], 1)
     program = _program(checked, robot)

@@ -108,7 +108,7 @@ def setup(
         draws = (known.draws(one), 0 if functions is None else functions.task.draws)
         u = torch.rand(STARTS, sum(draws), generator=torch.Generator().manual_seed(0), dtype=torch.float64).to(like)
         u[0] = 0.5
-        starts = started(checked, functions, one, *u.split(draws, 1), scene.backend, True)
+        starts = started(checked, functions, one, (u[:, : draws[0]], u[:, draws[0] :]), scene.backend, True)
         loops = Loops.of(one.bake(), meaning.joints, starts["q"], scene.backend)
     reset = Reset(simulated, checked, drawn, pushed, functions, like.dtype, loops)
     return Setup(nominal, reset, meaning, like.new_tensor(scale))

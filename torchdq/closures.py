@@ -78,8 +78,8 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     require_tensor("q", q)
     free = torch.tensor([name not in held for name in robot.joint_names], device=q.device)
     with torch.no_grad():
-        at, apart, turned, k = towards_closed(robot, q.detach(), free, backend=backend)
-    done = not bool(apart.any())
+        at, gaping, turned, k = towards_closed(robot, q.detach(), free, backend=backend)
+    done = not bool(gaping.any())
     if not done or bool(turned.any()):
         errors = closure_errors(robot, at)
         found = (errors.angle if done else errors.distance).nan_to_num().reshape(-1, len(robot.closures)).amax(0)
