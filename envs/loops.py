@@ -1,4 +1,4 @@
-"""Starts of episodes at which the loops of a robot are closed, each row by itself and without a look at it."""
+"""Starts of episodes at which the loops of a robot are closed; rows do not depend on each other."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ class Loops(NamedTuple):
         """Closed positions for those that a task drew [k, n].
 
         The actuated joints go from home to where they were drawn and the others follow, so that a mechanism stays on
-        the branch of its home. Where that leaves loops open or limits behind, all joints give way; where that does not
-        help, the episode starts at home. What was drawn closed is not moved.
+        the branch of its home. Where loops stay open so, or joints end beyond limits, all joints give way; where that
+        fails, too, the episode starts at home. What was drawn closed is not moved.
         """
         home, every = self.home.expand_as(q), self.ways[-1].free
         _, apart, turned, _ = towards_closed(self.robot, q, every, 0, self.backend)

@@ -7,7 +7,7 @@ from messages import refused
 
 import torchdq
 from torchdq import Closure, TorchdqError, effects
-from torchdq.envs import Actions, RobotVectorEnv, TorchTask
+from torchdq.envs import Actions, RobotEnv, RobotVectorEnv, TorchTask
 
 BACKEND = "auto"
 CRANK = Actions("torque", joints="ja", scale=1.0)
@@ -29,6 +29,8 @@ def test_episodes_start_closed_on_one_branch_with_the_crank_where_it_was_drawn_e
     assert len(q[:, 2].sin().sign().unique()) == 1  # the rocker is on one side of the coupler
     drawn = torchdq.envs.tasks.ranges(envs.robot)[0]
     assert bool((q[:, 0] >= drawn.lower + 0.25 * drawn.span).all())
+    seen, _ = RobotEnv(task="reach", robot=four_bar(), action=CRANK).reset(seed=3)
+    assert seen.shape == envs.single_observation_space.shape
     for row in (0, 100, 255):
         one.reset(seed=3 + row)
         assert torch.equal(one.state.q[0], q[row])

@@ -102,15 +102,13 @@ def loop_step(x: RecipeInputs) -> Results:
     size = reduce(maximum, [absolute(y) for g in found for c in g.columns.values() for y in c], 1.0)
     largest = reduce(maximum, [absolute(y) for g in found for y in g.values]) / size
     moved = [g._replace(columns={k: [free[k] * y for y in c] for k, c in g.columns.items()}) for g in found]
-    rates = (
-        [sum((c[i] * qd[k] for k, c in g.columns.items()), 0.0) for g in moved for i in range(len(g.values))]
-        if qd
-        else ()
-    )
-    step = closures.nearest(moved, rates or [-y for g in found for y in g.values], n)
-    if not qd:  # the gap is not linear
-        shorter = closures.FARTHEST / maximum(sqrt(sum((y * y for y in step), 0.0)), closures.FARTHEST)
-        step = [shorter * y for y in step]
+    if qd is not None:
+        rates = [sum((c[i] * qd[k] for k, c in g.columns.items()), 0.0) for g in moved for i in range(len(g.values))]
+        step = closures.nearest(moved, rates, n)
+    else:
+        whole = closures.nearest(moved, [-y for g in found for y in g.values], n)
+        length = sqrt(sum((y * y for y in whole), 0.0))
+        step = [closures.FARTHEST / maximum(length, closures.FARTHEST) * y for y in whole]  # as the gap is not linear
     return {"step": step, "gap": [largest], "cosine": [reduce(minimum, [g.cosine for g in found])]}
 
 

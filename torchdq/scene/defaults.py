@@ -37,12 +37,12 @@ def default_effects(robot: Robot, motors: Collection[str] | None = None) -> tupl
     if massless(robot):
         raise no_dynamics(robot.name)
     limits, rotors = robot.limits, owned(robot, robot.armature)
-    moved = torch.tensor([motors is None or name in motors for name in robot.joint_names], device=robot.screw.device)
+    moved = [float(motors is None or name in motors) for name in robot.joint_names]
     torque = limits.effort.where(limits.effort > 0, math.inf)
     found: list[Effect] = [
         kinds.Gravity(),
-        kinds.RotorInertia(tuple((ROTOR * moved).tolist()) if rotors is None else rotors),
-        kinds.Viscous(owned(robot, robot.damping.where(robot.damping > 0, DAMPING * moved.to(robot.damping)))),
+        kinds.RotorInertia(tuple([ROTOR * x for x in moved]) if rotors is None else rotors),
+        kinds.Viscous(owned(robot, robot.damping.where(robot.damping > 0, DAMPING * robot.damping.new_tensor(moved)))),
     ]
     if bool((robot.friction > 0).any()):
         found.append(kinds.Coulomb())
