@@ -23,6 +23,7 @@ from torchdq.envs.tasks import ranges, velocities
 from torchdq.errors import ArgumentError
 from torchdq.functions.options import independent
 from torchdq.robot import Robot
+from torchdq.robot.description import UNACTUATED
 from torchdq.scene.defaults import nominal_robot
 from torchdq.scene.free_base import POSE
 from torchdq.scene.scene import Scene
@@ -45,8 +46,8 @@ class Actions:
     "reach" it is the measured position, so that a zero action holds still.
 
     Args:
-        kind: what an action is; None: "target" if the scene has a servo, otherwise "torque" if joints are passive or
-            the base floats, otherwise "reference".
+        kind: what an action is; None: "target" if the scene has a servo, otherwise "torque" if joints are passive, the
+            base floats or the robot has closures, otherwise "reference".
             "reference": offsets of the joint positions that a controller follows, at most as far as a joint moves in
             0.2 s at its velocity limit.
             "target": offsets of the targets of `effects.Servo`, at most 0.25 rad or m.
@@ -61,8 +62,9 @@ class Actions:
         scale: size of a full action, one number or one for each joint or axis; None: as above [N m or N; rad or m].
         leash: largest distance of the desired pose from the measured one after a "pose" step; larger displacements are
             cut. (0, 0): actions displace the measured pose [rad, m].
-        joints: names or patterns of the actuated joints, one number of an action for each, in this order; None: all.
-            The others are passive, which "torque" and "target" permit.
+        joints: names or patterns of the actuated joints, one number of an action for each, in this order; None: all,
+            or of a robot with closures those to which its MJCF file gives actuators. The others are passive, which
+            "torque" and "target" permit.
 
     >>> from torchdq.envs import Actions, RobotVectorEnv
     >>> envs = RobotVectorEnv(64, "reach", "panda", action=Actions("torque", joints="*[1-4]", scale=20.0))
@@ -156,7 +158,7 @@ def resolved(actions: Actions, scene: Scene, defaults: Mapping[str, Any]) -> tup
     Args:
         defaults: those of the task, whose scale is of the default kind of action.
     """
-    robot, joints = scene.robot, _joints(scene.robot, actions.joints)
+    robot, joints = scene.robot, actuated(scene.robot, actions.joints)
     default = _kind(None, robot, joints, scene.effects)
     kind = default if actions.kind is None else _kind(actions.kind, robot, joints, scene.effects)
     scene = _with_controller(scene, kind, actions.controller)
@@ -169,11 +171,19 @@ def resolved(actions: Actions, scene: Scene, defaults: Mapping[str, Any]) -> tup
     return scene, meaning, _full(robot, meaning, scale)
 
 
-def _joints(robot: Robot, given: str | Sequence[str] | None) -> tuple[int, ...]:
+def actuated(robot: Robot, given: str | Sequence[str] | None) -> tuple[int, ...]:
     """Numbers of the actuated joints, each once, in the order given; those of a pattern or a set in the robot's."""
+    names = robot.joint_names
+    if given is None and robot.closures:
+        passive = {name for x in robot.notes if x.code == UNACTUATED for name in x.subject.split(", ")}
+        given = [name for name in names if name not in passive]
+        if not passive <= {*names} or not 0 < len(given) < robot.n:
+            raise ArgumentError(
+                f"joints of Actions must name those of robot {robot.name!r} that have motors, since those of its loops "
+                f"move each other; for instance Actions('torque', joints={names[0]!r}), or joints='*' for all"
+            )
     if given is None:
         return tuple(range(robot.n))
-    names = robot.joint_names
     if not matching("joints", given, names, "joint"):
         raise ArgumentError("joints must name at least one actuated joint, found none")
     words = (given,) if isinstance(given, str | Set) else given
@@ -186,7 +196,7 @@ def _kind(kind: Kind | None, robot: Robot, joints: Sequence[int], effects: Seque
     passive = [name for i, name in enumerate(robot.joint_names) if i not in joints]
     servo = any("target" in effect.inputs(robot.n) for effect in effects)
     if kind is None:
-        return "target" if servo else "torque" if passive or robot.floating else "reference"
+        return "target" if servo else "torque" if passive or robot.floating or robot.closures else "reference"
     if servo != (kind == "target"):
         expected = "be 'target', since effects have a Servo" if servo else "have effects with a Servo(kp, kd)"
         raise ArgumentError(f"action must {expected}, found {kind!r}")

@@ -10,9 +10,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchdq.backends.choice import choose
+from torchdq.backends.choice import BackendName, choose
 from torchdq.backends.precision import run
 from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.closures import held_velocities
+from torchdq.envs.loops import Loops
 from torchdq.envs.pushes import DRAWS, Pushes
 from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams, ranged, seeded
@@ -41,6 +43,7 @@ class Reset:
     pushes: Mapping[str, Pushes]  # inputs that are drawn as well
     functions: Functions | None  # functions of tensors that replace parts of the task; None: there are none
     dtype: torch.dtype  # of what is drawn
+    loops: Loops | None = None  # closed loops of the robot; None: it has none
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -66,16 +69,17 @@ class Reset:
         widths = [*draws, *[r.width for r in self.randomised], *[DRAWS] * len(self.pushes), self.scene.noises]
         u, after = streams.column(STARTS).uniform(sum(widths), self.dtype)
         u, u_own, *drawn, noise = u.split(widths, 1)
-        if spans := task.spans():
-            u = torch.cat([u[:, : -len(spans)], ranged(u[:, -len(spans) :], spans)], 1)
         begun, drawn = drawn[len(self.randomised) :], drawn[: len(self.randomised)]
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)
-        program = _program(self.checked, self.robot)
-        outputs = run(program, [u], choose(self.scene.backend, u.device))
-        fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
-        if own is not None:
-            fresh.update(own.started(u_own, looks))
+        fresh = started(self.checked, own, self.robot, (u, u_own), self.scene.backend, looks)
+        if self.loops is not None:
+            there = [fresh.pop("there")] if "there" in fresh else []
+            fresh["q"], *there = self.loops.closed(torch.cat([fresh["q"], *there])).split(len(u))
+            fresh["qd"] = held_velocities(self.loops.robot, fresh["q"], fresh["qd"], self.scene.backend)
+            if there:
+                aim = _aim(self.checked, self.robot)
+                (fresh["goal"],) = run(aim, there, choose(self.scene.backend, u.device))
         steps = u.new_zeros(len(u))
         fresh.update(streams.with_column(STARTS, after)._asdict(), steps=steps, finished=steps.to(torch.bool))
         for (name, pushes), x in zip(self.pushes.items(), begun, strict=True):
@@ -130,6 +134,33 @@ def _of_rows(scene: Scene, rows: SomeRows) -> Scene:
     for name, value in {"parameters": parameters, "effects": tuple(effects), "objects": tuple(objects)}.items():
         object.__setattr__(found, name, value)  # without the checks of a new scene, which take a millisecond
     return found
+
+
+def started(
+    checked: Checked,
+    own: Functions | None,
+    robot: Robot,
+    draws: tuple[Tensor, Tensor],
+    backend: BackendName | None,
+    looks: bool,
+) -> dict[str, Tensor]:
+    """Rows of the start of a task and of its functions, of random numbers of either; `looks` as in these."""
+    u, u_own = draws
+    if spans := checked.task.spans():
+        u = torch.cat([u[:, : -len(spans)], ranged(u[:, -len(spans) :], spans)], 1)
+    program = _program(checked, robot)
+    outputs = run(program, [u], choose(backend, u.device))
+    fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
+    given = {} if own is None else own.started(u_own, looks)
+    if "goal" in given:
+        fresh.pop("there", None)
+    return fresh | given
+
+
+@remembered(PROGRAMS)
+def _aim(checked: Checked, robot: Robot) -> Program:
+    """Program of the goal of positions at which loops are closed."""
+    return record(f"aim_{robot.name}", [Argument("q", robot.n)], lambda q: {"goal": checked.task.aim(robot, q)})
 
 
 @remembered(PROGRAMS)

@@ -13,10 +13,11 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_object, tensor_of
 from torchdq.effects import Effect
-from torchdq.envs.actions import Actions, Kind, Meaning, resolved
+from torchdq.envs.actions import Actions, Kind, Meaning, actuated, resolved
+from torchdq.envs.loops import Loops
 from torchdq.envs.pushes import Pushes
 from torchdq.envs.randomization import Randomise, randomised
-from torchdq.envs.reset import Reset
+from torchdq.envs.reset import Reset, started
 from torchdq.envs.task_names import task_of
 from torchdq.envs.tasks import ROBOT, Checked, EpisodeTask
 from torchdq.envs.torch_task import Functions, TorchTask
@@ -29,6 +30,7 @@ from torchdq.scene.defaults import default_effects, mean_robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.scene import Scene
 
+STARTS = 64  # that are tried to find one at which loops are closed
 AnyTask = str | EpisodeTask | TorchTask
 
 
@@ -79,13 +81,15 @@ def setup(
     own = ROBOT if isinstance(task, TorchTask) else getattr(task_of(task), "ROBOT", ROBOT)
     robot = _robot_of(own if robot is None else robot)
     known = described(task, robot)
+    actions = action if isinstance(action, Actions) else Actions(action)
+    motors = [robot.joint_names[i] for i in actuated(robot, actions.joints)] if robot.closures else None
     given: dict[str, Any] = {"effects": effects, "dt": timing.dt, "substeps": timing.substeps}
     given |= {"randomise": randomise, "pushes": pushes}
     chosen: dict[str, Any] = dict(known.defaults(mean_robot(robot))) if effects is None else {}
     chosen |= {name: x for name, x in given.items() if x is not None}
     scene = Scene(
         robot,
-        chosen["effects"] if "effects" in chosen else default_effects(robot),
+        chosen["effects"] if "effects" in chosen else default_effects(robot, motors),
         integrator=timing.integrator or LinearlyImplicit(),
         dt=chosen.get("dt", 0.02),
         substeps=chosen.get("substeps", 2),
@@ -94,13 +98,19 @@ def setup(
         objects=known.objects(mean_robot(robot)),
     )
     scene = scene.replace(robot=_within_limits(scene))
-    actions = action if isinstance(action, Actions) else Actions(action)
     scene, meaning, scale = resolved(actions, scene, chosen)
     pushed = chosen.get("pushes", {})
     check_scene(scene, len(like), pushed)
     nominal, simulated, drawn = randomised(scene.to(like.device), chosen.get("randomise", {}), len(like), like)
     functions = functions_of(task, scene.robot, simulated, like.device)
-    reset = Reset(simulated, Checked(known, meaning.pose), drawn, pushed, functions, like.dtype)
+    checked, loops, one = Checked(known, meaning.pose), None, mean_robot(scene.robot)
+    if one.closures:
+        draws = (known.draws(one), 0 if functions is None else functions.task.draws)
+        u = torch.rand(STARTS, sum(draws), generator=torch.Generator().manual_seed(0), dtype=torch.float64).to(like)
+        u[0] = 0.5
+        starts = started(checked, functions, one, (u[:, : draws[0]], u[:, draws[0] :]), scene.backend, True)
+        loops = Loops.of(one.bake(), meaning.joints, starts["q"], scene.backend)
+    reset = Reset(simulated, checked, drawn, pushed, functions, like.dtype, loops)
     return Setup(nominal, reset, meaning, like.new_tensor(scale))
 
 

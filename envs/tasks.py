@@ -102,8 +102,13 @@ class EpisodeTask(Task, Protocol):
         """Rows "q", "qd" and "goal" of these random numbers, and others where there is something that floats.
 
         They are "X_WB" and "V_WB_B" of a floating base, and "poses" [8 objects] and "twists" [6 objects] of objects.
-        What is left out starts at the origin and at rest.
+        What is left out starts at the origin and at rest. Loops are closed at "q", and at "there" where there are such
+        positions, of which the goal is then that of `aim`.
         """
+
+    def aim(self, robot: Robot, there: Row) -> Row:
+        """Goal of the positions "there" of a start."""
+        return ()
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
         """Lower and upper bound of every number of an observation."""
@@ -136,7 +141,12 @@ class Reach(EpisodeTask):
         """Start at rest in the middle half of the joints' ranges, and a goal."""
         at = [r.lower + r.span * (0.25 + 0.5 * x) for r, x in zip(ranges(robot), u[: robot.n], strict=True)]
         there = [r.lower + r.span * x for r, x in zip(ranges(robot), u[robot.n :], strict=True)]
-        return {"q": at, "qd": [0.0] * robot.n, "goal": tip(robot, posed(robot, there, {}, ()))}
+        found = {"q": at, "qd": [0.0] * robot.n, "goal": self.aim(robot, there)}
+        return {**found, "there": there} if robot.closures else found
+
+    def aim(self, robot: Robot, there: Row) -> Row:
+        """Position of the end effector at these positions of the joints."""
+        return tip(robot, posed(robot, there, {}, ()))
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
         """Bounds of sines and cosines, positions, velocities, vector to the goal, and end effector."""
@@ -184,6 +194,11 @@ class Track(EpisodeTask):
 
     def start(self, robot: Robot, u: Row) -> Rows:
         """Start on the reference, moving with it."""
+        if robot.closures:
+            raise ArgumentError(
+                f"robot {robot.name!r} has closures, which Track does not take: a motion of all joints would open the "
+                "loops; use Reach, or a task of your own"
+            )
         goal: list[Number] = []
         for i, r in enumerate(ranges(robot)):
             x = u[7 * i : 7 * i + 7]
@@ -311,7 +326,7 @@ class Checked:
         found = self.task.start(robot, u)
         rows = self._rows("start", {**base, **found} if isinstance(found, Mapping) else found, widths)
         for name in rows:
-            if name not in (known := (*widths, *base)):
+            if name not in (known := (*widths, *base, *["there"] * bool(robot.closures))):
                 raise UnknownNameError(f"row of a start that {type(self.task).__name__}.start may return", name, known)
         return rows
 

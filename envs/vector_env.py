@@ -70,7 +70,7 @@ class RobotVectorEnv(VectorEnv):
         task: "reach", "track", "walk" or "wipe", an object like those of `torchdq.envs.tasks`, or a
             `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed or a floating base; to reach, it
-            needs an end effector. None: a Panda, or a Go2 to walk.
+            needs an end effector. Its loops are closed at every start. None: a Panda, or a Go2 to walk.
         effects: effects of the scene; None: those of the task, or `torchdq.scene.defaults.default_effects(robot)`.
         action: what an action means, "reference", "target", "torque", "residual" or "pose", or an
             `torchdq.envs.Actions` with further settings; None: the default that `Actions` describes.
@@ -135,11 +135,6 @@ class RobotVectorEnv(VectorEnv):
         self._nominal, self._meaning, self._scale = made.nominal, made.meaning, made.scale
         self._use(made.reset)
         self.robot, names = self._scene.robot, ("rgb_array", "human")
-        if self.robot.closures:
-            raise ArgumentError(
-                f"robot must have no closures, found those of {self.robot.name!r}: episodes would start with its loops "
-                "open; simulate it by a Scene, whose start closes them"
-            )
         rate = max(1, round(1 / self._scene.dt))
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": [*names], "render_fps": rate}
         self.single_observation_space = self._observed(task)

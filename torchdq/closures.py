@@ -24,7 +24,6 @@ from torchdq.robot.argument import require_robot
 __all__ = ["closed", "closure_errors", "constrained_inverse_dynamics"]
 
 MOST = 50  # Newton steps
-FARTHEST = 0.5  # largest change of a step [rad or m], as the gap is not linear
 TOLERANCES = {torch.float32: 4e-6, torch.float64: 4e-12}  # [m] and [rad], of a machine of a metre
 # singular values, relative to the norm of the Jacobian, that are left out: of rows that others imply
 SINGULAR = {torch.float32: 1e-5, torch.float64: 1e-9}
@@ -78,18 +77,10 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     held = matching("hold", hold, _looped(robot).joint_names, f"joint of robot {robot.name!r}")
     require_tensor("q", q)
     free = torch.tensor([name not in held for name in robot.joint_names], device=q.device)
-    at = q.detach()
-    for k in range(MOST + 1):
-        with torch.no_grad():
-            g, J, cosine = function_of("closure_gaps", robot, {"q": at}, backend)
-            inverse = _inverse(J * free, J)
-            size = J.abs().amax((-2, -1)).nan_to_num().clamp_min(1.0)[..., None]  # of the machine
-            done = bool((~(g.abs() > TOLERANCES[q.dtype] * size)).all())
-            if done or k == MOST:
-                break
-            step = (inverse @ g[..., None])[..., 0]
-            at = at - step * (FARTHEST / step.norm(dim=-1, keepdim=True)).clamp(max=1.0)
-    if not done or bool((cosine < 0).any()):
+    with torch.no_grad():
+        at, gaping, turned, k = towards_closed(robot, q.detach(), free, backend=backend)
+    done = not bool(gaping.any())
+    if not done or bool(turned.any()):
         errors = closure_errors(robot, at)
         found = (errors.angle if done else errors.distance).nan_to_num().reshape(-1, len(robot.closures)).amax(0)
         a, b, _ = robot.closures[int(found.argmax())]
@@ -99,14 +90,33 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
             f"between them after {k} steps; start nearer, or hold others"
         )
     moved = q + (at - q.detach())
-    g, *_ = function_of("closure_gaps", robot, {"q": moved}, backend)
+    g, J, _ = function_of("closure_gaps", robot, {"q": moved}, backend)
+    inverse = _inverse(J.detach() * free, J)
     return moved - (inverse @ g[..., None])[..., 0]
 
 
-def held_velocities(robot: Robot, q: Tensor, qd: Tensor) -> Tensor:
+def towards_closed(
+    robot: Robot, q: Tensor, free: Tensor, most: int = MOST, backend: BackendName | None = None
+) -> tuple[Tensor, Tensor, Tensor, int]:
+    """Positions [..., n] after Newton steps of the free joints, each row until it is closed.
+
+    Then which rows are not closed, which have axes more than a quarter turn apart, and the number of steps. Rows do not
+    depend on each other, and a row that is not finite remains as it is.
+    """
+    for k in range(most + 1):
+        step, gap, cosine = function_of("loop_step", robot, {"q": q, "free": free.to(q.dtype)}, backend)
+        apart = gap > TOLERANCES[q.dtype]
+        if k == most or (q.is_cpu and not bool(apart.any())):  # other devices are not waited for
+            break
+        q = torch.where(apart[..., None], q + step, q)
+    return q, apart, cosine < 0, k
+
+
+def held_velocities(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> Tensor:
     """Velocities [..., n] nearest to qd that keep the loops closed, at closed positions q."""
-    _, J, _ = function_of("closure_gaps", robot, {"q": q}, None)
-    return qd - (_inverse(J.detach(), J) @ (J @ qd[..., None]))[..., 0]
+    for _ in range(2):  # as least squares are damped
+        qd = qd - function_of("loop_step", robot, {"q": q, "qd": qd, "free": q.new_ones(robot.n)}, backend)[0]
+    return qd
 
 
 def _inverse(A: Tensor, J: Tensor) -> Tensor:

@@ -12,7 +12,6 @@ from torch.func import jvp
 
 import torchdq
 from torchdq import Closure, Scene, TorchdqError, effects
-from torchdq.envs import RobotVectorEnv
 from torchdq.objects import Ball
 from torchdq.scene import controllers, integrators
 
@@ -179,6 +178,28 @@ def test_a_start_that_is_not_closed_is_moved_with_a_warning():
     assert float(after.distance) < 1e-10 and float(moving.qd[0]) > 0.5
 
 
+def test_a_check_tells_loops_that_are_open_in_its_state():
+    scene = Scene(four_bar(), (DOWN,), dt=1e-3)
+    state = scene.start(start())
+    assert float(scene.closure_errors(state).distance) < 1e-11
+    with warned(UserWarning):
+        scene.check(state._replace(q=state.q + double(0.0, 0.1, 0.0)), seconds=0.01)
+
+
+def test_ball_joints_near_a_right_angle_are_warned_of_at_a_start_and_along_a_rollout():
+    body = '<body name="a"><joint name="knob" type="ball"/><geom size=".1" pos=".2 0 0"/></body>'
+    with warned(UserWarning):
+        robot = torchdq.Robot.from_mjcf(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    scene = Scene(robot, (effects.RotorInertia(0.1),), dt=0.01)
+    still = scene.start(double(1.6, 1.0, 1.6))
+    for turn in (
+        lambda: scene.start(double(0.0, 1.4, 0.0)),
+        lambda: scene.rollout(still._replace(qd=double(0, 6, 0)), steps=9),
+    ):
+        with warned(UserWarning):
+            turn()
+
+
 def test_what_does_not_serve_loops_is_refused():
     robot = four_bar()
     for given in (
@@ -187,8 +208,6 @@ def test_what_does_not_serve_loops_is_refused():
     ):
         with refused(TorchdqError):
             Scene(robot, (DOWN,), **given)
-    with refused(TorchdqError):
-        RobotVectorEnv(2, "reach", robot)
 
 
 def test_robots_that_are_cut_or_put_together_keep_their_closures():

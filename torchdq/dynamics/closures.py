@@ -44,6 +44,8 @@ ROWS = {kind: 3 + len(rows) for kind, rows in COSINES.items()}
 # least part of the square of a row of J that others do not imply, and least square of a row among those of a closure
 INDEPENDENT, MOBILE = 1e-6, 1e-10
 HUGE = 1e30
+DAMPING = 1e-6  # of least squares, relative to the mean square of the rows of a closure in metres, or of its cosines
+FARTHEST = 0.5  # largest change of a step towards closed positions [rad or m]
 DECAY = 50.0  # rate at which gaps close where accelerations are integrated [1/s]
 
 
@@ -151,6 +153,24 @@ def _held(closure: Gap, first: int, accelerations: Row, compliances: Row = ()) -
 def _still(held: Held, row: int) -> bool:
     """Whether nothing moves a row by structure, as those across the plane of a loop."""
     return all(isinstance(c[row], float) and c[row] == 0 for c in held.columns.values())
+
+
+def nearest(closed: Sequence[Gap], change: Sequence[Number], n: int) -> list[Number]:
+    """Smallest row x of n numbers with J x = change, in the sense of damped least squares."""
+    rows = [
+        [g.columns[k][i] if k in g.columns else 0.0 for k in range(n)] for g in closed for i in range(len(g.values))
+    ]
+    A = [[dot(a, b) for b in rows] for a in rows]
+    first = 0
+    for g in closed:
+        for part in (range(first, first + 3), range(first + 3, first + len(g.values))):
+            least = sum((A[i][i] for i in part), 0.0) * (DAMPING / max(len(part), 1)) + 1.0 / HUGE
+            for i in part:
+                A[i][i] = A[i][i] + least
+        first += len(g.values)
+    before = ltdl.dense(len(rows))
+    forces = ltdl.solve(before, ltdl.factorise(before, tuple(map(tuple, A))), change)
+    return [dot([row[k] for row in rows], forces) for k in range(n)]
 
 
 def solve(factors: Factors, b: Row, held: Sequence[Held]) -> Row:

@@ -90,6 +90,12 @@ RECIPES: dict[str, Recipe] = {
     "closure_gaps": Recipe(
         joints("q"), (fixed.closure_gaps,), lambda: (("gaps",), ("gaps", "n"), ("closures",)), of_joints=True
     ),
+    "loop_step": Recipe(
+        (*joints("q"), _MOVED[0], Field("free", ("n",), kind="shared")),
+        (fixed.loop_step,),
+        lambda: (("n",), (), ()),
+        of_joints=True,
+    ),
     "loop_torques": Recipe((*joints("q"), *_MOVED, *WRENCHES), (fixed.loop_torques,), lambda: (("n",), ("gaps", "n"))),
     "distances": Recipe(
         (

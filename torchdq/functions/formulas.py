@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 
 from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
@@ -13,6 +14,7 @@ from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.functions.posed import BASE, as_screw, factors, frame, gaps, general, solve
 from torchdq.functions.recipe import RecipeInputs, Results
+from torchdq.numbers.functions import absolute, maximum, minimum, sqrt
 from torchdq.program.program import GROWTH, Value
 
 
@@ -88,6 +90,26 @@ def closure_gaps(x: RecipeInputs) -> Results:
     found = gaps(x.robot, x.on_fixed_base(), None)
     J = [g.columns[k][i] if k in g.columns else None for g in found for i in range(len(g.values)) for k in range(n)]
     return {"g": [value for g in found for value in g.values], "J": J, "cosine": [g.cosine for g in found]}
+
+
+def loop_step(x: RecipeInputs) -> Results:
+    """Step of the free joints towards closed positions; with qd, the part of it that opens the loops.
+
+    Then the largest gap, of a machine of a metre, and the least cosine of an angle between axes that are held together.
+    """
+    n, free, qd = x.robot.n, x.arguments["free"], x.arguments.get("qd")
+    found = gaps(x.robot, x.on_fixed_base(), None)
+    size = reduce(maximum, [absolute(y) for g in found for c in g.columns.values() for y in c], 1.0)
+    largest = reduce(maximum, [absolute(y) for g in found for y in g.values]) / size
+    moved = [g._replace(columns={k: [free[k] * y for y in c] for k, c in g.columns.items()}) for g in found]
+    if qd is not None:
+        rates = [sum((c[i] * qd[k] for k, c in g.columns.items()), 0.0) for g in moved for i in range(len(g.values))]
+        step = closures.nearest(moved, rates, n)
+    else:
+        whole = closures.nearest(moved, [-y for g in found for y in g.values], n)
+        length = sqrt(sum((y * y for y in whole), 0.0))
+        step = [closures.FARTHEST / maximum(length, closures.FARTHEST) * y for y in whole]  # as the gap is not linear
+    return {"step": step, "gap": [largest], "cosine": [reduce(minimum, [g.cosine for g in found])]}
 
 
 def regressor(x: RecipeInputs) -> Results:

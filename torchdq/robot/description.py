@@ -15,6 +15,8 @@ ClosureKind = Literal["point", "hinge", "weld"]
 Base = Literal["file", "fixed", "floating"]
 NO_TIP = "tip.missing"  # code of a note that goes when a tip is chosen
 NO_MASS = "robot.massless"  # code of a warning that goes when bodies are changed
+BALL = "joint.ball"  # code of a note of a ball joint that three hinges stand for
+UNACTUATED = "joint.unactuated"  # code of a note of the joints of an MJCF file that no actuator moves
 UNSIMULATED = "unsimulated."  # beginning of the codes of parts that would act on the motion, and have no field
 
 

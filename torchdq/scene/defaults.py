@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import torch
@@ -23,22 +23,26 @@ ROTOR = 0.1  # where a description has none; common for geared arms [kg m^2 or k
 DAMPING = 1.0  # likewise [N m s/rad or N s/m]
 
 
-def default_effects(robot: Robot) -> tuple[Effect, ...]:
+def default_effects(robot: Robot, motors: Collection[str] | None = None) -> tuple[Effect, ...]:
     """Default effects of an arm: gravity, and joints with rotors, friction, limits and motors.
 
     Parameters are those of the description. Missing rotor inertia and damping are `ROTOR` and `DAMPING`, because small
     joints without them would exceed realistic speeds. Motors have a torque-speed limit if torque and velocity limits of
     all joints are known; otherwise torques are only saturated. A torque limit of zero, as in many files, is none.
     Raises `SingularInertiaError` for a robot without mass, whose motion would be that of these rotors alone.
+
+    Args:
+        motors: names of the joints that have motors; at others, nothing is added that is missing. None: all.
     """
     if massless(robot):
         raise no_dynamics(robot.name)
     limits, rotors = robot.limits, owned(robot, robot.armature)
+    moved = [float(motors is None or name in motors) for name in robot.joint_names]
     torque = limits.effort.where(limits.effort > 0, math.inf)
     found: list[Effect] = [
         kinds.Gravity(),
-        kinds.RotorInertia((ROTOR,) * robot.n if rotors is None else rotors),
-        kinds.Viscous(owned(robot, robot.damping.where(robot.damping > 0, DAMPING))),
+        kinds.RotorInertia(tuple([ROTOR * x for x in moved]) if rotors is None else rotors),
+        kinds.Viscous(owned(robot, robot.damping.where(robot.damping > 0, DAMPING * robot.damping.new_tensor(moved)))),
     ]
     if bool((robot.friction > 0).any()):
         found.append(kinds.Coulomb())

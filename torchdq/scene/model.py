@@ -18,7 +18,7 @@ from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import require_choice, require_count, require_number, require_object, require_tensor
-from torchdq.closures import closed, held_velocities
+from torchdq.closures import ClosureErrors, closed, closure_errors, held_velocities
 from torchdq.control.law import Law
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.closures import Closures
@@ -40,7 +40,7 @@ from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import CONTROLLER, OBJECTS, POSES, ROBOT, SceneSpec, Task, supplied
-from torchdq.scene.state import State, initial_motion, outside_limits, require_state
+from torchdq.scene.state import State, bent_balls, initial_motion, outside_limits, require_state
 from torchdq.scene.substeps import flow
 
 MOVED = 1e-4  # change of positions that closes loops, and is not warned of [rad or m]
@@ -185,8 +185,9 @@ class SceneModel:
         if self.robot.closures and not self.spec.of(Closures):
             q = self._closed(moved["q"])
             moved = {**moved, "q": q, "qd": held_velocities(self.robot, q, moved["qd"])}
-        if message := outside_limits(moved["q"], self.effects, self.robot):
-            warnings.warn(message, stacklevel=2)
+        for message in (outside_limits(moved["q"], self.effects, self.robot), bent_balls(moved["q"], self.robot)):
+            if message:
+                warnings.warn(message, stacklevel=2)
         return self._begin(moved, {}, noise)[0]
 
     def _closed(self, q: Tensor) -> Tensor:
@@ -301,6 +302,11 @@ class SceneModel:
         """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
         require_state(state)
         return self._evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
+
+    def closure_errors(self, state: State) -> ClosureErrors:
+        """Errors of the robot's closures in a state, distances [m] and angles [rad], shape [..., closures]."""
+        require_state(state)
+        return closure_errors(self.robot, state.q, self.backend)
 
     @property
     def touching(self) -> list[tuple[str, str]]:

@@ -24,7 +24,7 @@ from torchdq.scene.loops import CARRY, Done, Part, Plan, Policy, looped, loops
 from torchdq.scene.model import SceneModel
 from torchdq.scene.policies import Linear, Network
 from torchdq.scene.spec import Task
-from torchdq.scene.state import State, initial_motion, nonfinite_rows, require_state
+from torchdq.scene.state import State, bent_balls, initial_motion, nonfinite_rows, require_state
 
 LONG = 50  # steps from which a rollout reports its progress
 LONG_LOOP = 1_000_000  # steps of joints from which a loop does, since a thread takes as long as a short rollout
@@ -145,7 +145,9 @@ def _checkpointed(
 
 
 def _warn(scene: SceneModel, start: State, states: State, ends: bool) -> None:
-    """Warn of rows that are not finite at the start, and of those that are no longer so at the end."""
+    """Warn of rows that are not finite at the start or no longer at the end, and of ball joints near right angles."""
+    if message := bent_balls(states.q, scene.robot):
+        warnings.warn(message, stacklevel=4)
     rows = [x.detach() for x in states.rows().values()]
     if math.isfinite(sum([(x if ends else x[-1]).sum().item() for x in rows])):
         return  # what is not finite remains so

@@ -41,6 +41,7 @@ FAR = 1e6  # positions and velocities beyond which a row has diverged, though it
 STATES = 16  # states of a trial run that are looked at
 FINE = 64  # parts of a step that stand for steps that adapt
 FAST = 1.5  # turn of a floating base in a step up to which inertial torques give no energy [rad]
+OPEN = 1e-4  # gap of a loop that is pointed out [m]
 DEEP = 0.01  # depth from which points that sink into the ground are pointed out [m]
 
 
@@ -163,6 +164,8 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
         if not bool(state.finite().any()):
             raise ArgumentError(f"state must be finite to start a trial run from, found: {unusable}")
         warnings.warn(f"{unusable}; the others are checked", stacklevel=2)
+    if scene.robot.closures and (gap := float(scene.closure_errors(state).distance.nan_to_num().max())) > OPEN:
+        warnings.warn(f"loops are open by up to {gap:.3g} m in the state; scene.start closes them", stacklevel=2)
     given = {name: x.double() for name, x in inputs.items() if x is not None}
     trial = _Trial(scene, state.to(torch.float64), given, intervals)
     integrator, times = scene.integrator, scene.substeps

@@ -17,10 +17,12 @@ from torchdq.effects.effect import Effect
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
+from torchdq.robot.description import BALL
 from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import LABELS, POSES, SceneSpec
 
+BENT = 0.3  # cosine of the middle hinge of a ball joint below which the three cannot turn freely
 OUTSIDE = 0.5  # distance beyond a limit from which its spring throws the joint back at speeds of no real arm [rad or m]
 
 
@@ -147,3 +149,19 @@ def outside_limits(q: Tensor, effects: Sequence[Effect], robot: Robot) -> str:
             f"JointLimits(lower, upper) that allow it"
         )
     return ""
+
+
+def bent_balls(q: Tensor, robot: Robot) -> str:
+    """Message about ball joints whose three hinges come to where they cannot turn freely; "" if there is none."""
+    balls = {x.subject for x in robot.notes if x.code == BALL}
+    if not balls or without_values((q,)) or not q.numel():
+        return ""
+    cosines = q.detach().cos().abs().reshape(-1, robot.n).amin(0).tolist()
+    bent = [x for x, cos in zip(robot.joint_names, cosines, strict=True) if cos < BENT]
+    found = [x for x in bent if x.endswith("_y") and f"ball joint {x[:-2]!r}" in balls]
+    if not found:
+        return ""
+    return (
+        f"found {', '.join(found)} of robot {robot.name!r} near a right angle, where the hinges of a ball joint cannot "
+        "turn freely; stay below 70 degrees (1.2 rad)"
+    )

@@ -10,14 +10,14 @@ from torchdq.dynamics.tree import BASE
 from torchdq.findings import Finding
 from torchdq.robot.assembly import APART
 from torchdq.robot.check.units import TURN
-from torchdq.robot.description import UNSIMULATED, note
+from torchdq.robot.description import BALL, UNACTUATED, UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import FREE, Equality, MjcfJoint, actuators_at, names_of
 from torchdq.robot.mjcf.links import ModelLinks
 from torchdq.robot.mjcf.source import MjcfModel
 from torchdq.robot.xml_text import root_name
 
-BALL = (
+HINGES = (
     "read as three hinges {name}_x, {name}_y and {name}_z, which cannot turn freely where {name}_y is near a right "
     "angle; keep it below 70 degrees (1.2 rad)"
 )
@@ -84,7 +84,7 @@ def _used_otherwise(
         note("joint.held", still, "held where the file puts it"),
     ]
     if m.nactuator:
-        found.append(listed("joint.unactuated", lambda j: j.effort is None, "joints without actuators"))
+        found.append(listed(UNACTUATED, lambda j: j.effort is None, "joints without actuators"))
     more = {
         "body.lumped": lumped if bodies.lumped else "",
         "gravity.compensated": "no gravity, because every moving body is compensated for it (gravcomp)"
@@ -143,9 +143,7 @@ def _ignored(
     )
     turning = {joint.name for joint in joints if moves[joint.row].leader is not None}
     found = [
-        Finding("joint.ball", f"ball joint {name!r}", BALL.format(name=name))
-        for name in of.balls
-        if f"{name}_y" in turning
+        Finding(BALL, f"ball joint {name!r}", HINGES.format(name=name)) for name in of.balls if f"{name}_y" in turning
     ]
     found += [
         Finding(f"{UNSIMULATED}armature", f"free joint {x.name!r}", inherited, cure="write <freejoint/>, without any")
