@@ -26,8 +26,9 @@ __all__ = ["closed", "closure_errors", "constrained_inverse_dynamics"]
 MOST = 50  # Newton steps
 FARTHEST = 0.5  # largest change of a step [rad or m], as the gap is not linear
 TOLERANCES = {torch.float32: 4e-6, torch.float64: 4e-12}  # [m] and [rad], of a machine of a metre
+ROUNDED = 1e-6  # gap of rows that contradict others by the rounding of a file, which no positions close [m] and [rad]
 # singular values, relative to the norm of the Jacobian, that are left out: of rows that others imply
-SINGULAR = {torch.float32: 1e-5, torch.float64: 1e-9}
+SINGULAR = {torch.float32: 1e-5, torch.float64: 1e-6}
 UNBALANCED = 1e-6  # torque that is left at joints without motors, relative to the largest
 
 
@@ -83,11 +84,13 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
         with torch.no_grad():
             g, J, cosine = function_of("closure_gaps", robot, {"q": at}, backend)
             inverse = _inverse(J * free, J)
-            size = J.abs().amax((-2, -1)).nan_to_num().clamp_min(1.0)[..., None]  # of the machine
-            done = bool((~(g.abs() > TOLERANCES[q.dtype] * size)).all())
+            step = (inverse @ g[..., None])[..., 0]
+            size = J.abs().amax((-2, -1)).nan_to_num().clamp_min(1.0)  # of the machine
+            gap, change, least = g.abs().amax(-1), step.abs().amax(-1), TOLERANCES[q.dtype]
+            unclosed = (gap > least * size) & ~((change <= least) & (gap <= ROUNDED * size))
+            done = not bool(unclosed.any())
             if done or k == MOST:
                 break
-            step = (inverse @ g[..., None])[..., 0]
             at = at - step * (FARTHEST / step.norm(dim=-1, keepdim=True)).clamp(max=1.0)
     if not done or bool((cosine < 0).any()):
         errors = closure_errors(robot, at)

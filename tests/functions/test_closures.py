@@ -118,6 +118,19 @@ def test_a_loop_is_closed_with_the_joints_that_are_held_where_they_are():
     assert float(torchdq.closure_errors(robot, torchdq.closed(robot, q)).distance.detach().max()) < 1e-14
 
 
+def test_points_that_contradict_one_another_by_the_rounding_of_a_file_are_closed_as_far_as_they_go():
+    """A pin given as two points on its axis, of which the file has one 30 nm off."""
+    text = """<mujoco><worldbody><body name="a"><joint name="ja" axis="0 -1 0"/><inertial mass="1" pos=".1 0 0"
+      diaginertia=".01 .01 .01"/><body name="b" pos=".2 0 0"><joint name="jb" axis="0 -1 0"/><inertial mass="1" pos=".2 0 0"
+      diaginertia=".01 .01 .01"/><site name="b1" pos=".3 0 0"/><site name="b2" pos=".30000003 .02 0"/></body></body>
+      <site name="a1" pos=".1 0 .4"/><site name="a2" pos=".1 .02 .4"/></worldbody>
+      <equality><connect site1="a1" site2="b1"/><connect site1="a2" site2="b2"/></equality></mujoco>"""
+    robot = torchdq.Robot.from_mjcf(text)
+    found = torchdq.closed(robot, torch.tensor([1.0, 1.0], dtype=F64))
+    assert float(torchdq.closure_errors(robot, found).distance.max()) < 3e-8
+    assert found.allclose(torchdq.closed(robot, found), rtol=0, atol=1e-12)
+
+
 def test_errors_of_closures_are_distances_and_angles():
     robot = two().with_closures(Closure("base", "tip"), Closure("base", "tip", "weld"))
     q = torch.tensor([0.3, 0.2], dtype=F64)
