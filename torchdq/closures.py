@@ -62,8 +62,8 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     """Joint positions [..., n] near q at which all closures are closed, by Newton's method.
 
     Each step is the smallest change that closes the gaps to first order, q - J^+ g. Gradients in q are those of the
-    solution: of the projection on positions that are closed. A row that is not finite remains so. Closures that contradict
-    one another by the rounding of a file, up to 1e-6 m, are closed as far as they go.
+    solution: of the projection on positions that are closed. A row that is not finite remains so. Closures that
+    contradict one another by the rounding of a file, up to 1e-6 m, are closed as far as they go.
 
     Args:
         robot: the robot, on any base.
