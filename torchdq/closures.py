@@ -25,8 +25,9 @@ __all__ = ["closed", "closure_errors", "constrained_inverse_dynamics"]
 
 MOST = 50  # Newton steps
 TOLERANCES = {torch.float32: 4e-6, torch.float64: 4e-12}  # [m] and [rad], of a machine of a metre
+ROUNDED = 1e-6  # gap of rows that contradict others by the rounding of a file, which no positions close [m] and [rad]
 # singular values, relative to the norm of the Jacobian, that are left out: of rows that others imply
-SINGULAR = {torch.float32: 1e-5, torch.float64: 1e-9}
+SINGULAR = {torch.float32: 1e-5, torch.float64: 1e-6}
 UNBALANCED = 1e-6  # torque that is left at joints without motors, relative to the largest
 
 
@@ -60,7 +61,8 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     """Joint positions [..., n] near q at which all closures are closed, by Newton's method.
 
     Each step is the smallest change that closes the gaps to first order, q - J^+ g. Gradients in q are those of the
-    solution: of the projection on positions that are closed. A row that is not finite remains so.
+    solution: of the projection on positions that are closed. A row that is not finite remains so. Closures that
+    contradict one another by the rounding of a file, up to 1e-6 m, are closed as far as they go.
 
     Args:
         robot: the robot, on any base.
@@ -105,7 +107,8 @@ def towards_closed(
     """
     for k in range(most + 1):
         step, gap, cosine = function_of("loop_step", robot, {"q": q, "free": free.to(q.dtype)}, backend)
-        apart = gap > TOLERANCES[q.dtype]
+        least = TOLERANCES[q.dtype]
+        apart = (gap > least) & ~((step.abs().amax(-1) <= least) & (gap <= ROUNDED))
         if k == most or (q.is_cpu and not bool(apart.any())):  # other devices are not waited for
             break
         q = torch.where(apart[..., None], q + step, q)
