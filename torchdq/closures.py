@@ -94,7 +94,9 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     moved = q + (at - q.detach())
     g, J, _ = function_of("closure_gaps", robot, {"q": moved}, backend)
     inverse = _inverse(J.detach() * free, J)
-    return moved - (inverse @ g[..., None])[..., 0]
+    last = (inverse @ g[..., None])[..., 0]
+    contradicting = g.detach().abs().amax(-1, keepdim=True) > 10 * TOLERANCES[q.dtype]  # which it would not close
+    return moved - (last - last.detach().where(contradicting, 0.0))
 
 
 def towards_closed(
@@ -105,10 +107,11 @@ def towards_closed(
     Then which rows are not closed, which have axes more than a quarter turn apart, and the number of steps. Rows do not
     depend on each other, and a row that is not finite remains as it is.
     """
+    last = torch.inf
     for k in range(most + 1):
         step, gap, cosine = function_of("loop_step", robot, {"q": q, "free": free.to(q.dtype)}, backend)
         least = TOLERANCES[q.dtype]
-        apart = (gap > least) & ~((step.abs().amax(-1) <= least) & (gap <= ROUNDED))
+        apart, last = (gap > least) & ~((gap <= ROUNDED) & (gap > 0.5 * last)), gap
         if k == most or (q.is_cpu and not bool(apart.any())):  # other devices are not waited for
             break
         q = torch.where(apart[..., None], q + step, q)
