@@ -52,7 +52,7 @@ def geared():
 def test_coordinates_inherit_from_the_joints_that_follow_them():
     full, robot = described(), described().couple(GEARS, offset={"j2": 0.25})
     assert robot.joint_names == ("j0", "j1", "j3") and robot.every_joint == full.joint_names
-    assert (robot.n, robot.sizes, robot.floating) == (3, {"n": 3, "links": 6}, False)
+    assert (robot.n, robot.sizes, robot.floating) == (3, {"n": 3, "links": 6, "closures": 0}, False)
     assert torch.allclose(robot.damping, full.damping @ RATIOS.square(), rtol=1e-15)
     assert torch.allclose(robot.armature, full.armature @ RATIOS.square(), rtol=1e-15)
     assert torch.allclose(robot.friction, full.friction @ RATIOS.abs(), rtol=1e-15)
