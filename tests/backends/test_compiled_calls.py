@@ -1,7 +1,10 @@
 """Calls of `torchdq.compile` objects: results in given memory, arrays of NumPy, one sample without detours."""
 
 import copy
+import math
 import pickle
+import sys
+import weakref
 
 import messages
 import numpy as np
@@ -10,7 +13,7 @@ import torch
 from helpers import thinned
 
 import torchdq
-from torchdq.backends.one_sample import one_sample
+from torchdq.backends.fast_call import fast_call, quick
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.transforms import load_forward_mode
 
@@ -26,6 +29,14 @@ def compiled(function="inverse_dynamics", dtype="float64", robot="panda"):
 def rows(program, *batch, dtype=F64, seed=0):
     generator = torch.Generator().manual_seed(seed)
     return [torch.rand(*batch, a.width, generator=generator, dtype=F64).to(dtype) for a in program.program.arguments]
+
+
+def fast(program, *batch, out=False):
+    """Fast call of a program with rows of a batch."""
+    recorded = program.program
+    shapes, names = ([(*batch, a.width) for a in recorded.arguments], [r.name for r in recorded.results])
+    results = [(*batch, len(r.values)) for r in recorded.results]
+    return fast_call(recorded, program.dtype, shapes, names, results, math.prod(batch), out).function
 
 
 def listed(found):
@@ -103,39 +114,77 @@ def test_rows_whose_errors_grow_too_much_are_recomputed_into_the_given_memory():
     values = {"q": [0.1, 1e-3], "qd": [0.3, -0.1], "tau": [1.0, 0.5], "mass": [1e-6, 1.0], "inertia": [0.0] * 12}
     call = torchdq.compile(robot.replace(mass=robot.mass, inertia=robot.inertia), "forward_dynamics", "float32")
     inputs = [torch.tensor(values[a.name]) for a in call.program.arguments]
-    single = one_sample(call.program, call.dtype)
-    assert single is not None and single(inputs, None) is None
+    assert fast(call)(*inputs) is None and fast(call, 2)(*[torch.stack([x, x]) for x in inputs]) is None
     wide = torchdq.compile(robot.replace(mass=robot.mass, inertia=robot.inertia), "forward_dynamics")
     room = torch.empty(2)
     assert call(*inputs, out=room) is room
     torch.testing.assert_close(room, wide(*[x.double() for x in inputs]).float(), rtol=1e-6, atol=0)
 
 
-def test_one_sample_takes_no_detour_unless_torch_or_the_user_asks_for_one():
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_a_fast_call_takes_no_detour_unless_torch_or_the_user_asks_for_one(batch):
     call = compiled()
-    inputs = rows(call)
-    single = one_sample(call.program, call.dtype)
-    assert single(inputs, None) is not None and single(inputs, [torch.empty(7, dtype=F64)]) is not None
+    inputs, room = rows(call, *batch), torch.empty(*batch, 7, dtype=F64)
+    single = fast(call, *batch)
+    (found,), (given,) = single(*inputs), fast(call, *batch, out=True)(*inputs, room)
+    with torchdq.backend("c"):
+        assert single(*inputs) is None and torch.equal(found, call(*inputs))
+    assert given is room and torch.equal(found, room) and torch.equal(single(None, *inputs, None)[0], room)
     refused = {
         "a batch": [x[None] for x in inputs],
         "another dtype": [x.float() for x in inputs],
         "gradients": [inputs[0].clone().requires_grad_(), *inputs[1:]],
-        "gaps": [torch.rand(14, dtype=F64)[::2], *inputs[1:]],
+        "gaps": [torch.rand(*batch, 14, dtype=F64)[..., ::2], *inputs[1:]],
+        "one tensor twice": [inputs[0], inputs[0], inputs[2]],
         "a negative view": [torch._neg_view(inputs[0]), *inputs[1:]],
         "too few": inputs[:2],
+        "none": [],
+        "far too many": [*inputs] * 20,
         "no tensor": [[0.0] * 7, *inputs[1:]],
     }
     for why, rows_ in refused.items():
-        assert single(rows_, None) is None, why
+        assert single(*rows_) is None, why
     with torchdq.backend("eager"):
-        assert single(inputs, None) is None
+        assert single(*inputs) is None
     seen = []
-    torch.func.vmap(lambda q: (seen.append(single([q, *inputs[1:]], None)), q)[1])(torch.rand(2, 7, dtype=F64))
+    torch.func.vmap(lambda q: (seen.append(single(q, *inputs[1:])), q)[1])(torch.rand(2, *batch, 7, dtype=F64))
     load_forward_mode()
     with torch.autograd.forward_ad.dual_level():
         dual = torch.autograd.forward_ad.make_dual(inputs[0], inputs[1])
-        seen.append(single([dual, *inputs[1:]], None))
+        seen.append(single(dual, *inputs[1:]))
     assert seen == [None, None]
+
+
+def test_fast_calls_hold_no_reference_longer_than_they_last():
+    """Whether they take place or not; in Pythons whose None and True are counted, of them, too."""
+    call = compiled("closed_form", robot="two_link")
+    inputs = rows(call, 3)
+    single, room = fast(call, 3), [torch.empty_like(y) for y in call(*inputs)]
+    given = fast(call, 3, out=True)
+    watched = (*inputs, *room, None, True, False, 0, "auto")
+    before = [sys.getrefcount(x) for x in watched]
+    for _ in range(1000):
+        single(*inputs), single(*inputs[1:]), single(inputs), given(*inputs, *room), given(*inputs, *room[:-1], room[0])
+    after = [sys.getrefcount(x) for x in watched]
+    assert all(abs(b - a) < 100 for a, b in zip(before, after, strict=True))
+    freed = weakref.ref(single(*inputs)[0])
+    assert freed() is None
+
+
+@pytest.mark.parametrize("function", TWO)
+def test_calls_of_any_form_are_fast_from_the_second_on(function):
+    """Functions, compiled objects and modules."""
+    robot = torchdq.robots.load("panda")
+    for batch in ((), (5,), (2, 3), (300,)):
+        call = compiled(function)
+        inputs = rows(call, *batch)
+        expected = listed(call(*inputs))
+        names = [a.name for a in call.program.arguments]
+        for found in (call(*inputs), getattr(torchdq, function)(robot, **dict(zip(names, inputs, strict=True)))):
+            assert all(torch.equal(x.reshape(y.shape), y) for x, y in zip(listed(found), expected, strict=True))
+        _, results, found = quick((call.program, F64), inputs)
+        assert results == tuple(r.name for r in call.program.results)
+        assert all(torch.equal(x, y) for x, y in zip(found, expected, strict=True))
 
 
 @pytest.mark.parametrize("batch", [(), (4,)])

@@ -78,10 +78,11 @@ def test_transforms_and_modes_are_seen():
     assert traced == [True, True]
 
 
-def test_a_call_of_one_sample_that_is_traced_is_no_constant():
+def test_a_fast_call_that_is_traced_is_no_constant():
     """make_fx has plain tensors, which are alike; that it is at work is seen apart from them."""
     compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
     q, qd, qdd = (torch.full((2,), x, dtype=F64) for x in (0.3, 1.0, 2.0))
+    compiled(q, qd, qdd)
     graph = make_fx(compiled)(q, qd, qdd)
     torch.testing.assert_close(graph(2 * q, qd, qdd), compiled(2 * q, qd, qdd))
 

@@ -12,14 +12,16 @@ its name.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from torchdq.backends.backend import Backend, Form, contiguous, dense, share_memory
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
+from torchdq.backends.fast_call import FAST, fast_call, quick
 from torchdq.backends.precision import Guarded, run, run_loop, unguarded
 from torchdq.backends.torch import EAGER
 from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
@@ -125,10 +127,29 @@ def evaluate(
         out: tensors that the results are written to, one for each; (): new ones.
         repeated: steps, outside of traced graphs; None: one.
     """
-    if repeated is None and (torch.compiler.is_compiling() or dispatching()):
+    names, found = results_of(what, tensors, backend, double, out, repeated)
+    return dict(zip(names, found, strict=True))
+
+
+def results_of(
+    what: Computation,
+    tensors: Tensors,
+    backend: BackendName | None = None,
+    double: bool = False,
+    out: Sequence[Tensor] = (),
+    repeated: Repeated | None = None,
+    key: Hashable = None,
+) -> tuple[Sequence[str], Sequence[Tensor]]:
+    """Names of the results of `evaluate`, and the results; `key` is that of a fast call that a caller has tried."""
+    if key is None and backend is None and not (double or repeated):
+        key, names, quickly = quick((what, *tensors), tensors.values(), out)
+        if quickly is not None:
+            return names, quickly
+    if repeated is None and (is_compiling() or dispatching()):
         if out:
             raise ArgumentError("out cannot be given in a traced graph; leave it out, and torch reuses memory itself")
-        return _traced(what, tensors, backend, double)
+        traced = _traced(what, tensors, backend, double)
+        return [*traced], [*traced.values()]
     try:
         layout = layout_of(what, tensors, backend, double, repeated)
         given = [x for x in tensors.values() if x is not None]
@@ -137,7 +158,12 @@ def evaluate(
         if layout.direct is not None and not in_a_graph(given):
             # without views of the tensors: one takes a microsecond, which counts where a call has one sample
             direct = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
-            return dict(zip(layout.names, direct, strict=True))
+            if key is not None and key not in FAST and present() == "auto":
+                shapes = [tuple(x.shape) for x in given]
+                FAST[key] = fast_call(
+                    layout.program, layout.dtype, shapes, layout.names, layout.shapes, layout.samples, bool(out)
+                )
+            return layout.names, direct
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, _of_one_step(tensors, repeated))  # raises
         rows = rows_of(layout, given)
@@ -148,7 +174,7 @@ def evaluate(
     except (AttributeError, RuntimeError):  # no check before, which would cost every call
         if any([isinstance(x, TensorValue) for x in tensors.values()]):
             plain = {name: tensor_in(x) for name, x in tensors.items()}
-            return evaluate(what, plain, backend, double, out, repeated)
+            return results_of(what, plain, backend, double, out, repeated)
         batch_of(what, _of_one_step(tensors, repeated))  # raises, naming an argument that is not a dense tensor
         raise
     narrow = given[0].dtype
@@ -157,7 +183,7 @@ def evaluate(
     shaped = [y if y.shape == shape else y.view(shape) for y, shape in zip(found, layout.shapes, strict=True)]
     for room, y in zip(out, shaped, strict=False):
         room.copy_(y)
-    return dict(zip(layout.names, out or shaped, strict=True))
+    return layout.names, out or shaped
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

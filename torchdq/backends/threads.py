@@ -36,6 +36,11 @@ emptied_by(stop)
 os.register_at_fork(after_in_child=_pools.clear)  # threads do not survive a fork
 
 
+def least(operations: int) -> int:
+    """Least number of samples for a thread, of so many operations each."""
+    return max(BLOCK, int(8 * PER_THREAD / max(1, operations)))
+
+
 def shares(samples: int, operations: int, sums: bool) -> tuple[int, int]:
     """Number of threads for a batch with so many operations per sample, and number of samples in each of its parts.
 
@@ -43,7 +48,7 @@ def shares(samples: int, operations: int, sums: bool) -> tuple[int, int]:
     """
     if samples <= BLOCK:
         return 1, BLOCK
-    threads = min(torch.get_num_threads(), samples // max(BLOCK, int(8 * PER_THREAD / max(1, operations))))
+    threads = min(torch.get_num_threads(), samples // least(operations))
     size = samples
     if sums:
         size = PART

@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
-from torchdq.backends.call import Tensors, common_batch, evaluate
+from torchdq.backends.call import Tensors, common_batch, results_of
 from torchdq.backends.choice import BackendName
+from torchdq.backends.fast_call import quick
 from torchdq.base.caches import PROGRAMS, Bounded, remembered
 from torchdq.base.checks import NOT_NEGATIVE, NUMBERS, REAL, Check, OneOf, names_of, require, require_tensor, tensor_in
 from torchdq.base.progress import FIRST, warn_once
@@ -44,9 +45,14 @@ def function_of(
     precision: Precision = "auto",
 ) -> list[Tensor]:
     """Results of a function of the catalogue, with the broadcast batch axes of all tensors."""
-    what = Function(constants(require_robot(robot)), name, options)
+    known, key = constants(require_robot(robot)), None
+    if backend is None and precision == "auto" and not robot._arguments:
+        key, _, found = quick((known.digest, name, options), given.values())
+        if found is not None:
+            return found  # type: ignore[return-value]  # a tuple, which is unpacked in a fraction of a list's time
+    what = Function(known, name, options)
     double = precision != "auto" and check_precision(precision) == "double"
-    return list(evaluate(what, with_tensors(robot, given), backend, double).values())
+    return [*results_of(what, with_tensors(robot, given), backend, double, key=key)[1]]
 
 
 def with_options(name: str, robot: Robot, given: Tensors, backend: BackendName | None, *options: Any) -> list[Tensor]:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torchdq.backends.call import evaluate
+from torchdq.backends.call import results_of
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import POSITIVE, OneOf, require, require_tensor
 from torchdq.effects.friction import Friction
@@ -168,7 +168,7 @@ class RobotModule(nn.Module):
         what = Function(*self._computation(function)[:-1], friction.fixed.templates)
         parameters = {name: x for name, x in own.items() if name not in friction.learned}
         given = {**with_tensors(robot, inputs), **friction.parts(own).tensors, **parameters}
-        return list(evaluate(what, given, self.backend, self.precision == "double").values())
+        return [*results_of(what, given, self.backend, self.precision == "double")[1]]
 
     def program(self, *wrenches: str, parameters: Parameters = "constants") -> Program:
         """Program of the layer, with learned friction and offset, for `torchdq.compile` and its `export`.

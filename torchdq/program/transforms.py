@@ -47,6 +47,10 @@ _modes = _private("_len_torch_dispatch_stack", lambda: 1)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
 
 
+# for a call in C: a function that is false, and a module and the name of its number that is -1, without transforms
+SILENT = (_functional, forward_ad, "_current_level")
+
+
 def constant_in_graphs(function: Made) -> Made:
     """Function whose result torch.compile keeps as a constant of the graph, as `torch.compiler.assume_constant_result`.
 

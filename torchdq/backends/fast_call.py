@@ -1,0 +1,293 @@
+"""Calls of a compiled program in about a microsecond, for as many samples as one thread computes.
+
+To check the tensors of a call one by one in Python takes longer than the program itself does for a few samples. Here a
+function in C does what is left where nothing is to be decided: torch compares type, dtype, device, sizes and strides of
+all tensors at once, as it does for its compiled graphs, results are allocated, and the program runs, without Python's
+lock if that takes long. For any other call it returns None, and nothing has happened. It is compiled like a program,
+and gets the functions of Python as addresses, so that it needs neither headers nor a library.
+
+That comparison is private to torch (`transforms.alike`): where it is absent every call takes the common way, and a test
+of `alike` pins what it means in the torch that is installed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Collection, Hashable, Sequence
+from functools import cache
+from math import prod
+from typing import Any, NamedTuple, cast
+
+import torch
+from torch import Tensor
+from torch.compiler import is_compiling
+
+from torchdq.backends import c_library, choice, threads
+from torchdq.backends.backend import contiguous
+from torchdq.backends.c import COMPILED, CompiledKernel
+from torchdq.backends.compiler import BuildError
+from torchdq.backends.precision import largest_growth
+from torchdq.base.caches import LAYOUTS, Bounded, remembered
+from torchdq.program.program import Program
+from torchdq.program.transforms import SILENT, alike, dispatching, empty_on_cpu
+
+MOST, FEW = 24, 64  # arrays of a program, and samples whose error growths need no memory
+LONG = 50_000  # operations of a call from which Python's lock is let go: some ten microseconds
+FASTCALL = 0x80  # flag of a function in C that takes an array of arguments and their number
+# functions of Python, in the order of `Python` in C
+PYTHON = (
+    *("PyObject_Vectorcall", "PyObject_GetAttr", "PyContextVar_Get", "PyLong_AsVoidPtr", "PyTuple_New"),
+    *("PyTuple_SetItem", "Py_IncRef", "Py_DecRef", "PyErr_Clear", "PyEval_SaveThread", "PyEval_RestoreThread"),
+)
+
+SOURCE = """
+typedef struct Object Object;
+typedef __INT64_TYPE__ word;
+typedef struct {
+  Object *(*call)(Object *, Object *const *, __SIZE_TYPE__, Object *), *(*attribute)(Object *, Object *);
+  int (*context)(Object *, Object *, Object **);
+  void *(*address)(Object *);
+  Object *(*tuple)(word);
+  int (*put)(Object *, word, Object *);
+  void (*hold)(Object *), (*drop)(Object *), (*forgive)(void);
+  void *(*unlock)(void);
+  void (*lock)(void *);
+  Object *none, *yes;
+} Python;
+typedef struct {
+  Object *fits, *empty, *pointer, *functional, *forward, *level, *chosen, *automatic;
+  Object *const *forms;  // size, strides and dtype of every result
+  const word *bytes;     // of every array
+  void (*run)(void);
+  double limit;
+  word samples, inputs, results, given, unlocked, growth;  // given: results, too; growth: bytes of the error growth
+} Call;
+static const Python *py;
+
+static Object *nothing(Object *found) {
+  if (found) py->drop(found);
+  py->forgive();
+  py->hold(py->none);
+  return py->none;
+}
+
+static int is(Object *found, void *value) {  // whether a number that was returned has a value
+  int same = found && py->address(found) == value;
+  if (found) py->drop(found);
+  return same;
+}
+
+static int plain(const Call *c) {  // no other backend is chosen, and torch transforms nothing
+  Object *now = 0;
+  if (py->context(c->chosen, 0, &now) < 0 || !now) return 0;
+  py->drop(now);
+  return now == c->automatic && is(py->call(c->functional, 0, 0, 0), 0) &&
+         is(py->attribute(c->forward, c->level), (void *)(word)-1);
+}
+
+static int overlapping(const Call *c, char **p, word count) {
+  for (word k = c->inputs; k < count; k++)
+    for (word i = 0; i < k; i++)
+      if (p[i] < p[k] + c->bytes[k] && p[k] < p[i] + c->bytes[i]) return 1;
+  return 0;
+}
+
+static void start(const Call *c, char **p, word count) {
+  switch (count) {
+CASES
+  }
+}
+
+static int limited(const Call *c, const void *growth) {  // whether no sample's errors grow more than the limit
+  const float *single = growth;
+  const double *dual = growth;
+  for (word k = 0; k < c->samples; k++)
+    if (!((c->growth == 4 ? single[k] : dual[k]) <= c->limit)) return 0;
+  return 1;
+}
+
+Object *run(Object *self, Object *const *all, word count) {
+  if (count < 0) {  // before all calls, with the functions of Python
+    py = (const Python *)self;
+    return 0;
+  }
+  const Call *c = py->address(self);
+  word arrays = c->inputs + c->results, present = 0;
+  Object *args[MOST];
+  for (word k = 0; k < count; k++)
+    if (all[k] != py->none) {
+      if (present == MOST) return nothing(0);
+      args[present++] = all[k];
+    }
+  count = present;
+  if (count != (c->given ? arrays : c->inputs) || !plain(c)) return nothing(0);
+  Object *fits = py->call(c->fits, args, count, 0);
+  if (fits != py->yes) return nothing(fits);
+  py->drop(fits);
+  Object *found = py->tuple(c->results);
+  char *p[MOST + 1];
+  for (word k = 0; k < arrays; k++) {
+    word r = k - c->inputs;
+    Object *x = k < count ? args[k] : py->call(c->empty, c->forms + 3 * r, 3, 0);
+    if (!x || !found) return nothing(found);
+    if (r >= 0) {
+      if (k < count) py->hold(x);
+      py->put(found, r, x);
+    }
+    Object *at = py->call(c->pointer, &x, 1, 0);
+    if (!at) return nothing(found);
+    p[k] = py->address(at);
+    py->drop(at);
+  }
+  if (c->given && overlapping(c, p, arrays)) return nothing(found);
+  double few[FEW];
+  Object *many = 0;
+  if (c->growth && c->samples > FEW) {
+    many = py->call(c->empty, c->forms + 3 * c->results, 3, 0);
+    Object *at = many ? py->call(c->pointer, &many, 1, 0) : 0;
+    if (!at) return nothing(found);
+    p[arrays++] = py->address(at);
+    py->drop(at);
+  } else if (c->growth) {
+    p[arrays++] = (char *)few;
+  }
+  void *lock = c->unlocked ? py->unlock() : 0;
+  start(c, p, arrays);
+  if (c->unlocked) py->lock(lock);
+  int within = !c->growth || limited(c, p[arrays - 1]);
+  if (many) py->drop(many);
+  return within ? found : nothing(found);
+}
+"""
+
+
+class Python(ctypes.Structure):
+    """Functions and values of Python, as `Python` in C."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in (*PYTHON, "none", "yes")]
+
+
+OBJECTS = ("fits", "empty", "pointer", "functional", "forward", "level", "chosen", "automatic")
+WORDS = ("samples", "inputs", "results", "given", "unlocked", "growth")
+
+
+class Call(ctypes.Structure):
+    """Facts about a call, as `Call` in C."""
+
+    _fields_ = [
+        *((name, ctypes.py_object) for name in OBJECTS),
+        *((name, ctypes.c_void_p) for name in ("forms", "bytes", "run")),
+        ("limit", ctypes.c_double),
+        *((name, ctypes.c_int64) for name in WORDS),
+    ]
+
+
+class Method(ctypes.Structure):
+    """Python's description of a function in C."""
+
+    _fields_ = [
+        ("name", ctypes.c_char_p),
+        ("function", ctypes.c_void_p),
+        ("flags", ctypes.c_int),
+        ("doc", ctypes.c_char_p),
+    ]
+
+
+class FastCall(NamedTuple):
+    """Function of the tensors of a call, which returns a tuple of results, or None: take the common way."""
+
+    function: Callable[..., tuple[Tensor, ...] | None]
+    names: tuple[str, ...]  # of the results
+
+
+FAST: Bounded[Hashable, FastCall | None] = Bounded(LAYOUTS)  # by `quick`; None: there is none
+
+
+def quick(
+    what: tuple[Any, ...], given: Collection[Any], out: Sequence[Any] = ()
+) -> tuple[Hashable, tuple[str, ...], tuple[Tensor, ...] | None]:
+    """Key of a call, None in a traced graph, and names and values of its results; None: it takes the common way.
+
+    Args:
+        what: all that tells programs apart for tensors of these types.
+        given: its arguments, tensors or None.
+        out: tensors for the results; (): new ones. Where errors grow too much, they have been written to.
+    """
+    if is_compiling() or dispatching():
+        return None, (), None
+    try:
+        shape = next(iter(given)).shape
+    except (AttributeError, RuntimeError, StopIteration):  # there is no first tensor, or a nested one
+        return None, (), None
+    key = (*what, len(out), shape, *map(type, given))
+    fast = FAST.get(key)
+    return (key, (), None) if fast is None else (key, fast.names, fast.function(*given, *out))
+
+
+def fast_call(
+    program: Program,
+    dtype: torch.dtype,
+    inputs: Sequence[tuple[int, ...]],
+    names: Sequence[str],
+    results: Sequence[tuple[int, ...]],
+    samples: int,
+    given: bool = False,
+) -> FastCall | None:
+    """Fast call for contiguous tensors of these shapes, one row per sample or uniform; None: there is none here.
+
+    Args:
+        given: whether tensors for the results follow the inputs; where errors grow too much they have been written to.
+    """
+    count, operations = len(inputs) + len(results), samples * program.count().total
+    several = samples >= 2 * threads.least(program.count().total)  # threads may share them
+    if count >= MOST or not samples or several or COMPILED.refusal(torch.device("cpu")) is not None:
+        return None
+    try:
+        kernel = cast(CompiledKernel, COMPILED.kernel(program, dtype, torch.device("cpu")))
+        start, library = _started()
+    except (BuildError, AttributeError):  # the latter in a Python without these functions
+        return None
+    forms = [contiguous(shape, dtype) for shape in (*inputs, *results, (samples,))]
+    objects = (ctypes.py_object * (3 * len(results) + 3))(*[x for form in forms[len(inputs) :] for x in form])
+    sizes = (ctypes.c_int64 * count)(*[prod(shape) * dtype.itemsize for shape, _, _ in forms[:-1]])
+    call = Call(
+        alike(forms[:-1] if given else forms[: len(inputs)]),
+        *(empty_on_cpu, torch.Tensor.data_ptr, *SILENT, choice._chosen, "auto"),
+        *map(ctypes.addressof, (objects, sizes)),
+        _address(kernel.compiled.run),
+        largest_growth(dtype),
+        *(samples, len(inputs), len(results), given, operations > LONG),
+        0 if program.growth is None else dtype.itemsize,
+    )
+    method = Method(program.name.encode(), start, FASTCALL, None)
+    make = ctypes.pythonapi.PyCFunction_NewEx
+    make.restype, make.argtypes = ctypes.py_object, (ctypes.c_void_p, ctypes.py_object, ctypes.py_object)
+    kept = (call, method, objects, sizes, kernel, library)  # what it points to lives as its module, as long as it does
+    return FastCall(make(ctypes.addressof(method), ctypes.addressof(call), kept), tuple(names))
+
+
+@remembered(1)
+def _started() -> tuple[int, Any]:
+    """Address of the function in C, and its library."""
+    arrays = (", ".join(f"p[{k}]" for k in range(n)) for n in range(1, MOST + 1))
+    cases = [
+        f"    case {n}: ((void (*)(word, void *{', char *' * n}))c->run)(c->samples, 0, {given}); break;"
+        for n, given in enumerate(arrays, 1)
+    ]
+    source = SOURCE.replace("CASES", "\n".join(cases)).replace("MOST", str(MOST)).replace("FEW", str(FEW))
+    library = c_library.load(source, "call", 1)
+    address = _address(library.run)
+    begin = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)(address)
+    begin(ctypes.addressof(_python()), None, -1)
+    return address, library
+
+
+@cache
+def _python() -> Python:
+    """Functions of Python."""
+    return Python(*[_address(getattr(ctypes.pythonapi, name)) for name in PYTHON], id(None), id(True))
+
+
+def _address(function: Any) -> int:
+    found: Any = ctypes.cast(function, ctypes.c_void_p).value
+    return int(found)
