@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchdq.errors import TorchdqError
 from torchdq.program.loop import Loop
-from torchdq.program.program import Program
+from torchdq.program.program import LARGEST_GROWTH, Program
 
 Form = tuple[tuple[int, ...], tuple[int, ...], torch.dtype]  # size, strides and dtype of a tensor
 
@@ -61,6 +61,11 @@ class Backend:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}()"
+
+
+def largest_growth(dtype: torch.dtype) -> float:
+    """Largest accepted error growth in a precision."""
+    return LARGEST_GROWTH.double if dtype == torch.float64 else LARGEST_GROWTH.single
 
 
 def contiguous(shape: tuple[int, ...], dtype: torch.dtype) -> Form:

@@ -23,10 +23,9 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from torchdq.backends import c_library, choice, threads
-from torchdq.backends.backend import contiguous
+from torchdq.backends.backend import contiguous, largest_growth
 from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.backends.compiler import BuildError
-from torchdq.backends.precision import largest_growth
 from torchdq.base.caches import LAYOUTS, Bounded, remembered
 from torchdq.program.program import Program
 from torchdq.program.transforms import SILENT, alike, dispatching, empty_on_cpu
@@ -232,11 +231,13 @@ def fast_call(
     results: Sequence[tuple[int, ...]],
     samples: int,
     given: bool = False,
+    learned: Sequence[bool] = (),
 ) -> FastCall | None:
     """Fast call for contiguous tensors of these shapes, one row per sample or uniform; None: there is none here.
 
     Args:
         given: whether tensors for the results follow the inputs; where errors grow too much they have been written to.
+        learned: whether each input requires grad, for calls where torch records nothing; (): none of them.
     """
     count, operations = len(inputs) + len(results), samples * program.count().total
     several = samples >= 2 * threads.least(program.count().total)  # threads may share them
@@ -251,7 +252,7 @@ def fast_call(
     objects = (ctypes.py_object * (3 * len(results) + 3))(*[x for form in forms[len(inputs) :] for x in form])
     sizes = (ctypes.c_int64 * count)(*[prod(shape) * dtype.itemsize for shape, _, _ in forms[:-1]])
     call = Call(
-        alike(forms[:-1] if given else forms[: len(inputs)]),
+        alike(forms[:-1] if given else forms[: len(inputs)], learned),
         *(empty_on_cpu, torch.Tensor.data_ptr, *SILENT, choice._chosen, "auto"),
         *map(ctypes.addressof, (objects, sizes)),
         _address(kernel.compiled.run),

@@ -14,13 +14,14 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor
 
-from torchdq.backends.backend import Backend, DirectKernel, Form
+from torchdq.backends.backend import Backend, DirectKernel, Form, largest_growth
+from torchdq.backends.fast_call import FAST, fast_call, quick
 from torchdq.backends.torch import EAGER, interpreted_loop
 from torchdq.errors import ArgumentError
 from torchdq.program import loop_autograd
 from torchdq.program.autograd import differentiable, in_a_graph
 from torchdq.program.loop import Loop
-from torchdq.program.program import LARGEST_GROWTH, Program, samples_of
+from torchdq.program.program import Program, samples_of
 from torchdq.program.transforms import empty_on_cpu, jit_tracing, proxy_tracing, transforming, without_values
 
 
@@ -29,9 +30,20 @@ class Guarded(NamedTuple):
 
     backend: Backend
 
-    def __call__(self, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+    def __call__(self, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
         """Results of a program."""
-        return guarded(self.backend, program, inputs)
+        key = None
+        if not (self.backend.differentiable or any([r.summed for r in program.results])):
+            learned = [x.requires_grad for x in inputs]  # of which torch records nothing here
+            key, _, quickly = quick((self, program, *learned), inputs)
+            if quickly is not None:
+                return quickly
+        found = guarded(self.backend, program, inputs)
+        if key is not None and key not in FAST:
+            shapes, results = ([tuple(x.shape) for x in tensors] for tensors in (inputs, found))
+            names, samples = [r.name for r in program.results], samples_of(program, inputs)
+            FAST[key] = fast_call(program, inputs[0].dtype, shapes, names, results, samples, learned=learned)
+        return found
 
     @property
     def by_torch(self) -> Guarded:
@@ -48,8 +60,6 @@ def run(program: Program, inputs: Sequence[Tensor], backend: Backend) -> Sequenc
             f"torch.jit.trace and make_fx cannot record the compiled program {program.name!r}; trace with "
             "backend='eager', or use torch.export or torch.compile"
         )
-    if not in_a_graph(inputs):
-        return guarded(backend, program, inputs)
     return differentiable(Guarded(backend), program, inputs)
 
 
@@ -162,11 +172,6 @@ def unguarded(
 def within_limit(growth: Tensor, samples: int) -> bool:
     """Whether the errors of all rows grow less than the limit; False if one of them is NaN."""
     return (growth if samples == 1 else growth.amax()).item() <= largest_growth(growth.dtype)
-
-
-def largest_growth(dtype: torch.dtype) -> float:
-    """Largest accepted error growth in a precision."""
-    return LARGEST_GROWTH.double if dtype == torch.float64 else LARGEST_GROWTH.single
 
 
 def _outputs(backend: Backend, program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:

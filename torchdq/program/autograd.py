@@ -37,7 +37,7 @@ class Execute(Protocol):
 
 def in_a_graph(inputs: Sequence[Tensor]) -> bool:
     """Whether torch must record operations on these tensors: for gradients, in a transform or in torch.jit.trace."""
-    return transforming() or jit_tracing() or (torch.is_grad_enabled() and any([x.requires_grad for x in inputs]))
+    return transforming() or jit_tracing() or (torch.is_grad_enabled() and any_requires_grad(*inputs))
 
 
 def differentiable(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
@@ -50,7 +50,8 @@ def differentiable(execute: Execute, program: Program, inputs: Sequence[Tensor])
 def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> list:
     """Gradients of the inputs that need one, by the vector-Jacobian product of the program; None for the others."""
     derivative, rows = vjp(ctx.program, tuple([k for k, wanted in enumerate(needed) if wanted])), ctx.saved_tensors
-    gradients = iter(_derived(ctx.execute, derivative, rows, cotangents))
+    whole = [y.contiguous() for y in cotangents]  # that of a sum is one number without others in memory
+    gradients = iter(_derived(ctx.execute, derivative, rows, whole))
     return [next(gradients) if wanted else None for wanted in needed]
 
 

@@ -96,8 +96,12 @@ def load_forward_mode() -> None:
         from torch._decomp import decompositions_for_jvp  # noqa: F401
 
 
-def alike(forms: Sequence[tuple[tuple[int, ...], tuple[int, ...], torch.dtype]]) -> Callable[..., bool]:
+def alike(
+    forms: Sequence[tuple[tuple[int, ...], tuple[int, ...], torch.dtype]], learned: Sequence[bool] = ()
+) -> Callable[..., bool]:
     """Function that is true for plain tensors on the CPU of these sizes, strides and dtypes, as many as there are.
+
+    Those that are `learned` require grad, the others do not.
 
     It is false if one tensor comes twice, for tensors that require grad where torch records gradients, for views that
     torch negates later, for tensors in inference mode, and inside of all transforms and modes but forward-mode
@@ -107,6 +111,8 @@ def alike(forms: Sequence[tuple[tuple[int, ...], tuple[int, ...], torch.dtype]])
         return lambda *tensors: False
     with torch.inference_mode(False), with_values():
         examples = [empty_on_cpu(*form) for form in forms]
+        for x, grad in zip(examples, learned, strict=False):
+            x.requires_grad_(grad)
         return _guards(*examples, dynamic_dims_sizes=None, dynamic_dims_strides=None).check
 
 
