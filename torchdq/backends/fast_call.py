@@ -28,7 +28,7 @@ from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.backends.compiler import BuildError
 from torchdq.base.caches import LAYOUTS, Bounded, remembered
 from torchdq.program.program import Program
-from torchdq.program.transforms import SILENT, alike, dispatching, empty_on_cpu
+from torchdq.program.transforms import LEVEL, alike, dispatching, empty_on_cpu
 
 MOST, FEW = 24, 64  # arrays of a program, and samples whose error growths need no memory
 LONG = 50_000  # operations of a call from which Python's lock is let go: some ten microseconds
@@ -54,7 +54,7 @@ typedef struct {
   Object *none, *yes;
 } Python;
 typedef struct {
-  Object *fits, *empty, *pointer, *functional, *forward, *level, *chosen, *automatic;
+  Object *fits, *empty, *pointer, *forward, *level, *chosen, *automatic;
   Object *const *forms;  // size, strides and dtype of every result
   const word *bytes;     // of every array
   void (*run)(void);
@@ -76,12 +76,11 @@ static int is(Object *found, void *value) {  // whether a number that was return
   return same;
 }
 
-static int plain(const Call *c) {  // no other backend is chosen, and torch transforms nothing
+static int plain(const Call *c) {  // no other backend is chosen, nor torch's forward mode; other transforms do not fit
   Object *now = 0;
   if (py->context(c->chosen, 0, &now) < 0 || !now) return 0;
   py->drop(now);
-  return now == c->automatic && is(py->call(c->functional, 0, 0, 0), 0) &&
-         is(py->attribute(c->forward, c->level), (void *)(word)-1);
+  return now == c->automatic && is(py->attribute(c->forward, c->level), (void *)(word)-1);
 }
 
 static int overlapping(const Call *c, char **p, word count) {
@@ -166,7 +165,7 @@ class Python(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in (*PYTHON, "none", "yes")]
 
 
-OBJECTS = ("fits", "empty", "pointer", "functional", "forward", "level", "chosen", "automatic")
+OBJECTS = ("fits", "empty", "pointer", "forward", "level", "chosen", "automatic")
 WORDS = ("samples", "inputs", "results", "given", "unlocked", "growth")
 
 
@@ -253,7 +252,7 @@ def fast_call(
     sizes = (ctypes.c_int64 * count)(*[prod(shape) * dtype.itemsize for shape, _, _ in forms[:-1]])
     call = Call(
         alike(forms[:-1] if given else forms[: len(inputs)], learned),
-        *(empty_on_cpu, torch.Tensor.data_ptr, *SILENT, choice._chosen, "auto"),
+        *(empty_on_cpu, torch.Tensor.data_ptr, *LEVEL, choice._chosen, "auto"),
         *map(ctypes.addressof, (objects, sizes)),
         _address(kernel.compiled.run),
         largest_growth(dtype),

@@ -47,8 +47,7 @@ _modes = _private("_len_torch_dispatch_stack", lambda: 1)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
 
 
-# for a call in C: a function that is false, and a module and the name of its number that is -1, without transforms
-SILENT = (_functional, forward_ad, "_current_level")
+LEVEL = (forward_ad, "_current_level")  # module and name of a number that is -1 outside of forward mode
 
 
 def constant_in_graphs(function: Made) -> Made:
