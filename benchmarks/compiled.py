@@ -1,8 +1,8 @@
-"""Calls of compiled programs on one sample from Python, and exported functions for batches against the kernels.
+"""Calls from Python for few samples, and exported functions for batches against the kernels.
 
     python benchmarks/compiled.py [--quick] [--json FILE] [--page]
 
-Calls are timed one by one. Batches take turns, of 4096 samples on one thread: the kernel that runs from Python, and the
+Calls of all kinds take turns, and the least processor time of a call counts. Batches take turns, of 4096 samples on one thread: the kernel that runs from Python, and the
 exported C99, built with the flags that its header names. The least time counts, since others only add to it.
 """
 
@@ -20,18 +20,59 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+import pinocchio as pin
 import report
 import torch
+from pages.text import table
+from peers import urdf
 
 import torchdq
 from torchdq.backends.c import COMPILED
 from torchdq.scene.controllers import ComputedTorque
 
 FLAGS = ("-std=c99", "-O3", "-march=native", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
-SAMPLES = 4096
+SAMPLES, ROWS = 4096, (1, 16, 64, 256)
 GAIN = torch.ones(7, dtype=torch.float64)
 LAW = ComputedTorque(GAIN.expand(1, 7), GAIN.expand(1, 7))  # gains of every sample
 CASES = [(what, dtype) for what in ("inverse_dynamics", "forward_dynamics", LAW) for dtype in (64, 32)]
+
+
+def calls_by_rows(rounds: int) -> dict[str, list[float]]:
+    """Least times of calls by the number of rows in `ROWS` [us]; of Pinocchio with one."""
+    path = urdf("example-robot-data", "xarm7.urdf")
+    robot = torchdq.Robot.from_urdf(path, on_unphysical="ignore")
+    torques, layer = torchdq.compile(robot, "inverse_dynamics"), torchdq.DQRNEA(robot)
+    scene = torchdq.Scene(robot, (torchdq.effects.Gravity(), torchdq.effects.Viscous(0.1)), dt=0.002)
+    model = pin.buildModelFromUrdf(str(path))
+    data = model.createData()
+    found: dict[str, list[float]] = {}
+    for rows in ROWS:
+        x = list(torch.rand(3, *([rows] if rows > 1 else []), 7, dtype=torch.float64))
+        learned, weight = [y.clone().requires_grad_() for y in x], torch.rand_like(x[0])
+        state = scene.start(x[0], x[1])
+        numbers = [y.reshape(-1, 7)[0].numpy() for y in x]
+        kinds: dict[str, Callable[[], object]] = {
+            "pinocchio.rnea": lambda numbers=numbers: pin.rnea(model, data, *numbers),
+            "torchdq.inverse_dynamics": lambda x=x: torchdq.inverse_dynamics(robot, *x),
+            "torchdq.compile(...)": lambda x=x: torques(*x),
+            "torchdq.DQRNEA": lambda x=x: layer(*x),
+            "torchdq.forward_dynamics": lambda x=x: torchdq.forward_dynamics(robot, *x),
+            "Scene.step": lambda state=state, x=x: scene.step(state, x[2]),
+            "inverse_dynamics, forward and backward": lambda x=learned, weight=weight: torch.autograd.grad(
+                torchdq.inverse_dynamics(robot, *x), x, weight
+            ),
+        }
+        best = dict.fromkeys(kinds, float("inf"))
+        for _ in range(rounds):
+            for key, call in kinds.items():
+                begin = time.thread_time()
+                for _ in range(100):
+                    call()
+                best[key] = min(best[key], (time.thread_time() - begin) / 100)
+        for key, seconds in best.items():
+            found.setdefault(key, []).append(1e6 * seconds)
+    found["pinocchio.rnea"] = found["pinocchio.rnea"][:1]
+    return found
 
 
 def called(calls: int) -> tuple[float, float]:
@@ -100,9 +141,12 @@ def main() -> None:
     for what, times in found.items():
         shown = ", ".join(f"{ratio:.2f} ({compiler})" for compiler, ratio in times.items())
         lines.append((f"exported batch of {what}, over the kernel with vectors", shown))
-    text = report.table("Compiled programs, Panda", lines)
+    by_rows = calls_by_rows(20 if arguments.quick else 100)
+    header = ("call from Python, xArm7, float64 [us]", *(f"{n} row{'s' * (n > 1)}" for n in ROWS))
+    cells = [(name, *(f"{t:.1f}" for t in times), *["-"] * (len(ROWS) - len(times))) for name, times in by_rows.items()]
+    text = "\n\n".join([table(header, cells), report.table("Compiled programs, Panda", lines)])
     print(text)
-    report.finish(arguments, __file__, text, report.machine(), calls=[median, late], batches=[found])
+    report.finish(arguments, __file__, text, report.machine(), calls=[median, late], rows=[by_rows], batches=[found])
 
 
 if __name__ == "__main__":
