@@ -2,8 +2,9 @@
 
     python benchmarks/compiled.py [--quick] [--json FILE] [--page]
 
-Calls of all kinds take turns, and the least processor time of a call counts. Batches take turns, of 4096 samples on one thread: the kernel that runs from Python, and the
-exported C99, built with the flags that its header names. The least time counts, since others only add to it.
+Calls of all kinds take turns, and the least processor time of a call counts. Batches take turns, of 4096 samples on one
+thread: the kernel that runs from Python, and the exported C99, built with the flags that its header names. The least
+time counts, since others only add to it.
 """
 
 from __future__ import annotations
