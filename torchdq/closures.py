@@ -107,7 +107,7 @@ def towards_closed(
     Then which rows are not closed, which have axes more than a quarter turn apart, and the number of steps. Rows do not
     depend on each other, and a row that is not finite remains as it is.
     """
-    last = torch.inf
+    last: Tensor | float = torch.inf
     for k in range(most + 1):
         step, gap, cosine = function_of("loop_step", robot, {"q": q, "free": free.to(q.dtype)}, backend)
         least = TOLERANCES[q.dtype]

@@ -248,12 +248,13 @@ def fast_call(
     except (BuildError, AttributeError):  # the latter in a Python without these functions
         return None
     forms = [contiguous(shape, dtype) for shape in (*inputs, *results, (samples,))]
-    objects = (ctypes.py_object * (3 * len(results) + 3))(*[x for form in forms[len(inputs) :] for x in form])
+    made: list[Any] = [x for form in forms[len(inputs) :] for x in form]
+    objects = (ctypes.py_object * len(made))(*made)
     sizes = (ctypes.c_int64 * count)(*[prod(shape) * dtype.itemsize for shape, _, _ in forms[:-1]])
     call = Call(
         alike(forms[:-1] if given else forms[: len(inputs)], learned),
         *(empty_on_cpu, torch.Tensor.data_ptr, *LEVEL, choice._chosen, "auto"),
-        *map(ctypes.addressof, (objects, sizes)),
+        *(ctypes.addressof(objects), ctypes.addressof(sizes)),
         _address(kernel.compiled.run),
         largest_growth(dtype),
         *(samples, len(inputs), len(results), given, operations > LONG),

@@ -27,7 +27,7 @@ jvp = remembered(PROGRAMS)(autodiff.jvp)
 class Execute(Protocol):
     """Function that runs programs, without gradients."""
 
-    def __call__(self, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+    def __call__(self, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
         """Results of a program."""
 
     @property
@@ -168,7 +168,7 @@ _run = torch.ops.torchdq.run.default
 
 def _executed(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
     execute, found = _found(program)
-    return execute(found, inputs)
+    return [*execute(found, inputs)]
 
 
 def _empty(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
