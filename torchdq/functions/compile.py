@@ -230,8 +230,7 @@ class CompiledProgram:
         """
         if inputs and isinstance(inputs[0], np.ndarray):
             return self._on_arrays(inputs, out)
-        room = out if out is None or isinstance(out, list | tuple) else (out,)
-        room = room or ()
+        room = out if isinstance(out, list | tuple) else () if out is None else (out,)
         key, _, found = quick((self.program, self.dtype), inputs, room)
         if found is None:
             found = self._on_any_batch(inputs, room, key)
