@@ -6,6 +6,7 @@ those of torch operations here. Compilers are shell scripts around the one that 
 
 import os
 import stat
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -110,6 +111,21 @@ def warned():
 
 def libraries(cache: Path) -> list[Path]:
     return sorted(cache.glob("*.so"))
+
+
+def test_the_compiler_of_a_python_package_is_found_where_there_is_no_other(cache, tmp_path, monkeypatch, warned):
+    """One with its name that compiles as the one that is there, with the arguments that zig needs."""
+    package = tmp_path / "ziglang"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "__main__.py").write_text(f"import os, sys\nos.execv({REAL!r}, [{REAL!r}, *sys.argv[2:]])\n")
+    for name, value in {"PATH": str(tmp_path), "CC": "", "PYTHONPATH": str(tmp_path)}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = build.compiler()
+    assert found.command == (sys.executable, "-m", "ziglang", "cc") and "-nostdlib" in build.flags()
+    monkeypatch.setenv("PATH", os.defpath)  # of the linker
+    assert apply(build.load(*double(3.0)), 2.0) == 6.0
 
 
 def test_the_cache_is_made_for_the_user_alone(cache):
@@ -265,7 +281,7 @@ def test_a_named_backend_that_cannot_compile_is_an_error_that_says_so(name, tmp_
         "no compiler": (
             COMPILED,
             {"PATH": str(tmp_path), "CC": None},
-            "there is no C compiler; install gcc or clang, or name one in $CC",
+            "there is no C compiler; install gcc or clang, name one in $CC, or pip install ziglang, which has one",
         ),
         "a full disk": (FULL_DISK.format(arm=ARM, options=", backend='c'"), {}, "clear_caches"),
         "a compiler that fails": (

@@ -49,7 +49,9 @@ def wide() -> bool:
 
 def flags() -> list[str]:
     """Arguments of the compiler."""
-    return [*FLAGS, *shlex.split(os.environ.get("TORCHDQ_CFLAGS", "")), *ARITHMETIC, *LIBRARY]
+    found = compiler()
+    own = () if found is None else found.own
+    return [*FLAGS, *shlex.split(os.environ.get("TORCHDQ_CFLAGS", "")), *ARITHMETIC, *LIBRARY, *own]
 
 
 def entry_key(source: str) -> str:

@@ -7,9 +7,11 @@ import shlex
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -24,6 +26,7 @@ from torchdq.program.loop import Loop
 from torchdq.program.program import Program
 
 ASKED = 5.0  # time in which a compiler must state its version [s]
+ZIG = (sys.executable, "-m", "ziglang", "cc")  # compiler of a Python package
 
 
 class BuildError(TorchdqError, RuntimeError):
@@ -32,7 +35,9 @@ class BuildError(TorchdqError, RuntimeError):
 
 def no_compiler() -> BuildError:
     """Error for a machine without a C compiler."""
-    return BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
+    return BuildError(
+        "there is no C compiler; install gcc or clang, name one in $CC, or pip install ziglang, which has one"
+    )
 
 
 class Compiled(Backend):
@@ -69,13 +74,15 @@ class Compiler(NamedTuple):
 
     command: tuple[str, ...]  # path and arguments
     version: str  # output of --version
+    own: tuple[str, ...] = ()  # arguments that it alone needs
 
 
 @remembered(1)
 def compiler() -> Compiler | None:
-    """C compiler: `$CC`, which may have arguments, or cc, gcc or clang on the path; None: there is none."""
+    """C compiler: `$CC`, which may have arguments, cc, gcc or clang on the path, or ziglang's; None: there is none."""
     stated = os.environ.get("CC")
-    for name in filter(None, (stated, "cc", "gcc", "clang")):
+    installed = shlex.join(ZIG) if find_spec("ziglang") else ""
+    for name in filter(None, (stated, "cc", "gcc", "clang", installed)):
         try:
             return _asked(name)
         except (BuildError, ValueError) as error:
@@ -90,7 +97,9 @@ def _asked(name: str) -> Compiler:
     path = shutil.which(program)
     if path is None:
         raise BuildError(f"there is no program {program!r} on the path")
-    return Compiler((path, *arguments), run([[path, *arguments, "--version"]], ASKED))
+    # zig builds a libc to link with, which takes half a minute, and the process has one; without -O it adds checks
+    own = ("-nostdlib", "-fno-sanitize=undefined") if "ziglang" in arguments else ()
+    return Compiler((path, *arguments), run([[path, *arguments, "--version"]], ASKED), own)
 
 
 def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = None) -> str:
