@@ -275,7 +275,7 @@ def dynamics_hessian(
     of: Literal["inverse", "forward"] = "inverse",
     backend: BackendName | None = None,
 ) -> DynamicsHessian:
-    """Second derivatives H and first derivatives J of `inverse_dynamics` or `forward_dynamics`, by one program.
+    """Second derivatives H [..., 3n, 3n] and first ones J [..., n, 3n] of `inverse_dynamics` or `forward_dynamics`.
 
         of="inverse"  f = tau,  z = (q, qd, qdd)
         of="forward"  f = qdd,  z = (q, qd, tau): the argument qdd has the torques

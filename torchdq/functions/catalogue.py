@@ -44,7 +44,7 @@ from torchdq.robot.robot import recorded
 _MOVED = joints("qd", "qdd", optional=True)
 _NO_MOTOR = "no motor moves its base, so torques of the joints alone cannot give a frame every acceleration"
 _UNMEASURED = "what acts on its base is not measured"
-_OWN_DIRECTIONS = "derivatives in the pose of a base need coordinates of it, which it has no unique ones of"
+_NO_COORDINATES = "its pose has no unique coordinates to differentiate by"
 _ANYWHERE = "its base alone reaches every pose"
 
 RECIPES: dict[str, Recipe] = {
@@ -60,11 +60,11 @@ RECIPES: dict[str, Recipe] = {
         ),
         (),
         lambda of: (("3n", "3n"), ("n", "3n")),
-        fixed_only=_OWN_DIRECTIONS,
+        fixed_only=_NO_COORDINATES,
     ),
     "mass_matrix": Recipe(joints("q"), (fixed.mass_matrix,), lambda: (("n", "n"),)),
     "mass_matrix_derivative": Recipe(
-        joints("q"), (fixed.mass_matrix,), lambda: (("n", "n", "n"),), wrt=("q",), fixed_only=_OWN_DIRECTIONS
+        joints("q"), (fixed.mass_matrix,), lambda: (("n", "n", "n"),), wrt=("q",), fixed_only=_NO_COORDINATES
     ),
     "forward_dynamics": Recipe(
         (*joints("q"), _MOVED[0], *joints("tau"), *WRENCHES),

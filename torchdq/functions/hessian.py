@@ -31,29 +31,31 @@ def with_jacobian(name: str, arguments: Sequence[Argument], torques: Program, ac
     def algorithm(*rows: Row) -> Results:
         named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
         n = len(named["q"])
-        units = _identity(n)
-        weights = [named.pop("weight")] if "weight" in named else units
-        mixed, growth = _identity(len(weights)), list[Number]()
+        units, growth = _identity(n), list[Number]()
+        weights: Matrix = (tuple(named.pop("weight")),) if "weight" in named else units
+        mixed = _identity(len(weights))
         if accelerations is not None and inverse is not None:
             named["tau"] = named["qdd"]
             solved = replay(accelerations, [named[a.name] for a in accelerations.arguments])
             (named["qdd"],), growth = results(accelerations, solved).values(), growths(accelerations, solved)
             Minv = _rows(_results(inverse, [named[a.name] for a in inverse.arguments])[0], n)
-            if weights is units:  # the Hessians of torques have few operations for units
+            if weights is units:  # H_i have fewer operations than sums of them
                 mixed = Minv
             else:
                 weights = product(weights, Minv)
-        found = [
-            _of_torques(_results(second, [named.get(a.name, weight) for a in second.arguments]), n)
-            for weight in weights
-        ]
-        H, J = [H for H, _ in found], found[0][1]
+        H, J = list[Matrix](), tuple([()] * n)
+        for weight in weights:
+            blocks = _results(second, [named.get(a.name, weight) for a in second.arguments])
+            found, J = _of_torques(blocks, n)
+            H.append(found)
         if inverse is not None:
-            J = [[*(-x for x in row[: 2 * n]), *last] for row, last in zip(product(Minv, J), Minv, strict=True)]
+            slopes = product(Minv, J)
+            J = tuple([(*[-x for x in row[: 2 * n]], *last) for row, last in zip(slopes, Minv, strict=True)])
             Z = (*_identity(3 * n)[: 2 * n], *J)
-            H = [[[-x for x in row] for row in product(transpose(Z), product(x, Z))] for x in H]
-        flat = [[x[max(i, j)][min(i, j)] for i in range(3 * n) for j in range(3 * n)] for x in H]
-        return {"H": sum(product(mixed, flat), ()), "J": [x for row in J for x in row], GROWTH: growth}
+            H = [product(transpose(Z), product(x, Z)) for x in H]
+            mixed = tuple([tuple([-x for x in row]) for row in mixed])
+        flat = tuple([tuple([x[max(i, j)][min(i, j)] for i in range(3 * n) for j in range(3 * n)]) for x in H])
+        return {"H": sum(product(mixed, flat), ()), "J": sum(J, ()), GROWTH: growth}
 
     return record(name, arguments, algorithm)
 
@@ -74,7 +76,7 @@ def _of_torques(blocks: Sequence[Row], n: int) -> tuple[Matrix, Matrix]:
 
 
 def _rows(flat: Row, n: int) -> Matrix:
-    return tuple([tuple(flat[k : k + n]) for k in range(0, len(flat), n)])
+    return tuple([tuple(flat[k : k + n]) for k in range(0, len(flat), max(n, 1))])
 
 
 def _identity(n: int) -> Matrix:
