@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import require_finite
+from torchdq.base.checks import require_choice, require_finite
 from torchdq.control.joints import ComputedTorque
 from torchdq.functions.call import Precision, function_of, of_one_frame, of_pairs, on_links, poses, with_options
 from torchdq.objects import Object, resolved
@@ -303,8 +303,9 @@ def dynamics_hessian(
     >>> torch.allclose(H[:2, 4:], mass_matrix_derivative(robot, q).sum(0).mT)  # d2tau/dq dqdd is dM/dq
     True
     """
-    given = {"q": q, "qd": qd, "qdd": qdd, "weight": weight}
-    return DynamicsHessian(*with_options("dynamics_hessian", robot, given, backend, of))
+    require_choice("of", of, ("inverse", "forward"))
+    name, last = ("dynamics_hessian", "qdd") if of == "inverse" else ("forward_dynamics_hessian", "tau")
+    return DynamicsHessian(*function_of(name, robot, {"q": q, "qd": qd, last: qdd, "weight": weight}, backend))
 
 
 def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> Tensor:

@@ -101,7 +101,14 @@ def opened(module):
 def test_every_function_of_the_catalogue_is_in_a_face():
     # parts of others, to be compiled
     programs_only = {"inverse_dynamics_jacobian", "inverse_kinematics_step", "inverse_kinematics_newton"}
-    programs_only |= {"joint_momentum", "contact_force", "closure_gaps", "loop_step", "loop_torques"}
+    programs_only |= {
+        "forward_dynamics_hessian",
+        "joint_momentum",
+        "contact_force",
+        "closure_gaps",
+        "loop_step",
+        "loop_torques",
+    }
     assert set(FUNCTIONS) == set(RECIPES) - programs_only
 
 

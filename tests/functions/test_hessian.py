@@ -86,17 +86,17 @@ def test_third_derivatives():
     assert torch.autograd.gradcheck(lambda q: torchdq.mass_matrix_derivative(two(), q), z[0].clone().requires_grad_())
 
 
-def test_a_compiled_program_has_the_option_and_the_arguments():
+def test_compiled_programs_with_and_without_weights():
     robot = two()
     z, weight = random(3, 4, 2), random(2)
-    for of in OF:
-        weighted = torchdq.compile(robot, "dynamics_hessian", options=(of,))
-        each = torchdq.compile(robot, "dynamics_hessian", arguments=("q", "qd", "qdd"), options=(of,))
-        for program, last in ((weighted, (weight.expand(4, 2),)), (each, ())):
-            for found, expected in zip(
-                program(*z, *last), torchdq.dynamics_hessian(robot, *z, *(last or (None,)), of), strict=True
-            ):
-                torch.testing.assert_close(found.reshape(expected.shape), expected, rtol=1e-12, atol=1e-12)
+    for of, name, last in (("inverse", "dynamics_hessian", "qdd"), ("forward", "forward_dynamics_hessian", "tau")):
+        weighted = torchdq.compile(robot, name)
+        each = torchdq.compile(robot, name, arguments=("q", "qd", last))
+        for program, more in ((weighted, (weight.expand(4, 2),)), (each, ())):
+            expected = torchdq.dynamics_hessian(robot, *z, *more, of=of)
+            assert program.axes == tuple(tuple(x.shape[1:]) for x in expected)
+            for x, y in zip(program(*z, *more), expected, strict=True):
+                torch.testing.assert_close(x.reshape(y.shape), y, rtol=1e-12, atol=1e-12)
 
 
 def test_accelerations_that_would_lose_digits_in_single_precision_are_computed_in_double():

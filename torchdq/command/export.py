@@ -24,9 +24,9 @@ class ExportCommand(RobotCommand):
 
     Functions: inverse_dynamics, forward_dynamics, mass_matrix, closed_form, regressor, forward_kinematics, jacobian,
     kinetic_energy, potential_energy, dynamics_jacobian, inverse_dynamics_jacobian, dynamics_hessian,
-    mass_matrix_derivative, computed_torque, frame_motion, operational_space, operational_space_control,
-    cartesian_impedance, manipulability, coriolis_matrix, distances, differential_inverse_kinematics,
-    inverse_kinematics_step, inverse_kinematics_newton.
+    forward_dynamics_hessian, mass_matrix_derivative, computed_torque, frame_motion, operational_space,
+    operational_space_control, cartesian_impedance, manipulability, coriolis_matrix, distances,
+    differential_inverse_kinematics, inverse_kinematics_step, inverse_kinematics_newton.
 
     Example: torchdq export arm.urdf inverse_dynamics --out controller --name arm_torques
     """

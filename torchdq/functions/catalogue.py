@@ -53,15 +53,15 @@ RECIPES: dict[str, Recipe] = {
         joints("q", "qd", "qdd"), (fixed.inverse_dynamics,), lambda: (("n", "n"), ("n", "n")), wrt=("q", "qd")
     ),
     "dynamics_jacobian": Recipe(joints("q", "qd", "qdd"), (), lambda: (("n", "n"), ("n", "n"), ("n", "n"))),
-    "dynamics_hessian": Recipe(
-        (
-            *(*joints("q", "qd", "qdd"), *joints("weight", optional=True)),
-            Field("of", kind="option", check=OneOf(("inverse", "forward")), default="inverse"),
-        ),
-        (),
-        lambda of: (("3n", "3n"), ("n", "3n")),
-        fixed_only=_NO_COORDINATES,
-    ),
+    **{
+        name: Recipe(
+            (*joints("q", "qd", last), *joints("weight", optional=True)),
+            (),
+            lambda: (("3n", "3n"), ("n", "3n")),
+            fixed_only=_NO_COORDINATES,
+        )
+        for name, last in (("dynamics_hessian", "qdd"), ("forward_dynamics_hessian", "tau"))
+    },
     "mass_matrix": Recipe(joints("q"), (fixed.mass_matrix,), lambda: (("n", "n"),)),
     "mass_matrix_derivative": Recipe(
         joints("q"), (fixed.mass_matrix,), lambda: (("n", "n", "n"),), wrt=("q",), fixed_only=_NO_COORDINATES
@@ -214,7 +214,7 @@ _OPEN = {
     **dict.fromkeys(("inverse_dynamics", "regressor"), "its torques would need the forces of the closures"),
     **dict.fromkeys(
         (
-            *("inverse_dynamics_jacobian", "dynamics_jacobian", "dynamics_hessian"),
+            *("inverse_dynamics_jacobian", "dynamics_jacobian", "dynamics_hessian", "forward_dynamics_hessian"),
             *("joint_momentum", "operational_space", "contact_force"),
         ),
         "its motion would need the forces of the closures",
@@ -333,7 +333,7 @@ class Function(_Call, Computation):
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results."""
         shapes = self.recipe.results(*self.options)
-        if self.name == "dynamics_hessian" and all(a.name != "weight" for a in program.arguments):
+        if self.name.endswith("dynamics_hessian") and all(a.name != "weight" for a in program.arguments):
             shapes = (("n", *shapes[0]), shapes[1])  # a Hessian for each joint
         return tuple([trailing(axes, self.sizes) for axes in shapes])
 
@@ -376,7 +376,7 @@ def recordings() -> int:
 def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
     if what.name == "dynamics_jacobian":
         return _with_mass_matrix(what, arguments)
-    if what.name == "dynamics_hessian":
+    if what.name.endswith("dynamics_hessian"):
         return _hessian(what, arguments)
     if what.name == "joint_momentum":
         return _momentum(what, arguments)
@@ -429,12 +429,12 @@ def _with_mass_matrix(what: Function, arguments: tuple[Argument, ...]) -> Progra
 
 def _hessian(what: Function, arguments: tuple[Argument, ...]) -> Program:
     """Second derivatives of torques or accelerations, with the first ones."""
-    given = tuple([a for a in arguments if a.name != "weight"])
-    torques, accelerations = Function(what.constants, "inverse_dynamics").program(given), None
-    if what.options == ("forward",):
-        caused = tuple([a._replace(name="tau") if a.name == "qdd" else a for a in given])
+    caused = tuple([a for a in arguments if a.name != "weight"])
+    moved = tuple([a._replace(name="qdd") if a.name == "tau" else a for a in caused])
+    torques, accelerations = Function(what.constants, "inverse_dynamics").program(moved), None
+    if caused != moved:
         accelerations = Function(what.constants, "forward_dynamics").program(caused)
-    name = f"{'_'.join(what.options)}_dynamics_hessian_{what.constants.fields['name']}"
+    name = f"{what.name}_{what.constants.fields['name']}"
     return hessian.with_jacobian(name, arguments, torques, accelerations)
 
 

@@ -35,7 +35,6 @@ def with_jacobian(name: str, arguments: Sequence[Argument], torques: Program, ac
         weights: Matrix = (tuple(named.pop("weight")),) if "weight" in named else units
         mixed = _identity(len(weights))
         if accelerations is not None and inverse is not None:
-            named["tau"] = named["qdd"]
             solved = replay(accelerations, [named[a.name] for a in accelerations.arguments])
             (named["qdd"],), growth = results(accelerations, solved).values(), growths(accelerations, solved)
             Minv = _rows(_results(inverse, [named[a.name] for a in inverse.arguments])[0], n)
@@ -49,13 +48,14 @@ def with_jacobian(name: str, arguments: Sequence[Argument], torques: Program, ac
             found, J = _of_torques(blocks, n)
             H.append(found)
         if inverse is not None:
-            slopes = product(Minv, J)
-            J = tuple([(*[-x for x in row[: 2 * n]], *last) for row, last in zip(slopes, Minv, strict=True)])
+            pairs = zip(product(Minv, J), Minv, strict=True)
+            J = tuple([(*[-x for x in row[: 2 * n]], *last) for row, last in pairs])
             Z = (*_identity(3 * n)[: 2 * n], *J)
             H = [product(transpose(Z), product(x, Z)) for x in H]
             mixed = tuple([tuple([-x for x in row]) for row in mixed])
         flat = tuple([tuple([x[max(i, j)][min(i, j)] for i in range(3 * n) for j in range(3 * n)]) for x in H])
-        return {"H": sum(product(mixed, flat), ()), "J": sum(J, ()), GROWTH: growth}
+        slopes = "dtau/dz" if accelerations is None else "dqdd/dz"
+        return {"H": sum(product(mixed, flat), ()), slopes: sum(J, ()), GROWTH: growth}
 
     return record(name, arguments, algorithm)
 
