@@ -67,27 +67,26 @@ def _plain(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequ
 
 def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> list:
     """Gradients of the inputs that need one, by the vector-Jacobian product of the program; None for the others."""
-    derivative, rows = vjp(ctx.program, tuple([k for k, wanted in enumerate(needed) if wanted])), ctx.saved_tensors
-    gradients = iter(_derived(ctx.execute, derivative, rows, cotangents))
+    rows = ctx.saved_tensors  # read once, as torch's checkpoints ask for
+    derivative = vjp(ctx.program, tuple([k for k, wanted in enumerate(needed) if wanted]))
+    gradients = iter(_derived(ctx, derivative, rows, cotangents))
     found = [next(gradients) if wanted else None for wanted in needed]
     # a row that was broadcast has the sum of the gradients
     return [g if g is None or g.shape == x.shape else g.sum_to_size(x.shape) for g, x in zip(found, rows, strict=True)]
 
 
-def _derived(
-    execute: Execute, derivative: Program, rows: Sequence[Tensor], directions: Sequence[Tensor]
-) -> Sequence[Tensor]:
+def _derived(ctx, derivative: Program, rows: Sequence[Tensor], directions: Sequence[Tensor]) -> Sequence[Tensor]:
     """Results of a derivative; directions that autograd maps over are a batch."""
     inputs = [*rows, *directions]
     if not in_a_batch_of_gradients(directions):
-        return differentiable(execute, derivative, inputs)
-    known, levels = derivative.arguments, batches_of_gradients()
-    aligned = [x.unsqueeze(0) if a.uniform else x for x, a in zip(inputs, known, strict=True)]
+        return ctx.run(ctx.execute, derivative, inputs)
+    levels = batches_of_gradients()
+    aligned = [x.unsqueeze(0) if a.uniform else x for x, a in zip(inputs, derivative.arguments, strict=True)]
     for level in reversed(levels):
         aligned = [without_batch(x, level) for x in aligned]
     if in_a_batch_of_gradients(aligned):  # an empty one
-        return execute.by_torch(derivative, inputs)
-    found = _transformed(execute, per_sample(derivative), aligned)
+        return ctx.execute.by_torch(derivative, inputs)
+    found = _transformed(ctx.execute, per_sample(derivative), aligned)
     found = [y.sum(-2) if r.summed else y for y, r in zip(found, derivative.results, strict=True)]
     for level in levels:
         found = [with_batch(y, level) for y in found]
@@ -99,7 +98,7 @@ class _Differentiable(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, execute: Execute, program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
-        ctx.execute, ctx.program = execute, program
+        ctx.execute, ctx.program, ctx.run = execute, program, differentiable
         ctx.save_for_backward(*inputs)
         ctx.save_for_forward(*inputs)
         return tuple(execute(program, inputs))
@@ -112,7 +111,7 @@ class _Differentiable(torch.autograd.Function):
     def jvp(ctx, _execute, _program, *tangents: Tensor | None) -> tuple[Tensor, ...]:
         wrt = tuple(k for k, t in enumerate(tangents) if t is not None)
         present = [t for t in tangents if t is not None]
-        return tuple(_derived(ctx.execute, jvp(ctx.program, wrt), ctx.saved_tensors, present))
+        return tuple(_derived(ctx, jvp(ctx.program, wrt), ctx.saved_tensors, present))
 
 
 # --- transforms of torch.func ----------------------------------------------------------------------------------------
@@ -124,10 +123,9 @@ def _transformed(execute: Execute, program: Program, inputs: Sequence[Tensor]) -
     Axes that `vmap` maps over are batch axes, which broadcast until the program runs. This takes a fraction of the time
     of torch's own way for an `autograd.Function`, which searches all arguments for tensors at every transform.
     """
-    level = innermost()
+    level, inputs = innermost(), [alive(x) for x in inputs]
     if level is None:
         return _of_any_axes(partial(_plain, execute), program, inputs)
-    inputs = [alive(x) for x in inputs]
     if level.maps:
         return _mapped(level, execute, program, inputs)
     if not level.differentiates:
@@ -175,11 +173,11 @@ class _AtLevel(SingleLevelFunction):
 
     @staticmethod
     def forward(ctx, how: tuple[Execute, Level], program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
-        (ctx.execute, level), ctx.program = how, program
+        (ctx.execute, level), ctx.program, ctx.run = how, program, _transformed
         ctx.save_for_backward(*inputs)
         ctx.save_for_forward(*inputs)
         rows = [level.constant(x) for x in inputs]
-        with level.below():
+        with level.below_recording():
             found = _transformed(ctx.execute, program, rows)
         return tuple([level.result(y) for y in found])
 

@@ -8,7 +8,7 @@ that decides whether a compiled program may run: `alike` above all.
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache, wraps
 from operator import attrgetter
 from typing import Any, TypeVar
@@ -124,10 +124,14 @@ class Level:
         self.maps = key == pyfunctorch.TransformType.Vmap
         self.differentiates = key in (pyfunctorch.TransformType.Grad, pyfunctorch.TransformType.Jvp)
 
+    def below(self) -> AbstractContextManager[None]:
+        """Context without this transform."""
+        return self._interpreter.lower()
+
     @contextmanager
-    def below(self) -> Iterator[None]:
-        """Context without this transform, in which those before it record."""
-        with torch.enable_grad(), forward_ad._set_fwd_grad_enabled(True), self._interpreter.lower():
+    def below_recording(self) -> Iterator[None]:
+        """Context without this transform in an `autograd.Function`, where those before it record as outside of it."""
+        with torch.enable_grad(), forward_ad._set_fwd_grad_enabled(True), self.below():
             yield
 
     @contextmanager
@@ -163,7 +167,8 @@ class Level:
 
 def innermost() -> Level | None:
     """Last active transform of `torch.func`; None: there is none."""
-    return Level(pyfunctorch.retrieve_current_functorch_interpreter()) if functional() else None
+    found = _functorch.peek_interpreter_stack()
+    return None if found is None else Level(pyfunctorch.coerce_cinterpreter(found))
 
 
 def alive(x: Tensor) -> Tensor:
