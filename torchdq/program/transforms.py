@@ -119,7 +119,7 @@ class Level:
     """Last active transform of `torch.func`: what torch does at it with an operation, for a program."""
 
     def __init__(self, interpreter: Any):
-        self._interpreter, key = interpreter, interpreter.key()
+        self._interpreter, key, self._recording = interpreter, interpreter.key(), torch.is_grad_enabled()
         self._number = interpreter.level()
         self.maps = key == pyfunctorch.TransformType.Vmap
         self.differentiates = key in (pyfunctorch.TransformType.Grad, pyfunctorch.TransformType.Jvp)
@@ -130,8 +130,8 @@ class Level:
 
     @contextmanager
     def below_recording(self) -> Iterator[None]:
-        """Context without this transform in an `autograd.Function`, where those before it record as outside of it."""
-        with torch.enable_grad(), forward_ad._set_fwd_grad_enabled(True), self.below():
+        """Context without this transform, in which those before it record although an `autograd.Function` runs."""
+        with torch.set_grad_enabled(self._recording), forward_ad._set_fwd_grad_enabled(True), self.below():
             yield
 
     @contextmanager
