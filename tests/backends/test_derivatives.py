@@ -63,14 +63,15 @@ def tau(q, qd, qdd):
 
 
 def beside_a_constant(q, qd, qdd):
-    """Hessian of a product with a factor that the inner one of two gradients takes for a constant."""
+    """Gradient of a Jacobian of a product, with a factor that is a constant for both."""
+    mass = TWO.mass.clone().requires_grad_()
 
     def product(q):
         with torch.no_grad():
-            factor = tau(q, qd[0], qdd[0])
-        return (factor * tau(q, qd[0], qdd[0])).sum()
+            factor = torchdq.inverse_dynamics(TWO.replace(mass=mass), q, qd, qdd)
+        return (factor * torchdq.inverse_dynamics(TWO.replace(mass=mass), q, qd, qdd)).sum()
 
-    return torch.func.jacrev(torch.func.jacrev(product))(q[0]), torch.func.hessian(product)(q[0])
+    return torch.autograd.grad(torch.func.jacrev(product)(q).sum(), mass)
 
 
 def after_its_transform(q, qd, qdd):
@@ -97,14 +98,14 @@ TRANSFORMS = {
         torch.func.hessian(lambda m, q: torchdq.inverse_dynamics(TWO.replace(mass=m), q, qd, qdd).square().sum()),
         in_dims=(None, 0),
     )(TWO.mass, q),
-    "a constant in a gradient": beside_a_constant,
+    "a constant in gradients": beside_a_constant,
     "vjp after its transform": after_its_transform,
     "functionalize in vmap": lambda *x: torch.func.functionalize(torch.func.vmap(tau))(*x),
     "third derivative": lambda *x: torch.func.jacrev(torch.func.jacfwd(torch.func.jacrev(tau)))(*(v[0] for v in x)),
 }
 
 
-NESTED = ("hessian", "a constant in a gradient", "vmap in a gradient in vmap", "vjp after its transform")
+NESTED = ("hessian", "a constant in gradients", "vmap in a gradient in vmap", "vjp after its transform")
 NESTED += ("second derivatives in masses", "functionalize in vmap")
 
 

@@ -70,9 +70,8 @@ def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> lis
     rows = ctx.saved_tensors  # read once, as torch's checkpoints ask for
     derivative = vjp(ctx.program, tuple([k for k, wanted in enumerate(needed) if wanted]))
     gradients = iter(_derived(ctx, derivative, rows, cotangents))
-    found = [next(gradients) if wanted else None for wanted in needed]
-    # a row that was broadcast has the sum of the gradients
-    return [g if g is None or g.shape == x.shape else g.sum_to_size(x.shape) for g, x in zip(found, rows, strict=True)]
+    # of a row that was broadcast, autograd sums them
+    return [next(gradients) if wanted else None for wanted in needed]
 
 
 def _derived(ctx, derivative: Program, rows: Sequence[Tensor], directions: Sequence[Tensor]) -> Sequence[Tensor]:
