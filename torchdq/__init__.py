@@ -28,6 +28,7 @@ Functions of a robot, batched and differentiable to any order:
     closed_form             mass matrix, Coriolis torques, gravity torques, Jacobian
     mass_matrix             mass matrix alone
     dynamics_jacobian       derivatives of the torques in q and qd, and the mass matrix
+    dynamics_hessian        second derivatives of torques or accelerations; mass_matrix_derivative those of M
     regressor               factors of the inertial parameters in the torques
     kinetic_energy, potential_energy
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
@@ -98,6 +99,7 @@ from torchdq.functional import (
     closed_form,
     computed_torque,
     distances,
+    dynamics_hessian,
     dynamics_jacobian,
     error_growth,
     external_wrenches,
@@ -107,6 +109,7 @@ from torchdq.functional import (
     jacobian,
     kinetic_energy,
     mass_matrix,
+    mass_matrix_derivative,
     potential_energy,
     regressor,
     require_finite,
@@ -164,6 +167,7 @@ __all__ = [
     "differential_inverse_kinematics",
     "distances",
     "dq",
+    "dynamics_hessian",
     "dynamics_jacobian",
     "effects",
     "envs",
@@ -180,6 +184,7 @@ __all__ = [
     "learning",
     "manipulability",
     "mass_matrix",
+    "mass_matrix_derivative",
     "nn",
     "objects",
     "operational_space",

@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import require_finite
+from torchdq.base.checks import require_choice, require_finite
 from torchdq.control.joints import ComputedTorque
 from torchdq.functions.call import Precision, function_of, of_one_frame, of_pairs, on_links, poses, with_options
 from torchdq.objects import Object, resolved
@@ -29,6 +29,7 @@ __all__ = [
     "closed_form",
     "computed_torque",
     "distances",
+    "dynamics_hessian",
     "dynamics_jacobian",
     "error_growth",
     "external_wrenches",
@@ -38,6 +39,7 @@ __all__ = [
     "jacobian",
     "kinetic_energy",
     "mass_matrix",
+    "mass_matrix_derivative",
     "potential_energy",
     "regressor",
     "require_finite",
@@ -155,6 +157,22 @@ def mass_matrix(robot: Robot, q: Tensor, backend: BackendName | None = None) -> 
     return function_of("mass_matrix", robot, {"q": q}, backend)[0]
 
 
+def mass_matrix_derivative(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
+    """Derivatives dM/dq [..., n, n, n] of the mass matrix in the joint positions, which are the last axis.
+
+    Args:
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> rate = mass_matrix_derivative(robot, q) @ q  # of the mass matrix, at the velocities q
+    >>> C = torchdq.coriolis_matrix(robot, q, q)
+    >>> torch.allclose(rate, C + C.mT)
+    True
+    """
+    return function_of("mass_matrix_derivative", robot, {"q": q}, backend)[0]
+
+
 class ClosedForm(NamedTuple):
     """Terms of tau = M qdd + c + g + Jt f_tip (63)."""
 
@@ -239,6 +257,55 @@ def dynamics_jacobian(
     """
     dtau_dq, dtau_dqd, M = function_of("dynamics_jacobian", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)
     return dtau_dq, dtau_dqd, M
+
+
+class DynamicsHessian(NamedTuple):
+    """Second and first derivatives of torques or accelerations in z = (q, qd, qdd) or (q, qd, tau)."""
+
+    H: Tensor  # contracted with a weight [..., 3n, 3n], or of each joint [..., n, 3n, 3n]
+    J: Tensor  # [..., n, 3n]
+
+
+def dynamics_hessian(
+    robot: Robot,
+    q: Tensor,
+    qd: Tensor,
+    qdd: Tensor,
+    weight: Tensor | None = None,
+    of: Literal["inverse", "forward"] = "inverse",
+    backend: BackendName | None = None,
+) -> DynamicsHessian:
+    """Second derivatives H [..., 3n, 3n] and first ones J [..., n, 3n] of `inverse_dynamics` or `forward_dynamics`.
+
+        of="inverse"  f = tau,  z = (q, qd, qdd)
+        of="forward"  f = qdd,  z = (q, qd, tau): the argument qdd has the torques
+        weight        H = sum over i of weight_i d2f_i/dz2, shape [..., 3n, 3n], as in differential dynamic programming,
+                      where the weight is the gradient of the value function
+        no weight     H_i = d2f_i/dz2, shape [..., n, 3n, 3n], in two to three times the time, and n times the memory
+        J             df/dz, shape [..., n, 3n]
+
+    Rows and columns are in the order of z: H[..., :n, n : 2 * n] has the derivatives in q and qd, H[..., :n, 2 * n :]
+    those in q and qdd or tau. H is symmetric to the last bit. The blocks of qd with qdd or tau, and of these with
+    themselves, are zero. Rows whose accelerations lose too many digits are treated as in `forward_dynamics`.
+
+    Args:
+        robot: the robot.
+        q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
+            shape [..., n]; with of="forward" the third are the torques [N m] or forces [N].
+        weight: weights of the torques or accelerations, shape [..., n]; None: see above.
+        of: "inverse" or "forward", as above.
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> H, J = dynamics_hessian(robot, q, q, q, weight=torch.ones_like(q))
+    >>> H.shape, torch.allclose(J[:, 4:], mass_matrix(robot, q))
+    (torch.Size([6, 6]), True)
+    >>> torch.allclose(H[:2, 4:], mass_matrix_derivative(robot, q).sum(0).mT)  # d2tau/dq dqdd is dM/dq
+    True
+    """
+    require_choice("of", of, ("inverse", "forward"))
+    name, last = ("dynamics_hessian", "qdd") if of == "inverse" else ("forward_dynamics_hessian", "tau")
+    return DynamicsHessian(*function_of(name, robot, {"q": q, "qd": qd, last: qdd, "weight": weight}, backend))
 
 
 def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> Tensor:

@@ -10,6 +10,8 @@ from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq
 from torchdq.backends import c_library as build
+from torchdq.backends import precision as running
+from torchdq.backends.c import COMPILED
 
 F64 = torch.float64
 BACKEND = "auto"
@@ -60,6 +62,25 @@ def tau(q, qd, qdd):
     return torchdq.inverse_dynamics(TWO, q, qd, qdd)
 
 
+def beside_a_constant(q, qd, qdd):
+    """Gradient of a Jacobian of a product, with a factor that is a constant for both."""
+    mass = TWO.mass.clone().requires_grad_()
+
+    def product(q):
+        with torch.no_grad():
+            factor = torchdq.inverse_dynamics(TWO.replace(mass=mass), q, qd, qdd)
+        return (factor * torchdq.inverse_dynamics(TWO.replace(mass=mass), q, qd, qdd)).sum()
+
+    return torch.autograd.grad(torch.func.jacrev(product)(q).sum(), mass)
+
+
+def after_its_transform(q, qd, qdd):
+    """Products with a Jacobian of Jacobians, when the transforms have ended and torch records nothing."""
+    _, pull = torch.func.vjp(torch.func.vmap(torch.func.jacrev(tau)), q, qd, qdd)
+    with torch.no_grad():
+        return pull(torch.ones(6, 2, 2, dtype=F64))
+
+
 TRANSFORMS = {
     "vmap": lambda q, qd, qdd: torch.func.vmap(tau, in_dims=(0, None, 1))(q, qd[0], qdd.mT),
     "vmap of vmap": lambda *x: torch.func.vmap(torch.func.vmap(tau))(*(v.unflatten(0, (2, 3)) for v in x)),
@@ -68,15 +89,60 @@ TRANSFORMS = {
     "gradient of jvp": lambda *x: torch.func.vjp(
         lambda q, v: torch.func.jvp(lambda q: tau(q, x[1], x[2]), (q,), (v,))[1], x[0], x[1]
     )[1](x[2]),
+    "hessian": lambda *x: torch.func.vmap(torch.func.hessian(tau))(*x),
+    "jacrev of jacrev": lambda *x: torch.func.vmap(torch.func.jacrev(torch.func.jacrev(tau)))(*x),
+    "vmap in a gradient in vmap": lambda q, qd, qdd: torch.func.vmap(
+        torch.func.grad(lambda v: torch.func.vmap(tau, in_dims=(0, None, 0))(q, v, qdd).square().sum())
+    )(qd),
+    "second derivatives in masses": lambda q, qd, qdd: torch.func.vmap(
+        torch.func.hessian(lambda m, q: torchdq.inverse_dynamics(TWO.replace(mass=m), q, qd, qdd).square().sum()),
+        in_dims=(None, 0),
+    )(TWO.mass, q),
+    "a constant in gradients": beside_a_constant,
+    "vjp after its transform": after_its_transform,
+    "functionalize in vmap": lambda *x: torch.func.functionalize(torch.func.vmap(tau))(*x),
     "third derivative": lambda *x: torch.func.jacrev(torch.func.jacfwd(torch.func.jacrev(tau)))(*(v[0] for v in x)),
 }
 
 
+NESTED = ("hessian", "a constant in gradients", "vmap in a gradient in vmap", "vjp after its transform")
+NESTED += ("second derivatives in masses", "functionalize in vmap")
+
+
 @pytest.mark.case("P3")
-@pytest.mark.parametrize("name", thinned(TRANSFORMS, ("vmap", "vmap of vmap", "gradient of jvp", "third derivative")))
+@pytest.mark.parametrize(
+    "name", thinned(TRANSFORMS, ("vmap", "vmap of vmap", "gradient of jvp", "third derivative", *NESTED))
+)
 def test_transforms_equal_torch_operations(name):
     x = [random(6, 2, seed=k) for k in range(3)]
     agree(on("c", TRANSFORMS[name], *x), on("eager", TRANSFORMS[name], *x), 1024)
+
+
+@pytest.mark.parametrize("name", ["hessian", "jacrev of jacrev", "second derivatives in masses"])
+def test_second_derivatives_under_transforms_run_compiled_programs(name, monkeypatch):
+    monkeypatch.setattr(running.Guarded, "by_torch", property(lambda self: pytest.fail("run as torch operations")))
+    batches = []
+    kernel = type(COMPILED).kernel
+    monkeypatch.setattr(type(COMPILED), "kernel", lambda *of: batches.append(of[1].name) or kernel(*of))
+    on("c", TRANSFORMS[name], *[random(6, 2, seed=k) for k in range(3)])
+    assert batches and len(batches) <= 5  # of a program and its derivatives, each at once
+
+
+def test_gradients_in_a_batch_are_those_one_by_one_to_any_order(monkeypatch):
+    monkeypatch.setattr(running.Guarded, "by_torch", property(lambda self: pytest.fail("run as torch operations")))
+    mass, *x = [v.requires_grad_() for v in (TWO.mass.clone(), *[random(6, 2, seed=k) for k in range(3)])]
+    leaves = (mass, *x)
+
+    def slopes(y, directions):
+        batch = torch.autograd.grad(y, leaves, directions, is_grads_batched=True, create_graph=True)
+        rows = [torch.autograd.grad(y, leaves, d, create_graph=True) for d in directions]
+        agree(batch, [torch.stack(of) for of in zip(*rows, strict=True)], 1024)
+        return batch
+
+    y = torchdq.inverse_dynamics(TWO.replace(mass=mass), *x, backend="c")
+    first = slopes(y, random(3, 6, 2))
+    second = slopes(first[1], random(4, 3, 6, 2))
+    slopes(second[2], random(2, 4, 6, 2))
 
 
 @pytest.mark.case("P3")

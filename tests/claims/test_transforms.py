@@ -41,6 +41,8 @@ FUNCTIONS = {
     "kinetic_energy": (torchdq.kinetic_energy, "q qd"),
     "potential_energy": (torchdq.potential_energy, "q"),
     "dynamics_jacobian": (torchdq.dynamics_jacobian, "q qd qdd"),
+    "dynamics_hessian": (torchdq.dynamics_hessian, "q qd qdd tau"),
+    "mass_matrix_derivative": (torchdq.mass_matrix_derivative, "q"),
     "computed_torque": (
         lambda robot, q, qd, qdd, tau, f_tip: torchdq.computed_torque(robot, q, qd, tau, qd, qdd, 9.0, 6.0, f_tip),
         "q qd qdd tau f_tip",
@@ -169,6 +171,8 @@ def test_a_robot_without_joints_gives_empty_axes(backend, keys):
         "kinetic_energy": [(4,)],
         "potential_energy": [(4,)],
         "dynamics_jacobian": [(4, 0, 0)] * 3,
+        "dynamics_hessian": [(4, 0, 0), (4, 0, 0)],
+        "mass_matrix_derivative": [(4, 0, 0, 0)],
         "computed_torque": [(4, 0)],
     }
     assert {key: sizes_without_joints(key, backend) for key in keys} == {key: expected[key] for key in keys}

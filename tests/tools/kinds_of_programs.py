@@ -30,7 +30,8 @@ WRENCHES = ("f_tip", "f_ext")
 STILL = ("q", "qd", "X_des", "kp", "kd", "damping")  # control with a goal at rest and without a posture
 OF_BOTH_BASES = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "coriolis_matrix", "error_growth", "regressor")
 OF_BOTH_BASES += ("kinetic_energy", "potential_energy")
-PLAIN = (*OF_BOTH_BASES, "inverse_dynamics_jacobian", "dynamics_jacobian", "joint_momentum")
+PLAIN = (*OF_BOTH_BASES, "inverse_dynamics_jacobian", "dynamics_jacobian", "dynamics_hessian")
+PLAIN += ("forward_dynamics_hessian", "mass_matrix_derivative", "joint_momentum")
 PLAIN += tuple(f"floating.{name}" for name in (*OF_BOTH_BASES, "closed_form", "centre_of_mass", "momentum"))
 PLAIN += ("floating.momentum_rate", "distances", "floating.distances")
 OF_AXES = ("manipulability", "operational_space", "contact_force")
@@ -66,6 +67,7 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
         "forward_dynamics wrenches": {"present": ("q", "qd", "tau", *WRENCHES)},
         "forward_dynamics geometry arguments": {"fields": GEOMETRY},
         "forward_dynamics vjp": {"derivative": True},
+        "dynamics_hessian each": {"present": ("q", "qd", "qdd")},
         "closed_form": {"options": ("",)},
         "closed_form tip": {"options": (tip,)},
         "forward_kinematics": {"options": (tip,)},

@@ -23,9 +23,10 @@ class ExportCommand(RobotCommand):
     """A function as C with its header and a test, for CasADi, or as a graph of torch operations.
 
     Functions: inverse_dynamics, forward_dynamics, mass_matrix, closed_form, regressor, forward_kinematics, jacobian,
-    kinetic_energy, potential_energy, dynamics_jacobian, inverse_dynamics_jacobian,
-    computed_torque, frame_motion, operational_space, operational_space_control, cartesian_impedance, manipulability,
-    coriolis_matrix, distances, differential_inverse_kinematics, inverse_kinematics_step, inverse_kinematics_newton.
+    kinetic_energy, potential_energy, dynamics_jacobian, inverse_dynamics_jacobian, dynamics_hessian,
+    forward_dynamics_hessian, mass_matrix_derivative, computed_torque, frame_motion, operational_space,
+    operational_space_control, cartesian_impedance, manipulability, coriolis_matrix, distances,
+    differential_inverse_kinematics, inverse_kinematics_step, inverse_kinematics_newton.
 
     Example: torchdq export arm.urdf inverse_dynamics --out controller --name arm_torques
     """

@@ -34,6 +34,8 @@ WORDS = {
     "F_B": "wrench (force, moment) on the base, in its axes [N, N m]",
     "M": "mass matrix, row by row [kg m^2, kg m or kg]",
     "c": "Coriolis and centrifugal torques [N m or N]",
+    "H": "second derivatives with respect to z, weighted and summed, or joint by joint, row by row",
+    "weight": "weights of the joints in H",
     "g": "gravity torques [N m or N]",
     "Jt": "transposed Jacobian of the tip on (force, moment), row by row",
     "J": "Jacobian of the frame, (angular, linear), row by row",
@@ -94,6 +96,8 @@ def words(name: str) -> str:
     """
     if name.endswith("'"):
         return f"derivatives of a scalar with respect to {name.removesuffix(chr(39))}, in its order"
+    if name.endswith("/dz"):
+        return f"derivatives of {name[1:-3]} (rows) with respect to z, all arguments but weights, row by row"
     if name.startswith("d") and "/d" in name:
         of, by = name.removeprefix("d").rsplit("/d", 1)
         return f"derivatives of {of} (rows) with respect to {by} (columns), row by row"

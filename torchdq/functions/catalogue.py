@@ -20,6 +20,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functions import distances as apart
 from torchdq.functions import floating as free
 from torchdq.functions import formulas as fixed
+from torchdq.functions import hessian
 from torchdq.functions import inverse_kinematics as ik
 from torchdq.functions import task_space_formulas as task
 from torchdq.functions.recipe import (
@@ -43,6 +44,7 @@ from torchdq.robot.robot import recorded
 _MOVED = joints("qd", "qdd", optional=True)
 _NO_MOTOR = "no motor moves its base, so torques of the joints alone cannot give a frame every acceleration"
 _UNMEASURED = "what acts on its base is not measured"
+_NO_COORDINATES = "its pose has no unique coordinates to differentiate by"
 _ANYWHERE = "its base alone reaches every pose"
 
 RECIPES: dict[str, Recipe] = {
@@ -51,7 +53,19 @@ RECIPES: dict[str, Recipe] = {
         joints("q", "qd", "qdd"), (fixed.inverse_dynamics,), lambda: (("n", "n"), ("n", "n")), wrt=("q", "qd")
     ),
     "dynamics_jacobian": Recipe(joints("q", "qd", "qdd"), (), lambda: (("n", "n"), ("n", "n"), ("n", "n"))),
+    **{
+        name: Recipe(
+            (*joints("q", "qd", last), *joints("weight", optional=True)),
+            (),
+            lambda: (("3n", "3n"), ("n", "3n")),
+            fixed_only=_NO_COORDINATES,
+        )
+        for name, last in (("dynamics_hessian", "qdd"), ("forward_dynamics_hessian", "tau"))
+    },
     "mass_matrix": Recipe(joints("q"), (fixed.mass_matrix,), lambda: (("n", "n"),)),
+    "mass_matrix_derivative": Recipe(
+        joints("q"), (fixed.mass_matrix,), lambda: (("n", "n", "n"),), wrt=("q",), fixed_only=_NO_COORDINATES
+    ),
     "forward_dynamics": Recipe(
         (*joints("q"), _MOVED[0], *joints("tau"), *WRENCHES),
         (fixed.forward_dynamics, fixed.forward_dynamics_articulated),
@@ -199,7 +213,10 @@ _FREE: dict[str, Recipe] = {
 _OPEN = {
     **dict.fromkeys(("inverse_dynamics", "regressor"), "its torques would need the forces of the closures"),
     **dict.fromkeys(
-        ("inverse_dynamics_jacobian", "dynamics_jacobian", "joint_momentum", "operational_space", "contact_force"),
+        (
+            *("inverse_dynamics_jacobian", "dynamics_jacobian", "dynamics_hessian", "forward_dynamics_hessian"),
+            *("joint_momentum", "operational_space", "contact_force"),
+        ),
         "its motion would need the forces of the closures",
     ),
     **dict.fromkeys(
@@ -315,7 +332,10 @@ class Function(_Call, Computation):
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results."""
-        return tuple([trailing(axes, self.sizes) for axes in self.recipe.results(*self.options)])
+        shapes = self.recipe.results(*self.options)
+        if self.name.endswith("dynamics_hessian") and all(a.name != "weight" for a in program.arguments):
+            shapes = (("n", *shapes[0]), shapes[1])  # a Hessian for each joint
+        return tuple([trailing(axes, self.sizes) for axes in shapes])
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the function, cached."""
@@ -337,6 +357,7 @@ def _sizes(what: Function) -> dict[str, int]:
         "gaps": gaps,
         "closures": len(fields["closures"]),
         "all": 6 + n,
+        "3n": 3 * n,
         "parameters": 10 * (links + floating),
         "axes": axes,
     }
@@ -355,6 +376,8 @@ def recordings() -> int:
 def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
     if what.name == "dynamics_jacobian":
         return _with_mass_matrix(what, arguments)
+    if what.name.endswith("dynamics_hessian"):
+        return _hessian(what, arguments)
     if what.name == "joint_momentum":
         return _momentum(what, arguments)
     robot, recipe = recorded(what.constants), what.recipe
@@ -402,6 +425,17 @@ def _with_mass_matrix(what: Function, arguments: tuple[Argument, ...]) -> Progra
         return {name: row for part, values in parts for name, row in results(part, values).items()}
 
     return record(f"dynamics_jacobian_{what.constants.fields['name']}", arguments, algorithm)
+
+
+def _hessian(what: Function, arguments: tuple[Argument, ...]) -> Program:
+    """Second derivatives of torques or accelerations, with the first ones."""
+    caused = tuple([a for a in arguments if a.name != "weight"])
+    moved = tuple([a._replace(name="qdd") if a.name == "tau" else a for a in caused])
+    torques, accelerations = Function(what.constants, "inverse_dynamics").program(moved), None
+    if caused != moved:
+        accelerations = Function(what.constants, "forward_dynamics").program(caused)
+    name = f"{what.name}_{what.constants.fields['name']}"
+    return hessian.with_jacobian(name, arguments, torques, accelerations)
 
 
 def _momentum(what: Function, arguments: tuple[Argument, ...]) -> Program:

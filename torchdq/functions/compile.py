@@ -321,13 +321,13 @@ def compile(
             recorded already, such as the step of a scene, `scene.program()`, which needs no other argument but dtype.
         function: "inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor", "jacobian",
             "forward_kinematics", "kinetic_energy", "potential_energy", "dynamics_jacobian",
-            "inverse_dynamics_jacobian" (the same without the mass matrix), "frame_motion", "operational_space",
-            "manipulability", "coriolis_matrix", "distances", "differential_inverse_kinematics",
-            "inverse_kinematics_step" and "inverse_kinematics_newton" (parts of the solver); of a robot with a floating
-            base, "floating.inverse_dynamics" and so on. Or a control law: "computed_torque",
-            "operational_space_control" or "cartesian_impedance", whose gains are arguments then; or an object of
-            `torchdq.scene.controllers`, whose gains are constants where they are numbers, and arguments where they are
-            tensors.
+            "inverse_dynamics_jacobian" (the same without the mass matrix), "dynamics_hessian",
+            "forward_dynamics_hessian", "mass_matrix_derivative", "frame_motion", "operational_space", "manipulability",
+            "coriolis_matrix", "distances", "differential_inverse_kinematics", "inverse_kinematics_step" and
+            "inverse_kinematics_newton" (parts of the solver); of a robot with a floating base,
+            "floating.inverse_dynamics" and so on. Or a control law: "computed_torque", "operational_space_control" or
+            "cartesian_impedance", whose gains are arguments then; or an object of `torchdq.scene.controllers`, whose
+            gains are constants where they are numbers, and arguments where they are tensors.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or

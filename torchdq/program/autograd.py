@@ -6,8 +6,10 @@ backward. The function that runs a program is an argument; this module does not 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from hashlib import sha256
 from typing import Protocol
 
@@ -18,7 +20,20 @@ from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.errors import ArgumentError
 from torchdq.program import autodiff
 from torchdq.program.program import Argument, Program, samples_of
-from torchdq.program.transforms import any_requires_grad, in_a_batch_of_gradients, jit_tracing, transforming
+from torchdq.program.transforms import (
+    Level,
+    SingleLevelFunction,
+    alive,
+    any_requires_grad,
+    batches_of_gradients,
+    functional,
+    in_a_batch_of_gradients,
+    innermost,
+    jit_tracing,
+    transforming,
+    with_batch,
+    without_batch,
+)
 
 vjp = remembered(PROGRAMS)(autodiff.vjp)
 jvp = remembered(PROGRAMS)(autodiff.jvp)
@@ -42,54 +57,51 @@ def in_a_graph(inputs: Sequence[Tensor]) -> bool:
 
 def differentiable(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
     """Results of a program, recorded for gradients and transforms only where torch needs it."""
-    if transforming():
-        return _Transformable.apply(execute, program, *inputs)
+    return _transformed(execute, program, inputs) if functional() else _plain(execute, program, inputs)
+
+
+def _plain(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Results of a program outside of the transforms of torch.func."""
     return _Differentiable.apply(execute, program, *inputs) if in_a_graph(inputs) else execute(program, inputs)
 
 
 def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> list:
     """Gradients of the inputs that need one, by the vector-Jacobian product of the program; None for the others."""
-    derivative, rows = vjp(ctx.program, tuple([k for k, wanted in enumerate(needed) if wanted])), ctx.saved_tensors
-    whole = [y.contiguous() for y in cotangents]  # that of a sum is one number without others in memory
-    gradients = iter(_derived(ctx.execute, derivative, rows, whole))
+    rows = ctx.saved_tensors  # read once, as torch's checkpoints ask for
+    derivative = vjp(ctx.program, tuple([k for k, wanted in enumerate(needed) if wanted]))
+    gradients = iter(_derived(ctx, derivative, rows, cotangents))
+    # of a row that was broadcast, autograd sums them
     return [next(gradients) if wanted else None for wanted in needed]
 
 
-def _derived(
-    execute: Execute, derivative: Program, rows: Sequence[Tensor], directions: Sequence[Tensor]
-) -> Sequence[Tensor]:
-    """Results of a derivative, by torch's own operations where autograd maps over directions."""
-    if in_a_batch_of_gradients(directions):
-        return execute.by_torch(derivative, [*rows, *directions])
-    return differentiable(execute, derivative, [*rows, *directions])
+def _derived(ctx, derivative: Program, rows: Sequence[Tensor], directions: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Results of a derivative; directions that autograd maps over are a batch."""
+    inputs = [*rows, *directions]
+    if not in_a_batch_of_gradients(directions):
+        whole = [x.contiguous() for x in directions]  # that of a sum is one number without others in memory
+        return ctx.run(ctx.execute, derivative, [*rows, *whole])
+    levels = batches_of_gradients()
+    aligned = [x.unsqueeze(0) if a.uniform else x for x, a in zip(inputs, derivative.arguments, strict=True)]
+    for level in reversed(levels):
+        aligned = [without_batch(x, level) for x in aligned]
+    if in_a_batch_of_gradients(aligned):  # an empty one
+        return ctx.execute.by_torch(derivative, inputs)
+    found = _transformed(ctx.execute, per_sample(derivative), aligned)
+    found = [y.sum(-2) if r.summed else y for y, r in zip(found, derivative.results, strict=True)]
+    for level in levels:
+        found = [with_batch(y, level) for y in found]
+    return found
 
 
 class _Differentiable(torch.autograd.Function):
-    """Program with reverse-mode gradients."""
+    """Program with reverse-mode gradients, and with tangents in forward mode."""
 
     @staticmethod
     def forward(ctx, execute: Execute, program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
-        ctx.execute, ctx.program = execute, program
+        ctx.execute, ctx.program, ctx.run = execute, program, differentiable
         ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
         return tuple(execute(program, inputs))
-
-    @staticmethod
-    def backward(ctx, *cotangents: Tensor):
-        return None, None, *_gradients(ctx, ctx.needs_input_grad[2:], cotangents)
-
-
-class _Transformable(torch.autograd.Function):
-    """Program for `torch.func` and forward-mode differentiation; slower per call than `_Differentiable`."""
-
-    @staticmethod
-    def forward(execute: Execute, program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
-        return tuple(execute(program, inputs))
-
-    @staticmethod
-    def setup_context(ctx, inputs, output) -> None:
-        ctx.execute, ctx.program, *rows = inputs
-        ctx.save_for_backward(*rows)
-        ctx.save_for_forward(*rows)
 
     @staticmethod
     def backward(ctx, *cotangents: Tensor):
@@ -99,28 +111,84 @@ class _Transformable(torch.autograd.Function):
     def jvp(ctx, _execute, _program, *tangents: Tensor | None) -> tuple[Tensor, ...]:
         wrt = tuple(k for k, t in enumerate(tangents) if t is not None)
         present = [t for t in tangents if t is not None]
-        return tuple(_derived(ctx.execute, jvp(ctx.program, wrt), ctx.saved_tensors, present))
+        return tuple(_derived(ctx, jvp(ctx.program, wrt), ctx.saved_tensors, present))
+
+
+# --- transforms of torch.func ----------------------------------------------------------------------------------------
+
+
+def _transformed(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Results of a program under the transforms that are active, each of which removes itself, the last one first.
+
+    Axes that `vmap` maps over are batch axes, which broadcast until the program runs. This takes a fraction of the time
+    of torch's own way for an `autograd.Function`, which searches all arguments for tensors at every transform.
+    """
+    level, inputs = innermost(), [alive(x) for x in inputs]
+    if level is None:
+        return _of_any_axes(partial(_plain, execute), program, inputs)
+    if level.maps:
+        return _mapped(level, execute, program, inputs)
+    if not level.differentiates:
+        return _of_any_axes(execute.by_torch, program, inputs)
+    if all([level.constant(x) is x for x in inputs]):
+        with level.below():
+            return _transformed(execute, program, inputs)
+    with level.recording():
+        return _AtLevel.apply((execute, level), program, *[level.differentiated(x) for x in inputs])
+
+
+def _mapped(level: Level, execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Results of a program under `vmap`, whose axis becomes the first one."""
+    pairs = [level.unmapped(x) for x in inputs]
+    if all(dim is None for _, dim in pairs):
+        with level.below():
+            return _transformed(execute, program, inputs)
+    with level.below():
+        own = [x.ndim - (dim is not None) + a.uniform for (x, dim), a in zip(pairs, program.arguments, strict=True)]
+        rows = []
+        for (x, dim), a, ndim in zip(pairs, program.arguments, own, strict=True):
+            x = x.movedim(dim, 0) if dim else x
+            x = x.unsqueeze(-2) if a.uniform else x
+            lacking = 0 if dim is None else max(own) - ndim
+            rows.append(x.reshape(x.shape[0], *(1,) * lacking, *x.shape[1:]) if lacking else x)
+        found = _transformed(execute, per_sample(program), rows)
+        found = [y.sum(-2) if r.summed else y for y, r in zip(found, program.results, strict=True)]
+    return [level.mapped(y) for y in found]
+
+
+def _of_any_axes(run: Callable[..., Sequence[Tensor]], program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Results of a program whose arguments may have several axes that broadcast, by a function of rows."""
+    ndim = max([x.ndim for x in inputs])
+    if ndim <= 2:
+        return run(program, inputs)
+    sizes = zip(*[(1,) * (ndim - x.ndim) + x.shape[:-1] for x in inputs], strict=True)
+    batch = [next((n for n in among if n != 1), 1) for among in sizes]
+    samples = math.prod(batch)
+    rows = [x.expand(*batch, -1).reshape(samples, x.shape[-1]) for x in inputs]
+    return [y.view(*batch, y.shape[-1]) for y in run(program, rows)]
+
+
+class _AtLevel(SingleLevelFunction):
+    """Program under a transform that differentiates."""
 
     @staticmethod
-    def vmap(info, in_dims, execute: Execute, program: Program, *inputs: Tensor):
-        size, arguments = info.batch_size, program.arguments
-        dims = in_dims[2:]
-        samples = next(
-            (x.shape[int(d == 0)] for x, d, a in zip(inputs, dims, arguments, strict=True) if not a.uniform), 1
-        )
-        rows = []
-        for x, d, a in zip(inputs, dims, arguments, strict=True):
-            x = x.unsqueeze(0) if d is None else x.movedim(d, 0)
-            x = x.unsqueeze(1) if a.uniform else x
-            rows.append(x.expand(size, samples, a.width).reshape(size * samples, a.width))
-        results = [y.reshape(size, samples, y.shape[-1]) for y in differentiable(execute, per_sample(program), rows)]
-        results = [y.sum(1) if r.summed else y for y, r in zip(results, program.results, strict=True)]
-        return tuple(results), (0,) * len(results)
+    def forward(ctx, how: tuple[Execute, Level], program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
+        (ctx.execute, level), ctx.program, ctx.run = how, program, _transformed
+        ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
+        rows = [level.constant(x) for x in inputs]
+        with level.below_recording():
+            found = _transformed(ctx.execute, program, rows)
+        return tuple([level.result(y) for y in found])
+
+    backward, jvp = staticmethod(_Differentiable.backward), staticmethod(_Differentiable.jvp)
 
 
 @remembered(PROGRAMS)
 def per_sample(program: Program) -> Program:
-    """Program without uniform arguments and without sums over samples."""
+    """Program without uniform arguments and without sums over samples; the program itself if it has none."""
+    if not any([x.uniform for x in program.arguments]) and not any([r.summed for r in program.results]):
+        return program
     return replace(
         program,
         arguments=tuple(Argument(a.name, a.width) for a in program.arguments),

@@ -8,13 +8,14 @@ that decides whether a compiled program may run: `alike` above all.
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache, wraps
 from operator import attrgetter
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
+from torch._C import _functorch
 from torch._functorch import pyfunctorch
 from torch.autograd import forward_ad
 from torch.utils import _python_dispatch
@@ -29,7 +30,8 @@ def _private(name: str, missing: Any) -> Any:
         return missing
 
 
-_functional = _private("_are_functorch_transforms_active", lambda: True)
+# whether a transform of `torch.func` is active
+functional: Callable[[], bool] = _private("_are_functorch_transforms_active", lambda: True)
 # whether one of the tensors requires grad, in half of the time that asking each of them takes
 any_requires_grad: Callable[..., bool] = _private(
     "_any_requires_grad", lambda *tensors: any([x.requires_grad for x in tensors])
@@ -39,6 +41,8 @@ empty_on_cpu: Callable[..., Tensor] = _private(
     "_dynamo.guards._empty_strided_cpu",
     lambda size, strides, dtype: torch.empty_strided(size, strides, dtype=dtype, device="cpu"),
 )
+# `autograd.Function` that knows of no transform
+SingleLevelFunction: Any = getattr(torch.autograd.function, "_SingleLevelFunction", torch.autograd.Function)
 _guards = _private("_dynamo.guards.TensorGuards", None)
 _levels: Callable[[], list[Any]] = getattr(pyfunctorch, "retrieve_all_functorch_interpreters", lambda: [])
 _unseen = _private("DisableTorchFunction", nullcontext)
@@ -117,7 +121,68 @@ def alike(
 
 def transforming() -> bool:
     """Whether a transform of `torch.func` or forward-mode differentiation is active."""
-    return _functional() or getattr(forward_ad, "_current_level", 0) >= 0
+    return functional() or getattr(forward_ad, "_current_level", 0) >= 0
+
+
+class Level:
+    """Last active transform of `torch.func`: what torch does at it with an operation, for a program."""
+
+    def __init__(self, interpreter: Any):
+        self._interpreter, key, self._recording = interpreter, interpreter.key(), torch.is_grad_enabled()
+        self._number = interpreter.level()
+        self.maps = key == pyfunctorch.TransformType.Vmap
+        self.differentiates = key in (pyfunctorch.TransformType.Grad, pyfunctorch.TransformType.Jvp)
+
+    def below(self) -> AbstractContextManager[None]:
+        """Context without this transform."""
+        return self._interpreter.lower()
+
+    @contextmanager
+    def below_recording(self) -> Iterator[None]:
+        """Context without this transform, in which those before it record although an `autograd.Function` runs."""
+        with torch.set_grad_enabled(self._recording), forward_ad._set_fwd_grad_enabled(True), self.below():
+            yield
+
+    @contextmanager
+    def recording(self) -> Iterator[None]:
+        """Context in which an `autograd.Function` may record for this transform alone."""
+        allowed = _functorch.get_single_level_autograd_function_allowed()
+        _functorch.set_single_level_autograd_function_allowed(True)
+        try:
+            yield
+        finally:
+            _functorch.set_single_level_autograd_function_allowed(allowed)
+
+    def unmapped(self, x: Tensor) -> tuple[Tensor, int | None]:
+        """Tensor without the axis that `vmap` maps over, and where that is; None: it has none."""
+        return _functorch._unwrap_batched(x, self._number)
+
+    def mapped(self, x: Tensor) -> Tensor:
+        """Tensor whose first axis `vmap` maps over."""
+        return _functorch._add_batch_dim(x, 0, self._number)
+
+    def differentiated(self, x: Tensor) -> Tensor:
+        """Tensor that this transform differentiates by."""
+        return self._interpreter._cptr.lift(x)
+
+    def constant(self, x: Tensor) -> Tensor:
+        """Tensor below this transform."""
+        return _functorch._unwrap_for_grad(x, self._number)
+
+    def result(self, x: Tensor) -> Tensor:
+        """Tensor from below this transform as one that it differentiates."""
+        return _functorch._wrap_for_grad(x, self._number)
+
+
+def innermost() -> Level | None:
+    """Last active transform of `torch.func`; None: there is none."""
+    found = _functorch.peek_interpreter_stack()
+    return None if found is None else Level(pyfunctorch.coerce_cinterpreter(found))
+
+
+def alive(x: Tensor) -> Tensor:
+    """Tensor without the mark of a transform that has ended, such as one that its derivative has kept."""
+    return _functorch.unwrap_if_dead(x)
 
 
 def reversing() -> bool:
@@ -168,8 +233,26 @@ def _constant(value: float, dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 def in_a_batch_of_gradients(inputs: Sequence[Tensor]) -> bool:
-    """Whether autograd maps over gradients (`is_grads_batched`), which supports only torch's own operations."""
+    """Whether autograd maps over gradients (`is_grads_batched`)."""
     return any(map(_batched_by_autograd, inputs))
+
+
+def batches_of_gradients() -> range:
+    """Numbers of the axes that autograd maps over in this thread, the first one first."""
+    last = torch._C._vmapmode_increment_nesting() - 1
+    torch._C._vmapmode_decrement_nesting()
+    return range(1, last + 1)
+
+
+def without_batch(x: Tensor, number: int) -> Tensor:
+    """Tensor with an axis that autograd maps over as its first one, of size 1 where it has none or is empty."""
+    found = torch._remove_batch_dim(x, number, 0, 0)  # expanded to the size 0 if there is none
+    return found if len(found) else x.unsqueeze(0)
+
+
+def with_batch(x: Tensor, number: int) -> Tensor:
+    """Tensor whose first axis autograd maps over."""
+    return torch._add_batch_dim(x, 0, number)
 
 
 def captured(x: Tensor) -> bool:
@@ -183,7 +266,7 @@ def without_values(inputs: Sequence[Tensor]) -> bool:
         torch.compiler.is_compiling()
         or inputs[0].device.type == "meta"
         or captured(inputs[0])
-        or _functional()
+        or functional()
         or jit_tracing()
         or proxy_tracing()
         or in_a_batch_of_gradients(inputs)
