@@ -122,7 +122,7 @@ def test_every_public_function_takes_the_fields_that_it_declares():
     assert public == {key for key in FUNCTIONS if not key.startswith(FLOATING)}
     for key in FUNCTIONS:
         taken = set(inspect.signature(face(key)).parameters) - {"robot", "backend", "precision"}
-        assert set(fields_of(key)) <= taken <= {*fields_of(key), *OPTIONS, "limits"}, key
+        assert set(fields_of(key)) <= taken <= {*fields_of(key), *OPTIONS, "limits", "of"}, key
 
 
 def test_errors_are_those_that_python_has_for_them():
