@@ -115,7 +115,7 @@ def inverse_kinematics(
 
 def _nearby(X: Tensor) -> tuple[Tensor, Tensor | None]:
     """Pose with its translation shortened to about `FAR`, and the share [...] of it that is left; None: all."""
-    near, far = X.detach().unflatten(-1, (2, 4)).abs().amax(-1).unbind(-1)
+    near, far = (x.amax(-1) for x in X.detach().abs().split_with_sizes((4, 4), -1))
     if not (near * FAR < far).any():
         return X, None
     share = (FAR * near / far).nan_to_num(1.0).clamp(max=1.0)

@@ -90,7 +90,7 @@ def repeat_while(
     device, states = rows[0].device, len(carried)
     following = min(count, TOGETHER * torch.get_num_threads() if device.type == "cpu" else count)
     several = [not a.uniform for a in loop.arguments]
-    first = [x[:following] if each else x for x, each in zip(rows, several, strict=True)]
+    first = [x[:following] if each and following < count else x for x, each in zip(rows, several, strict=True)]
     now, same, at = first[:states], first[states:], torch.arange(following, device=device)
     found = list[list[Tensor]]()
     while True:

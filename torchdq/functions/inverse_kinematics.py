@@ -184,16 +184,15 @@ def solve(
     lower, upper, middle, none, state, numbers = _given(constants(robot), settings, X.dtype, X.device)
     q = middle if begin is None else begin.detach().clamp(lower, upper)
     found = repeat_while(
-        lambda now: (now["state"][:, 1] == 0) & (now["state"][:, 0] <= settings[3]),
+        lambda now: torch.add(*now["state"][:, :2].unbind(-1), alpha=settings[3] + 1) <= settings[3],
         what,
         lambda rows: STEPS if rows > FEW else 4 * STEPS,
         {"q": q, "best": none, "state": state},  # NaN is left where no start has an error
         {"X": X, "settings": numbers, **{k: getattr(robot, k).detach() for k in arguments(robot)}},
         backend,
     )
-    state = found["state"]
-    taken = (state[..., 0].long() + 1).clamp(max=int(settings[2]))
-    return found["best"], state[..., 1] > 0, state[..., 3:].sqrt(), taken
+    k, converged, _, error = found["state"].split_with_sizes((1, 1, 1, 2), -1)
+    return found["best"], converged[..., 0] > 0, error.sqrt(), (k[..., 0].long() + 1).clamp(max=int(settings[2]))
 
 
 def newton(x: RecipeInputs, *options: str) -> Results:
