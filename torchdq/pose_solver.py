@@ -94,7 +94,7 @@ def inverse_kinematics(
     for value in (angle, distance):
         require_number("tolerance", value, positive=True)
     tensors = [x for x in with_tensors(robot, {"X": X, "start": start}).values() if x is not None]
-    if (without_values((X,)) and not transforming()) or any(map(mapped, tensors)):
+    if any(map(mapped, tensors)) if transforming() else without_values((X,)):
         raise ArgumentError(
             "X must have values, since rows take different numbers of steps; call it outside of traces, and instead of "
             "in torch.func.vmap with batch axes"
@@ -104,7 +104,8 @@ def inverse_kinematics(
     what = Function(constants(robot), "inverse_kinematics_step", names)
     with torch.no_grad():
         q, converged, error, taken = formulas.solve(what, robot, X.detach(), start, settings, backend)
-    error = torch.stack([error[..., 0], error[..., 1] / share], -1)
+    if share is not None:
+        error = torch.stack([error[..., 0], error[..., 1] / share], -1)
     if in_a_graph(tensors):
         e, P = function_of("inverse_kinematics_newton", robot, {"q": q, "X": X}, backend, names)
         e = torch.where(converged[..., None], e - e.detach(), 0.0)
@@ -112,11 +113,13 @@ def inverse_kinematics(
     return InverseKinematics(q, converged, error, taken)
 
 
-def _nearby(X: Tensor) -> tuple[Tensor, Tensor]:
-    """Pose with its translation shortened to about `FAR`, and the share [...] of it that is left."""
-    r, d = X.split(4, -1)
-    share = (FAR * r.detach().abs().amax(-1) / d.detach().abs().amax(-1)).nan_to_num(1.0).clamp(max=1.0)
-    return torch.cat([r, share[..., None] * d], -1), share
+def _nearby(X: Tensor) -> tuple[Tensor, Tensor | None]:
+    """Pose with its translation shortened to about `FAR`, and the share [...] of it that is left; None: all."""
+    near, far = (x.amax(-1) for x in X.detach().abs().split_with_sizes((4, 4), -1))
+    if not (near * FAR < far).any():
+        return X, None
+    share = (FAR * near / far).nan_to_num(1.0).clamp(max=1.0)
+    return torch.cat([X[..., :4], share[..., None] * X[..., 4:]], -1), share
 
 
 def differential_inverse_kinematics(

@@ -81,21 +81,25 @@ def repeat_while(
         carried, fixed, backend: as in `repeat`.
     """
     given = {**carried, **fixed}
-    batch_of(what, given)  # raises
+    if not all(map(is_dense, given.values())):
+        batch_of(what, given)  # raises
     # one layout for all steps, since those of ever new numbers of rows would take as long as the steps
     layout = layout_of(what, given, backend, repeated=Repeated(1, tuple(carried), ends=True))
     count, rows = layout.samples, rows_of(layout, list(given.values()))
     loop: Loop = layout.loop  # type: ignore[assignment]  # steps are repeated
     device, states = rows[0].device, len(carried)
     following = min(count, TOGETHER * torch.get_num_threads() if device.type == "cpu" else count)
-    at, now = torch.arange(following, device=device), [x[:following] for x in rows[:states]]
-    several = [not a.uniform for a in loop.arguments[states:]]
+    several = [not a.uniform for a in loop.arguments]
+    first = [x[:following] if each and following < count else x for x, each in zip(rows, several, strict=True)]
+    now, same, at = first[:states], first[states:], torch.arange(following, device=device)
     found = list[list[Tensor]]()
     while True:
-        same = [x.index_select(0, at) if each else x for x, each in zip(rows[states:], several, strict=True)]
         made = run_loop(loop, [*now, *same], layout.backend, len(at), steps(len(at)), among=count)
         now = [made[r] for _, r in loop.carried]
         goes = goes_on(dict(zip(carried, now, strict=True)))
+        if len(at) == count and not goes.any():  # all in one: without the operations that sort rows
+            found = [[at, *now]]
+            break
         on, off = (x.nonzero()[:, 0] for x in (goes, ~goes))
         found.append([x.index_select(0, off) for x in (at, *now)])
         more = torch.arange(following, min(following + len(off), count), device=device)
@@ -106,6 +110,7 @@ def repeat_while(
         if len(more):
             new = (more, *[x.index_select(0, more) for x in rows[:states]])
             at, *now = [torch.cat(pair) for pair in zip((at, *now), new, strict=True)]
+        same = [x.index_select(0, at) if each else x for x, each in zip(rows[states:], several[states:], strict=True)]
     order, *whole = found[0] if len(found) == 1 else map(torch.cat, zip(*found, strict=True))
     if len(found) > 1:
         back = order.argsort()

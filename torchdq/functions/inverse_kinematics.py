@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
 from torchdq.algebra import dual_quaternion as dq
@@ -26,6 +27,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.backends.call import Computation
 from torchdq.backends.choice import BackendName
 from torchdq.backends.loop_call import repeat_while
+from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.dq import pose_error
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.posed import Row, dot
@@ -34,7 +36,9 @@ from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.functions.task_space import pose_of, pose_of_any_norm
 from torchdq.functions.task_space_formulas import task_of
 from torchdq.numbers.functions import absolute, at_least, below, clip, floor, maximum, minimum, select, sqrt
-from torchdq.robot.robot import Robot, arguments
+from torchdq.program.transforms import with_values
+from torchdq.robot.constants import Constants
+from torchdq.robot.robot import Robot, arguments, constants, recorded
 
 DAMPING, LEAST = 0.03, 1e-9
 SLOWEST, FIRST = 0.9, 2.0  # below 1, so that every start ends; the mean at a start is FIRST times its e.e
@@ -62,6 +66,17 @@ def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Sc
         rate = pose_error.error_rate((turn, quat.ZERO), (w, quat.ZERO))[0] if 0 < turns < 3 else w
         columns.append(task.of((rate, quat.add(v, quat.cross(w, p)) if 0 < moves < 3 and not task.world else v)))
     return (quat.neg(turn) if task.world else turn, p), task, tuple(zip(*columns, strict=True))
+
+
+@remembered(PROGRAMS)
+def _given(of: Constants, settings: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    """Limits, the first start, no best yet, the first state, and the settings, for all calls; see `step`."""
+    with torch.inference_mode(False), with_values():
+        robot = recorded(of)
+        middle = start(0.0, ranges(robot))
+        numbers = (middle, [math.nan] * len(middle), [0.0, 0.0, *[math.inf] * 3], settings)
+        made = [torch.tensor(x, dtype=dtype, device=device) for x in numbers]
+        return (*(bound.to(device, dtype) for bound in robot.limits[:2]), *made)
 
 
 def ranges(robot: Robot) -> list[tuple[float, float]]:
@@ -166,19 +181,18 @@ def solve(
         begin: positions of the first start; None: the middle of the limits.
         settings: as in `step`.
     """
-    lower, upper = (bound.to(X) for bound in robot.limits[:2])
-    q = X.new_tensor(start(0.0, ranges(robot))) if begin is None else begin.detach().clamp(lower, upper)
+    lower, upper, middle, none, state, numbers = _given(constants(robot), settings, X.dtype, X.device)
+    q = middle if begin is None else begin.detach().clamp(lower, upper)
     found = repeat_while(
-        lambda now: (now["state"][:, 1] == 0) & (now["state"][:, 0] <= settings[3]),
+        lambda now: torch.add(*now["state"][:, :2].unbind(-1), alpha=settings[3] + 1) <= settings[3],
         what,
         lambda rows: STEPS if rows > FEW else 4 * STEPS,
-        {"q": q, "best": q, "state": X.new_tensor([0.0, 0.0, *[math.inf] * 3])},
-        {"X": X, "settings": X.new_tensor(settings), **{k: getattr(robot, k).detach() for k in arguments(robot)}},
+        {"q": q, "best": none, "state": state},  # NaN is left where no start has an error
+        {"X": X, "settings": numbers, **{k: getattr(robot, k).detach() for k in arguments(robot)}},
         backend,
     )
-    q, state = found["best"], found["state"]
-    q = q.masked_fill(state[..., 3:].isinf().any(-1, keepdim=True), math.nan)  # no start had an error
-    return q, state[..., 1] > 0, state[..., 3:].sqrt(), (state[..., 0].long() + 1).clamp(max=int(settings[2]))
+    k, converged, _, error = found["state"].split_with_sizes((1, 1, 1, 2), -1)
+    return found["best"], converged[..., 0] > 0, error.sqrt(), (k[..., 0].long() + 1).clamp(max=int(settings[2]))
 
 
 def newton(x: RecipeInputs, *options: str) -> Results:
