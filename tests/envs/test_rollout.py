@@ -21,6 +21,7 @@ from small_envs import (
 from torch import nn
 
 from torchdq import effects
+from torchdq.backends.fast_call import FAST
 from torchdq.envs import TorchTask
 from torchdq.errors import ArgumentError
 from torchdq.program.program import Largest
@@ -121,9 +122,11 @@ def test_a_row_that_fails_begins_again_and_no_other_notices():
 @pytest.mark.parametrize("double", [2.0**46, 1.05])
 def test_a_row_whose_errors_grow_is_computed_in_double_precision_or_fails_as_in_a_step(double, monkeypatch):
     envs, twin, single = (started(9, effects=(effects.Gravity(),), max_episode_steps=4) for _ in range(3))
-    monkeypatch.setattr("torchdq.backends.precision.LARGEST_GROWTH", Largest(1.05, double))
+    monkeypatch.setattr("torchdq.backends.backend.LARGEST_GROWTH", Largest(1.05, double))
+    FAST.clear()  # which hold the limit
     found = assert_as_stepped(envs, twin, policy_of(envs), 6, blocks=1)
     monkeypatch.undo()
+    FAST.clear()
     assert not same(single.rollout(policy_of(single), 6, found.actions, 0.5).rewards, found.rewards)
     assert bool(found.info["nonfinite"].any()) == (double == 1.05)
 
