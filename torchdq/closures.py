@@ -161,11 +161,12 @@ def constrained_inverse_dynamics(
     Args:
         robot: the robot, with a fixed base.
         q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2] that keep
-            the loops closed, shape [..., n].
+            the loops closed, shape [..., n]. This is not checked, as feedback asks for motions that nearly do: of others,
+            the torques do the work of the motion on the velocities that the loops allow.
         actuated: names or patterns of the joints that have motors.
         f_tip, f_ext: wrenches, as in `inverse_dynamics`.
     Raises:
-        ArgumentError: no torques of these joints produce the motion of a row.
+        ArgumentError: another joint would need a torque of its own in a row.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").with_closures(torchdq.Closure("base", "tip"))

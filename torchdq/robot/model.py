@@ -187,7 +187,8 @@ class RobotModel:
         mass = "?" if any(x.is_meta for x in masses) else f"{sum(float(x.detach().mean()) for x in masses):.4g}"
         joints = f"{self.n} joints" if links == self.n else f"{self.n} joints that move {links} links"
         free = "floating base, " if self.floating else ""
-        return f"Robot({self.name!r}, {joints}, {free}{hangs}, {mass} kg, tip={self.tip!r})"
+        loops = f" with {len(self.closures)} closures" if self.closures else ""
+        return f"Robot({self.name!r}, {joints}, {free}{hangs}{loops}, {mass} kg, tip={self.tip!r})"
 
 
 AnyRobot = TypeVar("AnyRobot", bound=RobotModel)

@@ -316,7 +316,7 @@ class SceneModel:
     def contacts(self, state: State, name: str | None = None) -> Contacts:
         """Contact of every point; with stiction the forces are those of the last step, as the state remembers.
 
-        They are in the order of `touching`. A force acts on the body of the point.
+        They are in the order of `touching`. A force acts on the first of its pair, and the opposite one on the second.
 
         Args:
             state: from `start`, `step` or `rollout`, shape [...].
