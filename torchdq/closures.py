@@ -161,8 +161,8 @@ def constrained_inverse_dynamics(
     Args:
         robot: the robot, with a fixed base.
         q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2] that keep
-            the loops closed, shape [..., n]. This is not checked, as feedback asks for motions that nearly do: of others,
-            the torques do the work of the motion on the velocities that the loops allow.
+            the loops closed, shape [..., n]. This is not checked, as feedback asks for motions that nearly do; of
+            others, the torques do the work of the motion on the velocities that the loops allow.
         actuated: names or patterns of the joints that have motors.
         f_tip, f_ext: wrenches, as in `inverse_dynamics`.
     Raises:
