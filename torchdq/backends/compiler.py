@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib.util import find_spec
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -81,7 +81,7 @@ class Compiler(NamedTuple):
 def compiler() -> Compiler | None:
     """C compiler: `$CC`, which may have arguments, cc, gcc or clang on the path, or ziglang's; None: there is none."""
     stated = os.environ.get("CC")
-    installed = shlex.join(ZIG) if find_spec("ziglang") else ""
+    installed = shlex.join(ZIG) if PathFinder.find_spec("ziglang") else ""
     for name in filter(None, (stated, "cc", "gcc", "clang", installed)):
         try:
             return _asked(name)
