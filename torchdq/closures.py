@@ -61,8 +61,9 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     """Joint positions [..., n] near q at which all closures are closed, by Newton's method.
 
     Each step is the smallest change that closes the gaps to first order, q - J^+ g. Gradients in q are those of the
-    solution: of the projection on positions that are closed. A row that is not finite remains so. Closures that
-    contradict one another by the rounding of a file, up to 1e-6 m, are closed as far as they go.
+    solution: of the projection on positions that are closed; second derivatives, too, where `hold` leaves one solution.
+    A row that is not finite remains so. Closures that contradict one another by the rounding of a file, up to 1e-6 m,
+    are closed as far as they go.
 
     Args:
         robot: the robot, on any base.
@@ -94,9 +95,12 @@ def closed(robot: Robot, q: Tensor, hold: Sequence[str] | str = (), backend: Bac
     moved = q + (at - q.detach())
     g, J, _ = function_of("closure_gaps", robot, {"q": moved}, backend)
     inverse = _inverse(J.detach() * free, J)
-    last = (inverse @ g[..., None])[..., 0]
-    contradicting = g.detach().abs().amax(-1, keepdim=True) > 10 * TOLERANCES[q.dtype]  # which it would not close
-    return moved - (last - last.detach().where(contradicting, 0.0))
+    contradicting = g.detach().abs().amax(-1, keepdim=True) > 10 * TOLERANCES[q.dtype]  # which steps would not close
+    for order in range(2):  # each step of a constant inverse gives derivatives of an order more
+        g = g if order == 0 else function_of("closure_gaps", robot, {"q": moved}, backend)[0]
+        last = (inverse @ g[..., None])[..., 0]
+        moved = moved - (last - last.detach().where(contradicting, 0.0))
+    return moved
 
 
 def towards_closed(

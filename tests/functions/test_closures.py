@@ -161,6 +161,11 @@ def test_a_loop_is_closed_with_the_joints_that_are_held_where_they_are():
     h = 1e-5
     ends = [torchdq.closed(robot, q.detach() + h * s * torch.tensor([1.0, 0, 0]), hold="ja")[:, 1] for s in (1, -1)]
     assert torch.allclose(slope[:, 0], (ends[0] - ends[1]) / (2 * h), rtol=0, atol=1e-6)
+    (first,) = torch.autograd.grad(torchdq.closed(robot, q, hold="ja")[:, 1].sum(), q, create_graph=True)
+    (bend,) = torch.autograd.grad(first[:, 0].sum(), q)
+    h = 1e-4
+    ends = [torchdq.closed(robot, q.detach() + h * s * torch.tensor([1.0, 0, 0]), hold="ja")[:, 1] for s in (1, 0, -1)]
+    assert torch.allclose(bend[:, 0], (ends[0] - 2 * ends[1] + ends[2]) / h**2, rtol=0, atol=1e-5)
     assert float(torchdq.closure_errors(robot, torchdq.closed(robot, q)).distance.detach().max()) < 1e-14
 
 

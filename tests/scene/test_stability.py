@@ -13,6 +13,7 @@ from urdf_text import joint, link, urdf
 
 import torchdq
 from torchdq import Scene, dq, effects
+from torchdq.effects.contact import STIFF
 from torchdq.robot import ContactPoint
 from torchdq.scene import stability
 from torchdq.scene.controllers import PD, ComputedTorque
@@ -285,3 +286,11 @@ def test_rows_that_are_not_finite_leave_the_others_their_own_ground():
 
 def test_a_scene_without_contact_has_no_ground():
     assert Scene(ARM).check(Scene(ARM).start(double(0.0, 0.0)), seconds=0.05).ground is None
+
+
+def test_the_stiffness_of_contact_that_is_not_given_is_the_one_that_follows_from_the_object():
+    box = torchdq.objects.Box("box", mass=0.1, size=(0.04,) * 3)
+    scene = Scene(torchdq.robots.load("panda"), (effects.Gravity(), effects.Contact("box")), objects=(box,), dt=0.002)
+    X = dq.from_pose(double(1.0, 0.0, 0.0, 0.0), double(0.9, 0.0, 0.02))[None]
+    found = scene.check(scene.start(torch.zeros(7, dtype=X.dtype), X_WO=X), seconds=0.02).ground
+    assert found.stiffness == pytest.approx(0.1 * STIFF)

@@ -246,7 +246,7 @@ class _Trial:
             found = Contacts._make(x[:, kept] for x in scene.contacts(path))
         aloft = ~found.touching.any(-1).any(0)
         slip = torch.where(found.touching[-1], found.slip[-1], 0.0)
-        contacts: Sequence[Any] = [scene.effects[i] for i, _ in scene.spec.of(Contact)]
+        contacts: Sequence[Any] = [scene.effects[i].of_objects(scene.objects) for i, _ in scene.spec.of(Contact)]
         stiffness = max(float(tensor_of(contact.stiffness).detach().max()) for contact in contacts)
         each = [
             (tensor_of(contact.friction).detach().double()[..., None], len(contact.touching)) for contact in contacts
