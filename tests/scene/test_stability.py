@@ -13,7 +13,7 @@ from urdf_text import joint, link, urdf
 
 import torchdq
 from torchdq import Scene, dq, effects
-from torchdq.effects.contact import STIFF
+from torchdq.effects import contact
 from torchdq.robot import ContactPoint
 from torchdq.scene import stability
 from torchdq.scene.controllers import PD, ComputedTorque
@@ -293,4 +293,4 @@ def test_the_stiffness_of_contact_that_is_not_given_is_the_one_that_follows_from
     scene = Scene(torchdq.robots.load("panda"), (effects.Gravity(), effects.Contact("box")), objects=(box,), dt=0.002)
     X = dq.from_pose(double(1.0, 0.0, 0.0, 0.0), double(0.9, 0.0, 0.02))[None]
     found = scene.check(scene.start(torch.zeros(7, dtype=X.dtype), X_WO=X), seconds=0.02).ground
-    assert found.stiffness == pytest.approx(0.1 * STIFF)
+    assert found.stiffness == pytest.approx(0.1 * contact.STIFF)
