@@ -16,7 +16,6 @@ import argparse
 import math
 import os
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -109,7 +108,7 @@ class Linkage(NamedTuple):
         data = mujoco.MjData(model)
         mujoco.mj_step(model, data, round(SECONDS / model.opt.timestep))
         mujoco.mj_forward(model, data)
-        if any(warning.number for warning in data.warning):  # it starts anew where it fails
+        if any(warning.number for warning in data.warning):  # MuJoCo resets what diverges
             return np.full((len(self.bodies), 3), math.nan), math.nan
         gap = [data.efc_pos[i] for i in range(data.nefc) if data.efc_type[i] == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
         return np.array([data.body(name).xpos for name in self.bodies]), float(np.abs(gap).max())
@@ -200,12 +199,7 @@ def price(it: Linkage) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 100)
     calls["MuJoCo"] = (lambda: mujoco.mj_step(model, data, 300)), 300
-    best: dict[str, float] = {}
-    for _ in range(TURNS):
-        for name, (call, per) in calls.items():
-            begin = time.process_time()
-            call()
-            best[name] = min(best.get(name, math.inf), (time.process_time() - begin) / per * 1e9)
+    best = report.least(calls, TURNS)
     print(f"operations {scene.count().total}, of the tree {tree.count().total}")
     print(", ".join(f"{name} {x:.0f} ns ({best['MuJoCo'] / x:.0f} x)" for name, x in best.items()))
 

@@ -9,10 +9,8 @@ pads. Times are processor times of one thread, of both packages in turns, the le
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -125,12 +123,7 @@ def price() -> None:
             data.ctrl[:] = [len(own) * float(x) for own, x in zip(hand.moved, u, strict=True)]
             mujoco.mj_step(hand.model, data)
         calls[f"{name} in MuJoCo, {data.ncon} contacts"] = (lambda d=data: mujoco.mj_step(hand.model, d, 200)), 200
-    best: dict[str, float] = {}
-    for _ in range(TURNS):
-        for name, (call, per) in calls.items():
-            begin = time.process_time()
-            call()
-            best[name] = min(best.get(name, math.inf), (time.process_time() - begin) / per * 1e9)
+    best = report.least(calls, TURNS)
     for name, nanoseconds in best.items():
         print(f"{name:44s} {nanoseconds:9.0f} ns")
     for name in ("held cube", "cube on a table"):

@@ -177,7 +177,12 @@ def constrained_inverse_dynamics(
     >>> constrained_inverse_dynamics(robot, torch.tensor([0.3, torch.pi]), actuated="joint1").tau.shape
     torch.Size([2])
     """
-    names = matching("actuated", actuated, _looped(robot).joint_names, f"joint of robot {robot.name!r}")
+    if _looped(robot).floating:
+        raise ArgumentError(
+            f"robot {robot.name!r} must have a fixed base, found a floating one, to which no motor gives every "
+            "acceleration; load it with base='fixed'"
+        )
+    names = matching("actuated", actuated, robot.joint_names, f"joint of robot {robot.name!r}")
     given = {"q": q, "qd": qd, "qdd": qdd, "f_tip": f_tip, "f_ext": f_ext}
     for name, x in given.items():
         require_tensor(name, q if x is None else x)

@@ -15,6 +15,7 @@ import torchdq
 from torchdq.backends import c_library as build
 from torchdq.backends import call
 from torchdq.backends import precision as running
+from torchdq.backends.fast_call import FAST
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.robot.robot import arguments
@@ -29,8 +30,9 @@ pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C 
 
 @pytest.fixture
 def ran(monkeypatch):
-    """Names of the backends that ran, in order."""
+    """Names of the backends that ran, in order; no call is known, which would run by itself."""
     log: list[str] = []
+    FAST.clear()
     for module, name in ((running, "_outputs"), (call, "unguarded")):
         original = getattr(module, name)
         noted = lambda b, *a, original=original: log.append(b.name) or original(b, *a)  # noqa: E731

@@ -13,7 +13,10 @@ import torch
 from helpers import thinned
 
 import torchdq
-from torchdq.backends.fast_call import fast_call, quick
+from torchdq.backends.c import COMPILED
+from torchdq.backends.cuda import CUDA
+from torchdq.backends.fast_call import FAST, fast_call, learn, quick
+from torchdq.backends.torch import EAGER
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.transforms import load_forward_mode
 
@@ -169,6 +172,14 @@ def test_fast_calls_hold_no_reference_longer_than_they_last():
     assert all(abs(b - a) < 100 for a, b in zip(before, after, strict=True))
     freed = weakref.ref(single(*inputs)[0])
     assert freed() is None
+
+
+def test_calls_of_other_backends_stay_with_them():
+    """Programs of a GPU are not compiled for the CPU, nor run there."""
+    call, keys = compiled(robot="two_link"), ("C", "eager", "cuda")
+    for key, backend in zip(keys, (COMPILED, EAGER, CUDA), strict=True):
+        learn(key, backend, call.program, F64, [(2,)] * 3, ["tau"], [(2,)], 1)
+    assert [key in FAST for key in keys] == [True, False, False]
 
 
 @pytest.mark.parametrize("function", TWO)

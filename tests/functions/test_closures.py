@@ -194,6 +194,8 @@ def test_errors_of_closures_are_distances_and_angles():
 
 def test_what_would_need_the_forces_of_closures_is_refused():
     robot, q = four_bar(), torch.zeros(3, dtype=F64)
+    links = flyer("tree12").robot.link_names
+    loop = (Closure(links[0], links[-1]),)
     calls = (
         lambda: torchdq.inverse_dynamics(robot, q),
         lambda: torchdq.dynamics_jacobian(robot, q, q, q),
@@ -203,6 +205,7 @@ def test_what_would_need_the_forces_of_closures_is_refused():
         lambda: torchdq.inverse_kinematics(robot, torchdq.forward_kinematics(robot, q, "end")),
         lambda: torchdq.closed(robot, torch.tensor([0.0, 0.0, 0.0], dtype=F64), hold=["ja", "jb"]),
         lambda: torchdq.closed(robot, q, hold="jd"),
+        lambda: torchdq.constrained_inverse_dynamics(flyer("tree12").robot.with_closures(*loop), q),
         lambda: torchdq.closed(two(), torch.zeros(2)),
         lambda: two().with_closures(Closure("base", "tip", "bolt")),
         lambda: two().with_closures(Closure("link2", "tip")),

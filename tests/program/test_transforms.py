@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 
+import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.autograd import forward_ad
@@ -85,6 +86,8 @@ def test_a_fast_call_that_is_traced_is_no_constant():
     compiled(q, qd, qdd)
     graph = make_fx(compiled)(q, qd, qdd)
     torch.testing.assert_close(graph(2 * q, qd, qdd), compiled(2 * q, qd, qdd))
+    with pytest.raises(torchdq.ArgumentError, match="cannot record"):
+        torch.jit.trace(compiled, (q, qd, qdd))
 
 
 def test_the_quick_ways_do_what_the_public_ones_do():

@@ -1,5 +1,6 @@
 """Scenes with loops: linkages move as their one equation says, and loops stay closed beside everything else."""
 
+import warnings
 from functools import cache
 
 import numpy as np
@@ -184,6 +185,10 @@ def test_a_check_tells_loops_that_are_open_in_its_state():
     assert float(scene.closure_errors(state).distance) < 1e-11
     with warned(UserWarning):
         scene.check(state._replace(q=state.q + double(0.0, 0.1, 0.0)), seconds=0.01)
+    elastic = scene.replace(effects=(DOWN, effects.Closures(1e4, 10.0)))  # which may be open
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        elastic.check(elastic.start(start() + double(0.0, 0.1, 0.0)), seconds=0.01)
 
 
 def test_ball_joints_near_a_right_angle_are_warned_of_at_a_start_and_along_a_rollout():

@@ -21,7 +21,7 @@ from torch.compiler import is_compiling
 
 from torchdq.backends.backend import Backend, Form, contiguous, dense, share_memory
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
-from torchdq.backends.fast_call import FAST, fast_call, quick
+from torchdq.backends.fast_call import learn, quick
 from torchdq.backends.precision import Guarded, run, run_loop, unguarded
 from torchdq.backends.torch import EAGER
 from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
@@ -158,11 +158,8 @@ def results_of(
         if layout.direct is not None and not in_a_graph(given):
             # without views of the tensors: one takes a microsecond, which counts where a call has one sample
             direct = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
-            if key is not None and key not in FAST and present() == "auto":
-                shapes = [tuple(x.shape) for x in given]
-                FAST[key] = fast_call(
-                    layout.program, layout.dtype, shapes, layout.names, layout.shapes, layout.samples, bool(out)
-                )
+            form = [tuple(x.shape) for x in given], layout.names, layout.shapes, layout.samples, bool(out)
+            learn(key, layout.backend, layout.program, layout.dtype, *form)
             return layout.names, direct
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, _of_one_step(tensors, repeated))  # raises

@@ -23,12 +23,12 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from torchdq.backends import c_library, choice, threads
-from torchdq.backends.backend import contiguous, largest_growth
-from torchdq.backends.c import COMPILED, CompiledKernel
+from torchdq.backends.backend import Backend, contiguous, largest_growth
+from torchdq.backends.c import COMPILED, C, CompiledKernel
 from torchdq.backends.compiler import BuildError
 from torchdq.base.caches import LAYOUTS, Bounded, remembered
 from torchdq.program.program import Program
-from torchdq.program.transforms import LEVEL, alike, dispatching, empty_on_cpu
+from torchdq.program.transforms import LEVEL, alike, dispatching, empty_on_cpu, jit_tracing
 
 MOST, FEW = 24, 64  # arrays of a program, and samples whose error growths need no memory
 LONG = 50_000  # operations of a call from which Python's lock is let go: some ten microseconds
@@ -211,7 +211,7 @@ def quick(
         given: its arguments, tensors or None.
         out: tensors for the results; (): new ones. Where errors grow too much, they have been written to.
     """
-    if is_compiling() or dispatching():
+    if is_compiling() or dispatching() or jit_tracing():
         return None, (), None
     try:
         shape = next(iter(given)).shape
@@ -220,6 +220,12 @@ def quick(
     key = (*what, len(out), shape, *map(type, given))
     fast = FAST.get(key)
     return (key, (), None) if fast is None else (key, fast.names, fast.function(*given, *out))
+
+
+def learn(key: Hashable, backend: Backend, *call: Any, **how: Any) -> None:
+    """Let calls with a new key of `quick` be `fast_call(*call, **how)`, if their backend is the one for the CPU."""
+    if key is not None and key not in FAST and isinstance(backend, C):
+        FAST[key] = fast_call(*call, **how)
 
 
 def fast_call(

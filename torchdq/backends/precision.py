@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.backend import Backend, DirectKernel, Form, largest_growth
-from torchdq.backends.fast_call import FAST, fast_call, quick
+from torchdq.backends.fast_call import learn, quick
 from torchdq.backends.torch import EAGER, interpreted_loop
 from torchdq.errors import ArgumentError
 from torchdq.program import loop_autograd
@@ -39,10 +39,10 @@ class Guarded(NamedTuple):
             if quickly is not None:
                 return quickly
         found = guarded(self.backend, program, inputs)
-        if key is not None and key not in FAST:
+        if key is not None:
             shapes, results = ([tuple(x.shape) for x in tensors] for tensors in (inputs, found))
-            names, samples = [r.name for r in program.results], samples_of(program, inputs)
-            FAST[key] = fast_call(program, inputs[0].dtype, shapes, names, results, samples, learned=learned)
+            form = shapes, [r.name for r in program.results], results, samples_of(program, inputs)
+            learn(key, self.backend, program, inputs[0].dtype, *form, learned=learned)
         return found
 
     @property

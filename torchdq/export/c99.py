@@ -125,13 +125,13 @@ class CFunction(NamedTuple):
     program: Program
     name: str
     single: bool
-    library: Library  # where sine, cosine and roots come from
+    functions: Library  # where sine, cosine and roots come from
     vectors: bool = False  # whether sine and cosine are its own in any case, since compilers have no vectors of others
 
     @property
     def own_sines(self) -> bool:
         """Whether sine and cosine are its own."""
-        return self.library == "own" or self.vectors
+        return self.functions == "own" or self.vectors
 
     @property
     def number(self) -> str:
@@ -151,7 +151,7 @@ class CFunction(NamedTuple):
     @property
     def dialect(self) -> Dialect:
         """Dialect of C99."""
-        number, zero, f, own = self.number, f"({self.number})0", "f" * self.single, self.library == "own"
+        number, zero, f, own = self.number, f"({self.number})0", "f" * self.single, self.functions == "own"
         return Dialect(
             number,
             lambda x: f"{np.float32(x)!s}f" if f else repr(x),  # the shortest that is read as this number
@@ -176,7 +176,7 @@ class CFunction(NamedTuple):
 
     def preamble(self) -> str:
         """Text in front of such functions: what they include, and their own sine, cosine and root if they have them."""
-        single, own, codes = self.single, self.library == "own", {op.code for op in self.program.ops}
+        single, own, codes = self.single, self.functions == "own", {op.code for op in self.program.ops}
         wanted = [code for code in functions() if code in codes]
         lacks = sorted(set(wanted) - {"sqrt", *TOGETHER})
         if own and lacks:

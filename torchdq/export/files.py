@@ -180,7 +180,7 @@ class Export(NamedTuple):
 
     def cmake(self) -> str:
         """CMake file with the function as a library, and its test."""
-        name, math = self.name, " m" if self.function.library == "math.h" else ""
+        name, math = self.name, " m" if self.function.functions == "math.h" else ""
         library, test = f"exported_{name}", f"test_exported_{name}"  # a bare name may be one that CMake reserves
         vectors = (
             'if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")\n'

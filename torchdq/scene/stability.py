@@ -25,6 +25,7 @@ from torchdq.base.checks import require_number, tensor_of
 from torchdq.base.progress import Progress
 from torchdq.control.joints import ComputedTorque, Feedback
 from torchdq.dynamics.posed import Row
+from torchdq.effects.closures import Closures
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.errors import ArgumentError
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, RungeKutta4, System
@@ -164,7 +165,8 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
         if not bool(state.finite().any()):
             raise ArgumentError(f"state must be finite to start a trial run from, found: {unusable}")
         warnings.warn(f"{unusable}; the others are checked", stacklevel=2)
-    if scene.robot.closures and (gap := float(scene.closure_errors(state).distance.nan_to_num().max())) > OPEN:
+    rigid = scene.robot.closures and not scene.spec.of(Closures)
+    if rigid and (gap := float(scene.closure_errors(state).distance.nan_to_num().max())) > OPEN:
         warnings.warn(f"loops are open by up to {gap:.3g} m in the state; scene.start closes them", stacklevel=2)
     given = {name: x.double() for name, x in inputs.items() if x is not None}
     trial = _Trial(scene, state.to(torch.float64), given, intervals)
