@@ -113,4 +113,5 @@ def test_a_trace_recomputes_the_rows_of_other_values_in_float64(trace):
     growth = torchdq.error_growth(light, torch.cat([bent, stretched]))
     assert growth[0] < LARGEST_GROWTH.single < growth[1]
     f = lambda q: torchdq.forward_dynamics(light, q, q + 1, q, backend="eager")  # noqa: E731
+    f(bent)  # torch counts the names of tensors, also of those that the first call takes apart
     agree([TRACES[trace](f, bent)(stretched)], [f(stretched)], factor=1.0)

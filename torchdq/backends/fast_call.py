@@ -28,7 +28,7 @@ from torchdq.backends.c import COMPILED, C, CompiledKernel
 from torchdq.backends.compiler import BuildError
 from torchdq.base.caches import LAYOUTS, Bounded, remembered
 from torchdq.program.program import Program
-from torchdq.program.transforms import LEVEL, alike, dispatching, empty_on_cpu, jit_tracing
+from torchdq.program.transforms import LEVEL, alike, dispatching, empty_on_cpu
 
 MOST, FEW = 24, 64  # arrays of a program, and samples whose error growths need no memory
 LONG = 50_000  # operations of a call from which Python's lock is let go: some ten microseconds
@@ -211,7 +211,7 @@ def quick(
         given: its arguments, tensors or None.
         out: tensors for the results; (): new ones. Where errors grow too much, they have been written to.
     """
-    if is_compiling() or dispatching() or jit_tracing():
+    if is_compiling() or dispatching():
         return None, (), None
     try:
         shape = next(iter(given)).shape
