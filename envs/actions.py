@@ -115,7 +115,7 @@ class Meaning(NamedTuple):
         return wide, {self.kind: whole}
 
     def checked(self, actions: Any, num_envs: int, like: Tensor, synchronises: bool) -> Tensor:
-        """Actions [N, k] as a tensor; raises if a number is not finite, where the host `synchronises`."""
+        """Actions [N, k] as a tensor; raises in a graph, where the host `synchronises`."""
         if isinstance(actions, Tensor):
             require_tensor("actions", actions)
         try:
@@ -132,13 +132,11 @@ class Meaning(NamedTuple):
                 f"actions must have the shape {shape}, one row for each environment and one number for each of "
                 f"{', '.join(self.names)}, found {tuple(found.shape)}"
             )
-        if synchronises:
-            if torch.compiler.is_compiling():
-                raise ArgumentError(
-                    "a step of an environment cannot be in a graph of torch.compile or torch.export: it depends on "
-                    "values, of which a graph has none; trace the policy, or scene.step"
-                )
-            self.require_finite(found)
+        if synchronises and torch.compiler.is_compiling():
+            raise ArgumentError(
+                "a step of an environment cannot be in a graph of torch.compile or torch.export: it depends on "
+                "values, of which a graph has none; trace the policy, or scene.step"
+            )
         return found
 
     def require_finite(self, actions: Tensor) -> None:

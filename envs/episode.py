@@ -2,9 +2,9 @@
 
     actions -> act -> step of the scene with the task (-> functions of a `TorchTask`) -> end -> undo -> begin
 
-A step of environments evaluates these links one after the other, `undo` only if a row has failed. A rollout repeats
-their chain in one call, with a recorded policy before them and `begin` after them. Each link is a program of its own,
-so that both have the same results to the bit.
+A step of environments is their chain without `begin`, as one call, or one link after the other where functions of torch
+are among them. A rollout repeats the chain in one call, with a recorded policy before it and `begin` after it. Each
+link is a program of its own, so that all have the same results to the bit.
 """
 
 from __future__ import annotations
@@ -60,11 +60,12 @@ class Form(NamedTuple):
 
 
 def act(form: Form, rows: Mapping[str, Row]) -> Rows:
-    """Inputs of a step for actions, which are clipped to [-1, 1]: how many were, and pushes after the step."""
+    """Inputs of a step for actions, which are clipped to [-1, 1]: how many were, whether they are finite, and pushes."""
     (steps,), action = rows["steps"], [clip(x, -1.0, 1.0) for x in rows["action"]]
     wide, given = form.meaning.inputs(action, rows["scale"], rows.get("reference", ()))
     given |= {"action": wide, "time": [(steps + 1.0) * form.dt]}
     found: Rows = {"clipped": [sum((below(1.0, absolute(x)) for x in rows["action"]), 0.0)]}
+    found["finite"] = [math.prod(below(absolute(x), math.inf) for x in rows["action"])]
     for name in form.pushes:
         given[name], found[THEN + name], over = pushed(steps * form.dt, rows[name], rows[SPARE + name])
         found["over"] = [*found.get("over", ()), over]
@@ -73,7 +74,7 @@ def act(form: Form, rows: Mapping[str, Row]) -> Rows:
 
 def end(form: Form, rows: Mapping[str, Row]) -> Rows:
     """Reward, steps of the episode so far, and `FLAGS`; the row "valid" is 1, or 0 or NaN where a step failed."""
-    failed, elapsed = 1.0 - at_least(rows["valid"][0], 1.0), rows["steps"][0] + 1.0
+    failed, elapsed = 1.0 - at_least(rows["valid"][0], 1.0) * rows["finite"][0], rows["steps"][0] + 1.0
     ended = maximum(failed, select(rows.get("terminated", [0.0])[0], 1.0, 0.0))
     truncated = at_least(elapsed, rows["limit"][0])
     flags = [failed, ended, truncated, maximum(ended, truncated)]
@@ -148,14 +149,14 @@ class _BlockFields(NamedTuple):
 
     stage: Stage  # the step, with the task
     form: Form
-    network: NetworkForm  # policy
+    network: NetworkForm | None  # policy; None: actions are an argument, and no episode begins
     carried: tuple[str, ...]  # rows that a new episode replaces
     asked: tuple[str, ...]  # arguments of the step, in its order
     own: tuple[tuple[str, Shape], ...]  # trailing axes of all arguments but the scene's parameters
 
 
 class Block(_BlockFields, Computation):
-    """A step of environments under a policy, as a computation of `torchdq.backends.loop_call`.
+    """A step of environments, under a policy as one of `torchdq.backends.loop_call`.
 
     Everything random is drawn before: noise, and for every row the next episode and the next push. The result "used"
     counts those taken, since a block holds only as far as no row needs a second one.
@@ -171,9 +172,9 @@ class Block(_BlockFields, Computation):
 
     def results(self, program: Program) -> tuple[Shape, ...]:
         """Trailing axes of the results: none of flags and numbers of the task."""
-        rows = {"action": (len(self.form.meaning.names),), NOW + "observation": self.axes("observation")}
-        rows |= dict(self.own)
-        sizes = [(name, len(values)) for name, values, _ in program.results]
+        sizes = [(r.name, len(r.values)) for r in program.results]
+        rows = dict(self.own) | {NOW + name: axes for name, axes in self.own if name in HELD}
+        rows |= {"action": (len(self.form.meaning.names),), GIVEN + "over": (len(self.form.pushes),)}
         return tuple([rows.get(name, () if size == 1 else (size,)) for name, size in sizes])
 
     def program(self, arguments: tuple[Argument, ...]) -> Any:
@@ -208,21 +209,25 @@ def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
         add(_recorded(one, what.form, tuple(sized)), tuple(given.values()), prefix, names)
 
     names = tuple(known)
-    policy = record("policy", arguments, lambda *x: what.policy(dict(zip(names, x, strict=True))))
-    add(policy, names)
+    if what.network is not None:
+        add(record("policy", arguments, lambda *x: what.policy(dict(zip(names, x, strict=True)))), names)
     rule(act, {name: name for name in what.form.takes}, GIVEN)
     sized = [Argument(x, math.prod(what.stage.axes(x)), x in known and known[x].uniform) for x in what.asked]
     given = [GIVEN + x if GIVEN + x in known else x for x in what.asked]
     add(what.stage.program(tuple(sized)), given, AFTER)
-    rows = [r.name for r in links[-1].program.results]
-    rule(end, {**{name: AFTER + name for name in JUDGED}, "steps": "steps", "limit": "limit"})
+    rows, name = [r.name for r in links[-1].program.results], links[-1].program.name
+    judged = {"finite": GIVEN + "finite", "steps": "steps", "limit": "limit"}
+    rule(end, {**{name: AFTER + name for name in JUDGED}, **judged})
     left = [name for name in rows if name not in JUDGED]
     before = {f"before {name}": name for name in left if name in HELD}
     held = {name: NOW + name for name in HELD}
     rule(undo, {STEP_FLAGS: "flags", **before, **{name: AFTER + name for name in left}}, INFO, held)
+    wanted = (GIVEN + "clipped", "flags", "reward", *links[-1].gives)
+    if what.network is None:
+        pushes = [GIVEN + x for push in what.form.pushes for x in (THEN + push, "over")]
+        return Chain(f"step_{name}", arguments, tuple(links), ("elapsed", *wanted, *dict.fromkeys(pushes)))
+    wanted = ("action", *[name for name in wanted if name not in held.values()], NOW + "observation")
     now = {x: next(y for y in (NOW + x, GIVEN + THEN + x, x) if y in known) for x in what.carried}
     counted = {"flags": "flags", "elapsed": "elapsed", "used": "used", "over": GIVEN + "over"}
     rule(begin, {**counted, **now, **{NEXT + x: NEXT + x for x in what.carried}})
-    task = [INFO + name for name in left if name not in HELD]
-    wanted = ("action", GIVEN + "clipped", "flags", "reward", NOW + "observation", *task, *links[-1].gives)
-    return Chain(f"block_{links[2].program.name}", arguments, tuple(links), wanted)
+    return Chain(f"block_{name}", arguments, tuple(links), (*wanted, *links[-1].gives))

@@ -15,7 +15,6 @@ from torchdq.base.checks import require_tensor
 from torchdq.envs.actions import SHARE, Meaning
 from torchdq.envs.episode import (
     GIVEN,
-    HELD,
     INFO,
     JUDGED,
     NEXT,
@@ -35,6 +34,8 @@ from torchdq.envs.rng import Streams
 from torchdq.envs.row_selection import Host, Indexed
 from torchdq.envs.tasks import STATE
 from torchdq.program.loop import by_steps
+from torchdq.program.transforms import dispatching
+from torchdq.robot.robot import constants
 from torchdq.scene.policies import Network
 from torchdq.scene.recording import Stage
 from torchdq.scene.state import State
@@ -114,7 +115,10 @@ class Steps:
         self.reset, self.form = reset, Form(meaning, shown, tuple(reset.pushes), scene.dt)
         self.shared = {"scale": scale, "limit": scale.new_tensor(limit)}
         self.act = Rule(act, self.form, tuple(self.form.takes.items()))
-        self.end = Rule(end, self.form, tuple([(name, ()) for name in (*JUDGED, "steps", "limit")]))
+        self.end = Rule(end, self.form, tuple([(name, ()) for name in (*JUDGED, "finite", "steps", "limit")]))
+        recorded = reset.functions is None and not (scene.looped or scene.computed)
+        self.at_once = recorded and (scene.precision == "auto" or scale.dtype == torch.float64)
+        self.block: Block | None = None  # a step at once; None before the first
         self.ahead: Reset | None = None  # start of the next episodes, in a scene of its own
         self.next: dict[str, Tensor] = {}  # their buffers
         self.drawn_at: Streams | None = None  # where the streams of starts were then
@@ -130,35 +134,65 @@ class Steps:
         """
         reset, scene, after = self.reset, self.reset.scene, dict(buffers)
         given = {**buffers, "action": actions, **self.shared}
-        acted = evaluate(self.act, {name: given[name] for name, _ in self.act.own}, scene.backend)
-        if reset.pushes:
-            after |= {push: acted[THEN + push] for push in reset.pushes}
-            after = reset.with_spares(after, (acted["over"] != 0).unbind(1), host)
-        noise = None
         if scene.noises:
-            streams = Streams.of(after)
-            noise, drawn = streams.column(NOISE).uniform(scene.noises, actions.dtype)
+            streams = Streams.of(buffers)
+            given["noise"], drawn = streams.column(NOISE).uniform(scene.noises, actions.dtype)
             after |= streams.with_column(NOISE, drawn)._asdict()
-        inputs = {name: acted[name] if name in acted else buffers[name] for name in self.inputs}
-        state, rows = scene._advance(state_of(buffers), inputs, noise, reset.checked)
+        at_once = self.at_once and host.synchronises and not dispatching()
+        rows = self._at_once(given) if at_once else self._by_links(given, host, waiting)
+        failed, terminated, truncated, done = (rows.pop("flags") != 0).unbind(1)
+        if (ends := host.any(done)) and host.synchronises:
+            self.form.meaning.require_finite(actions)
+        info = {"clipped": rows.pop(GIVEN + "clipped").to(torch.int64), "nonfinite": failed}
+        reward, after["steps"] = rows.pop("reward"), rows.pop("elapsed")
+        if reset.pushes:
+            after |= {push: rows.pop(GIVEN + THEN + push) for push in reset.pushes}
+            after = reset.with_spares(after, (rows.pop(GIVEN + "over") != 0).unbind(1), host)
+        for name, x in rows.items():
+            if name.startswith(INFO):
+                info[name.removeprefix(INFO)] = x
+            else:
+                after[name.removeprefix(NOW)] = x
+        return Step(after, reward, terminated, truncated, done, ends, info)
+
+    def _at_once(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Rows of a step by one program: those of `_by_links`."""
+        scene = self.reset.scene
+        constants(scene.robot)  # raises if they were changed in place
+        if self.block is None:
+            names = [*STATE, "goal", *KEPT, *self.form.takes, *self.inputs, "steps", "limit"]
+            own = {x: tuple(given[x].shape[x not in self.shared :]) for x in dict.fromkeys(names) if x in given}
+            self.block = self._block(None, (), tuple(own.items()))
+        taken = {name: given[name] for name, _ in self.block.own}
+        taken |= {"noise": given["noise"]} if scene.noises else {}
+        return evaluate(self.block, {**taken, **scene.parameters}, scene.backend)
+
+    def _by_links(self, given: Mapping[str, Tensor], host: Host, waiting: Tensor | None) -> dict[str, Tensor]:
+        """Rows of a step by one link after the other, with functions of torch between them."""
+        reset, scene = self.reset, self.reset.scene
+        if host.synchronises:
+            self.form.meaning.require_finite(given["action"])
+        acted = evaluate(self.act, {name: given[name] for name, _ in self.act.own}, scene.backend)
+        inputs = {name: acted.get(name, given.get(name)) for name in self.inputs}
+        state, rows = scene._advance(state_of(given), inputs, given.get("noise"), reset.checked)
         if (functions := reset.functions) is not None:
-            now = functions.now(state, buffers["goal"].clone(), buffers["steps"] + 1, rows, acted["action"])
+            now = functions.now(state, given["goal"].clone(), given["steps"] + 1, rows, acted["action"])
             rows = functions.after(now)
         judged = {name: rows.pop(name) for name in JUDGED if name in rows}
         if waiting is not None:
             judged["valid"] = judged["valid"].masked_fill(waiting, 0.0)
-        judged |= {"steps": buffers["steps"], "limit": self.shared["limit"]}
+        judged |= {"finite": acted["finite"], "steps": given["steps"], "limit": given["limit"]}
         ended = evaluate(self.end, judged, scene.backend)
-        after.update(state.rows(), steps=ended["elapsed"], **{x: rows.pop(x) for x in KEPT if x in rows})
-        failed, terminated, truncated, done = (ended["flags"] != 0).unbind(1)
-        if (ends := host.any(done)) and host.any(failed):
-            held = {name: after[name] for name in HELD if name in after}
-            own = {STEP_FLAGS: ended["flags"], **{f"before {x}": buffers[x] for x in held}, **held, **rows}
+        held = {**state.rows(), **{name: rows.pop(name) for name in KEPT if name in rows}}
+        failed = ended["flags"].select(1, 0) != 0
+        if host.any(failed):
+            own = {STEP_FLAGS: ended["flags"], **{f"before {x}": given[x] for x in held}, **held, **rows}
             rule = Rule(undo, self.form, tuple([(name, tuple(x.shape[1:])) for name, x in own.items()]))
             rows = evaluate(rule, own, scene.backend)
-            after |= {name: rows.pop(name) for name in held}
-        info = {"clipped": acted["clipped"].to(torch.int64), "nonfinite": failed, **rows}
-        return Step(after, ended["reward"], terminated, truncated, done, ends, info)
+            held = {name: rows.pop(name) for name in held}
+        passed = {GIVEN + name: x for name, x in acted.items() if name.startswith(THEN) or name in ("clipped", "over")}
+        found = {**{NOW + name: x for name, x in held.items()}, **{INFO + name: x for name, x in rows.items()}}
+        return {**ended, **passed, **found}
 
     def rollout(
         self, buffers: Mapping[str, Tensor], policy: Network, steps: int, noise: Tensor | None, unit: float
@@ -215,12 +249,12 @@ class Steps:
         changed = self.reset.with_spares({**buffers, **changed}, over, Host(True))
         return found, changed, whole
 
-    def _block(self, policy: Network, carried: tuple[str, ...], own: tuple[tuple[str, tuple[int, ...]], ...]) -> Block:
+    def _block(self, policy: Network | None, carried: tuple[str, ...], own: tuple[tuple[str, tuple[int, ...]], ...]) -> Block:
         """The computation."""
         scene, checked = self.reset.scene, self.reset.checked
         state = [name for name in State._fields if name in scene.spec.state]
         asked = (*state, *self.inputs, *(["noise"] if scene.noises else []), *scene.parameters)
-        return Block(Stage(scene.spec, "step", checked), self.form, policy.form, carried, asked, own)
+        return Block(Stage(scene.spec, "step", checked), self.form, policy and policy.form, carried, asked, own)
 
     def _following(self, buffers: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Buffers and parameters of every row's next episode, drawn where those at hand were taken."""

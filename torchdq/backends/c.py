@@ -84,12 +84,12 @@ class CompiledKernel:
         results = outputs(program)
         self.what, self.dtype = what, dtype
         self.compiled, self.links, self.addresses = _library(body_of(what), dtype, few)
-        self.operations = program.count().total
+        self.operations, self.grows = program.count().total, program.growth is not None
         self.summed = [r.summed for r in results]
         # bytes between the rows of two samples, for arguments and outputs; a summed output has one row per part
         self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in what.arguments]
         self.strides += [(len(r.values) * dtype.itemsize, r.summed) for r in results]
-        self.states: list[tuple[int, int]] = []  # kept results that are carried, of which the start is kept, too
+        self.states: list[tuple[int, int]] = []  # those of `starts`
         if isinstance(what, Loop):
             self.states = [(k, r) for k, r in what.carried if r in what.kept]
             # glibc keeps freed memory up to twice the largest block that was freed; new pages cost more than the steps
@@ -105,13 +105,20 @@ class CompiledKernel:
         plan, forms = _plan(self.what, samples, steps, parts, self.dtype, self.addresses)
         given, found = dense(inputs), [empty_on_cpu(*form) for form in forms]
         pointers = [x.data_ptr() for x in (*given, *found)]  # copies among them live until the function has returned
-        for k, r in self.states:
-            start, to = samples * self.strides[k][0], len(given) + r  # bytes
+        for k, r, size_of in self.starts(samples):
             # a copy by torch into a view takes as long as twenty steps of an arm
-            ctypes.memmove(pointers[to] + steps * start * backwards, pointers[k], start)
-            pointers[to] += 0 if backwards else start
+            ctypes.memmove(pointers[len(given) + r] + steps * size_of * backwards, pointers[k], size_of)
+            pointers[len(given) + r] += size_of * (not backwards)
         self._run(samples, None if plan is None else ctypes.addressof(plan), pointers, number, size)
         return [y.sum(0) if summed else y for y, summed in zip(found, self.summed, strict=True)]
+
+    def starts(self, samples: int) -> list[tuple[int, int, int]]:
+        """Kept results that are carried, of which the start is kept, too: argument, result, and bytes of all samples."""
+        return [(k, r, samples * self.strides[k][0]) for k, r in self.states]
+
+    def plan(self, samples: int, steps: int) -> Any:
+        """Plan of `run` for samples that one thread computes; None: that of one step."""
+        return _plan(self.what, samples, steps, 1, self.dtype, self.addresses)[0]
 
     def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
         """Compute the outputs of a program, none of them summed, into given tensors; see `DirectKernel`."""

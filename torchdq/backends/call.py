@@ -28,7 +28,7 @@ from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.base.checks import DTYPES, TensorValue, is_dense, require_tensor, tensor_in
 from torchdq.errors import ArgumentError, DtypeError, TorchdqError
 from torchdq.program.autograd import in_a_graph, named, operator
-from torchdq.program.loop import Loop
+from torchdq.program.loop import Chain, Loop
 from torchdq.program.program import Argument, Program
 from torchdq.program.transforms import constant_in_graphs, dispatching, with_values
 
@@ -141,8 +141,8 @@ def results_of(
     key: Hashable = None,
 ) -> tuple[Sequence[str], Sequence[Tensor]]:
     """Names of the results of `evaluate`, and the results; `key` is that of a fast call that a caller has tried."""
-    if key is None and backend is None and not (double or repeated):
-        key, names, quickly = quick((what, *tensors), tensors.values(), out)
+    if key is None and backend is None and not double:
+        key, names, quickly = quick((what, len(out), repeated, *tensors), tensors.values(), out)
         if quickly is not None:
             return names, quickly
     if repeated is None and (is_compiling() or dispatching()):
@@ -155,11 +155,12 @@ def results_of(
         given = [x for x in tensors.values() if x is not None]
         if out:
             _require_room(layout, given, out)
-        if layout.direct is not None and not in_a_graph(given):
+        simple = layout.direct is not None and not in_a_graph(given)
+        if simple and layout.loop is None:
             # without views of the tensors: one takes a microsecond, which counts where a call has one sample
             direct = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
-            form = [tuple(x.shape) for x in given], layout.names, layout.shapes, layout.samples, bool(out)
-            learn(key, layout.backend, layout.program, layout.dtype, *form)
+            form = tensors.values(), layout.names, layout.shapes, layout.samples
+            learn(key, layout.backend, layout.program, layout.dtype, *form, out=bool(out))
             return layout.names, direct
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, _of_one_step(tensors, repeated))  # raises
@@ -167,7 +168,11 @@ def results_of(
         if layout.loop is None:
             found = run(layout.program, rows, layout.backend)
         else:
-            found = run_loop(layout.loop, rows, layout.backend, layout.samples, repeated.steps)  # type: ignore[union-attr]
+            steps = 1 if repeated is None else repeated.steps
+            found = run_loop(layout.loop, rows, layout.backend, layout.samples, steps)
+            if simple and steps:
+                form = tensors.values(), layout.names, layout.shapes, layout.samples
+                learn(key, layout.backend, layout.loop, layout.dtype, *form, steps)
     except (AttributeError, RuntimeError):  # no check before, which would cost every call
         if any([isinstance(x, TensorValue) for x in tensors.values()]):
             plain = {name: tensor_in(x) for name, x in tensors.items()}
@@ -303,6 +308,8 @@ def _layout(
     like = next(x for x in tensors.values() if x is not None)
     dtype, device = torch.float64 if double else like.dtype, like.device
     program, chosen = _recorded(what, arguments), choose(backend, device)
+    if isinstance(program, Chain):
+        repeated = repeated or Repeated(1, (), total=tuple([r.name for r in program.results]))
     results, loop = _shapes(what, program), None
     lead: list[Shape] = [()] * len(program.results)
     if repeated is not None:
@@ -316,9 +323,8 @@ def _layout(
         chosen.differentiable
         or device.type != "cpu"
         or 0 in batch
-        or any(row.expanded is not None for row in rows)
+        or any(row.whole is not None or row.expanded is not None for row in rows)
         or any(summed for _, summed, _ in results)
-        or loop is not None
     ):
         growth = () if program.growth is None or chosen.guards else (batch,)
         direct = tuple(contiguous(shape, dtype) for shape in (*shapes, *growth))

@@ -26,9 +26,10 @@ from torchdq.backends import c_library, choice, threads
 from torchdq.backends.backend import Backend, contiguous, largest_growth
 from torchdq.backends.c import COMPILED, C, CompiledKernel
 from torchdq.backends.compiler import BuildError
-from torchdq.base.caches import LAYOUTS, Bounded, remembered
+from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
+from torchdq.program.loop import Loop
 from torchdq.program.program import Program
-from torchdq.program.transforms import LEVEL, alike, dispatching, empty_on_cpu
+from torchdq.program.transforms import LEVEL, alike, empty_on_cpu, modes
 
 MOST, FEW = 24, 64  # arrays of a program, and samples whose error growths need no memory
 LONG = 50_000  # operations of a call from which Python's lock is let go: some ten microseconds
@@ -54,12 +55,16 @@ typedef struct {
   Object *none, *yes;
 } Python;
 typedef struct {
-  Object *fits, *empty, *pointer, *forward, *level, *chosen, *automatic;
+  Object *fits, *empty, *pointer, *forward, *level, *modes, *chosen, *automatic;
   Object *const *forms;  // size, strides and dtype of every result
   const word *bytes;     // of every array
   void (*run)(void);
+  const void *plan;
+  const word *starts;  // of states of which a loop keeps the start: argument, result, bytes
   double limit;
   word samples, inputs, results, given, unlocked, growth;  // given: results, too; growth: bytes of the error growth
+  word arguments, present;  // number of them, some of which may be None, and a bit for each of the others
+  word states;
 } Call;
 static const Python *py;
 
@@ -76,11 +81,11 @@ static int is(Object *found, void *value) {  // whether a number that was return
   return same;
 }
 
-static int plain(const Call *c) {  // no other backend is chosen, nor torch's forward mode; other transforms do not fit
+static int plain(const Call *c) {  // no other backend is chosen, nor forward or dispatch mode; other transforms do not fit
   Object *now = 0;
   if (py->context(c->chosen, 0, &now) < 0 || !now) return 0;
   py->drop(now);
-  return now == c->automatic && is(py->attribute(c->forward, c->level), (void *)(word)-1);
+  return now == c->automatic && is(py->call(c->modes, 0, 0, 0), 0) && is(py->attribute(c->forward, c->level), (void *)(word)-1);
 }
 
 static int overlapping(const Call *c, char **p, word count) {
@@ -93,6 +98,13 @@ static int overlapping(const Call *c, char **p, word count) {
 static void start(const Call *c, char **p, word count) {
   switch (count) {
 CASES
+  }
+}
+
+static void begin(const Call *c, char **p) {  // the start of states, behind which a loop writes the others
+  for (const word *s = c->starts; s < c->starts + 3 * c->states; s += 3) {
+    char **to = p + c->inputs + s[1];
+    for (word k = 0; k < s[2]; k++) *(*to)++ = p[s[0]][k];
   }
 }
 
@@ -110,14 +122,15 @@ Object *run(Object *self, Object *const *all, word count) {
     return 0;
   }
   const Call *c = py->address(self);
-  word arrays = c->inputs + c->results, present = 0;
+  if (count != c->arguments) return nothing(0);
+  word arrays = c->inputs + c->results;
   Object *args[MOST];
-  for (word k = 0; k < count; k++)
+  count = 0;
+  for (word k = 0; k < c->arguments; k++)
     if (all[k] != py->none) {
-      if (present == MOST) return nothing(0);
-      args[present++] = all[k];
+      if (!(c->present >> k & 1)) return nothing(0);
+      args[count++] = all[k];
     }
-  count = present;
   if (count != (c->given ? arrays : c->inputs) || !plain(c)) return nothing(0);
   Object *fits = py->call(c->fits, args, count, 0);
   if (fits != py->yes) return nothing(fits);
@@ -149,6 +162,7 @@ Object *run(Object *self, Object *const *all, word count) {
   } else if (c->growth) {
     p[arrays++] = (char *)few;
   }
+  begin(c, p);
   void *lock = c->unlocked ? py->unlock() : 0;
   start(c, p, arrays);
   if (c->unlocked) py->lock(lock);
@@ -165,8 +179,8 @@ class Python(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in (*PYTHON, "none", "yes")]
 
 
-OBJECTS = ("fits", "empty", "pointer", "forward", "level", "chosen", "automatic")
-WORDS = ("samples", "inputs", "results", "given", "unlocked", "growth")
+OBJECTS = ("fits", "empty", "pointer", "forward", "level", "modes", "chosen", "automatic")
+WORDS = ("samples", "inputs", "results", "given", "unlocked", "growth", "arguments", "present", "states")
 
 
 class Call(ctypes.Structure):
@@ -174,7 +188,7 @@ class Call(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.py_object) for name in OBJECTS),
-        *((name, ctypes.c_void_p) for name in ("forms", "bytes", "run")),
+        *((name, ctypes.c_void_p) for name in ("forms", "bytes", "run", "plan", "starts")),
         ("limit", ctypes.c_double),
         *((name, ctypes.c_int64) for name in WORDS),
     ]
@@ -198,79 +212,120 @@ class FastCall(NamedTuple):
     names: tuple[str, ...]  # of the results
 
 
-FAST: Bounded[Hashable, FastCall | None] = Bounded(LAYOUTS)  # by `quick`; None: there is none
+FAST: Bounded[Hashable, tuple[FastCall, ...]] = Bounded(LAYOUTS)  # by key of `quick`, the last one that was learned first
+SHAPES = 8  # fast calls of a key
 
 
 def quick(
-    what: tuple[Any, ...], given: Collection[Any], out: Sequence[Any] = ()
+    key: Hashable, given: Collection[Any], out: Sequence[Any] = ()
 ) -> tuple[Hashable, tuple[str, ...], tuple[Tensor, ...] | None]:
     """Key of a call, None in a traced graph, and names and values of its results; None: it takes the common way.
 
     Args:
-        what: all that tells programs apart for tensors of these types.
+        key: all that tells programs apart for tensors of one form, and whether there are tensors for the results.
         given: its arguments, tensors or None.
         out: tensors for the results; (): new ones. Where errors grow too much, they have been written to.
     """
-    if is_compiling() or dispatching():
+    if is_compiling():
         return None, (), None
-    try:
-        shape = next(iter(given)).shape
-    except (AttributeError, RuntimeError, StopIteration):  # there is no first tensor, or a nested one
-        return None, (), None
-    key = (*what, len(out), shape, *map(type, given))
-    fast = FAST.get(key)
-    return (key, (), None) if fast is None else (key, fast.names, fast.function(*given, *out))
+    for function, names in FAST.get(key, ()):
+        found = function(*given, *out)
+        if found is not None:
+            return key, names, found
+    return key, (), None
 
 
-def learn(key: Hashable, backend: Backend, *call: Any, **how: Any) -> None:
-    """Let calls with a new key of `quick` be `fast_call(*call, **how)`, if their backend is the one for the CPU."""
-    if key is not None and key not in FAST and isinstance(backend, C):
-        FAST[key] = fast_call(*call, **how)
-
-
-def fast_call(
-    program: Program,
+def learn(
+    key: Hashable,
+    backend: Backend,
+    what: Program | Loop,
     dtype: torch.dtype,
-    inputs: Sequence[tuple[int, ...]],
+    given: Collection[Tensor | None],
     names: Sequence[str],
     results: Sequence[tuple[int, ...]],
     samples: int,
-    given: bool = False,
-    learned: Sequence[bool] = (),
-) -> FastCall | None:
-    """Fast call for contiguous tensors of these shapes, one row per sample or uniform; None: there is none here.
+    steps: int = 1,
+    out: bool = False,
+    learned: bool = False,
+) -> None:
+    """Let calls with a key of `quick` be fast for tensors like these, of every sample or uniform, if they can be.
 
     Args:
-        given: whether tensors for the results follow the inputs; where errors grow too much they have been written to.
-        learned: whether each input requires grad, for calls where torch records nothing; (): none of them.
+        what: program without sums over the samples, or a loop over one, forwards.
+        given: the arguments, contiguous.
+        results: shapes of the results.
+        out: whether tensors for the results are given, too; where errors grow too much they have been written to.
+        learned: whether inputs may require grad, for calls where torch records nothing.
     """
-    count, operations = len(inputs) + len(results), samples * program.count().total
-    several = samples >= 2 * threads.least(program.count().total)  # threads may share them
-    if count >= MOST or not samples or several or COMPILED.refusal(torch.device("cpu")) is not None:
+    if key is None or not isinstance(backend, C) or not 0 < samples < most(what, steps):
+        return
+    absent = tuple([x is None for x in given])
+    inputs = [x for x in given if x is not None]
+    grads = tuple([x.requires_grad for x in inputs]) if learned else ()
+    forms = tuple([tuple(x.shape) for x in inputs]), tuple(map(tuple, results))
+    known = FAST.get(key, ())
+    fast = fast_call(what, dtype, *forms, tuple(names), samples, steps, out, absent, grads)
+    if fast is not None and fast not in known:
+        FAST[key] = (fast, *known[: SHAPES - 1])
+
+
+@remembered(PROGRAMS)
+def most(what: Program | Loop, steps: int) -> int:
+    """Number of samples from which threads may share them."""
+    body = what.body if isinstance(what, Loop) else what
+    return 2 * threads.least(body.count().total * steps)
+
+
+@remembered(LAYOUTS)
+def fast_call(
+    what: Program | Loop,
+    dtype: torch.dtype,
+    inputs: tuple[tuple[int, ...], ...],
+    results: tuple[tuple[int, ...], ...],
+    names: tuple[str, ...],
+    samples: int,
+    steps: int = 1,
+    out: bool = False,
+    absent: tuple[bool, ...] = (),
+    learned: tuple[bool, ...] = (),
+) -> FastCall | None:
+    """Fast call for tensors of these shapes; None: there is none here. See `learn`.
+
+    Args:
+        absent: whether each argument is None; (): none of them.
+        learned: whether each input requires grad; (): none of them.
+    """
+    count, cpu = len(inputs) + len(results), torch.device("cpu")
+    absent = (absent or (False,) * len(inputs)) + (False,) * (len(results) * out)
+    if max(count, len(absent)) >= MOST or COMPILED.refusal(cpu) is not None:
         return None
     try:
-        kernel = cast(CompiledKernel, COMPILED.kernel(program, dtype, torch.device("cpu")))
+        made = COMPILED.loop(what, dtype, cpu, samples) if isinstance(what, Loop) else COMPILED.kernel(what, dtype, cpu)
+        kernel = cast(CompiledKernel, made)
         start, library = _started()
     except (BuildError, AttributeError):  # the latter in a Python without these functions
         return None
     forms = [contiguous(shape, dtype) for shape in (*inputs, *results, (samples,))]
-    made: list[Any] = [x for form in forms[len(inputs) :] for x in form]
-    objects = (ctypes.py_object * len(made))(*made)
+    numbers: list[Any] = [x for form in forms[len(inputs) :] for x in form]
+    objects = (ctypes.py_object * len(numbers))(*numbers)
+    plan, states = kernel.plan(samples, steps), kernel.starts(samples)
+    starts = (ctypes.c_int64 * (3 * len(states)))(*[x for state in states for x in state])
     sizes = (ctypes.c_int64 * count)(*[prod(shape) * dtype.itemsize for shape, _, _ in forms[:-1]])
     call = Call(
-        alike(forms[:-1] if given else forms[: len(inputs)], learned),
-        *(empty_on_cpu, torch.Tensor.data_ptr, *LEVEL, choice._chosen, "auto"),
-        *(ctypes.addressof(objects), ctypes.addressof(sizes)),
-        _address(kernel.compiled.run),
+        alike(forms[:-1] if out else forms[: len(inputs)], learned),
+        *(empty_on_cpu, torch.Tensor.data_ptr, *LEVEL, modes, choice._chosen, "auto"),
+        *(ctypes.addressof(objects), ctypes.addressof(sizes), _address(kernel.compiled.run)),
+        *(None if plan is None else ctypes.addressof(plan), ctypes.addressof(starts)),
         largest_growth(dtype),
-        *(samples, len(inputs), len(results), given, operations > LONG),
-        0 if program.growth is None else dtype.itemsize,
+        *(samples, len(inputs), len(results), out, samples * steps * kernel.operations > LONG),
+        dtype.itemsize * kernel.grows,
+        *(len(absent), sum((not x) << k for k, x in enumerate(absent)), len(states)),
     )
-    method = Method(program.name.encode(), start, FASTCALL, None)
+    method = Method(what.name.encode(), start, FASTCALL, None)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.restype, make.argtypes = ctypes.py_object, (ctypes.c_void_p, ctypes.py_object, ctypes.py_object)
-    kept = (call, method, objects, sizes, kernel, library)  # what it points to lives as its module, as long as it does
-    return FastCall(make(ctypes.addressof(method), ctypes.addressof(call), kept), tuple(names))
+    kept = (call, method, objects, sizes, plan, starts, kernel, library)  # what it points to lives as its module, as long as it does
+    return FastCall(make(ctypes.addressof(method), ctypes.addressof(call), kept), names)
 
 
 @remembered(1)
@@ -278,7 +333,7 @@ def _started() -> tuple[int, Any]:
     """Address of the function in C, and its library."""
     arrays = (", ".join(f"p[{k}]" for k in range(n)) for n in range(1, MOST + 1))
     cases = [
-        f"    case {n}: ((void (*)(word, void *{', char *' * n}))c->run)(c->samples, 0, {given}); break;"
+        f"    case {n}: ((void (*)(word, const void *{', char *' * n}))c->run)(c->samples, c->plan, {given}); break;"
         for n, given in enumerate(arrays, 1)
     ]
     source = SOURCE.replace("CASES", "\n".join(cases)).replace("MOST", str(MOST)).replace("FEW", str(FEW))

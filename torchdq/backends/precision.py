@@ -32,17 +32,14 @@ class Guarded(NamedTuple):
 
     def __call__(self, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
         """Results of a program."""
-        key = None
-        if not (self.backend.differentiable or any([r.summed for r in program.results])):
-            learned = [x.requires_grad for x in inputs]  # of which torch records nothing here
-            key, _, quickly = quick((self, program, *learned), inputs)
-            if quickly is not None:
-                return quickly
-        found = guarded(self.backend, program, inputs)
-        if key is not None:
-            shapes, results = ([tuple(x.shape) for x in tensors] for tensors in (inputs, found))
-            form = shapes, [r.name for r in program.results], results, samples_of(program, inputs)
-            learn(key, self.backend, program, inputs[0].dtype, *form, learned=learned)
+        if self.backend.differentiable or any([r.summed for r in program.results]):
+            return guarded(self.backend, program, inputs)
+        key, _, quickly = quick((self, program), inputs)
+        if quickly is not None:
+            return quickly
+        found, samples = guarded(self.backend, program, inputs), samples_of(program, inputs)
+        form = [r.name for r in program.results], [y.shape for y in found], samples
+        learn(key, self.backend, program, inputs[0].dtype, inputs, *form, learned=True)  # torch records nothing here
         return found
 
     @property

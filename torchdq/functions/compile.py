@@ -228,11 +228,11 @@ class CompiledProgram:
         >>> gravity(torch.zeros(2, dtype=torch.float64), out=tau) is tau
         True
         """
-        if inputs and isinstance(inputs[0], np.ndarray):
-            return self._on_arrays(inputs, out)
-        room = out if isinstance(out, list | tuple) else () if out is None else (out,)
-        key, _, found = quick((self.program, self.dtype), inputs, room)
+        room = () if out is None else out if isinstance(out, list | tuple) else (out,)
+        key, _, found = quick((self.program, self.dtype, len(room)), inputs, room)
         if found is None:
+            if inputs and isinstance(inputs[0], np.ndarray):
+                return self._on_arrays(inputs, out)
             found = self._on_any_batch(inputs, room, key)
         return found[0] if len(found) == 1 else found
 

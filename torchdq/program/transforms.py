@@ -36,6 +36,8 @@ functional: Callable[[], bool] = _private("_are_functorch_transforms_active", la
 any_requires_grad: Callable[..., bool] = _private(
     "_any_requires_grad", lambda *tensors: any([x.requires_grad for x in tensors])
 )
+# number of modes that see the operators that tensors go through
+modes: Callable[[], int] = _private("_len_torch_dispatch_stack", lambda: 1)
 # tensor on the CPU without values, of a size, strides and a dtype, in half of the time that `torch.empty_like` takes
 empty_on_cpu: Callable[..., Tensor] = _private(
     "_dynamo.guards._empty_strided_cpu",
@@ -47,7 +49,6 @@ _guards = _private("_dynamo.guards.TensorGuards", None)
 _levels: Callable[[], list[Any]] = getattr(pyfunctorch, "retrieve_all_functorch_interpreters", lambda: [])
 _unseen = _private("DisableTorchFunction", nullcontext)
 _jit_state = _private("_get_tracing_state", lambda: None)
-_modes = _private("_len_torch_dispatch_stack", lambda: 1)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
 
 
@@ -205,13 +206,13 @@ def jit_tracing() -> bool:
 
 def dispatching() -> bool:
     """Whether a mode of torch sees the operators that tensors go through: make_fx, tensors without values, counters."""
-    return _modes() > 0
+    return modes() > 0
 
 
 def proxy_tracing() -> bool:
     """Whether make_fx records the operators that tensors go through."""
     # importing it brings sympy, a second's work; where it was not imported, make_fx cannot run
-    tracer = sys.modules.get("torch.fx.experimental.proxy_tensor") if _modes() > 0 else None
+    tracer = sys.modules.get("torch.fx.experimental.proxy_tensor") if modes() > 0 else None
     return tracer is not None and tracer.get_proxy_mode() is not None
 
 

@@ -76,10 +76,15 @@ class SceneSpec:
     dt: float
     substeps: int
     objects: tuple[Object, ...] = ()
+    _hash: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # once, since every step asks for it; the parameters of the effects would take most of the time
+        kinds = map(type, (*self.effects, *self.objects))
+        object.__setattr__(self, "_hash", hash((self.robot, self.arguments, self.dt, self.substeps, *kinds)))
 
     def __hash__(self) -> int:
-        # at every step; the parameters of the effects would take most of the time
-        return hash((self.robot, self.arguments, self.dt, self.substeps, *map(type, (*self.effects, *self.objects))))
+        return self._hash
 
     def of(self, base: type[E]) -> list[tuple[int, E]]:
         """Effects of a class, with their positions among all."""
