@@ -60,7 +60,7 @@ class Form(NamedTuple):
 
 
 def act(form: Form, rows: Mapping[str, Row]) -> Rows:
-    """Inputs of a step for actions, which are clipped to [-1, 1]: how many were, whether they are finite, and pushes."""
+    """Inputs of a step for actions, which are clipped to [-1, 1], how many were, if they are finite, and pushes."""
     (steps,), action = rows["steps"], [clip(x, -1.0, 1.0) for x in rows["action"]]
     wide, given = form.meaning.inputs(action, rows["scale"], rows.get("reference", ()))
     given |= {"action": wide, "time": [(steps + 1.0) * form.dt]}
@@ -184,7 +184,8 @@ class Block(_BlockFields, Computation):
     def policy(self, rows: Mapping[str, Row]) -> Rows:
         """Actions of the policy."""
         weights = {name.removeprefix(WEIGHT): row for name, row in rows.items() if name.startswith(WEIGHT)}
-        output, number = self.network.recorded(rows["observation"], weights), len(self.form.meaning.names)
+        network: Any = self.network
+        output, number = network.recorded(rows["observation"], weights), len(self.form.meaning.names)
         if len(output) != number:
             raise ArgumentError(f"policy must return {number} numbers, one per action, found {len(output)}")
         noise = rows.get("noise of actions", [0.0] * len(output))

@@ -249,12 +249,15 @@ class Steps:
         changed = self.reset.with_spares({**buffers, **changed}, over, Host(True))
         return found, changed, whole
 
-    def _block(self, policy: Network | None, carried: tuple[str, ...], own: tuple[tuple[str, tuple[int, ...]], ...]) -> Block:
+    def _block(
+        self, policy: Network | None, carried: tuple[str, ...], own: tuple[tuple[str, tuple[int, ...]], ...]
+    ) -> Block:
         """The computation."""
         scene, checked = self.reset.scene, self.reset.checked
         state = [name for name in State._fields if name in scene.spec.state]
         asked = (*state, *self.inputs, *(["noise"] if scene.noises else []), *scene.parameters)
-        return Block(Stage(scene.spec, "step", checked), self.form, policy and policy.form, carried, asked, own)
+        network = None if policy is None else policy.form
+        return Block(Stage(scene.spec, "step", checked), self.form, network, carried, asked, own)
 
     def _following(self, buffers: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Buffers and parameters of every row's next episode, drawn where those at hand were taken."""

@@ -28,7 +28,6 @@ from torchdq.robot.robot import constants
 __all__ = ["differential_inverse_kinematics", "inverse_kinematics"]
 
 TOLERANCES = {torch.float32: 1e-5, torch.float64: 1e-8}
-FAR = 1e3  # [m] distance beyond which the direction of a goal decides, and its square does not overflow
 
 
 class InverseKinematics(NamedTuple):
@@ -99,27 +98,15 @@ def inverse_kinematics(
             "X must have values, since rows take different numbers of steps; call it outside of traces, and instead of "
             "in torch.func.vmap with batch axes"
         )
-    X, share = _nearby(X)
     settings = (angle, distance, starts, starts + min(formulas.LAST, starts - 1))
     what = Function(constants(robot), "inverse_kinematics_step", names)
     with torch.no_grad():
         q, converged, error, taken = formulas.solve(what, robot, X.detach(), start, settings, backend)
-    if share is not None:
-        error = torch.stack([error[..., 0], error[..., 1] / share], -1)
     if in_a_graph(tensors):
         e, P = function_of("inverse_kinematics_newton", robot, {"q": q, "X": X}, backend, names)
         e = torch.where(converged[..., None], e - e.detach(), 0.0)
         q = q + (P.detach() @ e[..., None])[..., 0]
     return InverseKinematics(q, converged, error, taken)
-
-
-def _nearby(X: Tensor) -> tuple[Tensor, Tensor | None]:
-    """Pose with its translation shortened to about `FAR`, and the share [...] of it that is left; None: all."""
-    near, far = (x.amax(-1) for x in X.detach().abs().split_with_sizes((4, 4), -1))
-    if not (near * FAR < far).any():
-        return X, None
-    share = (FAR * near / far).nan_to_num(1.0).clamp(max=1.0)
-    return torch.cat([X[..., :4], share[..., None] * X[..., 4:]], -1), share
 
 
 def differential_inverse_kinematics(

@@ -1,6 +1,7 @@
 """Calls of `torchdq.compile` objects: results in given memory, arrays of NumPy, one sample without detours."""
 
 import copy
+import itertools
 import math
 import pickle
 import sys
@@ -11,13 +12,16 @@ import numpy as np
 import pytest
 import torch
 from helpers import thinned
+from loops import parts, step, tensors
 
 import torchdq
 from torchdq.backends.c import COMPILED
 from torchdq.backends.cuda import CUDA
 from torchdq.backends.fast_call import FAST, fast_call, learn, quick
+from torchdq.backends.loop_call import repeat
 from torchdq.backends.torch import EAGER
 from torchdq.errors import ArgumentError, DtypeError
+from torchdq.functions.compile import RecordedComputation
 from torchdq.program.transforms import load_forward_mode
 
 BACKEND = "auto"
@@ -208,6 +212,45 @@ def test_calls_of_any_form_are_fast_from_the_second_on(function):
         _, results, found = quick((call.program, F64, 0), inputs)
         assert results == tuple(r.name for r in call.program.results)
         assert all(torch.equal(x, y) for x, y in zip(found, expected, strict=True))
+
+
+@pytest.mark.parametrize("growth", [False, True])
+@pytest.mark.parametrize("samples", [1, 5])
+def test_loops_are_fast_from_the_second_call_on(samples, growth):
+    """With the states of every step and the start before them; where errors grow too much all is as it was."""
+    program, given, steps = step(growth=growth), tensors(samples, 4, dtype=torch.float32), range(4)
+    carried, stepped, fixed = parts(given)
+    stepped |= {} if not growth else {"u": 1e-3 * stepped["u"]}
+    what, found = RecordedComputation(program), []
+    for kept in ({"ends": True}, {"total": ("z",)}):
+        calls = [repeat(what, len(steps), carried, stepped, fixed, **kept) for _ in range(3)]
+        with torchdq.backend("c"):
+            calls.append(repeat(what, len(steps), carried, stepped, fixed, **kept))
+        assert all(torch.equal(x[name], calls[0][name]) for x in calls for name in x)
+        found += [calls[0]["x"]]
+    assert torch.equal(found[0], found[1][-1]) and torch.equal(found[1][0], given["x"])
+    known = [fast for key, fast in FAST.items() if key[0] == what]
+    assert len(known) == 2
+
+
+@pytest.mark.parametrize("function", ["inverse_dynamics", "mass_matrix"])
+def test_graphs_of_fast_calls_are_those_of_the_common_way(function):
+    """Values and gradients, whichever arguments need one, again and again, and where no row has a batch axis."""
+    robot, call = torchdq.robots.load("two_link"), getattr(torchdq, function)
+    wanted = [(True,)] if function == "mass_matrix" else [(True, True, True), (False, True, False), (True, False, True)]
+
+    def slopes(x):
+        y = call(robot, *x)
+        return (y, *torch.autograd.grad((y * y.detach().cos()).sum(), [a for a in x if a.requires_grad]))
+
+    for batch, needed in itertools.product(((3, 2), (2, 3, 2), (2,)), wanted):
+        x = [torch.rand(*batch, dtype=F64).requires_grad_(n) for n in needed]
+        calls = [slopes(x) for _ in range(3)]
+        with torchdq.backend("c"):
+            calls.append(slopes(x))
+        assert all(torch.equal(a, b) for found in calls for a, b in zip(found, calls[-1], strict=True))
+        with torch.no_grad():
+            assert not call(robot, *x).requires_grad
 
 
 @pytest.mark.parametrize("batch", [(), (4,)])

@@ -68,6 +68,23 @@ def test_a_rollout_is_its_steps(name, monkeypatch):
         assert found.truncated.sum(0).min() >= 1
 
 
+@pytest.mark.parametrize("name", thinned(ONE_CALL, [x for x in ONE_CALL if x not in LONG]))
+def test_a_step_at_once_is_its_links(name):
+    """Also where a row fails, and where episodes end."""
+    envs, twin = (started(11, **ONE_CALL[name]) for _ in range(2))
+    assert envs._steps.at_once
+    twin._steps.at_once = False
+    state = envs.get_state()
+    state["qd"][3, 0] = 1e30
+    for x in (envs, twin):
+        x.set_state(state)
+    for _ in range(6):
+        action = 1.5 * torch.randn(envs.action_space.shape, dtype=envs.dtype)
+        found, expected = ((*x.step(action)[:4], x.get_state()) for x in (envs, twin))
+        assert same(found, expected)
+    assert envs._steps.block is not None and twin._steps.block is None
+
+
 def test_any_function_is_a_policy(monkeypatch):
     monkeypatch.delattr("torchdq.envs.rollout.repeat")
     envs, twin = started(max_episode_steps=4, output="numpy"), started(max_episode_steps=4)

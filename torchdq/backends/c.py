@@ -113,7 +113,7 @@ class CompiledKernel:
         return [y.sum(0) if summed else y for y, summed in zip(found, self.summed, strict=True)]
 
     def starts(self, samples: int) -> list[tuple[int, int, int]]:
-        """Kept results that are carried, of which the start is kept, too: argument, result, and bytes of all samples."""
+        """Carried results that are kept, and so is their start: argument, result, and bytes of all samples."""
         return [(k, r, samples * self.strides[k][0]) for k, r in self.states]
 
     def plan(self, samples: int, steps: int) -> Any:

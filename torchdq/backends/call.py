@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
+from operator import is_
 from typing import Any, NamedTuple
 
 import torch
@@ -22,7 +23,7 @@ from torch.compiler import is_compiling
 from torchdq.backends.backend import Backend, Form, contiguous, dense, share_memory
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
 from torchdq.backends.fast_call import learn, quick
-from torchdq.backends.precision import Guarded, run, run_loop, unguarded
+from torchdq.backends.precision import Guarded, learn_graph, run, run_loop, unguarded
 from torchdq.backends.torch import EAGER
 from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.base.checks import DTYPES, TensorValue, is_dense, require_tensor, tensor_in
@@ -30,7 +31,7 @@ from torchdq.errors import ArgumentError, DtypeError, TorchdqError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.loop import Chain, Loop
 from torchdq.program.program import Argument, Program
-from torchdq.program.transforms import constant_in_graphs, dispatching, with_values
+from torchdq.program.transforms import constant_in_graphs, dispatching, transforming, with_values
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent
@@ -155,10 +156,10 @@ def results_of(
         given = [x for x in tensors.values() if x is not None]
         if out:
             _require_room(layout, given, out)
-        simple = layout.direct is not None and not in_a_graph(given)
-        if simple and layout.loop is None:
+        forms = None if in_a_graph(given) else layout.direct
+        if forms is not None and layout.loop is None:
             # without views of the tensors: one takes a microsecond, which counts where a call has one sample
-            direct = unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
+            direct = unguarded(layout.backend, layout.program, dense(given), forms, layout.samples, out)
             form = tensors.values(), layout.names, layout.shapes, layout.samples
             learn(key, layout.backend, layout.program, layout.dtype, *form, out=bool(out))
             return layout.names, direct
@@ -167,10 +168,13 @@ def results_of(
         rows = rows_of(layout, given)
         if layout.loop is None:
             found = run(layout.program, rows, layout.backend)
+            as_given = all(map(is_, rows, given)) and [y.shape for y in found] == [*layout.shapes]
+            if key is not None and layout.direct is not None and as_given and not transforming():
+                learn_graph(key, layout.backend, layout.program, tensors.values(), layout.names)
         else:
             steps = 1 if repeated is None else repeated.steps
             found = run_loop(layout.loop, rows, layout.backend, layout.samples, steps)
-            if simple and steps:
+            if forms is not None and steps:
                 form = tensors.values(), layout.names, layout.shapes, layout.samples
                 learn(key, layout.backend, layout.loop, layout.dtype, *form, steps)
     except (AttributeError, RuntimeError):  # no check before, which would cost every call

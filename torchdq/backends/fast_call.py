@@ -81,11 +81,12 @@ static int is(Object *found, void *value) {  // whether a number that was return
   return same;
 }
 
-static int plain(const Call *c) {  // no other backend is chosen, nor forward or dispatch mode; other transforms do not fit
+static int plain(const Call *c) {  // no backend is chosen, and no dispatch or forward mode; other transforms do not fit
   Object *now = 0;
   if (py->context(c->chosen, 0, &now) < 0 || !now) return 0;
   py->drop(now);
-  return now == c->automatic && is(py->call(c->modes, 0, 0, 0), 0) && is(py->attribute(c->forward, c->level), (void *)(word)-1);
+  int automatic = now == c->automatic && is(py->call(c->modes, 0, 0, 0), 0);
+  return automatic && is(py->attribute(c->forward, c->level), (void *)(word)-1);
 }
 
 static int overlapping(const Call *c, char **p, word count) {
@@ -206,13 +207,15 @@ class Method(ctypes.Structure):
 
 
 class FastCall(NamedTuple):
-    """Function of the tensors of a call, which returns a tuple of results, or None: take the common way."""
+    """Function of the arguments of a call, which returns a tuple of results, or None: take the common way."""
 
     function: Callable[..., tuple[Tensor, ...] | None]
     names: tuple[str, ...]  # of the results
 
 
-FAST: Bounded[Hashable, tuple[FastCall, ...]] = Bounded(LAYOUTS)  # by key of `quick`, the last one that was learned first
+FAST: Bounded[Hashable, tuple[FastCall, ...]] = Bounded(
+    LAYOUTS
+)  # by key of `quick`, the last one that was learned first
 SHAPES = 8  # fast calls of a key
 
 
@@ -263,8 +266,12 @@ def learn(
     inputs = [x for x in given if x is not None]
     grads = tuple([x.requires_grad for x in inputs]) if learned else ()
     forms = tuple([tuple(x.shape) for x in inputs]), tuple(map(tuple, results))
+    keep(key, fast_call(what, dtype, *forms, tuple(names), samples, steps, out, absent, grads))
+
+
+def keep(key: Hashable, fast: FastCall | None) -> None:
+    """Let `quick` try a fast call, before those of its key that it knows."""
     known = FAST.get(key, ())
-    fast = fast_call(what, dtype, *forms, tuple(names), samples, steps, out, absent, grads)
     if fast is not None and fast not in known:
         FAST[key] = (fast, *known[: SHAPES - 1])
 
@@ -324,7 +331,16 @@ def fast_call(
     method = Method(what.name.encode(), start, FASTCALL, None)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.restype, make.argtypes = ctypes.py_object, (ctypes.c_void_p, ctypes.py_object, ctypes.py_object)
-    kept = (call, method, objects, sizes, plan, starts, kernel, library)  # what it points to lives as its module, as long as it does
+    kept = (
+        call,
+        method,
+        objects,
+        sizes,
+        plan,
+        starts,
+        kernel,
+        library,
+    )  # what it points to lives as its module, as long as it does
     return FastCall(make(ctypes.addressof(method), ctypes.addressof(call), kept), names)
 
 

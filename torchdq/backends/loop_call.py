@@ -75,20 +75,27 @@ def repeat_while(
     Rows take some steps together; those that are done make room for others. A step must leave them as they are.
 
     Args:
-        goes_on: function of carried rows [rows, width] that is True [rows] where they are not done.
+        goes_on: function of carried rows [..., width] that is True [...] where they are not done.
         what: the computation.
         steps: number of steps of so many rows before `goes_on` is asked.
         carried, fixed, backend: as in `repeat`.
     """
-    given = {**carried, **fixed}
+    given, repeated = {**carried, **fixed}, Repeated(1, tuple(carried), ends=True)
     if not all(map(is_dense, given.values())):
         batch_of(what, given)  # raises
     # one layout for all steps, since those of ever new numbers of rows would take as long as the steps
-    layout = layout_of(what, given, backend, repeated=Repeated(1, tuple(carried), ends=True))
+    layout = layout_of(what, given, backend, repeated=repeated)
+    most = TOGETHER * torch.get_num_threads() if layout.device.type == "cpu" else layout.samples
+    if layout.samples <= most:  # without the operations that sort rows
+        carried = evaluate(what, given, backend, repeated=repeated._replace(steps=steps(layout.samples)))
+        if not goes_on(carried).any():
+            return carried
+        given |= carried
+        layout = layout_of(what, given, backend, repeated=repeated)
     count, rows = layout.samples, rows_of(layout, list(given.values()))
     loop: Loop = layout.loop  # type: ignore[assignment]  # steps are repeated
     device, states = rows[0].device, len(carried)
-    following = min(count, TOGETHER * torch.get_num_threads() if device.type == "cpu" else count)
+    following = min(count, most)
     several = [not a.uniform for a in loop.arguments]
     first = [x[:following] if each and following < count else x for x, each in zip(rows, several, strict=True)]
     now, same, at = first[:states], first[states:], torch.arange(following, device=device)
@@ -97,9 +104,6 @@ def repeat_while(
         made = run_loop(loop, [*now, *same], layout.backend, len(at), steps(len(at)), among=count)
         now = [made[r] for _, r in loop.carried]
         goes = goes_on(dict(zip(carried, now, strict=True)))
-        if len(at) == count and not goes.any():  # all in one: without the operations that sort rows
-            found = [[at, *now]]
-            break
         on, off = (x.nonzero()[:, 0] for x in (goes, ~goes))
         found.append([x.index_select(0, off) for x in (at, *now)])
         more = torch.arange(following, min(following + len(off), count), device=device)
@@ -111,8 +115,7 @@ def repeat_while(
             new = (more, *[x.index_select(0, more) for x in rows[:states]])
             at, *now = [torch.cat(pair) for pair in zip((at, *now), new, strict=True)]
         same = [x.index_select(0, at) if each else x for x, each in zip(rows[states:], several[states:], strict=True)]
-    order, *whole = found[0] if len(found) == 1 else map(torch.cat, zip(*found, strict=True))
-    if len(found) > 1:
-        back = order.argsort()
-        whole = [x.index_select(0, back) for x in whole]
+    order, *whole = map(torch.cat, zip(*found, strict=True))
+    back = order.argsort()
+    whole = [x.index_select(0, back) for x in whole]
     return {name: x.view(layout.shapes[r]) for name, x, (_, r) in zip(carried, whole, loop.carried, strict=True)}

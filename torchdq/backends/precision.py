@@ -7,22 +7,34 @@ reads the factors; on a GPU, where that would be a synchronisation, the kernels 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Hashable, Sequence
 from functools import partial
 from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 
+from torchdq.backends import choice
 from torchdq.backends.backend import Backend, DirectKernel, Form, largest_growth
-from torchdq.backends.fast_call import learn, quick
+from torchdq.backends.c import C
+from torchdq.backends.fast_call import FastCall, keep, learn, quick
 from torchdq.backends.torch import EAGER, interpreted_loop
+from torchdq.base.caches import LAYOUTS, remembered
 from torchdq.errors import ArgumentError
 from torchdq.program import loop_autograd
-from torchdq.program.autograd import differentiable, in_a_graph
+from torchdq.program.autograd import differentiable, in_a_graph, recorded
 from torchdq.program.loop import Loop
 from torchdq.program.program import Program, samples_of
-from torchdq.program.transforms import empty_on_cpu, jit_tracing, proxy_tracing, transforming, without_values
+from torchdq.program.transforms import (
+    alike,
+    empty_on_cpu,
+    forward_mode,
+    jit_tracing,
+    modes,
+    proxy_tracing,
+    transforming,
+    without_values,
+)
 
 
 class Guarded(NamedTuple):
@@ -58,6 +70,51 @@ def run(program: Program, inputs: Sequence[Tensor], backend: Backend) -> Sequenc
             "backend='eager', or use torch.export or torch.compile"
         )
     return differentiable(Guarded(backend), program, inputs)
+
+
+def learn_graph(
+    key: Hashable, backend: Backend, program: Program, given: Collection[Tensor | None], names: tuple[str, ...]
+) -> None:
+    """Let calls with a key of `quick` be fast where torch records gradients, for rows like these."""
+    if not isinstance(backend, C):
+        return
+    rows = [x for x in given if x is not None]
+    forms = tuple([(tuple(x.shape), tuple(x.stride()), x.dtype) for x in rows])
+    absent, learned = tuple([x is None for x in given]), tuple([x.requires_grad for x in rows])
+    keep(key, _graph_call(program, backend, forms, learned, absent, names))
+
+
+@remembered(LAYOUTS)
+def _graph_call(
+    program: Program,
+    backend: Backend,
+    forms: tuple[Form, ...],
+    learned: tuple[bool, ...],
+    absent: tuple[bool, ...],
+    names: tuple[str, ...],
+) -> FastCall:
+    """Fast call of `run` where torch records gradients, for rows of these forms.
+
+    Args:
+        learned: whether each of the rows requires grad.
+        absent: whether each argument of the call is None.
+    """
+    fits, execute = alike(forms, learned), Guarded(backend)
+
+    def call(*given: Tensor | None) -> tuple[Tensor, ...] | None:
+        rows = [x for x in given if x is not None]
+        if (
+            [x is None for x in given] != known
+            or choice.present() != "auto"
+            or forward_mode()
+            or modes()
+            or not fits(*rows)
+        ):
+            return None
+        return recorded(execute, program, rows)
+
+    known = list(absent)
+    return FastCall(call, names)
 
 
 def run_loop(

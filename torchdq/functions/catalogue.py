@@ -140,9 +140,9 @@ RECIPES: dict[str, Recipe] = {
         fixed_only=_NO_MOTOR,
     ),
     "inverse_kinematics_step": Recipe(
-        (*joints("q", "best"), Field("state", (5,)), Field("X", (8,)), Field("settings", (4,), kind="shared"), *TASK),
+        (*joints("q", "best"), Field("state", (6,)), Field("X", (8,)), Field("settings", (4,), kind="shared"), *TASK),
         (ik.step,),
-        lambda *task: (("n",), ("n",), (5,)),
+        lambda *task: (("n",), ("n",), (6,)),
         fixed_only=_ANYWHERE,
     ),
     "inverse_kinematics_newton": Recipe(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import reduce
 
 import torch
 from torch import Tensor
@@ -45,13 +46,19 @@ SLOWEST, FIRST = 0.9, 2.0  # below 1, so that every start ends; the mean at a st
 PATIENT, SPREAD, LAST = 1.0 - 2.0**-30, 0.5, 8  # of the last steps
 SINGULAR = 1e-10  # pivots of J J^T are at least this share of its diagonal where it is not damped
 STEPS, FEW = 8, 64  # steps until rows are looked at, and rows from which a look is cheaper than their steps
+FAR = 1e3  # [m] distance beyond which the direction of a goal decides, and its square does not overflow
 GIVEN = 1e-3  # share of a twist that may be missing
 
 
-def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Screw, Task, Matrix]:
-    """Error of a frame, (rotation vector, displacement) to the desired pose, its task, and rates -de/dq."""
-    at, task = x.posed(), task_of(x, name, expressed, axes)
-    X, goal = pose_of(at, task), pose_of_any_norm(x.arguments["X"])
+def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Screw, Task, Matrix, Number]:
+    """Error of a frame, (rotation vector, displacement) to the desired pose, its task, rates -de/dq, and a share.
+
+    It is that which is left of a translation farther than `FAR`.
+    """
+    at, task, X_des = x.posed(), task_of(x, name, expressed, axes), x.arguments["X"]
+    near, far = (reduce(maximum, map(absolute, half)) for half in (X_des[:4], X_des[4:]))
+    share = select(below(FAR * near, far), FAR * near / far, 1.0)
+    X, goal = pose_of(at, task), pose_of_any_norm([*X_des[:4], *[share * a for a in X_des[4:]]])
     if task.world:  # the other way round, since the axes do not turn with the frame
         back, p = quat.mul(X[0], quat.conj(goal[0])), quat.sub(dq.translation(goal), dq.translation(X))
     else:
@@ -65,7 +72,7 @@ def deviation(x: RecipeInputs, name: str, expressed: str, axes: str) -> tuple[Sc
         # components that are left out do not vanish at a solution, and count in the rates of the others
         rate = pose_error.error_rate((turn, quat.ZERO), (w, quat.ZERO))[0] if 0 < turns < 3 else w
         columns.append(task.of((rate, quat.add(v, quat.cross(w, p)) if 0 < moves < 3 and not task.world else v)))
-    return (quat.neg(turn) if task.world else turn, p), task, tuple(zip(*columns, strict=True))
+    return (quat.neg(turn) if task.world else turn, p), task, tuple(zip(*columns, strict=True)), share
 
 
 @remembered(PROGRAMS)
@@ -74,7 +81,7 @@ def _given(of: Constants, settings: tuple[float, ...], dtype: torch.dtype, devic
     with torch.inference_mode(False), with_values():
         robot = recorded(of)
         middle = start(0.0, ranges(robot))
-        numbers = (middle, [math.nan] * len(middle), [0.0, 0.0, *[math.inf] * 3], settings)
+        numbers = (middle, [math.nan] * len(middle), [1.0, 0.0, 0.0, *[math.inf] * 3], settings)
         made = [torch.tensor(x, dtype=dtype, device=device) for x in numbers]
         return (*(bound.to(device, dtype) for bound in robot.limits[:2]), *made)
 
@@ -124,18 +131,20 @@ def _least_norm(J: Matrix, factors: ltdl.TreeFactors, b: Row) -> list[Number]:
 def step(x: RecipeInputs, *options: str) -> Results:
     """Next q of a row, its best so far, and its state; where it has converged or has no starts left, the same again.
 
-    The state is the number of the start, whether it has converged, the mean of e.e, and of the best the squares of
-    both parts of e; the settings are the largest of both parts, the number of starts, and that with the last steps.
+    The state is whether it goes on, the number of the start, whether it has converged, the mean of e.e, and the sizes
+    of both parts of the best e; the settings are the largest of these, the number of starts, and that with the last
+    steps.
     """
     q, best, state, settings = (x.arguments[name] for name in ("q", "best", "state", "settings"))
-    k, converged, mean, *least = state
-    limits, (e, task, J) = ranges(x.robot), deviation(x, *options)
+    active, k, converged, mean, *least = state
+    limits, (e, task, J, share) = ranges(x.robot), deviation(x, *options)
     kinds = [[a for r, a in enumerate((*e[0], *e[1])) if r in task.rows and r // 3 == kind] for kind in (0, 1)]
     squares, wanted = [dot(kind, kind) for kind in kinds], task.of(e)
     total = squares[0] + squares[1]
     close = at_least(settings[0] * settings[0], squares[0]) * at_least(settings[1] * settings[1], squares[1])
-    active, last = at_least(settings[3], k) * (1.0 - converged), at_least(k, settings[2])
-    better = active * below(total, least[0] + least[1])
+    last, sizes = at_least(k, settings[2]), (sqrt(squares[0]), sqrt(squares[1]) / share)
+    so_far = (least[0], share * least[1])
+    better = active * below(total, dot(so_far, so_far))
     best = [select(better, a, b) for a, b in zip(q, best, strict=True)]
     runs = below(total, select(last, PATIENT, SLOWEST) * mean)
     again, goes = (active * (1.0 - close) * share for share in (1.0 - runs, runs))
@@ -149,7 +158,7 @@ def step(x: RecipeInputs, *options: str) -> Results:
     curved = select(last, SPREAD * sqrt(total * sum(dot(row, row) for row in free)), 0.0)
     change = _least_norm(free, _factors(free, DAMPING * total + LEAST + curved), wanted)
     moved = [clip(a + d, *bounds) for a, d, bounds in zip(q, change, limits, strict=True)]
-    after = k + again
+    after, converged = k + again, maximum(converged, active * close)
     number = select(at_least(after, settings[2]), after - settings[2], after)  # 0 after the first: the best
     fresh = [select(at_least(0.0, number), b, a) for a, b in zip(start(number, limits), best, strict=True)]
     mean = select(at_least(mean, math.inf), FIRST * total, select(last, total, 0.5 * (mean + total)))
@@ -157,10 +166,11 @@ def step(x: RecipeInputs, *options: str) -> Results:
         "q": [select(again, s, select(goes, b, a)) for s, b, a in zip(fresh, moved, q, strict=True)],
         "best": best,
         "state": [
+            at_least(settings[3], after) * (1.0 - converged),
             after,
-            maximum(converged, active * close),
+            converged,
             select(again, math.inf, mean),
-            *[select(better, a, b) for a, b in zip(squares, least, strict=True)],
+            *[select(better, a, b) for a, b in zip(sizes, least, strict=True)],
         ],
     }
 
@@ -184,20 +194,20 @@ def solve(
     lower, upper, middle, none, state, numbers = _given(constants(robot), settings, X.dtype, X.device)
     q = middle if begin is None else begin.detach().clamp(lower, upper)
     found = repeat_while(
-        lambda now: torch.add(*now["state"][:, :2].unbind(-1), alpha=settings[3] + 1) <= settings[3],
+        lambda now: now["state"][..., 0] > 0,
         what,
         lambda rows: STEPS if rows > FEW else 4 * STEPS,
         {"q": q, "best": none, "state": state},  # NaN is left where no start has an error
         {"X": X, "settings": numbers, **{k: getattr(robot, k).detach() for k in arguments(robot)}},
         backend,
     )
-    k, converged, _, error = found["state"].split_with_sizes((1, 1, 1, 2), -1)
-    return found["best"], converged[..., 0] > 0, error.sqrt(), (k[..., 0].long() + 1).clamp(max=int(settings[2]))
+    _, k, converged, _, error = found["state"].split_with_sizes((1, 1, 1, 1, 2), -1)
+    return found["best"], converged[..., 0] > 0, error, (k[..., 0].long() + 1).clamp(max=int(settings[2]))
 
 
 def newton(x: RecipeInputs, *options: str) -> Results:
     """Error e of the components, and the matrix J^+ of the step J^+ e."""
-    e, task, J = deviation(x, *options)
+    e, task, J, _ = deviation(x, *options)
     factors, m = _factors(J, None), len(J)
     columns = [_least_norm(J, factors, [float(i == k) for i in range(m)]) for k in range(m)]
     return {"e": task.of(e), "P": [a for row in zip(*columns, strict=True) for a in row]}

@@ -62,7 +62,12 @@ def differentiable(execute: Execute, program: Program, inputs: Sequence[Tensor])
 
 def _plain(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
     """Results of a program outside of the transforms of torch.func."""
-    return _Differentiable.apply(execute, program, *inputs) if in_a_graph(inputs) else execute(program, inputs)
+    return recorded(execute, program, inputs) if in_a_graph(inputs) else execute(program, inputs)
+
+
+def recorded(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """Results of a program, recorded for gradients."""
+    return _Differentiable.apply(execute, program, *inputs)
 
 
 def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> list:

@@ -120,9 +120,14 @@ def alike(
         return _guards(*examples, dynamic_dims_sizes=None, dynamic_dims_strides=None).check
 
 
+def forward_mode() -> bool:
+    """Whether forward-mode differentiation is active."""
+    return getattr(forward_ad, "_current_level", 0) >= 0
+
+
 def transforming() -> bool:
     """Whether a transform of `torch.func` or forward-mode differentiation is active."""
-    return functional() or getattr(forward_ad, "_current_level", 0) >= 0
+    return functional() or forward_mode()
 
 
 class Level:

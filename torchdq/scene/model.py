@@ -259,8 +259,8 @@ class SceneModel:
         key: Any = None
         if self.backend is None and self.precision == "auto" and not (self.noises or self.computed or self.looped):
             constants(self.robot)  # raises if they were changed in place
-            given = (*state, *inputs.values(), *self.parameters.values())
-            key, names, found = quick((self.spec, task, *inputs), given)
+            tensors = (*state, *inputs.values(), *self.parameters.values())
+            key, names, found = quick((self.spec, task, *inputs), tensors)
             if found is not None:
                 return _split(dict(zip(names, found, strict=True)))
         require_state(state)
