@@ -69,7 +69,7 @@ def made(tmp_path_factory) -> dict[str, Path]:
         library, source = name.replace("98", f"{version}"), "empty.c" if "builtins" in name else "fake.c"
         options = ["-w", f"-DMAJOR={version}", "-shared", "-fPIC", "-o", library, source]
         options += [f"-Wl,-soname,{library}"] if version == 96 else []
-        subprocess.run([compiler().command[0], *options], cwd=folder, check=True)
+        subprocess.run([*compiler().command, *options], cwd=folder, check=True)
     return {path.name: path for path in folder.glob("lib*")}
 
 

@@ -36,9 +36,7 @@ def wide() -> bool:
 
 def flags() -> list[str]:
     """Arguments of the compiler."""
-    found = compiler()
-    own = () if found is None else found.own
-    return [*FLAGS, *system.arguments(os.environ.get("TORCHDQ_CFLAGS", "")), *ARITHMETIC, *LIBRARY, *own]
+    return [*FLAGS, *system.arguments(os.environ.get("TORCHDQ_CFLAGS", "")), *ARITHMETIC, *LIBRARY]
 
 
 def entry_key(source: str) -> str:
@@ -85,7 +83,7 @@ def _compile(library: Path, source: str, name: str) -> None:
         _run_compiler([*found.command, *flags()], library, pieces)
         _opened(library)
     except BuildError as error:
-        raise BuildError(f"{found.command[0]} could not compile the program {name!r}: {error}") from error
+        raise BuildError(f"{' '.join(found.command)} could not compile the program {name!r}: {error}") from error
 
 
 def _run_compiler(command: list[str], library: Path, pieces: int) -> None:

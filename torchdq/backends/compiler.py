@@ -74,7 +74,6 @@ class Compiler(NamedTuple):
 
     command: tuple[str, ...]  # path and arguments
     version: str  # output of --version
-    own: tuple[str, ...] = ()  # arguments that it alone needs
 
 
 @remembered(1)
@@ -99,7 +98,7 @@ def _asked(name: str) -> Compiler:
         raise BuildError(f"there is no program {program!r} on the path")
     # zig builds a libc to link with, which takes half a minute, and the process has one; without -O it adds checks
     own = ("-nostdlib", "-fno-sanitize=undefined", *system.ZIG) if "ziglang" in arguments else ()
-    return Compiler((path, *arguments), run([[path, *arguments, "--version"]], ASKED), own)
+    return Compiler((path, *arguments, *own), run([[path, *arguments, "--version"]], ASKED))
 
 
 def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = None) -> str:
@@ -108,7 +107,9 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
     None of their processes outlives the call if one fails, takes too long or is interrupted; then raises `BuildError`.
     """
     program, deadline = commands[0][0], time.monotonic() + limit
-    environment = {**os.environ, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))} if folder else None
+    environment = {name: value for name, value in os.environ.items() if name != "CC"}  # which zig would ask
+    if folder:
+        environment |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
     running: list[subprocess.Popen[bytes]] = []
     output = b""
     try:
