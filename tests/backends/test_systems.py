@@ -12,12 +12,13 @@ from importlib.machinery import PathFinder
 import pytest
 import torch
 from exporting import STRICT
-from loops import step
 from places import ROOT, TESTS
 
 import torchdq
 from torchdq.backends import c_library, compiler, fast_call
 from torchdq.backends.c_loop import source
+from torchdq.program.loop import Loop
+from torchdq.program.program import Argument, record
 
 zig = pytest.mark.skipif(PathFinder.find_spec("ziglang") is None, reason="no ziglang")
 Q = (0.3, -0.7)
@@ -86,7 +87,9 @@ def test_programs_compile_for_other_systems(target, tmp_path):
     robot = torchdq.robots.load("panda")
     compiled = torchdq.compile(robot, "forward_dynamics")
     exported = compiled.export(tmp_path, "exported", batch=True).source
-    texts = {"program": source(compiled.program, False), "loop": source(step(), True), "call": fast_call.source()}
+    step = record("turn", [Argument("x", 3)], lambda x: {"x": [a + a.sin() for a in x], "y": [x[0] * x[1]]})
+    loop = Loop(step, carried=((0, 0),), kept=(1,))
+    texts = {"program": source(compiled.program, False), "loop": source(loop, True), "call": fast_call.source()}
     for name, text in texts.items():
         (tmp_path / f"{name}.c").write_text(text)
     named = (*compiler.ZIG, "-target", target)
