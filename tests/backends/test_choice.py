@@ -130,7 +130,7 @@ def test_a_program_compiled_ahead_is_the_function():
     cotangent = torch.ones_like(q)
     expected = torch.autograd.grad(torchdq.inverse_dynamics(TWO, *x), x, cotangent)
     assert all(map(torch.equal, compiled.vjp()(q, qd, qdd, cotangent), expected))
-    assert "void run(long samples" in compiled.source("c")
+    assert "void run(word samples" in compiled.source("c")
 
 
 def test_compiled_functions_have_the_options_of_the_public_ones():

@@ -69,7 +69,7 @@ int cuLaunchKernel(char*k,unsigned x,unsigned y,unsigned z,unsigned u,unsigned v
 def built(text, folder, name):
     """Path of a library."""
     (folder / "driver.c").write_text(text)
-    command = [compiler().command[0], "-w", "-shared", "-fPIC", "-pthread", "-o", name, "driver.c"]
+    command = [*compiler().command, "-w", "-shared", "-fPIC", "-pthread", "-o", name, "driver.c"]
     subprocess.run(command, cwd=folder, check=True)
     return str(folder / name)
 

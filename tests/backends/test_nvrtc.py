@@ -19,6 +19,7 @@ import torchdq
 from torchdq.backends import cache, nvrtc
 from torchdq.backends.compiler import BuildError, compiler
 from torchdq.backends.nvrtc import Usage, usage
+from torchdq.base import system
 
 # compiles nothing: the log is the source, or its second part with less optimisation; the code is the options
 FAKE = """
@@ -68,7 +69,7 @@ def made(tmp_path_factory) -> dict[str, Path]:
         library, source = name.replace("98", f"{version}"), "empty.c" if "builtins" in name else "fake.c"
         options = ["-w", f"-DMAJOR={version}", "-shared", "-fPIC", "-o", library, source]
         options += [f"-Wl,-soname,{library}"] if version == 96 else []
-        subprocess.run([compiler().command[0], *options], cwd=folder, check=True)
+        subprocess.run([*compiler().command, *options], cwd=folder, check=True)
     return {path.name: path for path in folder.glob("lib*")}
 
 
@@ -198,8 +199,8 @@ def test_without_one_the_reason_says_what_to_do(machine, monkeypatch):
     monkeypatch.setattr(torch.version, "cuda", "12.6")
     monkeypatch.setattr(nvrtc, "_candidates", lambda: ())
     assert "pip install nvidia-cuda-nvrtc-cu12'" in search()
-    monkeypatch.setattr(sys, "platform", "darwin")
-    assert "Linux only" in search()
+    monkeypatch.setattr(system, "NVRTC", "")  # on macOS
+    assert "Linux and Windows only" in search()
 
 
 @pytest.mark.parametrize("name", ["nowhere", "occupied"])

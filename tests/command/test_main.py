@@ -26,6 +26,7 @@ from places import ROOT
 from recorded_logs import STEP, states, written
 
 import torchdq
+from torchdq.backends import compiler
 from torchdq.base import machine, progress
 from torchdq.command import doctor
 from torchdq.command.main import ABOUT, COMMANDS, INTERRUPTED, MISTAKE, USAGE, WELL, _parsed, main
@@ -652,6 +653,7 @@ def test_a_compiler_that_fails_is_broken_with_a_cure(here, capsys, other_compile
 def test_no_compiler_is_a_warning(here, capsys, other_compiler):
     other_compiler.setenv("PATH", str(here))
     other_compiler.delenv("CC", raising=False)
+    other_compiler.setattr(compiler, "ZIG", ("/nowhere",))
     out, _ = told(capsys, "doctor")
     assert "install gcc or clang" in " ".join(out.split()) and "it works; 1 warning" in out
 

@@ -1,5 +1,7 @@
 """Distances of spheres from objects, the ground and each other are MuJoCo's, their derivatives those of differences."""
 
+import shutil
+
 import mujoco
 import pytest
 import torch
@@ -162,6 +164,7 @@ def test_the_ground_may_slope_and_the_tip_is_the_point_by_default():
     assert float(found.distance) == pytest.approx(0.6 * 2.0 - 0.5)
 
 
+@pytest.mark.skipif(shutil.which("g++") is None, reason="inductor needs a C++ compiler")
 def test_a_compiled_program_takes_what_there_is_and_is_part_of_a_graph():
     arm, at = robot(), (points(), (BALL,), "", "")
     assert [a.name for a in torchdq.compile(arm, "distances").program.arguments] == ["q", "height", "normal"]

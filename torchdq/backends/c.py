@@ -146,7 +146,8 @@ def _plan(
     """Plan of `run`, None for a program, and forms of the outputs: summed ones have a row for each part of samples."""
     if isinstance(what, Loop):
         numbers = (steps, samples, *taken_as(what), *addresses)
-        plan, results, rows = (ctypes.c_long * len(numbers))(*numbers), outputs(what.body), shapes(what, samples, steps)
+        plan = (ctypes.c_int64 * len(numbers))(*numbers)
+        results, rows = outputs(what.body), shapes(what, samples, steps)
     else:
         plan, results = None, outputs(what)
         rows = [(*((samples,) if not r.summed else ()), len(r.values)) for r in results]

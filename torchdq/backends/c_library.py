@@ -5,12 +5,8 @@ A library is kept after it was loaded once. One in memory is unloaded with the l
 of `$CC` change the arithmetic.
 """
 
-import _ctypes
 import ctypes
 import os
-import platform
-import shlex
-import sys
 import weakref
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +15,9 @@ from typing import NamedTuple
 from torchdq.backends import cache
 from torchdq.backends.c_source import pieces_of
 from torchdq.backends.compiler import BuildError, compiler, no_compiler, run
+from torchdq.base import system
 from torchdq.base.caches import remembered
+from torchdq.base.machine import features
 
 FLAGS = ("-O3", "-march=native")  # may be overruled
 # -ffast-math and each of its parts make sines wrong; -fno-fast-math undoes them all if it comes after them
@@ -31,34 +29,21 @@ PROCESSES = 4  # processes that compile one program at most
 
 
 @remembered(1)
-def _processor() -> str:
-    """Features of the processor that -march=native depends on."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        kinds = sorted({line for line in lines if line.startswith(("flags", "Features", "model name", "CPU part"))})
-    except OSError:
-        kinds = []
-    return "\n".join([platform.machine(), platform.processor(), sys.platform, *kinds])
-
-
-@remembered(1)
 def wide() -> bool:
     """Whether the processor has vectors of 64 bytes."""
-    return "avx512f" in _processor()
+    return "avx512" in features().lower()
 
 
 def flags() -> list[str]:
     """Arguments of the compiler."""
-    found = compiler()
-    own = () if found is None else found.own
-    return [*FLAGS, *shlex.split(os.environ.get("TORCHDQ_CFLAGS", "")), *ARITHMETIC, *LIBRARY, *own]
+    return [*FLAGS, *system.arguments(os.environ.get("TORCHDQ_CFLAGS", "")), *ARITHMETIC, *LIBRARY]
 
 
 def entry_key(source: str) -> str:
     """Name of the library of a source: hash of everything that it depends on."""
     found = compiler()
     version = "" if found is None else "\n".join([*found.command, found.version])
-    return cache.key_of(source, version, *flags(), _processor())
+    return cache.key_of(source, version, *flags(), features())
 
 
 class Library(NamedTuple):
@@ -71,18 +56,18 @@ class Library(NamedTuple):
 def _opened(path: Path, pointers: int = 0) -> Library:
     """Functions of a library, which is unloaded with the last reference to `run`.
 
-    Functions of `ctypes.CDLL` refer to themselves and its libraries stay, so the function is made from its address.
+    Libraries of `ctypes.CDLL` stay and their functions refer to themselves, so the function is made from its address.
     """
     try:
-        library = _ctypes.dlopen(str(path), ctypes.DEFAULT_MODE)
-        address = _ctypes.dlsym(library, "run")
-    except OSError as error:
+        library = ctypes.CDLL(str(path))
+        address = ctypes.addressof(ctypes.c_char.in_dll(library, "run"))
+    except (OSError, ValueError) as error:
         raise BuildError(f"{path} is not a library with a function 'run': {error}") from error
-    function = ctypes.CFUNCTYPE(None, ctypes.c_long, *(ctypes.c_void_p,) * (1 + pointers))(address)
-    weakref.finalize(function, _ctypes.dlclose, library).atexit = False
+    function = ctypes.CFUNCTYPE(None, ctypes.c_int64, *(ctypes.c_void_p,) * (1 + pointers))(address)
+    weakref.finalize(function, system.unload, library._handle).atexit = False
     try:
-        parts = (ctypes.c_long * 2).from_address(_ctypes.dlsym(library, "parts"))
-    except OSError:
+        parts = (ctypes.c_int64 * 2).in_dll(library, "parts")
+    except ValueError:
         return Library(function, ())
     return Library(function, tuple(parts))
 
@@ -92,25 +77,25 @@ def _compile(library: Path, source: str, name: str) -> None:
     found = compiler()
     if found is None:
         raise no_compiler()
-    library.with_suffix(".c").write_text(source)
+    library.with_suffix(".c").write_text(source, encoding="utf-8")
     pieces = min(pieces_of(source), os.cpu_count() or 1, PROCESSES)
     try:
         _run_compiler([*found.command, *flags()], library, pieces)
         _opened(library)
     except BuildError as error:
-        raise BuildError(f"{found.command[0]} could not compile the program {name!r}: {error}") from error
+        raise BuildError(f"{' '.join(found.command)} could not compile the program {name!r}: {error}") from error
 
 
 def _run_compiler(command: list[str], library: Path, pieces: int) -> None:
     """Compile a source, in several processes at once if it is long."""
     folder, source = library.parent, str(library.with_suffix(".c"))
     if pieces == 1:
-        run([[*command, "-o", str(library), source, "-lm"]], LIMIT, folder)
+        run([[*command, "-o", str(library), source, system.MATH]], LIMIT, folder)
         return
     objects = [str(folder / f"{k}.o") for k in range(pieces)]
     parts = [f"-DPIECES={pieces}", "-c", source]
     run([[*command, *parts, f"-DPIECE={k}", "-o", to] for k, to in enumerate(objects)], LIMIT, folder)
-    run([[*command, "-o", str(library), *objects, "-lm"]], LIMIT, folder)
+    run([[*command, "-o", str(library), *objects, system.MATH]], LIMIT, folder)
 
 
 def load(source: str, name: str, pointers: int) -> Library:

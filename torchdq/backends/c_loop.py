@@ -93,16 +93,16 @@ def source(what: Program | Loop | Body, single: bool, few: bool = False) -> str:
         *map(_add, sorted({widths[r] for r in summed})),
         _GROWTH if program.growth is not None else "",
         *parts,
-        f"void run(long samples,const long*plan,{','.join(pointers)}){{",
-        f"static const long alone[]={{1,0{f',{OF_EVERY_STEP}' * places}}};if(!plan)plan=alone;",
-        f"const long steps=plan[0],stride=plan[1],ahead={'-' * body.backwards}stride,*how=plan+2;",
+        f"void run(word samples,const word*plan,{','.join(pointers)}){{",
+        f"static const word alone[]={{1,0{f',{OF_EVERY_STEP}' * places}}};if(!plan)plan=alone;",
+        f"const word steps=plan[0],stride=plan[1],ahead={'-' * body.backwards}stride,*how=plan+2;",
         *prelude,
         *(f"T A{r}[{widths[r]}];for(int j=0;j<{widths[r]};j++)A{r}[j]=(T){{}};" for r in summed),
-        "for(long b=0;b<samples;b+=LANES){const long left=samples-b;",
+        "for(word b=0;b<samples;b+=LANES){const word left=samples-b;",
         *(f"T I{k}[{w}];" for k, w in inputs.items()),
         *(f"T O{r}[{w}];" for r, w in enumerate(widths)),
         *(f"T Q{r}[{widths[r]}];" for r in rows),
-        f"for(long s=0;s<steps;s++){{const long row=({'steps-1-s' if body.backwards else 's'})*stride,at=b+row;",
+        f"for(word s=0;s<steps;s++){{const word row=({'steps-1-s' if body.backwards else 's'})*stride,at=b+row;",
         *once,
         "}}",
         *(
@@ -121,13 +121,13 @@ def source(what: Program | Loop | Body, single: bool, few: bool = False) -> str:
 def _read(w: int) -> str:
     """Function that reads rows; idle lanes repeat the last sample, so that every sample takes the same code."""
     return (
-        f"{NOINLINE} void read{w}(T*to,const S*from,long left){{"
-        f"if(left>=LANES+(TILE+{w - 1})/{w})load(to,from,{w});else{{const long last=(left<LANES?left:LANES)-1;"
+        f"{NOINLINE} void read{w}(T*to,const S*from,word left){{"
+        f"if(left>=LANES+(TILE+{w - 1})/{w})load(to,from,{w});else{{const word last=(left<LANES?left:LANES)-1;"
         f"for(int l=0;l<LANES;l++)for(int j=0;j<{w};j++)to[j][l]=from[(l<=last?l:last)*{w}+j];}}}}"
     )
 
 
-_KEPT = "S*to,T*sums,const T*of,long b,long row,long ahead,long left,long s,long steps,long how"
+_KEPT = "S*to,T*sums,const T*of,word b,word row,word ahead,word left,word s,word steps,word how"
 
 
 def _keep(w: int) -> str:
@@ -148,7 +148,7 @@ def _keep(w: int) -> str:
 def _add(w: int) -> str:
     """Function that adds rows, without those of idle lanes, to sums in the lanes."""
     return (
-        f"{NOINLINE} void add{w}(T*to,const T*of,long left){{"
+        f"{NOINLINE} void add{w}(T*to,const T*of,word left){{"
         f"if(left>=LANES)for(int j=0;j<{w};j++)to[j]+=of[j];"
         f"else for(int j=0;j<{w};j++)for(int l=0;l<left;l++)to[j][l]+=of[j][l];}}"
     )

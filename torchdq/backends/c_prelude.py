@@ -30,6 +30,7 @@ _PRELUDE = """
 #endif
 #define LANES (BYTES/SIZE)
 #define TILE (LANES<8?LANES:8)
+typedef __INT64_TYPE__ word;
 typedef S T __attribute__((vector_size(BYTES)));
 typedef N M __attribute__((vector_size(BYTES)));
 typedef T U __attribute__((aligned(SIZE)));
@@ -162,7 +163,7 @@ typedef H V __attribute__((aligned(SIZE)));
 #define PAIR
 #endif
 #endif
-static inline T row(const S*at,long stride){
+static inline T row(const S*at,word stride){
 #ifdef PAIR
   return __builtin_shufflevector(*(const V*)at,*(const V*)(at+8*stride),0,1,2,3,4,5,6,7,8,9,10,11,12,13,14,15);
 #else
@@ -181,7 +182,7 @@ static inline void put(S*at,T v,int half,int count,int whole){
   if(whole)*(V*)at=x;else for(int j=0;j<count;j++)at[j]=x[j];
 }
 #else
-static inline T row(const S*at,long stride){return *(const U*)at;}
+static inline T row(const S*at,word stride){return *(const U*)at;}
 static inline void put(S*at,T v,int half,int count,int whole){
   if(whole)*(U*)at=v;else for(int j=0;j<count;j++)at[j]=v[j];
 }

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Literal
 
 from torchdq.backends.compiler import BuildError
+from torchdq.base import system
 from torchdq.base.progress import Progress, warn_once
 
 Suffix = Literal[".so", ".cubin"]
@@ -44,7 +45,7 @@ def directory() -> Path:
         base = Path(stated) if stated else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchdq"
         base.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = base.stat()
-        if status.st_uid != os.getuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        if not system.own(status, alone=True):
             return _temporary(f"others than you can write {base}")
         if not os.access(base, os.W_OK | os.X_OK):
             return _temporary(f"{base} cannot be written")
@@ -96,7 +97,7 @@ def _intact(path: Path, key: str) -> bool:
     """Whether a file exists, belongs to the user, and has the content that was made."""
     try:
         status = path.lstat()
-        if status.st_uid != os.getuid() or not stat.S_ISREG(status.st_mode):
+        if not system.own(status) or not stat.S_ISREG(status.st_mode):
             return False
         data = path.read_bytes()
     except OSError:
@@ -124,7 +125,11 @@ def kept(key: str, suffix: Suffix, name: str, make: Callable[[Path], None]) -> P
                     make(new)
                     body = new.read_bytes()
                     new.write_bytes(body + _digest(key, body))
-                    new.replace(path)
+                    try:
+                        new.replace(path)
+                    except PermissionError:  # Windows replaces no library that a process has loaded, the same one here
+                        if not _intact(path, key):
+                            raise
         os.utime(path)  # used now
     except OSError as error:
         raise BuildError(f"the program {name!r} cannot be stored in {folder}: {error}") from error

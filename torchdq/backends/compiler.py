@@ -5,12 +5,10 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -19,6 +17,7 @@ import torch
 
 from torchdq.backends.backend import Backend, DirectKernel, LoopKernel
 from torchdq.backends.torch import InterpretedKernel, InterpretedLoop
+from torchdq.base import system
 from torchdq.base.caches import remembered
 from torchdq.base.progress import warn_once
 from torchdq.errors import TorchdqError
@@ -36,7 +35,8 @@ class BuildError(TorchdqError, RuntimeError):
 def no_compiler() -> BuildError:
     """Error for a machine without a C compiler."""
     return BuildError(
-        "there is no C compiler; install gcc or clang, name one in $CC, or pip install ziglang, which has one"
+        "there is no C compiler; install gcc or clang, name one in $CC, or pip install 'torchdq[compiler]', which "
+        "brings one"
     )
 
 
@@ -74,7 +74,6 @@ class Compiler(NamedTuple):
 
     command: tuple[str, ...]  # path and arguments
     version: str  # output of --version
-    own: tuple[str, ...] = ()  # arguments that it alone needs
 
 
 @remembered(1)
@@ -82,7 +81,7 @@ def compiler() -> Compiler | None:
     """C compiler: `$CC`, which may have arguments, cc, gcc or clang on the path, or ziglang's; None: there is none."""
     stated = os.environ.get("CC")
     installed = shlex.join(ZIG) if PathFinder.find_spec("ziglang") else ""
-    for name in filter(None, (stated, "cc", "gcc", "clang", installed)):
+    for name in filter(None, (stated, *system.COMPILERS, installed)):
         try:
             return _asked(name)
         except (BuildError, ValueError) as error:
@@ -93,13 +92,13 @@ def compiler() -> Compiler | None:
 
 def _asked(name: str) -> Compiler:
     """Compiler that states its version."""
-    program, *arguments = shlex.split(name) or [name]
+    program, *arguments = system.arguments(name) or [name]
     path = shutil.which(program)
     if path is None:
         raise BuildError(f"there is no program {program!r} on the path")
     # zig builds a libc to link with, which takes half a minute, and the process has one; without -O it adds checks
-    own = ("-nostdlib", "-fno-sanitize=undefined") if "ziglang" in arguments else ()
-    return Compiler((path, *arguments), run([[path, *arguments, "--version"]], ASKED), own)
+    own = ("-nostdlib", "-fno-sanitize=undefined", *system.ZIG) if "ziglang" in arguments else ()
+    return Compiler((path, *arguments, *own), run([[path, *arguments, "--version"]], ASKED))
 
 
 def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = None) -> str:
@@ -108,7 +107,9 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
     None of their processes outlives the call if one fails, takes too long or is interrupted; then raises `BuildError`.
     """
     program, deadline = commands[0][0], time.monotonic() + limit
-    environment = {**os.environ, "TMPDIR": str(folder)} if folder else None
+    environment = {name: value for name, value in os.environ.items() if name != "CC"}  # which zig would ask
+    if folder:
+        environment |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
     running: list[subprocess.Popen[bytes]] = []
     output = b""
     try:
@@ -134,8 +135,6 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
         raise BuildError(f"{program} did not end within {limit:.0f} s") from error
     finally:
         for process in running:
-            with suppress(ProcessLookupError):  # it, and all that it started
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+            system.end(process)
             process.stdout.close()  # type: ignore[union-attr]
     return output.decode(errors="replace")

@@ -16,10 +16,10 @@ from collections.abc import Callable, Sequence
 import torch
 
 from torchdq.backends.compiler import BuildError
+from torchdq.base import system
 from torchdq.base.caches import remembered
 from torchdq.errors import ArgumentError, TorchdqError
 
-LIBRARY = "libcuda.so.1"
 BLOCKS = 2**31 - 1  # blocks of a launch
 NO_CONTEXT = 201  # CUDA_ERROR_INVALID_CONTEXT
 # what to do about an error, by its code
@@ -98,7 +98,7 @@ class Driver:
 @remembered(1)
 def driver() -> Driver:
     """Driver of this machine, or the library that `$TORCHDQ_CUDA_DRIVER` names."""
-    return Driver(os.environ.get("TORCHDQ_CUDA_DRIVER") or LIBRARY)
+    return Driver(os.environ.get("TORCHDQ_CUDA_DRIVER") or system.CUDA)
 
 
 class Module:

@@ -39,7 +39,13 @@ _TARGET = """
 #define KERNEL(...) void run(long long samples,__VA_ARGS__){for(long long block=0;block*BLOCK<samples;block++){
 static inline N bits(S x){N i;memcpy(&i,&x,sizeof x);return i;}
 static inline S real(N i){S x;memcpy(&x,&i,sizeof x);return x;}
+static void library_sincos(S x,S*s,S*c){*s=library_sin(x);*c=library_cos(x);}
 #else
+#ifdef SINGLE
+#define library_sincos sincosf
+#else
+#define library_sincos sincos
+#endif
 #define DEVICE static __device__ __forceinline__
 #define APART static __device__ __noinline__
 #define STAGE __shared__
@@ -77,5 +83,5 @@ DEVICE Turn turn(S x){
 def text(single: bool, block: int) -> str:
     """Text at the top of a kernel in single or double precision, with blocks of so many threads."""
     constants, bits = (FLOAT, _BITS_FLOAT) if single else (DOUBLE, _BITS_DOUBLE)
-    library = "".join(f"#define library_{name} {name}{'f' if single else ''}\n" for name in ("sincos", *functions()))
+    library = "".join(f"#define library_{name} {name}{'f' if single else ''}\n" for name in functions())
     return f"{constants}{library}{bits}#define BLOCK {block}\n{_TARGET}{_FUNCTIONS}"

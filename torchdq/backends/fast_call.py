@@ -344,16 +344,20 @@ def fast_call(
     return FastCall(make(ctypes.addressof(method), ctypes.addressof(call), kept), names)
 
 
-@remembered(1)
-def _started() -> tuple[int, Any]:
-    """Address of the function in C, and its library."""
+def source() -> str:
+    """Source of the function in C."""
     arrays = (", ".join(f"p[{k}]" for k in range(n)) for n in range(1, MOST + 1))
     cases = [
         f"    case {n}: ((void (*)(word, const void *{', char *' * n}))c->run)(c->samples, c->plan, {given}); break;"
         for n, given in enumerate(arrays, 1)
     ]
-    source = SOURCE.replace("CASES", "\n".join(cases)).replace("MOST", str(MOST)).replace("FEW", str(FEW))
-    library = c_library.load(source, "call", 1)
+    return SOURCE.replace("CASES", "\n".join(cases)).replace("MOST", str(MOST)).replace("FEW", str(FEW))
+
+
+@remembered(1)
+def _started() -> tuple[int, Any]:
+    """Address of the function in C, and its library."""
+    library = c_library.load(source(), "call", 1)
     address = _address(library.run)
     begin = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)(address)
     begin(ctypes.addressof(_python()), None, -1)

@@ -19,6 +19,7 @@ import torch
 
 from torchdq.backends import cache
 from torchdq.backends.compiler import BuildError
+from torchdq.base import system
 from torchdq.base.caches import remembered
 from torchdq.base.progress import warn_once
 
@@ -39,20 +40,20 @@ def found() -> Nvrtc | str:
     The first that can be used of `$TORCHDQ_NVRTC` (a file or a folder), the dynamic loader's, the packages of this
     Python, conda's and the system's CUDA toolkits. Where torch has CUDA, its version goes before all others.
     """
-    if sys.platform != "linux":
-        return "the GPU backend needs NVRTC, CUDA's run-time compiler, which torchdq uses on Linux only"
+    if not system.NVRTC:
+        return "the GPU backend needs NVRTC, CUDA's run-time compiler, which there is for Linux and Windows only"
     refused: list[str] = []
     if stated := os.environ.get("TORCHDQ_NVRTC"):
         if named := _first(_named(Path(stated)), refused):
             return named
-        why = "; ".join(refused) or "there is no file libnvrtc.so.*"
+        why = "; ".join(refused) or f"there is no file {system.NVRTC.format('*')}"
         warn_once(
             "$TORCHDQ_NVRTC",
             f"$TORCHDQ_NVRTC names {stated!r}, which cannot be used, so torchdq looks for another NVRTC: {why}",
         )
     if any_other := _first(_candidates(), refused):
         return any_other
-    names = " or ".join(f"libnvrtc.so.{major}" for major in _majors())
+    names = " or ".join(map(system.NVRTC.format, _majors()))
     package = "nvidia-cuda-nvrtc-cu12" if _majors()[0] == 12 else "nvidia-cuda-nvrtc"
     return (
         f"there is no NVRTC, CUDA's run-time compiler: no {names} that can be used is known to the dynamic loader, or "
@@ -83,13 +84,14 @@ def _named(path: Path) -> list[str]:
     """Libraries at a path that is stated: of a file or a folder."""
     if path.is_file():
         return [str(path.absolute())]
-    return [str(at.absolute()) for part in ("", "lib", "lib64") for at in sorted((path / part).glob("libnvrtc.so.*"))]
+    any_version = system.NVRTC.format("*")
+    return [str(at.absolute()) for part in ("", "lib", "lib64") for at in sorted((path / part).glob(any_version))]
 
 
 def _candidates() -> Iterator[str]:
     """Libraries by name, for the dynamic loader, and by path."""
     for major in _majors():
-        name = f"libnvrtc.so.{major}"
+        name = system.NVRTC.format(major)
         yield name
         for folder in dict.fromkeys((*_packages(major), *_toolkits())):
             yield from (str(path) for path in sorted(folder.glob(f"{name}*")))
@@ -180,7 +182,7 @@ class Nvrtc:
         major, minor = ctypes.c_int(), ctypes.c_int()
         self._require(self._library.nvrtcVersion(major, minor), "state its version")
         self.version = (major.value, minor.value)
-        builtins = f"libnvrtc-builtins.so.{major.value}.{minor.value}"
+        builtins = system.BUILTINS.format(major.value, minor.value)
         try:
             ctypes.CDLL(os.path.join(os.path.dirname(path), builtins), ctypes.RTLD_GLOBAL)
         except OSError as error:

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import torch
 
 from torchdq.base.caches import emptied_by
+from torchdq.base.system import after_fork
 
 PER_THREAD = 1e6  # vector operations per thread: waking a thread takes as long as tens of thousands of them
 BLOCK = 64  # samples; threads get whole blocks, so that no vector is shared
@@ -33,7 +34,7 @@ def stop() -> None:
 
 
 emptied_by(stop)
-os.register_at_fork(after_in_child=_pools.clear)  # threads do not survive a fork
+after_fork(_pools.clear)  # threads do not survive a fork
 
 
 def least(operations: int) -> int:

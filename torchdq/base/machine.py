@@ -7,19 +7,34 @@ from pathlib import Path
 
 import torch
 
+from torchdq.base.caches import remembered
+
 CPUS = Path("/proc/cpuinfo")  # only on Linux
 NAMES = ("model name", "Model", "Hardware")  # entries that hold the name of the processor, the best one first
 
 
 def processor() -> str:
     """Name of the processor, or its architecture where the system does not know the name."""
-    try:
-        lines = [line.partition(":") for line in CPUS.read_text(encoding="utf-8", errors="replace").splitlines()]
-    except OSError:
-        lines = []
-    facts = {key.strip(): value.strip() for key, _, value in lines}
+    facts = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in _lines())}
     found = next((facts[name] for name in NAMES if facts.get(name)), "")
     return found or platform.processor() or platform.machine() or "unknown processor"
+
+
+@remembered(1)
+def features() -> str:
+    """Features of the processor that compiled code depends on."""
+    kinds = {line for line in _lines() if line.startswith(("flags", "Features", "model name", "CPU part"))}
+    return "\n".join(
+        [platform.machine(), platform.processor(), vector_instructions(), platform.system(), *sorted(kinds)]
+    )
+
+
+def _lines() -> list[str]:
+    """Lines of what the system knows of its processors; none where it is not Linux."""
+    try:
+        return CPUS.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
 
 
 def vector_instructions() -> str:

@@ -146,7 +146,7 @@ def _compiler() -> Finding:
     found = compiler()
     if found is None:
         words = "none; programs run as torch operations, which is slower"
-        cure = "install gcc or clang (apt install gcc), name one in $CC, or pip install ziglang"
+        cure = "install gcc or clang (apt install gcc), name one in $CC, or pip install 'torchdq[compiler]'"
         return _finding("C compiler", words, "warning", cure)
     version = found.version.strip().splitlines()
     return _finding("C compiler", f"{' '.join(found.command)}, {version[0] if version else 'of unknown version'}")
