@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
-from torch.compiler import is_compiling
+from torch.compiler import is_dynamo_compiling
 
 from torchdq.backends import c_library, choice, threads
 from torchdq.backends.backend import Backend, contiguous, largest_growth
@@ -229,7 +229,7 @@ def quick(
         given: its arguments, tensors or None.
         out: tensors for the results; (): new ones. Where errors grow too much, they have been written to.
     """
-    if is_compiling():
+    if is_dynamo_compiling():  # tensors of other traces are none of these forms
         return None, (), None
     for function, names in FAST.get(key, ()):
         found = function(*given, *out)
