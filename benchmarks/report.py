@@ -37,14 +37,29 @@ def parser(document: str, quick: str, page: bool = True) -> argparse.ArgumentPar
     return found
 
 
-def least(calls: Mapping[str, tuple[Callable[[], object], int]], turns: int) -> dict[str, float]:
-    """Least processor times of calls that take turns [ns], each over a number that is given with it."""
-    best: dict[str, float] = {}
-    for _ in range(turns):
+def least(
+    calls: Mapping[str, tuple[Callable[[], object], float]], turns: int = 3, seconds: float = 0.0, shortest: float = 0.0
+) -> dict[str, float]:
+    """Least processor times of calls [ns], each over the number that is given with it.
+
+    The calls take turns, at least so many and for at least so many seconds, so that load on the machine affects all of
+    them alike; the least time counts, since others only add to it. A turn lasts at least the shortest time [s].
+    """
+    repeats = dict.fromkeys(calls, 1)
+    for name, (call, _) in calls.items():
+        call()
+        begin = time.process_time()
+        if shortest:
+            call()
+            repeats[name] = max(1, int(shortest / max(time.process_time() - begin, 1e-7)))
+    best, end = dict.fromkeys(calls, math.inf), time.perf_counter() + seconds
+    while turns > 0 or time.perf_counter() < end:
+        turns -= 1
         for name, (call, per) in calls.items():
             begin = time.process_time()
-            call()
-            best[name] = min(best.get(name, math.inf), (time.process_time() - begin) / per * 1e9)
+            for _ in range(repeats[name]):
+                call()
+            best[name] = min(best[name], (time.process_time() - begin) / repeats[name] / per * 1e9)
     return best
 
 

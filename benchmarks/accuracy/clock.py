@@ -1,4 +1,4 @@
-"""Times of calls: warmed up, repeated, median and quartiles."""
+"""Processor times of calls: warmed up, repeated, median and quartiles."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ class Time(NamedTuple):
 
 
 def clock(call: Callable[[], object], samples: int, repeats: int = 20) -> Time:
-    """Time of a call per sample."""
+    """Processor time of a call per sample."""
     for _ in range(WARM_UPS):
-        start = time.perf_counter()
+        start = time.process_time()
         call()
-        once = time.perf_counter() - start
+        once = time.process_time() - start
         if once > LONG:
             break
     inner = max(1, int(TURN / max(once, 1e-7)))
     found = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         for _ in range(inner):
             call()
-        found.append((time.perf_counter() - start) / inner / samples * 1e9)
+        found.append((time.process_time() - start) / inner / samples * 1e9)
     low, _, high = statistics.quantiles(found, n=4)
     return Time(statistics.median(found), low, high, repeats)
