@@ -4,7 +4,8 @@
 
 Trajectories by integrator, precision and step; forward dynamics by algorithm, precision and number of joints;
 gradients; effects; energy over a long time; products of poses; exponential and logarithm; backends; a motion and a
-gradient in other packages. Writes the results, six plots and the numbers of docs/accuracy.md. `--again` measures nothing: it writes them anew from the results.
+gradient in other packages. Writes the results, six plots and the numbers of docs/accuracy.md. `--again` measures
+nothing: it writes them anew from the results.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import front_page
 import report
 import torch
 from accuracy import (
@@ -146,6 +148,7 @@ def main() -> None:
     print(f"\n{report.words(results['machine'])}, commit {results['commit']}, {results['seconds']:.0f} s")
     if arguments.page:
         report.into_page(findings.page(results), __file__, results["machine"])
+    front_page.follow(arguments)
 
 
 if __name__ == "__main__":

@@ -94,7 +94,8 @@ def svg(picture: Picture, *others: Picture) -> str:
                 if curve.range is not None:
                     axes.fill_between(curve.x, *curve.range, color=LIGHT[colour], alpha=0.2, linewidth=0)
         if len(picture.curves) > 1:
-            figure.legend(loc="outside upper left", ncols=3)
+            crowded = {"fontsize": 10, "columnspacing": 1.2, "handlelength": 1.8} if len(picture.curves) > 3 else {}
+            figure.legend(loc="outside upper left", ncols=3, **crowded)
         file = io.StringIO()
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     text = file.getvalue()
