@@ -94,7 +94,7 @@ def svg(picture: Picture, *others: Picture) -> str:
                 if curve.range is not None:
                     axes.fill_between(curve.x, *curve.range, color=LIGHT[colour], alpha=0.2, linewidth=0)
         if len(picture.curves) > 1:
-            crowded = {"fontsize": 10, "columnspacing": 1.2, "handlelength": 1.8} if len(picture.curves) > 3 else {}
+            crowded = {"fontsize": 10, "columnspacing": 1.2, "handlelength": 2.6} if len(picture.curves) > 3 else {}
             figure.legend(loc="outside upper left", ncols=3, **crowded)
         file = io.StringIO()
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})

@@ -106,16 +106,18 @@ def test_the_numbers_of_the_first_pages_are_those_of_the_page_on_prices():
         assert report.shown("front_page.py", page) == text(), "benchmarks/front_page.py --page writes them anew"
 
 
-@pytest.mark.parametrize("script", ["batches", "accuracy_vs_time"])
-def test_pictures_of_speed_are_those_of_the_results(script):
-    name = script.removesuffix("_vs_time")
-    found = json.loads((FOLDER / "results" / f"{name}.json").read_text("utf-8"))
-    if script == "batches":
-        file, drawn = batches.PICTURE, batches.picture(found["times"]["inverse_dynamics"])
-    else:
-        file, drawn = peers.PICTURE, peers.picture(found["peers"])
+PICTURES = {
+    "batches": (batches.PICTURE, lambda found: batches.picture(found["times"]["inverse_dynamics"])),
+    "accuracy": (peers.PICTURE, lambda found: peers.picture(found["peers"])),
+}
+
+
+@pytest.mark.parametrize("results", PICTURES)
+def test_pictures_of_speed_are_those_of_the_results(results):
+    file, picture = PICTURES[results]
+    drawn = picture(json.loads((FOLDER / "results" / f"{results}.json").read_text("utf-8")))
     pairs = zip(curves_of(file.read_text("utf-8")), curves_of(drawn), strict=True)
-    assert all(np.allclose(a, b, rtol=1e-3, atol=0) for a, b in pairs), f"benchmarks/{script}.py --again draws it anew"
+    assert all(np.allclose(a, b, rtol=1e-3, atol=0) for a, b in pairs), "the script with --again draws it anew"
 
 
 @pytest.mark.parametrize("script", ["peers.py", "envs.py"])
