@@ -334,10 +334,6 @@ def summary(arm: Path, seconds: float) -> list[report.Line]:
         ("inverse dynamics of a general chain, time per joint, longest over shortest", f"{spread:.2f} x ({shown})")
     )
 
-    one = Task(arm, 1, torch.float64, 1)
-    times = timed({"ours": one.torchdq("inverse dynamics", "c")}, 1, seconds)
-    lines.append(("one sample, one call, no gradient", f"{times['ours'] / 1e3:.1f} us"))
-
     load = f"robot = torchdq.Robot.from_urdf({str(arm)!r}, on_unphysical='ignore')"
     plain, warm = first_calls(load, False)
     both, warm_both = first_calls(load, True)
