@@ -64,7 +64,7 @@ def calls_by_rows(rounds: int) -> dict[str, list[float]]:
             ),
         }
         for key, nanoseconds in report.least(
-            {k: (call, 1) for k, call in kinds.items()}, rounds, shortest=1e-3
+            {k: (call, 1) for k, call in kinds.items()}, rounds, shortest=5e-3
         ).items():
             found.setdefault(key, []).append(nanoseconds / 1e3)
     found["pinocchio.rnea"] = found["pinocchio.rnea"][:1]

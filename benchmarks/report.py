@@ -53,9 +53,9 @@ def least(
     for name, (call, _) in calls.items():
         call()
         begin = clock()
-        if shortest:
+        while clock() - begin < shortest:
             call()
-            repeats[name] = max(1, int(shortest / max(clock() - begin, 1e-7)))
+            repeats[name] += 1
     best, end = dict.fromkeys(calls, math.inf), time.perf_counter() + seconds
     while turns > 0 or time.perf_counter() < end:
         turns -= 1
