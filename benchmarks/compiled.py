@@ -63,15 +63,10 @@ def calls_by_rows(rounds: int) -> dict[str, list[float]]:
                 torchdq.inverse_dynamics(robot, *x), x, weight
             ),
         }
-        best = dict.fromkeys(kinds, float("inf"))
-        for _ in range(rounds):
-            for key, call in kinds.items():
-                begin = time.thread_time()
-                for _ in range(100):
-                    call()
-                best[key] = min(best[key], (time.thread_time() - begin) / 100)
-        for key, seconds in best.items():
-            found.setdefault(key, []).append(1e6 * seconds)
+        for key, nanoseconds in report.least(
+            {k: (call, 1) for k, call in kinds.items()}, rounds, shortest=5e-3
+        ).items():
+            found.setdefault(key, []).append(nanoseconds / 1e3)
     found["pinocchio.rnea"] = found["pinocchio.rnea"][:1]
     return found
 
@@ -113,12 +108,7 @@ def ratios(what: str | ComputedTorque, bits: int, compilers: list[str], rounds: 
             function = exported(torques, compiler, Path(folder))
             typed = [ctypes.c_size_t(SAMPLES), *map(ctypes.c_void_p, pointers)]
             runs[compiler] = lambda function=function, typed=typed: function(*typed)
-        best = dict.fromkeys(runs, float("inf"))
-        for _ in range(rounds):
-            for key, run in runs.items():
-                begin = time.perf_counter()
-                run()
-                best[key] = min(best[key], time.perf_counter() - begin)
+        best = report.least({key: (run, SAMPLES) for key, run in runs.items()}, rounds)
     return {compiler: best[compiler] / best["kernel"] for compiler in compilers}
 
 
