@@ -148,6 +148,13 @@ def _view(
     return View(scene, moved["q"], moved["qd"], reading, u, scene.inputs, memory=memory, **free)
 
 
+def _judge(scene: RecordedScene, task: Task | None) -> Rows:
+    """Rows of a task in a state at the end of a step."""
+    given = scene.inputs
+    reading = given.get("reading", (*given["q"], *given["qd"]))
+    return {} if task is None else task.rows(_view(scene, given, reading, given.get("torque", ())))
+
+
 def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
     rows = dict(zip(Contacts._fields, zip(*_view(scene, scene.inputs).contacts, strict=True), strict=True))
     return {**rows, "force": [x for force in rows["force"] for x in force]}
@@ -198,6 +205,7 @@ STAGES = {
     "sense": _sense,
     "begin": _begin,
     "energy": _energy,
+    "judge": _judge,
     "contacts": _contacts,
     "places": _places,
     "bodies": _bodies,

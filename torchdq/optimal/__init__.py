@@ -1,0 +1,43 @@
+"""Optimal control: torques of many steps that cost least, of batches of problems, in the loops of rollouts.
+
+    problem = optimal.Problem(scene, 50, [optimal.Torques(1e-4)], [optimal.Point("tip", goal, 1e3), optimal.Speeds(10.0)])
+    plan = optimal.solve(problem, scene.start(q))
+
+`solve` is iterative LQR with limits of the torques, or a sampling method; `Receding` plans anew at every tick.
+"""
+
+from torchdq.optimal.costs import (
+    BasePose,
+    BaseVelocity,
+    JointLimits,
+    Point,
+    Pose,
+    Posture,
+    Residuals,
+    Speeds,
+    Spheres,
+    Torques,
+)
+from torchdq.optimal.problem import STATUS, Plan, Problem
+from torchdq.optimal.sampling import CEM, MPPI
+from torchdq.optimal.solve import Receding, solve
+
+__all__ = [
+    "CEM",
+    "MPPI",
+    "STATUS",
+    "BasePose",
+    "BaseVelocity",
+    "JointLimits",
+    "Plan",
+    "Point",
+    "Pose",
+    "Posture",
+    "Problem",
+    "Receding",
+    "Residuals",
+    "Speeds",
+    "Spheres",
+    "Torques",
+    "solve",
+]

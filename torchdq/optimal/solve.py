@@ -1,0 +1,333 @@
+"""Solutions of problems of optimal control: iterative LQR of batches, with limits, and receding horizons.
+
+An iteration takes two loops over the steps. Backward, every knot has its change and gain of the torques; forward, steps
+are simulated under them, by lengths 1, 1/2, 1/4 ... of the change until the cost falls by a tenth of what is expected.
+A row that does not find one is damped: DAMPED of the diagonal of its quadratic form, and ten times that every time.
+
+Limits that bind: a problem is first solved without them, roughly. The torques of that solution would lose their way if
+they were clipped; its states are followed by its own gains under the limits instead, and from there on every knot is a
+box QP (Y. Tassa, N. Mansard, E. Todorov, "Control-limited differential dynamic programming", ICRA 2014).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.base.checks import require_choice, require_count, require_number, require_tensor
+from torchdq.base.progress import Progress
+from torchdq.errors import ArgumentError
+from torchdq.optimal.problem import CONVERGED, DIVERGED, STALLED, STOPPED, Passes, Plan, Problem, joined
+from torchdq.optimal.sampling import Sampling
+from torchdq.program.transforms import outside_of_graphs
+from torchdq.scene.state import State, require_state
+
+TOLERANCES = {torch.float32: 1e-5, torch.float64: 1e-9}
+ROUGH = 0.02  # share of the cost that an iteration without limits may still gain
+LEAST = 0.1  # share of the expected decrease that a step must have
+LENGTHS = 10  # lengths of a step that are tried
+TOGETHER = 8  # steps that are simulated at the price of one
+DAMPED, MOST = 1e-3, 1e6  # damping at first, and where a row is given up
+
+Method = Sampling | str
+
+
+class Found(NamedTuple):
+    """Rows that are being solved, or were."""
+
+    states: dict[str, Tensor]  # [steps + 1, rows, ...]
+    torque: Tensor  # [steps, rows, n]
+    cost: Tensor  # [rows]
+    gain: Tensor  # [steps, rows, n, s]
+    damping: Tensor  # [rows]
+    status: Tensor  # [rows]
+    iterations: Tensor  # [rows]
+
+    def among(self, rows: Tensor) -> Found:
+        """Some of the rows."""
+        states = {name: x.index_select(1, rows) for name, x in self.states.items()}
+        first = [x.index_select(1, rows) for x in (self.torque, self.gain)]
+        cost, damping, status, iterations = [x.index_select(0, rows) for x in (self.cost, *self[4:])]
+        return Found(states, first[0], cost, first[1], damping, status, iterations)
+
+    def put(self, rows: Tensor, of: Found) -> None:
+        """Take some rows from others."""
+        for name, x in self.states.items():
+            x.index_copy_(1, rows, of.states[name])
+        self.torque.index_copy_(1, rows, of.torque)
+        self.gain.index_copy_(1, rows, of.gain)
+        for mine, theirs in zip((self.cost, *self[4:]), (of.cost, *of[4:]), strict=True):
+            mine.index_copy_(0, rows, theirs)
+
+
+@outside_of_graphs
+def solve(
+    problem: Problem,
+    state: State,
+    torque: Tensor | None = None,
+    states: State | None = None,
+    method: Method = "ilqr",
+    iterations: int = 100,
+    tolerance: float | None = None,
+    **inputs: Tensor,
+) -> Plan:
+    """Plan of torques [steps, ..., n] that cost least from a state on, with states and gains.
+
+    Rows of a batch are problems of their own, and have the same result in every batch; those that have converged leave.
+    Iterative LQR finds the nearest minimum that it comes to. It needs derivatives, which Gauss-Newton takes of the
+    costs; a sampling method needs none, and its plan is a start for iterative LQR where contacts must be found.
+
+    Args:
+        problem: costs and limits.
+        state: initial states, shape [...].
+        torque: torques to begin with [N m or N], shape [steps, ..., n]; None: those that hold a fixed base's joints.
+        states: states to begin with, [steps + 1, ...], that no torques need lead to, such as a straight line; None: those
+            of the torques. With both, as of an earlier plan, limits hold from the first iteration on.
+        method: "ilqr", `MPPI(...)` or `CEM(...)`.
+        iterations: largest number of iterations.
+        tolerance: expected decrease of the cost, as a share of it or, below 1, absolute, from which a row has converged;
+            None: 1e-9, in float32 1e-5.
+        inputs: other inputs of the scene, shape [steps, ..., k].
+    Raises:
+        ArgumentError: an argument has another shape than that of the problem.
+
+    >>> import torch, torchdq
+    >>> from torchdq import Scene, optimal
+    >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.02)
+    >>> goal = torch.tensor([[0.5, -0.3], [0.2, 0.4], [-0.6, 0.1]], dtype=torch.float64)
+    >>> final = [optimal.Posture(goal, 100.0), optimal.Speeds(10.0)]
+    >>> problem = optimal.Problem(scene, 30, [optimal.Torques(1e-3)], final, torques=(-0.5, 0.5))
+    >>> plan = optimal.solve(problem, scene.start(torch.zeros(3, 2, dtype=torch.float64)))
+    >>> print(plan.why())
+    3 of 3, the first is row 0: converged: no step is expected to decrease the cost by more than the tolerance
+    """
+    require_state(state)
+    if not isinstance(problem, Problem):
+        raise ArgumentError(f"problem must be a torchdq.optimal.Problem, found {type(problem).__name__}")
+    if not isinstance(method, Sampling):
+        require_choice("method", method, ("ilqr",))
+    require_count("iterations", iterations)
+    tolerance = TOLERANCES[state.q.dtype] if tolerance is None else tolerance
+    require_number("tolerance", tolerance, least=0.0)
+    batch, steps = state.q.shape[:-1], problem.steps
+    with torch.no_grad(), Progress(f"optimal control of {batch.numel()} problems") as notice:
+        u = problem.holding(state) if torque is None else _started("torque", torque, (steps, *state.q.shape))
+        passes = Passes.of(problem, state.q, inputs)
+        start = {name: x.detach().reshape(-1, x.shape[-1]) for name, x in state.rows().items()}
+        u = u.detach().reshape(steps, -1, u.shape[-1])
+        if isinstance(method, Sampling):
+            u = method.improved(passes, start, u, iterations, notice.at)
+            x, u, cost = passes.forward(start, u)
+            status = torch.where(cost.isfinite(), STOPPED, DIVERGED)
+            return planned(problem, passes, batch, Found(x, u, cost, u, cost, status, torch.full_like(status, iterations)), False)
+        if states is None:
+            found = begun(passes, *passes.forward(start, u))
+        else:
+            x = {name: _started(name, y, (steps + 1, *batch, y.shape[-1])) for name, y in states.rows().items()}
+            x = {name: y.detach().reshape(steps + 1, -1, y.shape[-1]) for name, y in x.items()}
+            found = begun(passes, x, u, torch.full_like(u[0, :, 0], torch.inf))
+        if passes.limits is not None and (torque is None or states is None):
+            found = _roughly(passes, start, found, iterations, notice.within("without limits"))
+        found = improved(passes, start, found, iterations, tolerance, notice.at)
+    return planned(problem, passes, batch, found)
+
+
+def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """Start of a solution, with all batch axes."""
+    require_tensor(name, x)
+    try:
+        return x.expand(shape)
+    except RuntimeError as error:
+        expected = ", ".join(map(str, shape))
+        raise ArgumentError(f"{name} to begin with must have the shape [{expected}], found {tuple(x.shape)}") from error
+
+
+def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tensor) -> Found:
+    """Rows to be solved, of states and torques, and their costs where torques lead to the states, others infinite."""
+    s = sum(passes.problem.scene.spec.displaced.values())
+    gain = torque.new_empty(1, len(cost), 1, 1).expand(*torque.shape, s)
+    count = torch.zeros_like(cost, dtype=torch.int64)
+    return Found(states, torque, cost, gain, torch.zeros_like(cost), count + STOPPED, count)
+
+
+def planned(problem: Problem, passes: Passes, batch: torch.Size, found: Found, gains: bool = True) -> Plan:
+    """Plan of rows, with their batch axes."""
+    states = State(**{name: x.unflatten(1, batch) if batch else x[:, 0] for name, x in found.states.items()})
+    shaped: Callable[[Tensor, int], Tensor] = lambda x, axis: x.unflatten(axis, batch) if batch else x.squeeze(axis)  # noqa: E731
+    gain = shaped(found.gain, 1) if gains else None
+    limits = None if passes.limits is None else tuple([shaped(x, 0) for x in passes.limits])
+    last = [shaped(x, 0) for x in (found.cost, found.status, found.iterations)]
+    return Plan(shaped(found.torque, 1), states, gain, *last, limits)  # type: ignore[arg-type]
+
+
+def _roughly(
+    passes: Passes, start: Mapping[str, Tensor], found: Found, iterations: int, at: Callable[[str], None]
+) -> Found:
+    """Start of problems with limits: the states of solutions without them, followed under them."""
+    free = improved(passes._replace(limits=None), start, found, iterations, 0.0, at, ROUGH)
+    x, u, cost = passes.forward(start, free.torque, free.gain, joined(free.states)[:-1])
+    begin = begun(passes, x, u, cost)._replace(iterations=free.iterations)
+    lost = cost.isinf().nonzero()[:, 0]
+    if len(lost):  # the start itself is what is left
+        of = passes.among(lost)
+        own = {name: x.index_select(0, lost) for name, x in start.items()}
+        begin.put(lost, begun(of, *of.forward(own, found.torque.index_select(1, lost))))
+    return begin
+
+
+def improved(
+    passes: Passes,
+    start: Mapping[str, Tensor],
+    found: Found,
+    iterations: int,
+    tolerance: float,
+    at: Callable[[str], None],
+    share: float = 0.0,
+) -> Found:
+    """Rows after iterations of LQR, each until its expected decrease is below the tolerance, or a share of its cost."""
+    whole, rows = None, None
+    for k in range(iterations + 1):
+        at(lambda k=k, n=len(found.cost): f"iteration {k + 1}, {n} rows are left")  # type: ignore[arg-type,misc]
+        if k == iterations:
+            break
+        gain, change, terms = passes.backward(found.states, found.torque, found.damping)
+        found = found._replace(gain=gain)
+        expected = -(terms[:, 0] + 0.5 * terms[:, 1])
+        enough = expected * (1.0 + found.damping) <= torch.maximum(tolerance * found.cost.clamp(min=1.0), share * found.cost)
+        enough &= found.cost.isfinite()
+        bad = ~expected.isfinite()
+        out = enough | bad | (found.damping > MOST)
+        if out.any():
+            status = torch.where(enough, CONVERGED, torch.where(bad, DIVERGED, STALLED))
+            found = found._replace(status=torch.where(out, status, found.status))
+            if whole is None:
+                whole, rows = _copied(found), torch.arange(len(out), device=out.device)
+            done, on = out.nonzero()[:, 0], (~out).nonzero()[:, 0]
+            whole.put(rows[done], found.among(done))
+            rows, found, passes = rows[on], found.among(on), passes.among(on)
+            start = {name: x.index_select(0, on) for name, x in start.items()}
+            change, terms = change.index_select(1, on), terms.index_select(0, on)
+            if not len(on):
+                return whole
+        found = _stepped(passes, start, found, change, terms)
+    if whole is None:
+        return found
+    whole.put(rows, found)
+    return whole
+
+
+def _copied(found: Found) -> Found:
+    states = {name: x.clone() for name, x in found.states.items()}
+    return Found(states, *[x.clone() for x in found[1:]])  # type: ignore[arg-type]
+
+
+def _stepped(passes: Passes, start: Mapping[str, Tensor], found: Found, change: Tensor, terms: Tensor) -> Found:
+    """Rows after a step, the longest of some lengths that decreases the cost enough; damped more if there is none."""
+    near, count = joined(found.states)[:-1], len(found.cost)
+    x, u, cost = passes.forward(start, found.torque + change, found.gain, near)
+    good = _accepted(found.cost, cost, terms, 1.0)
+    iterations = found.iterations + 1
+    if good.all():
+        damping = torch.where(found.damping > DAMPED, 0.1 * found.damping, 0.0)
+        return found._replace(states=x, torque=u, cost=cost, damping=damping, iterations=iterations)
+    kept = {name: torch.where(good[:, None], y, found.states[name]) for name, y in x.items()}
+    result = found._replace(
+        states=kept,
+        torque=torch.where(good[:, None], u, found.torque),
+        cost=torch.where(good, cost, found.cost),
+        damping=torch.where(good & (found.damping > DAMPED), 0.1 * found.damping, torch.where(good, 0.0, found.damping)),
+        iterations=iterations,
+    )
+    wait, tried = (~good).nonzero()[:, 0], 1
+    while len(wait) and tried < LENGTHS:
+        number = min(max(TOGETHER // len(wait), 1), LENGTHS - tried)
+        lengths = 0.5 ** torch.arange(tried, tried + number, device=u.device, dtype=u.dtype)
+        each = wait.repeat(number)  # rows by lengths
+        length = lengths.repeat_interleave(len(wait))
+        of, rows = passes.among(each), found.among(each)
+        tries = rows.torque + length[:, None] * change.index_select(1, each)
+        begin = {name: y.index_select(0, each) for name, y in start.items()}
+        x, u, cost = of.forward(begin, tries, rows.gain, near.index_select(1, each))
+        good = _accepted(rows.cost, cost, terms.index_select(0, each), length).view(number, -1)
+        longest = good.int().argmax(0)
+        some = good.any(0).nonzero()[:, 0]
+        at, to = longest[some] * len(wait) + some, wait[some]
+        for name, y in x.items():
+            result.states[name].index_copy_(1, to, y.index_select(1, at))
+        result.torque.index_copy_(1, to, u.index_select(1, at))
+        result.cost.index_copy_(0, to, cost.index_select(0, at))
+        wait, tried = wait[~good.any(0)], tried + number
+    if len(wait):
+        more = (10.0 * found.damping.index_select(0, wait)).clamp(min=DAMPED)
+        result.damping.index_copy_(0, wait, more)
+    return result
+
+
+def _accepted(before: Tensor, after: Tensor, terms: Tensor, length: Tensor | float) -> Tensor:
+    """Whether costs fall by enough of what is expected of steps of some length."""
+    expected = -length * (terms[:, 0] + 0.5 * length * terms[:, 1])
+    return (before - after >= LEAST * expected) & after.isfinite() & ((expected >= 0.0) | before.isinf())
+
+
+class Receding:
+    """Receding horizon: the plan moves on by a step at every call, and is improved from the state that is measured.
+
+    Called as `mpc(state)` it returns the torques [..., n] for the step that begins now, and their gains [..., n, s] in
+    displacements of the state, for what happens until the next call; the gains are None for a sampling method. The
+    first call solves the problem. `mpc.plan` is the latest plan, None before it; `mpc.problem` may be assigned, as with
+    new goals.
+
+    Args:
+        problem: costs and limits.
+        iterations: iterations of a call.
+        method: as in `solve`.
+
+    >>> import torch, torchdq
+    >>> from torchdq import Scene, optimal
+    >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.02)
+    >>> costs = [optimal.Torques(1e-3), optimal.Posture(torch.tensor([0.5, -0.3]).double(), 1.0), optimal.Speeds(0.1)]
+    >>> mpc, state = optimal.Receding(optimal.Problem(scene, 20, costs)), scene.start(torch.zeros(2).double())
+    >>> for _ in range(100):
+    ...     torque, gain = mpc(state)
+    ...     state = scene.step(state, torque)
+    >>> state.q
+    tensor([ 0.5000, -0.3000], dtype=torch.float64)
+    """
+
+    def __init__(self, problem: Problem, iterations: int = 1, method: Method = "ilqr"):
+        require_count("iterations", iterations)
+        self.problem, self.iterations, self.method = problem, iterations, method
+        self.plan: Plan | None = None
+        self._passes: tuple[Problem, torch.Size, Passes] | None = None
+
+    def __call__(self, state: State) -> tuple[Tensor, Tensor | None]:
+        """Torques [..., n] for the step that begins now, and their gains [..., n, s]."""
+        if self.plan is None or isinstance(self.method, Sampling):
+            moved = None if self.plan is None else _moved(self.plan.torque)
+            count = self.iterations if isinstance(self.method, Sampling) else 100
+            self.plan = solve(self.problem, state, moved, method=self.method, iterations=count)
+        else:
+            self.plan = self._improved(state, self.plan)
+        return self.plan.torque[0], None if self.plan.gain is None else self.plan.gain[0]
+
+    @torch.no_grad()
+    def _improved(self, state: State, plan: Plan) -> Plan:
+        """Plan from a state on, that of the step before moved on by one."""
+        if self._passes is None or self._passes[0] is not self.problem or self._passes[1] != state.q.shape:
+            self._passes = self.problem, state.q.shape, Passes.of(self.problem, state.q, {})
+        passes, batch = self._passes[2], state.q.shape[:-1]
+        flat: Callable[[Tensor, int], Tensor] = lambda x, axis: x.flatten(axis, -2) if batch else x.unsqueeze(axis)  # noqa: E731
+        start = {name: flat(x, 0) for name, x in state.rows().items()}
+        states = {name: flat(_moved(x), 1) for name, x in plan.states.rows().items()}
+        u = flat(_moved(plan.torque), 1)
+        found = begun(passes, states, u, torch.full_like(u[0, :, 0], torch.inf))
+        found = improved(passes, start, found, self.iterations, 0.0, lambda _: None)
+        return planned(self.problem, passes, batch, found)
+
+
+def _moved(x: Tensor) -> Tensor:
+    """Rows of steps, moved on by one, the last twice."""
+    return torch.cat([x[1:], x[-1:]])
