@@ -20,7 +20,7 @@ from torchdq.optimal.costs import (
 )
 from torchdq.optimal.problem import STATUS, Plan, Problem
 from torchdq.optimal.sampling import CEM, MPPI
-from torchdq.optimal.solve import Receding, solve
+from torchdq.optimal.ilqr import Receding, solve
 
 __all__ = [
     "CEM",

@@ -22,7 +22,7 @@ from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.posed import Row, dot
-from torchdq.numbers.functions import at_least, clip, maximum, select
+from torchdq.numbers.functions import at_least, below, clip, maximum, minimum, select
 from torchdq.optimal.costs import Objective
 from torchdq.program.autodiff import rates
 from torchdq.program.program import Argument, Program, record, replay, results
@@ -194,9 +194,8 @@ def _minimised(M: Matrix, g: Row, s: int, damping: Number, limits: Sequence[Row]
     change, solved = box_qp(heavy, gu, *limits)
     K = transpose(tuple([solved([-x for x in column]) for column in transpose(G)]))
     moved = [dot(row, change) for row in H]
-    left = [a + b for a, b in zip(gu, moved, strict=True)]
     V = [[x + y for x, y in zip(a[: i + 1], b, strict=False)] for i, (a, b) in enumerate(zip(X, _gram(G, K), strict=True))]
-    v = [a + dot(b, change) + dot(c, left) for a, b, c in zip(gx, transpose(G), transpose(K), strict=True)]
+    v = [a + dot(b, change) for a, b in zip(gx, transpose(G), strict=True)]
     expected = [dot(change, gu), dot(change, moved)]
     flat: Callable[[Sequence[Row]], Row] = lambda rows: [x for row in rows for x in row]  # noqa: E731
     return {"V": flat(V), "v": v, "gain": flat(K), "change": change, "expected": expected}
@@ -205,10 +204,11 @@ def _minimised(M: Matrix, g: Row, s: int, damping: Number, limits: Sequence[Row]
 def box_qp(
     H: Sequence[Row], g: Row, lower: Row = (), upper: Row = (), rounds: int = ROUNDS
 ) -> tuple[list[Number], Callable[[Row], list[Number]]]:
-    """Minimum x of 1/2 x^T H x + g^T x within bounds, and the solution of H y = b among what is not at a bound.
+    """Minimum x of 1/2 x^T H x + g^T x within bounds, and the solution of H y = b among what may follow a state.
 
     Projected Newton steps from zero, which must be within the bounds; without bounds one step is exact. An element is
-    held where it is at a bound that the gradient pushes it against.
+    held where it is at a bound that the gradient pushes it against. What begins at a bound follows no state, even where
+    it leaves the bound: gains would push it beyond, and clipped torques would not be those that are expected.
     """
     m = len(g)
     x: list[Number] = [0.0] * m
@@ -225,6 +225,13 @@ def box_qp(
         x = [a + b for a, b in zip(x, step, strict=True)]
         if lower:
             x = [clip(*of) for of in zip(x, lower, upper, strict=True)]
+    if lower:
+        inside = [f * below(a, 0.0) * below(0.0, b) for f, a, b in zip(free, lower, upper, strict=True)]
+        solved = _among(H, inside)
+        # where the last step is not the solution yet, its best share
+        slope, bend = dot(x, g), dot(x, [dot(row, x) for row in H])
+        share = minimum(1.0, maximum(-slope, 0.0) / maximum(bend, TINY))
+        x = [share * y for y in x]
     return x, solved
 
 

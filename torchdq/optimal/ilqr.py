@@ -148,7 +148,7 @@ def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
 def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tensor) -> Found:
     """Rows to be solved, of states and torques, and their costs where torques lead to the states, others infinite."""
     s = sum(passes.problem.scene.spec.displaced.values())
-    gain = torque.new_empty(1, len(cost), 1, 1).expand(*torque.shape, s)
+    gain = torque.new_zeros(*torque.shape, s)
     count = torch.zeros_like(cost, dtype=torch.int64)
     return Found(states, torque, cost, gain, torch.zeros_like(cost), count + STOPPED, count)
 
@@ -189,14 +189,12 @@ def improved(
 ) -> Found:
     """Rows after iterations of LQR, each until its expected decrease is below the tolerance, or a share of its cost."""
     whole, rows = None, None
-    for k in range(iterations + 1):
-        at(lambda k=k, n=len(found.cost): f"iteration {k + 1}, {n} rows are left")  # type: ignore[arg-type,misc]
-        if k == iterations:
-            break
+    for k in range(iterations):
+        at(f"iteration {k + 1}, {len(found.cost)} rows are left")
         gain, change, terms = passes.backward(found.states, found.torque, found.damping)
         found = found._replace(gain=gain)
         expected = -(terms[:, 0] + 0.5 * terms[:, 1])
-        enough = expected * (1.0 + found.damping) <= torch.maximum(tolerance * found.cost.clamp(min=1.0), share * found.cost)
+        enough = expected.abs() * (1.0 + found.damping) <= torch.maximum(tolerance * found.cost.clamp(min=1.0), share * found.cost)
         enough &= found.cost.isfinite()
         bad = ~expected.isfinite()
         out = enough | bad | (found.damping > MOST)
