@@ -147,8 +147,7 @@ def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
 
 def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tensor) -> Found:
     """Rows to be solved, of states and torques, and their costs where torques lead to the states, others infinite."""
-    s = sum(passes.problem.scene.spec.displaced.values())
-    gain = torque.new_zeros(*torque.shape, s)
+    gain = torque.new_empty(*torque.shape, passes.size)
     count = torch.zeros_like(cost, dtype=torch.int64)
     return Found(states, torque, cost, gain, torch.zeros_like(cost), count + STOPPED, count)
 
@@ -183,16 +182,22 @@ def improved(
     start: Mapping[str, Tensor],
     found: Found,
     iterations: int,
-    tolerance: float,
+    tolerance: float | None,
     at: Callable[[str], None],
     share: float = 0.0,
 ) -> Found:
-    """Rows after iterations of LQR, each until its expected decrease is below the tolerance, or a share of its cost."""
+    """Rows after iterations of LQR, each until its expected decrease is below the tolerance, or a share of its cost.
+
+    Without a tolerance all rows take all iterations.
+    """
     whole, rows = None, None
     for k in range(iterations):
         at(f"iteration {k + 1}, {len(found.cost)} rows are left")
         gain, change, terms = passes.backward(found.states, found.torque, found.damping)
         found = found._replace(gain=gain)
+        if tolerance is None:
+            found = _stepped(passes, start, found, change, terms)
+            continue
         expected = -(terms[:, 0] + 0.5 * terms[:, 1])
         enough = expected.abs() * (1.0 + found.damping) <= torch.maximum(tolerance * found.cost.clamp(min=1.0), share * found.cost)
         enough &= found.cost.isfinite()
@@ -242,25 +247,23 @@ def _stepped(passes: Passes, start: Mapping[str, Tensor], found: Found, change: 
     wait, tried = (~good).nonzero()[:, 0], 1
     while len(wait) and tried < LENGTHS:
         number = min(max(TOGETHER // len(wait), 1), LENGTHS - tried)
-        lengths = 0.5 ** torch.arange(tried, tried + number, device=u.device, dtype=u.dtype)
         each = wait.repeat(number)  # rows by lengths
-        length = lengths.repeat_interleave(len(wait))
-        of, rows = passes.among(each), found.among(each)
-        tries = rows.torque + length[:, None] * change.index_select(1, each)
+        length = 0.5 ** torch.arange(tried, tried + number, device=u.device, dtype=u.dtype).repeat_interleave(len(wait))
+        tries, gain, at = (y.index_select(1, each) for y in (found.torque, found.gain, near))
         begin = {name: y.index_select(0, each) for name, y in start.items()}
-        x, u, cost = of.forward(begin, tries, rows.gain, near.index_select(1, each))
-        good = _accepted(rows.cost, cost, terms.index_select(0, each), length).view(number, -1)
-        longest = good.int().argmax(0)
-        some = good.any(0).nonzero()[:, 0]
-        at, to = longest[some] * len(wait) + some, wait[some]
-        for name, y in x.items():
-            result.states[name].index_copy_(1, to, y.index_select(1, at))
-        result.torque.index_copy_(1, to, u.index_select(1, at))
-        result.cost.index_copy_(0, to, cost.index_select(0, at))
-        wait, tried = wait[~good.any(0)], tried + number
+        tries = torch.addcmul(tries, length[:, None], change.index_select(1, each))
+        x, u, cost = passes.among(each).forward(begin, tries, gain, at)
+        good = _accepted(found.cost[each], cost, terms[each], length).view(number, -1)
+        some = good.any(0)
+        best, to = (good.int().argmax(0) * len(wait) + torch.arange(len(wait), device=wait.device))[some], wait[some]
+        if len(to):
+            for name, y in x.items():
+                result.states[name].index_copy_(1, to, y.index_select(1, best))
+            result.torque.index_copy_(1, to, u.index_select(1, best))
+            result.cost.index_copy_(0, to, cost.index_select(0, best))
+        wait, tried = wait[~some], tried + number
     if len(wait):
-        more = (10.0 * found.damping.index_select(0, wait)).clamp(min=DAMPED)
-        result.damping.index_copy_(0, wait, more)
+        result.damping.index_copy_(0, wait, (10.0 * found.damping[wait]).clamp(min=DAMPED))
     return result
 
 
@@ -322,7 +325,7 @@ class Receding:
         states = {name: flat(_moved(x), 1) for name, x in plan.states.rows().items()}
         u = flat(_moved(plan.torque), 1)
         found = begun(passes, states, u, torch.full_like(u[0, :, 0], torch.inf))
-        found = improved(passes, start, found, self.iterations, 0.0, lambda _: None)
+        found = improved(passes, start, found, self.iterations, None, lambda _: None)
         return planned(self.problem, passes, batch, found)
 
 

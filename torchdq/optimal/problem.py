@@ -205,6 +205,7 @@ class Passes(NamedTuple):
     fixed: dict[str, Tensor]  # those that are the same at all steps [rows, ...]
     shared: dict[str, Tensor]  # parameters of the scene that all rows share
     limits: Limits | None  # of the torques [rows, n]
+    size: int  # numbers of a displacement of the state
 
     @classmethod
     def of(cls, problem: Problem, like: Tensor, inputs: Mapping[str, Tensor]) -> Passes:
@@ -225,7 +226,7 @@ class Passes(NamedTuple):
         limits = problem.limits(like)
         if limits is not None:
             limits = tuple([x.expand(like.shape).reshape(count, -1) for x in limits])  # type: ignore[assignment]
-        return cls(problem, stepped, fixed, shared, limits)
+        return cls(problem, stepped, fixed, shared, limits, sum(scene.spec.displaced.values()))
 
     def among(self, rows: Tensor) -> Passes:
         """Passes of some of the rows."""
@@ -244,7 +245,8 @@ class Passes(NamedTuple):
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
         problem, rows = self.problem, len(damping)
         what = Knot(problem.scene.spec, problem.objective, self.limits is not None)
-        start = {name: torque.new_zeros(rows, *what.axes(name)) for name in ("V", "v")}
+        sizes = {"V": self.size * (self.size + 1) // 2, "v": self.size}
+        start = {name: torque.new_zeros(rows, size) for name, size in sizes.items()}
         near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
         stepped = {**near, problem.objective.control: torque, **self.stepped}
         fixed = {"damping": damping[:, None], **self._given}
@@ -271,6 +273,6 @@ class Passes(NamedTuple):
             stepped |= dict(zip(STEPPED, (gain, torque, near), strict=True))
             if self.limits is not None:
                 given |= {f"{POLICY}.{x}": y for x, y in zip(("lower", "upper"), self.limits, strict=True)}
-        what = Stage(problem.scene.spec, "step", problem.objective, policy=policy)
+        what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)
         found = repeat(what, problem.steps, start, stepped, given, ("cost",), backend=problem.scene.backend)
         return {name: found[name] for name in start}, found["planned"], found["cost"].nan_to_num(torch.inf, torch.inf)

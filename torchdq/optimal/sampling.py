@@ -35,7 +35,7 @@ class Sampling:
     ) -> Tensor:
         """Torques [steps, rows, n] after some iterations."""
         problem, (steps, _, n) = passes.problem, torque.shape
-        what = Stage(problem.scene.spec, "step", problem.objective)
+        what = Stage(problem.scene.spec, "step", problem.objective, unguarded=True)
         generator = torch.Generator(torque.device).manual_seed(self.seed)
         knots = min(self.knots or steps, steps)
         noise = torch.randn(iterations, knots, self.samples, 1, n, generator=generator, dtype=torque.dtype, device=torque.device)

@@ -231,6 +231,7 @@ class _StageFields(NamedTuple):
     # "direction" [t + n], a displacement of state and torque
     wrt: tuple[str, ...] | None = None
     policy: Formula | None = None  # of a step, which adds its torques to those given
+    unguarded: bool = False  # whether rows with a singular mass matrix have any numbers, without a look at them
 
 
 class Stage(_StageFields, Computation):
@@ -359,6 +360,7 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     acting = [(k, effect) for k, effect in enumerate(spec.effects) if not effect.idle() or effect.memory(n)]
     about = [*[f"effect {k}: {part(effect)}" for k, effect in acting], *lines(spec.effects, n)]
     about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]
+    best = replace(best, growth=None) if what.unguarded else best
     return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *about))
 
 
