@@ -275,4 +275,5 @@ class Passes(NamedTuple):
                 given |= {f"{POLICY}.{x}": y for x, y in zip(("lower", "upper"), self.limits, strict=True)}
         what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)
         found = repeat(what, problem.steps, start, stepped, given, ("cost",), backend=problem.scene.backend)
-        return {name: found[name] for name in start}, found["planned"], found["cost"].nan_to_num(torch.inf, torch.inf)
+        planned = found["planned"].view(torque.shape)  # one number of a task has no axis
+        return {name: found[name] for name in start}, planned, found["cost"].nan_to_num(torch.inf, torch.inf)
