@@ -1,4 +1,4 @@
-"""Costs: each is the formula of its docstring, of torch on the states of a rollout, and has derivatives where it is zero."""
+"""Costs: each is the formula of its docstring, of torch on the states of a rollout; poses have derivatives at goals."""
 
 import pytest
 import torch
@@ -52,9 +52,9 @@ COSTS = {
     "limits": (optimal.JointLimits(2.0), lambda s, u: beyond(s.q)),
     "spheres": (
         optimal.Spheres(2.0, "tip", (BOX,), X_WO, height=-0.5, margin=0.6),
-        lambda s, u: (
-            0.6 - torchdq.distances(ROBOT, s.q, "tip", (BOX,), X_WO[None], height=-0.5).distance
-        ).clamp(min=0),
+        lambda s, u: (0.6 - torchdq.distances(ROBOT, s.q, "tip", (BOX,), X_WO[None], height=-0.5).distance).clamp(
+            min=0
+        ),
     ),
     "own": (optimal.Residuals(near, 2.0, goal=GOAL), lambda s, u: (1 + (s.q - GOAL).square()).sqrt()),
 }
@@ -70,7 +70,6 @@ def test_a_cost_is_its_formula(name):
     assert torch.allclose(found, squares(residual(states, torque)), rtol=1e-12) and found.min() > 0
     twice = optimal.Problem(scene, STEPS, [cost], [cost], torques=None)
     last = squares(residual(states, torque)[-1:])
-    assert len(twice.objective.terms) == 1  # one formula with two weights
     assert torch.allclose(twice.cost(state, torque), found + last, rtol=1e-12)
 
 
@@ -99,8 +98,3 @@ def test_weights_of_every_residual_and_step_count():
     problem = optimal.Problem(SCENE, STEPS, [optimal.Speeds(weight)], [optimal.Speeds(double(1.0, 5.0))])
     expected = squares(states.qd, weight) + squares(states.qd[-1:], double(1.0, 5.0))
     assert torch.allclose(problem.cost(state, torque), expected, rtol=1e-12)
-
-
-def test_costs_say_what_they_are():
-    assert str(optimal.Point("tip", TIP, 5.0)) == "Point(tip, weight=5, goal=[3])"
-    assert str(COSTS["own"][0]) == "Residuals(near, weight=2, goal=[2])"

@@ -25,8 +25,13 @@ STEPS, ROWS = 30, 7
 
 def swing(torques=None, **changes):
     """Problem of the arm, whose tip is brought to a point and to rest."""
-    costs, final = [optimal.Torques(1e-3), optimal.Speeds(1e-2)], [optimal.Point("tip", GOAL, 1e3), optimal.Speeds(10.0)]
-    return optimal.Problem(**{"scene": ARM, "steps": STEPS, "costs": costs, "final": final, "torques": torques, **changes})
+    costs, final = (
+        [optimal.Torques(1e-3), optimal.Speeds(1e-2)],
+        [optimal.Point("tip", GOAL, 1e3), optimal.Speeds(10.0)],
+    )
+    return optimal.Problem(
+        **{"scene": ARM, "steps": STEPS, "costs": costs, "final": final, "torques": torques, **changes}
+    )
 
 
 def starts(*rows, seed=0):
@@ -244,7 +249,7 @@ def test_single_precision_is_enough_for_a_plan():
         lambda: optimal.solve(swing(costs=[optimal.BasePose(torch.zeros(8).double(), 1.0)]), starts()),
         lambda: optimal.solve(swing(final=[optimal.Speeds(torch.zeros(STEPS, 1).double())]), starts()),
         lambda: optimal.solve(swing(final=[optimal.Point("elbow", GOAL, 1.0)]), starts()),
-        lambda: optimal.Residuals(3.0),
+        lambda: optimal.Residuals(3.0, 1.0),
         lambda: optimal.solve(swing(), starts(), method=optimal.MPPI(4)).policy,
     ],
 )

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from helpers import double, random
+from helpers import double
 from robots import one_joint
 
 import torchdq
@@ -14,7 +14,7 @@ GOAL, STEPS = double(0.3, -0.2), 20
 COSTS = [optimal.Torques(1e-4), optimal.Posture(GOAL, 10.0), optimal.Speeds(0.1)]
 PROBLEM = optimal.Problem(ARM, STEPS, COSTS, torques=(-60.0, 60.0))
 METHODS = {
-    "mppi": optimal.MPPI(256, spread=5.0, temperature=0.05),
+    "mppi": optimal.MPPI(256, spread=2.0, temperature=0.05),
     "cem": optimal.CEM(256, spread=10.0, knots=6),
 }
 
@@ -66,7 +66,10 @@ def test_ticks_without_disturbances_converge_to_the_plan_of_a_solution():
 def test_a_receding_horizon_may_be_one_of_samples():
     slide = Scene(one_joint([0.0, 0, 0, 1, 0, 0]), dt=0.1)
     problem = optimal.Problem(slide, 10, [optimal.Posture(double(0.5), 1.0), optimal.Speeds(0.1)])
-    mpc, state = optimal.Receding(problem, method=optimal.MPPI(128, spread=10.0, temperature=0.02)), slide.start(double(0.0))
+    mpc, state = (
+        optimal.Receding(problem, method=optimal.MPPI(128, spread=10.0, temperature=0.02)),
+        slide.start(double(0.0)),
+    )
     for _ in range(40):
         torque, gain = mpc(state)
         state = slide.step(state, torque)

@@ -1,6 +1,7 @@
 """Optimal control: torques of many steps that cost least, of batches of problems, in the loops of rollouts.
 
-    problem = optimal.Problem(scene, 50, [optimal.Torques(1e-4)], [optimal.Point("tip", goal, 1e3), optimal.Speeds(10.0)])
+    final = [optimal.Point("tip", goal, 1e3), optimal.Speeds(10.0)]
+    problem = optimal.Problem(scene, 50, [optimal.Torques(1e-4)], final)
     plan = optimal.solve(problem, scene.start(q))
 
 `solve` is iterative LQR with limits of the torques, or a sampling method; `Receding` plans anew at every tick.
@@ -18,9 +19,9 @@ from torchdq.optimal.costs import (
     Spheres,
     Torques,
 )
+from torchdq.optimal.ilqr import Receding, solve
 from torchdq.optimal.problem import STATUS, Plan, Problem
 from torchdq.optimal.sampling import CEM, MPPI
-from torchdq.optimal.ilqr import Receding, solve
 
 __all__ = [
     "CEM",

@@ -8,7 +8,7 @@ Weights and goals are tensors: arguments of the programs, which depend on formul
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra.quaternion import Number
-from torchdq.base.checks import require_tensor, tensor_of
+from torchdq.base.checks import tensor_of
 from torchdq.dq import pose_error
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
@@ -30,7 +30,7 @@ from torchdq.robot.contact_points import points_of
 from torchdq.scene.free_base import as_pose
 from torchdq.scene.spec import Rows, View
 
-Weight = Tensor | float | Sequence[float]
+Weight = Tensor | float
 
 
 class Term(NamedTuple):
@@ -46,29 +46,30 @@ class Objective(NamedTuple):
 
     terms: tuple[Term, ...]
     control: str = "torque"  # input of a step that is planned
+    squares: bool = False  # whether its rows are all residuals and their weights
 
     def inputs(self, n: int) -> dict[str, int]:
         """Names and widths of the inputs."""
         return {named(name, k): width for k, term in enumerate(self.terms) for name, width in term.widths}
 
-    def residuals(self, view: View) -> list[tuple[Number, Number]]:
-        """Weight and residual of every square."""
-        view, found = view._replace(torque=view.inputs[self.control]), list[tuple[Number, Number]]()
+    def rows(self, view: View) -> Rows:
+        """Cost of a step and the torques that were planned for it, or residuals and weights."""
+        view, weights, found = view._replace(torque=view.inputs[self.control]), list[Number](), list[Number]()
         for k, (function, settings, widths) in enumerate(self.terms):
             given = {name: view.inputs[named(name, k)] for name, _ in widths}
             weight, row = given.pop("weight"), function(view, *settings, **given)
             if len(weight) not in (1, len(row)):
                 raise ArgumentError(
-                    f"weight of cost {k} must be a number, or have one for each of {len(row)} residuals, found "
-                    f"{len(weight)}"
+                    f"weight of {function.__name__.strip('_')} must be one number or {len(row)}, found {len(weight)}"
                 )
-            found += zip(weight if len(weight) == len(row) else [*weight] * len(row), row, strict=True)
-        return found
-
-    def rows(self, view: View) -> Rows:
-        """Cost of a step, and the torques that were planned for it."""
-        cost = sum([w * r * r for w, r in self.residuals(view)], 0.0)
-        return {"cost": [0.5 * cost], "planned": view.inputs[self.control]}
+            weights += [*weight] * (len(row) // len(weight))
+            found += row
+        if self.squares:
+            return {"residual": found, "weight": weights}
+        return {
+            "cost": [0.5 * sum([w * r * r for w, r in zip(weights, found, strict=True)], 0.0)],
+            "planned": view.torque,
+        }
 
 
 def named(name: str, k: int) -> str:
@@ -79,99 +80,70 @@ def named(name: str, k: int) -> str:
 class Residuals:
     """Cost 1/2 sum w r^2 of residuals r, numbers of the state at the end of a step and of the torques of the step.
 
-    The function is called once, when programs are recorded, with a view of the state: `view.q`, `view.qd`,
-    `view.torque` (the torques that are planned), `view.X_WB`, `view.V_WB_B`, and `view.posed(view.q)`, the robot, as
-    in tasks of environments. Its numbers are recorded, so it uses + - * / and `torchdq.numbers.functions`. Programs are
-    known by the function: define it once, not at every call.
+    The function is called where programs are recorded, with a view of the state: `view.q`, `view.qd`, `view.torque`
+    (the torques that are planned), `view.X_WB`, `view.V_WB_B`, and `view.posed(view.q)`, the robot, as in tasks of
+    environments. It uses + - * / and `torchdq.numbers.functions`. Programs are known by the function: define it once.
 
     Args:
         function: function `function(view, *settings, **inputs)` that returns a list of residuals.
         weight: w, a number or one for every residual, shape [..., residuals]; with one axis more than the states of the
             problem, [steps, ..., residuals], that of every step.
         settings: constants of the function, hashable.
-        inputs: tensors that the function receives as rows of numbers, shape [..., k] or [steps, ..., k].
+        inputs: tensors that the function receives as rows of numbers, shape [..., k] or [steps, ..., k]; None: absent.
 
     >>> import torch, torchdq
-    >>> from torchdq import optimal
-    >>> def near(view, goal):
-    ...     return [q - g for q, g in zip(view.q, goal)]
-    >>> optimal.Residuals(near, 10.0, goal=torch.tensor([0.3, 0.2]))
-    Residuals(near, weight=10.0, goal=[2])
+    >>> from torchdq import Scene, optimal
+    >>> def apart(view, least):
+    ...     return [view.q[1] - view.q[0] - least[0]]
+    >>> scene, least = Scene(torchdq.robots.load("two_link"), dt=0.05), torch.tensor([0.5], dtype=torch.float64)
+    >>> problem = optimal.Problem(scene, 20, [optimal.Residuals(apart, 10.0, least=least), optimal.Torques(1e-3)])
+    >>> plan = optimal.solve(problem, scene.start(torch.zeros(2, dtype=torch.float64)))
+    >>> plan.states.q[-1].diff()
+    tensor([0.5000], dtype=torch.float64)
     """
 
     def __init__(
         self,
         function: Callable[..., Row],
-        weight: Weight = 1.0,
+        weight: Weight,
         settings: Sequence[Any] = (),
-        **inputs: Tensor | Sequence[float] | None,
+        **inputs: Tensor | float | None,
     ):
         if not callable(function):
             raise ArgumentError(f"function must be a function function(view, ...) of a cost, found {function!r}")
-        self.function, self.settings = function, tuple(settings)
-        self.inputs = {name: tensor_of(x) for name, x in {"weight": weight, **inputs}.items() if x is not None}
-        for name, x in self.inputs.items():
-            require_tensor(name, x)
-        self.inputs = {name: x if x.ndim else x[None] for name, x in self.inputs.items()}
-
-    @property
-    def term(self) -> Term:
-        """Formula."""
-        return Term(self.function, self.settings, tuple([(name, x.shape[-1]) for name, x in self.inputs.items()]))
-
-    def __repr__(self) -> str:
-        shown = {name: f"{x.item():g}" if x.numel() == 1 else [*x.shape] for name, x in self.inputs.items()}
-        about = [*map(str, self.settings), *(f"{name}={x}" for name, x in shown.items())]
-        kind, name = type(self).__name__, self.function.__name__
-        return f"{kind}({', '.join([name] * (kind == 'Residuals') + about)})".replace("=10)", "=10.0)")
+        tensors = {name: tensor_of(x) for name, x in {"weight": weight, **inputs}.items() if x is not None}
+        self.inputs = {name: x if x.ndim else x[None] for name, x in tensors.items()}
+        self.term = Term(function, tuple(settings), tuple([(name, x.shape[-1]) for name, x in self.inputs.items()]))
 
 
-# --- costs of motion -------------------------------------------------------------------------------------------------
+# --- costs of motion; the weight of each is that of `Residuals`, one number or as many as its goal has ----------------
 
 
 class Torques(Residuals):
-    """Cost of torques, r = tau - reference.
-
-    Args:
-        weight: as in `Residuals`, one number or n.
-        reference: torques that cost nothing [N m or N], shape [..., n]; None: zero.
-    """
+    """Cost of torques less a reference [N m or N], shape [..., n]; None: zero."""
 
     def __init__(self, weight: Weight, reference: Tensor | None = None):
-        super().__init__(_torques, weight, reference=reference)
+        super().__init__(_of_row, weight, ("torque",), goal=reference)
 
 
 class Speeds(Residuals):
-    """Cost of the velocities of the joints, r = qd - goal.
-
-    Args:
-        weight: as in `Residuals`, one number or n.
-        goal: desired velocities [rad/s or m/s], shape [..., n]; None: rest.
-    """
+    """Cost of velocities of the joints less a goal [rad/s or m/s], shape [..., n]; None: rest."""
 
     def __init__(self, weight: Weight, goal: Tensor | None = None):
-        super().__init__(_speeds, weight, goal=goal)
+        super().__init__(_of_row, weight, ("qd",), goal=goal)
 
 
 class Posture(Residuals):
-    """Cost of positions of the joints, r = q - goal.
-
-    Args:
-        goal: desired positions [rad or m], shape [..., n].
-        weight: as in `Residuals`, one number or n.
-    """
+    """Cost of positions of the joints less a goal [rad or m], shape [..., n]."""
 
     def __init__(self, goal: Tensor, weight: Weight):
-        super().__init__(_posture, weight, goal=goal)
+        super().__init__(_of_row, weight, ("q",), goal=goal)
 
 
 class Point(Residuals):
-    """Cost of the position of a frame's origin, r = p - goal [m].
+    """Cost of the position of a frame's origin less a goal [m], shape [..., 3], in the base frame.
 
-    Args:
-        frame: name of the frame.
-        goal: desired position in the base frame, in the world if the base is floating [m], shape [..., 3].
-        weight: as in `Residuals`, one number or 3.
+    Of a floating base it is in the world.
     """
 
     def __init__(self, frame: str, goal: Tensor, weight: Weight):
@@ -179,12 +151,9 @@ class Point(Residuals):
 
 
 class Pose(Residuals):
-    """Cost of the pose of a frame, r = 2 log(X_D^-1 X): rotation vector [rad], and translation along the screw [m].
+    """Cost of the pose X of a frame, r = 2 log(X_D^-1 X) from a goal X_D, shape [..., 8], in the frame of `Point`.
 
-    Args:
-        frame: name of the frame.
-        goal: desired pose X_D in the base frame, in the world if the base is floating, shape [..., 8].
-        weight: as in `Residuals`, one number or 6, (angular, linear) in the axes of X_D.
+    The six residuals are a rotation vector [rad] and the translation of the screw [m], in the axes of the goal.
     """
 
     def __init__(self, frame: str, goal: Tensor, weight: Weight):
@@ -192,38 +161,23 @@ class Pose(Residuals):
 
 
 class BasePose(Residuals):
-    """Cost of the pose of a floating base, r = 2 log(X_D^-1 X_WB), as in `Pose`.
-
-    Args:
-        goal: desired pose X_D in the world, shape [..., 8].
-        weight: as in `Residuals`, one number or 6.
-    """
+    """Cost of the pose of a floating base, r = 2 log(X_D^-1 X_WB) from a goal X_D, shape [..., 8], as in `Pose`."""
 
     def __init__(self, goal: Tensor, weight: Weight):
-        super().__init__(_base_pose, weight, goal=goal)
+        super().__init__(_pose, weight, (None,), goal=goal)
 
 
 class BaseVelocity(Residuals):
-    """Cost of the twist of a floating base, r = V_WB_B - goal.
-
-    Args:
-        weight: as in `Residuals`, one number or 6.
-        goal: desired twist (angular, linear) in the axes of the base [rad/s, m/s], shape [..., 6]; None: rest.
-    """
+    """Cost of the twist V_WB_B of a floating base less a goal [rad/s, m/s], shape [..., 6], in its axes; None: rest."""
 
     def __init__(self, weight: Weight, goal: Tensor | None = None):
-        super().__init__(_base_velocity, weight, goal=goal)
-
-
-# --- limits as costs -------------------------------------------------------------------------------------------------
+        super().__init__(_of_row, weight, ("V_WB_B",), goal=goal)
 
 
 class JointLimits(Residuals):
-    """Cost of positions beyond the limits of the joints, or nearer to them than a margin: r = max(0, excess).
+    """Cost of joints beyond their limits, or nearer than a margin [rad or m], r = max(0, excess).
 
-    Args:
-        weight: as in `Residuals`, one number or one for every joint that has limits.
-        margin: distance from the limits at which the cost begins [rad or m].
+    There is a residual for every joint that has limits.
     """
 
     def __init__(self, weight: Weight, margin: float = 0.05):
@@ -231,15 +185,14 @@ class JointLimits(Residuals):
 
 
 class Spheres(Residuals):
-    """Cost of spheres of the robot nearer to things than a margin: r = max(0, margin - distance) of every pair.
+    """Cost of spheres of the robot nearer to things than a margin, r = max(0, margin - distance) of every pair.
 
     Args:
-        weight: as in `Residuals`, one number or one for every pair, which are those of `torchdq.distances`.
-        points: the spheres, as there.
+        weight: as in `Residuals`, one number or one for every pair of `torchdq.distances`.
+        points, own: the spheres, and whether those on different links are kept apart, as there.
         objects: those of `torchdq.objects` that are kept away from, with numbers as sizes.
         X_WO: their poses, shape [..., 8 objects], one after the other; None: at the origin.
         height: height of the ground [m]; None: there is no ground.
-        own: whether spheres on different links are kept away from each other.
         margin: distance at which the cost begins [m].
     """
 
@@ -265,16 +218,18 @@ def _less(row: Row, goal: Row) -> Row:
     return [a - b for a, b in zip(row, goal, strict=True)] if goal else row
 
 
-def _torques(view: View, reference: Row = ()) -> Row:
-    return _less(view.torque, reference)
+def _floating(view: View) -> View:
+    """View of a robot with a floating base; raises if it is fixed."""
+    if not view.X_WB:
+        name = view.scene.spec.robot.name
+        raise ArgumentError(
+            f'BasePose and BaseVelocity need a floating base, base="floating"; that of {name!r} is fixed'
+        )
+    return view
 
 
-def _speeds(view: View, goal: Row = ()) -> Row:
-    return _less(view.qd, goal)
-
-
-def _posture(view: View, goal: Row) -> Row:
-    return _less(view.q, goal)
+def _of_row(view: View, name: str, goal: Row = ()) -> Row:
+    return _less(getattr(_floating(view) if name == "V_WB_B" else view, name), goal)
 
 
 def _point(view: View, name: str, goal: Row) -> Row:
@@ -282,30 +237,14 @@ def _point(view: View, name: str, goal: Row) -> Row:
     return _less(at.position(link, at.point(link, X_BF).position), goal)
 
 
-def _error(X: Any, goal: Row) -> Row:
+def _pose(view: View, name: str | None, goal: Row) -> Row:
+    if name is None:
+        X = as_pose(_floating(view).X_WB)
+    else:
+        link, X_BF = frame(view.scene.spec.robot, name)
+        X = dq.mul(view.posed(view.q).poses()[link], X_BF)
     angular, linear = pose_error.error(dq.mul(dq.conj(pose_of_any_norm(goal)), X))
     return [*angular, *linear]
-
-
-def _pose(view: View, name: str, goal: Row) -> Row:
-    link, X_BF = frame(view.scene.spec.robot, name)
-    return _error(dq.mul(view.posed(view.q).poses()[link], X_BF), goal)
-
-
-def _base_pose(view: View, goal: Row) -> Row:
-    _require_floating(view, "BasePose")
-    return _error(as_pose(view.X_WB), goal)
-
-
-def _base_velocity(view: View, goal: Row = ()) -> Row:
-    _require_floating(view, "BaseVelocity")
-    return _less(view.V_WB_B, goal)
-
-
-def _require_floating(view: View, cost: str) -> None:
-    if not view.X_WB:
-        name = view.scene.spec.robot.name
-        raise ArgumentError(f'{cost} needs a floating base, found robot {name!r} on a fixed one; load it with base="floating"')
 
 
 def _joint_limits(view: View, margin: float) -> Row:
@@ -319,27 +258,7 @@ def _joint_limits(view: View, margin: float) -> Row:
 
 def _spheres(view: View, points: Any, objects: Any, own: bool, margin: float, **given: Row) -> Row:
     robot: Any = view.scene.spec.robot
-    ground = distances.GROUND * ("height" in given)
     x: Any = SimpleNamespace(robot=robot, arguments=given, bodies=lambda: view.posed(view.q))
-    found = distances.distances(x, points_of(robot, points), objects, ground, "own" * own)["distance"]
+    of = points_of(robot, points), objects, distances.GROUND * ("height" in given), "own" * own
+    found: Any = distances.distances(x, *of)["distance"]
     return [maximum(0.0, margin - d) for d in found]
-
-
-def merged(costs: Mapping[str, Sequence[Residuals]]) -> list[tuple[Residuals, dict[str, Tensor]]]:
-    """Costs of equal formulas and goals as one, each with its weights by where it was found."""
-    found: list[tuple[Residuals, dict[str, Tensor]]] = []
-    for place, group in costs.items():
-        for cost in group:
-            same = next((weights for one, weights in found if place not in weights and _same(one, cost)), None)
-            if same is None:
-                found.append((cost, same := {}))
-            same[place] = cost.inputs["weight"]
-    return found
-
-
-def _same(a: Residuals, b: Residuals) -> bool:
-    """Whether two costs differ by their weights alone."""
-    if (a.function, a.settings, a.inputs.keys()) != (b.function, b.settings, b.inputs.keys()):
-        return False
-    pairs = [(x, b.inputs[name]) for name, x in a.inputs.items() if name != "weight"]
-    return all([x is y or (x.shape == y.shape and bool((x == y).all())) for x, y in pairs])

@@ -11,13 +11,13 @@ box QP (Y. Tassa, N. Mansard, E. Todorov, "Control-limited differential dynamic 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_choice, require_count, require_number, require_tensor
+from torchdq.base.checks import require_choice, require_count, require_number, require_object, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.optimal.problem import CONVERGED, DIVERGED, STALLED, STOPPED, Passes, Plan, Problem, joined
@@ -40,27 +40,35 @@ class Found(NamedTuple):
 
     states: dict[str, Tensor]  # [steps + 1, rows, ...]
     torque: Tensor  # [steps, rows, n]
-    cost: Tensor  # [rows]
     gain: Tensor  # [steps, rows, n, s]
+    cost: Tensor  # [rows]
     damping: Tensor  # [rows]
     status: Tensor  # [rows]
     iterations: Tensor  # [rows]
 
+    @property
+    def followed(self) -> tuple[Tensor, Tensor]:
+        """Gains, and the states that they follow."""
+        return self.gain, joined(self.states)[:-1]
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        """All tensors; those of more than one axis have the rows second."""
+        return [*self.states.values(), *self[1:]]
+
+    def made(self, tensors: Sequence[Tensor]) -> Found:
+        """The same of other tensors."""
+        count = len(self.states)
+        return Found(dict(zip(self.states, tensors[:count], strict=True)), *tensors[count:])
+
     def among(self, rows: Tensor) -> Found:
         """Some of the rows."""
-        states = {name: x.index_select(1, rows) for name, x in self.states.items()}
-        first = [x.index_select(1, rows) for x in (self.torque, self.gain)]
-        cost, damping, status, iterations = [x.index_select(0, rows) for x in (self.cost, *self[4:])]
-        return Found(states, first[0], cost, first[1], damping, status, iterations)
+        return self.made([x.index_select(int(x.ndim > 1), rows) for x in self.tensors])
 
     def put(self, rows: Tensor, of: Found) -> None:
         """Take some rows from others."""
-        for name, x in self.states.items():
-            x.index_copy_(1, rows, of.states[name])
-        self.torque.index_copy_(1, rows, of.torque)
-        self.gain.index_copy_(1, rows, of.gain)
-        for mine, theirs in zip((self.cost, *self[4:]), (of.cost, *of[4:]), strict=True):
-            mine.index_copy_(0, rows, theirs)
+        for x, y in zip(self.tensors, of.tensors, strict=True):
+            x.index_copy_(int(x.ndim > 1), rows, y)
 
 
 @outside_of_graphs
@@ -84,12 +92,12 @@ def solve(
         problem: costs and limits.
         state: initial states, shape [...].
         torque: torques to begin with [N m or N], shape [steps, ..., n]; None: those that hold a fixed base's joints.
-        states: states to begin with, [steps + 1, ...], that no torques need lead to, such as a straight line; None: those
-            of the torques. With both, as of an earlier plan, limits hold from the first iteration on.
+        states: states to begin with, [steps + 1, ...], that no torques need lead to, such as a straight line; None:
+            those of the torques. With both, as of an earlier plan, limits hold from the first iteration on.
         method: "ilqr", `MPPI(...)` or `CEM(...)`.
         iterations: largest number of iterations.
-        tolerance: expected decrease of the cost, as a share of it or, below 1, absolute, from which a row has converged;
-            None: 1e-9, in float32 1e-5.
+        tolerance: expected decrease of the cost, as a share of it or, below 1, absolute, from which a row has
+            converged; None: 1e-9, in float32 1e-5.
         inputs: other inputs of the scene, shape [steps, ..., k].
     Raises:
         ArgumentError: an argument has another shape than that of the problem.
@@ -105,8 +113,7 @@ def solve(
     3 of 3, the first is row 0: converged: no step is expected to decrease the cost by more than the tolerance
     """
     require_state(state)
-    if not isinstance(problem, Problem):
-        raise ArgumentError(f"problem must be a torchdq.optimal.Problem, found {type(problem).__name__}")
+    require_object("problem", problem, Problem, "torchdq.optimal", "Problem(scene, 50, costs)")
     if not isinstance(method, Sampling):
         require_choice("method", method, ("ilqr",))
     require_count("iterations", iterations)
@@ -115,24 +122,22 @@ def solve(
     batch, steps = state.q.shape[:-1], problem.steps
     with torch.no_grad(), Progress(f"optimal control of {batch.numel()} problems") as notice:
         u = problem.holding(state) if torque is None else _started("torque", torque, (steps, *state.q.shape))
-        passes = Passes.of(problem, state.q, inputs)
-        start = {name: x.detach().reshape(-1, x.shape[-1]) for name, x in state.rows().items()}
-        u = u.detach().reshape(steps, -1, u.shape[-1])
+        u, passes = _by_rows(u, 1), Passes.of(problem, state.q, inputs)
+        start = {name: _by_rows(x, 0) for name, x in state.rows().items()}
         if isinstance(method, Sampling):
             u = method.improved(passes, start, u, iterations, notice.at)
-            x, u, cost = passes.forward(start, u)
-            status = torch.where(cost.isfinite(), STOPPED, DIVERGED)
-            return planned(problem, passes, batch, Found(x, u, cost, u, cost, status, torch.full_like(status, iterations)), False)
+            found = begun(passes, *passes.forward(start, u))
+            status = torch.where(found.cost.isfinite(), STOPPED, DIVERGED)
+            plan = planned(passes, batch, found._replace(status=status, iterations=found.iterations + iterations))
+            return plan._replace(gain=None)
         if states is None:
             found = begun(passes, *passes.forward(start, u))
         else:
-            x = {name: _started(name, y, (steps + 1, *batch, y.shape[-1])) for name, y in states.rows().items()}
-            x = {name: y.detach().reshape(steps + 1, -1, y.shape[-1]) for name, y in x.items()}
-            found = begun(passes, x, u, torch.full_like(u[0, :, 0], torch.inf))
+            near = {name: _started(name, x, (steps + 1, *batch, x.shape[-1])) for name, x in states.rows().items()}
+            found = begun(passes, {name: _by_rows(x, 1) for name, x in near.items()}, u)
         if passes.limits is not None and (torque is None or states is None):
             found = _roughly(passes, start, found, iterations, notice.within("without limits"))
-        found = improved(passes, start, found, iterations, tolerance, notice.at)
-    return planned(problem, passes, batch, found)
+        return planned(passes, batch, improved(passes, start, found, iterations, tolerance, notice.at))
 
 
 def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
@@ -145,21 +150,29 @@ def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
         raise ArgumentError(f"{name} to begin with must have the shape [{expected}], found {tuple(x.shape)}") from error
 
 
-def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tensor) -> Found:
-    """Rows to be solved, of states and torques, and their costs where torques lead to the states, others infinite."""
-    gain = torque.new_empty(*torque.shape, passes.size)
+def _by_rows(x: Tensor, axis: int) -> Tensor:
+    """Tensor whose batch axes, between an axis and the last, are one of rows."""
+    return x.detach().flatten(axis, -2) if x.ndim > axis + 1 else x.detach().unsqueeze(axis)
+
+
+def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tensor | None = None) -> Found:
+    """Rows to be solved of states, torques and their costs; None: infinite, since torques do not lead to the states."""
+    cost = torch.full_like(torque[0, :, 0], torch.inf) if cost is None else cost
     count = torch.zeros_like(cost, dtype=torch.int64)
-    return Found(states, torque, cost, gain, torch.zeros_like(cost), count + STOPPED, count)
+    gain = torque.new_empty(*torque.shape, passes.size)
+    return Found(states, torque, gain, cost, torch.zeros_like(cost), count + STOPPED, count)
 
 
-def planned(problem: Problem, passes: Passes, batch: torch.Size, found: Found, gains: bool = True) -> Plan:
+def planned(passes: Passes, batch: torch.Size, found: Found) -> Plan:
     """Plan of rows, with their batch axes."""
-    states = State(**{name: x.unflatten(1, batch) if batch else x[:, 0] for name, x in found.states.items()})
-    shaped: Callable[[Tensor, int], Tensor] = lambda x, axis: x.unflatten(axis, batch) if batch else x.squeeze(axis)  # noqa: E731
-    gain = shaped(found.gain, 1) if gains else None
-    limits = None if passes.limits is None else tuple([shaped(x, 0) for x in passes.limits])
-    last = [shaped(x, 0) for x in (found.cost, found.status, found.iterations)]
-    return Plan(shaped(found.torque, 1), states, gain, *last, limits)  # type: ignore[arg-type]
+
+    def shaped(x: Tensor, axis: int) -> Tensor:
+        return x.unflatten(axis, batch) if batch else x.squeeze(axis)
+
+    states = State(**{name: shaped(x, 1) for name, x in found.states.items()})
+    cost, status, iterations = (shaped(x, 0) for x in (found.cost, found.status, found.iterations))
+    limits = passes.limits and (shaped(passes.limits[0], 0), shaped(passes.limits[1], 0))
+    return Plan(shaped(found.torque, 1), states, shaped(found.gain, 1), cost, status, iterations, limits)
 
 
 def _roughly(
@@ -167,7 +180,7 @@ def _roughly(
 ) -> Found:
     """Start of problems with limits: the states of solutions without them, followed under them."""
     free = improved(passes._replace(limits=None), start, found, iterations, 0.0, at, ROUGH)
-    x, u, cost = passes.forward(start, free.torque, free.gain, joined(free.states)[:-1])
+    x, u, cost = passes.forward(start, free.torque, free.followed)
     begin = begun(passes, x, u, cost)._replace(iterations=free.iterations)
     lost = cost.isinf().nonzero()[:, 0]
     if len(lost):  # the start itself is what is left
@@ -190,81 +203,59 @@ def improved(
 
     Without a tolerance all rows take all iterations.
     """
-    whole, rows = None, None
+    whole, rows = found, torch.arange(len(found.cost), device=found.cost.device)
     for k in range(iterations):
-        at(f"iteration {k + 1}, {len(found.cost)} rows are left")
+        at(f"iteration {k + 1}, {len(rows)} rows are left")
         gain, change, terms = passes.backward(found.states, found.torque, found.damping)
         found = found._replace(gain=gain)
-        if tolerance is None:
-            found = _stepped(passes, start, found, change, terms)
-            continue
-        expected = -(terms[:, 0] + 0.5 * terms[:, 1])
-        enough = expected.abs() * (1.0 + found.damping) <= torch.maximum(tolerance * found.cost.clamp(min=1.0), share * found.cost)
-        enough &= found.cost.isfinite()
-        bad = ~expected.isfinite()
-        out = enough | bad | (found.damping > MOST)
-        if out.any():
-            status = torch.where(enough, CONVERGED, torch.where(bad, DIVERGED, STALLED))
-            found = found._replace(status=torch.where(out, status, found.status))
-            if whole is None:
-                whole, rows = _copied(found), torch.arange(len(out), device=out.device)
-            done, on = out.nonzero()[:, 0], (~out).nonzero()[:, 0]
-            whole.put(rows[done], found.among(done))
-            rows, found, passes = rows[on], found.among(on), passes.among(on)
-            start = {name: x.index_select(0, on) for name, x in start.items()}
-            change, terms = change.index_select(1, on), terms.index_select(0, on)
-            if not len(on):
-                return whole
+        if tolerance is not None:
+            expected = -(terms[:, 0] + 0.5 * terms[:, 1])
+            least = torch.maximum(tolerance * found.cost.clamp(min=1.0), share * found.cost)
+            enough = (expected.abs() * (1.0 + found.damping) <= least) & found.cost.isfinite()
+            lost = ~expected.isfinite()
+            out = enough | lost | (found.damping > MOST)
+            if out.any():
+                status = torch.where(enough, CONVERGED, torch.where(lost, DIVERGED, STALLED))
+                whole = whole.made([x.clone() for x in found.tensors]) if len(rows) == len(whole.cost) else whole
+                done, on = out.nonzero()[:, 0], (~out).nonzero()[:, 0]
+                whole.put(rows[done], found._replace(status=status).among(done))
+                if not len(on):
+                    return whole
+                rows, found, passes = rows[on], found.among(on), passes.among(on)
+                start = {name: x.index_select(0, on) for name, x in start.items()}
+                change, terms = change.index_select(1, on), terms.index_select(0, on)
         found = _stepped(passes, start, found, change, terms)
-    if whole is None:
+    if len(rows) == len(whole.cost):
         return found
     whole.put(rows, found)
     return whole
 
 
-def _copied(found: Found) -> Found:
-    states = {name: x.clone() for name, x in found.states.items()}
-    return Found(states, *[x.clone() for x in found[1:]])  # type: ignore[arg-type]
-
-
 def _stepped(passes: Passes, start: Mapping[str, Tensor], found: Found, change: Tensor, terms: Tensor) -> Found:
     """Rows after a step, the longest of some lengths that decreases the cost enough; damped more if there is none."""
-    near, count = joined(found.states)[:-1], len(found.cost)
-    x, u, cost = passes.forward(start, found.torque + change, found.gain, near)
+    x, u, cost = passes.forward(start, found.torque + change, found.followed)
     good = _accepted(found.cost, cost, terms, 1.0)
-    iterations = found.iterations + 1
+    eased = torch.where(found.damping > DAMPED, 0.1 * found.damping, 0.0)
+    moved = Found(x, u, found.gain, cost, eased, found.status, found.iterations + 1)
     if good.all():
-        damping = torch.where(found.damping > DAMPED, 0.1 * found.damping, 0.0)
-        return found._replace(states=x, torque=u, cost=cost, damping=damping, iterations=iterations)
-    kept = {name: torch.where(good[:, None], y, found.states[name]) for name, y in x.items()}
-    result = found._replace(
-        states=kept,
-        torque=torch.where(good[:, None], u, found.torque),
-        cost=torch.where(good, cost, found.cost),
-        damping=torch.where(good & (found.damping > DAMPED), 0.1 * found.damping, torch.where(good, 0.0, found.damping)),
-        iterations=iterations,
-    )
+        return moved
+    pairs = zip(moved.tensors, found._replace(iterations=moved.iterations).tensors, strict=True)
+    moved = found.made([a if a is b else torch.where(good[:, None] if a.ndim > 1 else good, a, b) for a, b in pairs])
     wait, tried = (~good).nonzero()[:, 0], 1
     while len(wait) and tried < LENGTHS:
         number = min(max(TOGETHER // len(wait), 1), LENGTHS - tried)
         each = wait.repeat(number)  # rows by lengths
         length = 0.5 ** torch.arange(tried, tried + number, device=u.device, dtype=u.dtype).repeat_interleave(len(wait))
-        tries, gain, at = (y.index_select(1, each) for y in (found.torque, found.gain, near))
-        begin = {name: y.index_select(0, each) for name, y in start.items()}
-        tries = torch.addcmul(tries, length[:, None], change.index_select(1, each))
-        x, u, cost = passes.among(each).forward(begin, tries, gain, at)
-        good = _accepted(found.cost[each], cost, terms[each], length).view(number, -1)
+        of, begin = moved.among(each), {name: y.index_select(0, each) for name, y in start.items()}
+        u = torch.addcmul(of.torque, length[:, None], change.index_select(1, each))
+        x, u, cost = passes.among(each).forward(begin, u, of.followed)
+        good = _accepted(of.cost, cost, terms[each], length).view(number, -1)
         some = good.any(0)
-        best, to = (good.int().argmax(0) * len(wait) + torch.arange(len(wait), device=wait.device))[some], wait[some]
-        if len(to):
-            for name, y in x.items():
-                result.states[name].index_copy_(1, to, y.index_select(1, best))
-            result.torque.index_copy_(1, to, u.index_select(1, best))
-            result.cost.index_copy_(0, to, cost.index_select(0, best))
+        best = (good.int().argmax(0) * len(wait) + torch.arange(len(wait), device=wait.device))[some]
+        moved.put(wait[some], of._replace(states=x, torque=u, cost=cost, damping=eased[each]).among(best))
         wait, tried = wait[~some], tried + number
-    if len(wait):
-        result.damping.index_copy_(0, wait, (10.0 * found.damping[wait]).clamp(min=DAMPED))
-    return result
+    moved.damping.index_copy_(0, wait, (10.0 * found.damping[wait]).clamp(min=DAMPED))
+    return moved
 
 
 def _accepted(before: Tensor, after: Tensor, terms: Tensor, length: Tensor | float) -> Tensor:
@@ -319,14 +310,11 @@ class Receding:
         """Plan from a state on, that of the step before moved on by one."""
         if self._passes is None or self._passes[0] is not self.problem or self._passes[1] != state.q.shape:
             self._passes = self.problem, state.q.shape, Passes.of(self.problem, state.q, {})
-        passes, batch = self._passes[2], state.q.shape[:-1]
-        flat: Callable[[Tensor, int], Tensor] = lambda x, axis: x.flatten(axis, -2) if batch else x.unsqueeze(axis)  # noqa: E731
-        start = {name: flat(x, 0) for name, x in state.rows().items()}
-        states = {name: flat(_moved(x), 1) for name, x in plan.states.rows().items()}
-        u = flat(_moved(plan.torque), 1)
-        found = begun(passes, states, u, torch.full_like(u[0, :, 0], torch.inf))
+        passes, start = self._passes[2], {name: _by_rows(x, 0) for name, x in state.rows().items()}
+        states = {name: _by_rows(_moved(x), 1) for name, x in plan.states.rows().items()}
+        found = begun(passes, states, _by_rows(_moved(plan.torque), 1))
         found = improved(passes, start, found, self.iterations, None, lambda _: None)
-        return planned(self.problem, passes, batch, found)
+        return planned(passes, state.q.shape[:-1], found)
 
 
 def _moved(x: Tensor) -> Tensor:

@@ -12,9 +12,9 @@ Where positions follow velocities, q' = q + dt qd', only rows of T for qd' are p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from operator import add, mul
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torchdq.algebra.matrix import Matrix, matmul, transpose
 from torchdq.algebra.quaternion import Number
@@ -22,7 +22,9 @@ from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.posed import Row, dot
+from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import at_least, below, clip, maximum, minimum, select
+from torchdq.numbers.record import Recorded
 from torchdq.optimal.costs import Objective
 from torchdq.program.autodiff import rates
 from torchdq.program.program import Argument, Program, record, replay, results
@@ -33,6 +35,7 @@ from torchdq.scene.spec import POSES, Rows, SceneSpec
 
 NEXT = "next "  # before the names of the rows of the state after a step
 ROUNDS = 3  # Newton steps of a box QP
+LARGEST = 400_000  # operations of a program that compiles within a minute
 TINY = 1e-30  # least pivot
 
 
@@ -68,14 +71,6 @@ class Knot(_KnotFields, Computation):
         """Whether it is a parameter of the scene."""
         return self.step.shared(name)
 
-    def label(self, name: str) -> str:
-        """Name in error messages."""
-        return self.step.label(name)
-
-    def subject(self) -> str:
-        """Robot that shapes are for, in error messages."""
-        return self.step.subject()
-
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results."""
         return tuple([self.own[r.name] for r in program.results])
@@ -93,39 +88,30 @@ def _program(what: Knot, arguments: tuple[Argument, ...]) -> Program:
     # costs are those of the next state, which differs from the state after the step where a start is not feasible
     judged = [a for a in arguments if a.name.startswith(NEXT) or "." in a.name or a.name in (*asked, control)]
     judged = [a._replace(name=a.name.removeprefix(NEXT)) for a in judged]
-    cost = Stage(spec, "judge", _Squares(what.objective)).program(tuple(judged))
+    cost = Stage(spec, "judge", what.objective._replace(squares=True)).program(tuple(judged))
+
+    s, m = what.own["v"][0], what.own["change"][0]
+    if step.count().total * (s + m) + 2 * (s + m) ** 3 > LARGEST:
+        raise ArgumentError(
+            f"scene of robot {spec.robot.name!r} has {s} numbers in a displacement of its state, too many for the "
+            "program of method='ilqr'; take fewer joints, effects without memory, or method=optimal.MPPI()"
+        )
 
     def algorithm(*rows: Row) -> Rows:
         known = {a.name: row for a, row in zip(arguments, rows, strict=True)}
         after = {name: known[NEXT + name] for name in spec.state}
-        given = {**known, **after}
-        M, g = _cost(_Derived(cost, judged, given, spec), [*spec.displaced, control])
-        s = len(g) - len(known[control])
-        V = [[M[i][j] + x for j, x in enumerate(row)] for i, row in enumerate(_square(known["V"], s))]
-        M = tuple([*[tuple([*row, *M[i][s:]]) for i, row in enumerate(V)], *M[s:]])
+        M, g = _cost(_Derived(cost, judged, {**known, **after}, spec), [*spec.displaced, control])
+        V, v = _square(known["V"], s), [*known["v"], *[0.0] * m]
+        M = tuple(
+            tuple([x + (V[i][j] if max(i, j) < s else 0.0) for j, x in enumerate(row)]) for i, row in enumerate(M)
+        )
         moved = _Derived(step, taken, known, spec)
         gap = [x for name in spec.displaced for x in displacement(name, moved.values[name], after[name])]
-        g = [*[a + b + dot(row, gap) for a, b, row in zip(g, known["v"], V, strict=False)], *g[s:]]
-        M, g = _pulled(moved, M, g, control)
-        limits = [[a - b for a, b in zip(known[x], known[control], strict=True)] for x in ("lower", "upper") if what.boxed]
-        return _minimised(M, g, s, known["damping"][0], limits)
+        M, g = _pulled(moved, M, [a + b + dot(row[:s], gap) for a, b, row in zip(g, v, M, strict=True)], control)
+        room = [_less(known[name], known[control]) for name in ("lower", "upper") if what.boxed]
+        return _minimised(M, g, s, known["damping"][0], room)
 
     return record(f"knot_{spec.robot.name}", arguments, algorithm)
-
-
-class _Squares(NamedTuple):
-    """Residuals and weights of an objective, as a task."""
-
-    objective: Objective
-
-    def inputs(self, n: int) -> dict[str, int]:
-        """Inputs of the objective."""
-        return self.objective.inputs(n)
-
-    def rows(self, view: object) -> Rows:
-        """Rows of all residuals, and of their weights."""
-        weights, found = zip(*self.objective.residuals(view), strict=True)  # type: ignore[arg-type]
-        return {"residual": found, "weight": weights}
 
 
 class _Derived:
@@ -143,8 +129,8 @@ class _Derived:
         for name in names:
             width = self.spec.displaced.get(name, len(self.known[name]))
             for k in range(width):
-                unit = [float(j == k) for j in range(width)]
-                unit = [*rates_of(self.known[name], unit)] if name in POSES else unit
+                unit: Row = _unit(k, width)
+                unit = rates_of(self.known[name], unit) if name in POSES else unit
                 found = rates(self.program, self.numbers, {(self.at[name], j): x for j, x in enumerate(unit)})
                 found |= {name: displacements(self.values[name], found[name]) for name in POSES if name in of}
                 columns.append(tuple([x for name in of for x in found[name]]))
@@ -160,25 +146,26 @@ def _cost(of: _Derived, names: Sequence[str]) -> tuple[Matrix, list[Number]]:
 
 def _pulled(of: _Derived, M: Matrix, g: Row, control: str) -> tuple[Matrix, list[Number]]:
     """Quadratic form of a state after a step and its control, as one of the state before it and the control."""
-    parts, known, after = list(of.spec.displaced), of.known, of.values
-    m = len(known[control])
-    follows = parts == ["q", "qd"] and all(
-        [_equal(q + of.spec.dt * v, x) for q, v, x in zip(known["q"], after["qd"], after["q"], strict=True)]
-    )
+    known, after, dt = of.known, of.values, of.spec.dt
+    parts, n, m, width = [*of.spec.displaced], len(known["q"]), len(known[control]), len(g)
+    follow = zip(known["q"], after["qd"], after["q"], strict=True)
+    follows = parts == ["q", "qd"] and all([_equal(q + dt * v, x) for q, v, x in follow])
     rows = of.columns(["qd"] if follows else parts, [*parts, control])
     if follows:
-        n, width = len(known["q"]), len(g)
-        S = [[float(i == j) + of.spec.dt * (j == i + n) * (i < n) for j in range(width)] for i in range(width)]
+        S = [[float(i == j) + dt * (j == i + n) * (i < n) for j in range(width)] for i in range(width)]
         M, g = _through(tuple(map(tuple, S)), M, g)
-        rows = (*[tuple([float(i == j) for j in range(width)]) for i in range(n)], *rows)
-    width = len(rows[0])
-    T = (*rows, *[tuple([float(width - m + i == j) for j in range(width)]) for i in range(m)])
-    return _through(T, M, g)
+        rows = (*[_unit(i, width) for i in range(n)], *rows)
+    return _through((*rows, *[_unit(width - m + i, width) for i in range(m)]), M, g)
+
+
+def _unit(i: int, width: int) -> tuple[float, ...]:
+    return tuple([float(i == j) for j in range(width)])
 
 
 def _equal(a: Number, b: Number) -> bool:
-    """Whether two recorded numbers are one value."""
-    return (getattr(a, "index", a), getattr(a, "negative", 0)) == (getattr(b, "index", b), getattr(b, "negative", 0))
+    """Whether two numbers are one recorded value."""
+    both: Any = a, b
+    return all([isinstance(x, Recorded) for x in both]) and both[0].index == both[1].index and a.negative == b.negative
 
 
 def _through(T: Matrix, M: Matrix, g: Row) -> tuple[Matrix, list[Number]]:
@@ -186,19 +173,21 @@ def _through(T: Matrix, M: Matrix, g: Row) -> tuple[Matrix, list[Number]]:
     return _gram(T, matmul(M, T, mul, add)), [dot(column, g) for column in transpose(T)]
 
 
-def _minimised(M: Matrix, g: Row, s: int, damping: Number, limits: Sequence[Row]) -> Rows:
+def _minimised(M: Matrix, g: Row, s: int, damping: Number, room: Sequence[Row]) -> Rows:
     """Minimum of a quadratic form over the control, as change and gain, with what it leaves of the form."""
     X, G, H = [row[:s] for row in M[:s]], tuple([row[:s] for row in M[s:]]), [row[s:] for row in M[s:]]
-    gx, gu = g[:s], g[s:]
     heavy = [[x + damping * x if i == j else x for j, x in enumerate(row)] for i, row in enumerate(H)]
-    change, solved = box_qp(heavy, gu, *limits)
-    K = transpose(tuple([solved([-x for x in column]) for column in transpose(G)]))
-    moved = [dot(row, change) for row in H]
-    V = [[x + y for x, y in zip(a[: i + 1], b, strict=False)] for i, (a, b) in enumerate(zip(X, _gram(G, K), strict=True))]
-    v = [a + dot(b, change) for a, b in zip(gx, transpose(G), strict=True)]
-    expected = [dot(change, gu), dot(change, moved)]
-    flat: Callable[[Sequence[Row]], Row] = lambda rows: [x for row in rows for x in row]  # noqa: E731
-    return {"V": flat(V), "v": v, "gain": flat(K), "change": change, "expected": expected}
+    lower, upper = room or ((), ())
+    change, solved = box_qp(heavy, g[s:], lower, upper)
+    K: Matrix = transpose(tuple([tuple(solved([-x for x in column])) for column in transpose(G)]))
+    moved, S = [dot(row, change) for row in H], _gram(G, K)
+    return {
+        "V": [X[i][j] + S[i][j] for i in range(s) for j in range(i + 1)],
+        "v": [a + dot(b, change) for a, b in zip(g[:s], transpose(G), strict=True)],
+        "gain": [x for row in K for x in row],
+        "change": change,
+        "expected": [dot(change, g[s:]), dot(change, moved)],
+    }
 
 
 def box_qp(
@@ -210,9 +199,8 @@ def box_qp(
     held where it is at a bound that the gradient pushes it against. What begins at a bound follows no state, even where
     it leaves the bound: gains would push it beyond, and clipped torques would not be those that are expected.
     """
-    m = len(g)
-    x: list[Number] = [0.0] * m
-    free: list[Number] = [1.0] * m
+    x: list[Number] = [0.0] * len(g)
+    free: list[Number] = [1.0] * len(g)
     for k in range(rounds if lower else 1):
         slope = [a + dot(row, x) for a, row in zip(g, H, strict=True)] if k else g
         if lower:
@@ -221,17 +209,15 @@ def box_qp(
                 for a, b, y, d in zip(lower, upper, x, slope, strict=True)
             ]
         solved = _among(H, free)
-        step = solved([-d for d in slope])
-        x = [a + b for a, b in zip(x, step, strict=True)]
+        x = [a - b for a, b in zip(x, solved(slope), strict=True)]
         if lower:
             x = [clip(*of) for of in zip(x, lower, upper, strict=True)]
     if lower:
-        inside = [f * below(a, 0.0) * below(0.0, b) for f, a, b in zip(free, lower, upper, strict=True)]
-        solved = _among(H, inside)
         # where the last step is not the solution yet, its best share
         slope, bend = dot(x, g), dot(x, [dot(row, x) for row in H])
         share = minimum(1.0, maximum(-slope, 0.0) / maximum(bend, TINY))
         x = [share * y for y in x]
+        solved = _among(H, [f * below(a, 0.0) * below(0.0, b) for f, a, b in zip(free, lower, upper, strict=True)])
     return x, solved
 
 
@@ -244,6 +230,10 @@ def _among(H: Sequence[Row], free: Row) -> Callable[[Row], list[Number]]:
     return lambda b: list(ltdl.solve(before, factors, [f * x for f, x in zip(free, b, strict=True)]))
 
 
+def _less(a: Row, b: Row) -> Row:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
 def _gram(A: Matrix, B: Matrix) -> Matrix:
     """Product A^T B, which is symmetric."""
     a, b = transpose(A), transpose(B)
@@ -252,7 +242,6 @@ def _gram(A: Matrix, B: Matrix) -> Matrix:
 
 
 def _square(row: Row, size: int) -> Matrix:
-    """Symmetric matrix of the numbers of its lower half."""
-    numbers: Iterator[Number] = iter(row)
-    half = [[next(numbers) for _ in range(i + 1)] for i in range(size)]
-    return tuple(tuple([half[max(i, j)][min(i, j)] for j in range(size)]) for i in range(size))
+    """Symmetric matrix of the numbers of its lower half, row by row."""
+    at = lambda i, j: row[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)]  # noqa: E731
+    return tuple(tuple([at(i, j) for j in range(size)]) for i in range(size))

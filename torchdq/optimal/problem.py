@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -14,7 +14,7 @@ from torchdq.base.checks import frozen, require_count, require_object, tensor_of
 from torchdq.effects.model import Gravity
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics
-from torchdq.optimal.costs import Objective, Residuals, Term, merged, named
+from torchdq.optimal.costs import Objective, Residuals, named
 from torchdq.optimal.knot import NEXT, Knot
 from torchdq.scene import Scene
 from torchdq.scene.policies import STEPPED, Linear, LinearForm
@@ -26,9 +26,9 @@ Limits = tuple[Tensor, Tensor]
 STATUS = (
     "converged: no step is expected to decrease the cost by more than the tolerance",
     "stopped at the largest number of iterations; give more, or begin with this plan",
-    "stalled: no step decreases the cost, although one is expected to; the costs may have kinks, or the tolerance may be "
-    "below the rounding errors of the cost",
-    "diverged: the simulation left the finite range from the beginning on; begin with other torques or states, or take "
+    "stalled: no step decreases the cost, although one is expected to; costs may have kinks, or the tolerance may be "
+    "below their rounding errors",
+    "diverged: the simulation left the finite range from the start on; begin with other torques or states, or take "
     "shorter steps",
 )
 CONVERGED, STOPPED, STALLED, DIVERGED = range(len(STATUS))
@@ -40,7 +40,6 @@ class Problem:
     """Costs of a number of steps of a scene, to be minimised over the torques within limits.
 
     The cost of a step is that of the state at its end and of its torques; at the last step those of `final` are added.
-    Costs of equal formulas and goals, in both, are one with two weights.
 
     Args:
         scene: what is planned for: its step is one program, without random noise.
@@ -78,70 +77,56 @@ class Problem:
             )
         for cost in (*self.costs, *self.final):
             require_object("a cost", cost, Residuals, "torchdq.optimal", "Torques(1e-3)")
-        terms = []
-        for cost, weights in self._merged:
-            widest = max(x.shape[-1] for x in weights.values())
-            widths = [(name, widest if name == "weight" else width) for name, width in cost.term.widths]
-            terms.append(Term(cost.function, cost.settings, tuple(widths)))
-        if not terms:
-            raise ArgumentError("costs must not be empty, nor final if they are; give optimal.Torques(1e-3), for example")
-        object.__setattr__(self, "objective", Objective(tuple(terms)))
+        if not (self.costs or self.final):
+            raise ArgumentError("costs must not be empty if final is; give optimal.Torques(1e-3), for example")
+        terms = tuple([cost.term for cost in (*self.costs, *self.final)])
+        object.__setattr__(self, "objective", Objective(terms))
         self.limits(torch.zeros(self.scene.n, dtype=torch.float64))  # raises
 
-    @property
-    def _merged(self) -> list[tuple[Residuals, dict[str, Tensor]]]:
-        return merged({"costs": self.costs, "final": self.final})
+    def replace(self, **changes: Any) -> Problem:
+        """Problem with some fields replaced; costs of equal formulas need no new program."""
+        return replace(self, **changes)
 
     def limits(self, like: Tensor) -> Limits | None:
         """Smallest and largest torques, each [..., n]; None: there are none."""
         if self.torques is None:
             return None
-        if isinstance(self.torques, str):
-            if self.torques != "limits":
-                raise ArgumentError(f'torques must be "limits", None or a pair (lower, upper), found {self.torques!r}')
-            effort = self.scene.robot.limits.effort
-            bounds = (-effort, effort)
-        elif len(self.torques) != 2:
-            raise ArgumentError(f"torques must be (lower, upper), found {len(self.torques)} of them")
-        else:
-            bounds = self.torques
-        lower, upper = (tensor_of(x).to(like).expand(torch.broadcast_shapes(x.shape, (self.scene.n,)) if isinstance(x, Tensor) else (self.scene.n,)) for x in bounds)
+        bounds: Any = self.torques
+        if isinstance(bounds, str):
+            bounds = (-self.scene.robot.limits.effort, self.scene.robot.limits.effort) if bounds == "limits" else ()
+        if not isinstance(bounds, tuple | list) or len(bounds) != 2:
+            raise ArgumentError(f'torques must be "limits", None or a pair (lower, upper), found {self.torques!r}')
+        lower, upper = (
+            x.to(like).expand(torch.broadcast_shapes(x.shape, like.shape[-1:])) for x in map(tensor_of, bounds)
+        )
         if bool((lower > upper).any()):
             raise ArgumentError("torques must be (lower, upper), found a lower one above the upper")
         return None if bool(torch.isinf(lower).all() & torch.isinf(upper).all()) else (lower, upper)
 
     def inputs(self, like: Tensor) -> dict[str, Tensor]:
-        """Tensors of all costs for states like a tensor [..., n], [..., k] or [steps, ..., k]."""
+        """Tensors of all costs for states like a tensor [..., n], by name: [..., k], or those of every step."""
         found = dict[str, Tensor]()
-        for k, (cost, weights) in enumerate(self._merged):
-            given = {**cost.inputs, "weight": weights.get("costs", torch.zeros(1))}
-            for name, x in given.items():
-                found[named(name, k)] = self._shaped(x.to(like), like)
-            if "final" in weights:
-                running = found[named("weight", k)]
-                last = self._shaped(weights["final"].to(like), like)
-                if last.ndim > like.ndim:
-                    raise ArgumentError("weight of a final cost must be that of one step, found one of every step")
-                axes = (1,) * like.ndim  # at least those of the states
-                shape = torch.broadcast_shapes(axes, running.shape[running.ndim > like.ndim :], last.shape)
-                lead = (1,) * (like.ndim - running.ndim)
-                running = running.reshape(*lead, *running.shape).expand(self.steps, *shape).clone()
-                running[-1] += last
-                found[named("weight", k)] = running
+        for k, cost in enumerate((*self.costs, *self.final)):
+            for name, x in cost.inputs.items():
+                x, last = x.to(like), name == "weight" and k >= len(self.costs)
+                if x.ndim > like.ndim and (last or len(x) != self.steps):
+                    raise ArgumentError(
+                        f"{named(name, k)} has one axis more than the states, {tuple(x.shape)}, so it must be "
+                        + (
+                            "that of one step, since the cost is final"
+                            if last
+                            else f"[{self.steps}, ...], of every step"
+                        )
+                    )
+                if last:
+                    x = x.reshape(*(1,) * (like.ndim - x.ndim), *x.shape)
+                    x = torch.cat([torch.zeros_like(x).expand(self.steps - 1, *x.shape), x[None]])
+                found[named(name, k)] = x
         return found
-
-    def _shaped(self, x: Tensor, like: Tensor) -> Tensor:
-        """Tensor of a cost, checked for the number of steps."""
-        if x.ndim > like.ndim and len(x) != self.steps:
-            raise ArgumentError(
-                f"a weight or goal with one axis more than the states {tuple(like.shape)} must be [steps, ..., k], that "
-                f"is [{self.steps}, ...], found {tuple(x.shape)}"
-            )
-        return x
 
     def cost(self, state: State, torque: Tensor) -> Tensor:
         """Cost [...] of torques [steps, ..., n] that are applied from a state on."""
-        steps = {name: x.expand(self.steps, *x.shape[-state.q.ndim :]) for name, x in self.inputs(state.q).items()}
+        steps: Any = {name: x.expand(self.steps, *x.shape[-state.q.ndim :]) for name, x in self.inputs(state.q).items()}
         _, rows = self.scene.rollout(
             state, torque, task=self.objective, total="cost", ends=True, nonfinite="ignore", **steps
         )
@@ -239,9 +224,7 @@ class Passes(NamedTuple):
     def _given(self) -> dict[str, Tensor]:
         return {**self.fixed, **self.shared}
 
-    def backward(
-        self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
         problem, rows = self.problem, len(damping)
         what = Knot(problem.scene.spec, problem.objective, self.limits is not None)
@@ -258,19 +241,19 @@ class Passes(NamedTuple):
         return found["gain"], found["change"], found["expected"]
 
     def forward(
-        self, start: Mapping[str, Tensor], torque: Tensor, gain: Tensor | None = None, near: Tensor | None = None
+        self, start: Mapping[str, Tensor], torque: Tensor, follow: tuple[Tensor, Tensor] | None = None
     ) -> tuple[dict[str, Tensor], Tensor, Tensor]:
         """States by name [steps + 1, rows, ...], torques and costs [rows], infinite where they are not finite.
 
-        Torques are those given, with gains on the displacements from states near [steps, rows, ...], within the limits.
+        Torques are those given, within the limits; to `follow` are gains [steps, rows, n, s] and states [steps, rows, ...].
         """
         problem, given, policy = self.problem, self._given, None
         control, stepped = problem.objective.control, {**self.stepped}
-        if gain is None:
+        if follow is None:
             stepped[control] = torque if self.limits is None else torque.clamp(*self.limits)
         else:
             policy = LinearForm(self.limits is not None)
-            stepped |= dict(zip(STEPPED, (gain, torque, near), strict=True))
+            stepped |= dict(zip(STEPPED, (follow[0], torque, follow[1]), strict=True))
             if self.limits is not None:
                 given |= {f"{POLICY}.{x}": y for x, y in zip(("lower", "upper"), self.limits, strict=True)}
         what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)

@@ -1,4 +1,4 @@
-"""Sampling methods of optimal control: torques are drawn about a plan, simulated, and the plan moves to the better ones."""
+"""Sampling methods of optimal control: torques are drawn about a plan, which moves to those that cost less."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ class Sampling:
         what = Stage(problem.scene.spec, "step", problem.objective, unguarded=True)
         generator = torch.Generator(torque.device).manual_seed(self.seed)
         knots = min(self.knots or steps, steps)
-        noise = torch.randn(iterations, knots, self.samples, 1, n, generator=generator, dtype=torque.dtype, device=torque.device)
+        noise = torch.randn(
+            iterations, knots, self.samples, 1, n, generator=generator, dtype=torque.dtype, device=torque.device
+        )
+        noise[:, :, 0] = 0.0  # the plan itself is a sample
         spread = torch.as_tensor(self.spread).to(torque).expand(knots, 1, torque.shape[1], n)
         several = {name: x[:, None] for name, x in passes.stepped.items()}
         for k in range(iterations):

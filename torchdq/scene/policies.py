@@ -130,7 +130,9 @@ class LinearForm:
             at += len(row)
         s = len(error)
         found = [t + dot(gain[i * s : (i + 1) * s], error) for i, t in enumerate(torque)]
-        return [clip(*of) for of in zip(found, *map(weights.__getitem__, LIMITS), strict=True)] if self.limits else found
+        return (
+            [clip(*of) for of in zip(found, *map(weights.__getitem__, LIMITS), strict=True)] if self.limits else found
+        )
 
 
 @dataclass(frozen=True, eq=False)
