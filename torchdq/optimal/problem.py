@@ -220,9 +220,9 @@ class Passes(NamedTuple):
         limits = None if self.limits is None else tuple([x.index_select(0, rows) for x in self.limits])
         return self._replace(stepped=stepped, fixed=fixed, limits=limits)  # type: ignore[arg-type]
 
-    @property
-    def _given(self) -> dict[str, Tensor]:
-        return {**self.fixed, **self.shared}
+    def within(self, torque: Tensor) -> Tensor:
+        """Torques within the limits."""
+        return torque if self.limits is None else torque.clamp(*self.limits)
 
     def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
@@ -232,7 +232,7 @@ class Passes(NamedTuple):
         start = {name: torque.new_zeros(rows, size) for name, size in sizes.items()}
         near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
         stepped = {**near, problem.objective.control: torque, **self.stepped}
-        fixed = {"damping": damping[:, None], **self._given}
+        fixed = {"damping": damping[:, None], **self.fixed, **self.shared}
         if self.limits is not None:
             fixed |= dict(zip(("lower", "upper"), self.limits, strict=True))
         found = repeat(
@@ -245,12 +245,13 @@ class Passes(NamedTuple):
     ) -> tuple[dict[str, Tensor], Tensor, Tensor]:
         """States by name [steps + 1, rows, ...], torques and costs [rows], infinite where they are not finite.
 
-        Torques are those given, within the limits; to `follow` are gains [steps, rows, n, s] and states [steps, rows, ...].
+        Torques are those given, within the limits; to `follow` are gains [steps, rows, n, s] and states [steps, rows,
+        ...].
         """
-        problem, given, policy = self.problem, self._given, None
+        problem, given, policy = self.problem, {**self.fixed, **self.shared}, None
         control, stepped = problem.objective.control, {**self.stepped}
         if follow is None:
-            stepped[control] = torque if self.limits is None else torque.clamp(*self.limits)
+            stepped[control] = self.within(torque)
         else:
             policy = LinearForm(self.limits is not None)
             stepped |= dict(zip(STEPPED, (follow[0], torque, follow[1]), strict=True))

@@ -38,30 +38,26 @@ class Sampling:
         what = Stage(problem.scene.spec, "step", problem.objective, unguarded=True)
         generator = torch.Generator(torque.device).manual_seed(self.seed)
         knots = min(self.knots or steps, steps)
-        noise = torch.randn(
-            iterations, knots, self.samples, 1, n, generator=generator, dtype=torque.dtype, device=torque.device
-        )
-        noise[:, :, 0] = 0.0  # the plan itself is a sample
+        shape = (knots, self.samples, 1, n)
         spread = torch.as_tensor(self.spread).to(torque).expand(knots, 1, torque.shape[1], n)
         several = {name: x[:, None] for name, x in passes.stepped.items()}
+        begin = {name: x.expand(self.samples, *x.shape) for name, x in start.items()}
         for k in range(iterations):
             at(f"iteration {k + 1} of {iterations}")
-            drawn = spread * noise[k]  # [knots, samples, rows, n]
-            change = drawn if knots == steps else _between(drawn, steps)
-            tried = torque[:, None] + change
-            if passes.limits is not None:
-                tried = tried.clamp(*passes.limits)
-            begin = {name: x.expand(self.samples, *x.shape) for name, x in start.items()}
-            stepped = {**several, problem.objective.control: tried}
+            drawn = torch.randn(shape, generator=generator, dtype=torque.dtype, device=torque.device)
+            drawn[:, 0] = 0.0  # the plan itself is a sample
+            drawn = spread * drawn  # [knots, samples, rows, n]
+            stepped = {**several, problem.objective.control: passes.within(torque[:, None] + _between(drawn, steps))}
             given = {**passes.fixed, **passes.shared}
-            found = repeat(what, steps, begin, stepped, given, ("cost",), True, problem.scene.backend)
-            torque, spread = self.moved(torque, spread, drawn, tried, found["cost"].nan_to_num(torch.inf, torch.inf))
+            found = repeat(what, steps, begin, stepped, given, ("cost", "planned"), True, problem.scene.backend)
+            cost = found["cost"].nan_to_num(torch.inf, torch.inf)
+            change, spread = self.moved(spread, drawn, cost)
+            change = torch.where(cost.amin(0).isfinite()[:, None], change, 0.0)
+            torque = passes.within(torque + _between(change, steps))
         return torque
 
-    def moved(
-        self, torque: Tensor, spread: Tensor, drawn: Tensor, tried: Tensor, cost: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Torques and spread after samples [steps, samples, rows, n] have these costs [samples, rows]."""
+    def moved(self, spread: Tensor, drawn: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
+        """Change of the plan [knots, rows, n], and spread, of changes drawn [knots, samples, ...] with their costs."""
         raise NotImplementedError
 
 
@@ -86,13 +82,10 @@ class MPPI(Sampling):
 
     temperature: float = 1.0
 
-    def moved(
-        self, torque: Tensor, spread: Tensor, drawn: Tensor, tried: Tensor, cost: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def moved(self, spread: Tensor, drawn: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
         """Mean of the samples."""
         weight = torch.softmax((cost.amin(0) - cost) / self.temperature, 0)
-        found = torch.einsum("sr,tsrn->trn", weight, tried)
-        return torch.where(cost.amin(0).isfinite()[:, None], found, torque), spread
+        return torch.einsum("sr,ksrn->krn", weight, drawn), spread
 
 
 @dataclass(frozen=True)
@@ -112,20 +105,17 @@ class CEM(Sampling):
     elite: float = 0.05
     least: float = 0.01
 
-    def moved(
-        self, torque: Tensor, spread: Tensor, drawn: Tensor, tried: Tensor, cost: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def moved(self, spread: Tensor, drawn: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and spread of the best samples."""
         best = cost.topk(max(2, round(self.elite * self.samples)), 0, largest=False).indices[None, ..., None]
-        pick: Callable[[Tensor], Tensor] = lambda x: x.gather(1, best.expand(len(x), -1, -1, x.shape[-1]))  # noqa: E731
-        found, width = pick(tried).mean(1), pick(drawn).std(1, keepdim=True)
-        spread = torch.maximum(width, self.least * spread)
-        return torch.where(cost.amin(0).isfinite()[:, None], found, torque), spread
+        chosen = drawn.gather(1, best.expand(len(drawn), -1, -1, drawn.shape[-1]))
+        return chosen.mean(1), torch.maximum(chosen.std(1, keepdim=True), self.least * spread)
 
 
 def _between(x: Tensor, steps: int) -> Tensor:
     """Numbers of knots [knots, ...] at all steps, linear in between."""
+    if len(x) == steps:
+        return x
     at = torch.linspace(0.0, len(x) - 1.0, steps, dtype=x.dtype, device=x.device)
-    low = at.floor().clamp(max=len(x) - 2.0 if len(x) > 1 else 0.0)
-    hat = (1.0 - (at[:, None] - torch.arange(len(x), dtype=x.dtype, device=x.device)).abs()).clamp(min=0.0)
-    return torch.tensordot(hat, x, 1) if low.numel() else x
+    share = 1.0 - (at[:, None] - torch.arange(len(x), dtype=x.dtype, device=x.device)).abs()
+    return torch.tensordot(share.clamp(min=0.0), x, 1)
