@@ -69,6 +69,7 @@ Simulation and learning:
     effects                 gravity, friction, motors, sensors, contact and others
     objects                 free bodies that robots push, grasp and lift
     scene                   scene.integrators, scene.controllers, scene.policies, scene.State
+    optimal                 trajectories, gains and receding horizons of least cost, within limits
     envs                    gymnasium environments
     learning                logs, identification, training of residuals
 

@@ -32,7 +32,6 @@ def repeat(
     total: Sequence[str] = (),
     ends: bool = False,
     backend: BackendName | None = None,
-    backwards: bool = False,
 ) -> dict[str, Tensor]:
     """Results of a computation that is evaluated a number of times, with what is carried from one to the next, by name.
 
@@ -48,7 +47,6 @@ def repeat(
         total: results of which the sum over the steps is returned; of what is carried the last.
         ends: whether only the last of what is carried is returned.
         backend: as in `torchdq.backend`.
-        backwards: whether the last step comes first; what is kept is in the order of the steps.
     """
     if not repeatable(next(iter(carried.values())), backend):
 
@@ -57,11 +55,10 @@ def repeat(
             return evaluate(what, {**{name: before[name] for name in carried}, **now, **fixed}, backend)
 
         last = carried if ends else carried.keys() & {*total}
-        order = range(steps)[:: -1 if backwards else 1]
-        return by_steps(step, carried, order, lambda x: torch.stack(x[:: -1 if backwards else 1]), total, last)
+        return by_steps(step, carried, range(steps), torch.stack, total, last)
     same = {name: x[0] for name, x in stepped.items() if steps and is_dense(x) and x.stride(0) == 0}
     series = tuple([name for name in stepped if name not in same])
-    repeated = Repeated(steps, tuple(carried), series, tuple(total), ends, backwards)
+    repeated = Repeated(steps, tuple(carried), series, tuple(total), ends)
     return evaluate(what, {**carried, **stepped, **same, **fixed}, backend, repeated=repeated)
 
 

@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.backends.call import Repeated, evaluate
 from torchdq.backends.loop_call import repeat
 from torchdq.base.checks import frozen, require_count, require_object, tensor_of
 from torchdq.effects.model import Gravity
@@ -235,9 +236,8 @@ class Passes(NamedTuple):
         fixed = {"damping": damping[:, None], **self.fixed, **self.shared}
         if self.limits is not None:
             fixed |= dict(zip(("lower", "upper"), self.limits, strict=True))
-        found = repeat(
-            what, problem.steps, start, stepped, fixed, ("expected",), True, problem.scene.backend, backwards=True
-        )
+        repeated = Repeated(problem.steps, ("V", "v"), tuple(stepped), ("expected",), ends=True, backwards=True)
+        found = evaluate(what, {**start, **stepped, **fixed}, problem.scene.backend, repeated=repeated)
         return found["gain"], found["change"], found["expected"]
 
     def forward(
