@@ -4,7 +4,7 @@
     problem = optimal.Problem(scene, 50, [optimal.Torques(1e-4)], final)
     plan = optimal.solve(problem, scene.start(q))
 
-`solve` is iterative LQR with limits of the torques, or a sampling method; `Receding` plans anew at every tick.
+`solve` is iterative LQR with limits of the torques, or a sampling method; `Receding` plans again at every tick.
 """
 
 from torchdq.optimal.costs import (

@@ -58,7 +58,7 @@ class Found(NamedTuple):
         return [*self.states.values(), *self[1:]]
 
     def made(self, tensors: Sequence[Tensor]) -> Found:
-        """The same of other tensors."""
+        """Rows of other tensors in the same order."""
         count = len(self.states)
         return Found(dict(zip(self.states, tensors[:count], strict=True)), *tensors[count:])
 

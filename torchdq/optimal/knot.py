@@ -68,7 +68,7 @@ class Knot(_KnotFields, Computation):
         return self.own[name] if name in self.own else self.step.axes(name)
 
     def shared(self, name: str) -> bool:
-        """Whether it is a parameter of the scene."""
+        """True for a parameter of the scene."""
         return self.step.shared(name)
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:

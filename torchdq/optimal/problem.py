@@ -167,7 +167,7 @@ class Plan(NamedTuple):
         return Linear(self.gain, self.torque, joined(self.states.rows())[:-1], self.limits)
 
     def why(self) -> str:
-        """What became of the rows, in words."""
+        """Text that says what became of the rows."""
         found = []
         for k, text in enumerate(STATUS):
             rows = (self.status.reshape(-1) == k).nonzero()[:, 0].tolist()

@@ -99,7 +99,7 @@ def displacement(name: str, row: Row, of: Row) -> Row:
 
 
 def _apart(name: str, x: Tensor, of: Tensor) -> Tensor:
-    """The same on tensors."""
+    """Displacement of a row of a state from another, as tensors."""
     if name not in POSES:
         return x - of
     X, expected = (Pose(y.unflatten(-1, (-1, POSE))) for y in (x, of))
