@@ -259,6 +259,7 @@ def _joint_limits(view: View, margin: float) -> Row:
 def _spheres(view: View, points: Any, objects: Any, own: bool, margin: float, **given: Row) -> Row:
     robot: Any = view.scene.spec.robot
     x: Any = SimpleNamespace(robot=robot, arguments=given, bodies=lambda: view.posed(view.q))
+    points = robot.end_effector().name if points is None else points
     of = points_of(robot, points), objects, distances.GROUND * ("height" in given), "own" * own
     found: Any = distances.distances(x, *of)["distance"]
     return [maximum(0.0, margin - d) for d in found]
