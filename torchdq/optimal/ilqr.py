@@ -30,7 +30,7 @@ TOLERANCES = {torch.float32: 1e-5, torch.float64: 1e-9}
 ROUGH = 0.02  # share of the cost that an iteration without limits may still gain
 LEAST = 0.1  # share of the expected decrease that a step must have
 LENGTHS = 10  # lengths of a step that are tried
-TOGETHER = 8  # steps that are simulated at the price of one
+TOGETHER = 32  # steps of different lengths that are simulated in one pass
 DAMPED, MOST = 1e-3, 1e6  # damping at first, and where a row is given up
 
 Method = Sampling | str
