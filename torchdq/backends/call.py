@@ -79,6 +79,7 @@ class Repeated(NamedTuple):
     stepped: tuple[str, ...] = ()  # arguments of every step, [steps, ...]
     total: tuple[str, ...] = ()  # results of which the sum over the steps is returned; of what is carried the last
     ends: bool = False  # whether only the last of what is carried is returned
+    backwards: bool = False  # whether the last step comes first
 
 
 class Arrangement(NamedTuple):
@@ -342,7 +343,8 @@ def _loop(program: Program, repeated: Repeated) -> Loop:
     carried = tuple([(arguments.index(name), results.index(name)) for name in repeated.carried])
     left_out = {*repeated.total, *(repeated.carried if repeated.ends else ())}
     kept = tuple([k for k, name in enumerate(results) if name not in left_out])
-    return _loop_of(program, carried, tuple([arguments.index(name) for name in repeated.stepped]), kept)
+    stepped = tuple([arguments.index(name) for name in repeated.stepped])
+    return _loop_of(program, carried, stepped, kept, repeated.backwards)
 
 
 def _recorded(what: Computation, arguments: tuple[Argument, ...]) -> Program:

@@ -148,6 +148,13 @@ def _view(
     return View(scene, moved["q"], moved["qd"], reading, u, scene.inputs, memory=memory, **free)
 
 
+def _judge(scene: RecordedScene, task: Task | None) -> Rows:
+    """Rows of a task in a state at the end of a step."""
+    given = scene.inputs
+    reading = given.get("reading", (*given["q"], *given["qd"]))
+    return {} if task is None else task.rows(_view(scene, given, reading, given.get("torque", ())))
+
+
 def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
     rows = dict(zip(Contacts._fields, zip(*_view(scene, scene.inputs).contacts, strict=True), strict=True))
     return {**rows, "force": [x for force in rows["force"] for x in force]}
@@ -198,6 +205,7 @@ STAGES = {
     "sense": _sense,
     "begin": _begin,
     "energy": _energy,
+    "judge": _judge,
     "contacts": _contacts,
     "places": _places,
     "bodies": _bodies,
@@ -223,6 +231,7 @@ class _StageFields(NamedTuple):
     # "direction" [t + n], a displacement of state and torque
     wrt: tuple[str, ...] | None = None
     policy: Formula | None = None  # of a step, which adds its torques to those given
+    unguarded: bool = False  # whether rows with a singular mass matrix have any numbers, without a look at them
 
 
 class Stage(_StageFields, Computation):
@@ -351,6 +360,7 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     acting = [(k, effect) for k, effect in enumerate(spec.effects) if not effect.idle() or effect.memory(n)]
     about = [*[f"effect {k}: {part(effect)}" for k, effect in acting], *lines(spec.effects, n)]
     about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]
+    best = replace(best, growth=None) if what.unguarded else best
     return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *about))
 
 

@@ -82,8 +82,6 @@ def rollout(
     require_choice("nonfinite", nonfinite, get_args(Nonfinite))
     _require_function("policy", policy, "state, k")
     _require_function("done", done, "state")
-    if isinstance(policy, Linear) and scene.robot.floating:
-        raise ArgumentError(f"policy must be a function for robot {scene.robot.name!r}: a floating base has no gains")
     totals: Sequence[Any] = total if isinstance(total, list | tuple) else (total,)
     plan = Plan(policy, done, task, tuple(totals), ends)
     start = state.rows() | ({CARRY: series.pop(CARRY)} if CARRY in series else {})
