@@ -23,7 +23,7 @@ from torch import Tensor
 from torch.compiler import is_dynamo_compiling
 
 from torchdq.backends import c_library, choice, threads
-from torchdq.backends.backend import Backend, contiguous, largest_growth
+from torchdq.backends.backend import Backend, Form, contiguous, largest_growth
 from torchdq.backends.c import COMPILED, C, CompiledKernel
 from torchdq.backends.compiler import BuildError
 from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
@@ -31,7 +31,7 @@ from torchdq.program.loop import Loop
 from torchdq.program.program import Program
 from torchdq.program.transforms import LEVEL, alike, empty_on_cpu, modes
 
-MOST, FEW = 24, 64  # arrays of a program, and samples whose error growths need no memory
+MOST, FEW = 48, 64  # arrays of a program, and samples whose error growths need no memory
 LONG = 50_000  # operations of a call from which Python's lock is let go: some ten microseconds
 FASTCALL = 0x80  # flag of a function in C that takes an array of arguments and their number
 # functions of Python, in the order of `Python` in C
@@ -254,7 +254,7 @@ def learn(
     """Let calls with a key of `quick` be fast for tensors like these, of every sample or uniform, if they can be.
 
     Args:
-        what: program without sums over the samples, or a loop over one, forwards.
+        what: program without sums over the samples, or a loop over one.
         given: the arguments, contiguous.
         results: shapes of the results.
         out: whether tensors for the results are given, too; where errors grow too much they have been written to.
@@ -265,8 +265,14 @@ def learn(
     absent = tuple([x is None for x in given])
     inputs = [x for x in given if x is not None]
     grads = tuple([x.requires_grad for x in inputs]) if learned else ()
-    forms = tuple([tuple(x.shape) for x in inputs]), tuple(map(tuple, results))
-    keep(key, fast_call(what, dtype, *forms, tuple(names), samples, steps, out, absent, grads))
+    forms = tuple(map(_form, inputs)), tuple([contiguous(tuple(shape), dtype) for shape in results])
+    keep(key, fast_call(what, *forms, tuple(names), samples, steps, out, absent, grads))
+
+
+def _form(x: Tensor) -> Form:
+    """Form of a tensor, or that of a contiguous one; an axis of one number may have any stride."""
+    shape = tuple(x.shape)
+    return (shape, tuple(x.stride()), x.dtype) if x.is_contiguous() else contiguous(shape, x.dtype)
 
 
 def keep(key: Hashable, fast: FastCall | None) -> None:
@@ -286,9 +292,8 @@ def most(what: Program | Loop, steps: int) -> int:
 @remembered(LAYOUTS)
 def fast_call(
     what: Program | Loop,
-    dtype: torch.dtype,
-    inputs: tuple[tuple[int, ...], ...],
-    results: tuple[tuple[int, ...], ...],
+    inputs: tuple[Form, ...],
+    results: tuple[Form, ...],
     names: tuple[str, ...],
     samples: int,
     steps: int = 1,
@@ -296,13 +301,13 @@ def fast_call(
     absent: tuple[bool, ...] = (),
     learned: tuple[bool, ...] = (),
 ) -> FastCall | None:
-    """Fast call for tensors of these shapes; None: there is none here. See `learn`.
+    """Fast call for tensors of these forms; None: there is none here. See `learn`.
 
     Args:
         absent: whether each argument is None; (): none of them.
         learned: whether each input requires grad; (): none of them.
     """
-    count, cpu = len(inputs) + len(results), torch.device("cpu")
+    count, dtype, cpu = len(inputs) + len(results), results[0][2], torch.device("cpu")
     absent = (absent or (False,) * len(inputs)) + (False,) * (len(results) * out)
     if max(count, len(absent)) >= MOST or COMPILED.refusal(cpu) is not None:
         return None
@@ -312,14 +317,16 @@ def fast_call(
         start, library = _started()
     except (BuildError, AttributeError):  # the latter in a Python without these functions
         return None
-    forms = [contiguous(shape, dtype) for shape in (*inputs, *results, (samples,))]
-    numbers: list[Any] = [x for form in forms[len(inputs) :] for x in form]
+    if isinstance(what, Loop) and what.backwards and kernel.states:  # of which the start is the last
+        return None
+    forms = (*inputs, *results)
+    numbers: list[Any] = [x for form in (*results, contiguous((samples,), dtype)) for x in form]
     objects = (ctypes.py_object * len(numbers))(*numbers)
     plan, states = kernel.plan(samples, steps), kernel.starts(samples)
     starts = (ctypes.c_int64 * (3 * len(states)))(*[x for state in states for x in state])
-    sizes = (ctypes.c_int64 * count)(*[prod(shape) * dtype.itemsize for shape, _, _ in forms[:-1]])
+    sizes = (ctypes.c_int64 * count)(*[prod(shape) * dtype.itemsize for shape, _, _ in forms])
     call = Call(
-        alike(forms[:-1] if out else forms[: len(inputs)], learned),
+        alike(forms if out else inputs, learned),
         *(empty_on_cpu, torch.Tensor.data_ptr, *LEVEL, modes, choice._chosen, "auto"),
         *(ctypes.addressof(objects), ctypes.addressof(sizes), _address(kernel.compiled.run)),
         *(None if plan is None else ctypes.addressof(plan), ctypes.addressof(starts)),
