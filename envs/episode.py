@@ -220,7 +220,7 @@ def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
     judged = {"finite": GIVEN + "finite", "steps": "steps", "limit": "limit"}
     rule(end, {**{name: AFTER + name for name in JUDGED}, **judged})
     left = [name for name in rows if name not in JUDGED]
-    wanted = (GIVEN + "clipped", "flags", "reward")
+    wanted: tuple[str, ...] = (GIVEN + "clipped", "flags", "reward")
     if what.network is None:
         pushes = [GIVEN + x for push in what.form.pushes for x in (THEN + push, "over")]
         wanted = ("elapsed", *wanted, *[AFTER + name for name in left], *dict.fromkeys(pushes))
