@@ -63,7 +63,7 @@ class Knot(_KnotFields, Computation):
         s, m = sum(self.spec.displaced.values()), self.step.widths()[self.objective.control]
         found = {"V": (s * (s + 1) // 2,), "v": (s,), "gain": (m, s), "change": (m,), "expected": (2,)}
         found |= {"damping": (1,), "lower": (m,), "upper": (m,)}
-        found |= {"M": (s + m, s + m), "g": (s + m,), "H": (m, m), "slope": (m,), "inverse": (m, m)}
+        found |= {"H": (m, m), "slope": (m,), "inverse": (m, m)}
         return found | {NEXT + name: (width,) for name, width in self.spec.state.items()}
 
     def axes(self, name: str) -> tuple[int, ...]:
@@ -76,7 +76,7 @@ class Knot(_KnotFields, Computation):
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results."""
-        return tuple([self.own[r.name] for r in program.results])
+        return tuple([self.own.get(r.name, (len(r.values),)) for r in program.results])
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program, recorded once."""
@@ -101,8 +101,8 @@ def _knot(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
     s, m = what.own["v"][0], what.own["change"][0]
 
     def algorithm(known: Rows) -> Rows:
-        after, found = {name: known[NEXT + name] for name in spec.state}, costs(known)
-        M, g, V, v = _square(found["M"], s + m), found["g"], _half(known["V"], s), [*known["v"], *[0.0] * m]
+        after, (M, g) = {name: known[NEXT + name] for name in spec.state}, costs(known)
+        V, v = _half(known["V"], s), [*known["v"], *[0.0] * m]
         M = tuple(
             tuple([x + (V[i][j] if max(i, j) < s else 0.0) for j, x in enumerate(row)]) for i, row in enumerate(M)
         )
@@ -114,20 +114,31 @@ def _knot(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
     return algorithm
 
 
-def _costs(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
-    """Formula of the Gauss-Newton matrix M = J^T W J and gradient g = J^T W r of the costs of a step."""
+def _costs(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], tuple[Matrix, list[Number]]]:
+    """Formula of the Gauss-Newton matrix J^T W J and the gradient J^T W r of the costs of a step."""
     spec, control, asked = what.spec, what.objective.control, what.objective.inputs(what.spec.robot.n)
     # costs are those of the next state, which differs from the state after the step where a start is not feasible
     judged = [a for a in arguments if a.name.startswith(NEXT) or "." in a.name or a.name in (*asked, control)]
     judged = [a._replace(name=a.name.removeprefix(NEXT)) for a in judged]
     cost = Stage(spec, "judge", what.objective._replace(squares=True)).program(tuple(judged))
 
-    def algorithm(known: Rows) -> Rows:
+    def algorithm(known: Rows) -> tuple[Matrix, list[Number]]:
         of = _Derived(cost, judged, known | {name: known[NEXT + name] for name in spec.state}, spec)
         J = of.columns(["residual"], [*spec.displaced, control])
         weighted = tuple([tuple([w * x for x in row]) for w, row in zip(of.values["weight"], J, strict=True)])
-        M, g = _gram(J, weighted), [dot(column, of.values["residual"]) for column in transpose(weighted)]
-        return {"M": [x for row in M for x in row], "g": g}
+        return _gram(J, weighted), [dot(column, of.values["residual"]) for column in transpose(weighted)]
+
+    return algorithm
+
+
+def _profile(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
+    """Formula of the costs alone, of every row of their matrix the numbers from the first not zero to the diagonal."""
+    costs = _costs(what, arguments)
+
+    def algorithm(known: Rows) -> Rows:
+        M, g = costs(known)
+        first = [[isinstance(x, Recorded) or x != 0.0 for x in row[:i]] + [True] for i, row in enumerate(M)]
+        return {"g": g, **{f"M{i}": row[first[i].index(True) : i + 1] for i, row in enumerate(M)}}
 
     return algorithm
 
@@ -143,7 +154,7 @@ def _minimum(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows
     return algorithm
 
 
-PARTS = {"knot": _knot, "costs": _costs, "minimum": _minimum}
+PARTS = {"knot": _knot, "costs": _profile, "minimum": _minimum}
 
 
 class _Derived:

@@ -1,23 +1,24 @@
 """Backward pass over knots that are too large for one program: compiled derivatives, and products of torch.
 
 The formulas are those of `knot`. Derivatives of steps and costs of all knots are samples of two programs. Then, step by
-step, with the quadratic form of a knot's costs and of the steps that follow as a matrix of rows (ds', du) and columns
-(ds', 1, du), whose one in the middle is the gradient,
+step, the quadratic form M of a knot's costs and those of the steps that follow, with its gradient g, is pulled back,
 
-    Q = [A B; 0 1]^T M [A gap B; 0 1 0; 0 0 1]
+    Q = T^T (M T + [0 0 g]),   T = [A B gap; 0 1 0]
 
-and the minimum over du, a box QP, is a program again. Rows of problems are the batch of all products.
+where the gap, of states that no torques lead to, is left out on the left. The minimum over the torques is a program
+again. Rows of problems are the batch of all products.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdq.backends.call import evaluate
+from torchdq.backends.choice import BackendName
 from torchdq.optimal.knot import NEXT, Knot
 from torchdq.scene.linearize import derivatives
 from torchdq.scene.policies import apart
@@ -28,53 +29,72 @@ COLUMNS = 600_000  # operations of a step times columns, up to which a program o
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of all knots."""
+    """Derivatives of all knots [steps, rows, ...], of s numbers of a displacement of the state and m of the control."""
 
-    step: Tensor  # [steps, rows, s, s + 1 + m] as A, gap, B
-    cost: Tensor  # [steps, rows, s + m, s + 1 + m] as M_s, g, M_u
+    step: Tensor  # [s, s + m + 1] A, B and gap
+    left: Tensor  # [s + m, s] columns of the state of the costs' quadratic form
+    right: Tensor  # [s + m, s + m + 1] the others: zeros, columns of the control, and gradient
 
 
 def derived(
-    what: Knot, whole: bool, states: Mapping[str, Tensor], torque: Tensor, given: Mapping[str, Tensor], backend: Any
+    what: Knot,
+    whole: bool,
+    states: Mapping[str, Tensor],
+    torque: Tensor,
+    given: Mapping[str, Tensor],
+    backend: BackendName | None,
 ) -> Derivatives:
-    """Derivatives of steps that lead from states to the next ones, [steps + 1, rows, ...], and of their costs."""
+    """Derivatives of the steps from states [steps + 1, rows, ...] to the next ones, and of their costs."""
     spec, control, asked = what.spec, what.objective.control, what.objective.inputs(what.spec.robot.n)
-    before = {name: x[:-1] for name, x in states.items()} | {control: torque}
-    others = {name: x for name, x in given.items() if name not in asked}
-    step = Stage(spec, "step", wrt=(control,), unguarded=True)
-    A, B = derivatives(step, {**before, **others}, whole, backend)
-    after = evaluate(step._replace(wrt=None), {**before, **others}, backend)
-    gap = torch.cat([apart(name, after[name], states[name][1:]) for name in ORDER if name in states], -1)
-    judged = {NEXT + name: x[1:] for name, x in states.items()} | {control: torque}
+    before = {**{name: x[:-1] for name, x in states.items()}, control: torque}
+    before |= {name: x for name, x in given.items() if name not in asked}
+    after, A, B = derivatives(Stage(spec, "step", wrt=(control,), unguarded=True), before, whole, backend)
+    names, s, m = [name for name in ORDER if name in states], A.shape[-1], B.shape[-1]
+    reached = zip(names, after.split([states[name].shape[-1] for name in names], -1), strict=True)
+    gap = torch.cat([apart(name, x, states[name][1:]) for name, x in reached], -1)
+    judged = {**{NEXT + name: x[1:] for name, x in states.items()}, control: torque}
     judged |= {name: x for name, x in given.items() if name in asked or "." in name}
     cost = evaluate(what._replace(part="costs"), judged, backend)
-    M, g, s = cost["M"], cost["g"][..., None], A.shape[-1]
-    return Derivatives(torch.cat([A, gap[..., None], B], -1), torch.cat([M[..., :s], g, M[..., s:]], -1))
+    M = A.new_zeros(*A.shape[:-2], s + m, s + m + 1)
+    M[..., -1] = cost["g"]
+    for i in range(s + m):
+        row = cost[f"M{i}"]
+        at = slice(i + 1 - row.shape[-1], i + 1)
+        M[..., i, at] = M[..., at, i] = row
+    left = M[..., :s].contiguous()
+    M[..., :s] = 0.0
+    return Derivatives(torch.cat([A, B, gap[..., None]], -1), left, M)
 
 
 def backward(
-    what: Knot, of: Derivatives, torque: Tensor, damping: Tensor, given: Mapping[str, Tensor], backend: Any
+    what: Knot,
+    of: Derivatives,
+    torque: Tensor,
+    damping: Tensor,
+    given: Mapping[str, Tensor],
+    backend: BackendName | None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
-    steps, rows, s, _ = of.step.shape
-    what, control = what._replace(part="minimum"), what.objective.control
-    V = of.cost.new_zeros(rows, s, s + 1)
-    gain, change, expected = of.step.new_empty(*torque.shape, s), torch.empty_like(torque), of.step.new_zeros(rows, 2)
+    (steps, rows, m), s, control = torque.shape, of.step.shape[-2], what.objective.control
+    what, V, v = what._replace(part="minimum"), torque.new_zeros(rows, s, s), torque.new_zeros(rows, s, 1)
+    gain, change, slope = torque.new_empty(*torque.shape, s), torch.empty_like(torque), torch.empty_like(torque)
+    H = torque.new_empty(*torque.shape, m)
     for k in reversed(range(steps)):
-        N, M = of.step[k], of.cost[k]
-        M[:, :s, : s + 1] += V
-        T = torch.cat([N[..., :s], N[..., s + 1 :]], -1)
-        # M = (M_s, g, M_u): of its products those with the identity are sums
-        rest = torch.cat([torch.zeros_like(M[..., :s]), M[..., s:]], -1)
-        Y = torch.baddbmm(rest, M[..., :s], N)
-        Q = T.mT @ Y[:, :s]
-        Q[:, s:] += Y[:, s:]
-        G, slope, H = Q[:, s:, :s], Q[:, s:, s].contiguous(), Q[:, s:, s + 1 :].contiguous()
-        known = {"H": H, "slope": slope, "damping": damping, control: torque[k], **given}
+        T, left, right = of.step[k], of.left[k], of.right[k]
+        left[:, :s] += V
+        right[:, :s, -1:] += v
+        moved = torch.baddbmm(right, left, T)
+        Q = T[..., :-1].mT @ moved[:, :s]
+        Q[:, s:] += moved[:, s:]
+        G, H[k], slope[k] = Q[:, s:, :s], Q[:, s:, s:-1], Q[:, s:, -1]
+        known = {"H": H[k], "slope": slope[k], "damping": damping, control: torque[k], **given}
         found = evaluate(what, known, backend)
-        u, K = found["change"], -(found["inverse"] @ G)
-        moved = torch.cat([K, u[..., None]], -1)
-        V = torch.baddbmm(Q[:, :s, : s + 1], G.mT, moved)
-        gain[k], change[k] = K, u
-        expected += torch.stack([(u * slope).sum(-1), ((H @ u[..., None])[..., 0] * u).sum(-1)], -1)
+        change[k] = found["change"]
+        gain[k] = K = -(found["inverse"] @ G)
+        V = torch.baddbmm(Q[:, :s, :s], G.mT, K)
+        V = 0.5 * (V + V.mT)  # rounding errors that are not symmetric would grow as the open loop does
+        v = torch.baddbmm(Q[:, :s, -1:], G.mT, change[k][..., None])
+    bend = (H @ change[..., None])[..., 0]
+    # summed in the order of the steps, whatever the number of rows
+    expected = torch.stack([(change * x).sum(-1).cumsum(0)[-1] for x in (slope, bend)], -1)
     return gain, change, expected

@@ -71,7 +71,7 @@ def linearize(
     given = scene._with_noise({**state.rows(), **given}, noise)
     constants(scene.robot)  # raises if they were changed in place
     what, whole, double = Stage(scene.spec, "step", wrt=("torque",)), length(scene) <= LARGEST, scene.precision == "double"
-    return derivatives(what, {**given, **scene.parameters}, whole, scene.backend, double)
+    return Linearization(*derivatives(what, {**given, **scene.parameters}, whole, scene.backend, double)[1:])
 
 
 @constant_in_graphs
@@ -84,17 +84,18 @@ def length(scene: SceneModel) -> int:
 
 def derivatives(
     what: Stage, given: Mapping[str, Tensor], whole: bool, backend: BackendName | None, double: bool = False
-) -> Linearization:
-    """Derivatives of a step in the state and in `what.wrt`, by a program of all columns, or of one for each of them."""
+) -> tuple[Tensor, Tensor, Tensor]:
+    """State after a step and its derivatives A, B in the state and `what.wrt`, by a program of all columns or of one.
+    """
     (control,) = what.wrt or ()
     if whole:
         found = evaluate(what, given, backend, double)
-        return Linearization(found["A"], found[control])
+        return found["after"], found["A"], found[control]
     q, sizes = given["q"], (sum(what.spec.displaced.values()), given[control].shape[-1])
     units = torch.eye(sum(sizes), dtype=q.dtype, device=q.device)
     units = units.unflatten(0, (-1, *(1,) * len(batch_of(what._replace(wrt=None), given))))
-    found = evaluate(what, {**given, "direction": units}, backend, double)["A"]
-    return Linearization(*found.squeeze(-1).movedim(0, -1).split(sizes, -1))
+    found = evaluate(what, {**given, "direction": units}, backend, double)
+    return found["after"][0], *found["A"].squeeze(-1).movedim(0, -1).split(sizes, -1)
 
 
 def _by_reverse_mode(
