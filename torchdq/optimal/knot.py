@@ -63,7 +63,7 @@ class Knot(_KnotFields, Computation):
         s, m = sum(self.spec.displaced.values()), self.step.widths()[self.objective.control]
         found = {"V": (s * (s + 1) // 2,), "v": (s,), "gain": (m, s), "change": (m,), "expected": (2,)}
         found |= {"damping": (1,), "lower": (m,), "upper": (m,)}
-        found |= {"H": (m, m), "slope": (m,), "inverse": (m, m)}
+        found |= {"H": (m, m), "slope": (m,), "response": (m, m)}
         return found | {NEXT + name: (width,) for name, width in self.spec.state.items()}
 
     def axes(self, name: str) -> tuple[int, ...]:
@@ -144,12 +144,12 @@ def _profile(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows
 
 
 def _minimum(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
-    """Formula of the change of the torques, and of the inverse of H among those that may follow a state."""
+    """Formula of the change of the torques, and of its derivatives in their gradient, among those that may follow."""
     (m,) = what.own["change"]
 
     def algorithm(known: Rows) -> Rows:
         change, solved = _solved(_square(known["H"], m), known["slope"], known["damping"][0], _room(what, known))
-        return {"change": change, "inverse": [x for i in range(m) for x in solved(_unit(i, m))]}
+        return {"change": change, "response": [-x for i in range(m) for x in solved(_unit(i, m))]}
 
     return algorithm
 

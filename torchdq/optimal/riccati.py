@@ -81,17 +81,17 @@ def backward(
     H = torque.new_empty(*torque.shape, m)
     for k in reversed(range(steps)):
         T, left, right = of.step[k], of.left[k], of.right[k]
-        left[:, :s] += V
-        right[:, :s, -1:] += v
+        left[:, :s].add_(V)
+        right[:, :s, -1:].add_(v)
         moved = torch.baddbmm(right, left, T)
         Q = T[..., :-1].mT @ moved[:, :s]
-        Q[:, s:] += moved[:, s:]
+        Q[:, s:].add_(moved[:, s:])
         G, H[k], slope[k] = Q[:, s:, :s], Q[:, s:, s:-1], Q[:, s:, -1]
         known = {"H": H[k], "slope": slope[k], "damping": damping, control: torque[k], **given}
         found = evaluate(what, known, backend)
         change[k] = found["change"]
-        gain[k] = K = -(found["inverse"] @ G)
-        V = torch.baddbmm(Q[:, :s, :s], G.mT, K)
+        torch.bmm(found["response"], G, out=gain[k])
+        V = torch.baddbmm(Q[:, :s, :s], G.mT, gain[k])
         V = 0.5 * (V + V.mT)  # rounding errors that are not symmetric would grow as the open loop does
         v = torch.baddbmm(Q[:, :s, -1:], G.mT, change[k][..., None])
     bend = (H @ change[..., None])[..., 0]
