@@ -18,7 +18,9 @@ from torchdq.optimal import riccati
 BACKEND = "auto"
 ARM = Scene(torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.02)
 FREE = on_free_base(torchdq.robots.load("two_link"))
-LEG = Scene(FREE, (effects.Gravity(), effects.Viscous(0.1), effects.Contact("tip", height=-1.36)), dt=0.01)
+UP = double(0.5**0.5, 0.5**0.5, 0, 0)  # the leg is in a vertical plane
+ON_GROUND = effects.Contact("tip", height=-1.36)
+LEG = Scene(FREE, (effects.Gravity(double(0, 0, -9.81)), effects.Viscous(0.1), ON_GROUND), dt=0.01)
 STEPS = 20
 
 
@@ -36,13 +38,14 @@ def swing(limit, scene=ARM):
 
 
 def hop():
-    X = dq.from_pose(double(1, 0, 0, 0), double(0.0, 0.1, 0.0))
+    X = dq.from_pose(UP, double(0.0, 0.0, 0.1))
     costs = [optimal.Torques(1e-3), optimal.Speeds(1e-2), optimal.BaseVelocity(0.1)]
     return optimal.Problem(LEG, STEPS, costs, [optimal.BasePose(X, 10.0), optimal.Posture(double(-0.6, -0.5), 1.0)])
 
 
 def standing(*rows):
-    return LEG.start(double(-0.5, -0.6) + 0.01 * random(*rows, 2), 0.1 * random(*rows, 2, seed=1))
+    q, qd, X = double(-0.5, -0.6) + 0.01 * random(*rows, 2), 0.1 * random(*rows, 2, seed=1), dq.from_pose(UP, 0 * UP[:3])
+    return LEG.start(q, qd, X_WB=X)
 
 
 def of(state, k):
