@@ -8,6 +8,8 @@ as in a `Linearization`. With those of the step itself, by Gauss-Newton, they ar
 and minimised over du within the limits: du = change + gain ds. What Q is then, is V of the step before.
 
 Where positions follow velocities, q' = q + dt qd', only rows of T for qd' are products; V is moved to (q, qd') first.
+
+A knot whose products are too many for a program has programs of its parts, the costs and the minimum; see `riccati`.
 """
 
 from __future__ import annotations
@@ -22,7 +24,6 @@ from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.dynamics import ltdl
 from torchdq.dynamics.posed import Row, dot
-from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import at_least, below, clip, maximum, minimum, select
 from torchdq.numbers.record import Recorded
 from torchdq.optimal.costs import Objective
@@ -45,6 +46,7 @@ class _KnotFields(NamedTuple):
     spec: SceneSpec
     objective: Objective
     boxed: bool = False  # whether torques have limits
+    part: str = "knot"  # one of PARTS
 
 
 class Knot(_KnotFields, Computation):
@@ -61,6 +63,7 @@ class Knot(_KnotFields, Computation):
         s, m = sum(self.spec.displaced.values()), self.step.widths()[self.objective.control]
         found = {"V": (s * (s + 1) // 2,), "v": (s,), "gain": (m, s), "change": (m,), "expected": (2,)}
         found |= {"damping": (1,), "lower": (m,), "upper": (m,)}
+        found |= {"H": (m, m), "slope": (m,), "response": (m, m)}
         return found | {NEXT + name: (width,) for name, width in self.spec.state.items()}
 
     def axes(self, name: str) -> tuple[int, ...]:
@@ -73,7 +76,7 @@ class Knot(_KnotFields, Computation):
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results."""
-        return tuple([self.own[r.name] for r in program.results])
+        return tuple([self.own.get(r.name, (len(r.values),)) for r in program.results])
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program, recorded once."""
@@ -82,36 +85,76 @@ class Knot(_KnotFields, Computation):
 
 @remembered(PROGRAMS)
 def _program(what: Knot, arguments: tuple[Argument, ...]) -> Program:
+    algorithm = PARTS[what.part](what, arguments)
+    return record(f"{what.part}_{what.spec.robot.name}", arguments, lambda *rows: algorithm(_named(arguments, rows)))
+
+
+def _named(arguments: Sequence[Argument], rows: Sequence[Row]) -> Rows:
+    return {a.name: row for a, row in zip(arguments, rows, strict=True)}
+
+
+def _knot(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
+    """Formula of all parts."""
     spec, control, asked = what.spec, what.objective.control, what.objective.inputs(what.spec.robot.n)
     taken = [a for a in arguments if a.name not in what.own and a.name not in asked]
-    step = what.step._replace(task=None).program(tuple(taken))
-    # costs are those of the next state, which differs from the state after the step where a start is not feasible
-    judged = [a for a in arguments if a.name.startswith(NEXT) or "." in a.name or a.name in (*asked, control)]
-    judged = [a._replace(name=a.name.removeprefix(NEXT)) for a in judged]
-    cost = Stage(spec, "judge", what.objective._replace(squares=True)).program(tuple(judged))
-
+    step, costs = what.step._replace(task=None).program(tuple(taken)), _costs(what, arguments)
     s, m = what.own["v"][0], what.own["change"][0]
-    if step.count().total * (s + m) + 2 * (s + m) ** 3 > LARGEST:
-        raise ArgumentError(
-            f"scene of robot {spec.robot.name!r} has {s} numbers in a displacement of its state, too many for the "
-            "program of method='ilqr'; take fewer joints, effects without memory, or method=optimal.MPPI()"
-        )
 
-    def algorithm(*rows: Row) -> Rows:
-        known = {a.name: row for a, row in zip(arguments, rows, strict=True)}
-        after = {name: known[NEXT + name] for name in spec.state}
-        M, g = _cost(_Derived(cost, judged, {**known, **after}, spec), [*spec.displaced, control])
-        V, v = _square(known["V"], s), [*known["v"], *[0.0] * m]
+    def algorithm(known: Rows) -> Rows:
+        after, (M, g) = {name: known[NEXT + name] for name in spec.state}, costs(known)
+        V, v = _half(known["V"], s), [*known["v"], *[0.0] * m]
         M = tuple(
             tuple([x + (V[i][j] if max(i, j) < s else 0.0) for j, x in enumerate(row)]) for i, row in enumerate(M)
         )
         moved = _Derived(step, taken, known, spec)
         gap = [x for name in spec.displaced for x in displacement(name, moved.values[name], after[name])]
         M, g = _pulled(moved, M, [a + b + dot(row[:s], gap) for a, b, row in zip(g, v, M, strict=True)], control)
-        room = [_less(known[name], known[control]) for name in ("lower", "upper") if what.boxed]
-        return _minimised(M, g, s, known["damping"][0], room)
+        return _minimised(M, g, s, known["damping"][0], _room(what, known))
 
-    return record(f"knot_{spec.robot.name}", arguments, algorithm)
+    return algorithm
+
+
+def _costs(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], tuple[Matrix, list[Number]]]:
+    """Formula of the Gauss-Newton matrix J^T W J and the gradient J^T W r of the costs of a step."""
+    spec, control, asked = what.spec, what.objective.control, what.objective.inputs(what.spec.robot.n)
+    # costs are those of the next state, which differs from the state after the step where a start is not feasible
+    judged = [a for a in arguments if a.name.startswith(NEXT) or "." in a.name or a.name in (*asked, control)]
+    judged = [a._replace(name=a.name.removeprefix(NEXT)) for a in judged]
+    cost = Stage(spec, "judge", what.objective._replace(squares=True)).program(tuple(judged))
+
+    def algorithm(known: Rows) -> tuple[Matrix, list[Number]]:
+        of = _Derived(cost, judged, known | {name: known[NEXT + name] for name in spec.state}, spec)
+        J = of.columns(["residual"], [*spec.displaced, control])
+        weighted = tuple([tuple([w * x for x in row]) for w, row in zip(of.values["weight"], J, strict=True)])
+        return _gram(J, weighted), [dot(column, of.values["residual"]) for column in transpose(weighted)]
+
+    return algorithm
+
+
+def _profile(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
+    """Formula of the costs alone, of every row of their matrix the numbers from the first not zero to the diagonal."""
+    costs = _costs(what, arguments)
+
+    def algorithm(known: Rows) -> Rows:
+        M, g = costs(known)
+        first = [[isinstance(x, Recorded) or x != 0.0 for x in row[:i]] + [True] for i, row in enumerate(M)]
+        return {"g": g, **{f"M{i}": row[first[i].index(True) : i + 1] for i, row in enumerate(M)}}
+
+    return algorithm
+
+
+def _minimum(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
+    """Formula of the change of the torques, and of its derivatives in their gradient, among those that may follow."""
+    (m,) = what.own["change"]
+
+    def algorithm(known: Rows) -> Rows:
+        change, solved = _solved(_square(known["H"], m), known["slope"], known["damping"][0], _room(what, known))
+        return {"change": change, "response": [-x for i in range(m) for x in solved(_unit(i, m))]}
+
+    return algorithm
+
+
+PARTS = {"knot": _knot, "costs": _profile, "minimum": _minimum}
 
 
 class _Derived:
@@ -135,13 +178,6 @@ class _Derived:
                 found |= {name: displacements(self.values[name], found[name]) for name in POSES if name in of}
                 columns.append(tuple([x for name in of for x in found[name]]))
         return transpose(tuple(columns))
-
-
-def _cost(of: _Derived, names: Sequence[str]) -> tuple[Matrix, list[Number]]:
-    """Gauss-Newton matrix J^T W J and gradient J^T W r of costs."""
-    J = of.columns(["residual"], names)
-    weighted = tuple([tuple([w * x for x in row]) for w, row in zip(of.values["weight"], J, strict=True)])
-    return _gram(J, weighted), [dot(column, of.values["residual"]) for column in transpose(weighted)]
 
 
 def _pulled(of: _Derived, M: Matrix, g: Row, control: str) -> tuple[Matrix, list[Number]]:
@@ -176,9 +212,7 @@ def _through(T: Matrix, M: Matrix, g: Row) -> tuple[Matrix, list[Number]]:
 def _minimised(M: Matrix, g: Row, s: int, damping: Number, room: Sequence[Row]) -> Rows:
     """Minimum of a quadratic form over the control, as change and gain, with what it leaves of the form."""
     X, G, H = [row[:s] for row in M[:s]], tuple([row[:s] for row in M[s:]]), [row[s:] for row in M[s:]]
-    heavy = [[x + damping * x if i == j else x for j, x in enumerate(row)] for i, row in enumerate(H)]
-    lower, upper = room or ((), ())
-    change, solved = box_qp(heavy, g[s:], lower, upper)
+    change, solved = _solved(H, g[s:], damping, room)
     K: Matrix = transpose(tuple([tuple(solved([-x for x in column])) for column in transpose(G)]))
     moved, S = [dot(row, change) for row in H], _gram(G, K)
     return {
@@ -188,6 +222,20 @@ def _minimised(M: Matrix, g: Row, s: int, damping: Number, room: Sequence[Row]) 
         "change": change,
         "expected": [dot(change, g[s:]), dot(change, moved)],
     }
+
+
+def _solved(
+    H: Sequence[Row], g: Row, damping: Number, room: Sequence[Row]
+) -> tuple[list[Number], Callable[[Row], list[Number]]]:
+    """Solutions of `box_qp` for a damped matrix."""
+    heavy = [[x + damping * x if i == j else x for j, x in enumerate(row)] for i, row in enumerate(H)]
+    return box_qp(heavy, g, *room)
+
+
+def _room(what: Knot, known: Rows) -> list[Row]:
+    """What the limits leave to a change of the torques."""
+    control = known[what.objective.control] if what.boxed else ()
+    return [_less(known[name], control) for name in ("lower", "upper") if what.boxed]
 
 
 def box_qp(
@@ -242,6 +290,11 @@ def _gram(A: Matrix, B: Matrix) -> Matrix:
 
 
 def _square(row: Row, size: int) -> Matrix:
+    """Square matrix of its numbers, row by row."""
+    return tuple([tuple(row[size * i : size * (i + 1)]) for i in range(size)])
+
+
+def _half(row: Row, size: int) -> Matrix:
     """Symmetric matrix of the numbers of its lower half, row by row."""
     at = lambda i, j: row[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)]  # noqa: E731
     return tuple(tuple([at(i, j) for j in range(size)]) for i in range(size))

@@ -11,19 +11,22 @@ from torch import Tensor
 
 from torchdq.backends.call import Repeated, evaluate
 from torchdq.backends.loop_call import repeat
-from torchdq.base.checks import frozen, require_count, require_object, tensor_of
+from torchdq.base.checks import frozen, require_choice, require_count, require_object, tensor_of
 from torchdq.effects.model import Gravity
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics
+from torchdq.optimal import riccati
 from torchdq.optimal.costs import Objective, Residuals, named
-from torchdq.optimal.knot import NEXT, Knot
+from torchdq.optimal.knot import LARGEST, NEXT, Knot
 from torchdq.scene import Scene
+from torchdq.scene.linearize import length
 from torchdq.scene.policies import STEPPED, Linear, LinearForm
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import ORDER, POLICY
 from torchdq.scene.state import State
 
 Limits = tuple[Tensor, Tensor]
+TOGETHER = 2**22  # numbers of matrices of knots that are in memory together
 STATUS = (
     "converged: no step is expected to decrease the cost by more than the tolerance",
     "stopped at the largest number of iterations; give more, or begin with this plan",
@@ -49,6 +52,9 @@ class Problem:
         final: costs of the last state, added to those.
         torques: "limits": those of the efforts in the robot's description hold in every step; None: there are none; or
             smallest and largest torques [N m or N], each a tensor [..., n] or a number.
+        control: input that is planned: "torque", or "target", the positions that an `effects.Servo` is given [rad or
+            m]. What is said of torques is said of targets then: their limits are those of the joints, and
+            `Torques(weight, reference)` is their cost.
 
     >>> import torch, torchdq
     >>> from torchdq import Scene, effects, optimal
@@ -66,6 +72,7 @@ class Problem:
     costs: Sequence[Residuals]
     final: Sequence[Residuals] = ()
     torques: Literal["limits"] | tuple[Any, Any] | None = "limits"
+    control: Literal["torque", "target"] = "torque"
     objective: Objective = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -81,7 +88,10 @@ class Problem:
         if not (self.costs or self.final):
             raise ArgumentError("costs must not be empty if final is; give optimal.Torques(1e-3), for example")
         terms = tuple([cost.term for cost in (*self.costs, *self.final)])
-        object.__setattr__(self, "objective", Objective(terms))
+        require_choice("control", self.control, ("torque", "target"))
+        if self.control not in self.scene.inputs:
+            raise ArgumentError('control="target" needs a scene with effects.Servo(kp), found one without')
+        object.__setattr__(self, "objective", Objective(terms, self.control))
         self.limits(torch.zeros(self.scene.n, dtype=torch.float64))  # raises
 
     def replace(self, **changes: Any) -> Problem:
@@ -94,7 +104,9 @@ class Problem:
             return None
         bounds: Any = self.torques
         if isinstance(bounds, str):
-            bounds = (-self.scene.robot.limits.effort, self.scene.robot.limits.effort) if bounds == "limits" else ()
+            lower, upper, _, effort = self.scene.robot.limits
+            own = (-effort, effort) if self.control == "torque" else (lower, upper)
+            bounds = own if bounds == "limits" else ()
         if not isinstance(bounds, tuple | list) or len(bounds) != 2:
             raise ArgumentError(f'torques must be "limits", None or a pair (lower, upper), found {self.torques!r}')
         lower, upper = (
@@ -125,19 +137,19 @@ class Problem:
                 found[named(name, k)] = x
         return found
 
-    def cost(self, state: State, torque: Tensor) -> Tensor:
-        """Cost [...] of torques [steps, ..., n] that are applied from a state on."""
+    def cost(self, state: State, torque: Tensor, **inputs: Tensor) -> Tensor:
+        """Cost [...] of torques [steps, ..., n] that are applied from a state on, with other inputs of the scene."""
         steps: Any = {name: x.expand(self.steps, *x.shape[-state.q.ndim :]) for name, x in self.inputs(state.q).items()}
-        _, rows = self.scene.rollout(
-            state, torque, task=self.objective, total="cost", ends=True, nonfinite="ignore", **steps
-        )
+        steps |= {self.control: torque, **inputs}
+        _, rows = self.scene.rollout(state, task=self.objective, total="cost", ends=True, nonfinite="ignore", **steps)
         return rows["cost"]
 
     def holding(self, state: State) -> Tensor:
-        """Torques [steps, ..., n] that hold the joints of a fixed base at rest against gravity, within the limits."""
+        """Torques [steps, ..., n] that hold the joints of a fixed base at rest, or targets at the state, within limits.
+        """
         q, gravity = state.q, [x for _, x in self.scene.spec.of(Gravity)]
-        held = torch.zeros_like(q)
-        if gravity and not self.scene.robot.floating:
+        held = q if self.control == "target" else torch.zeros_like(q)
+        if self.control == "torque" and gravity and not self.scene.robot.floating:
             held = inverse_dynamics(self.scene.robot, q)
         limits = self.limits(q)
         return (held if limits is None else held.clamp(*limits)).expand(self.steps, *q.shape)
@@ -153,6 +165,7 @@ class Plan(NamedTuple):
     status: Tensor  # [...] position in `optimal.STATUS`
     iterations: Tensor  # [...] steps that were taken
     limits: Limits | None = None  # of the torques
+    control: str = "torque"  # input that the torques are: "target" of a servo, [rad or m]
 
     @property
     def converged(self) -> Tensor:
@@ -164,7 +177,7 @@ class Plan(NamedTuple):
         """Torques and gains as a policy of `Scene.rollout`, which stays near the plan where a simulation differs."""
         if self.gain is None:
             raise ArgumentError("policy needs gains, which sampling methods have not; solve by method='ilqr'")
-        return Linear(self.gain, self.torque, joined(self.states.rows())[:-1], self.limits)
+        return Linear(self.gain, self.torque, joined(self.states.rows())[:-1], self.limits, self.control)
 
     def why(self) -> str:
         """Text that says what became of the rows."""
@@ -227,17 +240,28 @@ class Passes(NamedTuple):
 
     def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
-        problem, rows = self.problem, len(damping)
-        what = Knot(problem.scene.spec, problem.objective, self.limits is not None)
+        problem, rows, scene = self.problem, len(damping), self.problem.scene
+        what = Knot(scene.spec, problem.objective, self.limits is not None)
+        limits = {} if self.limits is None else dict(zip(("lower", "upper"), self.limits, strict=True))
+        operations = length(scene)
+        if operations + 2 * (self.size + scene.n) ** 3 > LARGEST:
+            most = max(TOGETHER // (problem.steps * (self.size + scene.n) ** 2), 1)
+            if rows > most:
+                parts = [
+                    self.among(at).backward({n: x[:, at] for n, x in states.items()}, torque[:, at], damping[at])
+                    for at in torch.arange(rows, device=torque.device).split(most)
+                ]
+                return tuple([torch.cat(x, min(x[0].ndim - 2, 1)) for x in zip(*parts, strict=True)])
+            given = {**self.stepped, **self.fixed, **self.shared}
+            of = riccati.derived(what, operations <= riccati.COLUMNS, states, torque, given, scene.backend)
+            return riccati.backward(what, of, torque, damping[:, None], limits, scene.backend)
         sizes = {"V": self.size * (self.size + 1) // 2, "v": self.size}
         start = {name: torque.new_zeros(rows, size) for name, size in sizes.items()}
         near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
         stepped = {**near, problem.objective.control: torque, **self.stepped}
-        fixed = {"damping": damping[:, None], **self.fixed, **self.shared}
-        if self.limits is not None:
-            fixed |= dict(zip(("lower", "upper"), self.limits, strict=True))
+        fixed = {"damping": damping[:, None], **self.fixed, **self.shared, **limits}
         repeated = Repeated(problem.steps, ("V", "v"), tuple(stepped), ("expected",), ends=True, backwards=True)
-        found = evaluate(what, {**start, **stepped, **fixed}, problem.scene.backend, repeated=repeated)
+        found = evaluate(what, {**start, **stepped, **fixed}, scene.backend, repeated=repeated)
         return found["gain"], found["change"], found["expected"]
 
     def forward(
@@ -253,7 +277,7 @@ class Passes(NamedTuple):
         if follow is None:
             stepped[control] = self.within(torque)
         else:
-            policy = LinearForm(self.limits is not None)
+            policy = LinearForm(self.limits is not None, control)
             stepped |= dict(zip(STEPPED, (follow[0], torque, follow[1]), strict=True))
             if self.limits is not None:
                 given |= {f"{POLICY}.{x}": y for x, y in zip(("lower", "upper"), self.limits, strict=True)}

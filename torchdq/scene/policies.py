@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -40,6 +40,7 @@ class Linear:
         torque: torques where the state is the expected one [N m or N], shape [steps, ..., n].
         state: expected states, shape [steps, ..., s], of a floating base with 8 numbers for the pose.
         limits: smallest and largest torques [N m or N], each of shape [..., n]; None: there are none.
+        control: input that all of these are: "torque", or "target" of a `Servo` [rad or m].
 
     >>> import torch, torchdq
     >>> from torchdq.scene import policies
@@ -53,6 +54,7 @@ class Linear:
     torque: Tensor
     state: Tensor
     limits: tuple[Tensor, Tensor] | None = None
+    control: str = "torque"
 
     def __post_init__(self) -> None:
         for name, axes in {"gain": 3, "torque": 2, "state": 2}.items():
@@ -69,14 +71,14 @@ class Linear:
         """Torques of step k, of rows of the state and inputs by name."""
         names = [name for name in ORDER if name in rows]
         expected = self.state[k].split([rows[name].shape[-1] for name in names], -1)
-        error = torch.cat([_apart(name, rows[name], x) for name, x in zip(names, expected, strict=True)], -1)
+        error = torch.cat([apart(name, rows[name], x) for name, x in zip(names, expected, strict=True)], -1)
         found = self.torque[k] + (self.gain[k] @ error[..., None])[..., 0]
         return found if self.limits is None else found.clamp(*self.limits)
 
     @property
     def form(self) -> LinearForm:
         """Formula, without the tensors."""
-        return LinearForm(self.limits is not None)
+        return LinearForm(self.limits is not None, self.control)
 
     def stepped(self) -> dict[str, Tensor]:
         """Tensors of every step, by the names of their arguments."""
@@ -98,7 +100,7 @@ def displacement(name: str, row: Row, of: Row) -> Row:
     return found
 
 
-def _apart(name: str, x: Tensor, of: Tensor) -> Tensor:
+def apart(name: str, x: Tensor, of: Tensor) -> Tensor:
     """Displacement of a row of a state from another, as tensors."""
     if name not in POSES:
         return x - of
@@ -111,6 +113,7 @@ class LinearForm:
     """Formula of `Linear`."""
 
     limits: bool = False
+    control: str = "torque"
 
     def axes(self, n: int, widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
         """Trailing axes of the tensors, by name, of states with these widths."""
@@ -161,6 +164,7 @@ class Network:
 
     network: nn.Sequential
     inputs: Sequence[str] = ("q", "qd")
+    control: ClassVar[str] = "torque"
 
     def __post_init__(self) -> None:
         if not isinstance(self.network, nn.Sequential):
@@ -220,6 +224,7 @@ class NetworkForm:
 
     inputs: tuple[str, ...]
     layers: tuple[Layer, ...]
+    control: ClassVar[str] = "torque"
 
     def axes(self, n: int, widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
         """Trailing axes of the weights, by name."""

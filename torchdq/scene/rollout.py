@@ -256,8 +256,8 @@ class _Steps(NamedTuple):
         given |= {name: x[k] for name, x in self.series.items()}
         noise, policy = given.pop("noise", None), self.plan.policy
         if self.plan.recorded is not None:
-            torque = self.plan.recorded.at({**state.rows(), **given}, k)
-            given["torque"] = given["torque"] + torque if "torque" in given else torque
+            found, control = self.plan.recorded.at({**state.rows(), **given}, k), self.plan.recorded.control
+            given[control] = given[control] + found if control in given else found
         elif policy is not None:
             given["torque"] = torque = policy(state, k)
             n, dtype = self.scene.n, state.q.dtype

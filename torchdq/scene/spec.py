@@ -57,6 +57,10 @@ class Task(Protocol):
 class Formula(Protocol):
     """Torques of a policy, computed from the state before a step; hashable, since programs depend on it."""
 
+    @property
+    def control(self) -> str:
+        """Input that they are: "torque", or "target" of a servo."""
+
     def axes(self, n: int, widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
         """Trailing axes of its tensors by name, of states with these widths."""
 
