@@ -51,7 +51,7 @@ COSTS = {
     "pose": (optimal.Pose("tip", X_D, 2.0), lambda s, u: error(X_D, at(s.q))),
     "limits": (optimal.JointLimits(2.0), lambda s, u: beyond(s.q)),
     "spheres": (
-        optimal.Spheres(2.0, None, (BOX,), X_WO, height=-0.5, margin=0.6),
+        optimal.Spheres(2.0, None, (BOX,), X_WO[None], height=-0.5, margin=0.6),
         lambda s, u: (0.6 - torchdq.distances(ROBOT, s.q, "tip", (BOX,), X_WO[None], height=-0.5).distance).clamp(
             min=0
         ),

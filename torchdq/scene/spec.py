@@ -12,7 +12,7 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.control.law import Law
 from torchdq.dynamics.free_bodies import WithFreeBodies
-from torchdq.dynamics.posed import Posed, Row
+from torchdq.dynamics.posed import Point, Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.effect import Effect
@@ -22,7 +22,7 @@ from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError
 from torchdq.functions.parametric import Shapes
-from torchdq.functions.posed import Overrides, posed
+from torchdq.functions.posed import Overrides, frame, posed
 from torchdq.functions.posed import field as tensor
 from torchdq.objects import Object
 from torchdq.robot import Robot
@@ -312,6 +312,12 @@ class View(NamedTuple):
     def posed(self, q: Row) -> Posed:
         """Robot at joint positions, in the world if its base is floating."""
         return self.scene.posed(q, free_base.as_pose(self.X_WB) if self.X_WB else None)
+
+    def frame(self, name: str) -> Point:
+        """Origin and three axes of a frame in the base frame, or in the world if the base is floating."""
+        at, (link, X_BF) = self.posed(self.q), frame(self.scene.spec.robot, name)
+        found = at.point(link, X_BF)
+        return Point(at.position(link, found.position), tuple([at.to_world(link, e) for e in found.axes]))
 
     @property
     def bodies(self) -> Bodies:
