@@ -43,7 +43,17 @@ def near(view, goal):
 GOAL, TIP, X_D = double(0.1, -0.2), double(1.0, 0.3, 0.1), pose(0.1, 0.2, -0.3, 0.5, 0.1, 0.2)
 BOX = Box("box", mass=1.0, size=(0.5, 0.5, 0.5))
 X_WO = dq.from_pose(double(1, 0, 0, 0), double(1.8, 0.2, 0.0))
+
+
+def turned(view):
+    return [x for e in view.frame("tip").axes for x in e[:2]]
+
+
 COSTS = {
+    "axes": (
+        optimal.Residuals(turned, 2.0),
+        lambda s, u: dq.to_matrix(at(s.q))[..., :2, :3].mT.flatten(-2),
+    ),
     "torques": (optimal.Torques(2.0, GOAL), lambda s, u: u - GOAL),
     "speeds": (optimal.Speeds(2.0), lambda s, u: s.qd),
     "posture": (optimal.Posture(GOAL, 2.0), lambda s, u: s.q - GOAL),
