@@ -335,9 +335,9 @@ class View(NamedTuple):
     def pressing(self, name: str) -> dict[str, Number]:
         """Sums of the normal forces on an object, by the frames and objects that touch it [N]."""
         found: dict[str, Number] = {}
-        for (frame, on), contact in zip(self.scene.spec.touching, self.contacts, strict=True):
+        for (by, on), contact in zip(self.scene.spec.touching, self.contacts, strict=True):
             if on == name:
-                found[frame] = found.get(frame, 0.0) + contact.normal_force
+                found[by] = found.get(by, 0.0) + contact.normal_force
         return found
 
 
