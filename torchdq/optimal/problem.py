@@ -125,11 +125,11 @@ class Problem:
                 found[named(name, k)] = x
         return found
 
-    def cost(self, state: State, torque: Tensor) -> Tensor:
-        """Cost [...] of torques [steps, ..., n] that are applied from a state on."""
+    def cost(self, state: State, torque: Tensor, **inputs: Tensor) -> Tensor:
+        """Cost [...] of torques [steps, ..., n] that are applied from a state on, with other inputs of the scene."""
         steps: Any = {name: x.expand(self.steps, *x.shape[-state.q.ndim :]) for name, x in self.inputs(state.q).items()}
         _, rows = self.scene.rollout(
-            state, torque, task=self.objective, total="cost", ends=True, nonfinite="ignore", **steps
+            state, torque, task=self.objective, total="cost", ends=True, nonfinite="ignore", **steps, **inputs
         )
         return rows["cost"]
 
@@ -225,14 +225,18 @@ class Passes(NamedTuple):
         """Torques within the limits."""
         return torque if self.limits is None else torque.clamp(*self.limits)
 
+    def knots(self, states: Mapping[str, Tensor], torque: Tensor) -> dict[str, Tensor]:
+        """Inputs of every knot: states before and after the step, torques, and those of step and costs."""
+        near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
+        return {**near, self.problem.objective.control: torque, **self.stepped}
+
     def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
         problem, rows = self.problem, len(damping)
         what = Knot(problem.scene.spec, problem.objective, self.limits is not None)
         sizes = {"V": self.size * (self.size + 1) // 2, "v": self.size}
         start = {name: torque.new_zeros(rows, size) for name, size in sizes.items()}
-        near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
-        stepped = {**near, problem.objective.control: torque, **self.stepped}
+        stepped = self.knots(states, torque)
         fixed = {"damping": damping[:, None], **self.fixed, **self.shared}
         if self.limits is not None:
             fixed |= dict(zip(("lower", "upper"), self.limits, strict=True))
