@@ -71,7 +71,7 @@ def differentiable(problem: Problem, state: State, plan: Plan, **inputs: Tensor)
     >>> plan = optimal.differentiable(problem, state, optimal.solve(problem, state, tolerance=1e-14))
     >>> plan.states.q[-1, 0].backward()
     >>> goal.grad
-    tensor([0.9937, 0.0092], dtype=torch.float64)
+    tensor([ 0.9289, -0.0282], dtype=torch.float64)
     """
     require_state(state)
     require_object("problem", problem, Problem, "torchdq.optimal", "Problem(scene, 50, costs)")
