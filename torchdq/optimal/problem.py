@@ -145,8 +145,7 @@ class Problem:
         return rows["cost"]
 
     def holding(self, state: State) -> Tensor:
-        """Torques [steps, ..., n] that hold the joints of a fixed base at rest, or targets at the state, within limits.
-        """
+        """Torques [steps, ..., n] that hold the joints of a fixed base at rest, or targets at the state, within limits."""
         q, gravity = state.q, [x for _, x in self.scene.spec.of(Gravity)]
         held = q if self.control == "target" else torch.zeros_like(q)
         if self.control == "torque" and gravity and not self.scene.robot.floating:
@@ -238,6 +237,11 @@ class Passes(NamedTuple):
         """Torques within the limits."""
         return torque if self.limits is None else torque.clamp(*self.limits)
 
+    def knots(self, states: Mapping[str, Tensor], torque: Tensor) -> dict[str, Tensor]:
+        """Inputs of every knot: states before and after the step, torques, and those of step and costs."""
+        near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
+        return {**near, self.problem.objective.control: torque, **self.stepped}
+
     def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
         problem, rows, scene = self.problem, len(damping), self.problem.scene
@@ -257,9 +261,10 @@ class Passes(NamedTuple):
             return riccati.backward(what, of, torque, damping[:, None], limits, scene.backend)
         sizes = {"V": self.size * (self.size + 1) // 2, "v": self.size}
         start = {name: torque.new_zeros(rows, size) for name, size in sizes.items()}
-        near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
-        stepped = {**near, problem.objective.control: torque, **self.stepped}
-        fixed = {"damping": damping[:, None], **self.fixed, **self.shared, **limits}
+        stepped, fixed = (
+            self.knots(states, torque),
+            {"damping": damping[:, None], **self.fixed, **self.shared, **limits},
+        )
         repeated = Repeated(problem.steps, ("V", "v"), tuple(stepped), ("expected",), ends=True, backwards=True)
         found = evaluate(what, {**start, **stepped, **fixed}, scene.backend, repeated=repeated)
         return found["gain"], found["change"], found["expected"]

@@ -70,7 +70,11 @@ def linearize(
         return _by_reverse_mode(scene, state, given, noise)
     given = scene._with_noise({**state.rows(), **given}, noise)
     constants(scene.robot)  # raises if they were changed in place
-    what, whole, double = Stage(scene.spec, "step", wrt=("torque",)), length(scene) <= LARGEST, scene.precision == "double"
+    what, whole, double = (
+        Stage(scene.spec, "step", wrt=("torque",)),
+        length(scene) <= LARGEST,
+        scene.precision == "double",
+    )
     return Linearization(*derivatives(what, {**given, **scene.parameters}, whole, scene.backend, double)[1:])
 
 
@@ -85,8 +89,7 @@ def length(scene: SceneModel) -> int:
 def derivatives(
     what: Stage, given: Mapping[str, Tensor], whole: bool, backend: BackendName | None, double: bool = False
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """State after a step and its derivatives A, B in the state and `what.wrt`, by a program of all columns or of one.
-    """
+    """State after a step and its derivatives A, B in the state and `what.wrt`, by a program of all columns or of one."""
     (control,) = what.wrt or ()
     if whole:
         found = evaluate(what, given, backend, double)
