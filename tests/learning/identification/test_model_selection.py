@@ -71,7 +71,9 @@ def test_a_joint_that_no_body_explains_better_keeps_the_described_torques():
     real = ROBOT.replace(mass=ROBOT.mass * torch.tensor([1.6, 1.0]).double())
     tau = torques(real, q, qd, qdd) + torch.tensor([0.0, 0.5]).double() * noise(q.shape, 0.9, seed=5)
     found = identify(ROBOT, Samples(q, qd, qdd, tau), Model(offset=False, armature=False))
-    assert found.selection.chosen.kept == ("joint2",) and "keep the description: joint2" in str(found.selection)
+    assert found.selection.chosen.kept == ("joint2",)
+    assert {one.kept for one in found.selection.candidates if one.name == "identified"} == {(), ("joint2",)}
+    assert re.search(r"joint2 +chosen", str(found.selection))
     change = [torchdq.inverse_dynamics(one, q, qd, qdd) for one in (found.robot, ROBOT)]
     off, size = ((x**2).mean((0, 1)).sqrt() for x in (change[0] - change[1], change[1]))
     assert float(off[1] / size[1]) < 0.02 and float(off[0] / size[0]) > 0.1
@@ -247,7 +249,7 @@ def test_the_report_is_a_table_with_reasons():
     found = identify(ROBOT, Samples(q, qd, qdd, torques(REAL, q, qd, qdd)))
     lines = str(found.selection).splitlines()
     assert "5 motions and 4 regions of the states that were left out in turn" in lines[0]
-    assert lines[1].split() == ["model", "score", "standard", "error", "root", "prior"]
+    assert lines[1].split() == ["model", "score", "standard", "error", "root", "prior", "as", "described"]
     names = [one.name for one in found.selection.candidates]
     assert names[0] == "description" and names[1].startswith("+ friction") and names[-1].startswith("identified")
     assert sum("chosen" in line for line in lines[2 : 2 + len(names)]) == 1

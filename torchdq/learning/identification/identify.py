@@ -30,7 +30,7 @@ from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, of_motions, too_few
 from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, of_joints, sampled, unexplained
 from torchdq.learning.identification.augmented import AugmentedFit, offset_findings
-from torchdq.learning.identification.base_parameters import base_parameters, inverse_of
+from torchdq.learning.identification.base_parameters import base_parameters
 from torchdq.learning.identification.evidence import Evidence, gather
 from torchdq.learning.identification.faults import fault_findings
 from torchdq.learning.identification.friction_selection import simple_friction
@@ -222,7 +222,7 @@ def _identified(
     changes |= {term.described: x for term, x in own if term.described}
     model = _beyond(evidence, spread, facts.noise, problem.validated)
     wide = evidence.half_widths(problem.unseen, spread, facts.noise)
-    identifiable = _identifiable(found, spread, weight, inflation, fastest > sign_width, terms)
+    identifiable = _identifiable(found, spread.square().sum(1), weight, inflation, fastest > sign_width, terms)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, weight, *drives)], 1)
     return Identified(
@@ -329,20 +329,19 @@ def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) 
 
 
 def _identifiable(
-    found: Solution, spread: Tensor, prior: float, inflation: float, moves: Tensor, terms: Sequence[Term]
+    found: Solution, variance: Tensor, prior: float, inflation: float, moves: Tensor, terms: Sequence[Term]
 ) -> Tensor:
-    """Parameters [k] that the samples decide, at joints that move: none with a link without mass, or that none moves.
+    """Parameters [k] that the samples decide, at joints that move: none of a link without mass, or that no row moves.
 
-    The samples reduce their variance to a tenth of that by the prior alone; and a tenth of that is the most that errors
-    of the described parameters, each by itself, make in them: the prior may also carry a parameter over from others of
-    its link, such as the mass from the first moment, of which it says more than is known.
+    The samples reduce their variance to a tenth of that by the prior alone. And they decide each by itself: the prior
+    also carries a parameter over from others of its link, such as the mass from the first moment, and would be more
+    certain of it than anyone can be. So errors of all described parameters, independent of each other, may make a tenth
+    of the parameter's own, which is what they make in one that depends on no other, at the same limit.
     """
     near, V = found.near, found.facts.V
-    size = near.S.norm(dim=1)  # standard errors by a prior of one
-    left = spread.square().sum(1) * inverse_of(size).square() * prior / inflation
-    # estimates are off by D times the errors of the described parameters
-    D = near.S @ (V * (prior / (found.facts.e + prior))) @ (V.T @ near.inverse) * size
-    carried = D.square().sum(1) * inverse_of(size).square()
+    alone, share = near.S.square().sum(1) * inflation / prior, 1 - IDENTIFIABLE
+    carried = near.S @ (V * (prior / (found.facts.e + prior))) @ (V.T @ near.inverse)  # per error of a described one
     own = [moves if term is not OFFSET else torch.ones_like(moves) for term in terms]
-    inertial = torch.ones(len(size) - len(own) * len(moves), dtype=torch.bool)
-    return (size > 0) & (left.maximum(carried) < 1 - IDENTIFIABLE) & torch.cat([inertial, *own])
+    inertial = torch.ones(len(alone) - len(own) * len(moves), dtype=torch.bool)
+    decided = (variance < share * alone) & (carried.square() @ alone < share**2 * alone)
+    return decided & torch.cat([inertial, *own])

@@ -106,7 +106,7 @@ class ModelSelection(NamedTuple):
         reason = "the best" if chosen is best else f"the simplest within {near}"
         lines = [
             f"squared residual over variance of the torque, mean over joints, on {self.validation}",
-            table(("model", "score", "standard error", "root", "prior", "bodies as described at", ""), rows),
+            table(("model", "score", "standard error", "root", "prior", "as described", ""), rows),
             f"chosen: {chosen.name}, {reason}",
         ]
         if chosen.gains:
