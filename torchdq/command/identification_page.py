@@ -9,6 +9,7 @@ from torchdq.command.trials import HEADER, Trial
 from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.evaluate import MEANING, Evaluation, torques_by
+from torchdq.learning.identification.gains import RESTS
 from torchdq.learning.identification.identified import GAINS, PARAMETERS, Identified
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.plots import plot_torques
@@ -112,7 +113,7 @@ def _model(found: Identified) -> str:
     if friction := found.friction_rows():
         parts.append(f"<p>F{STATED[1:]}</p>{_table(COLUMNS, friction)}")
     if found.gains is not None:
-        parts.append(f"<p>Gains of the drives</p>{_table(GAINS, found.gain_rows())}")
+        parts.append(f"<p>Gains of the drives. {RESTS}</p>{_table(GAINS, found.gain_rows())}")
     values = (found.base @ found.parameters).tolist()
     base = zip(found.base_names, values, found.base_errors.tolist(), strict=True)
     rows = [(name, f"{x:.4g}", f"{error:.2g}") for name, x, error in base]
