@@ -31,7 +31,7 @@ from recorded_logs import (
 
 import torchdq
 from torchdq import effects
-from torchdq.learning import Model, Samples, identify, posterior_samples
+from torchdq.learning import Layout, Model, Samples, identify, posterior_samples, read_log, smooth
 from torchdq.learning.evaluation.blocks import of_tensors
 from torchdq.learning.identification import model_selection, terms
 
@@ -285,3 +285,19 @@ def test_recordings_of_real_arms_are_explained_no_worse_than_by_friction(arm, fo
     row = splits.measured(split, splits.learned(split))
     assert not row.worse
     assert row.chosen[1] < most
+
+
+@pytest.mark.parametrize("rate", thinned([100, 80, 60, 50, 40, 33, 25], [40, 25]))
+@pytest.mark.filterwarnings("ignore")
+def test_the_rate_of_the_rows_does_not_matter(rate):
+    """Below 16 Hz the filtered log is all there, whichever rows are kept."""
+    folder = recordings("airbot_play")
+    layout = Layout(rate=100.0, joints=6, columns={"q": "q{0}", "qd": None, "tau": "tau{1}"})
+    train, test = (
+        read_log([folder / f"{name}_{signal}.csv.gz" for signal in ("q", "tau")], layout)
+        for name in ("chirp", "trapezoidal")
+    )
+    robot, test = torchdq.Robot.from_urdf(folder / "airbot.urdf", on_unphysical="ignore"), smooth(test)
+    predicted, tau = identify(robot, smooth(train, rate=rate)).predict(test), torch.from_numpy(test.tau)
+    assert float(((predicted.tau - tau).square().mean(0).sqrt() / tau.std(0)).mean()) < 0.14
+    assert float(((tau > predicted.low) & (tau < predicted.high)).double().mean(0).amin()) > 0.93

@@ -34,7 +34,7 @@ WIDE = 1.0  # the same of one that is not given, relative to a first guess
 STRENGTH = 100.0  # prior of the bodies, whose described masses set the factor of all gains
 TRUST = 0.1  # relative standard error of the described masses together
 FLAT = 0.5  # relative standard error of a first guess, above which the mean of the other joints takes its place
-SHOWN = 0.1  # least part of a joint's squared efforts that only bodies explain, for its gain to be identifiable
+SHOWN = 0.1  # least effort that only bodies explain, relative to all of the joint's, for its gain to be identifiable
 RESTS = f"Their common factor rests on the described masses, taken to be right within {TRUST:.0%}."
 
 GAIN = Term("gain", ("1", "1"), signed=True)
@@ -120,9 +120,7 @@ def spread_of_gains(
     return near.S @ facts.V @ ((facts.V.T @ right) / (facts.e + prior)[:, None]) @ spread
 
 
-def _guess(
-    sums: Tensor, start: Tensor, inertial: int, samples: int, estimated: Tensor
-) -> tuple[Tensor, Tensor]:
+def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, estimated: Tensor) -> tuple[Tensor, Tensor]:
     """Efforts per described torque [n], each with friction alone; the mean of the others where a joint shows none.
 
     And whether it shows them [n], which friction and rotors do not explain as well.
@@ -137,7 +135,7 @@ def _guess(
     inverse = torch.linalg.pinv(M.mT @ A @ M, rtol=1e-10, hermitian=True)
     x = (inverse @ right[..., None])[..., 0]
     left = (total - (x * right).sum(1)).clamp_min(0) / samples
-    shown = x[:, 0].square() > SHOWN * total * inverse[:, 0, 0]
+    shown = x[:, 0].square() > SHOWN**2 * total * inverse[:, 0, 0]
     clear = estimated & shown & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0].abs())
     middle = x[clear, 0].abs().log().mean().exp() if bool(clear.any()) else x.new_ones(())
     return torch.where(clear, x[:, 0], middle), shown
