@@ -148,7 +148,7 @@ def select(
         kept = untested | (less.mean(0) <= less.std(0) / len(less) ** 0.5)
         if bool((kept & ~untested).any()) and not bool(kept.all()):
             constrained = identified.keeping(kept)
-            tried += [_again(constrained, one, strengths) for one in more]
+            tried += _again(constrained, more, strengths)
         tried += more
 
     number = _simplest([one.scores for one in tried])
@@ -196,11 +196,16 @@ def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tup
     return tried, evidence
 
 
-def _again(evidence: Evidence, one: CandidateModel, strengths: Sequence[float]) -> CandidateModel:
-    """Candidate with the same terms, validated again on other evidence."""
-    found, variance = _noise(evidence, one.estimated, one.strength)
-    strengths = [x for x in strengths if x <= one.strength]
-    return _candidate("identified", evidence, strengths, one.estimated, variance, one.gains, found)
+def _again(
+    evidence: Evidence, candidates: Sequence[CandidateModel], strengths: Sequence[float]
+) -> list[CandidateModel]:
+    """Candidates with the same terms, validated again on other evidence."""
+    tried, found = list[CandidateModel](), None
+    for one in candidates:
+        found, variance = _noise(evidence, one.estimated, one.strength, found)
+        weaker = [x for x in strengths if x <= one.strength]
+        tried.append(_candidate("identified", evidence, weaker, one.estimated, variance, one.gains, found))
+    return tried
 
 
 def _places(robot: Robot, joints: Sequence[str]) -> Tensor:
