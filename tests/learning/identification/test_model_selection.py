@@ -101,7 +101,7 @@ def test_the_simplest_as_good_as_the_best_is_chosen():
 SHAPES = {
     "load": (lambda qd, load: 0.12 * load.abs() * sign(qd), 0.12),
     "stribeck 0.1": (lambda qd, load: 1.5 * sign(qd) / (1 + (qd / 0.1) ** 2), 1.5),
-    "saturating 1": (lambda qd, load: 2.0 * qd / (qd**2 + 1).sqrt(), 2.0),
+    "saturating 0.3": (lambda qd, load: 2.0 * qd / (qd**2 + 0.3**2).sqrt(), 2.0),
     "quadratic": (lambda qd, load: 0.5 * qd * qd.abs(), 0.5),
     "forward": (lambda qd, load: 0.8 * sign(qd) * (1 + sign(qd)) / 2, 0.8),
     "ripple sine": (None, 0.7),
