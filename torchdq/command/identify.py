@@ -37,6 +37,7 @@ from torchdq.learning import (
     train_test_split,
 )
 from torchdq.learning.evaluate import MEANING, torques_by
+from torchdq.learning.identification.gains import RESTS
 from torchdq.learning.identification.identified import GAINS
 from torchdq.robot import Robot
 
@@ -260,11 +261,12 @@ def _outcome(
         title = "not identifiable from these logs, kept near the description:"
         text += [title, Grid((), [("-", line) for line in unidentifiable])]
     if found.gains is not None:
-        text.append(Grid(GAINS, found.gain_rows()))
+        text += [Grid(GAINS, found.gain_rows()), RESTS]
     if payload is not None:
         text.append(str(payload))
     text += [measured.summary, *([Grid(HEADER, [one.cells for one in tried])] if tried else []), MEANING]
     text.append(Grid((), [("wrote", str(path)) for path in files.values()]))
+    text += [one.text(command_line=True) for one in found.findings if one.severity == "note"]
     text += filter(None, notes)
     rows = zip(found.names, found.parameters, found.errors, found.identifiable, strict=True)
     base = zip(found.base_names, found.base @ found.parameters, found.base_errors, strict=True)
