@@ -81,6 +81,12 @@ class IdCommand(RobotCommand):
     transmission: tuple[float, ...] = ()
     """Change of the joints' positions per change of the motors' where those were measured: one for each joint, 0.01
     for a gear of 100:1, or the rows of a matrix, one after the other; coupled motors are what is identified then."""
+    degrees: bool = False
+    """Positions, velocities and accelerations are in degrees, as in files of many controllers."""
+    scale: Annotated[dict[str, str], tyro.conf.arg(metavar="SIGNAL FACTORS ...")] = field(default_factory=dict)
+    """Factors that take time, q, qd or qdd to s, rad (m) and so on: a number, or one per joint, 0.001,0.0175,0.0175."""
+    zero: tuple[float, ...] = ()
+    """Positions of the joints where those in the logs are zero, one for each joint, after the scale [rad or m]."""
     rows: tuple[int, int] | None = None
     """First row of each log that is used, and the one after the last, counted from 0."""
     gains: tuple[float, ...] = ()
@@ -140,7 +146,7 @@ class IdCommand(RobotCommand):
         messages = list({str(one.message): one.message for one in said}.values())
         for message in messages:
             warnings.warn(message, stacklevel=2)
-        joined = [log.joined for some in logs for log in some if log.joined]
+        joined = [*dict.fromkeys(log.joined for some in logs for log in some if log.joined)]
         with Progress("drawing the page"):
             words = [x.text(command_line=True) if isinstance(x, LogWarning) else str(x) for x in messages]
             sources = [f"robot: {self.robot}", f"logs: {', '.join(self.logs)}"]
@@ -187,6 +193,11 @@ class IdCommand(RobotCommand):
         """Layout of the logs, as the options say."""
         options: dict[str, Any] = {"columns": {name: _names(x) for name, x in self.columns.items()}}
         options |= {"farthest": self.farthest, "fastest": self.fastest, "rate": self.rate}
+        turns = [kind.turns for kind in robot.joint_types]
+        degrees = [math.pi / 180 if x else 1.0 for x in turns] if not all(turns) else math.pi / 180
+        options["scale"] = dict.fromkeys(("q", "qd", "qdd"), degrees) if self.degrees else {}
+        options["scale"] |= {signal: _factors(signal, x) for signal, x in self.scale.items()}
+        options["zero"] = self.zero
         options["gain"] = self.gains or (None if self.estimate_gains else ())
         n, S = robot.n, self.transmission
         options["transmission"] = [S[i : i + n] for i in range(0, n * n, n)] if n > 1 and len(S) == n * n else S
@@ -241,6 +252,15 @@ def _names(pattern: str) -> str | list[str] | None:
     """Names of columns as `Layout` takes them; None: not recorded."""
     names = pattern.split(",")
     return None if pattern.lower() == "none" else names if len(names) > 1 else pattern
+
+
+def _factors(signal: str, text: str) -> float | list[float]:
+    """Factor of a signal, or one for each joint."""
+    try:
+        factors = [float(x) for x in text.split(",")]
+    except ValueError as error:
+        raise ArgumentError(f"scale must be numbers such as 0.001, found {text!r} for {signal}") from error
+    return factors if len(factors) > 1 else factors[0]
 
 
 def _outcome(

@@ -18,7 +18,7 @@ from torch.nn.functional import normalize
 
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.findings import Finding
-from torchdq.learning.logs.checks import UNITS, beyond_limits
+from torchdq.learning.logs.checks import UNITS, beyond_limits, scales
 from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.robot import Robot
 
@@ -223,8 +223,8 @@ def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
     small = (factor > 0) & (factor * AT.shared <= 1) & (sure * AT.unit <= 1).any()
     large = (factor >= AT.shared) & (sure >= AT.unit).any()
     claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
-    cure = "is the unit right? give tau in N m"
-    return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure), factor)
+    cure, option = (f"is the unit right? {way} multiplies tau" for way in ("Layout(gain=...)", "--gains"))
+    return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure, option), factor)
 
 
 def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
@@ -292,8 +292,9 @@ def _readings(
                 yield _sign(group, name), read(signals, torch.where(same == j, -plain, plain))
         for turn, (_, unit, other, times, factor) in () if "tau" in signals else UNITS.items():
             joints, claim = turns == turn, f"the {group} must be in {unit}"
-            found, cure = f"a far better fit in {other}", f"multiply them by {times}"
-            fault = Finding("motion.unit", ", ".join(compress(names, joints)), claim, found, cure, value=factor)
+            found, (way, option) = f"a far better fit in {other}", scales(signals, turn)
+            cure, subject = f"multiply them by {times}, as {way} does", ", ".join(compress(names, joints))
+            fault = Finding("motion.unit", subject, claim, found, cure, f"{option} reads them", value=factor)
             yield fault, read(signals, torch.where(joints, factor * plain, plain))
 
 

@@ -101,7 +101,8 @@ def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iter
         def of_zero(x: Tensor, name: str = name, turns: bool = joint.turns) -> Finding:
             claim = "the zero of q must be that of the description"
             found = f"a far better fit with {float(x):.3g} {'rad' if turns else 'm'} taken from it"
-            return Finding("joint.zero", name, claim, found, "correct q in the log", value=float(x))
+            cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
+            return Finding("joint.zero", name, claim, found, cure, option, value=float(x))
 
         def of_factor(x: Tensor, name: str = name) -> Finding:
             claim = "the torques of all joints must be in one unit"

@@ -124,7 +124,7 @@ def read_log(
         joints = () if robot is None else robot.joint_names
         signals = _signals(path, layout.of_joints(joints), rows, joints)
         require_radians(signals)
-    findings = jumps(signals)
+    findings = [*signals.findings, *jumps(signals)]
     if "tau" in signals.names:
         names = [f"column {x!r}" for x in signals.names["tau"]]
         findings += outlier_findings(names, signals.blocks["tau"], signals.first)
@@ -193,7 +193,9 @@ def _tables(path: Any, layout: Layout, rows: Rows, joints: Sequence[str]) -> lis
 def _scaled(table: Signals) -> Signals:
     """Signals of the joints, or of motors that are coupled; efforts are multiplied by their gains, if known."""
     layout = table.layout
-    for name, given in (("gain", layout.gain), ("transmission", layout.transmission), ("zero", layout.zero)):
+    of_joints = {name: getattr(layout, name) for name in ("gain", "transmission", "zero")}
+    of_joints |= {f"scale of {signal}": x for signal, x in layout.scale.items() if np.ndim(x)}
+    for name, given in of_joints.items():
         if given and len(given) != layout.joints:
             rows = "rows" if isinstance(given[0], tuple) else "numbers"
             raise ArgumentError(f"{name} must have {layout.joints} {rows}, one per joint, found {len(given)}")
@@ -202,12 +204,13 @@ def _scaled(table: Signals) -> Signals:
 
 def _at_motor(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
     """Signal of the motors at the scale of their joints, which are the joints unless they are coupled [rows, n]."""
+    x = x * layout.scale.get(signal, 1.0)
     if signal == "tau" and layout.gain:
         x = x * [1.0 if gain is None else gain for gain in layout.gain]
-    if not layout.transmission or signal == "command":
+    if signal == "command" or (not layout.transmission and not layout.zero):
         return x
     # positions of joints are q = C z + q0, with the motors z at the scale of their joints, and no power is lost
-    ratios, C = layout.ratios, np.array(layout.coupling or np.eye(layout.joints))
+    ratios, C = layout.ratios if layout.transmission else 1.0, np.array(layout.coupling or np.eye(layout.joints))
     if signal == "tau":
         return x / ratios if signal in layout.at_motors else x @ C
     if signal not in layout.at_motors:
