@@ -32,6 +32,9 @@ class Thresholds:
     rows: int = 400  # rows that are used
     few: int = 100  # rows below which nothing is reported: five coefficients a joint fit a few rows whatever they are
     unit: float = 45.0  # ratio of measured to described torques from which the unit is wrong; a payload makes one of 31
+    common: float = 3.0  # the same ratio, of all joints that tell, from which no payload makes it
+    spread: float = 3.0  # most ratio of these, as a payload loads the last joints most
+    several: int = 3  # least number of these joints
     current: float = 3.0  # ratio of described to measured torques, at most joints, from which they may be currents
     shared: float = 15.0  # the same ratio, of a joint that is named with one whose unit is wrong
     trusted: float = 0.2  # least part of a joint's torque that only the description explains, to trust its factor
@@ -221,7 +224,8 @@ def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
     """Findings about joints whose torques are in another unit than those of the description."""
     factor, sure = fit.factor, fit.factor[fit.trusted]
     small = (factor > 0) & (factor * AT.shared <= 1) & (sure * AT.unit <= 1).any()
-    large = (factor >= AT.shared) & (sure >= AT.unit).any()
+    common = len(sure) >= AT.several and bool(sure.min() >= AT.common) and bool(sure.max() <= AT.spread * sure.min())
+    large = (factor >= AT.shared) & (sure >= AT.unit).any() | (fit.trusted & common)
     claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
     cure, option = (f"is the unit right? {way} multiplies tau" for way in ("Layout(gain=...)", "--gains"))
     return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure, option), factor)

@@ -14,7 +14,7 @@ from torchdq.learning.logs.signals import Signals
 from torchdq.learning.logs.tables import rows_option
 from torchdq.robot import Robot
 
-GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
+GAP = 0.1 * (1 + 1e-9)  # [s] longest time between two rows; beyond it the motion in between is unknown
 SLOW = 1.1 * GAP  # [s] median of these times from which they are hardly in seconds
 UNLIKE, ALIKE = 0.5, 0.95  # correlations of signals that have nothing to do with each other, and that follow each other
 JUMP = 0.05  # [rad or m] change of a position between two rows that may stay unexplained by the velocities

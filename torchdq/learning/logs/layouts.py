@@ -99,11 +99,11 @@ class Layout:
             raise ArgumentError(f"scale must be a mapping such as {{'q': 0.0174533}}, found {self.scale!r}")
         scale: dict[str, float | tuple[float, ...]] = {}
         for signal in names_of("scale", tuple(self.scale), SCALED, "signal"):
-            given = self.scale[signal]
-            factors = _floats("scale", given if np.ndim(given) else [given], "numbers, one or one per joint")
+            x = self.scale[signal]
+            factors = _floats("scale", x if np.ndim(x) else [x], "numbers, one or one per joint")
             if not all(factors) or (signal == "time" and not factors[0] > 0):
                 raise ArgumentError(f"scale must be numbers other than zero, found {self.scale!r}")
-            scale[signal] = factors if np.ndim(given) and signal != "time" else factors[0]
+            scale[signal] = factors if np.ndim(x) and signal != "time" else factors[0]
         object.__setattr__(self, "scale", scale)
         if not isinstance(self.columns, Mapping):
             expected = "a mapping such as {'q': 'position_{0}'}"

@@ -20,7 +20,7 @@ from torchdq.learning.logs.errors import LogError, LogWarning, MissingLogError
 from torchdq.learning.logs.filters import at_times, fewer_times
 from torchdq.learning.logs.headers import find_columns
 from torchdq.learning.logs.layouts import SPARE, Layout
-from torchdq.learning.logs.outliers import outlier_findings
+from torchdq.learning.logs.outliers import clipped_findings, frozen_findings, outlier_findings
 from torchdq.learning.logs.samples import signal_table
 from torchdq.learning.logs.signals import Signals, joined, read_signals
 from torchdq.learning.logs.tables import Rows, Table, arrays_table, file_arrays, text_table
@@ -127,7 +127,9 @@ def read_log(
     findings = [*signals.findings, *jumps(signals)]
     if "tau" in signals.names:
         names = [f"column {x!r}" for x in signals.names["tau"]]
-        findings += outlier_findings(names, signals.blocks["tau"], signals.first)
+        tau = signals.blocks["tau"]
+        findings += [*outlier_findings(names, tau, signals.first), *clipped_findings(names, tau)]
+        findings += frozen_findings(names, tau, signals.blocks["q"], signals.time, signals.first)
     new = signals.distinct()
     repeats = len(signals.time) - len(new.time)
     if rate is not None:
