@@ -264,7 +264,7 @@ ATTACKS = {
     "currents as torques": Fault("torque.current torque.unit", scaled(tau=[1 / x for x in GAINS])),
     "currents without gains": Fault("gains.unknown", scaled(tau=[1 / x for x in GAINS]), layout=CURRENTS),
     "currents, gains estimated": Fault(
-        "", scaled(tau=[1 / x for x in GAINS]), layout=CURRENTS, model=Model(gains=True)
+        "gains.lost", scaled(tau=[1 / x for x in GAINS]), layout=CURRENTS, model=Model(gains=True)
     ),
     "torques without gravity": Fault("torque.weightless", weightless),
     "sign of all torques": Fault("torque.sign", scaled(tau=-1.0)),

@@ -51,6 +51,8 @@ class Thresholds:
     driven: float = 0.05  # the same, relative to that described: a joint that swings freely has less
     poor: float = 0.5  # part of a joint's torque that a fit leaves unexplained, from which it is named
     shaped: float = 0.9  # part of the residual left by dry friction of other widths, from which the shape is another
+    uneven: float = 4.0  # ratio of the residuals of a quarter of the rows to those of the next from which it is named
+    matters: float = 0.1  # least of these residuals, relative to the joint's torques, to be named
     seen: float = 0.02  # residual that they explain, relative to the joint's torques, below which it does not matter
 
 
@@ -122,6 +124,17 @@ def unexplained(
     claim = "the fit must explain most of the torque's variance"
     cure = "are units, signs, order of joints and the robot itself as described, and torques measured at the joints?"
     return of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))
+
+
+def uneven(names: Sequence[str], residual: Tensor, tau: Tensor) -> list[Finding]:
+    """Findings about joints whose residuals [rows, n] are far larger in a quarter of the rows than in the others."""
+    sizes = torch.stack([part.square().mean(0).sqrt() for part in residual.chunk(4)])
+    ratio = sizes.amax(0) / sizes.sort(0).values[-2].clamp_min(1e-30)
+    far = (ratio > AT.uneven) & (sizes.amax(0) > AT.matters * tau.std(0))
+    claim = "residuals must be alike throughout"
+    cure = "did something change there: the load, a contact, a sensor? look at its picture, and leave these rows out"
+    finding = Finding("residual.uneven", "", claim, "{:.2g} times the others in quarter {:.0f} of the rows", cure)
+    return of_joints(names, far, finding, ratio, sizes.argmax(0) + 1) if len(residual) >= AT.few else []
 
 
 def misshapen(

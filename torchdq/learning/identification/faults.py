@@ -17,6 +17,7 @@ from torchdq.functional import regressor
 from torchdq.learning.evaluation.blocks import MotionRows
 from torchdq.learning.identification.augmented import SURE, AugmentedFit, AugmentedSolution
 from torchdq.learning.identification.evidence import Evidence
+from torchdq.learning.logs.checks import CLOCK
 from torchdq.robot import Robot
 
 LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; real arms without one leave .59 or more
@@ -26,11 +27,6 @@ STEP = 1e-3  # of differences, in the units of the unknowns
 FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
 FACTOR = 3.0  # most factor of a torque, or of times
 PARTS = 20  # parts of the rows, at whose ends a payload may change
-
-TIMES = (  # cures, in Python's words and in options
-    "check their unit, or the rate of the rows, Layout(rate=...); Layout(scale={'time': ...}) corrects it",
-    "check their unit, or the rate of the rows, --rate; --scale time corrects it",
-)
 
 Model = Callable[[Tensor], tuple[Tensor, Tensor]]  # torques per unit of y, and at y = 0, of unknowns x
 
@@ -154,8 +150,8 @@ def _over_time(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor, body
         return fit.columns(rows.q, s * rows.qd, s * s * rows.qdd, fit.evidence.own[fit.rows])
 
     def of_steps(x: Tensor) -> Finding:
-        claim, found = "times must be in seconds", f"a far better fit with velocities {float(1 + x):.3g} times as large"
-        return Finding("time.scale", "", claim, found, *TIMES, value=float(1 + x))
+        found = f"a far better fit with steps {1 / float(1 + x):.3g} times as long"
+        return Finding("time.scale", "", "times must be in seconds", found, *CLOCK, value=1 / float(1 + x))
 
     for start in (0.0, 1.0, -0.5):
         yield _Fault(steps, 1, lambda x: 1 / FACTOR < float(1 + x) < FACTOR, of_steps, start=start)

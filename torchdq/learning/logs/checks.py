@@ -17,6 +17,7 @@ from torchdq.robot import Robot
 GAP = 0.1 * (1 + 1e-9)  # [s] longest time between two rows; beyond it the motion in between is unknown
 SLOW = 1.1 * GAP  # [s] median of these times from which they are hardly in seconds
 UNLIKE, ALIKE = 0.5, 0.95  # correlations of signals that have nothing to do with each other, and that follow each other
+FOLLOWS, SLIP = 0.99, 0.02  # correlation of positions with velocities that are compared, and their usual difference
 JUMP = 0.05  # [rad or m] change of a position between two rows that may stay unexplained by the velocities
 FAR = 10.0  # times the usual unexplained change from which one is a jump
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
@@ -27,6 +28,10 @@ UNITS = {  # of joints that turn or slide: symbol, name, the other unit that log
     True: ("rad", "radians", "degrees", "pi/180", math.pi / 180),
     False: ("m", "metres", "millimetres", "0.001", 0.001),
 }
+CLOCK = (  # cures, in Python's words and in options
+    "check their unit, or the rate of the rows, Layout(rate=...); Layout(scale={'time': ...}) corrects it",
+    "check their unit, or the rate of the rows, --rate; --scale time corrects it",
+)
 PARTS = 3  # most parts of a log that are named
 AROUND = "read the rows before it or after it, by "
 ELSEWHERE = f"{AROUND}rows=(first, last)", f"{AROUND}--rows FIRST LAST"  # for Python, and for the command line
@@ -151,14 +156,32 @@ def require_radians(table: Signals) -> None:
             _require_rates(table, signal, rate)
 
 
-def _require_rates(table: Signals, signal: str, rate: str) -> None:
-    """Raise for signals that differ from their integrated rates by a factor, or follow the rate of another joint."""
+def clock_findings(table: Signals) -> list[Finding]:
+    """Finding about positions that all change by one factor more, or less, than the velocities say."""
+    if "qd" not in table.blocks:
+        return []
+    ratios, correlations = (x.diagonal() for x in _rates(table, "q", "qd"))
+    ratios = ratios[correlations > FOLLOWS]
+    if len(ratios) < 2 or np.ptp(ratios) > SLIP * ratios.mean() or abs(ratios - 1).min() < 2 * SLIP:
+        return []
+    factor = float(ratios.mean())
+    found = f"positions that change {factor:.3g} times as much as velocities say"
+    return [Finding("time.scale", "time", "times must be in seconds", found, *CLOCK, value=factor)]
+
+
+def _rates(table: Signals, signal: str, rate: str) -> tuple[np.ndarray, np.ndarray]:
+    """Change of signals per integrated rate [n, n], and their correlations; NaN of what is at rest."""
     n, x, rates = table.layout.joints, table.blocks[signal], table.blocks[rate]
     change = np.diff(table.time)[:, None] * (rates[1:] + rates[:-1]) / 2
     covariance = np.cov(x.T, np.pad(np.cumsum(change, axis=0), ((1, 0), (0, 0))).T, bias=True)
     variance, both = covariance.diagonal(), covariance[:n, n:]
     moving = np.where(variance < FOLLOWED**2, np.nan, variance)  # what is at rest follows nothing
-    ratios, correlations = both / moving[n:], both / np.sqrt(np.outer(moving[:n], moving[n:]))
+    return both / moving[n:], both / np.sqrt(np.outer(moving[:n], moving[n:]))
+
+
+def _require_rates(table: Signals, signal: str, rate: str) -> None:
+    """Raise for signals that differ from their integrated rates by a factor, or follow the rate of another joint."""
+    ratios, correlations = _rates(table, signal, rate)
     others = table.names[rate]
     for j, name in enumerate(table.names[signal]):
         ratio, correlation = float(ratios[j, j]), abs(correlations[j, j])

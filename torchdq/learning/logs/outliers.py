@@ -87,6 +87,8 @@ def frozen_findings(names: Sequence[str], x: np.ndarray, q: np.ndarray, time: np
         if not len(ends):
             continue
         start, end = ends[np.argmax(time[ends[:, 1]] - time[ends[:, 0]])].tolist()  # rows of the same value, inclusive
+        if len(joints) == 1 and x[start, joints[0]] in (x[:, joints[0]].min(), x[:, joints[0]].max()):  # cut off
+            continue
         usual = max((equal.sum() - (end - start)) / len(equal), 1 / len(equal))
         if time[end] - time[start] < FROZEN or usual > 0.5 or len(equal) * usual ** (end - start - 1) > CHANCE:
             continue

@@ -15,7 +15,14 @@ from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.logs.bags import MAGIC, bag_tables
-from torchdq.learning.logs.checks import beyond_limits, jumps, require_numbers, require_radians, require_times
+from torchdq.learning.logs.checks import (
+    beyond_limits,
+    clock_findings,
+    jumps,
+    require_numbers,
+    require_radians,
+    require_times,
+)
 from torchdq.learning.logs.errors import LogError, LogWarning, MissingLogError
 from torchdq.learning.logs.filters import at_times, fewer_times
 from torchdq.learning.logs.headers import find_columns
@@ -124,7 +131,7 @@ def read_log(
         joints = () if robot is None else robot.joint_names
         signals = _signals(path, layout.of_joints(joints), rows, joints)
         require_radians(signals)
-    findings = [*signals.findings, *jumps(signals)]
+    findings = [*signals.findings, *clock_findings(signals), *jumps(signals)]
     if "tau" in signals.names:
         names = [f"column {x!r}" for x in signals.names["tau"]]
         tau = signals.blocks["tau"]
