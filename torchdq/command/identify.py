@@ -37,7 +37,7 @@ from torchdq.learning import (
     train_test_split,
 )
 from torchdq.learning.evaluate import MEANING, torques_by
-from torchdq.learning.identification.identified import GAINS
+from torchdq.learning.identification.identified import GAINS, UNITS
 from torchdq.robot import Robot
 
 # module, extra that brings it: looked for before the work, not after it
@@ -287,7 +287,10 @@ def _outcome(
     text.append(Grid((), [("wrote", str(path)) for path in files.values()]))
     text += filter(None, notes)
     rows = zip(found.names, found.parameters, found.errors, found.identifiable, strict=True)
-    base = zip(found.base_names, found.base @ found.parameters, found.base_errors, strict=True)
+    slides, links = [not joint.turns for joint in found.robot.joint_types], len(found.robot.link_names)
+    of_each = [*UNITS * links, *(term.units[joint] for term in found.terms for joint in slides)]
+    units = [of_each[int((row == 1).int().argmax())] for row in found.base]  # of the parameter with a factor of one
+    base = zip(found.base_names, found.base @ found.parameters, found.base_errors, units, strict=True)
     data: dict[str, Any] = {
         "robot": found.robot.name,
         "verdict": measured.verdict.value,
@@ -296,7 +299,9 @@ def _outcome(
         "findings": [one._asdict() for one in (*found.findings, *measured.findings)],
         "model": None if selection is None else selection.chosen.name,
         "parameters": [{"name": name, "estimate": x, "error": e, "identifiable": known} for name, x, e, known in rows],
-        "base_parameters": [{"combination": name, "estimate": x, "error": error} for name, x, error in base],
+        "base_parameters": [
+            {"combination": name, "estimate": x, "error": error, "unit": unit} for name, x, error, unit in base
+        ],
         "unidentifiable": unidentifiable,
         "noise": found.noise,
         "gains": None if found.gains is None else found.gains._asdict(),

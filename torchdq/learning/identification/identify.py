@@ -149,7 +149,8 @@ def identify(
             drives = drive_gains(motors, torch.tensor(rows.known_gains).expand(robot.n))
             rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         data = diagnose(robot, partial(inverse_dynamics, robot), [rows.q, rows.qd, rows.qdd, rows.measured], sign_width)
-        still = [*_still_joints(robot, rows.qd, sign_width), *(negative_gains(robot, drives[0]) if drives else ())]
+        still = _still_joints(robot, rows.qd, sign_width) if bool(rows.qd.any()) else []  # static poses are meant to be
+        still = [*still, *(negative_gains(robot, drives[0]) if drives else ())]
         _warn([*still, *data])
         problem = _problem(robot, rows, model, fixed, prior, sign_width, notice.at)
         problem, found, correlation = _fitted(problem)
