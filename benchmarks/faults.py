@@ -6,7 +6,7 @@ Pinocchio computes the torques of arms whose masses are 10 % larger and whose ce
 axis, at 100 Hz, for 40 s. A log is read by `read_log`, and refused there, or identified. "Error" is the RMSE over the
 standard deviation of the torque, mean over joints, of the identified robot on a motion without the fault, and "in 95 %"
 the share of its torques in the intervals; of faults that belong to the arm, on a motion with the same fault. A fault is
-told if a finding names it, and harmless if the error stays below 0.06, or where nothing is wrong with the log but
+reported if a finding names it, and harmless if the error stays below 0.06, or where nothing is wrong with the log but
 what it lacks, the intervals hold 93 % and more.
 """
 
@@ -340,7 +340,7 @@ def told(name: str, fault: Fault, arm: str) -> Told:
         found += [x for x in refused.args if isinstance(x, Finding)]
     said = [one.code for one in found]
     harmless = error < HARMLESS or (not fault.codes and within > HELD)
-    verdict = "told" if {*fault.codes.split()} & {*said} else "harmless" if harmless else "silent"
+    verdict = "reported" if {*fault.codes.split()} & {*said} else "harmless" if harmless else "silent"
     some = [f"{one.code} {one.subject}".strip() + (f" {one.value:.3g}" if one.value else "") for one in found]
     return Told(name, arm, error, within, tuple(dict.fromkeys(some)), verdict)
 
@@ -368,7 +368,7 @@ def main() -> None:
                 found.append(told(name, fault, arm))
                 print(*found[-1], sep="  ", flush=True)
     attacks = [one for one in found if one.fault in ATTACKS]
-    print(f"{sum(one.verdict != 'silent' for one in attacks)} of {len(attacks)} told or harmless")
+    print(f"{sum(one.verdict != 'silent' for one in attacks)} of {len(attacks)} reported or harmless")
     report.finish(arguments, __file__, page(found), report.machine("pin"), faults=[one._asdict() for one in found])
 
 

@@ -24,7 +24,6 @@ from torchdq.learning.identification.model import Model
 from torchdq.learning.logs.errors import LogError, LogWarning, MissingLogError
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.motions import Motion, smooth, stack_samples, train_test_split
-from torchdq.learning.logs.poses import StaticPoses, static_poses
 from torchdq.learning.logs.read import Log, read_log
 from torchdq.learning.logs.samples import Samples
 from torchdq.learning.plots import plot_torques
@@ -52,7 +51,6 @@ __all__ = [
     "Recording",
     "RolloutFit",
     "Samples",
-    "StaticPoses",
     "TrainingError",
     "Verdict",
     "evaluate",
@@ -66,6 +64,5 @@ __all__ = [
     "read_log",
     "smooth",
     "stack_samples",
-    "static_poses",
     "train_test_split",
 ]

@@ -8,7 +8,7 @@ import torch
 from messages import refused
 
 import torchdq
-from torchdq.learning import LogError, Model, Samples, identify, identify_payload, read_log, static_poses
+from torchdq.learning import LogError, Model, Samples, identify, identify_payload, read_log
 
 ARM = torchdq.robots.load("ur10e")
 REAL = ARM.replace(mass=1.1 * ARM.mass)
@@ -36,7 +36,7 @@ def log(arm, seed=0, sides=(1, -1), speed=True):
 
 @pytest.mark.parametrize("speed", [True, False])
 def test_friction_cancels_in_poses_approached_from_both_sides(speed):
-    poses = static_poses(log(REAL, speed=speed))
+    poses = log(REAL, speed=speed).static_poses()
     assert len(poses.q) == 25
     gravity = torchdq.inverse_dynamics(REAL, *poses.samples[:3])
     assert float((poses.tau - gravity).abs().max()) < 0.05
@@ -45,8 +45,8 @@ def test_friction_cancels_in_poses_approached_from_both_sides(speed):
 
 def test_a_tool_is_weighed_at_rest():
     model = Model(friction=None, armature=False)
-    empty = identify(ARM, static_poses(log(REAL)).samples, model, prior=1.0)
-    held = static_poses(log(REAL.with_payload(2.0, (0.0, 0.02, 0.1)), seed=1)).samples
+    empty = identify(ARM, log(REAL).static_poses().samples, model, prior=1.0)
+    held = log(REAL.with_payload(2.0, (0.0, 0.02, 0.1)), seed=1).static_poses().samples
     assert isinstance(held, Samples) and not empty.findings
     found = identify_payload(empty, *held)
     assert float(found.mass) == pytest.approx(2.0, abs=0.01)
@@ -55,6 +55,6 @@ def test_a_tool_is_weighed_at_rest():
 
 def test_poses_approached_from_one_side_are_refused():
     with refused(LogError):
-        static_poses(log(REAL, sides=(1, 1)))
+        log(REAL, sides=(1, 1)).static_poses()
     with refused(LogError):
-        static_poses(log(REAL)._replace(tau=None))
+        log(REAL)._replace(tau=None).static_poses()

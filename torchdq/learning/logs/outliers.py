@@ -59,15 +59,15 @@ def outlier_findings(names: Sequence[str], x: np.ndarray, first: int = 0) -> lis
 
 
 def clipped_findings(names: Sequence[str], x: np.ndarray) -> list[Finding]:
-    """Findings about torques [rows, n] that are cut off: many rows at the largest or least value, few beside it."""
+    """Findings about torques [rows, n] that are cut off: many rows at the largest or least value, few next to it."""
     findings = []
     for name, column in zip(names, x.T, strict=True):
         for sign, word in ((1.0, "largest"), (-1.0, "least")):
             y = sign * column
             most = y.max()
             rest = y[y < most]
-            share, beside = float((y == most).mean()), float((rest == rest.max(initial=-np.inf)).sum() / len(y))
-            if most and len(rest) and share > OFTEN and share > CROWDED * beside:
+            share, next = float((y == most).mean()), float((rest == rest.max(initial=-np.inf)).sum() / len(y))
+            if most and len(rest) and share > OFTEN and share > CROWDED * next:
                 claim = "torques must not be cut off"
                 found = f"{share:.1%} of the rows at {sign * most:.3g}, the {word} value"
                 cure = "raise the limit of the drive or of the recording, or move more slowly"

@@ -5,14 +5,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from torchdq.base.checks import require_number, require_object
+from torchdq.base.checks import require_number
 from torchdq.base.tables import summary
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
-from torchdq.learning.logs.motions import AT_REST
-from torchdq.learning.logs.read import Log
 from torchdq.learning.logs.samples import Samples
 
+AT_REST = 0.02  # [rad/s or m/s] speed of every joint below which an arm rests
 SETTLED = 0.5  # part of a rest that is averaged, its last: vibrations have died away
 CAME = 1e-4  # least distance that a joint came from to have a side [rad or m]
 
@@ -35,58 +34,44 @@ class StaticPoses(NamedTuple):
         )
 
 
-def static_poses(log: Log, seconds: float = 1.0, near: float = 0.01) -> StaticPoses:
-    """Poses that a log rests at, approached by every joint from below and from above, as `StaticPoses`.
-
-    A joint that stops is held by any torque within its dry friction. Friction opposes the motion that ended: after an
-    approach from below it takes as much of the torque as it adds after one from above. The mean is without it.
-
-    Args:
-        log: from `read_log`, with torques; poses follow each other in any order, and must be visited twice at least,
-            with all joints coming from one side, and from the other.
-        seconds: least time at rest [s].
-        near: distance of positions up to which poses are the same [rad or m].
-    Raises:
-        LogError: there are no torques, or no pose is approached from both sides by all joints.
-
-    >>> import numpy as np
-    >>> from torchdq.learning import read_log
-    >>> time = np.arange(0, 20, 0.01)
-    >>> q = 0.5 + 0.5 * np.interp(time, [0, 3, 5, 8, 10, 20], [-1, 0, 0, 1, 0, 0])[:, None]  # comes from 0, and from 1
-    >>> side = np.where(time < 5, 1.0, -1.0)[:, None]
-    >>> poses = static_poses(read_log({"time": time, "q": q, "qd": None, "tau": 9.81 * np.cos(q) + 2.0 * side}))
-    >>> print(f"{float(poses.tau / poses.q.cos()):.4f}, {float(poses.friction):.4f}")
-    9.8100, 2.0000
-    """
-    require_object("log", log, Log, "torchdq.learning", "read_log(path)")
+def poses_at_rest(
+    path: object,
+    time: np.ndarray,
+    q: np.ndarray,
+    qd: np.ndarray | None,
+    tau: np.ndarray | None,
+    seconds: float,
+    near: float,
+) -> StaticPoses:
+    """Poses of a log, as `Log.static_poses`."""
     for name, x in (("seconds", seconds), ("near", near)):
         require_number(name, x, positive=True)
-    if log.tau is None:
-        raise LogError(Finding("torques.missing", "", "static poses need torques"), where=log.path)
-    speed = np.gradient(log.q, log.time, axis=0) if log.qd is None else log.qd
+    if tau is None:
+        raise LogError(Finding("torques.missing", "", "static poses need torques"), where=path)
+    speed = np.gradient(q, time, axis=0) if qd is None else qd
     still = (abs(speed) < AT_REST).all(axis=1)
     ends = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2)
-    rests = [(first, last) for first, last in ends.tolist() if log.time[last - 1] - log.time[first] >= seconds]
+    rests = [(first, last) for first, last in ends.tolist() if time[last - 1] - time[first] >= seconds]
     poses: list[tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]] = []  # positions; sides with torques
     before = 0
     for first, last in rests:
         settled = slice(last - max(1, round(SETTLED * (last - first))), last)
-        q, tau = log.q[settled].mean(0), log.tau[settled].mean(0)
-        came = q - log.q[first - (first - before) // 4]  # in the last quarter of the way from the rest before
+        pose, torque = q[settled].mean(0), tau[settled].mean(0)
+        came = pose - q[first - (first - before) // 4]  # in the last quarter of the way from the rest before
         before = last
-        same = next((visits for at, visits in poses if (abs(at - q) < near).all()), None)
+        same = next((visits for at, visits in poses if (abs(at - pose) < near).all()), None)
         if same is None:
-            poses.append((q, same := []))
-        same.append((np.where(abs(came) > CAME, np.sign(came), 0.0), tau))
-    both = [(q, *_sides(visits)) for q, visits in poses]
+            poses.append((pose, same := []))
+        same.append((np.where(abs(came) > CAME, np.sign(came), 0.0), torque))
+    both = [(at, *_sides(visits)) for at, visits in poses]
     whole = [x for x in both if np.isfinite(x[1]).all() and np.isfinite(x[2]).all()]
     if not whole:
         claim = "poses must be approached from both sides by every joint"
         cure = f"visit each pose again after {seconds:g} s elsewhere, with all joints coming from the other side"
-        found = f"{len(rests)} rests at {len(poses)} poses"
-        raise LogError(Finding("poses.sides", "", claim, found, cure), where=log.path)
-    q, up, down = (torch.from_numpy(np.stack(x)) for x in zip(*whole, strict=True))
-    return StaticPoses(q, (up + down) / 2, (up - down) / 2)
+        rested = f"{len(rests)} rests at {len(poses)} poses"
+        raise LogError(Finding("poses.sides", "", claim, rested, cure), where=path)
+    found, up, down = (torch.from_numpy(np.stack(x)) for x in zip(*whole, strict=True))
+    return StaticPoses(found, (up + down) / 2, (up - down) / 2)
 
 
 def _sides(visits: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:

@@ -28,6 +28,7 @@ from torchdq.learning.logs.filters import at_times, fewer_times
 from torchdq.learning.logs.headers import find_columns
 from torchdq.learning.logs.layouts import SPARE, Layout
 from torchdq.learning.logs.outliers import clipped_findings, frozen_findings, outlier_findings
+from torchdq.learning.logs.poses import StaticPoses, poses_at_rest
 from torchdq.learning.logs.samples import signal_table
 from torchdq.learning.logs.signals import Signals, joined, read_signals
 from torchdq.learning.logs.tables import Rows, Table, arrays_table, file_arrays, text_table
@@ -68,6 +69,31 @@ class Log(NamedTuple):
     command: np.ndarray | None = None  # [rows, n], what the drives were asked for, if the file holds it
     findings: tuple[Finding, ...] = ()  # what is probably wrong in it
     joined: str = ""  # what was done to join several files by time
+
+    def static_poses(self, seconds: float = 1.0, near: float = 0.01) -> StaticPoses:
+        """Poses that the arm rests at, approached by every joint from below and from above, as `StaticPoses`.
+
+        A joint that stops is held by any torque within its dry friction. Friction opposes the motion that ended: after
+        an approach from below it adds to the torque what it takes from it after one from above. The mean is without it.
+        Poses follow each other in any order, each visited at least twice, with all joints coming from one side, and
+        from the other.
+
+        Args:
+            seconds: least time at rest [s].
+            near: distance of positions up to which poses are the same [rad or m].
+        Raises:
+            LogError: there are no torques, or no pose is approached from both sides by all joints.
+
+        >>> import numpy as np
+        >>> from torchdq.learning import read_log
+        >>> time = np.arange(0, 20, 0.01)
+        >>> q = np.interp(time, [0, 3, 5, 8, 10, 20], [0.2, 0.5, 0.5, 1, 0.5, 0.5])[:, None]  # from below, from above
+        >>> side = np.where(time < 5, 1.0, -1.0)[:, None]
+        >>> poses = read_log({"time": time, "q": q, "qd": None, "tau": 9.81 * np.cos(q) + 2.0 * side}).static_poses()
+        >>> print(f"{float(poses.tau / poses.q.cos()):.4f}, {float(poses.friction):.4f}")
+        9.8100, 2.0000
+        """
+        return poses_at_rest(self.path, self.time, self.q, self.qd, self.tau, seconds, near)
 
     def __repr__(self) -> str:
         size = f"{self.q.shape[1]} joints, {len(self.time)} rows, {self.repeats} repeated time stamps left out"
