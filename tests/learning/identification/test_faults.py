@@ -61,6 +61,15 @@ def test_there_are_none_of_an_arm_that_is_only_heavier():
         assert all((one.code, one.severity) == ("mass.far", "note") for one in found.findings)
 
 
+def test_what_happens_in_a_quarter_of_a_log_has_a_finding():
+    robot, data = recorded("ur10e", noise=0.005)
+    tau = data.tau.clone()
+    contact = torch.randn(len(tau) // 4, generator=torch.Generator().manual_seed(0)).double()
+    tau[len(tau) // 2 : len(tau) // 2 + len(contact), 2] += 0.5 * data.tau[:, 2].std() * contact
+    _, (one,) = with_findings(fitted, robot, *data[:3], tau)
+    assert (one.code, one.subject) == ("residual.uneven", JOINTS[2]) and "quarter 3" in one.found
+
+
 def test_masses_far_off_and_single_motions_are_noted():
     robot, data = recorded("two_link", noise=0.005)
     light = robot.replace(mass=robot.mass / torch.tensor([1.0, 5.0]).double())

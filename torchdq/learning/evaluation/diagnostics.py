@@ -128,13 +128,15 @@ def unexplained(
 
 def uneven(names: Sequence[str], residual: Tensor, tau: Tensor) -> list[Finding]:
     """Findings about joints whose residuals [rows, n] are far larger in a quarter of the rows than in the others."""
+    if len(residual) < AT.few:
+        return []
     sizes = torch.stack([part.square().mean(0).sqrt() for part in residual.chunk(4)])
     ratio = sizes.amax(0) / sizes.sort(0).values[-2].clamp_min(1e-30)
     far = (ratio > AT.uneven) & (sizes.amax(0) > AT.matters * tau.std(0))
     claim = "residuals must be alike throughout"
     cure = "did something change there: the load, a contact, a sensor? look at its picture, and leave these rows out"
     finding = Finding("residual.uneven", "", claim, "{:.2g} times the others in quarter {:.0f} of the rows", cure)
-    return of_joints(names, far, finding, ratio, sizes.argmax(0) + 1) if len(residual) >= AT.few else []
+    return of_joints(names, far, finding, ratio, sizes.argmax(0) + 1)
 
 
 def misshapen(
