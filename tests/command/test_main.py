@@ -178,6 +178,8 @@ MISTAKES = [
     (("id", "arm.urdf", "log.csv+./log.csv"), "there are several columns"),
     (("id", "arm.urdf", "bare.csv"), "--columns time 1 q {2} qd {4} tau {6}"),
     (("id", "arm.urdf", "log.csv", "--transmission", "0.01"), "transmission must have 2 numbers"),
+    (("id", "arm.urdf", "log.csv", "--scale", "q", "half"), "scale must be numbers such as 0.001"),
+    (("id", "arm.urdf", "log.csv", "--zero", "1"), "zero must have 2 numbers"),
     (("id", "log.csv", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "log.csv", "--test", "./log.csv"), "test must be other logs than those to learn from"),

@@ -28,7 +28,7 @@ from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, of_motions, too_few
-from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, of_joints, sampled, unexplained
+from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, of_joints, sampled, uneven, unexplained
 from torchdq.learning.identification.augmented import AugmentedFit, offset_findings
 from torchdq.learning.identification.base_parameters import base_parameters
 from torchdq.learning.identification.evidence import Evidence, gather
@@ -150,7 +150,8 @@ def identify(
             drives = drive_gains(motors, torch.tensor(rows.known_gains).expand(robot.n))
             rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         data = diagnose(robot, partial(inverse_dynamics, robot), [rows.q, rows.qd, rows.qdd, rows.measured], sign_width)
-        still = [*_still_joints(robot, rows.qd, sign_width), *(negative_gains(robot, drives[0]) if drives else ())]
+        still = _still_joints(robot, rows.qd, sign_width) if bool(rows.qd.any()) else []  # static poses are meant to be
+        still = [*still, *(negative_gains(robot, drives[0]) if drives else ())]
         _warn([*still, *data])
         problem = _problem(robot, rows, model, fixed, prior, sign_width, notice.at)
         problem, found, correlation = _fitted(problem)
@@ -319,6 +320,8 @@ def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) 
     fitted, signs = few[3] - few[4], None if rows.direction is None else few[5]
     if len(residual) >= FEW and (faults := fault_findings(evidence, problem.estimated)):
         return misfits + faults
+    if changed := uneven(robot.joint_names, few[4], few[3]):
+        return misfits + changed
     described = inverse_dynamics(robot, few[0], few[1], few[2])
     if poor := unexplained(robot.joint_names, few[:4], fitted, described, sign_width):
         return misfits + poor
