@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -67,32 +67,33 @@ def surface_of(body: Object) -> Surface:
 
 def bodies_of(robot: Robot) -> list[tuple[int, Surface]]:
     """Frames, by number, whose descriptions have shapes that can be drawn, and these; a warning names the others."""
-    found, failed = [], dict[str, str]()
+    found, meshes, failed = [], dict[tuple[str, str], Surface](), dict[str, str]()
     for i, frame in enumerate(robot.frames):
-        parts = [_placed(shape, frame.drawing.folder, failed) for shape in frame.drawing.shapes]
+        for shape in frame.drawing.shapes:
+            if shape.mesh and (key := (shape.mesh, frame.drawing.folder)) not in meshes and shape.mesh not in failed:
+                try:
+                    meshes[key] = _mesh(*key)
+                except MissingFileError:
+                    failed[shape.mesh] = f"there is no such file around {frame.drawing.folder!r}"
+                except Exception as error:  # those of the libraries that read formats
+                    failed[shape.mesh] = " ".join(str(error).split()) or type(error).__name__
+        parts = [_placed(shape, meshes.get((shape.mesh, frame.drawing.folder))) for shape in frame.drawing.shapes]
         if whole := [part for part in parts if part is not None]:
-            starts = np.cumsum([0, *(len(part.vertices) for part in whole)])
-            faces = [part.faces + start for part, start in zip(whole, starts, strict=False)]
-            found.append((i, Surface(np.concatenate([part.vertices for part in whole]), np.concatenate(faces))))
+            found.append((i, _joined(whole)))
     if failed:
-        shown = [f"{mesh}: {why}" for mesh, why in failed.items()]
-        more = [f"and {len(shown) - MOST_NAMED} more"] * (len(shown) > MOST_NAMED)
-        lines = "\n  ".join([*shown[:MOST_NAMED], *more])
-        warnings.warn(f"meshes of robot {robot.name!r} are not drawn:\n  {lines}", stacklevel=4)
+        lines = []
+        for reason in dict.fromkeys(failed.values()):
+            names = [mesh for mesh, why in failed.items() if why == reason]
+            more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+            lines.append(f"{', '.join(names[:MOST_NAMED])}{more}: {reason}")
+        warnings.warn("\n  ".join([f"meshes of robot {robot.name!r} are not drawn:", *lines]), stacklevel=4)
     return found
 
 
-def _placed(shape: Shape, folder: str, failed: dict[str, str]) -> Surface | None:
-    """Surface of a shape in its frame; None: it has none, or its mesh is added to those that failed."""
-    if shape.mesh:
-        if shape.mesh in failed:
-            return None
-        try:
-            found = _mesh(shape.mesh, folder)
-        except Exception as error:  # those of the libraries that read formats
-            failed[shape.mesh] = " ".join(str(error).split()) or type(error).__name__
-            return None
-        found = found._replace(vertices=found.vertices * shape.size)
+def _placed(shape: Shape, mesh: Surface | None) -> Surface | None:
+    """Surface in its frame of a shape, which may be a mesh; None: it has none."""
+    if mesh is not None:
+        found = mesh._replace(vertices=mesh.vertices * shape.size)
     elif shape.kind in ("box", "sphere", "cylinder", "capsule"):
         found = _primitive(shape.kind, shape.size)
     else:
@@ -106,10 +107,21 @@ def _mesh(file: str, folder: str) -> Surface:
     """Surface in a file."""
     path = located(file, MissingFileError, Path(folder))
     if not path.is_file():
-        raise MissingFileError(f"there is no file {str(path)!r}")
+        raise MissingFileError(str(path))
     trimesh = imported("trimesh", "trimesh", "drawing meshes", "'torchdq[viz]'")
-    found = trimesh.load(path, force="mesh", process=False, skip_materials=True)
-    return Surface(np.asarray(found.vertices), np.asarray(found.faces))
+    scene = trimesh.load_scene(path, process=False, skip_materials=True)
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        X, name = scene.graph[node]
+        part = scene.geometry[name]
+        parts.append(Surface(part.vertices @ X[:3, :3].T + X[:3, 3], np.asarray(part.faces)))
+    return _joined(parts)
+
+
+def _joined(parts: Sequence[Surface]) -> Surface:
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
+    return Surface(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
 def _primitive(kind: str, size: Iterable[float]) -> Surface:

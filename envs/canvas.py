@@ -1,4 +1,4 @@
-"""Images of points: of those on one pixel the nearest is seen, and an ink line goes around what is before other things."""
+"""Images of points: of those on one pixel the nearest is seen, and ink goes around what is before other things."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 FINE = 2  # points of an image in a pixel, along each axis
 LEVELS = 16  # of brightness
-DARKEST = 0.55  # brightness of what the light passes by
+DARKEST = 0.6  # brightness of what the light passes by
 
 
 def spread(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -32,10 +32,11 @@ class Canvas:
 
     def add(self, pixels: np.ndarray, nearness: np.ndarray, light: np.ndarray, colour: tuple[int, ...]) -> None:
         """Draw points [p, 2] that are counted from the lower left corner; light [p] is from 0 to 1."""
+        finite = np.isfinite(pixels).all(-1) & np.isfinite(nearness)
+        pixels, nearness, light = pixels[finite], nearness[finite].astype(np.float32), light[finite]
         shade = (len(self._colours) + np.round((LEVELS - 1) * np.clip(light, 0.0, 1.0))).astype(np.int16)
         self._colours += [np.array(colour) * x for x in np.linspace(DARKEST, 1.0, LEVELS)]
-        left, up = np.floor(FINE * np.nan_to_num(pixels, nan=-1e6, posinf=-1e6, neginf=-1e6) - 0.5).astype(int).T
-        nearness = nearness.astype(np.float32)
+        left, up = np.floor(FINE * pixels - 0.5).astype(int).T
         for right, higher in product((0, 1), repeat=2):  # a point covers four, so that there are no holes
             x, row = left + right, self.height - 1 - (up + higher)
             inside = (x >= 0) & (x < self.width) & (row >= 0) & (row < self.height)
@@ -47,7 +48,7 @@ class Canvas:
     def image(self, step: float, least: float, ink: tuple[int, ...]) -> np.ndarray:
         """Image [height, width, 4], uint8, transparent where there is nothing.
 
-        An ink line goes around what is nearer than its surroundings by a step; what is not nearer than `least` has none.
+        Ink goes around what is nearer than its surroundings by a step; what is not nearer than `least` has none.
         """
         near = self._nearness.reshape(self.height, self.width)
         around = near.copy()

@@ -1,6 +1,6 @@
 """Pictures of a robot: images by matplotlib, a live view in the browser by viser, films by Pillow.
 
-Links are drawn by the shapes of their description, see `bodies`. The others are thick lines from the frame of the parent,
+Links are drawn by the shapes of their description, see `bodies`. Others are thick lines from the frame of the parent,
 through the joint's axis, to their own frame, which looks like the robot if link frames lie on the links, as those of
 URDF and of DH parameters do. The view follows a floating base, and lines on the ground pass below it.
 """
@@ -267,6 +267,7 @@ class Painter:
         objects, X = self.skeleton.objects if X_WO is not None else [], X_WF
         if objects:
             X = torch.cat([X_WF, self.skeleton.poses(X_WO, arms).expand(arms, -1, 8)], 1)
+        X = X + torch.from_numpy(0.0 * points.sum((1, 2)))[:, None, None]  # not a number where the robot is not finite
         self._canvas = Canvas(self.size)
         for i, body in enumerate([*(body for _, body in self.skeleton.bodies), *objects]):
             colour = OBJECT if i >= X_WF.shape[1] else LINK
@@ -310,7 +311,6 @@ class Painter:
 
     def _stick(self, a: np.ndarray, b: np.ndarray, r: float, colour: str, place: np.ndarray, bias: float = 0.0) -> None:
         """Draw the side toward the camera of capsules from a to b [k, 1, 3]."""
-        across, up, toward = self._camera.T
         spacing = SPACING * self.radius / (FINE * self.project(place)[2])
         u, v = spread(math.ceil(8.0 * (r / spacing) ** 2))
         normals = np.stack([np.sqrt(u) * np.cos(2 * np.pi * v), np.sqrt(u) * np.sin(2 * np.pi * v), np.sqrt(1 - u)], -1)
@@ -320,7 +320,7 @@ class Painter:
         length = np.linalg.norm(b - a, axis=-1, keepdims=True)
         if a is not b and np.nanmax(length, initial=0.0) > 0.0:
             along = (b - a) / np.maximum(length, 1e-9)
-            side = np.cross(along, toward)
+            side = np.cross(along, self._camera[:, 2])
             side /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-9)
             u, v = spread(math.ceil(4.0 * r * np.nanmax(length) / spacing**2))
             s = 2.0 * u[:, None] - 1.0
@@ -332,7 +332,7 @@ class Painter:
         pixels, nearness, _ = self.project(p)
         n = normals @ self._camera
         light = np.abs(n[..., 2:]).squeeze(-1) * LIGHT[2] + np.sign(n[..., 2]) * (n[..., :2] @ LIGHT[:2])
-        self._canvas.add(pixels.reshape(-1, 2), (nearness + bias).ravel(), 1.3 * light.ravel(), _rgb(colour))
+        self._canvas.add(pixels.reshape(-1, 2), (nearness + bias).ravel(), 1.5 * light.ravel(), _rgb(colour))
         below = self.project(_on_ground(self.skeleton.ground, p[:, ::2], place))[0].reshape(-1, 2)
         self._canvas.add(below, np.full(len(below), SHADE), np.ones(len(below)), _rgb(SHADOW))
 
