@@ -93,7 +93,7 @@ def main(args: Args) -> tuple[Path, int]:
     q, X, fell = simulated(play.policy_of(args.policy), at, args.frames, chosen)
     skeleton = Skeleton(torchdq.robots.load("go2"))
     robot, mist = (np.array(to_rgb(colour)) for colour in (films.FAST, films.FOG))
-    subtitle = f"a policy learned in {ppo.Args.seconds:.0f} s on one thread"
+    subtitle = f"a policy learned in {ppo.Args.seconds:.0f} s on one core"
     figure = films.card(WIDTH, HEIGHT, f"{len(at)} quadrupeds, one program", subtitle)
     panel = figure.add_axes((0, 0, 1, 1), xlim=(0, WIDTH), ylim=(0, HEIGHT))
     panel.set_axis_off()

@@ -7,7 +7,8 @@ the frame "tcp" between the fingertips; "link8" is the flange.
 Numbers of hand, fingers, rotors and damping: `franka_emika_panda/panda.xml` of Google DeepMind's MuJoCo Menagerie
 (Apache License 2.0, derived from franka_description of Franka Emika GmbH under the same licence), whose arm is that of
 `panda`. The speed of the fingers and the place of "tcp" are franka_description's. The spheres lie in the largest pad of
-panda.xml, and touch what its face would. Hand and fingers are drawn by shapes of franka_description.
+panda.xml, and touch what its face would. It is drawn by a box as large as the hand, and by the
+boxes of the fingers in franka_description.
 """
 
 from math import cos, pi, sin
@@ -26,6 +27,7 @@ BODY = (
     "</inertial>"
 )
 BOX = '<visual><origin xyz="0 {}" rpy="{} 0 0"/><geometry><box size="{}"/></geometry></visual>'
+PALM = BOX.format("0 0.02", 0, "0.0632 0.2045 0.0921")
 FORM = [
     ("0.0185 0.011", 0, "0.022 0.015 0.02"),
     ("0.0068 0.0022", 0, "0.022 0.0088 0.0038"),
@@ -33,10 +35,9 @@ FORM = [
     ("0.00758 0.04525", 0, "0.0175 0.0152 0.0185"),
 ]
 FINGER = BODY.format(0, 0, 0.015, 2.375e-6, 2.375e-6, 7.5e-7) + PAD + "".join(BOX.format(*row) for row in FORM)
-PALM = f'<origin xyz="0 0 0.04" rpy="{pi / 2} 0 0"/><geometry><capsule radius="0.04" length="0.1"/></geometry>'
 SLIDE = '<limit lower="0" upper="0.04" effort="100" velocity="0.2"/>'
 HAND = f"""<robot name="hand">
-<link name="hand">{BODY.format(-0.01, 0.03, 0.73, 0.001, 0.0025, 0.0017)}<visual>{PALM}</visual></link>
+<link name="hand">{BODY.format(-0.01, 0.03, 0.73, 0.001, 0.0025, 0.0017)}{PALM}</link>
 <link name="left_finger">{FINGER}</link><link name="right_finger">{FINGER}</link><link name="tcp"/>
 <joint name="finger_joint1" type="prismatic"><parent link="hand"/><child link="left_finger"/>
 <origin xyz="0 0 0.0584"/><axis xyz="0 1 0"/>{SLIDE}</joint>
