@@ -131,13 +131,12 @@ class Skeleton:
 
     def _sticks(self, links: list[int]) -> list[tuple[int, int]]:
         """Lines that are not in place of a body at least half as long; `links` are those of all points."""
+        points, X = self.placed(torch.zeros(self.robot.n))
         corners = dict[int, list[np.ndarray]]()
-        for i, surface in self.bodies:
-            X = self.robot.frames[i].X_BF
-            p = translation(X) + rotate(rotation(X), torch.from_numpy(surface.extremes()))
-            corners.setdefault(self.robot.frames[i].link, []).append(p.numpy())
+        for (i, _), p in zip(self.bodies, self._extremes(X), strict=True):
+            corners.setdefault(self.robot.frames[i].link, []).append(p[0])
         sizes = {link: float(np.linalg.norm(np.ptp(np.concatenate(p), 0))) for link, p in corners.items()}
-        ends = self.points(torch.zeros(self.robot.n))[0][self.lines]
+        ends = points[0][self.lines]
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
         carriers = [links[b] if b not in self.joints else links[a] for a, b in self.lines]
         return [
@@ -176,10 +175,14 @@ class Skeleton:
     def ends(self, q: Any) -> np.ndarray:
         """Positions [k, points, 3] as of `points`, with those of the ends of all bodies."""
         points, X = self.placed(q)
-        for x, (_, body) in zip(X[:, :, None].unbind(1), self.bodies, strict=True):
-            moved = translation(x) + rotate(rotation(x), torch.from_numpy(body.extremes()))
-            points = np.concatenate([points, moved.numpy()], 1)
-        return points
+        return np.concatenate([points, *self._extremes(X)], 1)
+
+    def _extremes(self, X: Tensor) -> list[np.ndarray]:
+        """Extreme points [k, p, 3] of the bodies at their poses [k, bodies, 8]."""
+        placed = zip(X[:, :, None].unbind(1), self.bodies, strict=True)
+        return [
+            (translation(x) + rotate(rotation(x), torch.from_numpy(body.extremes()))).numpy() for x, (_, body) in placed
+        ]
 
     def poses(self, X_WO: Any, most: int) -> Tensor:
         """Poses [k, objects, 8] of the objects, given as [objects, 8] or, with k <= most, [k, objects, 8]."""
@@ -301,7 +304,7 @@ class Painter:
 
     def _surface(self, i: int, body: Surface, X: Tensor, place: np.ndarray, colour: str) -> None:
         """Draw body i at poses [k, 8]."""
-        spacing = SPACING * self.radius / (FINE * self.project(place)[2])
+        spacing = self._spacing(place)
         if (i, spacing) not in self._clouds:
             self._clouds[i, spacing] = body.points(spacing)
         own, normals = self._clouds[i, spacing]
@@ -310,27 +313,23 @@ class Painter:
         self._points(own @ turn.astype(np.float32) + shift, normals @ turn.astype(np.float32), colour, place)
 
     def _stick(self, a: np.ndarray, b: np.ndarray, r: float, colour: str, place: np.ndarray, bias: float = 0.0) -> None:
-        """Draw the side toward the camera of capsules from a to b [k, 1, 3]."""
-        spacing = SPACING * self.radius / (FINE * self.project(place)[2])
-        u, v = spread(math.ceil(8.0 * (r / spacing) ** 2))
-        normals = np.stack([np.sqrt(u) * np.cos(2 * np.pi * v), np.sqrt(u) * np.sin(2 * np.pi * v), np.sqrt(1 - u)], -1)
-        normals = np.broadcast_to(normals @ self._camera.T, (len(a), len(u), 3))
-        for end in (a, b) if a is not b else (a,):
-            self._points(end + r * normals, normals, colour, place, bias)
-        length = np.linalg.norm(b - a, axis=-1, keepdims=True)
-        if a is not b and np.nanmax(length, initial=0.0) > 0.0:
-            along = (b - a) / np.maximum(length, 1e-9)
-            side = np.cross(along, self._camera[:, 2])
-            side /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-9)
-            u, v = spread(math.ceil(4.0 * r * np.nanmax(length) / spacing**2))
-            s = 2.0 * u[:, None] - 1.0
-            normals = s * side + np.sqrt(1.0 - s * s) * np.cross(side, along)
-            self._points(a + v[:, None] * (b - a) + r * normals, normals, colour, place, bias)
+        """Draw capsules from a to b [k, 1, 3], as rows of balls of which the camera sees one side."""
+        length = float(np.nan_to_num(np.linalg.norm(b - a, axis=-1)).max(initial=0.0))
+        along = np.linspace(0.0, 1.0, 1 + math.ceil(4.0 * length / r))[:, None]
+        u, v = spread(math.ceil(8.0 * (r / self._spacing(place)) ** 2))
+        v = 2.0 * math.pi * v
+        normals = np.stack([np.sqrt(u) * np.cos(v), np.sqrt(u) * np.sin(v), np.sqrt(1.0 - u)], -1) @ self._camera.T
+        p = (a + along * (b - a))[:, :, None] + r * normals
+        self._points(p.reshape(len(a), -1, 3), np.tile(normals, (len(along), 1)), colour, place, bias)
+
+    def _spacing(self, place: np.ndarray) -> float:
+        """Distance [m] of points on surfaces."""
+        return SPACING * self.radius / (FINE * self.project(place)[2])
 
     def _points(self, p: np.ndarray, normals: np.ndarray, colour: str, place: np.ndarray, bias: float = 0.0) -> None:
-        """Draw points [k, p, 3] and their shadows."""
+        """Draw points [k, p, 3] with normals [k, p, 3] or [p, 3], and their shadows."""
         pixels, nearness, _ = self.project(p)
-        n = normals @ self._camera
+        n = np.broadcast_to(normals @ self._camera, p.shape)
         light = np.abs(n[..., 2:]).squeeze(-1) * LIGHT[2] + np.sign(n[..., 2]) * (n[..., :2] @ LIGHT[:2])
         self._canvas.add(pixels.reshape(-1, 2), (nearness + bias).ravel(), 1.5 * light.ravel(), _rgb(colour))
         below = self.project(_on_ground(self.skeleton.ground, p[:, ::2], place))[0].reshape(-1, 2)

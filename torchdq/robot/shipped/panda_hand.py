@@ -7,8 +7,8 @@ the frame "tcp" between the fingertips; "link8" is the flange.
 Numbers of hand, fingers, rotors and damping: `franka_emika_panda/panda.xml` of Google DeepMind's MuJoCo Menagerie
 (Apache License 2.0, derived from franka_description of Franka Emika GmbH under the same licence), whose arm is that of
 `panda`. The speed of the fingers and the place of "tcp" are franka_description's. The spheres lie in the largest pad of
-panda.xml, and touch what its face would. It is drawn by a box as large as the hand, and by the
-boxes of the fingers in franka_description.
+panda.xml, and touch what its face would. The hand is drawn by the box around it, and the fingers by the boxes that they
+have in franka_description.
 """
 
 from math import cos, pi, sin
@@ -27,7 +27,7 @@ BODY = (
     "</inertial>"
 )
 BOX = '<visual><origin xyz="0 {}" rpy="{} 0 0"/><geometry><box size="{}"/></geometry></visual>'
-PALM = BOX.format("0 0.02", 0, "0.0632 0.2045 0.0921")
+PALM = BOX.format("-0.0018 0.02", 0, "0.0632 0.2044 0.0919")
 FORM = [
     ("0.0185 0.011", 0, "0.022 0.015 0.02"),
     ("0.0068 0.0022", 0, "0.022 0.0088 0.0038"),
