@@ -102,6 +102,20 @@ def test_bodies_go_with_robots_that_are_changed():
     assert placed(two, [*Q, 0.0, 0.0]).keys() == {"first", "other_first"}
 
 
+def test_the_live_view_has_the_bodies_at_their_poses():
+    render = pytest.importorskip("torchdq.envs.render")
+    pytest.importorskip("viser")
+    robot = torchdq.Robot.from_urdf(arm(shape("visual", BOX, AT, TURN), end=[shape("visual", BOX)]))
+    viewer = render.Viewer(robot)
+    viewer.show(Q)
+    for body, (i, surface) in zip(viewer.bodies, viewer.skeleton.bodies, strict=True):
+        X = torchdq.forward_kinematics(robot, torch.tensor(Q).double(), robot.frames[i].name)
+        assert body.position == pytest.approx(torchdq.dq.translation(X).numpy())
+        assert body.wxyz == pytest.approx(torchdq.dq.rotation(X).numpy())
+        assert body.vertices == pytest.approx(surface.vertices, abs=1e-6)
+    viewer.close()
+
+
 MESHES = ["thing.obj", "parts/thing.obj", "package://this_robot/parts/thing.obj"]
 
 
