@@ -112,8 +112,8 @@ class Robot(RobotModel):
         Links on fixed joints are merged with their parents and stay as frames; the coordinate of a continuous joint is
         its angle. Meshes are only opened to be drawn. Joint friction, damping and limits are read but are not part of
         the rigid-body dynamics. Errors that are not fatal are recorded in `notes`, by code and subject; `report()`
-        lists them. Warnings name what may change the dynamics: elements and attributes that seem misspelt, elements given
-        twice, mimic joints without drivers, and impossible limits ("lower" above "upper"), which are ignored.
+        lists them. Warnings name what may change the dynamics: elements and attributes that seem misspelt, elements
+        given twice, mimic joints without drivers, and impossible limits ("lower" above "upper"), which are ignored.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
