@@ -16,7 +16,10 @@ WEIGHTS = {
     "guides/*": 2,
     "recipes.md": 2,
     "task-space.md": 2,
+    "effects/index.md": 2,
     "api/functions.md": 2,
+    "api/errors.md": 1,
+    "api/*": 0.5,
 }
 
 
