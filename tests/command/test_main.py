@@ -125,6 +125,7 @@ def test_the_help_of_a_command_has_an_example_that_is_understood(here, capsys, c
     out, _ = told(capsys, command, "--help")
     example = re.search(r"^Example: torchdq (.*)$", out, re.MULTILINE)
     assert example and example[1].split()[0] == command and "--json" in out
+    assert max(map(len, out.splitlines())) <= WIDE and not re.search(r"\(default:\s+(None|False)?\s*\)", out)
     asked = set(re.findall(r"--[a-z-]+", example[1]))
     assert asked <= set(re.findall(r"--[a-z-]+", out.replace(example[0], "")))
 

@@ -51,7 +51,7 @@ class SceneCommand(RobotCommand):
     first-order-lag=0.02, rotor-inertia=0.1, noise=0.001 and all others of torchdq.effects; a number is the first
     parameter.
 
-    Example: torchdq scene panda --effects gravity viscous=2 --seconds 5 --csv fall.csv
+    Example: torchdq scene panda --effects gravity viscous=2 --csv fall.csv
     """
 
     effects: tuple[str, ...] = (DEFAULT,)
