@@ -59,8 +59,8 @@ class IdCommand(RobotCommand):
     """A robot identified from logs: errors, a verdict, identifiable parameters, one HTML page, and its URDF.
 
     A log is a text (CSV), NPZ, MATLAB or MCAP file with columns time [s], q1 ... [rad], qd1 ... [rad/s] and
-    tau1 ... [N m], or names by --columns. Files of one log stand together: positions.csv+torques.csv. Tested is the last log, or
-    the last third of the only one.
+    tau1 ... [N m], or names by --columns. Files of one log stand together: positions.csv+torques.csv. Tested is the
+    last log, or the last third of the only one.
 
     Names in --columns: position_{0} reads position_0, position_1, ... for the joints, position_{1} begins with
     position_1, {2} is the second column of a file without a header; in effort_{joint} {joint} is replaced by the
