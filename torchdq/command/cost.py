@@ -27,5 +27,5 @@ class CostCommand(Command):
         }
         steps = [{"step": form.name, "nanoseconds": t} for form, t in zip(ladder.FORMS, times, strict=True)]
         shown = {**cost.sections(), "From Algorithm 1 to the program that runs": ladder.rows(JOINTS, times)}
-        text = [part for title, (head, *rows) in shown.items() for part in (f"{title}:", Grid(tuple(head), rows))]
+        text = [part for title, rows in shown.items() for part in (f"{title}:", Grid(rows[0], rows[1:]))]
         return Outcome((*text, ladder.COUNTED), {"tables": tables, "steps": steps})

@@ -147,7 +147,7 @@ def times(n: int, batch: int = 4096, seconds: float = 0.3) -> list[float]:
     return medians(calls, batch, seconds)
 
 
-def rows(n: int = 7, taken: Sequence[float] | None = None) -> list[list[str]]:
+def rows(n: int = 7, taken: Sequence[float] | None = None) -> list[tuple[str, ...]]:
     """Operations of every step for a general chain, headings first; sines and cosines are the same for all.
 
     Args:
@@ -156,16 +156,16 @@ def rows(n: int = 7, taken: Sequence[float] | None = None) -> list[list[str]]:
     """
     robot = example(n)
     whole = cost.dqrnea_as_printed(n, full=True)
-    found = [
-        [f"step, {n} general revolute joints", "multiplications", "additions"],
-        ["nothing known, every product of the print", str(whole.multiplications), str(whole.additions)],
+    found: list[tuple[str, ...]] = [
+        (f"step, {n} general revolute joints", "multiplications", "additions"),
+        ("nothing known, every product of the print", str(whole.multiplications), str(whole.additions)),
     ]
     for form in FORMS:
         count = form.program(robot).count()
-        found.append([form.name, str(count.multiplications), str(count.additions)])
+        found.append((form.name, str(count.multiplications), str(count.additions)))
     if taken is not None:
         column = ["time per sample", "", *(f"{digits(t)} ns" for t in taken)]
-        found = [[*row, cell] for row, cell in zip(found, column, strict=True)]
+        found = [(*row, cell) for row, cell in zip(found, column, strict=True)]
     return found
 
 
