@@ -83,7 +83,8 @@ def inverse_dynamics(
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link")
-    >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))  # holding the arm against gravity
+    >>> # holding the arm against gravity
+    >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))
     tensor([19.6200,  4.9050], dtype=torch.float64)
     """
     return function_of(
@@ -117,7 +118,8 @@ def forward_dynamics(
         SingularInertiaError: a joint moves no inertia in any position.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> forward_dynamics(robot, q, None, inverse_dynamics(robot, q)).abs().max() < 1e-13
     tensor(True)
     """
@@ -164,7 +166,8 @@ def mass_matrix_derivative(robot: Robot, q: Tensor, backend: BackendName | None 
         robot, q: the robot and its joint positions [rad or m], shape [..., n].
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> rate = mass_matrix_derivative(robot, q) @ q  # of the mass matrix, at the velocities q
     >>> C = torchdq.coriolis_matrix(robot, q, q)
     >>> torch.allclose(rate, C + C.mT)
@@ -203,7 +206,8 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
     Source: equations (57)-(72) of the paper, with errata 57, 61, T1.4, 68, 70, 71 corrected.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> closed_form(robot, q, torch.zeros_like(q)).g
     tensor([18.5756,  4.5178], dtype=torch.float64)
     """
@@ -251,7 +255,8 @@ def dynamics_jacobian(
             shape [..., n].
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> torch.equal(dynamics_jacobian(robot, q, q, q)[2], mass_matrix(robot, q))
     True
     """
@@ -296,11 +301,13 @@ def dynamics_hessian(
         of: "inverse" or "forward", as above.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> H, J = dynamics_hessian(robot, q, q, q, weight=torch.ones_like(q))
     >>> H.shape, torch.allclose(J[:, 4:], mass_matrix(robot, q))
     (torch.Size([6, 6]), True)
-    >>> torch.allclose(H[:2, 4:], mass_matrix_derivative(robot, q).sum(0).mT)  # d2tau/dq dqdd is dM/dq
+    >>> # d2tau/dq dqdd is dM/dq
+    >>> torch.allclose(H[:2, 4:], mass_matrix_derivative(robot, q).sum(0).mT)
     True
     """
     require_choice("of", of, ("inverse", "forward"))
@@ -315,7 +322,8 @@ def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | N
         robot, q, qd: the robot, its joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> torch.isclose(kinetic_energy(robot, q, q), q @ mass_matrix(robot, q) @ q / 2)
     tensor(True)
     """
@@ -329,8 +337,11 @@ def potential_energy(robot: Robot, q: Tensor, backend: BackendName | None = None
         robot, q: the robot and its joint positions [rad or m], shape [..., n].
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
-    >>> torch.allclose(torch.func.grad(lambda q: potential_energy(robot, q))(q), inverse_dynamics(robot, q))
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> torch.allclose(
+    ...     torch.func.grad(lambda q: potential_energy(robot, q))(q), inverse_dynamics(robot, q)
+    ... )
     True
     """
     return function_of("potential_energy", robot, {"q": q}, backend)[0]
@@ -378,7 +389,8 @@ def jacobian(
         expressed: "body" or "world", as above.
 
     >>> import torch, torchdq
-    >>> jacobian(torchdq.robots.load("two_link"), torch.zeros(2), "tip")[4]  # the tip's velocity along y
+    >>> # the tip's velocity along y
+    >>> jacobian(torchdq.robots.load("two_link"), torch.zeros(2), "tip")[4]
     tensor([2., 1.])
     """
     return of_one_frame("jacobian", robot, {"q": q}, (frame, expressed), backend)
@@ -403,7 +415,8 @@ def external_wrenches(
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.zeros(2)
-    >>> f_ext = external_wrenches(robot, q, {"tip": torch.tensor([0.0, -10, 0, 0, 0, 0])})  # 10 N downwards
+    >>> # 10 N downwards
+    >>> f_ext = external_wrenches(robot, q, {"tip": torch.tensor([0.0, -10, 0, 0, 0, 0])})
     >>> (inverse_dynamics(robot, q, f_ext=f_ext) - inverse_dynamics(robot, q)).round()
     tensor([20., 10.])
     """
@@ -457,7 +470,8 @@ def distances(
     >>> distances(robot, q, "tip", (box,), X_WO)
     Distances(distance=tensor([-0.2954]), pairs=(('tip', 'box'),))
     >>> def depth(q):
-    ...     return distances(robot, q, "tip", (box,), X_WO).distance.clamp(max=0.01).sub(0.01).square().sum()
+    ...     at = distances(robot, q, "tip", (box,), X_WO)
+    ...     return at.distance.clamp(max=0.01).sub(0.01).square().sum()
     >>> for _ in range(10):
     ...     q = q - 0.1 * torch.func.grad(depth)(q)
     >>> distances(robot, q, "tip", (box,), X_WO).distance > 0

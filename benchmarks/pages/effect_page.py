@@ -274,9 +274,11 @@ import torchdq
 from torchdq import Scene, effects
 
 robot = torchdq.robots.load("panda")
-scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.5), effects.Saturation()), dt=0.002)
+parts = (effects.Gravity(), effects.Viscous(0.5), effects.Saturation())
+scene = Scene(robot, parts, dt=0.002)
 state = scene.step(scene.start(torch.zeros(4096, 7)), torque=torch.zeros(4096, 7))
-print(scene.describe(seconds=0))  # operations of every effect; with more seconds, nanoseconds too
+# operations of every effect; with more seconds, nanoseconds too
+print(scene.describe(seconds=0))
 ```
 
 Omitted parameters are taken from the robot's description, if it has them. `scene.describe()` also lists the effects of

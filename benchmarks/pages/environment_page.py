@@ -297,7 +297,8 @@ env = gymnasium.make("{id}")  # one, in numpy
 observation, info = env.reset(seed=0)
 observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
 
-envs = torchdq.envs.RobotVectorEnv(64, "{task}", "{other}", action="{hint}")  # 64, in tensors
+# 64 of them, in tensors
+envs = torchdq.envs.RobotVectorEnv(64, "{task}", "{other}", action="{hint}")
 observation, info = envs.reset(seed=0)
 total = torch.zeros(64)
 for _ in range(50):

@@ -38,10 +38,11 @@ class Pose(TensorValue):
     Args:
         parameters: unit dual quaternion r + (eps/2) p r, shape [..., 8]; its negative is the same pose.
 
-    >>> X_AB = Pose.exp(torch.tensor([0.0, 0.0, torch.pi / 2, 0.0, 0.0, 1.0]))  # a quarter turn about z, 1 m up
+    >>> # a quarter turn about z, 1 m up
+    >>> X_AB = Pose.exp(torch.tensor([0.0, 0.0, torch.pi / 2, 0.0, 0.0, 1.0]))
     >>> X_AB.apply(torch.tensor([1.0, 0.0, 0.0])).round(decimals=3) + 0.0
     tensor([0., 1., 1.])
-    >>> torch.allclose((X_AB.inverse() @ X_AB).log(), torch.zeros(6))
+    >>> torch.allclose((X_AB.inverse() @ X_AB).log(), torch.zeros(6), atol=1e-6)
     True
     """
 

@@ -223,7 +223,9 @@ class CompiledProgram:
             ArgumentError: too few or too many arguments, or one of another shape or dtype; or `out` is not as above.
 
         >>> import torchdq
-        >>> gravity = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics", arguments=("q",))
+        >>> gravity = torchdq.compile(
+        ...     torchdq.robots.load("two_link"), "inverse_dynamics", arguments=("q",)
+        ... )
         >>> tau = torch.empty(2, dtype=torch.float64)
         >>> gravity(torch.zeros(2, dtype=torch.float64), out=tau) is tau
         True

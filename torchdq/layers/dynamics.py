@@ -145,7 +145,9 @@ class FloatingInverseDynamics(RobotModule):
         ArgumentError: the base is fixed, or `learn` names something else, or a quantity that the robot does not have.
 
     >>> import torch, torchdq
-    >>> layer = torchdq.nn.FloatingInverseDynamics(torchdq.robots.load("go2"), learn="base_mass")
+    >>> layer = torchdq.nn.FloatingInverseDynamics(
+    ...     torchdq.robots.load("go2"), learn="base_mass"
+    ... )
     >>> layer(torch.eye(8)[0], torch.zeros(12)).F_B[:3].detach() / 9.81  # its mass [kg]
     tensor([ 0.0000,  0.0000, 16.0870])
     """

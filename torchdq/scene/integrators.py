@@ -127,7 +127,9 @@ class LinearlyImplicit(Integrator):
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
-    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.LinearlyImplicit(), dt=0.01)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), integrator=integrators.LinearlyImplicit(), dt=0.01
+    ... )
     """
 
     order = 1
@@ -144,7 +146,9 @@ class RungeKutta4(Integrator):
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
-    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.RungeKutta4(), dt=0.01)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), integrator=integrators.RungeKutta4(), dt=0.01
+    ... )
     """
 
     order = 4
@@ -188,7 +192,9 @@ class StoermerVerlet(Integrator):
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
-    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.StoermerVerlet(), dt=0.01)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), integrator=integrators.StoermerVerlet(), dt=0.01
+    ... )
     """
 
     order = 2
@@ -226,7 +232,9 @@ class DormandPrince(Integrator):
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
-    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.DormandPrince(), dt=0.1)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), integrator=integrators.DormandPrince(), dt=0.1
+    ... )
     """
 
     order = 5

@@ -49,7 +49,8 @@ class Layout:
         zero: positions of the joints where the motors' are zero, a number per joint [rad or m]; empty: zero.
         at_motors: signals that were measured at the motors, if there is a transmission; the others were at the joints.
 
-    >>> ros = Layout(columns={"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}", "tau": ["base", "elbow"]})
+    >>> names = {"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}"}
+    >>> ros = Layout(columns={**names, "tau": ["base", "elbow"]})
     >>> ros.names("q", 2), ros.names("tau", 2)
     (['position_0', 'position_1'], ['base', 'elbow'])
 
@@ -59,7 +60,11 @@ class Layout:
 
     Positions of motors behind gears and their currents, whose gains are not known, without velocities:
 
-    >>> drives = Layout(columns={"qd": None, "tau": "current{1}"}, gain=None, transmission=(1 / 100, -1 / 80))
+    >>> drives = Layout(
+    ...     columns={"qd": None, "tau": "current{1}"},
+    ...     gain=None,
+    ...     transmission=(1 / 100, -1 / 80),
+    ... )
     """
 
     joints: int = 0
