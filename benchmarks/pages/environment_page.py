@@ -240,6 +240,7 @@ def _learning(task: str) -> list[str]:
 
 
 def _learning_code(task: str, found: dict[str, Any]) -> str:
+    line = found["line"].replace(" learning_rate", f"\n{'':12}learning_rate")
     return f'''```python
 from stable_baselines3 import PPO
 
@@ -247,7 +248,7 @@ from torchdq.envs import RobotVectorEnv
 from torchdq.envs.sb3 import StableBaselinesVecEnv
 
 vec = StableBaselinesVecEnv(RobotVectorEnv({found["arms"]}, "{task}", "{ROBOT}"))
-model = {found["line"]}
+model = {line}
 # model.learn(5_000_000)
 ```'''
 

@@ -1,5 +1,6 @@
 """The documentation builds without a warning, fetches nothing, and has every public name once."""
 
+import html
 import importlib
 import inspect
 import json
@@ -109,6 +110,19 @@ def test_formulas_are_drawn_by_the_browser(site):
     assert not [
         name for name, text in without_code.items() if "$$" in text or re.search(r"\$\\?[a-zA-Z\\][^<$]*\$", text)
     ]
+
+
+WIDEST = 88  # columns of code that a page shows between its two menus, in a window of 1280 pixels
+
+
+def test_no_line_of_code_is_cut(site):
+    """Sources that a page links to are shown without menus, and have more room."""
+    shown = {name: text for name, text in pages(site).items() if not name.startswith("source/")}
+    blocks = [(name, x) for name, text in shown.items() for x in re.findall(r"<pre\b.*?</pre>", text, re.DOTALL)]
+    assert len(blocks) > 500
+    lines = [(name, html.unescape(x)) for name, block in blocks for x in re.sub("<[^>]+>", "", block).split("\n")]
+    wide = [f"{name}: {line}" for name, line in lines if len(line) > WIDEST]
+    assert not wide, "write these lines in 88 columns:\n" + "\n".join(wide)
 
 
 def test_search_needs_no_server(site):
