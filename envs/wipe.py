@@ -48,7 +48,7 @@ class Wipe(EpisodeTask):
     is above 0.1 m or the force above 100 N. Reward, of the true state, with the distance d from the path along the
     table and the error e of the force over the commanded one:
 
-        0.5 / (1 + (d / 0.01)^2) + 0.5 / (1 + (e / 0.2)^2) - 0.01 mean(action^2),   d, e errors of path [m] and force
+        0.5 / (1 + (d / 0.01)^2) + 0.5 / (1 + (e / 0.2)^2) - 0.01 mean(action^2)
 
     Table: at the height of the end effector in `home`, and in every episode up to 5 mm higher or lower, with a friction
     of 0.25 to 0.75 and a stiffness of 6 to 60 kN/m, unless `randomise` says otherwise.

@@ -206,7 +206,8 @@ def coriolis_matrix(
 ) -> Tensor:
     """Coriolis matrix C [..., 6 + n, 6 + n]: C v = c for v = (V_WB_B, qd), and dM/dt = C + C^T.
 
-        C = 1/2 (dc/dv + M [v, .])   with the bracket of twists [V, W] = (w_V x w_W, w_V x v_W + v_V x w_W) of the base
+        C = 1/2 (dc/dv + M [v, .])
+        [V, W] = (w_V x w_W, w_V x v_W + v_V x w_W), the bracket of twists of the base
 
     so that C(v) w - C(w) v = M [v, w]. Pinocchio's `computeCoriolisMatrix` has other entries, and the same C v and
     dM/dt.

@@ -192,10 +192,13 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
 
         M, c, g  mass matrix, Coriolis and centrifugal torques, gravity torques
         f_tip    enters with +: the wrench the end effector exerts on the environment
-        f_ext    enters with - where there is one: wrenches the environment exerts on the links, as in Pinocchio
-        Jt       transposed Jacobian of the tip, columns in the order of a wrench, (force, moment), in the axes of the
-                 tip frame; the rows of `jacobian` are in the order of a twist, (angular, linear)
-        names    Pinocchio: `computeAllTerms`, with nle = c + g, and Jt the transpose of the LOCAL Jacobian of the tip
+        f_ext    enters with - where there is one: wrenches the environment exerts on the links,
+                 as in Pinocchio
+        Jt       transposed Jacobian of the tip, columns in the order of a wrench, (force,
+                 moment), in the axes of the tip frame; the rows of `jacobian` are in the order
+                 of a twist, (angular, linear)
+        names    Pinocchio: `computeAllTerms`, with nle = c + g, and Jt the transpose of the
+                 LOCAL Jacobian of the tip
 
     The recorded program computes every term by itself: M by composite bodies, c and g by the recursion without gravity
     and at rest. The matrices of dual quaternions of the paper (`torchdq.paper.closed_form`) give the same.
@@ -284,9 +287,11 @@ def dynamics_hessian(
 
         of="inverse"  f = tau,  z = (q, qd, qdd)
         of="forward"  f = qdd,  z = (q, qd, tau): the argument qdd has the torques
-        weight        H = sum over i of weight_i d2f_i/dz2, shape [..., 3n, 3n], as in differential dynamic programming,
-                      where the weight is the gradient of the value function
-        no weight     H_i = d2f_i/dz2, shape [..., n, 3n, 3n], in two to three times the time, and n times the memory
+        weight        H = sum over i of weight_i d2f_i/dz2, shape [..., 3n, 3n], as in
+                      differential dynamic programming, where the weight is the gradient of the
+                      value function
+        no weight     H_i = d2f_i/dz2, shape [..., n, 3n, 3n], in two to three times the time,
+                      and n times the memory
         J             df/dz, shape [..., n, 3n]
 
     Rows and columns are in the order of z: H[..., :n, n : 2 * n] has the derivatives in q and qd, H[..., :n, 2 * n :]
@@ -377,11 +382,14 @@ def jacobian(
 ) -> Tensor:
     """Jacobian J [..., 6, n]: the twist (angular, linear) of a frame is J qd.
 
-        rows                 in the order of a twist, (angular, linear); Pinocchio has (linear, angular)
+        rows                 in the order of a twist, (angular, linear); Pinocchio has (linear,
+                             angular)
         expressed="body"     V_WF_F, the twist of F's origin in the axes of F; Pinocchio: LOCAL
-        expressed="world"    the same twist of F's origin in the axes of the base frame; Pinocchio: LOCAL_WORLD_ALIGNED
-        torques of a wrench  J^T swap(f), since a wrench f is (force, moment); with + in the torques where the frame
-                             exerts it on the environment (f_tip), with - where the environment exerts it (f_ext)
+        expressed="world"    the same twist of F's origin in the axes of the base frame;
+                             Pinocchio: LOCAL_WORLD_ALIGNED
+        torques of a wrench  J^T swap(f), since a wrench f is (force, moment); with + in the
+                             torques where the frame exerts it on the environment (f_tip), with
+                             - where the environment exerts it (f_ext)
 
     Args:
         robot, q: the robot and its joint positions [rad or m], shape [..., n].
@@ -405,7 +413,9 @@ def external_wrenches(
 ) -> Tensor:
     """Wrenches f_ext [..., n, 6] on the links, in link frames, of wrenches that the environment exerts at frames.
 
-        sum of J_i^T f_ext_i = sum over the frames of J_F^T F   (J^T as in `jacobian`: of swapped wrenches)
+        sum of J_i^T f_ext_i = sum over the frames of J_F^T F
+
+    with J^T as in `jacobian`, of swapped wrenches.
 
     Args:
         robot, q: the robot and its joint positions [rad or m], shape [..., n].

@@ -100,7 +100,8 @@ def operational_space(
 ) -> OperationalSpaceTerms:
     """Dynamics of a frame: the force (moment, force) at its origin that accelerates it.
 
-        F = Lambda a + mu + p,   Lambda = (J M^-1 J^T)^-1,   a = rate of the components of the twist
+        F = Lambda a + mu + p,   Lambda = (J M^-1 J^T)^-1
+        a = rate of the components of the twist
 
     Rows that are singular, whose `growth` would be above 2^46, are NaN; see `forward_dynamics`.
 
@@ -200,10 +201,12 @@ def operational_space_control(
     that accelerate the joints towards the posture, or not at all, and a_0 is the rate of the twist that these give.
     Coriolis terms, Jdot qd and the derivatives of the logarithm are included, so the equation holds up to half a turn:
 
-        body axes, all components   e = 2 log(X* X_des), the screw to the goal in axes of the frame
-        otherwise                   e = (rotation vector to the goal, difference of the positions), whose rates are
-                                    those in the base frame, seen in those axes; of some rotations without the others
-                                    it holds for small errors
+        body axes, all components   e = 2 log(X* X_des), the screw to the goal in axes of the
+                                    frame
+        otherwise                   e = (rotation vector to the goal, difference of the
+                                    positions), whose rates are those in the base frame, seen in
+                                    those axes; of some rotations without the others it holds
+                                    for small errors
 
     X_des is scaled to a unit dual quaternion, and -X_des is the same goal. Beyond half a turn the other way round is
     shorter, and e jumps.

@@ -24,7 +24,8 @@ from torchdq.errors import ArgumentError
 class Pose(TensorValue):
     """Pose X_AB of a frame B in a frame A, a rigid motion, around a tensor [..., 8].
 
-        X_AC = X_AB @ X_BC,   X_BA = X_AB.inverse(),   p_A = X_AB.apply(p_B),   xi = (X.inverse() @ X_des).log()
+        X_AC = X_AB @ X_BC,   X_BA = X_AB.inverse(),   p_A = X_AB.apply(p_B)
+        xi = (X.inverse() @ X_des).log()
 
     Every function of this package that takes poses takes these and plain tensors alike. Results are tensors, of which
     `Pose(torchdq.forward_kinematics(robot, q, "tip"))` makes poses. Leading axes are batch axes and broadcast, and

@@ -181,7 +181,8 @@ class _Named(Control):
 class ComputedTorque(_Named):
     """Computed torque controller: `forward(q, qd, q_des, qd_des, qdd_des, f_tip)` returns tau [..., n].
 
-        tau = M a + c + g + J^T f_tip + friction(q, qd) + offset,   a = qdd_des + kd (qd_des - qd) + kp (q_des - q)
+        tau = M a + c + g + J^T f_tip + friction(q, qd) + offset
+        a = qdd_des + kd (qd_des - qd) + kp (q_des - q)
 
     Those of a `ResidualDynamics`, or of another module, are taken at a.
 

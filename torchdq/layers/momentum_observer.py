@@ -49,7 +49,8 @@ class Observer(Parametric):
 class MomentumObserver(nn.Module):
     """Observer of external torques: `forward(q, qd, tau, state)` returns the next state, whose `r` is the estimate.
 
-        r' = K (tau_ext - r),   tau_ext = p' - tau - u,   p = M qd,   u = dT/dq - g - friction(q, qd) - offset
+        r' = K (tau_ext - r),   tau_ext = p' - tau - u
+        p = M qd,   u = dT/dq - g - friction(q, qd) - offset
 
     A constant torque shows as tau_ext (1 - exp(-K t)). Neither accelerations nor a Coriolis matrix are needed, since
     C^T qd = dT/dq. The balance over a step takes the mean of u at its ends, so the error falls with dt^2.

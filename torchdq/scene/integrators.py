@@ -179,7 +179,9 @@ class RungeKutta4(Integrator):
 class StoermerVerlet(Integrator):
     """Generalised leapfrog in positions and momenta p = M(x) v, symplectic and symmetric.
 
-        p1 = p + h/2 f(x, v1),  M(x) v1 = p1;   x' = x + h/2 (v1 + v2),  M(x') v2 = p1;   p' = p1 + h/2 f(x', v2)
+        p1 = p + h/2 f(x, v1),  M(x) v1 = p1
+        x' = x + h/2 (v1 + v2),  M(x') v2 = p1
+        p' = p1 + h/2 f(x', v2)
 
     with f = dL/dx + forces. The two implicit lines are iterated a fixed number of times; each iteration takes a factor
     of order h off their error. For energies over long times; over short ones RungeKutta4 is more accurate at the same
