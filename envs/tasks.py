@@ -179,9 +179,11 @@ class Track(EpisodeTask):
     Goal: middle, and amplitude, rate [rad/s] and phase [rad] of both sinusoids, of every joint [7 n]; within the limits
     of the positions and below half of those of the velocities. Observation: errors of the positions, velocities, and
     positions, velocities and accelerations of the reference; all velocities and accelerations as fractions of the
-    velocity's limit. Reward, of the true state, with the mean squared error e^2 of the positions:
+    velocity's limit. Reward, of the true state:
 
         1 / (1 + e^2 / 0.1^2) - 0.01 mean(action^2)
+
+    Here e^2 is the mean squared error of the positions.
     """
 
     def inputs(self, n: int) -> dict[str, int]:

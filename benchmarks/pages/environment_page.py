@@ -103,7 +103,7 @@ def page(task: str) -> str:
         _actions(task, robot),
         "## Reward",
         *[f"$$\n{tex(formula, frozenset({'action'}))}\n$$" for formula in said.formulas],
-        *_paragraphs(case.task, "Reward: "),
+        *_paragraphs(case.task, "Reward: ", "Here "),
         *([] if case.reward is None else [case.reward.words]),
         "It is computed from the true state, not from measurements. A step in which the simulation fails has the "
         f"reward {episode.WORST:g}.",
