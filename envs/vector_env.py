@@ -255,7 +255,9 @@ class RobotVectorEnv(VectorEnv):
         >>> import torch
         >>> envs = RobotVectorEnv(64, "reach", "panda")
         >>> _ = envs.reset(seed=0)
-        >>> policy = torch.nn.Sequential(torch.nn.Linear(27, 32), torch.nn.ELU(), torch.nn.Linear(32, 7))
+        >>> policy = torch.nn.Sequential(
+        ...     torch.nn.Linear(27, 32), torch.nn.ELU(), torch.nn.Linear(32, 7)
+        ... )
         >>> found = envs.rollout(policy, 25, noise=0.1 * torch.randn(25, 64, 7))
         >>> found.observations.shape, found.rewards.shape
         (torch.Size([26, 64, 27]), torch.Size([25, 64]))

@@ -10,6 +10,7 @@ import mathml
 import navigation
 import notebooks
 import repository
+import search
 import sources
 from mkdocs.structure.files import File
 
@@ -40,7 +41,8 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, config, files):
-    """Markdown of a page whose links to files beside docs/ lead to their pages."""
+    """Markdown of a page whose links to files beside docs/ lead to their pages, and its weight in the search."""
+    search.weighted(page.file.src_uri, page.meta)
     if sys.stderr.isatty():
         print(f"\r{page.file.src_uri:<78}", end="\r", file=sys.stderr, flush=True)
     return sources.with_links(markdown, page.file.src_uri, ROOT)

@@ -59,16 +59,16 @@ class RobotFile(NamedTuple):
 class IdCommand(RobotCommand):
     """A robot identified from logs: errors, a verdict, identifiable parameters, one HTML page, and its URDF.
 
-    A log is a text (CSV), NPZ, MATLAB or MCAP file with columns time [s], q1 ... [rad], qd1 ... [rad/s], tau1 ...
-    [N m], or names by --columns. Files of one log stand together: positions.csv+torques.csv. Tested is the last log, or
-    the last third of the only one.
+    A log is a text (CSV), NPZ, MATLAB or MCAP file with columns time [s], q1 ... [rad], qd1 ... [rad/s] and
+    tau1 ... [N m], or names by --columns. Files of one log stand together: positions.csv+torques.csv. Tested is the
+    last log, or the last third of the only one.
 
     Names in --columns: position_{0} reads position_0, position_1, ... for the joints, position_{1} begins with
     position_1, {2} is the second column of a file without a header; in effort_{joint} {joint} is replaced by the
     joint's own name; a1,b2,c3 are the names of all columns, in the robot's order of joints; torques:tau{1} is in
     torques.csv; none: not recorded.
 
-    Example: torchdq id arm.urdf a.csv b.csv --columns q position_{0} qd velocity_{0} tau effort_{0}
+    Example: torchdq id arm.urdf a.csv --columns q pos_{0} qd vel_{0} tau eff_{0}
     """
 
     logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG")]

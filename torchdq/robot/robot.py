@@ -64,7 +64,8 @@ _ELSEWHERE = {
 class Robot(RobotModel):
     """Robot: links, each carried by a joint of one degree of freedom, and n coordinates that move the joints.
 
-        robot = Robot.from_urdf("arm.urdf")  # or from_mjcf, from_xacro, from_dh, from_screws, torchdq.robots.load
+        # or from_mjcf, from_xacro, from_dh, from_screws, torchdq.robots.load
+        robot = Robot.from_urdf("arm.urdf")
         print(robot.report())  # what the file asks for, what is used, and what looks wrong
         robot = robot.with_payload(mass=2.0)  # a copy; also with_tool, lock, attach, replace
 

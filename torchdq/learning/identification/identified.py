@@ -161,7 +161,8 @@ class Identified(NamedTuple):
 
         >>> import torch, torchdq, torchdq.envs
         >>> from torchdq.learning import Samples, identify
-        >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 200, 2, dtype=torch.float64)
+        >>> robot = torchdq.robots.load("two_link")
+        >>> q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64)
         >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd
         >>> found = identify(robot, Samples(q, qd, qdd, tau))
         >>> torchdq.Scene(found.robot, found.effects()).robot.name
@@ -200,8 +201,12 @@ class Identified(NamedTuple):
         >>> import torch, torchdq
         >>> from torchdq import effects
         >>> from torchdq.learning import Model, Samples, fit, identify
-        >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 300, 2, dtype=torch.float64)
-        >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * q[..., :1].sin() * q[..., 1:].cos()
+        >>> robot = torchdq.robots.load("two_link")
+        >>> q, qd, qdd = torch.randn(3, 300, 2, dtype=torch.float64)
+        >>> tau = (
+        ...     torchdq.inverse_dynamics(robot, q, qd, qdd)
+        ...     + 0.5 * q[..., :1].sin() * q[..., 1:].cos()
+        ... )
         >>> plain = Model(friction=(effects.Viscous(), effects.Coulomb()))
         >>> found = identify(robot, Samples(q, qd, qdd, tau), plain, prior=1.0)
         >>> network = torchdq.ResidualDynamics(found.layer(), hidden=(8,))

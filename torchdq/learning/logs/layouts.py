@@ -55,7 +55,8 @@ class Layout:
             "command": a number, or one per joint. pi/180 reads degrees, pi/30 turns per minute, 0.001 milliseconds or
             millimetres; that of "tau" is its `gain`.
 
-    >>> ros = Layout(columns={"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}", "tau": ["base", "elbow"]})
+    >>> names = {"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}"}
+    >>> ros = Layout(columns={**names, "tau": ["base", "elbow"]})
     >>> ros.names("q", 2), ros.names("tau", 2)
     (['position_0', 'position_1'], ['base', 'elbow'])
 
@@ -65,11 +66,16 @@ class Layout:
 
     Positions of motors behind gears and their currents, whose gains are not known, without velocities:
 
-    >>> drives = Layout(columns={"qd": None, "tau": "current{1}"}, gain=None, transmission=(1 / 100, -1 / 80))
+    >>> drives = Layout(
+    ...     columns={"qd": None, "tau": "current{1}"},
+    ...     gain=None,
+    ...     transmission=(1 / 100, -1 / 80),
+    ... )
 
     Positions in degrees, velocities in degrees per second, and a second joint whose zero is a quarter turn away:
 
-    >>> degrees = Layout(scale={"q": math.pi / 180, "qd": math.pi / 180}, zero=(0.0, -math.pi / 2))
+    >>> turn = math.pi / 180
+    >>> degrees = Layout(scale={"q": turn, "qd": turn}, zero=(0.0, -math.pi / 2))
     """
 
     joints: int = 0

@@ -90,7 +90,9 @@ def smooth(
     >>> import numpy as np
     >>> from torchdq.learning import read_log
     >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read_log({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> log = read_log(
+    ...     {"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)}
+    ... )
     >>> smooth(log).qdd.shape
     (886, 1)
     """

@@ -141,7 +141,9 @@ def read_log(
     >>> read_log(path).tau
     array([[2. ],
            [2.1]])
-    >>> read_log({"time": [0.0, 0.01], "q": [[0.1], [0.105]], "qd": None, "tau": [[2.0], [2.1]]}).tau.shape
+    >>> read_log(
+    ...     {"time": [0.0, 0.01], "q": [[0.1], [0.105]], "qd": None, "tau": [[2.0], [2.1]]}
+    ... ).tau.shape
     (2, 1)
     """
     require_object("layout", layout, Layout, "torchdq.learning", "Layout(columns={'q': 'position_{0}'})")
