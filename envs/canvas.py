@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 
 FINE = 2  # points of an image in a pixel, along each axis
@@ -27,23 +25,22 @@ class Canvas:
     def __init__(self, size: tuple[int, int]):
         self.width, self.height = (FINE * x for x in size)
         self._nearness = np.full(self.width * self.height, -np.inf, np.float32)
-        self._shade = np.zeros(self.width * self.height, np.int16)  # 0: nothing
+        self._shade = np.zeros(self.width * self.height, np.int32)  # 0: nothing
         self._colours = [np.zeros(3)]
 
     def add(self, pixels: np.ndarray, nearness: np.ndarray, light: np.ndarray, colour: tuple[int, ...]) -> None:
         """Draw points [p, 2] that are counted from the lower left corner; light [p] is from 0 to 1."""
-        finite = np.isfinite(pixels).all(-1) & np.isfinite(nearness)
-        pixels, nearness, light = pixels[finite], nearness[finite].astype(np.float32), light[finite]
-        shade = (len(self._colours) + np.round((LEVELS - 1) * np.clip(light, 0.0, 1.0))).astype(np.int16)
+        left, up = (FINE * pixels.T - 0.5).astype(np.float32)
+        inside = (left >= 0) & (left < self.width - 1) & (up >= 0) & (up < self.height - 1) & np.isfinite(nearness)
+        first = (self.height - 1 - up[inside].astype(np.int32)) * self.width + left[inside].astype(np.int32)
+        near, levels = nearness[inside].astype(np.float32), np.clip(light[inside], 0.0, 1.0) * (LEVELS - 1) + 0.5
+        shade = len(self._colours) + levels.astype(np.int32)
         self._colours += [np.array(colour) * x for x in np.linspace(DARKEST, 1.0, LEVELS)]
-        left, up = np.floor(FINE * pixels - 0.5).astype(int).T
-        for right, higher in product((0, 1), repeat=2):  # a point covers four, so that there are no holes
-            x, row = left + right, self.height - 1 - (up + higher)
-            inside = (x >= 0) & (x < self.width) & (row >= 0) & (row < self.height)
-            at, near = (row * self.width + x)[inside], nearness[inside]
+        for step in (0, 1, -self.width, 1 - self.width):  # a point covers four, so that there are no holes
+            at = first + step
             np.maximum.at(self._nearness, at, near)
             seen = near >= self._nearness[at]
-            self._shade[at[seen]] = shade[inside][seen]
+            self._shade[at[seen]] = shade[seen]
 
     def image(self, step: float, least: float, ink: tuple[int, ...]) -> np.ndarray:
         """Image [height, width, 4], uint8, transparent where there is nothing.
@@ -56,8 +53,8 @@ class Canvas:
             moved = [np.roll(around, k * shift, axis) for k in (-1, 1)]
             around = np.maximum(np.maximum(*moved), around)
         rim = (around > near + step) & (around > least)
-        rgba = np.concatenate([np.array(self._colours)[self._shade], 255.0 * (self._shade > 0)[:, None]], -1)
-        rgba = rgba.reshape(self.height, self.width, 4)
+        colours = np.array([(*colour, 255.0 * (k > 0)) for k, colour in enumerate(self._colours)], np.float32)
+        rgba = colours[self._shade].reshape(self.height, self.width, 4)
         rgba[rim] = (*ink, 255.0)
         rgba[..., :3] *= rgba[..., 3:] / 255.0
         mean = rgba.reshape(self.height // FINE, FINE, self.width // FINE, FINE, 4).mean((1, 3))

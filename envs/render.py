@@ -41,7 +41,7 @@ RULE = "#d9dfe6"  # lines on the ground
 LINK, TIP, TARGET, OBJECT = "#7d9fc0", "#f2a541", "#d1344b", "#1d6b57"
 AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # direction of the camera, which is far away [rad]
 LIGHT = np.array([-0.35, 0.65, 0.67])  # direction to the light, in axes of the camera
-SPACING = 1.5  # of points on surfaces, in those of the image
+SPACING = 1.2  # of points on surfaces, in those of the image
 PIECES = 6  # of a line on the ground, which follows it
 RULES = 4  # lines on the ground in a radius of the view
 SHADE = -1e3  # nearness of shadows, in radii of the view: farther than every robot
@@ -332,7 +332,7 @@ class Painter:
         n = np.broadcast_to(normals @ self._camera, p.shape)
         light = np.abs(n[..., 2:]).squeeze(-1) * LIGHT[2] + np.sign(n[..., 2]) * (n[..., :2] @ LIGHT[:2])
         self._canvas.add(pixels.reshape(-1, 2), (nearness + bias).ravel(), 1.5 * light.ravel(), _rgb(colour))
-        below = self.project(_on_ground(self.skeleton.ground, p[:, ::2], place))[0].reshape(-1, 2)
+        below = self.project(_on_ground(self.skeleton.ground, p[:, ::3], place))[0].reshape(-1, 2)
         self._canvas.add(below, np.full(len(below), SHADE), np.ones(len(below)), _rgb(SHADOW))
 
 

@@ -57,7 +57,7 @@ class Bodies:
         """Draw surfaces at poses [k, surfaces, 8] seen from places [k, 3], in colours [k, 3]."""
         turns = dq.rotate(dq.rotation(X)[..., None, :], torch.eye(3, dtype=X.dtype)).numpy().astype(np.float32)
         shifts = (dq.translation(X).numpy() + at[:, None]).astype(np.float32)
-        spacings = 1.5 * self.project(shifts)[1].min(1) / (FINE * self.focus)
+        spacings = 1.2 * self.project(shifts)[1].min(1) / (FINE * self.focus)
         for turn, shift, spacing, colour in zip(turns, shifts, spacings, colours, strict=True):
             clouds = [self._cloud(surface, 2.0 ** (0.5 * math.floor(2.0 * math.log2(spacing)))) for surface in surfaces]
             p = np.concatenate([p @ R + x for (p, _), R, x in zip(clouds, turn, shift, strict=True)])

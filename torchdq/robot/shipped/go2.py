@@ -27,14 +27,14 @@ class Part(NamedTuple):
     axis: str = ""  # "": a fixed joint
     limits: tuple[float, ...] = ()  # lower and upper [rad], effort [N m], velocity [rad/s]
     collision: str = ""
-    visual: str = ""
+    visual: tuple[str, ...] = ()
 
     def text(self) -> str:
         """Elements of a URDF file."""
         names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         body = f'<origin xyz="{_row(self.com)}"/><mass value="{self.mass}"/><inertia {_named(names, self.inertia)}/>'
         collision = f"<collision>{self.collision}</collision>" if self.collision else ""
-        visual = "".join(f"<visual>{shape}</visual>" for shape in self.visual.split("|") if shape)
+        visual = "".join(f"<visual>{shape}</visual>" for shape in self.visual)
         link = f'<link name="{self.name}"><inertial>{body}</inertial>{visual}{collision}</link>'
         if not self.parent:
             return link
@@ -53,16 +53,20 @@ TRUNK = '<geometry><box size="0.3762 0.0935 0.114"/></geometry>'
 UPPER = '<origin xyz="0 0 -0.1065" rpy="0 1.5707963267948966 0"/><geometry><box size="0.213 0.0245 0.034"/></geometry>'
 SPHERE = '<origin xyz="-0.002 0 0"/><geometry><sphere radius="0.022"/></geometry>'
 ROUND = '<origin xyz="{} {} {}" rpy="{} {} 0"/><geometry><cylinder radius="{}" length="{}"/></geometry>'
-SHIN = ((0.008, 0, -0.06, 0, -0.21, 0.012, 0.12), (0.02, 0, -0.148, 0, 0.05, 0.011, 0.065))
-SHIN = "|".join(ROUND.format(*row) for row in (*SHIN, (0.008, 0, -0.1875, 0, 0.53, 0.0155, 0.03)))
+SHIN = (
+    ROUND.format(0.008, 0, -0.06, 0, -0.21, 0.012, 0.12),
+    ROUND.format(0.02, 0, -0.148, 0, 0.05, 0.011, 0.065),
+    ROUND.format(0.008, 0, -0.1875, 0, 0.53, 0.0155, 0.03),
+)
+NOSE = '<geometry><sphere radius="0.047"/></geometry>'
 BODY = [
     Part(
         *("base", "", (0, 0, 0), 6.921, (0.021112, 0, -0.005366)),
         (0.02448, 0.00012166, 0.0014849, 0.098077, -3.12e-5, 0.107),
         collision=TRUNK,
     ),
-    Part("Head_upper", "base", (0.285, 0, 0.01), 0.001, visual=ROUND.format(0, 0, 0, 0, 0, 0.05, 0.09)),
-    Part("Head_lower", "Head_upper", (0.008, 0, -0.07), 0.001, visual='<geometry><sphere radius="0.047"/></geometry>'),
+    Part("Head_upper", "base", (0.285, 0, 0.01), 0.001, visual=(ROUND.format(0, 0, 0, 0, 0, 0.05, 0.09),)),
+    Part("Head_lower", "Head_upper", (0.008, 0, -0.07), 0.001, visual=(NOSE,)),
 ]
 
 
@@ -77,7 +81,7 @@ def _leg(name: str, f: int, s: int) -> list[Part]:
     middle, below = (-0.00374, s * -0.0223, -0.0327), (0.00548, s * -0.000975, -0.115)
     motor, calf_limits = ROUND.format(0, s * 0.08, 0, pi / 2, 0, 0.046, 0.04), (-2.7227, -0.83776, 45.43, 15.7)
     return [
-        Part(hip, "base", at, 0.678, com, hip_moments, X, (-1.0472, 1.0472, *MOTOR), visual=motor),
+        Part(hip, "base", at, 0.678, com, hip_moments, X, (-1.0472, 1.0472, *MOTOR), visual=(motor,)),
         Part(f"{hip}_rotor", "base", (f * 0.11215, s * 0.04675, 0), 0.089, inertia=ROTOR_X),
         Part(thigh, hip, (0, s * 0.0955, 0), 1.152, middle, thigh_moments, Y, thighs, UPPER),
         Part(f"{thigh}_rotor", hip, (0, s * -0.00015, 0), 0.089, inertia=ROTOR_Y),
