@@ -4,7 +4,7 @@
 
 A step of environments is their chain without `begin`, as one call, or one link after the other where functions of torch
 are among them. A rollout repeats the chain in one call, with a recorded policy before it and `begin` after it. Each
-link is a program of its own, so that all have the same results to the bit.
+link is a program of its own, so that all have bitwise the same results.
 """
 
 from __future__ import annotations
