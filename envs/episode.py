@@ -4,7 +4,7 @@
 
 A step of environments is their chain up to `end`, as one call, or one link after the other where functions of torch are
 among them; `undo` follows only if a row has failed. A rollout repeats the whole chain in one call, with a recorded
-policy before it and `begin` after it. Each link is a program of its own, so that all have the same results to the bit.
+policy before it and `begin` after it. Each link is a program of its own, so that all have bitwise the same results.
 """
 
 from __future__ import annotations

@@ -240,7 +240,7 @@ class RobotVectorEnv(VectorEnv):
     ) -> Rollout:
         """Results of a number of steps with the actions unit (policy(observation) + noise).
 
-        They are those of `step` with these actions, to the bit. If the policy is a `torch.nn.Sequential` of the layers
+        They are bitwise those of `step` with these actions. If the policy is a `torch.nn.Sequential` of the layers
         of `torchdq.scene.policies.Network`, all steps are one call of one compiled program, with the resets within it;
         its rounding errors are not those of torch. Steps are taken one by one with any other policy, with functions of
         tensors (a `TorchTask`), an `autoreset_mode` other than SAME_STEP, an integrator that is not recorded, the

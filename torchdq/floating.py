@@ -380,7 +380,8 @@ def forward_kinematics(
         frame: name of the frame, or names of several; None: all of them, in the order of `robot.frame_names`.
     Raises:
         UnknownNameError: the robot has no such frame.
-        ArgumentError, DtypeError: naming the argument that does not fit.
+        ArgumentError: an argument is not a tensor, or has another shape than stated.
+        DtypeError: dtypes differ, or are neither float32 nor float64.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
@@ -407,7 +408,8 @@ def jacobian(
         frame, expressed: as in `torchdq.jacobian`; "world" are the axes of the world.
     Raises:
         UnknownNameError: the robot has no such frame.
-        ArgumentError, DtypeError: naming the argument that does not fit.
+        ArgumentError: an argument is not a tensor, or has another shape than stated.
+        DtypeError: dtypes differ, or are neither float32 nor float64.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")

@@ -77,7 +77,8 @@ def inverse_dynamics(
     Returns:
         tau: joint torques [N m] or forces [N], shape [..., n].
     Raises:
-        ArgumentError, DtypeError: naming the argument that does not fit.
+        ArgumentError: an argument is not a tensor, or has another shape than stated.
+        DtypeError: dtypes differ, or are neither float32 nor float64.
 
     Source: Algorithm 1 of the paper, equations (38)-(48), with errata 25, 30, 38, 40, 46, 47, A1 corrected.
 

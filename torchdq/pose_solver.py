@@ -54,7 +54,7 @@ def inverse_kinematics(
     """Joint positions q [..., n] within the limits at which a frame has the pose X, from several starts.
 
     Levenberg-Marquardt steps on the error (rotation vector to X, displacement to X), with joints held at limits. Where
-    they stall, the next start is taken, a point of one sequence that fills the limits evenly and is the same for all
+    they stall, the next start is taken: a point of a low-discrepancy sequence within the limits, the same for all
     rows, so that a row has the same result in every batch. A row that cannot be reached has `converged` False, and the
     q whose error has the smallest norm: damped steps lead to it from the best of all starts and from eight of them. Of
     an X farther than a kilometre the direction counts, and the error is to scale. Of an X that is not finite q is NaN.

@@ -208,8 +208,8 @@ def operational_space_control(
                                     those axes; of some rotations without the others it holds
                                     for small errors
 
-    X_des is scaled to a unit dual quaternion, and -X_des is the same goal. Beyond half a turn the other way round is
-    shorter, and e jumps.
+    X_des is scaled to a unit dual quaternion, and -X_des is the same goal. Beyond half a turn the rotation in
+    the other direction is shorter, and e jumps.
 
     Args:
         robot: the model of the robot that is controlled.

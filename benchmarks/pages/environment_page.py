@@ -240,7 +240,7 @@ def _learning(task: str) -> list[str]:
 
 
 def _learning_code(task: str, found: dict[str, Any]) -> str:
-    line = found["line"].replace(" learning_rate", f"\n{'':12}learning_rate")
+    line = found["line"].replace("(", "(\n    ").replace(", ", ",\n    ").replace(")", ",\n)")
     return f'''```python
 from stable_baselines3 import PPO
 

@@ -5,6 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+from mkdocs.structure.files import File
+
 import bars
 import mathml
 import navigation
@@ -12,7 +14,6 @@ import notebooks
 import repository
 import search
 import sources
-from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -18,6 +18,7 @@ from torchdq.base.timing import digits
 from torchdq.command.command import RobotCommand, per_joint
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.dynamics.friction import COLUMNS, STATED
+from torchdq.dynamics.joints import KINDS as JOINTS
 from torchdq.effects.steady import at_speeds
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
@@ -189,8 +190,8 @@ class _Path(NamedTuple):
             names = ("x [m]", "y [m]", "height [m]", "turned by [rad]")
             found.append(_grid(("base", "start", "end", "speed at the end [per s]", "error"), names, columns))
         columns = [self.states.q[0], self.end.q, self.end.qd, self.error(lambda state: state.q)]
-        kinds = [kind == "prismatic" for kind in robot.kinds]
-        unit = "m" if all(kinds) else "rad or m" if any(kinds) else "rad"
+        turns = [JOINTS[kind].turns for kind in robot.kinds]
+        unit = "rad" if all(turns) else "rad or m" if any(turns) else "m"
         head = ("joint", f"start [{unit}]", "end", "speed at the end [per s]", "error")
         return [*found, _grid(head, robot.joint_names, columns)] if robot.n else found
 
