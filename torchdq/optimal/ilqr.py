@@ -89,6 +89,9 @@ def solve(
     Iterative LQR finds the nearest minimum that it comes to. It needs derivatives, which Gauss-Newton takes of the
     costs; a sampling method needs none, and its plan is a start for iterative LQR where contacts must be found.
 
+    Robots on legs are planned for through their contacts. Derivatives of a large step, as that of a quadruped, compile
+    for most of a minute, once for a machine.
+
     Args:
         problem: costs and limits.
         state: initial states, shape [...].

@@ -65,6 +65,14 @@ class Problem:
     >>> plan = optimal.solve(problem, scene.start(torch.zeros(2, dtype=torch.float64)))
     >>> bool(plan.converged), plan.torque.shape, plan.gain.shape
     (True, torch.Size([40, 2]), torch.Size([40, 2, 4]))
+
+    Targets of servos, by the same costs of a motion:
+
+    >>> servo = effects.Servo(torch.tensor([200.0, 80.0]), torch.tensor([20.0, 8.0]))
+    >>> driven = scene.replace(effects=(effects.Gravity(), servo))
+    >>> plan = optimal.solve(problem.replace(scene=driven, control="target"), scene.start(plan.states.q[0]))
+    >>> driven.rollout(scene.start(plan.states.q[0] + 0.01), policy=plan.policy, steps=40).q.shape
+    torch.Size([40, 2])
     """
 
     scene: Scene
@@ -211,6 +219,10 @@ class Passes(NamedTuple):
         scene, batch, count = problem.scene, like.shape[:-1], like.shape[:-1].numel()
         stage, stepped, fixed, shared = Stage(scene.spec, "step", problem.objective), {}, {}, {}
         scene.spec.require_inputs(inputs)
+        if problem.control in inputs:
+            raise ArgumentError(
+                f"{problem.control} is planned, found it among the other inputs; begin with it as torque"
+            )
         for name, x in {**scene.parameters, **problem.inputs(like), **inputs}.items():
             axes, x = stage.axes(name), x.detach().to(like)
             rest = tuple(x.shape[x.ndim - len(axes) :])
