@@ -18,6 +18,7 @@ from torchdq.scene.integrators import RungeKutta4
 
 BACKEND = "auto"
 ARM = Scene(torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.02)
+SERVO = ARM.replace(effects=(effects.Gravity(), effects.Servo(100.0, 10.0)))
 SLIDE = Scene(one_joint([0.0, 0, 0, 1, 0, 0], mass=[2.0]), dt=0.1)
 GOAL = double(1.2, 0.4, 0.0)
 STEPS, ROWS = 30, 7
@@ -260,6 +261,9 @@ def test_single_precision_is_enough_for_a_plan():
         lambda: optimal.solve(swing(final=[optimal.Point("elbow", GOAL, 1.0)]), starts()),
         lambda: optimal.Residuals(3.0, 1.0),
         lambda: optimal.solve(swing(), starts(), method=optimal.MPPI(4)).policy,
+        lambda: swing(control="target"),
+        lambda: swing(control="speed"),
+        lambda: optimal.solve(swing(scene=SERVO, control="target"), starts(), target=torch.zeros(STEPS, 2).double()),
     ],
 )
 def test_misuse_is_refused(call):

@@ -121,7 +121,7 @@ class Residuals:
 
 
 class Torques(Residuals):
-    """Cost of torques less a reference [N m or N], shape [..., n]; None: zero."""
+    """Cost of torques, or targets where these are planned, less a reference [..., n]; None: zero."""
 
     def __init__(self, weight: Weight, reference: Tensor | None = None):
         super().__init__(_of_row, weight, ("torque",), goal=reference)

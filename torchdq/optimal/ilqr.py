@@ -89,6 +89,9 @@ def solve(
     Iterative LQR finds the nearest minimum that it comes to. It needs derivatives, which Gauss-Newton takes of the
     costs; a sampling method needs none, and its plan is a start for iterative LQR where contacts must be found.
 
+    Robots on legs are planned for through their contacts. Derivatives of a large step, as that of a quadruped, compile
+    for most of a minute, once for a machine.
+
     Args:
         problem: costs and limits.
         state: initial states, shape [...].
@@ -173,9 +176,8 @@ def planned(passes: Passes, batch: torch.Size, found: Found) -> Plan:
     states = State(**{name: shaped(x, 1) for name, x in found.states.items()})
     cost, status, iterations = (shaped(x, 0) for x in (found.cost, found.status, found.iterations))
     limits = passes.limits and (shaped(passes.limits[0], 0), shaped(passes.limits[1], 0))
-    return Plan(
-        shaped(found.torque, 1), states, shaped(found.gain, 1), cost, status, iterations, limits, passes.problem.control
-    )
+    plan = Plan(shaped(found.torque, 1), states, shaped(found.gain, 1), cost, status, iterations, limits)
+    return plan._replace(control=passes.problem.control)
 
 
 def _roughly(

@@ -229,7 +229,8 @@ def _solved(
 ) -> tuple[list[Number], Callable[[Row], list[Number]]]:
     """Solutions of `box_qp` for a damped matrix."""
     heavy = [[x + damping * x if i == j else x for j, x in enumerate(row)] for i, row in enumerate(H)]
-    return box_qp(heavy, g, *room)
+    lower, upper = room or ((), ())
+    return box_qp(heavy, g, lower, upper)
 
 
 def _room(what: Knot, known: Rows) -> list[Row]:

@@ -65,6 +65,14 @@ class Problem:
     >>> plan = optimal.solve(problem, scene.start(torch.zeros(2, dtype=torch.float64)))
     >>> bool(plan.converged), plan.torque.shape, plan.gain.shape
     (True, torch.Size([40, 2]), torch.Size([40, 2, 4]))
+
+    Targets of servos, by the same costs of a motion:
+
+    >>> servo = effects.Servo(torch.tensor([200.0, 80.0]), torch.tensor([20.0, 8.0]))
+    >>> driven = scene.replace(effects=(effects.Gravity(), servo))
+    >>> plan = optimal.solve(problem.replace(scene=driven, control="target"), scene.start(plan.states.q[0]))
+    >>> driven.rollout(scene.start(plan.states.q[0] + 0.01), policy=plan.policy, steps=40).q.shape
+    torch.Size([40, 2])
     """
 
     scene: Scene
@@ -145,7 +153,7 @@ class Problem:
         return rows["cost"]
 
     def holding(self, state: State) -> Tensor:
-        """Torques [steps, ..., n] that hold the joints of a fixed base at rest, or targets at the state, within limits."""
+        """Torques [steps, ..., n] that hold a fixed base's joints at rest, or targets at the state, within limits."""
         q, gravity = state.q, [x for _, x in self.scene.spec.of(Gravity)]
         held = q if self.control == "target" else torch.zeros_like(q)
         if self.control == "torque" and gravity and not self.scene.robot.floating:
@@ -211,6 +219,10 @@ class Passes(NamedTuple):
         scene, batch, count = problem.scene, like.shape[:-1], like.shape[:-1].numel()
         stage, stepped, fixed, shared = Stage(scene.spec, "step", problem.objective), {}, {}, {}
         scene.spec.require_inputs(inputs)
+        if problem.control in inputs:
+            raise ArgumentError(
+                f"{problem.control} is planned, found it among the other inputs; begin with it as torque"
+            )
         for name, x in {**scene.parameters, **problem.inputs(like), **inputs}.items():
             axes, x = stage.axes(name), x.detach().to(like)
             rest = tuple(x.shape[x.ndim - len(axes) :])
@@ -244,29 +256,34 @@ class Passes(NamedTuple):
 
     def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
-        problem, rows, scene = self.problem, len(damping), self.problem.scene
+        problem, scene, width = self.problem, self.problem.scene, self.size + self.problem.scene.n
         what = Knot(scene.spec, problem.objective, self.limits is not None)
-        limits = {} if self.limits is None else dict(zip(("lower", "upper"), self.limits, strict=True))
-        operations = length(scene)
-        if operations + 2 * (self.size + scene.n) ** 3 > LARGEST:
-            most = max(TOGETHER // (problem.steps * (self.size + scene.n) ** 2), 1)
-            if rows > most:
-                parts = [
-                    self.among(at).backward({n: x[:, at] for n, x in states.items()}, torque[:, at], damping[at])
-                    for at in torch.arange(rows, device=torque.device).split(most)
-                ]
-                return tuple([torch.cat(x, min(x[0].ndim - 2, 1)) for x in zip(*parts, strict=True)])
-            given = {**self.stepped, **self.fixed, **self.shared}
-            of = riccati.derived(what, operations <= riccati.COLUMNS, states, torque, given, scene.backend)
-            return riccati.backward(what, of, torque, damping[:, None], limits, scene.backend)
-        sizes = {"V": self.size * (self.size + 1) // 2, "v": self.size}
-        start = {name: torque.new_zeros(rows, size) for name, size in sizes.items()}
-        stepped, fixed = (
-            self.knots(states, torque),
-            {"damping": damping[:, None], **self.fixed, **self.shared, **limits},
-        )
+        if length(scene) + 2 * width**3 <= LARGEST:
+            return self._by_loop(what, states, torque, damping)
+        parts = []
+        for at in torch.arange(len(damping), device=damping.device).split(TOGETHER // (problem.steps * width**2) or 1):
+            of, near = self.among(at), {name: x[:, at] for name, x in states.items()}
+            given, whole = {**of.stepped, **of.fixed, **of.shared}, length(scene) <= riccati.COLUMNS
+            u, limits = torque[:, at], of.bounds()
+            derivatives = riccati.derived(what, whole, near, u, given, scene.backend)
+            parts.append(riccati.backward(what, derivatives, u, damping[at, None], limits, scene.backend))
+        gain, change, expected = zip(*parts, strict=True)
+        return torch.cat(gain, 1), torch.cat(change, 1), torch.cat(expected)
+
+    def bounds(self) -> dict[str, Tensor]:
+        """Limits by name; none, if there are none."""
+        return {} if self.limits is None else dict(zip(("lower", "upper"), self.limits, strict=True))
+
+    def _by_loop(
+        self, what: Knot, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Backward pass of one program that is a loop over the knots."""
+        problem, sizes = self.problem, {"V": self.size * (self.size + 1) // 2, "v": self.size}
+        start = {name: torque.new_zeros(len(damping), size) for name, size in sizes.items()}
+        stepped = self.knots(states, torque)
+        fixed = {"damping": damping[:, None], **self.fixed, **self.shared, **self.bounds()}
         repeated = Repeated(problem.steps, ("V", "v"), tuple(stepped), ("expected",), ends=True, backwards=True)
-        found = evaluate(what, {**start, **stepped, **fixed}, scene.backend, repeated=repeated)
+        found = evaluate(what, {**start, **stepped, **fixed}, problem.scene.backend, repeated=repeated)
         return found["gain"], found["change"], found["expected"]
 
     def forward(
@@ -284,8 +301,7 @@ class Passes(NamedTuple):
         else:
             policy = LinearForm(self.limits is not None, control)
             stepped |= dict(zip(STEPPED, (follow[0], torque, follow[1]), strict=True))
-            if self.limits is not None:
-                given |= {f"{POLICY}.{x}": y for x, y in zip(("lower", "upper"), self.limits, strict=True)}
+            given |= {f"{POLICY}.{name}": x for name, x in self.bounds().items()}
         what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)
         found = repeat(what, problem.steps, start, stepped, given, ("cost",), backend=problem.scene.backend)
         planned = found["planned"].view(torque.shape)  # one number of a task has no axis

@@ -70,12 +70,9 @@ def linearize(
         return _by_reverse_mode(scene, state, given, noise)
     given = scene._with_noise({**state.rows(), **given}, noise)
     constants(scene.robot)  # raises if they were changed in place
-    what, whole, double = (
-        Stage(scene.spec, "step", wrt=("torque",)),
-        length(scene) <= LARGEST,
-        scene.precision == "double",
-    )
-    return Linearization(*derivatives(what, {**given, **scene.parameters}, whole, scene.backend, double)[1:])
+    what, given = Stage(scene.spec, "step", wrt=("torque",)), {**given, **scene.parameters}
+    _, A, B = derivatives(what, given, length(scene) <= LARGEST, scene.backend, scene.precision == "double")
+    return Linearization(A, B)
 
 
 @constant_in_graphs
@@ -89,7 +86,7 @@ def length(scene: SceneModel) -> int:
 def derivatives(
     what: Stage, given: Mapping[str, Tensor], whole: bool, backend: BackendName | None, double: bool = False
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """State after a step and its derivatives A, B in the state and `what.wrt`, by a program of all columns or of one."""
+    """State after a step and its derivatives A, B in the state and `what.wrt`, by a program of all columns or one."""
     (control,) = what.wrt or ()
     if whole:
         found = evaluate(what, given, backend, double)

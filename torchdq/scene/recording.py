@@ -396,14 +396,8 @@ def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
             return [moved({of: [float(j == k) for j in range(width)]}) for k in range(width)]
 
         if "direction" in known:
-            row = iter(known["direction"])
-            blocks = {
-                "A": [
-                    moved(
-                        {of: [*islice(row, width)] for of, width in {**parts, **dict.fromkeys(what.wrt or ())}.items()}
-                    )
-                ]
-            }
+            row, widths = iter(known["direction"]), {**parts, **dict.fromkeys(what.wrt or ())}
+            blocks = {"A": [moved({of: [*islice(row, width)] for of, width in widths.items()})]}
         else:
             blocks = {"A": [x for part in parts for x in columns(part)], **{of: columns(of) for of in what.wrt or ()}}
         matrices = {of: [x for row in zip(*block, strict=True) for x in row] for of, block in blocks.items()}
