@@ -128,8 +128,9 @@ class Problem:
     def cost(self, state: State, torque: Tensor, **inputs: Tensor) -> Tensor:
         """Cost [...] of torques [steps, ..., n] that are applied from a state on, with other inputs of the scene."""
         steps: Any = {name: x.expand(self.steps, *x.shape[-state.q.ndim :]) for name, x in self.inputs(state.q).items()}
+        steps |= inputs
         _, rows = self.scene.rollout(
-            state, torque, task=self.objective, total="cost", ends=True, nonfinite="ignore", **steps, **inputs
+            state, torque, task=self.objective, total="cost", ends=True, nonfinite="ignore", **steps
         )
         return rows["cost"]
 
