@@ -13,7 +13,7 @@ of every step f: exact ones, with second derivatives of step and costs, which it
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -43,7 +43,7 @@ ROUNDING = 8.0  # units in the last place by which a torque that is held may dif
 
 
 @outside_of_graphs
-def differentiable(problem: Problem, state: State, plan: Plan, **inputs: Tensor) -> Plan:
+def differentiable(problem: Problem, state: State, plan: Plan, **inputs: Any) -> Plan:
     """Plan whose cost, torques and states have gradients: in the start, goals, weights, limits and the scene's tensors.
 
     The gradient of the cost is that with the torques held, by the envelope theorem, and takes one rollout. That of
@@ -238,7 +238,7 @@ def _displaced(name: str, row: Row, by: Row) -> Row:
     return [a + b + c for a, b, c in zip(row, first, second, strict=True)]
 
 
-def _apart(name: str, after: Rows, known: Rows) -> Row:
+def _apart(name: str, after: Mapping[str, Row], known: Rows) -> Row:
     """Displacement of a row from that of the state after the step, of poses to second order."""
     at = known[NEXT + name]
     return displacements(at, after[name]) if name in POSES else [a - b for a, b in zip(after[name], at, strict=True)]
