@@ -67,7 +67,8 @@ def inverse_kinematics(
         robot: the robot, with a fixed base.
         X: desired pose of the frame in the base frame, a dual quaternion [-, m], shape [..., 8].
         frame: name of the frame; None: the tip.
-        start: positions to begin with [rad or m], shape [..., n]; None: the middle of the limits.
+        start: positions to begin with [rad or m], shape [..., n]; None: the middle of the limits. Where it leads to no
+            solution, as from NaN, another start may find one that is far from it.
         expressed: axes of the error, "body", those of the frame, or "world", those of the base.
         axes: the components that count, "pose", "position", "orientation" or names among rx ry rz x y z; in axes of the
             frame without "rz" it may turn about its z axis. At most as many as the joints move independently.
