@@ -79,7 +79,7 @@ class Skeleton:
     The points are the base, every link's origin, the points on joint axes that are nearest to the origins, and ends: a
     link that carries no other ends at the end effector, at the last of its frames or, where these are at its origin, at
     its centre of mass. The contact points of a scene are balls. Bodies of links and objects are surfaces, and `sticks`
-    are the lines in place of which there is none. Of a batch it is the first.
+    are the lines that no body covers. Of a batch it is the first.
 
     >>> import torchdq
     >>> skeleton = Skeleton(torchdq.robots.load("two_link"))
@@ -130,7 +130,7 @@ class Skeleton:
         self.sticks = self._sticks([BASE, *(robot.frames[i].link for i in self._frames)])
 
     def _sticks(self, links: list[int]) -> list[tuple[int, int]]:
-        """Lines that are not in place of a body at least half as long; `links` are those of all points."""
+        """Lines of links whose bodies are less than half as long; `links` are those of all points."""
         points, X = self.placed(torch.zeros(self.robot.n))
         corners = dict[int, list[np.ndarray]]()
         for (i, _), p in zip(self.bodies, self._extremes(X), strict=True):

@@ -49,7 +49,7 @@ class Args:
     """Images of the film."""
     step: float = 2e-3
     """Step of the simulation [s]."""
-    quality: int = 40
+    quality: int = 28
     """Quality of the images, 1 to 100."""
     out: Path = Path("out")
     """Folder of the film."""

@@ -24,7 +24,6 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.envs import RobotVectorEnv
-from torchdq.envs.bodies import surface_of
 from torchdq.envs.manipulation import PERIOD, Pick
 from torchdq.envs.render import Skeleton
 from torchdq.objects import Ball, Box
@@ -87,8 +86,8 @@ def moves(figure: Figure, skeleton: Skeleton, at: np.ndarray, motion: Motion) ->
     grid = np.array([[(x * ALONG / 2 - REACH, -1.0, 0.0), (x * ALONG / 2 - REACH, 9.0, 0.0)] for x in range(-20, 22)])
     panel.add_collection(LineCollection(walk.project(grid, ZOOM)[0], linewidths=0.8, colors=films.FOG))
     drawn = films.Bodies(figure, (WIDTH, HEIGHT), partial(walk.project, zoom=ZOOM), arms.EYE / ZOOM, ZOOM * arms.FOCUS)
-    links, goal = [body for _, body in skeleton.bodies], [surface_of(Ball("goal", 1.0, radius=0.011))]
-    cubes = [[surface_of(Box("cube", 1.0, size=size))] for size in motion.size]
+    links, goal = [body for _, body in skeleton.bodies], [films.surface_of(Ball("goal", 1.0, radius=0.011))]
+    cubes = [[films.surface_of(Box("cube", 1.0, size=size))] for size in motion.size]
     X_WG = dq.from_pose(torch.tensor([1.0, 0.0, 0.0, 0.0]).double(), motion.goal.double())[:, None]
     near = walk.project(motion.goal.numpy() + at, ZOOM)[1][:, None]
     fog = 0.8 * (near - near.min()) / max(np.ptp(near), 1e-9)

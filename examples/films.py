@@ -14,8 +14,10 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.envs.bodies import Surface
+from torchdq.envs.bodies import Surface, surface_of
 from torchdq.envs.canvas import FINE, Canvas
+
+__all__ = ["Bodies", "card", "save", "surface_of"]
 
 LIGHT = np.array([-0.4, -0.5, 0.77])  # direction to it
 CARD, FOG, SLOW, FAST, CHOSEN, INK, QUIET = "#0d1b2a", "#1b2f45", "#5f8fb8", "#d3ecff", "#ffa62b", "#e6eef6", "#8fa3b8"
@@ -77,7 +79,7 @@ class Bodies:
         return self._clouds[key]
 
     def show(self, step: float) -> None:
-        """Show what was drawn, with dark lines around what is nearer by a step, and begin anew."""
+        """Show what was drawn, with dark lines around what is nearer by a step, and begin again."""
         dark = tuple(255 * x for x in to_rgb(CARD))
         self._picture.set_data(self._canvas.image(step, -1e3, dark))
         self._canvas = Canvas(self.size)

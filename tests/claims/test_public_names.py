@@ -156,7 +156,16 @@ def test_every_argument_is_documented_with_its_unit_or_by_the_function_that_has_
 # --- names in docs and examples --------------------------------------------------------------------------------------
 
 # about the inside of the package, for who extends it or reads the paper
-INSIDE = {"contributing.md", "paper.md", "10_paper_figures.py", "27_mppi.py", "34_turn.py", "35_hands_shac.py"}
+INSIDE_EXAMPLES = ("10_paper_figures", "27_mppi", "34_turn", "35_hands_shac")
+INSIDE = {
+    "contributing.md",
+    "paper.md",
+    "10_paper_figures.py",
+    "27_mppi.py",
+    "34_turn.py",
+    "35_hands_shac.py",
+    "films.py",
+}
 GAPS = {
     "Family",
     "GAP",
