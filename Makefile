@@ -4,19 +4,22 @@
 # make test-all    both, on all robots and random trees, recordings and sizes
 # make test-for    the tests that hold some files: make test-for FILES="torchdq/scene/state.py envs/walk.py"
 # make regenerate  writes everything anew that is generated: indices, messages, records of operations, pages
+# make prices      measures the tables of times of README and pages anew, one after the other; the machine should be quiet
 # make mutants     changes a copy of the sources in one place at a time; the suite must notice each mutant
 # make docs        the documentation as static pages, in out/site; open out/site/index.html
 # make dist        wheel and source archive, in dist/, as an index takes them
 # make clean       removes the virtual environment and everything that was built
 #
 # All but the last make their own virtual environment in .venv, once; they run again without installing anything.
-# Variables: PYTHON (3.11 or newer), TORCH (pip's arguments for torch), JOBS (test processes), ARGS (of the demo, of pytest
-# or of mutants.py).
+# Variables: PYTHON (3.11 or newer), TORCH (pip's arguments for torch), JOBS (test processes), ARGS (of the demo, of
+# pytest, of mutants.py or of the scripts of prices), PRICES (names of those scripts).
 
 PYTHON ?= python3
 TORCH ?= torch==2.13.0
 JOBS ?= auto
 ARGS ?=
+PRICES ?= peers envs batches rollouts compiled task_space inverse_kinematics export torch_files formulations \
+  accuracy_vs_time
 
 VENV := .venv
 RUN := $(VENV)/bin/python
@@ -25,7 +28,7 @@ PIP := $(RUN) -m pip --disable-pip-version-check install
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(RUN) -m pytest -n $(JOBS) --dist worksteal --durations=20
 DOCS := tests/docs torchdq
 
-.PHONY: demo test test-docs test-all test-for regenerate mutants docs dist clean
+.PHONY: demo test test-docs test-all test-for regenerate prices mutants docs dist clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/examples.installed
@@ -54,6 +57,9 @@ regenerate: $(VENV)/test.installed
 	$(RUN) benchmarks/environments.py --write
 	$(RUN) benchmarks/front_page.py --page
 	$(PYTEST) --update-messages
+
+prices: $(VENV)/test.installed
+	for name in $(PRICES); do $(RUN) benchmarks/$$name.py --page $(ARGS) || exit 1; done
 
 mutants: $(VENV)/test.installed
 	$(RUN) tests/mutants/mutants.py $(ARGS)

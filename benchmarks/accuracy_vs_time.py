@@ -3,8 +3,9 @@
     python benchmarks/accuracy_vs_time.py [--quick] [--full] [--scene NAME ...] [--json FILE] [--page] [--again]
 
 Trajectories by integrator, precision and step; forward dynamics by algorithm, precision and number of joints;
-gradients; effects; energy over a long time; products of poses; exponential and logarithm; backends. Writes the results,
-five plots and the numbers of docs/accuracy.md. `--again` measures nothing: it writes them anew from the results.
+gradients; effects; energy over a long time; products of poses; exponential and logarithm; backends; a motion and a
+gradient in other packages. Writes the results, six plots and the numbers of docs/accuracy.md. `--again` measures
+nothing: it writes them anew from the results.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ import sys
 import time
 import warnings
 from concurrent.futures import ProcessPoolExecutor
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import front_page
 import report
 import torch
 from accuracy import (
@@ -33,6 +36,7 @@ from accuracy import (
     forward,
     gradients,
     maps,
+    peers,
     plots,
     poses,
     recommended,
@@ -72,7 +76,7 @@ def measured(arguments: argparse.Namespace) -> dict[str, Any]:
 
     names = arguments.scene or [name for name in CASES if not (quick and name in SLOW)]
     results: dict[str, Any] = {
-        "machine": report.machine("scipy", "mpmath"),
+        "machine": report.machine("scipy", "mpmath", "mujoco", *(x for x in ("torchdiffeq",) if find_spec(x))),
         "commit": commit(),
         "flags": [x for x in sys.argv[1:] if x.startswith("--")],
         "omitted": [f"{name}: {why}" for name, why in SLOW.items() if name not in names and not arguments.scene],
@@ -96,6 +100,7 @@ def measured(arguments: argparse.Namespace) -> dict[str, Any]:
             "maps": maps.measured,
             "backends": backends.measured,
             "forward_dynamics": lambda quick: forward.measured(quick, arguments.full),
+            "peers": lambda quick: peers.measured(quick, truths["arm7"]),
         }
         for name, of in others.items():
             said(name.replace("_", " "))
@@ -126,8 +131,11 @@ def main() -> None:
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     report.into_json(arguments.json, **results)
     files = plots.draw(results, arguments.plots)
+    if results.get("peers"):
+        peers.PICTURE.write_text(peers.picture(results["peers"]), encoding="utf-8")
     omitted = results["omitted"] + [f"{s['scene']}: {why}" for s in results["trajectories"] for why in s["omitted"]]
-    omitted += [f"forward dynamics: {why}" for why in results.get("forward_dynamics", {}).get("omitted", ())]
+    for part in ("forward_dynamics", "peers"):
+        omitted += [f"{part.replace('_', ' ')}: {why}" for why in results.get(part, {}).get("omitted", ())]
     print(found, table.slopes(results), sep="\n\n")
     for title, items in (
         ("recommended", recommended.words(results.get("recommended", []))),
@@ -140,6 +148,7 @@ def main() -> None:
     print(f"\n{report.words(results['machine'])}, commit {results['commit']}, {results['seconds']:.0f} s")
     if arguments.page:
         report.into_page(findings.page(results), __file__, results["machine"])
+    front_page.follow(arguments)
 
 
 if __name__ == "__main__":

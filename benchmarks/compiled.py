@@ -29,6 +29,7 @@ from peers import urdf
 
 import torchdq
 from torchdq.backends.c import COMPILED
+from torchdq.envs import RobotVectorEnv
 from torchdq.scene.controllers import ComputedTorque
 
 FLAGS = ("-std=c99", "-O3", "-march=native", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
@@ -52,6 +53,9 @@ def calls_by_rows(rounds: int) -> dict[str, list[float]]:
         learned, weight = [y.clone().requires_grad_() for y in x], torch.rand_like(x[0])
         state = scene.start(x[0], x[1])
         numbers = [y.reshape(-1, 7)[0].numpy() for y in x]
+        pose = torchdq.forward_kinematics(robot, x[0], robot.tip)
+        envs, action = RobotVectorEnv(rows, "reach", "panda", max_episode_steps=None), torch.zeros(rows, 7)
+        envs.reset(seed=0)
         kinds: dict[str, Callable[[], object]] = {
             "pinocchio.rnea": lambda numbers=numbers: pin.rnea(model, data, *numbers),
             "torchdq.inverse_dynamics": lambda x=x: torchdq.inverse_dynamics(robot, *x),
@@ -62,16 +66,15 @@ def calls_by_rows(rounds: int) -> dict[str, list[float]]:
             "inverse_dynamics, forward and backward": lambda x=learned, weight=weight: torch.autograd.grad(
                 torchdq.inverse_dynamics(robot, *x), x, weight
             ),
+            "inverse_kinematics, from 0.02 rad away": lambda x=x, pose=pose: torchdq.inverse_kinematics(
+                robot, pose, start=x[0] + 0.02
+            ),
+            "RobotVectorEnv.step, Reach, Panda, float32": lambda envs=envs, action=action: envs.step(action),
         }
-        best = dict.fromkeys(kinds, float("inf"))
-        for _ in range(rounds):
-            for key, call in kinds.items():
-                begin = time.thread_time()
-                for _ in range(100):
-                    call()
-                best[key] = min(best[key], (time.thread_time() - begin) / 100)
-        for key, seconds in best.items():
-            found.setdefault(key, []).append(1e6 * seconds)
+        for key, nanoseconds in report.least(
+            {k: (call, 1) for k, call in kinds.items()}, rounds, shortest=5e-3
+        ).items():
+            found.setdefault(key, []).append(nanoseconds / 1e3)
     found["pinocchio.rnea"] = found["pinocchio.rnea"][:1]
     return found
 
@@ -113,12 +116,7 @@ def ratios(what: str | ComputedTorque, bits: int, compilers: list[str], rounds: 
             function = exported(torques, compiler, Path(folder))
             typed = [ctypes.c_size_t(SAMPLES), *map(ctypes.c_void_p, pointers)]
             runs[compiler] = lambda function=function, typed=typed: function(*typed)
-        best = dict.fromkeys(runs, float("inf"))
-        for _ in range(rounds):
-            for key, run in runs.items():
-                begin = time.perf_counter()
-                run()
-                best[key] = min(best[key], time.perf_counter() - begin)
+        best = report.least({key: (run, SAMPLES) for key, run in runs.items()}, rounds)
     return {compiler: best[compiler] / best["kernel"] for compiler in compilers}
 
 

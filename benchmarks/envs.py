@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -22,11 +23,10 @@ import numpy as np
 import report
 import torch
 from mujoco import rollout
-from peers import bare, urdf
+from peers import bare, timed, urdf
 
 import torchdq
 from torchdq import Scene, effects
-from torchdq.base.timing import measure
 from torchdq.envs import RobotVectorEnv, Simulation
 from torchdq.scene import integrators
 
@@ -41,9 +41,7 @@ class Row:
     what: str
     system: str
     dtype: str
-    nanoseconds: float  # per step of one arm, median
-    low: float  # 10 % and 90 % of the repeats
-    high: float
+    nanoseconds: float  # per step of one arm
 
 
 def mujoco_model(path: Path, integrator: int, dt: float, friction: bool) -> mujoco.MjModel:
@@ -102,9 +100,9 @@ def environment_steps(env: RobotVectorEnv):
     return lambda: env.step(action)
 
 
-def rows(found: dict[str, list[float]], what: str, dtype: str, steps: int = 1) -> list[Row]:
-    """Rows of what was measured."""
-    return [Row(what, system, dtype, *(x / steps for x in report.spread(times))) for system, times in found.items()]
+def alone(call: Callable[[], object], what: str, steps: int, seconds: float) -> Row:
+    """Row of torchdq in float32, of a call that makes so many steps."""
+    return Row(what, "torchdq", "float32", timed({"torchdq": call}, steps, seconds)["torchdq"])
 
 
 def steps_table(rows: list[tuple[str, float, float, float]]) -> str:
@@ -136,23 +134,22 @@ def main() -> None:
         calls = {x: mujoco_steps(mujoco_model(path, method, dt, friction)) for x, friction in peers.items()}
         for dtype in (torch.float64, torch.float32):
             calls[f"torchdq, {dtype}"] = torchdq_steps(Scene(robot, parts, integrator=integrator, dt=dt), dtype)
-        times = {system: report.spread(found) for system, found in measure(calls, BATCH * STEPS, seconds).items()}
+        times = timed(calls, BATCH * STEPS, seconds)
         what = f"step, {name}, gravity, damping, friction"
-        found += [Row(what, system, "float32" if "float32" in system else "float64", *x) for system, x in times.items()]
-        theirs, without = (times[system][0] for system in peers)
+        found += [Row(what, system, "float32" if "float32" in system else "float64", x) for system, x in times.items()]
+        theirs, without = (times[system] for system in peers)
         for dtype in ("float64", "float32"):
-            ours = times[f"torchdq, torch.{dtype}"][0]
-            compared.append((f"{name}, {dtype}", ours, theirs, without))
+            compared.append((f"{name}, {dtype}", times[f"torchdq, torch.{dtype}"], theirs, without))
 
     for task in ("reach", "track"):
         env = RobotVectorEnv(BATCH, task=task, robot=robot, effects=parts, action="torque", simulation=Simulation(DT))
-        (row,) = rows(measure({"torchdq": environment_steps(env)}, BATCH, seconds), f"environment, {task}", "float32")
+        row = alone(environment_steps(env), f"environment, {task}", BATCH, seconds)
         found.append(row)
         lines.append((f"{task} environment, steps per second, float32", f"{1e3 / row.nanoseconds:.1f} million"))
 
     scene = Scene(robot, parts, integrator=integrators.LinearlyImplicit(), dt=DT)
-    calls = {"torchdq": gradient_steps(scene, torch.float32, 20)}
-    (row,) = rows(measure(calls, BATCH, seconds), "gradient of a rollout of 20 steps", "float32", 20)
+    gradient = gradient_steps(scene, torch.float32, 20)
+    row = alone(gradient, "gradient of a rollout of 20 steps", 20 * BATCH, seconds)
     found.append(row)
     lines.append(("rollout of 20 steps with gradient in the torques, float32", f"{row.nanoseconds:.0f} ns per step"))
 

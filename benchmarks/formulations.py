@@ -28,7 +28,6 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.backends.c import COMPILED
-from torchdq.base.timing import measure
 from torchdq.dynamics.general import kinematics, rnea
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.posed import Row
@@ -49,9 +48,7 @@ class Formulation:
     program: Program
     dense: Cost | None = None  # whole matrices and dual quaternions, as the paper counts
     folded: Cost | None = None  # zeros and ones known
-    nanoseconds: float = math.nan  # per sample, median
-    low: float = math.nan  # 10 % and 90 % of the repeats
-    high: float = math.nan
+    nanoseconds: float = math.nan  # per sample
 
     @property
     def operations(self) -> tuple[int, int]:
@@ -230,10 +227,10 @@ def require_agreement(formulations: Sequence[Formulation], execute: Execute = co
 
 def time_all(formulations: Sequence[Formulation], seconds: float) -> None:
     """Put times into formulations that take turns."""
-    calls = {f.name: partial(compiled, f.program, inputs(f.program)) for f in formulations}
-    times = measure(calls, BATCH, seconds)
+    calls = {f.name: (partial(compiled, f.program, inputs(f.program)), BATCH) for f in formulations}
+    times = report.least(calls, 5, seconds * len(calls), shortest=0.01)
     for f in formulations:
-        f.nanoseconds, f.low, f.high = report.spread(times[f.name])
+        f.nanoseconds = times[f.name]
 
 
 # --- text ------------------------------------------------------------------------------------------------------------

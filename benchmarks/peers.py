@@ -1,4 +1,4 @@
-"""Speed beside the field's tools, in one run: medians and spreads per sample, and ratios.
+"""Speed beside the field's tools, in one run: least processor times per sample, and ratios.
 
     python benchmarks/peers.py [--quick] [--json FILE] [--page] [--threads N]
 
@@ -12,7 +12,6 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -32,9 +31,9 @@ import torch
 from accuracy.scenes import chain
 
 import torchdq
-from torchdq.base.timing import measure
 
 SECONDS = 1.0  # time of measuring per contender
+TURN = 0.01  # time of one's turn, long enough that the others' traces in the caches do not matter [s]
 
 
 @dataclass
@@ -48,9 +47,7 @@ class Row:
     batch: int
     threads: int
     system: str
-    nanoseconds: float  # per sample, median
-    low: float  # 10 % and 90 % of the repeats
-    high: float
+    nanoseconds: float  # per sample
     first_call: float | None  # [s], recording and compiling included
 
 
@@ -66,6 +63,13 @@ def bare(path: Path) -> ET.Element:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)
     return root
+
+
+def timed(
+    calls: dict[str, Callable], batch: int, seconds: float, clock: Callable[[], float] = time.process_time
+) -> dict[str, float]:
+    """Least time of every call per sample [ns], after so many seconds per call."""
+    return report.least({k: (call, batch) for k, call in calls.items()}, 5, seconds * len(calls), TURN, clock)
 
 
 class Task:
@@ -218,9 +222,9 @@ class Task:
                 contenders[name] = call
         rows = []
         dtype = str(self.q.dtype).removeprefix("torch.")
-        for name, times in measure(contenders, self.batch, seconds).items():
+        for name, time_of_one in timed(contenders, self.batch, seconds).items():
             case = (self.robot.name, self.robot.n, task, dtype, self.batch, self.threads)
-            rows.append(Row(*case, name, *report.spread(times), first.get(name)))
+            rows.append(Row(*case, name, time_of_one, first.get(name)))
         return rows
 
 
@@ -288,8 +292,8 @@ def comparisons(arm: Path, seconds: float) -> list[report.Comparison]:
     rows = []
     for task, peers in COMPARED:
         for package, other in peers(case, task).items():
-            times = measure({"ours": case.torchdq(task, "c"), package: other}, 4096, seconds)
-            rows.append(report.Comparison(task, *(statistics.median(times[key]) for key in ("ours", package)), package))
+            times = timed({"ours": case.torchdq(task, "c"), package: other}, 4096, seconds)
+            rows.append(report.Comparison(task, times["ours"], times[package], package))
     return rows
 
 
@@ -301,7 +305,7 @@ def summary(arm: Path, seconds: float) -> list[report.Line]:
 
     for task in ("inverse dynamics", "forward dynamics"):
         calls = {"double": case.torchdq(task, "c"), "single": single.torchdq(task, "c")}
-        times = {k: statistics.median(v) for k, v in measure(calls, 4096, seconds).items()}
+        times = timed(calls, 4096, seconds)
         lines.append((f"{task}, float32 against float64", f"{times['double'] / times['single']:.2f} x"))
 
     large = Task(arm, 65536, torch.float64, 1)
@@ -314,26 +318,21 @@ def summary(arm: Path, seconds: float) -> list[report.Line]:
 
         return run
 
-    times = measure({"one": with_threads(1), "two": with_threads(2)}, 65536, seconds)
+    # least times by the clock: where another program has the second core, both threads share the first
+    times = timed({"one": with_threads(1), "two": with_threads(2)}, 65536, 4 * seconds, time.perf_counter)
     torch.set_num_threads(1)
-    ratio = statistics.median(times["one"]) / statistics.median(times["two"])
-    lines.append(("inverse dynamics, two threads against one, batch 65536", f"{ratio:.2f} x"))
+    lines.append(("inverse dynamics, two threads against one, batch 65536", f"{times['one'] / times['two']:.2f} x"))
 
     per_joint = {}
     for n in (7, 14, 28, 42):
         layer = torchdq.DQRNEA(chain(n))
         x = torch.randn(3, 4096, n, dtype=torch.float64)
-        found = measure({"ours": lambda layer=layer, x=x: layer(*x)}, 4096, 0.5 * seconds)["ours"]
-        per_joint[n] = statistics.median(found) / n
+        per_joint[n] = timed({"ours": lambda layer=layer, x=x: layer(*x)}, 4096, 0.5 * seconds)["ours"] / n
     shown = ", ".join(f"{t:.1f} ns at n = {n}" for n, t in per_joint.items())
     spread = max(per_joint.values()) / min(per_joint.values())
     lines.append(
         ("inverse dynamics of a general chain, time per joint, longest over shortest", f"{spread:.2f} x ({shown})")
     )
-
-    one = Task(arm, 1, torch.float64, 1)
-    times = measure({"ours": one.torchdq("inverse dynamics", "c")}, 1, seconds)
-    lines.append(("one sample, one call, no gradient", f"{statistics.median(times['ours']) / 1e3:.1f} us"))
 
     load = f"robot = torchdq.Robot.from_urdf({str(arm)!r}, on_unphysical='ignore')"
     plain, warm = first_calls(load, False)
@@ -359,8 +358,8 @@ def summary(arm: Path, seconds: float) -> list[report.Line]:
 
 def table(rows: list[Row]) -> str:
     """Rows as text, with the ratio of every contender to compiled torchdq."""
-    lines = ["| robot | task | precision | batch | threads | system | ns per sample | 10-90 % | against torchdq c |"]
-    lines.append("|" + "---|" * 9)
+    lines = ["| robot | task | precision | batch | threads | system | ns per sample | against torchdq c |"]
+    lines.append("|" + "---|" * 8)
     for row in rows:
         same = [
             r
@@ -372,7 +371,7 @@ def table(rows: list[Row]) -> str:
         ratio = f"{row.nanoseconds / ours:.1f} x" if ours else ""
         lines.append(
             f"| {row.robot} ({row.joints}) | {row.task} | {row.dtype} | {row.batch} | {row.threads} | {row.system} | "
-            f"{row.nanoseconds:.1f} | {row.low:.1f} - {row.high:.1f} | {ratio} |"
+            f"{row.nanoseconds:.1f} | {ratio} |"
         )
     return "\n".join(lines)
 

@@ -37,14 +37,33 @@ def parser(document: str, quick: str, page: bool = True) -> argparse.ArgumentPar
     return found
 
 
-def least(calls: Mapping[str, tuple[Callable[[], object], int]], turns: int) -> dict[str, float]:
-    """Least processor times of calls that take turns [ns], each over a number that is given with it."""
-    best: dict[str, float] = {}
-    for _ in range(turns):
-        for name, (call, per) in calls.items():
-            begin = time.process_time()
+def least(
+    calls: Mapping[str, tuple[Callable[[], object], float]],
+    turns: int = 3,
+    seconds: float = 0.0,
+    shortest: float = 0.0,
+    clock: Callable[[], float] = time.process_time,
+) -> dict[str, float]:
+    """Least times of calls [ns], each over the number that is given with it; processor times, unless there are threads.
+
+    The calls take turns, at least so many and for at least so many seconds, so that load on the machine affects all of
+    them alike; the least time counts, since others only add to it. A turn lasts at least the shortest time [s].
+    """
+    repeats = dict.fromkeys(calls, 1)
+    for name, (call, _) in calls.items():
+        call()
+        begin = clock()
+        while clock() - begin < shortest:
             call()
-            best[name] = min(best.get(name, math.inf), (time.process_time() - begin) / per * 1e9)
+            repeats[name] += 1
+    best, end = dict.fromkeys(calls, math.inf), time.perf_counter() + seconds
+    while turns > 0 or time.perf_counter() < end:
+        turns -= 1
+        for name, (call, per) in calls.items():
+            begin = clock()
+            for _ in range(repeats[name]):
+                call()
+            best[name] = min(best[name], (clock() - begin) / repeats[name] / per * 1e9)
     return best
 
 
@@ -128,9 +147,15 @@ def between_marks(text: str, script: str, page: Path | None = None) -> None:
     page.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
+def source(script: str, facts: dict[str, str], how: str = "Measured on") -> str:
+    """Sentence on what measured a table, and where."""
+    verb, by = how.split()
+    return f"{verb} by `benchmarks/{Path(script).name}` {by}: {words(facts)}."
+
+
 def into_page(text: str, script: str, facts: dict[str, str], how: str = "Measured on") -> None:
-    """Write a text and the machine into the page of a script."""
-    between_marks(f"{text}\n\n{how}: {words(facts)}.", script)
+    """Write a text and its source into the page of a script."""
+    between_marks(f"{text}\n\n{source(script, facts, how)}", script)
 
 
 def words(facts: dict[str, str]) -> str:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-import statistics
 import sys
 import tempfile
 import time
@@ -31,12 +30,10 @@ import torch
 
 import torchdq
 from torchdq import floating
-from torchdq.base.timing import measure
 from torchdq.errors import TorchdqError, UnphysicalError
 
 STATES = 20
 BATCH = 4096
-CALLS = 100  # calls of Pinocchio in a row
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "tested-robots.md"
 USUAL = (
     "joint.fixed",
@@ -151,12 +148,10 @@ def examined(path: Path, base: str, seconds: float) -> Row:
         many = [x[:1].expand(BATCH, -1).contiguous() + 0.0 for x in (X, q, V, qd, A, qdd)]
         once = (configurations[0], motion[0][0], motion[1][0])
         calls = {
-            "nanoseconds": lambda: inverse(*many),
-            "pinocchio": lambda: [pin.rnea(reference.model, reference.data, *once) for _ in range(CALLS)],
+            "nanoseconds": (lambda: inverse(*many), BATCH),
+            "pinocchio": (lambda: pin.rnea(reference.model, reference.data, *once), 1),
         }
-        times = measure(calls, 1, seconds)
-    numbers["nanoseconds"] = statistics.median(times["nanoseconds"]) / BATCH
-    numbers["pinocchio"] = statistics.median(times["pinocchio"]) / CALLS
+        numbers |= report.least(calls, 5, seconds * len(calls), shortest=0.01)
     name = f"{'floating.' if free else ''}inverse_dynamics"
     count = torchdq.compile(robot, name).count()
     return Row(
@@ -227,7 +222,7 @@ def page(rows: list[Row], refused: list[tuple[str, str]], facts: dict[str, str])
             f"{remarks} |"
         )
     lines += ["", *[f"Refused: {file}: {why}" for file, why in refused]]
-    return "\n".join([*lines, "", f"Measured on: {report.words(facts)}.", ""])
+    return "\n".join([*lines, "", report.source(__file__, facts), ""])
 
 
 def main() -> None:

@@ -10,7 +10,6 @@ turns, and the least processor time counts, since others only add to it.
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -42,17 +41,8 @@ class Row(NamedTuple):
 
 
 def least(runs: list[Callable[[], object]], seconds: float) -> list[float]:
-    """Least processor time of each of some functions, which take turns."""
-    times: list[list[float]] = [[] for _ in runs]
-    for run in runs:
-        run()
-    end = time.perf_counter() + seconds
-    while time.perf_counter() < end or len(times[0]) < 3:
-        for run, found in zip(runs, times, strict=True):
-            begun = time.process_time()
-            run()
-            found.append(time.process_time() - begun)
-    return [min(found) for found in times]
+    """Least processor time of each of some functions, which take turns [s]."""
+    return [1e-9 * x for x in report.least({str(k): (run, 1) for k, run in enumerate(runs)}, 3, seconds).values()]
 
 
 def stepped(state: State, torque: Callable[[State, int], Tensor], steps: int) -> State:

@@ -2,14 +2,12 @@
 
     python benchmarks/task_space.py [--quick] [--json FILE] [--page]
 
-All functions take turns with two calls each, of which the second is timed: CPU time of the thread, checks of arguments
-included. The least time counts, since others only add to it.
+All functions take turns, and the least processor time counts, checks of arguments included.
 """
 
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -47,15 +45,9 @@ def functions(dtype: torch.dtype) -> dict[str, Callable[[], Tensor | tuple[Tenso
 
 def times(dtype: torch.dtype, rounds: int) -> dict[str, float]:
     """Least time of every function [ms]."""
-    known = functions(dtype)
-    found: dict[str, list[float]] = {name: [] for name in known}
-    for _ in range(rounds):
-        for name, function in known.items():
-            function()  # its memory and its code are in the caches then, as in a loop of control
-            begin = time.thread_time()
-            function()
-            found[name].append(1e3 * (time.thread_time() - begin))
-    return {name: min(row) for name, row in found.items()}
+    # some calls in a turn: memory and code are in the caches then, as in a loop of control
+    found = report.least({name: (call, 1) for name, call in functions(dtype).items()}, rounds, shortest=2e-3)
+    return {name: 1e-6 * time for name, time in found.items()}
 
 
 def main() -> None:

@@ -22,7 +22,6 @@ import torch
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.base.timing import medians
 
 VECTORS = {"cpp.enable_tiling_heuristics": False}  # torch's default leaves strided rows without vector instructions
 Layer = Callable[..., Tensor]
@@ -80,7 +79,8 @@ def rows(name: str, layer: nn.Module, dtype: torch.dtype, n: int, folder: Path, 
     times = []
     for size in (1, 4096):
         x = tuple(torch.randn(3, size, n, dtype=dtype))
-        times.append(medians([lambda call=call, x=x: call(*x) for call, _ in calls.values()], size, seconds))
+        ways = {way: (lambda call=call, x=x: call(*x), size) for way, (call, _) in calls.items()}
+        times.append(report.least(ways, 5, seconds * len(ways), shortest=0.01).values())
     expected = layer(*x)
     return [
         Row(name, str(dtype).removeprefix("torch."), way, made, one / 1e3, many, float(error))

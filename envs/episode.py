@@ -2,9 +2,9 @@
 
     actions -> act -> step of the scene with the task (-> functions of a `TorchTask`) -> end -> undo -> begin
 
-A step of environments is their chain without `begin`, as one call, or one link after the other where functions of torch
-are among them. A rollout repeats the chain in one call, with a recorded policy before it and `begin` after it. Each
-link is a program of its own, so that all have bitwise the same results.
+A step of environments is their chain up to `end`, as one call, or one link after the other where functions of torch are
+among them; `undo` follows only if a row has failed. A rollout repeats the whole chain in one call, with a recorded
+policy before it and `begin` after it. Each link is a program of its own, so that all have bitwise the same results.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class Block(_BlockFields, Computation):
     def results(self, program: Program) -> tuple[Shape, ...]:
         """Trailing axes of the results: none of flags and numbers of the task."""
         sizes = [(r.name, len(r.values)) for r in program.results]
-        rows = dict(self.own) | {NOW + name: axes for name, axes in self.own if name in HELD}
+        rows = dict(self.own) | {y + name: axes for name, axes in self.own if name in HELD for y in (AFTER, NOW)}
         rows |= {"action": (len(self.form.meaning.names),), GIVEN + "over": (len(self.form.pushes),)}
         return tuple([rows.get(name, () if size == 1 else (size,)) for name, size in sizes])
 
@@ -220,15 +220,17 @@ def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
     judged = {"finite": GIVEN + "finite", "steps": "steps", "limit": "limit"}
     rule(end, {**{name: AFTER + name for name in JUDGED}, **judged})
     left = [name for name in rows if name not in JUDGED]
+    wanted: tuple[str, ...] = (GIVEN + "clipped", "flags", "reward")
+    if what.network is None:
+        pushes = [GIVEN + x for push in what.form.pushes for x in (THEN + push, "over")]
+        wanted = ("elapsed", *wanted, *[AFTER + name for name in left], *dict.fromkeys(pushes))
+        return Chain(f"step_{name}", arguments, tuple(links), wanted)
     before = {f"before {name}": name for name in left if name in HELD}
     held = {name: NOW + name for name in HELD}
     rule(undo, {STEP_FLAGS: "flags", **before, **{name: AFTER + name for name in left}}, INFO, held)
-    wanted = (GIVEN + "clipped", "flags", "reward", *links[-1].gives)
-    if what.network is None:
-        pushes = [GIVEN + x for push in what.form.pushes for x in (THEN + push, "over")]
-        return Chain(f"step_{name}", arguments, tuple(links), ("elapsed", *wanted, *dict.fromkeys(pushes)))
-    wanted = ("action", *[name for name in wanted if name not in held.values()], NOW + "observation")
+    task = [INFO + name for name in left if name not in HELD]
     now = {x: next(y for y in (NOW + x, GIVEN + THEN + x, x) if y in known) for x in what.carried}
     counted = {"flags": "flags", "elapsed": "elapsed", "used": "used", "over": GIVEN + "over"}
     rule(begin, {**counted, **now, **{NEXT + x: NEXT + x for x in what.carried}})
-    return Chain(f"block_{name}", arguments, tuple(links), (*wanted, *links[-1].gives))
+    wanted = ("action", *wanted, NOW + "observation", *task, *links[-1].gives)
+    return Chain(f"block_{name}", arguments, tuple(links), wanted)

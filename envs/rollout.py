@@ -14,7 +14,9 @@ from torchdq.backends.loop_call import repeat
 from torchdq.base.checks import require_tensor
 from torchdq.envs.actions import SHARE, Meaning
 from torchdq.envs.episode import (
+    AFTER,
     GIVEN,
+    HELD,
     INFO,
     JUDGED,
     NEXT,
@@ -140,19 +142,22 @@ class Steps:
             after |= streams.with_column(NOISE, drawn)._asdict()
         at_once = self.at_once and host.synchronises and not dispatching()
         rows = self._at_once(given) if at_once else self._by_links(given, host, waiting)
-        failed, terminated, truncated, done = (rows.pop("flags") != 0).unbind(1)
-        if (ends := host.any(done)) and host.synchronises:
-            self.form.meaning.require_finite(actions)
+        flags = rows.pop("flags")
+        failed, terminated, truncated, done = (flags != 0).unbind(1)
         info = {"clipped": rows.pop(GIVEN + "clipped").to(torch.int64), "nonfinite": failed}
         reward, after["steps"] = rows.pop("reward"), rows.pop("elapsed")
         if reset.pushes:
             after |= {push: rows.pop(GIVEN + THEN + push) for push in reset.pushes}
             after = reset.with_spares(after, (rows.pop(GIVEN + "over") != 0).unbind(1), host)
+        rows = {name.removeprefix(AFTER): x for name, x in rows.items()}
+        if (ends := host.any(done)) and host.any(failed):
+            if host.synchronises:
+                self.form.meaning.require_finite(actions)
+            own = {STEP_FLAGS: flags, **{f"before {x}": buffers[x] for x in HELD if x in rows}, **rows}
+            rule = Rule(undo, self.form, tuple([(name, tuple(x.shape[1:])) for name, x in own.items()]))
+            rows = evaluate(rule, own, scene.backend)
         for name, x in rows.items():
-            if name.startswith(INFO):
-                info[name.removeprefix(INFO)] = x
-            else:
-                after[name.removeprefix(NOW)] = x
+            (after if name in HELD else info)[name] = x
         return Step(after, reward, terminated, truncated, done, ends, info)
 
     def _at_once(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -183,16 +188,8 @@ class Steps:
             judged["valid"] = judged["valid"].masked_fill(waiting, 0.0)
         judged |= {"finite": acted["finite"], "steps": given["steps"], "limit": given["limit"]}
         ended = evaluate(self.end, judged, scene.backend)
-        held = {**state.rows(), **{name: rows.pop(name) for name in KEPT if name in rows}}
-        failed = ended["flags"].select(1, 0) != 0
-        if host.any(failed):
-            own = {STEP_FLAGS: ended["flags"], **{f"before {x}": given[x] for x in held}, **held, **rows}
-            rule = Rule(undo, self.form, tuple([(name, tuple(x.shape[1:])) for name, x in own.items()]))
-            rows = evaluate(rule, own, scene.backend)
-            held = {name: rows.pop(name) for name in held}
-        passed = {GIVEN + name: x for name, x in acted.items() if name.startswith(THEN) or name in ("clipped", "over")}
-        found = {**{NOW + name: x for name, x in held.items()}, **{INFO + name: x for name, x in rows.items()}}
-        return {**ended, **passed, **found}
+        found = {GIVEN + name: x for name, x in acted.items() if name.startswith(THEN) or name in ("clipped", "over")}
+        return {**ended, **found, **{AFTER + name: x for name, x in {**state.rows(), **rows}.items()}}
 
     def rollout(
         self, buffers: Mapping[str, Tensor], policy: Network, steps: int, noise: Tensor | None, unit: float

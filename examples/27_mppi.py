@@ -17,29 +17,14 @@ import torch
 import tyro
 
 import torchdq
-from torchdq import Scene, dq, effects
-from torchdq.envs.tasks import tip
+from torchdq import Scene, dq, effects, optimal
 
 ROBOT = torchdq.robots.load("panda")
 HOME = torch.tensor([0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.8])
 TIP = ROBOT.end_effector().name
 GOAL = torch.tensor([0.3, 0.4, 0.6])  # [m]
 SCENE = Scene(ROBOT, (effects.Gravity(), effects.Viscous(2.0)), dt=0.02)
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Squared distance of the tip from the goal, and squared velocities."""
-
-    def inputs(self, n):
-        """Names and widths of the inputs."""
-        return {"goal": 3}
-
-    def rows(self, view):
-        """Cost of a state."""
-        at = tip(view.scene.spec.robot, view.posed(view.q))
-        squared = sum((a - b) * (a - b) for a, b in zip(at, view.inputs["goal"], strict=True))
-        return {"cost": [1000.0 * squared + 0.1 * sum(v * v for v in view.qd)]}
+COSTS = [optimal.Point(TIP, GOAL, 2000.0), optimal.Speeds(0.2)]
 
 
 @dataclass
@@ -65,21 +50,14 @@ class Found(NamedTuple):
 
 def main(args: Args) -> Found:
     """Control the arm, and print where its tip is."""
-    torch.manual_seed(0)
+    method = optimal.MPPI(args.samples, args.spread, temperature=args.temperature)
+    mpc = optimal.Receding(optimal.Problem(SCENE, args.horizon, COSTS), method=method)
     state, times = SCENE.start(HOME), []
-    hold = torchdq.inverse_dynamics(ROBOT, HOME, 0 * HOME, 0 * HOME)
-    plan, goal = hold.repeat(args.horizon, 1), GOAL.expand(args.horizon, 3)
-    noise = args.spread * torch.randn(args.horizon, 2 * args.samples, ROBOT.n)  # drawn once: it takes as long as a tick
     for k in range(args.ticks):
-        begun, first = time.perf_counter(), int(torch.randint(args.samples, ()))
-        torque = plan[:, None] + noise[:, first : first + args.samples]
-        _, rows = SCENE.rollout(state, torque, task=Cost(), goal=goal, total=("cost",), ends=True)
-        cost = rows["cost"].nan_to_num(torch.inf)
-        weight = torch.softmax((cost.min() - cost) / args.temperature, 0)
-        plan = torch.einsum("s,hsn->hn", weight, torque)
-        state = SCENE.step(state, plan[0])
-        plan = torch.cat([plan[1:], plan[-1:]])
+        begun = time.perf_counter()
+        torque, _ = mpc(state)
         times.append(time.perf_counter() - begun)
+        state = SCENE.step(state, torque)
         distance = float((dq.translation(torchdq.forward_kinematics(ROBOT, state.q, TIP)) - GOAL).norm())
         if k % 10 == 9:
             print(f"{(k + 1) * SCENE.dt:4.1f} s: the tip is {100 * distance:5.1f} cm from the goal")

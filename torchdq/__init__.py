@@ -69,6 +69,7 @@ Simulation and learning:
     effects                 gravity, friction, motors, sensors, contact and others
     objects                 free bodies that robots push, grasp and lift
     scene                   scene.integrators, scene.controllers, scene.policies, scene.State
+    optimal                 trajectories, gains and receding horizons of least cost, within limits
     envs                    gymnasium environments
     learning                logs, identification, training of residuals
 
@@ -129,7 +130,7 @@ from torchdq.task_space import (
 )
 
 if TYPE_CHECKING:
-    from torchdq import envs, learning, scene
+    from torchdq import envs, learning, optimal, scene
     from torchdq.recommend import recommend_settings
     from torchdq.scene import Scene
 
@@ -189,6 +190,7 @@ __all__ = [
     "objects",
     "operational_space",
     "operational_space_control",
+    "optimal",
     "potential_energy",
     "recommend_settings",
     "regressor",
@@ -241,6 +243,10 @@ def __getattr__(name: str) -> object:
         import torchdq.learning as learning
 
         return learning
+    if name == "optimal":
+        import torchdq.optimal as optimal
+
+        return optimal
     if name == "scene":
         import torchdq.scene as scene
 

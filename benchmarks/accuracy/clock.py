@@ -1,8 +1,7 @@
-"""Times of calls: warmed up, repeated, median and quartiles."""
+"""Processor times of calls: warmed up, repeated, the least of them."""
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -13,30 +12,27 @@ WARM_UPS, LONG, TURN = 3, 0.2, 1e-3  # calls; seconds after which one is enough;
 class Time(NamedTuple):
     """Nanoseconds."""
 
-    nanoseconds: float  # median
-    low: float  # quartiles
-    high: float
+    nanoseconds: float  # the least, since others only add to it
     repeats: int
 
     def times(self, factor: float) -> Time:
         """All of it so many times."""
-        return Time(self.nanoseconds * factor, self.low * factor, self.high * factor, self.repeats)
+        return Time(self.nanoseconds * factor, self.repeats)
 
 
 def clock(call: Callable[[], object], samples: int, repeats: int = 20) -> Time:
-    """Time of a call per sample."""
+    """Processor time of a call per sample."""
     for _ in range(WARM_UPS):
-        start = time.perf_counter()
+        start = time.process_time()
         call()
-        once = time.perf_counter() - start
+        once = time.process_time() - start
         if once > LONG:
             break
     inner = max(1, int(TURN / max(once, 1e-7)))
     found = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         for _ in range(inner):
             call()
-        found.append((time.perf_counter() - start) / inner / samples * 1e9)
-    low, _, high = statistics.quantiles(found, n=4)
-    return Time(statistics.median(found), low, high, repeats)
+        found.append((time.process_time() - start) / inner / samples * 1e9)
+    return Time(min(found), repeats)

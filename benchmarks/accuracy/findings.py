@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-from accuracy import fits, table
+from accuracy import fits, peers, table
 
 KINKS = "rough"  # the scene that is not smooth
 SCENES = (("arm7", "the seven-joint arm, smooth motion"), ("servo", "the same arm under stiff servos"))
@@ -13,7 +13,13 @@ SCENES = (("arm7", "the seven-joint arm, smooth motion"), ("servo", "the same ar
 
 def page(results: dict[str, Any]) -> str:
     """Text of docs/accuracy.md that is made of numbers."""
-    return "\n\n".join([table.advice(results), choices(results), "\n".join(f"* {x}" for x in sentences(results))])
+    found = [
+        table.advice(results),
+        choices(results),
+        "\n".join(f"* {x}" for x in sentences(results)),
+        peers.page(results),
+    ]
+    return "\n\n".join(x for x in found if x)
 
 
 def choices(results: dict[str, Any]) -> str:

@@ -23,8 +23,7 @@ from accuracy.rows import LONG, exact, joined, split
 from accuracy.scenes import chain, single
 from accuracy.textbook import Textbook, solved
 from torchdq.errors import SingularInertiaError
-from torchdq.functions import catalogue as recipes
-from torchdq.functions.recipe import RecipeInputs
+from torchdq.functions import formulas, recipe
 from torchdq.program.program import Argument, Program, record
 
 Array = np.ndarray
@@ -35,32 +34,32 @@ CLOSED = 42  # the closed form multiplies matrices of screws
 
 
 def evaluated(
-    recipe: Callable, robot: torchdq.Robot, dtype: Any, *options: Any, given: Any = None, **arguments: Array
+    formula: Callable, robot: torchdq.Robot, dtype: Any, *options: Any, given: Any = None, **arguments: Array
 ) -> dict[str, Array]:
-    """Results of a recipe on rows of a precision; `given` are the robot's numbers, if not its own float64."""
+    """Results of a formula on rows of a precision; `given` are the robot's numbers, if not its own float64."""
     rows = {name: split(x.astype(dtype)) for name, x in arguments.items()}
     with np.errstate(all="ignore"):
-        found = recipe(RecipeInputs(robot, rows, given or {}, ()), *options)
+        found = formula(recipe.RecipeInputs(robot, rows, given or {}, ()), *options)
     return {name: joined([0.0 if y is None else y for y in row]) for name, row in found.items()}
 
 
 def solving(robot: torchdq.Robot, dtype: Any, linear: bool, q: Array, qd: Array, tau: Array) -> Array:
     """Accelerations by the mass matrix and its factors, or by articulated bodies."""
-    return evaluated(recipes.forward_dynamics, robot, dtype, linear, q=q, qd=qd, tau=tau)["qdd"]
+    return evaluated(formulas.forward_dynamics, robot, dtype, linear, q=q, qd=qd, tau=tau)["qdd"]
 
 
 def checked(robot: torchdq.Robot, cubic: int, q: Array, qd: Array, tau: Array) -> Array:
     """Accelerations by the most precise means that shares nothing with the textbook."""
     if robot.n <= cubic:
         numbers = {name: tuple(x.ravel()) for name, x in exact(robot).items()}
-        return evaluated(recipes.forward_dynamics, robot, LONG, False, given=numbers, q=q, qd=qd, tau=tau)["qdd"]
+        return evaluated(formulas.forward_dynamics, robot, LONG, False, given=numbers, q=q, qd=qd, tau=tau)["qdd"]
     # articulated bodies take time linear in the joints, but the constants of their frames are float64
     return solving(robot, LONG, True, q, qd, tau)
 
 
 def closed(robot: torchdq.Robot, dtype: Any, q: Array, qd: Array, tau: Array) -> Array:
     """Accelerations by the paper's closed form and Cholesky's factors."""
-    terms = evaluated(recipes.closed_form, robot, dtype, "", q=q, qd=qd)
+    terms = evaluated(formulas.closed_form, robot, dtype, "", q=q, qd=qd)
     M, rest = terms["M"].reshape(*q.shape, q.shape[-1]), tau.astype(dtype) - terms["c"] - terms["g"]
     factor = torch.linalg.cholesky(torch.from_numpy(np.asarray(M, dtype)))
     b = torch.from_numpy(np.ascontiguousarray(rest, dtype))[..., None]
@@ -69,7 +68,7 @@ def closed(robot: torchdq.Robot, dtype: Any, q: Array, qd: Array, tau: Array) ->
 
 def torques(robot: torchdq.Robot, dtype: Any, q: Array, qd: Array, qdd: Array) -> Array:
     """Inverse dynamics."""
-    return evaluated(recipes.inverse_dynamics, robot, dtype, q=q, qd=qd, qdd=qdd)["tau"]
+    return evaluated(formulas.inverse_dynamics, robot, dtype, q=q, qd=qd, qdd=qdd)["tau"]
 
 
 def refined(robot: torchdq.Robot, linear: bool, times: int, q: Array, qd: Array, tau: Array) -> Array:
@@ -130,7 +129,7 @@ def measured(quick: bool, full: bool) -> dict[str, Any]:
         agreement = float(relative(checked(robot, cubic, q, qd, tau), truth).max())
         d = 1 / np.sqrt(np.einsum("...ii->...i", M))
         scaled = np.linalg.cond((d[..., :, None] * M * d[..., None, :]).astype(float)).max()
-        growth = evaluated(recipes.error_growth, robot, np.float64, True, q=q)["growth"].max()
+        growth = evaluated(formulas.error_growth, robot, np.float64, True, q=q)["growth"].max()
         rounded = torques(robot, np.float64, q, qd, truth.astype(np.float32).astype(np.float64))
         guides.append(
             {
@@ -207,14 +206,14 @@ def _unwatched(robot: torchdq.Robot, given: tuple[str, ...]) -> Program:
 
 def _linear_is_cheaper(robot: torchdq.Robot) -> bool:
     """True if articulated bodies count fewer operations than the mass matrix, where both are considered."""
-    if robot.n < recipes.LONG:
+    if robot.n < recipe.LONG:
         return False
     arguments = [Argument(name, robot.n) for name in ("q", "qd", "tau")]
 
     def count(linear: bool) -> int:
         def algorithm(*rows: Any) -> dict[str, Any]:
             given = dict(zip(("q", "qd", "tau"), rows, strict=True))
-            return recipes.forward_dynamics(RecipeInputs(robot, given, {}, ()), linear)
+            return formulas.forward_dynamics(recipe.RecipeInputs(robot, given, {}, ()), linear)
 
         return record("count", arguments, algorithm).count().total
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from accuracy import fits
+from accuracy import fits, peers
 from accuracy.clock import clock
 from accuracy.rows import LONG, Formulas
 from accuracy.scenes import arm7
@@ -24,6 +24,7 @@ from torchdq import Scene
 from torchdq.scene import integrators
 
 STEPS, DT, SEGMENT = 50, 1 / 256, 10
+EPSILON = 1e-4  # the best of MuJoCo's differences
 BATCH = {"eager": 64, "compiled": 4096}  # samples of a timed call
 Array = np.ndarray
 
@@ -113,6 +114,7 @@ def measured(quick: bool) -> dict[str, Any]:
         best = min(tried, key=tried.__getitem__)
         ways: dict[str, tuple[Callable[[Tensor], Tensor], int, float | None]] = {
             "compiled reverse": (lambda y: reverse(scene, y), BATCH["compiled"], kept(scene, small)),
+            "compiled reverse, one arm": (lambda y: reverse(scene, y), 1, None),
             "compiled reverse, checkpointed": (
                 lambda y: reverse(scene, y, SEGMENT),
                 BATCH["compiled"],
@@ -141,4 +143,13 @@ def measured(quick: bool) -> dict[str, Any]:
                     "step": best if way.startswith("finite") else None,
                 }
             )
+    others = {
+        "Pinocchio, derivatives of every step": (lambda y: peers.by_pinocchio(y, STEPS, DT), None),
+        "MuJoCo, finite differences of every step": (lambda y: peers.by_mujoco(y, STEPS, DT, EPSILON), EPSILON),
+    }
+    for way, (call, step) in others.items():
+        errors = fits.judged(fits.relative(call(x.numpy()), exact), 10 * agreement)
+        time = clock(lambda call=call: call(x.numpy()), len(x))._asdict()
+        found = {"way": way, "precision": "float64", **errors, **time, "batch": 1, "bytes": None, "step": step}
+        points.append(found)
     return {"steps": STEPS, "dt": DT, "agreement": agreement, "points": points}

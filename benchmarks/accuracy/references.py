@@ -85,7 +85,7 @@ def pinocchio_model(robot: Robot, gravity: Sequence[float] | None) -> pin.Model:
     return model
 
 
-def dop853(case: Case, samples: int) -> Array:
+def dop853(case: Case, samples: int, rtol: float = 1e-13, atol: float = 1e-13) -> Array:
     """States of the first samples by Pinocchio's accelerations and scipy's DOP853, in double precision."""
     model, n, T = pinocchio_model(case.robot, case.gravity), case.robot.n, case.horizon / PERIODS
     data, states = model.createData(), []
@@ -98,7 +98,7 @@ def dop853(case: Case, samples: int) -> Array:
                 q, qd = y[:n], y[n:]
                 return np.concatenate([qd, pin.aba(model, data, q, qd, torque + case.forces(q, qd))])
 
-            y = solve_ivp(rates, (0.0, T), y, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+            y = solve_ivp(rates, (0.0, T), y, method="DOP853", rtol=rtol, atol=atol).y[:, -1]
         states.append(y)
     return np.array(states)
 

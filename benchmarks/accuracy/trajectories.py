@@ -85,7 +85,7 @@ def _point(
         "steps": steps,
         "size": size,
         **fits.judged(fits.relative(end.numpy().astype(LONG), truth.state), truth.floor),
-        **{name: each and steps * getattr(each, name) for name in ("nanoseconds", "low", "high")},
+        "nanoseconds": each and steps * each.nanoseconds,
         "per_step": each and each.nanoseconds,
     }
 

@@ -10,6 +10,7 @@ import io
 import json
 import re
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import NamedTuple
 
 import matplotlib
@@ -65,15 +66,17 @@ class Curve(NamedTuple):
     x: Sequence[float] | np.ndarray
     y: Sequence[float] | np.ndarray
     range: tuple[Sequence[float], Sequence[float]] | None = None  # lowest and highest y
+    look: tuple[str, str] | None = None  # colour and line; None: those of its place in `LOOKS`
+    marker: str = ""  # of its points
 
 
 class Picture(NamedTuple):
-    """Up to three curves over one axis, by the words of the legend."""
+    """Curves over one axis, by the words of the legend: up to three, or more that have looks of their own."""
 
     x: str  # label of the axis, with a unit
     y: str
     curves: Mapping[str, Curve]
-    log: bool = False  # whether y is on a logarithmic scale
+    log: str = ""  # axes with a logarithmic scale: "y", "xy"
 
 
 def svg(picture: Picture, *others: Picture) -> str:
@@ -82,15 +85,17 @@ def svg(picture: Picture, *others: Picture) -> str:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(SIZE[0], len(pictures) * SIZE[1]), layout="constrained")
         for k, one in enumerate(pictures):
-            scale = "log" if one.log else "linear"
-            axes = figure.add_subplot(len(pictures), 1, k + 1, xlabel=one.x, ylabel=one.y, yscale=scale)
-            for (words, curve), look in zip(one.curves.items(), LOOKS, strict=False):
-                colour, line = OTHER if words in REFERENCES else look
-                axes.plot(curve.x, curve.y, line, color=LIGHT[colour], label=words if k == 0 else None)
+            scales = {f"{axis}scale": "log" if axis in one.log else "linear" for axis in "xy"}
+            axes = figure.add_subplot(len(pictures), 1, k + 1, xlabel=one.x, ylabel=one.y, **scales)
+            for (words, curve), look in zip(one.curves.items(), cycle(LOOKS)):
+                colour, line = curve.look or (OTHER if words in REFERENCES else look)
+                style = {"color": LIGHT[colour], "marker": curve.marker, "markersize": 5}
+                axes.plot(curve.x, curve.y, line, **style, label=words if k == 0 else None)
                 if curve.range is not None:
                     axes.fill_between(curve.x, *curve.range, color=LIGHT[colour], alpha=0.2, linewidth=0)
         if len(picture.curves) > 1:
-            figure.legend(loc="outside upper left", ncols=3)
+            crowded = {"fontsize": 10, "columnspacing": 1.2, "handlelength": 2.6} if len(picture.curves) > 3 else {}
+            figure.legend(loc="outside upper left", ncols=3, **crowded)
         file = io.StringIO()
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     text = file.getvalue()

@@ -15,9 +15,10 @@ from helpers import thinned
 from loops import parts, step, tensors
 
 import torchdq
+from torchdq.backends.backend import contiguous
 from torchdq.backends.c import COMPILED
 from torchdq.backends.cuda import CUDA
-from torchdq.backends.fast_call import FAST, fast_call, learn, quick
+from torchdq.backends.fast_call import FAST, Forms, fast_call, learn, quick
 from torchdq.backends.loop_call import repeat
 from torchdq.backends.torch import EAGER
 from torchdq.errors import ArgumentError, DtypeError
@@ -41,10 +42,10 @@ def rows(program, *batch, dtype=F64, seed=0):
 def fast(program, *batch, out=False):
     """Fast call of a program with rows of a batch."""
     recorded = program.program
-    shapes = tuple([(*batch, a.width) for a in recorded.arguments])
-    results = tuple([(*batch, len(r.values)) for r in recorded.results])
+    inputs = tuple([contiguous((*batch, a.width), program.dtype) for a in recorded.arguments])
+    results = tuple([contiguous((*batch, len(r.values)), program.dtype) for r in recorded.results])
     names = tuple([r.name for r in recorded.results])
-    return fast_call(recorded, program.dtype, shapes, results, names, math.prod(batch), out=out).function
+    return fast_call(recorded, Forms(inputs, results, names, math.prod(batch), out=out)).function
 
 
 def listed(found):
@@ -183,7 +184,8 @@ def test_calls_of_other_backends_stay_with_them():
     """Programs of a GPU are not compiled for the CPU, nor run there."""
     call, keys = compiled(robot="two_link"), ("C", "eager", "cuda")
     for key, backend in zip(keys, (COMPILED, EAGER, CUDA), strict=True):
-        learn(key, backend, call.program, F64, list(torch.rand(3, 2, dtype=F64)), ["tau"], [(2,)], 1)
+        forms = Forms.of(list(torch.rand(3, 2, dtype=F64)), [(2,)], F64, ("tau",), 1)
+        learn(key, backend, call.program, 1, 1, lambda forms=forms: forms)
     assert [key in FAST for key in keys] == [True, False, False]
 
 
@@ -197,6 +199,13 @@ def test_absent_arguments_are_told_apart(learns):
         torch.testing.assert_close(torchdq.inverse_dynamics(robot, q, None, qdd), at_rest)
         torch.testing.assert_close(torchdq.inverse_dynamics(robot, q, qd), still)
         torch.testing.assert_close(torchdq.inverse_dynamics(robot, q[:1], None, qdd[:1]), at_rest[:1])
+
+
+def test_an_axis_of_one_number_may_have_any_stride():
+    call = compiled(robot="two_link")
+    inputs = [torch.rand(2, dtype=F64).as_strided((1, 2), (stride, 1)) for stride in (0, 1, 7)]
+    found = [call(*inputs) for _ in range(2)]
+    assert torch.equal(*found) and quick((call.program, F64, 0), inputs)[2] is not None
 
 
 @pytest.mark.parametrize("function", TWO)

@@ -33,7 +33,7 @@ FLOORS = rows(
     "torchdq",
     """findings | errors | base algebra numbers | dynamics program | backends | export dq | convert robot | functions
     | objects | control effects | functional closures task_space pose_solver functions.compile | floating scene paper
-    | layers | layers.residual recommend | nn envs | learning | . | command | __main__""",
+    | layers | layers.residual recommend optimal | nn envs | learning | . | command | __main__""",
 )
 # storeys of the packages that have several: files that a row does not name are on the first
 STOREYS = {
@@ -49,6 +49,7 @@ STOREYS = {
         """| logs excitation.limits | evaluation | identification fit rollout | bodies evaluate
         | plots | excitation | .""",
     ),
+    **rows("torchdq.optimal", "| knot | riccati | problem | sampling | ilqr | ."),
     # outcomes, options that commands share, the commands, the command line
     **rows("torchdq.command", "|| command | report bench identify scene accuracy export view cost doctor | main | ."),
 }

@@ -179,6 +179,8 @@ MISTAKES = [
     (("id", "arm.urdf", "log.csv+./log.csv"), "there are several columns"),
     (("id", "arm.urdf", "bare.csv"), "--columns time 1 q {2} qd {4} tau {6}"),
     (("id", "arm.urdf", "log.csv", "--transmission", "0.01"), "transmission must have 2 numbers"),
+    (("id", "arm.urdf", "log.csv", "--scale", "q", "half"), "scale must be numbers such as 0.001"),
+    (("id", "arm.urdf", "log.csv", "--zero", "1"), "zero must have 2 numbers"),
     (("id", "log.csv", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "log.csv", "--test", "./log.csv"), "test must be other logs than those to learn from"),
@@ -389,10 +391,10 @@ FEW = ("--friction", "simple", "--prior", "1")  # parameters
 
 def elements(page):
     """Names of the elements of a page whose tags are all closed, and what it would load."""
-    text = re.sub(r"<(meta|br)\b([^>]*)>", r"<\1\2/>", page.removeprefix("<!doctype html>"))
+    text = re.sub(r"<(meta|br|img)\b([^>]*)>", r"<\1\2/>", page.removeprefix("<!doctype html>"))
     every = list(ElementTree.fromstring(text).iter())
     attributes = ((name.rpartition("}")[2], x) for element in every for name, x in element.items())
-    loads = [x for name, x in attributes if name in ("src", "href") and not x.startswith("#")]
+    loads = [x for name, x in attributes if name in ("src", "href") and not x.startswith(("#", "data:"))]
     return {element.tag.rpartition("}")[2] for element in every}, loads
 
 
@@ -412,7 +414,7 @@ def test_a_robot_is_identified_from_logs_with_a_page_and_a_urdf(here, capsys):
         assert abs(one["estimate"] - true) < 5 * one["error"] < 0.2 * true
     page = Path(found["files"]["page"]).read_text()
     found_elements, loads = elements(page)
-    assert {"svg", "table", "style"} <= found_elements and "script" not in found_elements and not loads
+    assert {"img", "table", "style"} <= found_elements and "script" not in found_elements and not loads
     assert not re.search(r"@import|url\((?!#)", page)
     assert "shoulder viscous" in page and found["summary"] in page and "a.csv, b.csv" in page
     assert "Good means that" in page and "by the file" in page

@@ -83,6 +83,23 @@ def test_a_compensated_sum_keeps_what_rounding_took(study):
     assert rest == b
 
 
+# --- other packages --------------------------------------------------------------------------------------------------
+
+
+def test_runge_kutta_steps_of_all_packages_are_the_same(study):
+    peers, case = study("peers"), study("scenes").arm7()
+    runs = [peers.torchdq_run(case, 16, 1), peers.pinocchio_run(case, 16), peers.mujoco_run(case, "MuJoCo RK4", 16)]
+    ours, *theirs = (run.end() for run in runs)
+    assert all(np.abs(other - ours).max() < 1e-11 for other in theirs)
+
+
+def test_gradients_chained_from_steps_of_other_packages_agree(study):
+    peers, case = study("peers"), study("scenes").arm7()
+    x = np.concatenate([case.q, case.qd, case.torque[0]], -1)[:1]
+    exact, differences = peers.by_pinocchio(x, 8, 2.0**-8), peers.by_mujoco(x, 8, 2.0**-8, 1e-4)
+    assert study("fits").relative(differences, exact).max() < 1e-8
+
+
 # --- conclusions -----------------------------------------------------------------------------------------------------
 
 

@@ -7,13 +7,16 @@ import subprocess
 import sys
 from collections import Counter
 
+import batches
 import front_page
+import numpy as np
 import oracles
 import pytest
 import report
 import torch
-from accuracy import findings
+from accuracy import findings, peers
 from compared import READ_BY_MUJOCO, TOLERANCE
+from pages.pictures import curves_of
 from places import ROOT
 
 FOLDER = ROOT / "benchmarks"
@@ -72,7 +75,10 @@ def test_a_table_is_written_between_its_marks_and_nowhere_else(tmp_path, monkeyp
     (tmp_path / "README.md").write_text("nothing\n")
     monkeypatch.setattr(report, "ROOT", tmp_path)
     report.into_page("| new |", "benchmarks/peers.py", {"processor": "one", "cores": "2"})
-    assert page.read_text() == f"before\n{begin}\n| new |\n\nMeasured on: processor one, cores 2.\n{end}\nafter\n"
+    assert (
+        page.read_text()
+        == f"before\n{begin}\n| new |\n\nMeasured by `benchmarks/peers.py` on: processor one, cores 2.\n{end}\nafter\n"
+    )
     assert report.shown("peers.py").startswith("| new |")
     assert (tmp_path / "README.md").read_text() == "nothing\n"
 
@@ -90,15 +96,28 @@ def test_numbers_of_checks_are_those_of_the_suite():
 
 def test_numbers_of_the_page_on_accuracy_are_those_of_the_results():
     results = json.loads((FOLDER / "results" / "accuracy.json").read_text("utf-8"))
-    machine = f"Measured on: {report.words(results['machine'])}."
-    shown = report.shown("accuracy_vs_time.py")
-    assert shown == f"{findings.page(results)}\n\n{machine}", "benchmarks/accuracy_vs_time.py --again --page"
+    shown, source = report.shown("accuracy_vs_time.py"), report.source("accuracy_vs_time.py", results["machine"])
+    assert shown == f"{findings.page(results)}\n\n{source}", "benchmarks/accuracy_vs_time.py --again --page"
 
 
 def test_the_numbers_of_the_first_pages_are_those_of_the_page_on_prices():
     assert report.pages("front_page.py") == list(front_page.PAGES)
     for page, text in front_page.PAGES.items():
         assert report.shown("front_page.py", page) == text(), "benchmarks/front_page.py --page writes them anew"
+
+
+PICTURES = {
+    "batches": (batches.PICTURE, lambda found: batches.picture(found["times"]["inverse_dynamics"])),
+    "accuracy": (peers.PICTURE, lambda found: peers.picture(found["peers"])),
+}
+
+
+@pytest.mark.parametrize("results", PICTURES)
+def test_pictures_of_speed_are_those_of_the_results(results):
+    file, picture = PICTURES[results]
+    drawn = picture(json.loads((FOLDER / "results" / f"{results}.json").read_text("utf-8")))
+    pairs = zip(curves_of(file.read_text("utf-8")), curves_of(drawn), strict=True)
+    assert all(np.allclose(a, b, rtol=1e-3, atol=0) for a, b in pairs), "the script with --again draws it anew"
 
 
 @pytest.mark.parametrize("script", ["peers.py", "envs.py"])

@@ -167,7 +167,6 @@ GAINS = policies.Linear(torch.zeros(5, 2, 4), *ZEROS)
         lambda: policies.Network(type("Scaled", (nn.Sequential,), {})(nn.Linear(4, 2))),
         lambda: policies.Network(hooked(nn.Sequential(nn.Linear(4, 2)))),
         lambda: policies.Network(nn.Sequential(nn.Linear(4, 2)), "q"),
-        lambda: moved(GAINS, Scene(torchdq.robots.load("go2")), torch.zeros(12)),
         lambda: moved(wide("velocity"), steps=2),
         lambda: moved(wide("velocity"), SCENE.replace(backend="eager"), steps=2),
         lambda: moved(wide("q"), steps=2),

@@ -13,9 +13,11 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.backends.call import batch_of
+from torchdq.backends.call import batch_of, evaluate
+from torchdq.backends.choice import BackendName
 from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.program.transforms import constant_in_graphs
+from torchdq.robot.robot import constants
 from torchdq.scene.free_base import POSE
 from torchdq.scene.model import SceneModel
 from torchdq.scene.recording import Stage
@@ -67,27 +69,33 @@ def linearize(
     if scene.looped or scene.computed:
         return _by_reverse_mode(scene, state, given, noise)
     given = scene._with_noise({**state.rows(), **given}, noise)
-    if _short(scene):
-        found = scene._evaluate("step", given, wrt=("torque",))
-        return Linearization(found["A"], found["torque"])
-    return _by_columns(scene, given)
+    constants(scene.robot)  # raises if they were changed in place
+    what, given = Stage(scene.spec, "step", wrt=("torque",)), {**given, **scene.parameters}
+    _, A, B = derivatives(what, given, length(scene) <= LARGEST, scene.backend, scene.precision == "double")
+    return Linearization(A, B)
 
 
 @constant_in_graphs
-def _short(scene: SceneModel) -> bool:
-    """Whether one program can have all columns."""
+def length(scene: SceneModel) -> int:
+    """Operations of a step times columns of its matrices, more than a program of all columns has."""
     if scene.spec not in _lengths:
         _lengths[scene.spec] = scene.count().total * (sum(scene.spec.displaced.values()) + scene.n)
-    return _lengths[scene.spec] <= LARGEST
+    return _lengths[scene.spec]
 
 
-def _by_columns(scene: SceneModel, given: Mapping[str, Tensor]) -> Linearization:
-    """Linearization by the derivatives along every number of state and torque, each as a sample of its own."""
-    sizes, q = (sum(scene.spec.displaced.values()), scene.n), given["q"]
-    batch = batch_of(Stage(scene.spec, "step"), {**given, **scene.parameters})
-    units = torch.eye(sum(sizes), dtype=q.dtype, device=q.device).unflatten(0, (-1, *(1,) * len(batch)))
-    found = scene._evaluate("step", {**given, "direction": units}, wrt=("torque",))["A"]
-    return Linearization(*found.squeeze(-1).movedim(0, -1).split(sizes, -1))
+def derivatives(
+    what: Stage, given: Mapping[str, Tensor], whole: bool, backend: BackendName | None, double: bool = False
+) -> tuple[Tensor, Tensor, Tensor]:
+    """State after a step and its derivatives A, B in the state and `what.wrt`, by a program of all columns or one."""
+    (control,) = what.wrt or ()
+    if whole:
+        found = evaluate(what, given, backend, double)
+        return found["after"], found["A"], found[control]
+    q, sizes = given["q"], (sum(what.spec.displaced.values()), given[control].shape[-1])
+    units = torch.eye(sum(sizes), dtype=q.dtype, device=q.device)
+    units = units.unflatten(0, (-1, *(1,) * len(batch_of(what._replace(wrt=None), given))))
+    found = evaluate(what, {**given, "direction": units}, backend, double)
+    return found["after"][0], *found["A"].squeeze(-1).movedim(0, -1).split(sizes, -1)
 
 
 def _by_reverse_mode(

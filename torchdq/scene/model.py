@@ -405,13 +405,12 @@ class SceneModel:
         stage: str,
         given: Mapping[str, Tensor | None],
         task: Task | None = None,
-        wrt: tuple[str, ...] | None = None,
         key: Hashable = None,
     ) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
         constants(self.robot)  # raises if they were changed in place
         tensors = {**given, **(self._at_rest if stage == "begin" and task is None else self.parameters)}
-        what, double = Stage(self.spec, stage, task, wrt), self.precision == "double"
+        what, double = Stage(self.spec, stage, task), self.precision == "double"
         return dict(zip(*results_of(what, tensors, self.backend, double, key=key), strict=True))
 
     @property

@@ -4,36 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import require_tensor
+from torchdq.dq import Pose, pose_error
 from torchdq.dynamics.posed import Row, dot
 from torchdq.errors import ArgumentError
-from torchdq.numbers.functions import below, exp, maximum, minimum, select, sqrt, tanh
+from torchdq.numbers.functions import below, clip, exp, maximum, minimum, select, sqrt, tanh
+from torchdq.scene.free_base import POSE, TWIST, as_pose
+from torchdq.scene.spec import ORDER, POSES
 from torchdq.scene.state import State
 
 __all__ = ["Linear", "Network"]
 
-ORDER = ("q", "qd", "memory", "reading")  # of the rows of a state, as in a `Linearization` of a fixed base
 TOGETHER = 8  # outputs of a layer whose sums stay in registers while the inputs are read once
 STEPPED = ("gain of the policy", "torque of the policy", "state of the policy")
+LIMITS = ("lower", "upper")
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """Policy of gains that differ from step to step: tau_k = torque_k + gain_k (s_k - state_k).
+    """Policy of gains that differ from step to step: tau_k = torque_k + gain_k (s_k - state_k), within limits.
 
-    The numbers of s are (q, qd), then memory and reading where a scene has them, as in a `Linearization`; the base is
-    fixed. Called as `policy(state, k)` it returns the torques of step k, those in a rollout but for rounding.
+    The numbers of s are (q, qd), then memory and reading where a scene has them. Of a floating base they are (X_WB, q,
+    V_WB_B, qd), and the difference of poses is a displacement xi of six numbers, as in a `Linearization`. Called as
+    `policy(state, k)` it returns the torques of step k, those in a rollout but for rounding.
 
     Args:
-        gain: gains K, shape [steps, ..., n, s].
+        gain: gains K, shape [steps, ..., n, s], s the size of a displacement.
         torque: torques where the state is the expected one [N m or N], shape [steps, ..., n].
-        state: expected states, shape [steps, ..., s].
+        state: expected states, shape [steps, ..., s], of a floating base with 8 numbers for the pose.
+        limits: smallest and largest torques [N m or N], each of shape [..., n]; None: there are none.
+        control: input that all of these are: "torque", or "target" of a `Servo` [rad or m].
 
     >>> import torch, torchdq
     >>> from torchdq.scene import policies
@@ -46,6 +53,8 @@ class Linear:
     gain: Tensor
     torque: Tensor
     state: Tensor
+    limits: tuple[Tensor, Tensor] | None = None
+    control: str = "torque"
 
     def __post_init__(self) -> None:
         for name, axes in {"gain": 3, "torque": 2, "state": 2}.items():
@@ -60,38 +69,73 @@ class Linear:
 
     def at(self, rows: Mapping[str, Tensor], k: int) -> Tensor:
         """Torques of step k, of rows of the state and inputs by name."""
-        s = torch.cat([rows[name] for name in ORDER if name in rows], -1)
-        return self.torque[k] + (self.gain[k] @ (s - self.state[k])[..., None])[..., 0]
+        names = [name for name in ORDER if name in rows]
+        expected = self.state[k].split([rows[name].shape[-1] for name in names], -1)
+        error = torch.cat([apart(name, rows[name], x) for name, x in zip(names, expected, strict=True)], -1)
+        found = self.torque[k] + (self.gain[k] @ error[..., None])[..., 0]
+        return found if self.limits is None else found.clamp(*self.limits)
 
     @property
     def form(self) -> LinearForm:
         """Formula, without the tensors."""
-        return LinearForm()
+        return LinearForm(self.limits is not None, self.control)
 
     def stepped(self) -> dict[str, Tensor]:
         """Tensors of every step, by the names of their arguments."""
         return dict(zip(STEPPED, (self.gain, self.torque, self.state), strict=True))
 
     def weights(self) -> dict[str, Tensor]:
-        """Tensors that are the same at all steps: none."""
-        return {}
+        """Tensors that are the same at all steps: the limits."""
+        return {} if self.limits is None else dict(zip(LIMITS, self.limits, strict=True))
+
+
+def displacement(name: str, row: Row, of: Row) -> Row:
+    """Displacement of a row of a state from another, of poses the twists xi of X = X_of exp(xi/2)."""
+    if name not in POSES:
+        return [a - b for a, b in zip(row, of, strict=True)]
+    found: list[Number] = []
+    for k in range(0, len(row), POSE):
+        angular, linear = pose_error.error(dq.mul(dq.conj(as_pose(of[k : k + POSE])), as_pose(row[k : k + POSE])))
+        found += [*angular, *linear]
+    return found
+
+
+def apart(name: str, x: Tensor, of: Tensor) -> Tensor:
+    """Displacement of a row of a state from another, as tensors."""
+    if name not in POSES:
+        return x - of
+    X, expected = (Pose(y.unflatten(-1, (-1, POSE))) for y in (x, of))
+    return (expected.inverse() @ X).log().flatten(-2)
 
 
 @dataclass(frozen=True)
 class LinearForm:
     """Formula of `Linear`."""
 
+    limits: bool = False
+    control: str = "torque"
+
     def axes(self, n: int, widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
         """Trailing axes of the tensors, by name, of states with these widths."""
-        s = sum([widths[name] for name in ORDER if name in widths])
-        return dict(zip(STEPPED, ((n, s), (n,), (s,)), strict=True))
+        names = [name for name in ORDER if name in widths]
+        s = sum([widths[name] for name in names])
+        moved = sum([widths[name] * TWIST // POSE if name in POSES else widths[name] for name in names])
+        found = dict(zip(STEPPED, ((n, moved), (n,), (s,)), strict=True))
+        return found | (dict.fromkeys(LIMITS, (n,)) if self.limits else {})
 
     def torques(self, rows: Mapping[str, Row], weights: Mapping[str, Row]) -> Row:
         """Torques of rows of the state."""
         gain, torque, state = (rows[name] for name in STEPPED)
-        s = [x for name in ORDER for x in rows.get(name, ())]
-        error = [a - b for a, b in zip(s, state, strict=True)]
-        return [t + dot(gain[i * len(s) : (i + 1) * len(s)], error) for i, t in enumerate(torque)]
+        error, at = list[Number](), 0
+        for name in ORDER:
+            row = rows.get(name, ())
+            error += displacement(name, row, state[at : at + len(row)])
+            at += len(row)
+        s = len(error)
+        found = [t + dot(gain[i * s : (i + 1) * s], error) for i, t in enumerate(torque)]
+        return (
+            [clip(*of) for of in zip(found, *map(weights.__getitem__, LIMITS), strict=True)] if self.limits else found
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +165,7 @@ class Network:
 
     network: nn.Sequential
     inputs: Sequence[str] = ("q", "qd")
+    control: ClassVar[str] = "torque"
 
     def __post_init__(self) -> None:
         if not isinstance(self.network, nn.Sequential):
@@ -180,6 +225,7 @@ class NetworkForm:
 
     inputs: tuple[str, ...]
     layers: tuple[Layer, ...]
+    control: ClassVar[str] = "torque"
 
     def axes(self, n: int, widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
         """Trailing axes of the weights, by name."""

@@ -148,6 +148,13 @@ def _view(
     return View(scene, moved["q"], moved["qd"], reading, u, scene.inputs, memory=memory, **free)
 
 
+def _judge(scene: RecordedScene, task: Task | None) -> Rows:
+    """Rows of a task in a state at the end of a step."""
+    given = scene.inputs
+    reading = given.get("reading", (*given["q"], *given["qd"]))
+    return {} if task is None else task.rows(_view(scene, given, reading, given.get("torque", ())))
+
+
 def _contacts(scene: RecordedScene, task: Task | None) -> Rows:
     rows = dict(zip(Contacts._fields, zip(*_view(scene, scene.inputs).contacts, strict=True), strict=True))
     return {**rows, "force": [x for force in rows["force"] for x in force]}
@@ -198,6 +205,7 @@ STAGES = {
     "sense": _sense,
     "begin": _begin,
     "energy": _energy,
+    "judge": _judge,
     "contacts": _contacts,
     "places": _places,
     "bodies": _bodies,
@@ -220,9 +228,10 @@ class _StageFields(NamedTuple):
     task: Task | None = None
     # names of inputs and parameters: the results are then the state "after" [s], in the order of a linearization, its
     # derivatives "A" [t, t] in the state, and those in each of these, by its name; or the one "A" [t, 1] along an input
-    # "direction" [t + n], a displacement of state and torque
+    # "direction" [t + n], a displacement of state and of that one
     wrt: tuple[str, ...] | None = None
     policy: Formula | None = None  # of a step, which adds its torques to those given
+    unguarded: bool = False  # whether rows with a singular mass matrix have any numbers, without a look at them
 
 
 class Stage(_StageFields, Computation):
@@ -287,7 +296,7 @@ class Stage(_StageFields, Computation):
             needed = [name for effect in spec.effects for name in effect.needs(spec.robot.n)]
             needed += ["reference"] if spec.controller is not None and self.stage in DRIVEN else []
             for name in needed:
-                if name not in tensors:
+                if name not in tensors and (self.policy is None or name != self.policy.control):
                     raise ArgumentError(f"{name} must be given, shape [..., {known[name]}]; the scene needs it")
         batch: tuple[int, ...] = ()
         for name, x in tensors.items():
@@ -339,7 +348,7 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
             inputs.widths = what.widths()
             tensors = {owner: row for owner, row in zip(owners, rows, strict=True) if owner}
             if what.policy is not None:
-                inputs["torque"] = _commanded(what, inputs, tensors)
+                inputs[what.policy.control] = _commanded(what, what.policy, inputs, tensors)
             return STAGES[what.stage](recorded(spec, linear, inputs, tensors, per_sample), what.task)
 
         return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
@@ -351,16 +360,17 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     acting = [(k, effect) for k, effect in enumerate(spec.effects) if not effect.idle() or effect.memory(n)]
     about = [*[f"effect {k}: {part(effect)}" for k, effect in acting], *lines(spec.effects, n)]
     about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]
+    best = replace(best, growth=None) if what.unguarded else best
     return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *about))
 
 
-def _commanded(what: Stage, given: Rows, tensors: Mapping[tuple[int, str], Row]) -> Row:
-    """Torques of a policy, with those given."""
+def _commanded(what: Stage, policy: Formula, given: Rows, tensors: Mapping[tuple[int, str], Row]) -> Row:
+    """Torques or targets of a policy, with those given."""
     n, weights = what.spec.robot.n, {name: row for (owner, name), row in tensors.items() if owner == POLICY}
-    found = what.policy.torques(given, weights) if what.policy is not None else ()
+    found, control = policy.torques(given, weights), policy.control
     if len(found) != n:
         raise ArgumentError(f"policy must return {n} torques, found {len(found)}")
-    return [a + b for a, b in zip(given["torque"], found, strict=True)] if "torque" in given else found
+    return [a + b for a, b in zip(given[control], found, strict=True)] if control in given else found
 
 
 @remembered(PROGRAMS)
@@ -386,8 +396,8 @@ def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
             return [moved({of: [float(j == k) for j in range(width)]}) for k in range(width)]
 
         if "direction" in known:
-            row = iter(known["direction"])
-            blocks = {"A": [moved({of: [*islice(row, width)] for of, width in {**parts, "torque": None}.items()})]}
+            row, widths = iter(known["direction"]), {**parts, **dict.fromkeys(what.wrt or ())}
+            blocks = {"A": [moved({of: [*islice(row, width)] for of, width in widths.items()})]}
         else:
             blocks = {"A": [x for part in parts for x in columns(part)], **{of: columns(of) for of in what.wrt or ()}}
         matrices = {of: [x for row in zip(*block, strict=True) for x in row] for of, block in blocks.items()}

@@ -84,8 +84,6 @@ def rollout(
     require_choice("nonfinite", nonfinite, get_args(Nonfinite))
     _require_function("policy", policy, "state, k")
     _require_function("done", done, "state")
-    if isinstance(policy, Linear) and scene.robot.floating:
-        raise ArgumentError(f"policy must be a function for robot {scene.robot.name!r}: a floating base has no gains")
     totals: Sequence[Any] = total if isinstance(total, list | tuple) else (total,)
     plan = Plan(policy, done, task, tuple(totals), ends)
     start = state.rows() | ({CARRY: series.pop(CARRY)} if CARRY in series else {})
@@ -260,8 +258,8 @@ class _Steps(NamedTuple):
         given |= {name: x[k] for name, x in self.series.items()}
         noise, policy = given.pop("noise", None), self.plan.policy
         if self.plan.recorded is not None:
-            torque = self.plan.recorded.at({**state.rows(), **given}, k)
-            given["torque"] = given["torque"] + torque if "torque" in given else torque
+            found, control = self.plan.recorded.at({**state.rows(), **given}, k), self.plan.recorded.control
+            given[control] = given[control] + found if control in given else found
         elif policy is not None:
             given["torque"] = torque = policy(state, k)
             n, dtype = self.scene.n, state.q.dtype

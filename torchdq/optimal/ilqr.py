@@ -1,0 +1,331 @@
+"""Solutions of problems of optimal control: iterative LQR of batches, with limits, and receding horizons.
+
+An iteration takes two loops over the steps. Backward, every knot has its change and gain of the torques; forward, steps
+are simulated under them, by lengths 1, 1/2, 1/4 ... of the change until the cost falls by a tenth of what is expected.
+A row that does not find one is damped: DAMPED of the diagonal of its quadratic form, and ten times that every time.
+
+Limits that bind: a problem is first solved without them, roughly. The torques of that solution would lose their way if
+they were clipped; its states are followed by its own gains under the limits instead, and from there on every knot is a
+box QP (Y. Tassa, N. Mansard, E. Todorov, "Control-limited differential dynamic programming", ICRA 2014).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.base.checks import require_choice, require_count, require_number, require_object, require_tensor
+from torchdq.base.progress import Progress
+from torchdq.errors import ArgumentError
+from torchdq.optimal.problem import CONVERGED, DIVERGED, STALLED, STOPPED, Passes, Plan, Problem, joined
+from torchdq.optimal.sampling import Sampling
+from torchdq.program.transforms import outside_of_graphs
+from torchdq.scene.state import State, require_state
+
+TOLERANCES = {torch.float32: 1e-5, torch.float64: 1e-9}
+ROUGH = 0.02  # share of the cost that an iteration without limits may still gain
+LEAST = 0.1  # share of the expected decrease that a step must have
+LENGTHS = 10  # lengths of a step that are tried
+TOGETHER = 32  # steps of different lengths that are simulated in one pass
+DAMPED, MOST = 1e-3, 1e6  # damping at first, and where a row is given up
+
+Method = Sampling | str
+
+
+class Found(NamedTuple):
+    """Rows that are being solved, or were."""
+
+    states: dict[str, Tensor]  # [steps + 1, rows, ...]
+    torque: Tensor  # [steps, rows, n]
+    gain: Tensor  # [steps, rows, n, s]
+    cost: Tensor  # [rows]
+    damping: Tensor  # [rows]
+    status: Tensor  # [rows]
+    iterations: Tensor  # [rows]
+
+    @property
+    def followed(self) -> tuple[Tensor, Tensor]:
+        """Gains, and the states that they follow."""
+        return self.gain, joined(self.states)[:-1]
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        """All tensors; those of more than one axis have the rows second."""
+        return [*self.states.values(), *self[1:]]
+
+    def made(self, tensors: Sequence[Tensor]) -> Found:
+        """Rows of other tensors in the same order."""
+        count = len(self.states)
+        return Found(dict(zip(self.states, tensors[:count], strict=True)), *tensors[count:])
+
+    def among(self, rows: Tensor) -> Found:
+        """Some of the rows."""
+        return self.made([x.index_select(int(x.ndim > 1), rows) for x in self.tensors])
+
+    def put(self, rows: Tensor, of: Found) -> None:
+        """Take some rows from others."""
+        for x, y in zip(self.tensors, of.tensors, strict=True):
+            x.index_copy_(int(x.ndim > 1), rows, y)
+
+
+@outside_of_graphs
+def solve(
+    problem: Problem,
+    state: State,
+    torque: Tensor | None = None,
+    states: State | None = None,
+    method: Method = "ilqr",
+    iterations: int = 100,
+    tolerance: float | None = None,
+    **inputs: Tensor,
+) -> Plan:
+    """Plan of torques [steps, ..., n] that cost least from a state on, with states and gains.
+
+    Rows of a batch are problems of their own, and have the same result in every batch; those that have converged leave.
+    Iterative LQR finds the nearest minimum that it comes to. It needs derivatives, which Gauss-Newton takes of the
+    costs; a sampling method needs none, and its plan is a start for iterative LQR where contacts must be found.
+
+    Robots on legs are planned for through their contacts. Derivatives of a large step, as that of a quadruped, compile
+    for most of a minute, once for a machine.
+
+    Args:
+        problem: costs and limits.
+        state: initial states, shape [...].
+        torque: torques to begin with [N m or N], shape [steps, ..., n]; None: those that hold a fixed base's joints.
+        states: states to begin with, [steps + 1, ...], that no torques need lead to, such as a straight line; None:
+            those of the torques. With both, as of an earlier plan, limits hold from the first iteration on.
+        method: "ilqr", `MPPI(...)` or `CEM(...)`.
+        iterations: largest number of iterations.
+        tolerance: expected decrease of the cost, as a share of it or, below 1, absolute, from which a row has
+            converged; None: 1e-9, in float32 1e-5.
+        inputs: other inputs of the scene, shape [steps, ..., k].
+    Raises:
+        ArgumentError: an argument has another shape than that of the problem.
+
+    >>> import torch, torchdq
+    >>> from torchdq import Scene, optimal
+    >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.02)
+    >>> goal = torch.tensor([[0.5, -0.3], [0.2, 0.4], [-0.6, 0.1]], dtype=torch.float64)
+    >>> final = [optimal.Posture(goal, 100.0), optimal.Speeds(10.0)]
+    >>> problem = optimal.Problem(scene, 30, [optimal.Torques(1e-3)], final, torques=(-0.5, 0.5))
+    >>> plan = optimal.solve(problem, scene.start(torch.zeros(3, 2, dtype=torch.float64)))
+    >>> print(plan.why())
+    3 of 3, the first is row 0: converged: no step is expected to decrease the cost by more than the tolerance
+    """
+    require_state(state)
+    require_object("problem", problem, Problem, "torchdq.optimal", "Problem(scene, 50, costs)")
+    if not isinstance(method, Sampling):
+        require_choice("method", method, ("ilqr",))
+    require_count("iterations", iterations)
+    tolerance = TOLERANCES[state.q.dtype] if tolerance is None else tolerance
+    require_number("tolerance", tolerance, least=0.0)
+    batch, steps = state.q.shape[:-1], problem.steps
+    with torch.no_grad(), Progress(f"optimal control of {batch.numel()} problems") as notice:
+        u = problem.holding(state) if torque is None else _started("torque", torque, (steps, *state.q.shape))
+        u, passes = by_rows(u, 1), Passes.of(problem, state.q, inputs)
+        start = {name: by_rows(x, 0) for name, x in state.rows().items()}
+        if isinstance(method, Sampling):
+            u = method.improved(passes, start, u, iterations, notice.at)
+            found = begun(passes, *passes.forward(start, u))
+            status = torch.where(found.cost.isfinite(), STOPPED, DIVERGED)
+            plan = planned(passes, batch, found._replace(status=status, iterations=found.iterations + iterations))
+            return plan._replace(gain=None)
+        if states is None:
+            found = begun(passes, *passes.forward(start, u))
+        else:
+            near = {name: _started(name, x, (steps + 1, *batch, x.shape[-1])) for name, x in states.rows().items()}
+            found = begun(passes, {name: by_rows(x, 1) for name, x in near.items()}, u)
+        if passes.limits is not None and (torque is None or states is None):
+            found = _roughly(passes, start, found, iterations, notice.within("without limits"))
+        return planned(passes, batch, improved(passes, start, found, iterations, tolerance, notice.at))
+
+
+def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """Start of a solution, with all batch axes."""
+    require_tensor(name, x)
+    try:
+        return x.expand(shape)
+    except RuntimeError as error:
+        expected = ", ".join(map(str, shape))
+        raise ArgumentError(f"{name} to begin with must have the shape [{expected}], found {tuple(x.shape)}") from error
+
+
+def by_rows(x: Tensor, axis: int) -> Tensor:
+    """Tensor whose batch axes, between an axis and the last, are one of rows."""
+    return x.detach().flatten(axis, -2) if x.ndim > axis + 1 else x.detach().unsqueeze(axis)
+
+
+def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tensor | None = None) -> Found:
+    """Rows to be solved of states, torques and their costs; None: infinite, since torques do not lead to the states."""
+    cost = torch.full_like(torque[0, :, 0], torch.inf) if cost is None else cost
+    count = torch.zeros_like(cost, dtype=torch.int64)
+    gain = torque.new_empty(*torque.shape, passes.size)
+    return Found(states, torque, gain, cost, torch.zeros_like(cost), count + STOPPED, count)
+
+
+def planned(passes: Passes, batch: torch.Size, found: Found) -> Plan:
+    """Plan of rows, with their batch axes."""
+
+    def shaped(x: Tensor, axis: int) -> Tensor:
+        return x.unflatten(axis, batch) if batch else x.squeeze(axis)
+
+    states = State(**{name: shaped(x, 1) for name, x in found.states.items()})
+    cost, status, iterations = (shaped(x, 0) for x in (found.cost, found.status, found.iterations))
+    limits = passes.limits and (shaped(passes.limits[0], 0), shaped(passes.limits[1], 0))
+    plan = Plan(shaped(found.torque, 1), states, shaped(found.gain, 1), cost, status, iterations, limits)
+    return plan._replace(control=passes.problem.control)
+
+
+def _roughly(
+    passes: Passes, start: Mapping[str, Tensor], found: Found, iterations: int, at: Callable[[str], None]
+) -> Found:
+    """Start of problems with limits: the states of solutions without them, followed under them."""
+    free = improved(passes._replace(limits=None), start, found, iterations, 0.0, at, ROUGH)
+    x, u, cost = passes.forward(start, free.torque, free.followed)
+    begin = begun(passes, x, u, cost)._replace(iterations=free.iterations)
+    lost = cost.isinf().nonzero()[:, 0]
+    if len(lost):  # the start itself is what is left
+        of = passes.among(lost)
+        own = {name: x.index_select(0, lost) for name, x in start.items()}
+        begin.put(lost, begun(of, *of.forward(own, found.torque.index_select(1, lost))))
+    return begin
+
+
+def improved(
+    passes: Passes,
+    start: Mapping[str, Tensor],
+    found: Found,
+    iterations: int,
+    tolerance: float | None,
+    at: Callable[[str], None],
+    share: float = 0.0,
+) -> Found:
+    """Rows after iterations of LQR, each until its expected decrease is below the tolerance, or a share of its cost.
+
+    Without a tolerance all rows take all iterations.
+    """
+    whole, rows = found, torch.arange(len(found.cost), device=found.cost.device)
+    for k in range(iterations):
+        at(f"iteration {k + 1}, {len(rows)} rows are left")
+        gain, change, terms = passes.backward(found.states, found.torque, found.damping)
+        found = found._replace(gain=gain)
+        if tolerance is not None:
+            expected = -(terms[:, 0] + 0.5 * terms[:, 1])
+            least = torch.maximum(tolerance * found.cost.clamp(min=1.0), share * found.cost)
+            enough = (expected.abs() * (1.0 + found.damping) <= least) & found.cost.isfinite()
+            lost = ~expected.isfinite()
+            out = enough | lost | (found.damping > MOST)
+            if out.any():
+                status = torch.where(enough, CONVERGED, torch.where(lost, DIVERGED, STALLED))
+                whole = whole.made([x.clone() for x in found.tensors]) if len(rows) == len(whole.cost) else whole
+                done, on = out.nonzero()[:, 0], (~out).nonzero()[:, 0]
+                whole.put(rows[done], found._replace(status=status).among(done))
+                if not len(on):
+                    return whole
+                rows, found, passes = rows[on], found.among(on), passes.among(on)
+                start = {name: x.index_select(0, on) for name, x in start.items()}
+                change, terms = change.index_select(1, on), terms.index_select(0, on)
+        found = _stepped(passes, start, found, change, terms)
+    if len(rows) == len(whole.cost):
+        return found
+    whole.put(rows, found)
+    return whole
+
+
+def _stepped(passes: Passes, start: Mapping[str, Tensor], found: Found, change: Tensor, terms: Tensor) -> Found:
+    """Rows after a step, the longest of some lengths that decreases the cost enough; damped more if there is none."""
+    x, u, cost = passes.forward(start, found.torque + change, found.followed)
+    good = _accepted(found.cost, cost, terms, 1.0)
+    eased = torch.where(found.damping > DAMPED, 0.1 * found.damping, 0.0)
+    moved = Found(x, u, found.gain, cost, eased, found.status, found.iterations + 1)
+    if good.all():
+        return moved
+    pairs = zip(moved.tensors, found._replace(iterations=moved.iterations).tensors, strict=True)
+    moved = found.made([a if a is b else torch.where(good[:, None] if a.ndim > 1 else good, a, b) for a, b in pairs])
+    wait, tried = (~good).nonzero()[:, 0], 1
+    while len(wait) and tried < LENGTHS:
+        number = min(max(TOGETHER // len(wait), 1), LENGTHS - tried)
+        each = wait.repeat(number)  # rows by lengths
+        length = 0.5 ** torch.arange(tried, tried + number, device=u.device, dtype=u.dtype).repeat_interleave(len(wait))
+        of, begin = moved.among(each), {name: y.index_select(0, each) for name, y in start.items()}
+        u = torch.addcmul(of.torque, length[:, None], change.index_select(1, each))
+        x, u, cost = passes.among(each).forward(begin, u, of.followed)
+        good = _accepted(of.cost, cost, terms[each], length).view(number, -1)
+        some = good.any(0)
+        best = (good.int().argmax(0) * len(wait) + torch.arange(len(wait), device=wait.device))[some]
+        moved.put(wait[some], of._replace(states=x, torque=u, cost=cost, damping=eased[each]).among(best))
+        wait, tried = wait[~some], tried + number
+    moved.damping.index_copy_(0, wait, (10.0 * found.damping[wait]).clamp(min=DAMPED))
+    return moved
+
+
+def _accepted(before: Tensor, after: Tensor, terms: Tensor, length: Tensor | float) -> Tensor:
+    """Whether costs fall by enough of what is expected of steps of some length."""
+    expected = -length * (terms[:, 0] + 0.5 * length * terms[:, 1])
+    return (before - after >= LEAST * expected) & after.isfinite() & ((expected >= 0.0) | before.isinf())
+
+
+class Receding:
+    """Receding horizon: the plan moves on by a step at every call, and is improved from the state that is measured.
+
+    Called as `mpc(state)` it returns the torques [..., n] for the step that begins now, and their gains [..., n, s] in
+    displacements of the state, for what happens until the next call; the gains are None for a sampling method. The
+    first call solves the problem. `mpc.plan` is the latest plan, None before it; `mpc.problem` may be assigned, as with
+    new goals.
+
+    Args:
+        problem: costs and limits.
+        iterations: iterations of a call.
+        method: as in `solve`.
+
+    >>> import torch, torchdq
+    >>> from torchdq import Scene, optimal
+    >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.02)
+    >>> costs = [optimal.Torques(1e-3), optimal.Posture(torch.tensor([0.5, -0.3]).double(), 1.0), optimal.Speeds(0.1)]
+    >>> mpc, state = optimal.Receding(optimal.Problem(scene, 20, costs)), scene.start(torch.zeros(2).double())
+    >>> for _ in range(100):
+    ...     torque, gain = mpc(state)
+    ...     state = scene.step(state, torque)
+    >>> (state.q - torch.tensor([0.5, -0.3])).abs().max() < 0.01
+    tensor(True)
+    """
+
+    def __init__(self, problem: Problem, iterations: int = 1, method: Method = "ilqr"):
+        require_count("iterations", iterations)
+        self.problem, self.iterations, self.method = problem, iterations, method
+        self.plan: Plan | None = None
+        self._ticks = 0
+        self._passes: tuple[Problem, torch.Size, Passes] | None = None
+
+    def __call__(self, state: State) -> tuple[Tensor, Tensor | None]:
+        """Torques [..., n] for the step that begins now, and their gains [..., n, s]."""
+        if self.plan is None or isinstance(self.method, Sampling):
+            moved = None if self.plan is None else _moved(self.plan.torque)
+            method, count = self.method, 100
+            if isinstance(method, Sampling):  # other numbers at every tick
+                method, count = replace(method, seed=method.seed + self._ticks), self.iterations
+                self._ticks += 1
+            self.plan = solve(self.problem, state, moved, method=method, iterations=count)
+        else:
+            self.plan = self._improved(state, self.plan)
+        return self.plan.torque[0], None if self.plan.gain is None else self.plan.gain[0]
+
+    @torch.no_grad()
+    def _improved(self, state: State, plan: Plan) -> Plan:
+        """Plan from a state on, that of the step before moved on by one."""
+        if self._passes is None or self._passes[0] is not self.problem or self._passes[1] != state.q.shape:
+            self._passes = self.problem, state.q.shape, Passes.of(self.problem, state.q, {})
+        passes, start = self._passes[2], {name: by_rows(x, 0) for name, x in state.rows().items()}
+        states = {name: by_rows(_moved(x), 1) for name, x in plan.states.rows().items()}
+        found = begun(passes, states, by_rows(_moved(plan.torque), 1))
+        found = improved(passes, start, found, self.iterations, None, lambda _: None)
+        return planned(passes, state.q.shape[:-1], found)
+
+
+def _moved(x: Tensor) -> Tensor:
+    """Rows of steps, moved on by one, the last twice."""
+    return torch.cat([x[1:], x[-1:]])
