@@ -116,8 +116,8 @@ def solve(
     ... )
     >>> plan = optimal.solve(problem, scene.start(torch.zeros(3, 2, dtype=torch.float64)))
     >>> print(plan.why())
-    3 of 3, the first is row 0: converged: no step is expected to decrease the cost by more
-    than the tolerance
+    3 of 3, the first is row 0: converged: no step is expected to decrease the cost by
+    more than the tolerance
     """
     require_state(state)
     require_object("problem", problem, Problem, "torchdq.optimal", "Problem(scene, 50, costs)")
