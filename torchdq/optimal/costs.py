@@ -96,8 +96,11 @@ class Residuals:
     >>> from torchdq import Scene, optimal
     >>> def apart(view, least):
     ...     return [view.q[1] - view.q[0] - least[0]]
-    >>> scene, least = Scene(torchdq.robots.load("two_link"), dt=0.05), torch.tensor([0.5], dtype=torch.float64)
-    >>> problem = optimal.Problem(scene, 20, [optimal.Residuals(apart, 10.0, least=least), optimal.Torques(1e-3)])
+    >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.05)
+    >>> least = torch.tensor([0.5], dtype=torch.float64)
+    >>> problem = optimal.Problem(
+    ...     scene, 20, [optimal.Residuals(apart, 10.0, least=least), optimal.Torques(1e-3)]
+    ... )
     >>> plan = optimal.solve(problem, scene.start(torch.zeros(2, dtype=torch.float64)))
     >>> plan.states.q[-1].diff()
     tensor([0.5000], dtype=torch.float64)

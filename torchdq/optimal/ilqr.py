@@ -111,10 +111,13 @@ def solve(
     >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.02)
     >>> goal = torch.tensor([[0.5, -0.3], [0.2, 0.4], [-0.6, 0.1]], dtype=torch.float64)
     >>> final = [optimal.Posture(goal, 100.0), optimal.Speeds(10.0)]
-    >>> problem = optimal.Problem(scene, 30, [optimal.Torques(1e-3)], final, torques=(-0.5, 0.5))
+    >>> problem = optimal.Problem(
+    ...     scene, 30, [optimal.Torques(1e-3)], final, torques=(-0.5, 0.5)
+    ... )
     >>> plan = optimal.solve(problem, scene.start(torch.zeros(3, 2, dtype=torch.float64)))
     >>> print(plan.why())
-    3 of 3, the first is row 0: converged: no step is expected to decrease the cost by more than the tolerance
+    3 of 3, the first is row 0: converged: no step is expected to decrease the cost by
+    more than the tolerance
     """
     require_state(state)
     require_object("problem", problem, Problem, "torchdq.optimal", "Problem(scene, 50, costs)")
@@ -285,8 +288,13 @@ class Receding:
     >>> import torch, torchdq
     >>> from torchdq import Scene, optimal
     >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.02)
-    >>> costs = [optimal.Torques(1e-3), optimal.Posture(torch.tensor([0.5, -0.3]).double(), 1.0), optimal.Speeds(0.1)]
-    >>> mpc, state = optimal.Receding(optimal.Problem(scene, 20, costs)), scene.start(torch.zeros(2).double())
+    >>> costs = [
+    ...     optimal.Torques(1e-3),
+    ...     optimal.Posture(torch.tensor([0.5, -0.3]).double(), 1.0),
+    ...     optimal.Speeds(0.1),
+    ... ]
+    >>> mpc = optimal.Receding(optimal.Problem(scene, 20, costs))
+    >>> state = scene.start(torch.zeros(2).double())
     >>> for _ in range(100):
     ...     torque, gain = mpc(state)
     ...     state = scene.step(state, torque)

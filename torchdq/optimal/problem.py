@@ -58,10 +58,14 @@ class Problem:
 
     >>> import torch, torchdq
     >>> from torchdq import Scene, effects, optimal
-    >>> scene = Scene(torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.02)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.02
+    ... )
     >>> goal = torch.tensor([1.2, 0.4, 0.0], dtype=torch.float64)
     >>> costs = [optimal.Torques(1e-3), optimal.Speeds(1e-2)]
-    >>> problem = optimal.Problem(scene, 40, costs, [optimal.Point("tip", goal, 1e3), optimal.Speeds(10.0)])
+    >>> problem = optimal.Problem(
+    ...     scene, 40, costs, [optimal.Point("tip", goal, 1e3), optimal.Speeds(10.0)]
+    ... )
     >>> plan = optimal.solve(problem, scene.start(torch.zeros(2, dtype=torch.float64)))
     >>> bool(plan.converged), plan.torque.shape, plan.gain.shape
     (True, torch.Size([40, 2]), torch.Size([40, 2, 4]))
@@ -70,8 +74,12 @@ class Problem:
 
     >>> servo = effects.Servo(torch.tensor([200.0, 80.0]), torch.tensor([20.0, 8.0]))
     >>> driven = scene.replace(effects=(effects.Gravity(), servo))
-    >>> plan = optimal.solve(problem.replace(scene=driven, control="target"), scene.start(plan.states.q[0]))
-    >>> driven.rollout(scene.start(plan.states.q[0] + 0.01), policy=plan.policy, steps=40).q.shape
+    >>> plan = optimal.solve(
+    ...     problem.replace(scene=driven, control="target"), scene.start(plan.states.q[0])
+    ... )
+    >>> driven.rollout(
+    ...     scene.start(plan.states.q[0] + 0.01), policy=plan.policy, steps=40
+    ... ).q.shape
     torch.Size([40, 2])
     """
 

@@ -87,9 +87,12 @@ class Log(NamedTuple):
         >>> import numpy as np
         >>> from torchdq.learning import read_log
         >>> time = np.arange(0, 20, 0.01)
-        >>> q = np.interp(time, [0, 3, 5, 8, 10, 20], [0.2, 0.5, 0.5, 1, 0.5, 0.5])[:, None]  # from below, from above
+        >>> # from below, from above
+        >>> q = np.interp(time, [0, 3, 5, 8, 10, 20], [0.2, 0.5, 0.5, 1, 0.5, 0.5])[:, None]
         >>> side = np.where(time < 5, 1.0, -1.0)[:, None]
-        >>> poses = read_log({"time": time, "q": q, "qd": None, "tau": 9.81 * np.cos(q) + 2.0 * side}).static_poses()
+        >>> poses = read_log(
+        ...     {"time": time, "q": q, "qd": None, "tau": 9.81 * np.cos(q) + 2.0 * side}
+        ... ).static_poses()
         >>> print(f"{float(poses.tau / poses.q.cos()):.4f}, {float(poses.friction):.4f}")
         9.8100, 2.0000
         """
