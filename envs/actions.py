@@ -67,7 +67,9 @@ class Actions:
             "torque" and "target" permit.
 
     >>> from torchdq.envs import Actions, RobotVectorEnv
-    >>> envs = RobotVectorEnv(64, "reach", "panda", action=Actions("torque", joints="*[1-4]", scale=20.0))
+    >>> envs = RobotVectorEnv(
+    ...     64, "reach", "panda", action=Actions("torque", joints="*[1-4]", scale=20.0)
+    ... )
     >>> envs.single_action_space.shape
     (4,)
     """

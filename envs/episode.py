@@ -4,7 +4,7 @@
 
 A step of environments is their chain up to `end`, as one call, or one link after the other where functions of torch are
 among them; `undo` follows only if a row has failed. A rollout repeats the whole chain in one call, with a recorded
-policy before it and `begin` after it. Each link is a program of its own, so that all have the same results to the bit.
+policy before it and `begin` after it. Each link is a program of its own, so that all have bitwise the same results.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ def _chain(what: Block, arguments: tuple[Argument, ...]) -> Chain:
     judged = {"finite": GIVEN + "finite", "steps": "steps", "limit": "limit"}
     rule(end, {**{name: AFTER + name for name in JUDGED}, **judged})
     left = [name for name in rows if name not in JUDGED]
-    wanted = (GIVEN + "clipped", "flags", "reward")
+    wanted: tuple[str, ...] = (GIVEN + "clipped", "flags", "reward")
     if what.network is None:
         pushes = [GIVEN + x for push in what.form.pushes for x in (THEN + push, "over")]
         wanted = ("elapsed", *wanted, *[AFTER + name for name in left], *dict.fromkeys(pushes))

@@ -36,7 +36,7 @@ class PoseActions(NamedTuple):
     def moved(self, x: DualQuaternion, action: Any, scale: Any) -> DualQuaternion:
         """Desired pose x after an action in [-1, 1], whose rotation vector is at most as long as one full component.
 
-        Without an action it is x to the bit, so that rounding errors do not move a frame that is held.
+        Without an action it is bitwise x, so that rounding errors do not move a frame that is held.
         """
         a = [*numbers(action)]
         turn, move = six(self.task, [s * u for s, u in zip(numbers(scale), a, strict=True)])

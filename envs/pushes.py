@@ -32,7 +32,9 @@ class Pushes:
     >>> from torchdq import effects
     >>> from torchdq.envs import RobotVectorEnv, Pushes
     >>> pushed = {"push": Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0), every=(0.5, 2.0))}
-    >>> envs = RobotVectorEnv(64, "reach", "panda", effects=(effects.Gravity(), effects.Push()), pushes=pushed)
+    >>> envs = RobotVectorEnv(
+    ...     64, "reach", "panda", effects=(effects.Gravity(), effects.Push()), pushes=pushed
+    ... )
     """
 
     wrench: Sequence[float]

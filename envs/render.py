@@ -1,16 +1,15 @@
 """Pictures of a robot: images by matplotlib, a live view in the browser by viser, films by Pillow.
 
-The skeleton is drawn: for every link a thick line from the frame of its parent, through its joint's axis, to its own
-frame. This looks like the robot if link frames lie on the links, as those of URDF and of DH parameters do. The view
-follows a floating base, and lines on the ground pass below it. Objects of a scene are drawn by their edges.
+Links are drawn by the shapes of their description, see `bodies`. Others are thick lines from the frame of the parent,
+through the joint's axis, to their own frame, which looks like the robot if link frames lie on the links, as those of
+URDF and of DH parameters do. The view follows a floating base, and lines on the ground pass below it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +23,12 @@ from torchdq.base.optional import imported
 from torchdq.dq import rotate, rotation, translation
 from torchdq.dynamics.tree import BASE
 from torchdq.effects import Contact, HeightMap
+from torchdq.envs.bodies import Surface, bodies_of, surface_of
+from torchdq.envs.canvas import FINE, Canvas, spread
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
-from torchdq.objects import Ball, Box, Cylinder, Object
 from torchdq.robot import ContactPoint, Robot
 from torchdq.robot.argument import require_robot
-from torchdq.robot.contact_points import points_of_shape
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments
 from torchdq.scene.model import SceneModel
@@ -41,10 +40,12 @@ PAPER, GROUND, SHADOW, INK = "#f7f8fa", "#eef1f4", "#cfd6de", "#2f4156"
 RULE = "#d9dfe6"  # lines on the ground
 LINK, TIP, TARGET, OBJECT = "#7d9fc0", "#f2a541", "#d1344b", "#1d6b57"
 AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # direction of the camera, which is far away [rad]
-PIECES = 6  # pieces of a line, each drawn at its own depth
+LIGHT = np.array([-0.35, 0.65, 0.67])  # direction to the light, in axes of the camera
+SPACING = 1.2  # of points on surfaces, in those of the image
+PIECES = 6  # of a line on the ground, which follows it
 RULES = 4  # lines on the ground in a radius of the view
-# nearness at which the ground is drawn, in radii of the view: farther than every robot
-FLOOR, SHADE = -1e3, -1e2
+SHADE = -1e3  # nearness of shadows, in radii of the view: farther than every robot
+RIM = 0.05  # step in nearness at which an outline is drawn, in radii of the view
 
 
 def _library(module: str) -> Any:
@@ -77,7 +78,8 @@ class Skeleton:
 
     The points are the base, every link's origin, the points on joint axes that are nearest to the origins, and ends: a
     link that carries no other ends at the end effector, at the last of its frames or, where these are at its origin, at
-    its centre of mass. The contact points of a scene are balls, its objects outlines. Of a batch it is the first.
+    its centre of mass. The contact points of a scene are balls. Bodies of links and objects are surfaces, and `sticks`
+    are the lines in place of which there is none. Of a batch it is the first.
 
     >>> import torchdq
     >>> skeleton = Skeleton(torchdq.robots.load("two_link"))
@@ -99,7 +101,8 @@ class Skeleton:
         self.lines: list[tuple[int, int]] = []  # points at their ends
         self.balls: list[tuple[int, float]] = []  # contact points, and their radii [m]
         self.ground = _ground(contact for contact in contacts if contact.on is None)  # its height at x and y [m]
-        self.outlines = [_outline(body) for body in (() if scene is None else scene.objects)]  # lines of each in O
+        self.objects = [surface_of(body) for body in (() if scene is None else scene.objects)]
+        self.bodies = bodies_of(self.robot)  # number of a frame, and the surface in it
         self._frames: list[int] = []  # frame that each point but the base is fixed to
         self._offsets: list[Tensor] = []  # position of the point in that frame [m]
 
@@ -124,6 +127,23 @@ class Skeleton:
                 self.lines.append((origins[i], end))
         for p in [p for contact in contacts for p in contact.points if isinstance(p, ContactPoint)]:
             self.balls.append((self._point(p.frame, torch.tensor(p.center)), p.radius))
+        self.sticks = self._sticks([BASE, *(robot.frames[i].link for i in self._frames)])
+
+    def _sticks(self, links: list[int]) -> list[tuple[int, int]]:
+        """Lines that are not in place of a body at least half as long; `links` are those of all points."""
+        points, X = self.placed(torch.zeros(self.robot.n))
+        corners = dict[int, list[np.ndarray]]()
+        for (i, _), p in zip(self.bodies, self._extremes(X), strict=True):
+            corners.setdefault(self.robot.frames[i].link, []).append(p[0])
+        sizes = {link: float(np.linalg.norm(np.ptp(np.concatenate(p), 0))) for link, p in corners.items()}
+        ends = points[0][self.lines]
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
+        carriers = [links[b] if b not in self.joints else links[a] for a, b in self.lines]
+        return [
+            line
+            for line, link, length in zip(self.lines, carriers, lengths, strict=True)
+            if 2.0 * sizes.get(link, 0.0) <= length
+        ]
 
     def _point(self, frame: str, offset: Tensor) -> int:
         self._frames.append(self.robot.frame_names.index(frame))
@@ -135,6 +155,10 @@ class Skeleton:
 
         X_WB is the pose of a floating base, shape [8] or [k, 8]; None: at the origin, as a fixed base is.
         """
+        return self.placed(q, most, X_WB)[0]
+
+    def placed(self, q: Any, most: int | None = None, X_WB: Any = None) -> tuple[np.ndarray, Tensor]:
+        """Positions as of `points`, and the poses [k, bodies, 8] of the bodies."""
         rows = _rows("q", q, self.robot.n, most=most)
         if X_WB is not None and not self.robot.floating:
             raise ArgumentError(f"X_WB must be None, found one for robot {self.robot.name!r}, whose base is fixed")
@@ -144,21 +168,25 @@ class Skeleton:
                 X = floating.forward_kinematics(self.robot, base, rows, backend="eager")
             else:
                 X = forward_kinematics(self.robot, rows, backend="eager")
-            X = X[:, self._frames]
-            moving = translation(X) + rotate(rotation(X), torch.stack(self._offsets))
-        return torch.cat([translation(base)[:, None], moving], 1).numpy()
+            own = X[:, self._frames]
+            moving = translation(own) + rotate(rotation(own), torch.stack(self._offsets))
+        return torch.cat([translation(base)[:, None], moving], 1).numpy(), X[:, [i for i, _ in self.bodies]]
+
+    def ends(self, q: Any) -> np.ndarray:
+        """Positions [k, points, 3] as of `points`, with those of the ends of all bodies."""
+        points, X = self.placed(q)
+        return np.concatenate([points, *self._extremes(X)], 1)
+
+    def _extremes(self, X: Tensor) -> list[np.ndarray]:
+        """Extreme points [k, p, 3] of the bodies at their poses [k, bodies, 8]."""
+        placed = zip(X[:, :, None].unbind(1), self.bodies, strict=True)
+        return [
+            (translation(x) + rotate(rotation(x), torch.from_numpy(body.extremes()))).numpy() for x, (_, body) in placed
+        ]
 
     def poses(self, X_WO: Any, most: int) -> Tensor:
         """Poses [k, objects, 8] of the objects, given as [objects, 8] or, with k <= most, [k, objects, 8]."""
-        return _rows("X_WO", X_WO, len(self.outlines), 8, most=most)
-
-    def edges(self, X_WO: Any, arms: int) -> np.ndarray:
-        """Lines [arms, lines, 2, 3] of the objects at their poses; None: no lines."""
-        if X_WO is None or not self.outlines:
-            return np.zeros((arms, 0, 2, 3))
-        X = self.poses(X_WO, arms).expand(arms, -1, 8)[:, :, None, None]
-        drawn = [translation(x) + rotate(rotation(x), own) for x, own in zip(X.unbind(1), self.outlines, strict=True)]
-        return torch.cat(drawn, 1).numpy()
+        return _rows("X_WO", X_WO, len(self.objects), 8, most=most)
 
     def view(self) -> tuple[np.ndarray, float]:
         """Centre [3] and radius [m] of a ball around the robot, from 512 positions within its limits.
@@ -167,14 +195,15 @@ class Skeleton:
         """
         lower, upper = room(self.robot)
         share = torch.rand(512, self.robot.n, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-        points = self.points(lower + share * (upper - lower)).reshape(-1, 3)
+        points = self.ends(lower + share * (upper - lower)).reshape(-1, 3)
         middle = (points.min(0) + points.max(0)) / 2 * (not self.robot.floating)
         return middle, float(np.linalg.norm(points - middle, axis=-1).max())
 
     def dots(self, radius: float) -> list[tuple[int, float, str]]:
         """Point, radius [m] and colour of every joint, end effector and contact point, in a view of this radius [m]."""
-        share = 0.2 if self.outlines else 1.0  # what would hide an object in the hand is small
-        joints = [(point, 0.0225 * radius, INK) for point in self.joints]
+        share = 0.2 if self.objects else 1.0  # what would hide an object in the hand is small
+        bare = {end for line in self.sticks for end in line}
+        joints = [(point, 0.0225 * radius, INK) for point in self.joints if point in bare]
         tip = [] if self.tip is None else [(self.tip, 0.0325 * share * radius, TIP)]
         return [*joints, *tip, *((point, max(r, 0.025 * share * radius), TIP) for point, r in self.balls)]
 
@@ -198,10 +227,11 @@ class Painter:
         right = np.array([-math.sin(AZIMUTH), math.cos(AZIMUTH), 0.0])
         toward = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), math.tan(ELEVATION)]) * math.cos(ELEVATION)
         self._camera = np.stack([right, np.cross(toward, right), toward], -1)
+        self._clouds: dict[tuple[int, float], tuple[np.ndarray, np.ndarray]] = {}  # points and normals of surfaces
         self._artists = _library("matplotlib.collections")
         # a point is a pixel
         self._figure = _library("matplotlib.figure").Figure(figsize=(size[0] / 72, size[1] / 72), dpi=72)
-        self._canvas = _library("matplotlib.backends.backend_agg").FigureCanvasAgg(self._figure)
+        self._agg = _library("matplotlib.backends.backend_agg").FigureCanvasAgg(self._figure)
 
     def project(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Pixels [k, ..., 2] from the lower left corner, and nearness [k, ...], of positions [k, ..., 3] of k arms.
@@ -230,58 +260,80 @@ class Painter:
             X_WO: poses of the objects of a scene, as in its state, shape [objects, 8] or [k, objects, 8]; None: they
                 are left out.
         """
-        points = self.skeleton.points(q, MOST_ARMS, X_WB)
+        points, X_WF = self.skeleton.placed(q, MOST_ARMS, X_WB)
         arms = len(points)
         place = points[:, :1] * self.skeleton.robot.floating  # [k, 1, 3], which the view follows
         points = points - place
         goal = np.full((1, 3), np.nan) if target is None else _rows("target", target, 3, most=arms).numpy()
         if len(goal) not in (1, arms):
             raise ArgumentError(f"target must have one row or one for each of the {arms} robots, found {len(goal)}")
-        lines, edges = points[:, self.skeleton.lines], self.skeleton.edges(X_WO, arms) - place[:, None]
-        mark = _spot(goal[:, None] - place)
-        turn = np.linspace(0.0, 2 * np.pi, 97)
-        disc = self.radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
-        disc, *shadows = (_on_ground(self.skeleton.ground, x, place) for x in (disc[None], lines, mark, edges))
-        strokes = [
-            *((x, width, SHADOW, SHADE) for x, width in zip(shadows, (0.06, 0.07, 0.02), strict=True)),
-            (_pieces(lines), 0.085, INK, -0.06),
-            (_pieces(lines), 0.06, LINK, 0.0),
-            (_pieces(edges), 0.012, OBJECT, 0.064),  # over the fingers that hold them
-        ]
-        if self.skeleton.robot.floating or self.skeleton.balls:
-            strokes.append((_on_ground(self.skeleton.ground, _rules(self.radius, place), place), 0.008, RULE, FLOOR))
-        dots = [(_spot(points[:, [at]]), 2 * r / self.radius, c) for at, r, c in self.skeleton.dots(self.radius)]
-        for spot, width, colour in (*dots, (mark, 0.05 if edges.size else 0.1, TARGET)):
-            strokes += [(spot, width + min(0.025, width), INK, 0.06), (spot, width, colour, 0.062)]
+        objects, X = self.skeleton.objects if X_WO is not None else [], X_WF
+        if objects:
+            X = torch.cat([X_WF, self.skeleton.poses(X_WO, arms).expand(arms, -1, 8)], 1)
+        X = X + torch.from_numpy(0.0 * points.sum((1, 2)))[:, None, None]  # not a number where the robot is not finite
+        self._canvas = Canvas(self.size)
+        for i, body in enumerate([*(body for _, body in self.skeleton.bodies), *objects]):
+            colour = OBJECT if i >= X_WF.shape[1] else LINK
+            self._surface(i, body, X[:, i], place, colour)
+        for a, b in self.skeleton.sticks:
+            self._stick(points[:, [a]], points[:, [b]], 0.03 * self.radius, LINK, place)
+        mark = goal[:, None] - place + 0.0 * points[:, :1]
+        dots = [(points[:, [at]], r, colour) for at, r, colour in self.skeleton.dots(self.radius)]
+        for middle, r, colour in (*dots, (mark, (0.025 if objects else 0.05) * self.radius, TARGET)):
+            self._stick(middle, middle, r, colour, place, 0.06)
+        return self._whole(place, text)
+
+    def _whole(self, place: np.ndarray, text: str | None) -> np.ndarray:
+        """Image [height, width, 3] of what is on the canvas, with the ground below it."""
         self._figure.clear(keep_observers=False)
         self._figure.set_facecolor(PAPER)
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, self.size[0]), ylim=(0, self.size[1]))
         axes.set_axis_off()
-        axes.add_collection(self._artists.PolyCollection(self.project(disc)[0], facecolor=GROUND), autolim=False)
-        axes.add_collection(self._drawn(strokes), autolim=False)
-        axes.text(
-            0.03, 0.97, text or "", va="top", color=INK, size=max(8.0, min(self.size) / 28), transform=axes.transAxes
-        )
-        self._canvas.draw()
-        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+        turn = np.linspace(0.0, 2 * np.pi, 97)
+        disc = self.radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)[None]
+        pixels, _, scale = self.project(_on_ground(self.skeleton.ground, disc, place))
+        axes.add_collection(self._artists.PolyCollection(pixels, facecolor=GROUND), autolim=False)
+        if self.skeleton.robot.floating or self.skeleton.balls:
+            rules = self.project(_on_ground(self.skeleton.ground, _rules(self.radius, place), place))[0]
+            rules = self._artists.LineCollection(rules.reshape(-1, 2, 2), linewidths=0.008 * scale, colors=RULE)
+            axes.add_collection(rules, autolim=False)
+        self._figure.figimage(self._canvas.image(RIM, 0.1 * SHADE, _rgb(INK)), zorder=2)
+        self._figure.text(0.03, 0.97, text or "", va="top", color=INK, size=max(8.0, min(self.size) / 28), zorder=3)
+        self._agg.draw()
+        return np.asarray(self._agg.buffer_rgba())[..., :3].copy()
 
-    def _drawn(self, strokes: Sequence[tuple[np.ndarray, float, str, float]]) -> Any:
-        """Lines [k, lines, 2, 3] of a width, colour and bias toward the camera, the farthest first.
+    def _surface(self, i: int, body: Surface, X: Tensor, place: np.ndarray, colour: str) -> None:
+        """Draw body i at poses [k, 8]."""
+        spacing = self._spacing(place)
+        if (i, spacing) not in self._clouds:
+            self._clouds[i, spacing] = body.points(spacing)
+        own, normals = self._clouds[i, spacing]
+        turn = rotate(rotation(X)[:, None], torch.eye(3, dtype=X.dtype)).numpy()  # rows are the axes
+        shift = translation(X)[:, None].numpy() - place
+        self._points(own @ turn.astype(np.float32) + shift, normals @ turn.astype(np.float32), colour, place)
 
-        Widths and biases are in radii of the view.
-        """
-        pixels, nearness, scale = self.project(np.concatenate([ends for ends, *_ in strokes], 1))
-        pixels[..., 1, 0] += 0.01  # a stroke without length would not be drawn
-        numbers, arms = [ends.shape[1] for ends, *_ in strokes], len(pixels)
-        widths, colours, biases = (np.repeat(column, numbers) for column in list(zip(*strokes, strict=True))[1:])
-        order = np.argsort((nearness.mean(-1) + biases).ravel(), kind="stable")
-        return self._artists.LineCollection(
-            pixels.reshape(-1, 2, 2)[order],
-            linewidths=np.tile(widths, arms)[order] * scale,
-            colors=np.tile(colours, arms)[order],
-            capstyle="round",
-            snap=False,
-        )
+    def _stick(self, a: np.ndarray, b: np.ndarray, r: float, colour: str, place: np.ndarray, bias: float = 0.0) -> None:
+        """Draw capsules from a to b [k, 1, 3], as rows of balls of which the camera sees one side."""
+        length = float(np.nan_to_num(np.linalg.norm(b - a, axis=-1)).max(initial=0.0))
+        along = np.linspace(0.0, 1.0, 1 + math.ceil(4.0 * length / r))[:, None]
+        u, v = spread(math.ceil(8.0 * (r / self._spacing(place)) ** 2))
+        v = 2.0 * math.pi * v
+        normals = np.stack([np.sqrt(u) * np.cos(v), np.sqrt(u) * np.sin(v), np.sqrt(1.0 - u)], -1) @ self._camera.T
+        p = (a + along * (b - a))[:, :, None] + r * normals
+        self._points(p.reshape(len(a), -1, 3), np.tile(normals, (len(along), 1)), colour, place, bias)
+
+    def _spacing(self, place: np.ndarray) -> float:
+        """Distance [m] of points on surfaces."""
+        return SPACING * self.radius / (FINE * self.project(place)[2])
+
+    def _points(self, p: np.ndarray, normals: np.ndarray, colour: str, place: np.ndarray, bias: float = 0.0) -> None:
+        """Draw points [k, p, 3] with normals [k, p, 3] or [p, 3], and their shadows."""
+        pixels, nearness, _ = self.project(p)
+        n = np.broadcast_to(normals @ self._camera, p.shape)
+        light = np.abs(n[..., 2:]).squeeze(-1) * LIGHT[2] + np.sign(n[..., 2]) * (n[..., :2] @ LIGHT[:2])
+        self._canvas.add(pixels.reshape(-1, 2), (nearness + bias).ravel(), 1.5 * light.ravel(), _rgb(colour))
+        below = self.project(_on_ground(self.skeleton.ground, p[:, ::3], place))[0].reshape(-1, 2)
+        self._canvas.add(below, np.full(len(below), SHADE), np.ones(len(below)), _rgb(SHADOW))
 
 
 class Viewer:
@@ -307,16 +359,16 @@ class Viewer:
         camera.look_at, camera.position = tuple(middle), tuple(middle + radius * np.array([1.6, -2.2, 1.0]))
         self.ground = scene.add_line_segments("/ground", np.zeros((1, 2, 3)), colors=_rgb(SHADOW))
         self.base = scene.add_box("/base", color=_rgb(INK), dimensions=(0.18 * radius, 0.18 * radius, 0.02 * radius))
-        lines = np.zeros((len(self.skeleton.lines), 2, 3))
+        self.base.visible = all(self.skeleton.robot.frames[i].link != BASE for i, _ in self.skeleton.bodies)
+        lines = np.zeros((len(self.skeleton.sticks), 2, 3))
         self.links = scene.add_line_segments("/links", lines, colors=_rgb(LINK), thickness=0.05 * radius)
+        names = self.skeleton.robot.frame_names
+        self.bodies = [self._mesh(f"/bodies/{names[i]}", body, LINK) for i, body in self.skeleton.bodies]
         self._balls = {
             point: scene.add_icosphere(f"/points/{point}", radius=r, color=_rgb(colour))
             for point, r, colour in self.skeleton.dots(radius)
         }
-        self.objects = [
-            scene.add_line_segments(f"/objects/{i}", lines.float().numpy(), colors=_rgb(OBJECT), visible=False)
-            for i, lines in enumerate(self.skeleton.outlines)
-        ]
+        self.objects = [self._mesh(f"/objects/{i}", body, OBJECT) for i, body in enumerate(self.skeleton.objects)]
         self.target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
         self.show(torch.zeros(self.skeleton.robot.n))
 
@@ -326,26 +378,32 @@ class Viewer:
         X_WB is the pose [8] of a floating base in the world; None: at the origin. X_WO are the poses [objects, 8] of
         the objects of a scene; None: they are not shown.
         """
-        points = self.skeleton.points(q, 1, X_WB)[0]
-        place = points[0]
+        (points,), (X_WF,) = self.skeleton.placed(q, 1, X_WB)
+        place = points[0] * self.skeleton.robot.floating
         points = points - place
         goal = None if target is None else tuple(_rows("target", target, 3, most=1)[0].numpy() - place)
-        poses = None if X_WO is None else self.skeleton.poses(X_WO, 1)[0]
+        poses = torch.eye(8)[:1].expand(len(self.objects), 8) if X_WO is None else self.skeleton.poses(X_WO, 1)[0]
         with self._server.atomic():
             rules = _on_ground(self.skeleton.ground, _rules(self._reach, place[None, None]), place[None, None])
             self.ground.points = rules[0].astype(np.float32)
             if X_WB is not None:
                 self.base.wxyz = tuple(_rows("X_WB", X_WB, 8, most=1)[0, :4].tolist())
-            self.links.points = points[self.skeleton.lines].astype(np.float32)
+            self.links.points = points[self.skeleton.sticks].reshape(-1, 2, 3).astype(np.float32)
             for point, ball in self._balls.items():
                 ball.position = tuple(points[point])
-            for i, lines in enumerate(self.objects):
-                lines.visible = poses is not None
-                if poses is not None:
-                    lines.wxyz, lines.position = rotation(poses[i]).numpy(), translation(poses[i]).numpy() - place
+            for body, X in (*zip(self.bodies, X_WF, strict=True), *zip(self.objects, poses, strict=True)):
+                body.wxyz, body.position = rotation(X).numpy(), translation(X).numpy() - place
+            for body in self.objects:
+                body.visible = X_WO is not None
             self.target.visible = goal is not None
             if goal is not None:
                 self.target.position = goal
+
+    def _mesh(self, name: str, body: Surface, colour: str) -> Any:
+        vertices = body.vertices.astype(np.float32)
+        return self._server.scene.add_mesh_simple(
+            name, vertices, body.faces, color=_rgb(colour), flat_shading=True, side="double"
+        )
 
     def close(self) -> None:
         """Stop serving the view."""
@@ -366,30 +424,6 @@ def _ground(contacts: Iterable[Any]) -> Callable[[Tensor, Tensor], Any]:
     return lambda x, y: height + surface(x, y)
 
 
-def _outline(body: Object) -> Tensor:
-    """Lines [lines, 2, 3] on the surface of an object in its frame [m]; of several, those of the first."""
-
-    def first(name: str, *axes: int) -> Tensor:
-        return tensor_of(getattr(body, name)).detach().double().cpu().reshape(-1, *axes)[0]
-
-    if isinstance(body, Box):
-        corners = 0.5 * first("size", 3) * torch.tensor(points_of_shape("box", (1.0, 1.0, 1.0)), dtype=torch.float64)
-        return torch.stack([torch.stack(ends) for ends in combinations(corners, 2) if (ends[0] != ends[1]).sum() == 1])
-    turn = torch.linspace(0.0, 2.0 * math.pi, 17, dtype=torch.float64)
-    radius, half = first("radius"), torch.zeros(()) if isinstance(body, Ball) else 0.5 * first("length")
-    x, y, none = radius * turn.cos(), radius * turn.sin(), 0.0 * turn
-    rings = [torch.stack([x, y, none + z], -1) for z in (-half, half)]
-    if isinstance(body, Cylinder):
-        sides = [
-            torch.stack([torch.stack([a * radius, b * radius, z * half]) for z in (-1, 1)])
-            for a, b, _ in points_of_shape("cylinder", (1.0, 1.0))[:4]
-        ]
-    else:
-        z = y + half * y.sign()
-        sides = [torch.stack(axes, -1) for axes in ((x, none, z), (none, x, z))]
-    return torch.cat([torch.stack([line[:-1], line[1:]], 1) for line in (*rings, *sides)])
-
-
 def _rules(radius: float, place: np.ndarray) -> np.ndarray:
     """Lines [k, lines, 2, 3] along x and y of the world within a radius, seen from places [k, 1, 3]."""
     step = radius / RULES
@@ -398,11 +432,6 @@ def _rules(radius: float, place: np.ndarray) -> np.ndarray:
     ends = np.stack([np.stack([at, -half], -1), np.stack([at, half], -1)], -2)
     ends[:, 1] = ends[:, 1, ..., ::-1]
     return _pieces(np.pad(ends, ((0, 0),) * 4 + ((0, 1),)).reshape(len(place), -1, 2, 3))
-
-
-def _spot(points: np.ndarray) -> np.ndarray:
-    """Lines [k, points, 2, 3] without length at points [k, points, 3]."""
-    return points[:, :, None].repeat(2, 2)
 
 
 def _pieces(lines: np.ndarray) -> np.ndarray:

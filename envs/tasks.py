@@ -181,7 +181,9 @@ class Track(EpisodeTask):
     positions, velocities and accelerations of the reference; all velocities and accelerations as fractions of the
     velocity's limit. Reward, of the true state:
 
-        1 / (1 + e^2 / 0.1^2) - 0.01 mean(action^2),   e^2 the mean squared error of the positions
+        1 / (1 + e^2 / 0.1^2) - 0.01 mean(action^2)
+
+    Here e^2 is the mean squared error of the positions.
     """
 
     def inputs(self, n: int) -> dict[str, int]:

@@ -240,7 +240,7 @@ class RobotVectorEnv(VectorEnv):
     ) -> Rollout:
         """Results of a number of steps with the actions unit (policy(observation) + noise).
 
-        They are those of `step` with these actions, to the bit. If the policy is a `torch.nn.Sequential` of the layers
+        They are bitwise those of `step` with these actions. If the policy is a `torch.nn.Sequential` of the layers
         of `torchdq.scene.policies.Network`, all steps are one call of one compiled program, with the resets within it;
         its rounding errors are not those of torch. Steps are taken one by one with any other policy, with functions of
         tensors (a `TorchTask`), an `autoreset_mode` other than SAME_STEP, an integrator that is not recorded, the
@@ -255,7 +255,9 @@ class RobotVectorEnv(VectorEnv):
         >>> import torch
         >>> envs = RobotVectorEnv(64, "reach", "panda")
         >>> _ = envs.reset(seed=0)
-        >>> policy = torch.nn.Sequential(torch.nn.Linear(27, 32), torch.nn.ELU(), torch.nn.Linear(32, 7))
+        >>> policy = torch.nn.Sequential(
+        ...     torch.nn.Linear(27, 32), torch.nn.ELU(), torch.nn.Linear(32, 7)
+        ... )
         >>> found = envs.rollout(policy, 25, noise=0.1 * torch.randn(25, 64, 7))
         >>> found.observations.shape, found.rewards.shape
         (torch.Size([26, 64, 27]), torch.Size([25, 64]))

@@ -45,10 +45,11 @@ class Wipe(EpisodeTask):
     Observation: sine and cosine of revolute joints or the position of prismatic ones, velocities as fractions of their
     limits, vector from the end effector to the point of the path on the table as described, its rate, velocity of that
     point, normal force, and the commanded one. Success: d is at most 0.01 m and e at most 0.1. The episode ends where d
-    is above 0.1 m or the force above 100 N. Reward, of the true state, with the distance d from the path along the
-    table and the error e of the force over the commanded one:
+    is above 0.1 m or the force above 100 N. Reward, of the true state:
 
-        0.5 / (1 + (d / 0.01)^2) + 0.5 / (1 + (e / 0.2)^2) - 0.01 mean(action^2),   d, e errors of path [m] and force
+        0.5 / (1 + (d / 0.01)^2) + 0.5 / (1 + (e / 0.2)^2) - 0.01 mean(action^2)
+
+    Here d is the distance from the path along the table [m], and e the error of the force over the commanded one.
 
     Table: at the height of the end effector in `home`, and in every episode up to 5 mm higher or lower, with a friction
     of 0.25 to 0.75 and a stiffness of 6 to 60 kN/m, unless `randomise` says otherwise.

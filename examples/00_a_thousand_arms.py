@@ -19,9 +19,8 @@ import films
 import numpy as np
 import torch
 import tyro
-from films import CARD, CHOSEN, FAST, FOG, INK, QUIET, SLOW
+from films import CHOSEN, FAST, FOG, INK, QUIET, SLOW
 from matplotlib import pyplot as plt
-from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from torch import Tensor
@@ -140,25 +139,18 @@ def torque_panels(figure: Figure, tau: np.ndarray) -> Iterator[None]:
 
 def arms_moving(figure: Figure, robot: torchdq.Robot, at: np.ndarray, motion: Motion, chosen: int) -> Iterator[None]:
     """Draw all arms and their shadows; every time it is asked, they move on."""
-    panel = figure.add_axes((0, 0, VIEW / WIDTH, 1), xlim=(0, VIEW), ylim=(0, HEIGHT))
-    panel.set_axis_off()
-    strokes = LineCollection([], capstyle="round", clip_on=False)
-    panel.add_collection(strokes, autolim=False)
-    skeleton, base, (_, depth) = Skeleton(robot), at[:, None, None], project(at)
-    lines = len(skeleton.lines)
-    strokes.set_linewidths(np.repeat(np.maximum(0.055 * FOCUS / depth, 0.8) * 0.72, 2 * lines))
+    drawn = films.Bodies(figure, (VIEW, HEIGHT), project, EYE, FOCUS)
+    skeleton, (_, depth) = Skeleton(robot), project(at)
+    bodies = [body for _, body in skeleton.bodies]
     far = ((depth - depth.min()) / max(np.ptp(depth), 1e-9))[:, None]
     fog = 0.93 * far**0.6
-    dark, slow, fast, mist = (np.array(to_rgb(colour)) for colour in (CARD, SLOW, FAST, FOG))
+    slow, fast, mist = (np.array(to_rgb(colour)) for colour in (SLOW, FAST, FOG))
     for q, qd in zip(motion.q, motion.qd.norm(dim=-1).numpy(), strict=True):
-        ends = skeleton.points(q)[:, skeleton.lines]
-        both = np.concatenate([ends * (1.0, 1.0, 0.0), ends], 1) + base  # an arm's shadow, and then the arm
         speed = np.clip(qd / 3.2, 0, 1)[:, None]  # the faster, the brighter
         colours = (slow * (1 - speed) + fast * speed) * (1 - fog) + mist * fog
         colours[chosen] = to_rgb(CHOSEN)
-        shades = np.repeat(np.stack([0 * colours + 0.55 * dark, colours], 1), lines, 1)
-        strokes.set_segments(project(both)[0].reshape(-1, 2, 2))
-        strokes.set_color(shades.reshape(-1, 3))
+        drawn.add(bodies, skeleton.placed(q)[1], at, colours)
+        drawn.show(0.3)
         yield
 
 

@@ -98,7 +98,7 @@ def rolled_out(policy: Policy, task: Task, steps: int) -> State:
 
 
 def loss(policy: Policy, task: Task, args: Args, share: Team) -> Tensor:
-    """Part of this process in the mean distance from the goals, with a small price on speed, over arms and time."""
+    """Part of this process in the mean distance from the goals, with a small penalty on speed, over arms and time."""
     own = Task(*map(share.share, task))
     states = rolled_out(policy, own, args.steps)
     off = (tips(states.q) - own.goal).norm(dim=-1) + 1e-3 * states.qd.square().sum(-1)

@@ -92,30 +92,27 @@ def main(args: Args) -> tuple[Path, int]:
     chosen = int(np.argmin(np.abs(at[:, 0] + 1.0) + np.abs(at[:, 1] - 1.0)))
     q, X, fell = simulated(play.policy_of(args.policy), at, args.frames, chosen)
     skeleton = Skeleton(torchdq.robots.load("go2"))
-    dark, robot, mist = (np.array(to_rgb(colour)) for colour in (films.CARD, films.FAST, films.FOG))
-    subtitle = f"a policy learned in {ppo.Args.seconds:.0f} s on one thread"
+    robot, mist = (np.array(to_rgb(colour)) for colour in (films.FAST, films.FOG))
+    subtitle = f"a policy learned in {ppo.Args.seconds:.0f} s on one core"
     figure = films.card(WIDTH, HEIGHT, f"{len(at)} quadrupeds, one program", subtitle)
     panel = figure.add_axes((0, 0, 1, 1), xlim=(0, WIDTH), ylim=(0, HEIGHT))
     panel.set_axis_off()
-    rules, strokes = LineCollection([], colors=films.FOG, linewidths=0.8), LineCollection([], capstyle="round")
+    rules = LineCollection([], colors=films.FOG, linewidths=0.8)
     panel.add_collection(rules, autolim=False)
-    panel.add_collection(strokes, autolim=False)
-    lines, grid = len(skeleton.lines), np.array([[(x, -2.0, 0.0), (x, 26.0, 0.0)] for x in range(-40, 60)])
+    grid = np.array([[(x, -2.0, 0.0), (x, 26.0, 0.0)] for x in range(-40, 60)])
+    drawn = films.Bodies(figure, (WIDTH, HEIGHT), project, arms.EYE / ZOOM, ZOOM * arms.FOCUS)
+    bodies = [body for _, body in skeleton.bodies]
 
     def moves() -> Iterator[None]:
         for k, (joints, poses) in enumerate(zip(q, X, strict=True)):
             camera = np.array([SPEED * (WARM + k / 15), 0.0, 0.0])
-            ends = skeleton.points(joints, X_WB=poses)[:, skeleton.lines] - camera
-            order = np.argsort(-ends[:, 0, 0, 1], kind="stable")
-            both = np.concatenate([ends * (1.0, 1.0, 0.0), ends], 1)[order]
-            seen, depth = project(both)
-            near = depth.mean((1, 2))[:, None]
+            points, placed = skeleton.placed(joints, X_WB=poses)
+            near = project(points[:, 0] - camera)[1][:, None]
             fog = 0.9 * np.clip((near - near.min()) / np.ptp(near), 0, 1) ** 0.6
             colours = robot * (1 - fog) + mist * fog
-            colours[order == chosen] = to_rgb(films.CHOSEN)
-            strokes.set_segments(seen.reshape(-1, 2, 2))
-            strokes.set_linewidths(np.repeat(np.maximum(0.028 * ZOOM * arms.FOCUS / near[:, 0], 0.7), 2 * lines))
-            strokes.set_color(np.repeat(np.stack([0 * colours + 0.55 * dark, colours], 1), lines, 1).reshape(-1, 3))
+            colours[chosen] = to_rgb(films.CHOSEN)
+            drawn.add(bodies, placed, np.broadcast_to(-camera, (len(at), 3)), colours)
+            drawn.show(0.1)
             rules.set_segments(project(grid - camera)[0])
             yield
 

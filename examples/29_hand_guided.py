@@ -1,4 +1,4 @@
-"""An arm that yields to a hand as a spring of chosen stiffness, and tells how hard it is pushed.
+"""An arm that is guided by hand like a spring of chosen stiffness, and estimates how hard it is pushed.
 
     python examples/29_hand_guided.py
 

@@ -34,6 +34,7 @@ SOURCES = {
     "legs": Source("24_on_feet", "on_feet.png"),
     "hands": Source("33_hand", "hand.png"),
     "loops": Source("37_linkage", "linkage.png"),
+    "plan": Source("38_plan", "plan.png"),
     "controller": Source("15_real_time", "real_time.png"),
     "paper": Source("10_paper_figures", "paper_torques.png"),
 }

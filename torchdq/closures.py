@@ -174,7 +174,9 @@ def constrained_inverse_dynamics(
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").with_closures(torchdq.Closure("base", "tip"))
-    >>> constrained_inverse_dynamics(robot, torch.tensor([0.3, torch.pi]), actuated="joint1").tau.shape
+    >>> constrained_inverse_dynamics(
+    ...     robot, torch.tensor([0.3, torch.pi]), actuated="joint1"
+    ... ).tau.shape
     torch.Size([2])
     """
     if _looped(robot).floating:

@@ -29,7 +29,8 @@ class Finding(NamedTuple):
 
     Compare findings by `code` and `subject`; the words may change.
 
-    >>> found = Finding("mass.negative", "link 'forearm'", "mass must not be negative", "-1 kg", "correct its <mass>")
+    >>> claim, cure = "mass must not be negative", "correct its <mass>"
+    >>> found = Finding("mass.negative", "link 'forearm'", claim, "-1 kg", cure)
     >>> print(found)
     link 'forearm': mass must not be negative, found -1 kg; correct its <mass>
     """
@@ -57,7 +58,9 @@ class Finding(NamedTuple):
 def merged(findings: Sequence[Finding], command_line: bool = False) -> str:
     """Text of several findings; those that share their claim and cure are one sentence about all their subjects.
 
-    >>> wrong = [Finding("torque.sign", joint, "signs must agree", "-1") for joint in ("hip", "knee")]
+    >>> wrong = [
+    ...     Finding("torque.sign", joint, "signs must agree", "-1") for joint in ("hip", "knee")
+    ... ]
     >>> print(merged(wrong))
     hip, knee: signs must agree, found -1, -1
     """

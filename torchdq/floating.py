@@ -154,7 +154,8 @@ def forward_dynamics(
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
-    >>> forward_dynamics(robot, torch.eye(8)[0], torch.zeros(12), None, None, torch.zeros(12)).A_WB_B[5]  # it falls
+    >>> X_WB, q, tau = torch.eye(8)[0], torch.zeros(12), torch.zeros(12)
+    >>> forward_dynamics(robot, X_WB, q, None, None, tau).A_WB_B[5]  # it falls
     tensor(-9.8100)
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "tau": tau}
@@ -172,7 +173,8 @@ def mass_matrix(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | No
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
-    >>> mass_matrix(robot, torch.eye(8)[0], torch.zeros(12)).base[3:, 3:].diagonal()  # its mass [kg]
+    >>> # its mass [kg]
+    >>> mass_matrix(robot, torch.eye(8)[0], torch.zeros(12)).base[3:, 3:].diagonal()
     tensor([16.0870, 16.0870, 16.0870])
     """
     (M,) = function_of("floating.mass_matrix", robot, {"X_WB": X_WB, "q": q}, backend)
@@ -190,7 +192,8 @@ def closed_form(
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
     >>> X_WB, q = torch.eye(8)[0], torch.zeros(12)
-    >>> closed_form(robot, X_WB, q, torch.zeros(6), torch.zeros(12)).g[5] / 9.81  # its mass [kg]
+    >>> # its mass [kg]
+    >>> closed_form(robot, X_WB, q, torch.zeros(6), torch.zeros(12)).g[5] / 9.81
     tensor(16.0870)
     """
     return FreeClosedForm(
@@ -203,7 +206,8 @@ def coriolis_matrix(
 ) -> Tensor:
     """Coriolis matrix C [..., 6 + n, 6 + n]: C v = c for v = (V_WB_B, qd), and dM/dt = C + C^T.
 
-        C = 1/2 (dc/dv + M [v, .])   with the bracket of twists [V, W] = (w_V x w_W, w_V x v_W + v_V x w_W) of the base
+        C = 1/2 (dc/dv + M [v, .])
+        [V, W] = (w_V x w_W, w_V x v_W + v_V x w_W), the bracket of twists of the base
 
     so that C(v) w - C(w) v = M [v, w]. Pinocchio's `computeCoriolisMatrix` has other entries, and the same C v and
     dM/dt.
@@ -253,7 +257,8 @@ def regressor(
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
-    >>> regressor(robot, torch.eye(8)[0], torch.zeros(12)).shape  # 18 rows of forces, 13 bodies of ten parameters
+    >>> # 18 rows of forces, 13 bodies of ten parameters
+    >>> regressor(robot, torch.eye(8)[0], torch.zeros(12)).shape
     torch.Size([18, 130])
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
@@ -274,7 +279,8 @@ def kinetic_energy(
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
     >>> X_WB, q = torch.eye(8)[0], torch.zeros(12)
-    >>> kinetic_energy(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(12))  # 16 kg at 1 m/s
+    >>> # 16 kg at 1 m/s
+    >>> kinetic_energy(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(12))
     tensor(8.0435)
     """
     return function_of("floating.kinetic_energy", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)[0]
@@ -288,8 +294,11 @@ def potential_energy(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
-    >>> low, high = torchdq.dq.from_pose(torch.eye(4)[0], torch.tensor([[0.0, 0, 0], [0, 0, 1]]))
-    >>> (potential_energy(robot, high, torch.zeros(12)) - potential_energy(robot, low, torch.zeros(12))) / 9.81
+    >>> low, high = torchdq.dq.from_pose(
+    ...     torch.eye(4)[0], torch.tensor([[0.0, 0, 0], [0, 0, 1]])
+    ... )
+    >>> E = [potential_energy(robot, X_WB, torch.zeros(12)) for X_WB in (low, high)]
+    >>> (E[1] - E[0]) / 9.81
     tensor(16.0870)
     """
     return function_of("floating.potential_energy", robot, {"X_WB": X_WB, "q": q}, backend)[0]
@@ -320,7 +329,8 @@ def momentum(
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
     >>> X_WB, q = torch.eye(8)[0], torch.zeros(12)
-    >>> momentum(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(12)).linear  # 16 kg at 1 m/s
+    >>> # 16 kg at 1 m/s
+    >>> momentum(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(12)).linear
     tensor([16.0870,  0.0000,  0.0000])
     """
     return Momentum(
@@ -370,11 +380,14 @@ def forward_kinematics(
         frame: name of the frame, or names of several; None: all of them, in the order of `robot.frame_names`.
     Raises:
         UnknownNameError: the robot has no such frame.
-        ArgumentError, DtypeError: naming the argument that does not fit.
+        ArgumentError: an argument is not a tensor, or has another shape than stated.
+        DtypeError: dtypes differ, or are neither float32 nor float64.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
-    >>> torchdq.dq.translation(forward_kinematics(robot, torch.eye(8)[0], torch.zeros(12), "FL_foot"))
+    >>> torchdq.dq.translation(
+    ...     forward_kinematics(robot, torch.eye(8)[0], torch.zeros(12), "FL_foot")
+    ... )
     tensor([ 0.1934,  0.1420, -0.4260])
     """
     return poses("floating.forward_kinematics", robot, {"X_WB": X_WB, "q": q}, frame, backend)
@@ -395,7 +408,8 @@ def jacobian(
         frame, expressed: as in `torchdq.jacobian`; "world" are the axes of the world.
     Raises:
         UnknownNameError: the robot has no such frame.
-        ArgumentError, DtypeError: naming the argument that does not fit.
+        ArgumentError: an argument is not a tensor, or has another shape than stated.
+        DtypeError: dtypes differ, or are neither float32 nor float64.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("go2")
@@ -421,9 +435,13 @@ def external_wrenches(
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("go2"), torch.zeros(12)
-    >>> feet = {f"{leg}_foot": torch.tensor([0.0, 0, 40, 0, 0, 0]) for leg in ("FL", "FR", "RL", "RR")}
+    >>> feet = {
+    ...     f"{leg}_foot": torch.tensor([0.0, 0, 40, 0, 0, 0])
+    ...     for leg in ("FL", "FR", "RL", "RR")
+    ... }
     >>> held = external_wrenches(robot, torch.eye(8)[0], q, feet)  # 40 N upwards at every foot
-    >>> forward_dynamics(robot, torch.eye(8)[0], q, None, None, q, **held._asdict()).A_WB_B[5] > -9.81
+    >>> fall = forward_dynamics(robot, torch.eye(8)[0], q, None, None, q, **held._asdict())
+    >>> fall.A_WB_B[5] > -9.81
     tensor(True)
     """
     given = {"X_WB": X_WB, "q": q}
@@ -450,7 +468,9 @@ def distances(
         points, objects, X_WO, height, normal, own: as in `torchdq.distances`; poses and the ground are in the world.
 
     >>> import torch, torchdq
-    >>> at = distances(torchdq.robots.load("go2"), torch.eye(8)[0], torch.zeros(12), "F?_foot", height=-0.5)
+    >>> at = distances(
+    ...     torchdq.robots.load("go2"), torch.eye(8)[0], torch.zeros(12), "F?_foot", height=-0.5
+    ... )
     >>> at.pairs
     (('FL_foot', 'ground'), ('FR_foot', 'ground'))
     """

@@ -77,13 +77,15 @@ def inverse_dynamics(
     Returns:
         tau: joint torques [N m] or forces [N], shape [..., n].
     Raises:
-        ArgumentError, DtypeError: naming the argument that does not fit.
+        ArgumentError: an argument is not a tensor, or has another shape than stated.
+        DtypeError: dtypes differ, or are neither float32 nor float64.
 
     Source: Algorithm 1 of the paper, equations (38)-(48), with errata 25, 30, 38, 40, 46, 47, A1 corrected.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link")
-    >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))  # holding the arm against gravity
+    >>> # holding the arm against gravity
+    >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))
     tensor([19.6200,  4.9050], dtype=torch.float64)
     """
     return function_of(
@@ -117,7 +119,8 @@ def forward_dynamics(
         SingularInertiaError: a joint moves no inertia in any position.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> forward_dynamics(robot, q, None, inverse_dynamics(robot, q)).abs().max() < 1e-13
     tensor(True)
     """
@@ -164,7 +167,8 @@ def mass_matrix_derivative(robot: Robot, q: Tensor, backend: BackendName | None 
         robot, q: the robot and its joint positions [rad or m], shape [..., n].
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> rate = mass_matrix_derivative(robot, q) @ q  # of the mass matrix, at the velocities q
     >>> C = torchdq.coriolis_matrix(robot, q, q)
     >>> torch.allclose(rate, C + C.mT)
@@ -189,10 +193,13 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
 
         M, c, g  mass matrix, Coriolis and centrifugal torques, gravity torques
         f_tip    enters with +: the wrench the end effector exerts on the environment
-        f_ext    enters with - where there is one: wrenches the environment exerts on the links, as in Pinocchio
-        Jt       transposed Jacobian of the tip, columns in the order of a wrench, (force, moment), in the axes of the
-                 tip frame; the rows of `jacobian` are in the order of a twist, (angular, linear)
-        names    Pinocchio: `computeAllTerms`, with nle = c + g, and Jt the transpose of the LOCAL Jacobian of the tip
+        f_ext    enters with - where there is one: wrenches the environment exerts on the links,
+                 as in Pinocchio
+        Jt       transposed Jacobian of the tip, columns in the order of a wrench, (force,
+                 moment), in the axes of the tip frame; the rows of `jacobian` are in the order
+                 of a twist, (angular, linear)
+        names    Pinocchio: `computeAllTerms`, with nle = c + g, and Jt the transpose of the
+                 LOCAL Jacobian of the tip
 
     The recorded program computes every term by itself: M by composite bodies, c and g by the recursion without gravity
     and at rest. The matrices of dual quaternions of the paper (`torchdq.paper.closed_form`) give the same.
@@ -203,7 +210,8 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
     Source: equations (57)-(72) of the paper, with errata 57, 61, T1.4, 68, 70, 71 corrected.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> closed_form(robot, q, torch.zeros_like(q)).g
     tensor([18.5756,  4.5178], dtype=torch.float64)
     """
@@ -251,7 +259,8 @@ def dynamics_jacobian(
             shape [..., n].
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> torch.equal(dynamics_jacobian(robot, q, q, q)[2], mass_matrix(robot, q))
     True
     """
@@ -279,9 +288,11 @@ def dynamics_hessian(
 
         of="inverse"  f = tau,  z = (q, qd, qdd)
         of="forward"  f = qdd,  z = (q, qd, tau): the argument qdd has the torques
-        weight        H = sum over i of weight_i d2f_i/dz2, shape [..., 3n, 3n], as in differential dynamic programming,
-                      where the weight is the gradient of the value function
-        no weight     H_i = d2f_i/dz2, shape [..., n, 3n, 3n], in two to three times the time, and n times the memory
+        weight        H = sum over i of weight_i d2f_i/dz2, shape [..., 3n, 3n], as in
+                      differential dynamic programming, where the weight is the gradient of the
+                      value function
+        no weight     H_i = d2f_i/dz2, shape [..., n, 3n, 3n], in two to three times the time,
+                      and n times the memory
         J             df/dz, shape [..., n, 3n]
 
     Rows and columns are in the order of z: H[..., :n, n : 2 * n] has the derivatives in q and qd, H[..., :n, 2 * n :]
@@ -296,11 +307,13 @@ def dynamics_hessian(
         of: "inverse" or "forward", as above.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> H, J = dynamics_hessian(robot, q, q, q, weight=torch.ones_like(q))
     >>> H.shape, torch.allclose(J[:, 4:], mass_matrix(robot, q))
     (torch.Size([6, 6]), True)
-    >>> torch.allclose(H[:2, 4:], mass_matrix_derivative(robot, q).sum(0).mT)  # d2tau/dq dqdd is dM/dq
+    >>> # d2tau/dq dqdd is dM/dq
+    >>> torch.allclose(H[:2, 4:], mass_matrix_derivative(robot, q).sum(0).mT)
     True
     """
     require_choice("of", of, ("inverse", "forward"))
@@ -315,7 +328,8 @@ def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | N
         robot, q, qd: the robot, its joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> torch.isclose(kinetic_energy(robot, q, q), q @ mass_matrix(robot, q) @ q / 2)
     tensor(True)
     """
@@ -329,8 +343,11 @@ def potential_energy(robot: Robot, q: Tensor, backend: BackendName | None = None
         robot, q: the robot and its joint positions [rad or m], shape [..., n].
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
-    >>> torch.allclose(torch.func.grad(lambda q: potential_energy(robot, q))(q), inverse_dynamics(robot, q))
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> torch.allclose(
+    ...     torch.func.grad(lambda q: potential_energy(robot, q))(q), inverse_dynamics(robot, q)
+    ... )
     True
     """
     return function_of("potential_energy", robot, {"q": q}, backend)[0]
@@ -366,11 +383,14 @@ def jacobian(
 ) -> Tensor:
     """Jacobian J [..., 6, n]: the twist (angular, linear) of a frame is J qd.
 
-        rows                 in the order of a twist, (angular, linear); Pinocchio has (linear, angular)
+        rows                 in the order of a twist, (angular, linear); Pinocchio has (linear,
+                             angular)
         expressed="body"     V_WF_F, the twist of F's origin in the axes of F; Pinocchio: LOCAL
-        expressed="world"    the same twist of F's origin in the axes of the base frame; Pinocchio: LOCAL_WORLD_ALIGNED
-        torques of a wrench  J^T swap(f), since a wrench f is (force, moment); with + in the torques where the frame
-                             exerts it on the environment (f_tip), with - where the environment exerts it (f_ext)
+        expressed="world"    the same twist of F's origin in the axes of the base frame;
+                             Pinocchio: LOCAL_WORLD_ALIGNED
+        torques of a wrench  J^T swap(f), since a wrench f is (force, moment); with + in the
+                             torques where the frame exerts it on the environment (f_tip), with
+                             - where the environment exerts it (f_ext)
 
     Args:
         robot, q: the robot and its joint positions [rad or m], shape [..., n].
@@ -378,7 +398,8 @@ def jacobian(
         expressed: "body" or "world", as above.
 
     >>> import torch, torchdq
-    >>> jacobian(torchdq.robots.load("two_link"), torch.zeros(2), "tip")[4]  # the tip's velocity along y
+    >>> # the tip's velocity along y
+    >>> jacobian(torchdq.robots.load("two_link"), torch.zeros(2), "tip")[4]
     tensor([2., 1.])
     """
     return of_one_frame("jacobian", robot, {"q": q}, (frame, expressed), backend)
@@ -393,7 +414,9 @@ def external_wrenches(
 ) -> Tensor:
     """Wrenches f_ext [..., n, 6] on the links, in link frames, of wrenches that the environment exerts at frames.
 
-        sum of J_i^T f_ext_i = sum over the frames of J_F^T F   (J^T as in `jacobian`: of swapped wrenches)
+        sum of J_i^T f_ext_i = sum over the frames of J_F^T F
+
+    with J^T as in `jacobian`, of swapped wrenches.
 
     Args:
         robot, q: the robot and its joint positions [rad or m], shape [..., n].
@@ -403,7 +426,8 @@ def external_wrenches(
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.zeros(2)
-    >>> f_ext = external_wrenches(robot, q, {"tip": torch.tensor([0.0, -10, 0, 0, 0, 0])})  # 10 N downwards
+    >>> # 10 N downwards
+    >>> f_ext = external_wrenches(robot, q, {"tip": torch.tensor([0.0, -10, 0, 0, 0, 0])})
     >>> (inverse_dynamics(robot, q, f_ext=f_ext) - inverse_dynamics(robot, q)).round()
     tensor([20., 10.])
     """
@@ -457,7 +481,8 @@ def distances(
     >>> distances(robot, q, "tip", (box,), X_WO)
     Distances(distance=tensor([-0.2954]), pairs=(('tip', 'box'),))
     >>> def depth(q):
-    ...     return distances(robot, q, "tip", (box,), X_WO).distance.clamp(max=0.01).sub(0.01).square().sum()
+    ...     at = distances(robot, q, "tip", (box,), X_WO)
+    ...     return at.distance.clamp(max=0.01).sub(0.01).square().sum()
     >>> for _ in range(10):
     ...     q = q - 0.1 * torch.func.grad(depth)(q)
     >>> distances(robot, q, "tip", (box,), X_WO).distance > 0

@@ -295,7 +295,8 @@ def from_mjcf(source: str | PathLike[str] | bytes | IO[Any], bodies: str | Seque
         DescriptionError: MuJoCo cannot compile the file, no body is free, or one of the bodies is no such object.
         UnknownNameError: no free body has such a name.
 
-    >>> body = '<body name="cube"><freejoint/><geom type="box" size="0.02 0.02 0.02" mass="0.1"/></body>'
+    >>> cube = '<geom type="box" size="0.02 0.02 0.02" mass="0.1"/>'
+    >>> body = f'<body name="cube"><freejoint/>{cube}</body>'
     >>> from_mjcf(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     (Box(name='cube', mass=0.1, inertia=None, size=(0.04, 0.04, 0.04), rounding=0.0),)
     """

@@ -54,7 +54,7 @@ def inverse_kinematics(
     """Joint positions q [..., n] within the limits at which a frame has the pose X, from several starts.
 
     Levenberg-Marquardt steps on the error (rotation vector to X, displacement to X), with joints held at limits. Where
-    they stall, the next start is taken, a point of one sequence that fills the limits evenly and is the same for all
+    they stall, the next start is taken: a point of a low-discrepancy sequence within the limits, the same for all
     rows, so that a row has the same result in every batch. A row that cannot be reached has `converged` False, and the
     q whose error has the smallest norm: damped steps lead to it from the best of all starts and from eight of them. Of
     an X farther than a kilometre the direction counts, and the error is to scale. Of an X that is not finite q is NaN.
@@ -78,9 +78,12 @@ def inverse_kinematics(
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("panda")
-    >>> X = torchdq.forward_kinematics(robot, torch.linspace(-1.0, 1.0, 7, dtype=torch.float64) - 0.2, robot.tip)
+    >>> X = torchdq.forward_kinematics(
+    ...     robot, torch.linspace(-1.0, 1.0, 7, dtype=torch.float64) - 0.2, robot.tip
+    ... )
     >>> found = inverse_kinematics(robot, X)
-    >>> bool(found.converged), bool((torchdq.forward_kinematics(robot, found.q, robot.tip) - X).abs().max() < 1e-8)
+    >>> X_WT = torchdq.forward_kinematics(robot, found.q, robot.tip)
+    >>> bool(found.converged), bool((X_WT - X).abs().max() < 1e-8)
     (True, True)
     """
     names = options_of(require_robot(robot), "inverse_kinematics_step", (frame, expressed, axes))
@@ -135,8 +138,11 @@ def differential_inverse_kinematics(
         ArgumentError: the joints cannot move these axes independently; dt is a number that is not positive.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
-    >>> qd, scale = differential_inverse_kinematics(robot, q, torch.tensor([0.1, 0.2]).to(q), axes=("x", "y"))
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> qd, scale = differential_inverse_kinematics(
+    ...     robot, q, torch.tensor([0.1, 0.2]).to(q), axes=("x", "y")
+    ... )
     >>> (torchdq.jacobian(robot, q, "tip") @ qd)[3:5], scale
     (tensor([0.1000, 0.2000], dtype=torch.float64), tensor(1., dtype=torch.float64))
     """

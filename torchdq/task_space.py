@@ -65,7 +65,8 @@ def frame_motion(
 
     >>> import torch, torchdq
     >>> q = torch.zeros(2)
-    >>> frame_motion(torchdq.robots.load("two_link"), q, q + 1, expressed="world").A  # towards both joints
+    >>> # towards both joints
+    >>> frame_motion(torchdq.robots.load("two_link"), q, q + 1, expressed="world").A
     tensor([ 0.,  0.,  0., -5.,  0.,  0.])
     """
     return FrameMotion(*with_options("frame_motion", robot, {"q": q, "qd": qd, "qdd": qdd}, backend, frame, expressed))
@@ -99,7 +100,8 @@ def operational_space(
 ) -> OperationalSpaceTerms:
     """Dynamics of a frame: the force (moment, force) at its origin that accelerates it.
 
-        F = Lambda a + mu + p,   Lambda = (J M^-1 J^T)^-1,   a = rate of the components of the twist
+        F = Lambda a + mu + p,   Lambda = (J M^-1 J^T)^-1
+        a = rate of the components of the twist
 
     Rows that are singular, whose `growth` would be above 2^46, are NaN; see `forward_dynamics`.
 
@@ -114,9 +116,11 @@ def operational_space(
     Source: Khatib, A unified approach for motion and force control of robot manipulators, 1987.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> at = operational_space(robot, q, q, axes=("x", "y"))
-    >>> moved = at.J @ torch.linalg.solve(torchdq.mass_matrix(robot, q), at.J.mT)  # by a unit of force
+    >>> # by a unit of force
+    >>> moved = at.J @ torch.linalg.solve(torchdq.mass_matrix(robot, q), at.J.mT)
     >>> torch.allclose(at.Lambda, torch.linalg.inv(moved))
     True
     """
@@ -142,7 +146,9 @@ def manipulability(
         frame, expressed, axes: as in `operational_space`.
 
     >>> import torch, torchdq
-    >>> manipulability(torchdq.robots.load("two_link"), torch.tensor([0.3, 0.0]), axes=("x", "y"))
+    >>> manipulability(
+    ...     torchdq.robots.load("two_link"), torch.tensor([0.3, 0.0]), axes=("x", "y")
+    ... )
     tensor(0.)
     """
     return with_options("manipulability", robot, {"q": q}, backend, frame, expressed, axes)[0]
@@ -160,7 +166,8 @@ def coriolis_matrix(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | 
         robot, q, qd: the robot, its joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q = torch.tensor([0.3, -0.7], dtype=torch.float64)
     >>> torch.allclose(coriolis_matrix(robot, q, q) @ q, torchdq.closed_form(robot, q, q).c)
     True
     """
@@ -194,13 +201,15 @@ def operational_space_control(
     that accelerate the joints towards the posture, or not at all, and a_0 is the rate of the twist that these give.
     Coriolis terms, Jdot qd and the derivatives of the logarithm are included, so the equation holds up to half a turn:
 
-        body axes, all components   e = 2 log(X* X_des), the screw to the goal in axes of the frame
-        otherwise                   e = (rotation vector to the goal, difference of the positions), whose rates are
-                                    those in the base frame, seen in those axes; of some rotations without the others
-                                    it holds for small errors
+        body axes, all components   e = 2 log(X* X_des), the screw to the goal in axes of the
+                                    frame
+        otherwise                   e = (rotation vector to the goal, difference of the
+                                    positions), whose rates are those in the base frame, seen in
+                                    those axes; of some rotations without the others it holds
+                                    for small errors
 
-    X_des is scaled to a unit dual quaternion, and -X_des is the same goal. Beyond half a turn the other way round is
-    shorter, and e jumps.
+    X_des is scaled to a unit dual quaternion, and -X_des is the same goal. Beyond half a turn the rotation in
+    the other direction is shorter, and e jumps.
 
     Args:
         robot: the model of the robot that is controlled.
@@ -224,12 +233,16 @@ def operational_space_control(
         ArgumentError: the joints cannot move these axes independently; the robot has no torque limits.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("panda"), torch.tensor([0.1, 0.4, 0.0, -1.5, 0.2, 1.7, 0.3], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("panda")
+    >>> q = torch.tensor([0.1, 0.4, 0.0, -1.5, 0.2, 1.7, 0.3], dtype=torch.float64)
     >>> X_des = torchdq.forward_kinematics(robot, q + 0.01, robot.tip)
     >>> tau = operational_space_control(robot, q, 0 * q, X_des, kp=100.0, kd=20.0)
     >>> X = torchdq.dq.Pose(frame_motion(robot, q, 0 * q).X)
     >>> e = (X.inverse() @ torchdq.dq.Pose(X_des)).log()
-    >>> torch.allclose(frame_motion(robot, q, 0 * q, torchdq.forward_dynamics(robot, q, 0 * q, tau)).A, 100 * e)
+    >>> torch.allclose(
+    ...     frame_motion(robot, q, 0 * q, torchdq.forward_dynamics(robot, q, 0 * q, tau)).A,
+    ...     100 * e,
+    ... )
     True
     """
     where: Any = {"frame": frame, "expressed": expressed, "axes": axes_of(axes)}
@@ -271,7 +284,8 @@ def cartesian_impedance(
         coriolis: whether the torques contain c; False: tau = J^T (K e + D e') + g.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("ur10e"), torch.tensor([0.1, -1.0, 1.2, 0.3, 0.8, 0.0], dtype=torch.float64)
+    >>> robot = torchdq.robots.load("ur10e")
+    >>> q = torch.tensor([0.1, -1.0, 1.2, 0.3, 0.8, 0.0], dtype=torch.float64)
     >>> X = torchdq.forward_kinematics(robot, q, robot.tip)
     >>> tau = cartesian_impedance(robot, q, 0 * q, X, stiffness=400.0, damping=40.0)
     >>> torch.allclose(tau, torchdq.inverse_dynamics(robot, q))  # at rest at the goal

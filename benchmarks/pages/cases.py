@@ -43,7 +43,8 @@ CASES: dict[str, Case] = {
         "effects.Gravity()",
         """
         scene = Scene(robot, (effects.Gravity(),))  # the robot's own acceleration
-        tilted = Scene(robot, (effects.Gravity((4.9, -8.5, 0.0)),))  # a base on a slope of 30 degrees
+        # a base on a slope of 30 degrees
+        tilted = Scene(robot, (effects.Gravity((4.9, -8.5, 0.0)),))
         state = scene.step(scene.start(torch.zeros(robot.n)))
         """,
         "effects.Gravity((0.0, 0.0, 0.0))",
@@ -93,7 +94,8 @@ CASES: dict[str, Case] = {
         """
         scene = Scene(robot, (effects.Quadratic(0.2),))
         state = scene.rollout(scene.start(torch.zeros(2), torch.ones(2)), steps=20)
-        layer = torchdq.DQRNEA(robot, friction=(effects.Quadratic(0.2),))  # the same law in a layer
+        # the same law in a layer
+        layer = torchdq.DQRNEA(robot, friction=(effects.Quadratic(0.2),))
         """,
         "effects.Quadratic(0.0)",
     ),
@@ -163,7 +165,8 @@ CASES: dict[str, Case] = {
     "Servo": _case(
         "effects.Servo(100.0, 10.0)",
         """
-        scene = Scene(robot, (effects.Gravity(), effects.Servo(kp=400.0, kd=40.0, limit=[30.0, 10.0])))
+        servo = effects.Servo(kp=400.0, kd=40.0, limit=[30.0, 10.0])
+        scene = Scene(robot, (effects.Gravity(), servo))
         target = torch.tensor([0.5, -0.5]).expand(100, 2)  # an input of every step
         state = scene.rollout(scene.start(torch.zeros(2)), target=target)
         """,
@@ -217,10 +220,11 @@ CASES: dict[str, Case] = {
     "PointSpring": _case(
         "effects.PointSpring(damping=10.0)",
         """
-        spring = effects.PointSpring("tip", anchor=(1.0, 1.0, 0.0), stiffness=200.0, damping=20.0)
+        anchor = (1.0, 1.0, 0.0)
+        spring = effects.PointSpring("tip", anchor, stiffness=200.0, damping=20.0)
         scene = Scene(robot, (effects.Viscous(2.0), spring))
         state = scene.rollout(scene.start(torch.tensor([0.2, 0.8])), steps=500).last
-        tip = torchdq.dq.translation(torchdq.forward_kinematics(robot, state.q)[robot.frame_names.index("tip")])
+        tip = torchdq.dq.translation(torchdq.forward_kinematics(robot, state.q, "tip"))
         assert torch.allclose(tip, torch.tensor([1.0, 1.0, 0.0]), atol=0.02)
         """,
         "effects.PointSpring(stiffness=0.0)",
@@ -240,7 +244,8 @@ CASES: dict[str, Case] = {
         floor = effects.Contact("tip", height=-1.0, normal=(0.0, 1.0, 0.0), friction=0.5)
         scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.5), floor), dt=0.005)
         states = scene.rollout(scene.start(torch.zeros(2)), steps=400)
-        found = scene.contacts(states)  # of every step: force [400, 1, 3], touching, depth, slip
+        # of every step: force [400, 1, 3], touching, depth, slip
+        found = scene.contacts(states)
         assert found.touching[-1].all() and found.force[-1, 0, 1] > 0
         """,
         "effects.Contact(stiffness=0.0, stiction=False)",
@@ -251,7 +256,8 @@ CASES: dict[str, Case] = {
         """
         scene = Scene(robot, (effects.Saturation(limit=2.0),))
         state = scene.start(torch.zeros(2))
-        assert torch.equal(scene.step(state, torch.full((2,), 9.0)).qd, scene.step(state, torch.full((2,), 2.0)).qd)
+        ends = [scene.step(state, torch.full((2,), tau)).qd for tau in (2.0, 9.0)]
+        assert torch.equal(*ends)
         """,
         'effects.Saturation(float("inf"))',
     ),
@@ -291,7 +297,8 @@ CASES: dict[str, Case] = {
         "effects.QuantisedCommand(0.1)",
         """
         scene = Scene(robot, (effects.QuantisedCommand(step=0.1),))
-        state = scene.step(scene.start(torch.zeros(2)), torch.tensor([0.04, 0.26]))  # acts as 0 and 0.3
+        # acts as 0 and 0.3
+        state = scene.step(scene.start(torch.zeros(2)), torch.tensor([0.04, 0.26]))
         """,
     ),
     # --- sensor ---

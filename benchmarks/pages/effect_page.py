@@ -28,6 +28,13 @@ SLOTS = {
     "actuator": "Actuators change the commanded torque one after the other, in the order of the list.",
     "sensor": "Sensors change the measurement one after the other, in the order of the list, before the controller.",
 }
+TITLES = {
+    "model": "Model: gravity, payloads, rotors",
+    "joint": "Joint: friction, springs, limits",
+    "body": "Body: contact, drag, pushes",
+    "actuator": "Actuator: torque limits, delays, motors",
+    "sensor": "Sensor: noise, bias, delays",
+}
 LAST = "It acts after all other model effects, wherever it is in the list."
 SYMBOLS = frozenset({"load", "target"})  # symbols of formulas that are not parameters
 
@@ -267,9 +274,11 @@ import torchdq
 from torchdq import Scene, effects
 
 robot = torchdq.robots.load("panda")
-scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.5), effects.Saturation()), dt=0.002)
+parts = (effects.Gravity(), effects.Viscous(0.5), effects.Saturation())
+scene = Scene(robot, parts, dt=0.002)
 state = scene.step(scene.start(torch.zeros(4096, 7)), torque=torch.zeros(4096, 7))
-print(scene.describe(seconds=0))  # operations of every effect; with more seconds, nanoseconds too
+# operations of every effect; with more seconds, nanoseconds too
+print(scene.describe(seconds=0))
 ```
 
 Omitted parameters are taken from the robot's description, if it has them. `scene.describe()` also lists the effects of
@@ -291,7 +300,7 @@ def index() -> str:
     for slot in SLOTS:
         rows = [_row(kind.__name__, stored) for kind in kinds() if slot == kind.SLOT]
         head = (slot, "effect", "states", "operations", "ns", "also in")
-        sections.append(table(head, rows))
+        sections.append(f"### {TITLES[slot]}\n\n{table(head, rows)}")
     bare = f"A step without effects has {operations()} operations and takes {stored['bare']:.0f} ns."
     inner = "\n\n".join([*sections, f"{bare} {_measured(stored)}"])
     made = MADE.format(script="benchmarks/effects.py")

@@ -27,7 +27,8 @@ import torch
 import torchdq.envs
 
 one = gymnasium.make("torchdq/Reach-v0")  # numpy, one arm
-many = gymnasium.make_vec("torchdq/Reach-v0", num_envs=64, robot="ur10e")  # numpy, reset at the next step
+# numpy, reset at the next step
+many = gymnasium.make_vec("torchdq/Reach-v0", num_envs=64, robot="ur10e")
 envs = torchdq.envs.RobotVectorEnv(64, "reach", "ur10e")  # torch tensors, reset at once
 
 observation, info = envs.reset(seed=0)
@@ -73,8 +74,10 @@ random times.
 from torchdq import effects
 from torchdq.envs import Pushes
 
-parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.Servo(300.0, 30.0), effects.Push())
-pushes = {"push": Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0), every=(0.5, 2.0))}  # [N, N m], between two pushes [s]
+servo = effects.Servo(300.0, 30.0)
+parts = (effects.Gravity(), effects.RotorInertia(0.1), servo, effects.Push())
+# [N, N m], between two pushes [s]
+pushes = {"push": Pushes((20.0, 20.0, 0.0, 0.0, 0.0, 0.0), every=(0.5, 2.0))}
 envs = RobotVectorEnv(64, "reach", "panda", effects=parts, pushes=pushes)
 observation, info = envs.reset(seed=0)
 observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 7))
@@ -91,7 +94,8 @@ changes ranges, pushes and commands while a policy learns, as a [curriculum](../
 from torchdq.envs import Absolute
 
 tilted = Absolute([-1.0, -1.0, -9.81], [1.0, 1.0, -9.81])  # [m/s^2]
-drawn = {"mass": 0.1, "friction": (0.5, 1.5), "payload": 1.0, "Gravity.acceleration": tilted}
+drawn = {"mass": 0.1, "friction": (0.5, 1.5), "payload": 1.0}
+drawn["Gravity.acceleration"] = tilted
 envs = RobotVectorEnv(64, "reach", "panda", randomise=drawn)
 observation, info = envs.reset(seed=0)
 ```

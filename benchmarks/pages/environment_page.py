@@ -103,7 +103,7 @@ def page(task: str) -> str:
         _actions(task, robot),
         "## Reward",
         *[f"$$\n{tex(formula, frozenset({'action'}))}\n$$" for formula in said.formulas],
-        *_paragraphs(case.task, "Reward: "),
+        *_paragraphs(case.task, "Reward: ", "Here "),
         *([] if case.reward is None else [case.reward.words]),
         "It is computed from the true state, not from measurements. A step in which the simulation fails has the "
         f"reward {episode.WORST:g}.",
@@ -240,6 +240,7 @@ def _learning(task: str) -> list[str]:
 
 
 def _learning_code(task: str, found: dict[str, Any]) -> str:
+    line = found["line"].replace("(", "(\n    ").replace(", ", ",\n    ").replace(")", ",\n)")
     return f'''```python
 from stable_baselines3 import PPO
 
@@ -247,7 +248,7 @@ from torchdq.envs import RobotVectorEnv
 from torchdq.envs.sb3 import StableBaselinesVecEnv
 
 vec = StableBaselinesVecEnv(RobotVectorEnv({found["arms"]}, "{task}", "{ROBOT}"))
-model = {found["line"]}
+model = {line}
 # model.learn(5_000_000)
 ```'''
 
@@ -297,7 +298,8 @@ env = gymnasium.make("{id}")  # one, in numpy
 observation, info = env.reset(seed=0)
 observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
 
-envs = torchdq.envs.RobotVectorEnv(64, "{task}", "{other}", action="{hint}")  # 64, in tensors
+# 64 of them, in tensors
+envs = torchdq.envs.RobotVectorEnv(64, "{task}", "{other}", action="{hint}")
 observation, info = envs.reset(seed=0)
 total = torch.zeros(64)
 for _ in range(50):

@@ -5,13 +5,15 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+from mkdocs.structure.files import File
+
 import bars
 import mathml
 import navigation
 import notebooks
 import repository
+import search
 import sources
-from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,7 +42,8 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, config, files):
-    """Markdown of a page whose links to files beside docs/ lead to their pages."""
+    """Markdown of a page whose links to files beside docs/ lead to their pages, and its weight in the search."""
+    search.weighted(page.file.src_uri, page.meta)
     if sys.stderr.isatty():
         print(f"\r{page.file.src_uri:<78}", end="\r", file=sys.stderr, flush=True)
     return sources.with_links(markdown, page.file.src_uri, ROOT)

@@ -18,7 +18,7 @@ import torchdq
 from torchdq.backends.backend import contiguous
 from torchdq.backends.c import COMPILED
 from torchdq.backends.cuda import CUDA
-from torchdq.backends.fast_call import FAST, fast_call, learn, quick
+from torchdq.backends.fast_call import FAST, Forms, fast_call, learn, quick
 from torchdq.backends.loop_call import repeat
 from torchdq.backends.torch import EAGER
 from torchdq.errors import ArgumentError, DtypeError
@@ -45,7 +45,7 @@ def fast(program, *batch, out=False):
     inputs = tuple([contiguous((*batch, a.width), program.dtype) for a in recorded.arguments])
     results = tuple([contiguous((*batch, len(r.values)), program.dtype) for r in recorded.results])
     names = tuple([r.name for r in recorded.results])
-    return fast_call(recorded, inputs, results, names, math.prod(batch), out=out).function
+    return fast_call(recorded, Forms(inputs, results, names, math.prod(batch), out=out)).function
 
 
 def listed(found):
@@ -184,7 +184,8 @@ def test_calls_of_other_backends_stay_with_them():
     """Programs of a GPU are not compiled for the CPU, nor run there."""
     call, keys = compiled(robot="two_link"), ("C", "eager", "cuda")
     for key, backend in zip(keys, (COMPILED, EAGER, CUDA), strict=True):
-        learn(key, backend, call.program, F64, list(torch.rand(3, 2, dtype=F64)), ["tau"], [(2,)], 1)
+        forms = Forms.of(list(torch.rand(3, 2, dtype=F64)), [(2,)], F64, ("tau",), 1)
+        learn(key, backend, call.program, 1, 1, lambda forms=forms: forms)
     assert [key in FAST for key in keys] == [True, False, False]
 
 

@@ -45,7 +45,7 @@ INNER = {
     "torchdq.task_space",
 }
 INNER |= {"torchdq.robot.shipped", "torchdq.robot.shipped.go2"}
-MOST = 255  # distinct public names
+MOST = 256  # distinct public names
 
 
 def with_names():

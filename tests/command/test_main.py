@@ -125,6 +125,7 @@ def test_the_help_of_a_command_has_an_example_that_is_understood(here, capsys, c
     out, _ = told(capsys, command, "--help")
     example = re.search(r"^Example: torchdq (.*)$", out, re.MULTILINE)
     assert example and example[1].split()[0] == command and "--json" in out
+    assert max(map(len, out.splitlines())) <= WIDE and not re.search(r"\(default:\s+(None|False)?\s*\)", out)
     asked = set(re.findall(r"--[a-z-]+", example[1]))
     assert asked <= set(re.findall(r"--[a-z-]+", out.replace(example[0], "")))
 
@@ -178,6 +179,8 @@ MISTAKES = [
     (("id", "arm.urdf", "log.csv+./log.csv"), "there are several columns"),
     (("id", "arm.urdf", "bare.csv"), "--columns time 1 q {2} qd {4} tau {6}"),
     (("id", "arm.urdf", "log.csv", "--transmission", "0.01"), "transmission must have 2 numbers"),
+    (("id", "arm.urdf", "log.csv", "--scale", "q", "half"), "scale must be numbers such as 0.001"),
+    (("id", "arm.urdf", "log.csv", "--zero", "1"), "zero must have 2 numbers"),
     (("id", "log.csv", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "log.csv", "--test", "./log.csv"), "test must be other logs than those to learn from"),
@@ -388,10 +391,10 @@ FEW = ("--friction", "simple", "--prior", "1")  # parameters
 
 def elements(page):
     """Names of the elements of a page whose tags are all closed, and what it would load."""
-    text = re.sub(r"<(meta|br)\b([^>]*)>", r"<\1\2/>", page.removeprefix("<!doctype html>"))
+    text = re.sub(r"<(meta|br|img)\b([^>]*)>", r"<\1\2/>", page.removeprefix("<!doctype html>"))
     every = list(ElementTree.fromstring(text).iter())
     attributes = ((name.rpartition("}")[2], x) for element in every for name, x in element.items())
-    loads = [x for name, x in attributes if name in ("src", "href") and not x.startswith("#")]
+    loads = [x for name, x in attributes if name in ("src", "href") and not x.startswith(("#", "data:"))]
     return {element.tag.rpartition("}")[2] for element in every}, loads
 
 
@@ -411,7 +414,7 @@ def test_a_robot_is_identified_from_logs_with_a_page_and_a_urdf(here, capsys):
         assert abs(one["estimate"] - true) < 5 * one["error"] < 0.2 * true
     page = Path(found["files"]["page"]).read_text()
     found_elements, loads = elements(page)
-    assert {"svg", "table", "style"} <= found_elements and "script" not in found_elements and not loads
+    assert {"img", "table", "style"} <= found_elements and "script" not in found_elements and not loads
     assert not re.search(r"@import|url\((?!#)", page)
     assert "shoulder viscous" in page and found["summary"] in page and "a.csv, b.csv" in page
     assert "Good means that" in page and "by the file" in page
@@ -602,7 +605,8 @@ def test_the_papers_tables_are_counted(here, capsys, monkeypatch):
 
     monkeypatch.setattr(ladder, "times", lambda n: [1.0] * len(ladder.FORMS))
     out, _ = told(capsys, "cost")
-    assert "Table 4" in out and "| 1.0 ns |" in out and "From Algorithm 1" in out
+    assert "Table 4" in out and "1 ns" in out and "|" not in out and "From Algorithm 1" in out
+    assert max(map(len, out.splitlines())) <= WIDE
     assert set(data(capsys, "cost")) == {"tables", "steps"}
 
 

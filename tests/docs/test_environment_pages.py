@@ -105,7 +105,10 @@ def test_an_episode_is_truncated_where_the_page_says_and_never_ends_before(task)
 def test_the_line_of_the_guide_is_the_one_that_was_measured_and_it_learns():
     found = learned("reach")
     guide = (FOLDER.parent / "guides" / "million.md").read_text(encoding="utf-8")
-    assert found["line"] in guide and repr(found["line"]) in (FOLDER.parents[1] / "benchmarks/learn.py").read_text()
+    assert (
+        "".join(found["line"].split()) in "".join(guide.split()).replace(",)", ")")
+        and repr(found["line"]) in (FOLDER.parents[1] / "benchmarks/learn.py").read_text()
+    )
     assert f'RobotVectorEnv({found["arms"]}, "reach", "panda")' in guide
     for curve in found["seeds"]:
         seconds, _, distance, success = curve[-1]

@@ -129,6 +129,16 @@ def test_two_arms_hold_one_object(tmp_path):
     assert_drawn(tmp_path / "two_arms.png")
 
 
+def test_a_plan_leads_around_a_post(tmp_path):
+    module = import_module("38_plan")
+    found = module.main(module.Args(out=tmp_path))
+    assert found.plan.converged and found.distance.min() > 0.015 > found.struck.min()
+    assert (found.plan.torque.abs() <= module.ROBOT.limits.effort).all()
+    gains, blind = found.missed
+    assert gains < 0.04 < 0.2 < blind
+    assert_drawn(tmp_path / "plan.png")
+
+
 def test_real_time(tmp_path, capsys):
     module = import_module("15_real_time")
     if shutil.which("cc") is None:

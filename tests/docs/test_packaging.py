@@ -49,6 +49,11 @@ def test_pages_say_whether_there_is_a_release():
     assert all(said) or not any(said)
 
 
+def test_the_install_page_names_every_extra():
+    page = (ROOT / "docs/index.md").read_text(encoding="utf-8")
+    assert not [extra for extra in PROJECT["optional-dependencies"] if f"`{extra}`" not in page]
+
+
 PAGE, TAG = "https://host.org/group/torchdq", f"v{PROJECT['version']}"
 BUILD = "from setuptools import build_meta; build_meta.build_wheel({0!r}); build_meta.build_sdist({0!r})"
 

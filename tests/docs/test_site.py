@@ -1,5 +1,6 @@
 """The documentation builds without a warning, fetches nothing, and has every public name once."""
 
+import html
 import importlib
 import inspect
 import json
@@ -111,9 +112,74 @@ def test_formulas_are_drawn_by_the_browser(site):
     ]
 
 
+WIDEST = 88  # columns of code that a page shows between its two menus, in a window of 1280 pixels
+WIDER = {"accuracy.html", "learning.html", "logs.html"}  # pages that have not been rewritten to it
+
+
+def test_no_line_of_code_is_cut(site):
+    """Sources that a page links to are shown without menus, and have more room."""
+    shown = {name: text for name, text in pages(site).items() if not name.startswith("source/") and name not in WIDER}
+    blocks = [(name, x) for name, text in shown.items() for x in re.findall(r"<pre\b.*?</pre>", text, re.DOTALL)]
+    assert len(blocks) > 500
+    lines = [(name, html.unescape(x)) for name, block in blocks for x in re.sub("<[^>]+>", "", block).split("\n")]
+    wide = [f"{name}: {line}" for name, line in lines if len(line) > WIDEST]
+    assert not wide, "write these lines in 88 columns:\n" + "\n".join(wide)
+
+
 def test_search_needs_no_server(site):
     assert (site / "search/search_index.js").read_text(encoding="utf-8").startswith("var __index = ")
     assert "iframe-worker.js" in (site / "api/functions.html").read_text(encoding="utf-8")
+
+
+SEARCHED = {  # what people type, and the page that answers it
+    "mass matrix": "api/functions.html#torchdq.mass_matrix",
+    "inverse dynamics": "api/functions.html#torchdq.inverse_dynamics",
+    "forward kinematics": "api/functions.html#torchdq.forward_kinematics",
+    "jacobian": "api/functions.html#torchdq.jacobian",
+    "hessian": "api/functions.html#torchdq.dynamics_hessian",
+    "inverse kinematics": "task-space.html#inverse-kinematics",
+    "MPC": "recipes.html",
+    "gravity compensation": "recipes.html#gravity-compensation",
+    "impedance control": "task-space.html#impedance-control",
+    "friction": "effects/index.html",
+    "payload": "effects/payload.html",
+    "contact force": "effects/contact.html",
+    "closed loop": "guides/loops.html",
+    "real robot": "guides/controller.html",
+    "pick and place": "guides/hands.html",
+    "walk": "guides/legs.html",
+    "system identification": "learning.html",
+    "ROS": "guides/log.html",
+    "stable baselines": "guides/million.html",
+    "quaternion order": "conventions.html",
+    "GPU": "gpu.html",
+    "pip install": "index.html#install",
+    "install windows": "index.html#install",
+    "URDF not loading": "troubleshooting.html#urdf-not-loading",
+    "slow": "troubleshooting.html",
+    "nan": "troubleshooting.html#nan-in-a-simulation",
+}
+
+
+def test_the_search_finds_what_people_type(site):
+    """The page is the first or the second of the answer, of which a reader sees three without scrolling."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("needs node, which runs the search as a browser does")
+    order = [node, str(ROOT / "tests/tools/searched.cjs"), str(site), *SEARCHED]
+    answers = json.loads(subprocess.run(order, capture_output=True, text=True, check=True, timeout=60).stdout)
+    for (query, page), found in zip(SEARCHED.items(), answers, strict=True):
+        assert any(page in (place, place.partition("#")[0]) for near in found[:2] for place in near), (
+            f"{query!r} must find {page}, found {[near[0] for near in found[:4]]}; "
+            "give a heading its words, or the page a weight in docs/hooks/search.py"
+        )
+
+
+def test_tables_and_registers_are_not_searched(site):
+    text = (site / "search/search_index.js").read_text(encoding="utf-8")
+    places = {entry["location"].partition("#")[0] for entry in json.loads(text.partition("=")[2])["docs"]}
+    assert "api/functions.html" in places
+    assert not places & {"tested-robots.html", "equations.html", "CHANGELOG.html"}
 
 
 def public():

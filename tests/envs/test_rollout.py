@@ -69,20 +69,23 @@ def test_a_rollout_is_its_steps(name, monkeypatch):
 
 
 @pytest.mark.parametrize("name", thinned(ONE_CALL, [x for x in ONE_CALL if x not in LONG]))
-def test_a_step_at_once_is_its_links(name):
+def test_a_step_at_once_is_its_links(name, monkeypatch):
     """Also where a row fails, and where episodes end."""
     envs, twin = (started(11, **ONE_CALL[name]) for _ in range(2))
-    assert envs._steps.at_once
-    twin._steps.at_once = False
     state = envs.get_state()
     state["qd"][3, 0] = 1e30
     for x in (envs, twin):
         x.set_state(state)
     for _ in range(6):
         action = 1.5 * torch.randn(envs.action_space.shape, dtype=envs.dtype)
-        found, expected = ((*x.step(action)[:4], x.get_state()) for x in (envs, twin))
-        assert same(found, expected)
-    assert envs._steps.block is not None and twin._steps.block is None
+        with monkeypatch.context() as at_once:
+            at_once.delattr("torchdq.envs.rollout.Steps._by_links")
+            found = envs.step(action)[:4]
+        with monkeypatch.context() as by_links:
+            by_links.setattr("torchdq.envs.rollout.dispatching", lambda: True)
+            by_links.delattr("torchdq.envs.rollout.Steps._at_once")
+            assert same(found, twin.step(action)[:4])
+        assert same(envs.get_state(), twin.get_state())
 
 
 def test_any_function_is_a_policy(monkeypatch):

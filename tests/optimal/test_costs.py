@@ -43,7 +43,17 @@ def near(view, goal):
 GOAL, TIP, X_D = double(0.1, -0.2), double(1.0, 0.3, 0.1), pose(0.1, 0.2, -0.3, 0.5, 0.1, 0.2)
 BOX = Box("box", mass=1.0, size=(0.5, 0.5, 0.5))
 X_WO = dq.from_pose(double(1, 0, 0, 0), double(1.8, 0.2, 0.0))
+
+
+def turned(view):
+    return [x for e in view.frame("tip").axes for x in e[:2]]
+
+
 COSTS = {
+    "axes": (
+        optimal.Residuals(turned, 2.0),
+        lambda s, u: dq.to_matrix(at(s.q))[..., :2, :3].mT.flatten(-2),
+    ),
     "torques": (optimal.Torques(2.0, GOAL), lambda s, u: u - GOAL),
     "speeds": (optimal.Speeds(2.0), lambda s, u: s.qd),
     "posture": (optimal.Posture(GOAL, 2.0), lambda s, u: s.q - GOAL),
@@ -51,7 +61,7 @@ COSTS = {
     "pose": (optimal.Pose("tip", X_D, 2.0), lambda s, u: error(X_D, at(s.q))),
     "limits": (optimal.JointLimits(2.0), lambda s, u: beyond(s.q)),
     "spheres": (
-        optimal.Spheres(2.0, None, (BOX,), X_WO, height=-0.5, margin=0.6),
+        optimal.Spheres(2.0, None, (BOX,), X_WO[None], height=-0.5, margin=0.6),
         lambda s, u: (0.6 - torchdq.distances(ROBOT, s.q, "tip", (BOX,), X_WO[None], height=-0.5).distance).clamp(
             min=0
         ),

@@ -55,6 +55,9 @@ def test_a_linear_problem_takes_one_iteration_and_its_first_gain_is_that_of_the_
     once, plan = (optimal.solve(problem, state, iterations=k) for k in (1, 9))
     assert plan.converged and int(plan.iterations) == 1
     assert (once.torque - plan.torque).abs().max() <= 1e-12 and abs(once.cost - plan.cost) <= 1e-12
+    apart = SLIDE.start(random(301, 1, seed=1), random(301, 1, seed=2))  # states that no torques lead to
+    apart = optimal.solve(problem, state, plan.torque + 1.0, apart, iterations=1)
+    assert (apart.torque - plan.torque).abs().max() <= 1e-10
     A, B = (x.numpy() for x in SLIDE.linearize(state))
     Q, R = np.diag([weights["q"], weights["qd"]]), np.array([[weights["R"]]])
     P = scipy.linalg.solve_discrete_are(A, B, Q, R)
@@ -100,6 +103,12 @@ def test_the_box_qp_is_that_of_scipy():
         exact.append(np.abs(x - best).max() <= 1e-6)
         free, solved = box_qp(H.tolist(), g.tolist())
         assert np.allclose(free, -np.linalg.solve(H, g)) and np.allclose(solved(g.tolist()), np.linalg.solve(H, g))
+        x, _ = box_qp(H.tolist(), g.tolist(), lower.tolist(), upper.tolist(), rounds=1)
+        assert 0.5 * np.array(x) @ H @ x + np.dot(x, g) <= 1e-12  # whatever is clipped
+        k = int(rng.integers(m))
+        lower[k] = 0.0  # torques that begin at a limit follow no state
+        x, solved = box_qp(H.tolist(), g.tolist(), lower.tolist(), upper.tolist())
+        assert solved(g.tolist())[k] == 0.0
     assert np.mean(exact) >= 0.9  # of the three Newton steps that are recorded
 
 

@@ -69,11 +69,11 @@ def test_a_program_of_a_general_chain_costs_less_than_the_best_on_record(n):
 def test_the_command_prints_every_table(capsys, monkeypatch):
     monkeypatch.setattr(ladder, "times", partial(ladder.times, batch=8, seconds=0.01))
     assert main(["cost"]) == 0
-    said = capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
     for title in tables.TABLES:
         assert title in said
     assert "323n-51, 242n-51" in said
-    assert all(f"| {form.name} |" in said for form in ladder.FORMS) and " ns |" in said
+    assert all(form.name in said for form in ladder.FORMS) and said.count(" ns ") == len(ladder.FORMS)
 
 
 # --- the counting number ----------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
+from functools import partial
 from operator import is_
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ from torch.compiler import is_compiling
 
 from torchdq.backends.backend import Backend, Form, contiguous, dense, share_memory
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
-from torchdq.backends.fast_call import learn, quick
+from torchdq.backends.fast_call import Forms, learn, quick
 from torchdq.backends.precision import Guarded, learn_graph, run, run_loop, unguarded
 from torchdq.backends.torch import EAGER
 from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
@@ -161,8 +162,8 @@ def results_of(
         if forms is not None and layout.loop is None:
             # without views of the tensors: one takes a microsecond, which counts where a call has one sample
             direct = unguarded(layout.backend, layout.program, dense(given), forms, layout.samples, out)
-            form = tensors.values(), layout.names, layout.shapes, layout.samples
-            learn(key, layout.backend, layout.program, layout.dtype, *form, out=bool(out))
+            form = partial(_forms, layout, tensors, out=bool(out))
+            learn(key, layout.backend, layout.program, layout.samples, 1, form)
             return layout.names, direct
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
             batch_of(what, _of_one_step(tensors, repeated))  # raises
@@ -176,8 +177,7 @@ def results_of(
             steps = 1 if repeated is None else repeated.steps
             found = run_loop(layout.loop, rows, layout.backend, layout.samples, steps)
             if forms is not None and steps:
-                form = tensors.values(), layout.names, layout.shapes, layout.samples
-                learn(key, layout.backend, layout.loop, layout.dtype, *form, steps)
+                learn(key, layout.backend, layout.loop, layout.samples, steps, partial(_forms, layout, tensors, steps))
     except (AttributeError, RuntimeError):  # no check before, which would cost every call
         if any([isinstance(x, TensorValue) for x in tensors.values()]):
             plain = {name: tensor_in(x) for name, x in tensors.items()}
@@ -299,6 +299,11 @@ def layout_of(
     if layout is None:
         layout = _layouts[key] = _layout(what, tensors, backend, double, repeated)
     return layout
+
+
+def _forms(layout: CallLayout, tensors: Tensors, steps: int = 1, out: bool = False) -> Forms:
+    """Forms of the tensors of a call."""
+    return Forms.of(tensors.values(), layout.shapes, layout.dtype, layout.names, layout.samples, steps, out)
 
 
 def rows_of(layout: CallLayout, given: Sequence[Tensor]) -> list[Tensor]:

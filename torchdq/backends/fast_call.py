@@ -238,35 +238,46 @@ def quick(
     return key, (), None
 
 
-def learn(
-    key: Hashable,
-    backend: Backend,
-    what: Program | Loop,
-    dtype: torch.dtype,
-    given: Collection[Tensor | None],
-    names: Sequence[str],
-    results: Sequence[tuple[int, ...]],
-    samples: int,
-    steps: int = 1,
-    out: bool = False,
-    learned: bool = False,
-) -> None:
-    """Let calls with a key of `quick` be fast for tensors like these, of every sample or uniform, if they can be.
+class Forms(NamedTuple):
+    """Forms of the tensors of a call, of every sample or uniform."""
 
-    Args:
-        what: program without sums over the samples, or a loop over one.
-        given: the arguments, contiguous.
-        results: shapes of the results.
-        out: whether tensors for the results are given, too; where errors grow too much they have been written to.
-        learned: whether inputs may require grad, for calls where torch records nothing.
+    inputs: tuple[Form, ...]
+    results: tuple[Form, ...]
+    names: tuple[str, ...]  # of the results
+    samples: int
+    steps: int = 1
+    out: bool = False  # whether tensors for the results are given; where errors grow too much they have been written to
+    absent: tuple[bool, ...] = ()  # whether each argument is None; (): none of them
+    learned: tuple[bool, ...] = ()  # whether each input requires grad; (): none of them
+
+    @classmethod
+    def of(
+        cls,
+        given: Collection[Tensor | None],
+        results: Sequence[tuple[int, ...]],
+        dtype: torch.dtype,
+        *others: Any,
+        learned: bool = False,
+    ) -> Forms:
+        """Forms of arguments, and of results of these shapes; the others are the fields from `names` to `out`.
+
+        With `learned` inputs may require grad: for calls where torch records nothing.
+        """
+        inputs, absent = [x for x in given if x is not None], tuple([x is None for x in given])
+        shapes = tuple([contiguous(tuple(shape), dtype) for shape in results])
+        grads = tuple([x.requires_grad for x in inputs]) if learned else ()
+        return cls(tuple(map(_form, inputs)), shapes, *others)._replace(absent=absent, learned=grads)
+
+
+def learn(
+    key: Hashable, backend: Backend, what: Program | Loop, samples: int, steps: int, of: Callable[[], Forms]
+) -> None:
+    """Let calls with a key of `quick` be fast for tensors of some forms, if they can be.
+
+    The program, or that of the loop, has no sums over the samples.
     """
-    if key is None or not isinstance(backend, C) or not 0 < samples < most(what, steps):
-        return
-    absent = tuple([x is None for x in given])
-    inputs = [x for x in given if x is not None]
-    grads = tuple([x.requires_grad for x in inputs]) if learned else ()
-    forms = tuple(map(_form, inputs)), tuple([contiguous(tuple(shape), dtype) for shape in results])
-    keep(key, fast_call(what, *forms, tuple(names), samples, steps, out, absent, grads))
+    if key is not None and isinstance(backend, C) and 0 < samples < most(what, steps):
+        keep(key, fast_call(what, of()))
 
 
 def _form(x: Tensor) -> Form:
@@ -290,26 +301,12 @@ def most(what: Program | Loop, steps: int) -> int:
 
 
 @remembered(LAYOUTS)
-def fast_call(
-    what: Program | Loop,
-    inputs: tuple[Form, ...],
-    results: tuple[Form, ...],
-    names: tuple[str, ...],
-    samples: int,
-    steps: int = 1,
-    out: bool = False,
-    absent: tuple[bool, ...] = (),
-    learned: tuple[bool, ...] = (),
-) -> FastCall | None:
-    """Fast call for tensors of these forms; None: there is none here. See `learn`.
-
-    Args:
-        absent: whether each argument is None; (): none of them.
-        learned: whether each input requires grad; (): none of them.
-    """
-    count, dtype, cpu = len(inputs) + len(results), results[0][2], torch.device("cpu")
-    absent = (absent or (False,) * len(inputs)) + (False,) * (len(results) * out)
-    if max(count, len(absent)) >= MOST or COMPILED.refusal(cpu) is not None:
+def fast_call(what: Program | Loop, forms: Forms) -> FastCall | None:
+    """Fast call for tensors of these forms; None: there is none here."""
+    inputs, results, names, samples, steps, out, absent, learned = forms
+    dtype, cpu = results[0][2], torch.device("cpu")
+    arrays, absent = (*inputs, *results), (absent or (False,) * len(inputs)) + (False,) * (len(results) * out)
+    if max(len(arrays), len(absent)) >= MOST or COMPILED.refusal(cpu) is not None:
         return None
     try:
         made = COMPILED.loop(what, dtype, cpu, samples) if isinstance(what, Loop) else COMPILED.kernel(what, dtype, cpu)
@@ -319,14 +316,13 @@ def fast_call(
         return None
     if isinstance(what, Loop) and what.backwards and kernel.states:  # of which the start is the last
         return None
-    forms = (*inputs, *results)
     numbers: list[Any] = [x for form in (*results, contiguous((samples,), dtype)) for x in form]
     objects = (ctypes.py_object * len(numbers))(*numbers)
     plan, states = kernel.plan(samples, steps), kernel.starts(samples)
     starts = (ctypes.c_int64 * (3 * len(states)))(*[x for state in states for x in state])
-    sizes = (ctypes.c_int64 * count)(*[prod(shape) * dtype.itemsize for shape, _, _ in forms])
+    sizes = (ctypes.c_int64 * len(arrays))(*[prod(shape) * dtype.itemsize for shape, _, _ in arrays])
     call = Call(
-        alike(forms if out else inputs, learned),
+        alike(arrays if out else inputs, learned),
         *(empty_on_cpu, torch.Tensor.data_ptr, *LEVEL, modes, choice._chosen, "auto"),
         *(ctypes.addressof(objects), ctypes.addressof(sizes), _address(kernel.compiled.run)),
         *(None if plan is None else ctypes.addressof(plan), ctypes.addressof(starts)),

@@ -17,7 +17,7 @@ from torch import Tensor
 from torchdq.backends import choice
 from torchdq.backends.backend import Backend, DirectKernel, Form, largest_growth
 from torchdq.backends.c import C
-from torchdq.backends.fast_call import FastCall, keep, learn, quick
+from torchdq.backends.fast_call import FastCall, Forms, keep, learn, quick
 from torchdq.backends.torch import EAGER, interpreted_loop
 from torchdq.base.caches import LAYOUTS, remembered
 from torchdq.errors import ArgumentError
@@ -50,8 +50,11 @@ class Guarded(NamedTuple):
         if quickly is not None:
             return quickly
         found, samples = guarded(self.backend, program, inputs), samples_of(program, inputs)
-        form = [r.name for r in program.results], [y.shape for y in found], samples
-        learn(key, self.backend, program, inputs[0].dtype, inputs, *form, learned=True)  # torch records nothing here
+        names, like = tuple([r.name for r in program.results]), inputs[0].dtype
+        shapes = [y.shape for y in found]  # torch records nothing here
+        learn(
+            key, self.backend, program, samples, 1, lambda: Forms.of(inputs, shapes, like, names, samples, learned=True)
+        )
         return found
 
     @property

@@ -102,29 +102,31 @@ def _shown(x: Any) -> str:
     return text if len(text) <= 300 else f"{text[:300]}..."
 
 
-def located(text: str, missing: type[TorchdqError]) -> Path:
-    """Path of a file that is named by a path or an address."""
+def located(text: str, missing: type[TorchdqError], folder: Path | None = None) -> Path:
+    """Path of a file that is named by a path or an address, in another file where that one's folder is given."""
     scheme, separator, _ = text.partition("://")
     if not separator or not scheme.isalnum():
-        return Path(os.path.expanduser(text))
+        return Path(os.path.expanduser(text)) if folder is None else folder / text
     address = urlsplit(text)
     if scheme == "file" and address.netloc in ("", "localhost"):
         return Path(unquote(address.path))
     if scheme == "package":
-        return _in_package(text, address.netloc, unquote(address.path).lstrip("/"), missing)
+        return _in_package(text, address.netloc, unquote(address.path).lstrip("/"), missing, folder)
     raise ValueError(
         f"only file:/// and package:// addresses are read, found {_shown(text)}; save the file and pass its path"
     )
 
 
-def _in_package(text: str, package: str, inside: str, missing: type[TorchdqError]) -> Path:
+def _in_package(text: str, package: str, inside: str, missing: type[TorchdqError], folder: Path | None) -> Path:
     """Path of a file in a package of ROS."""
     ament, ros = ([Path(x) for x in os.environ.get(variable, "").split(os.pathsep) if x] for variable in PACKAGES)
     folders = [prefix / "share" / package for prefix in ament]
     folders += [path for root in ros for path in (root / package, root) if path.name == package]
-    for folder in folders:
-        if (folder / inside).is_file():
-            return folder / inside
+    around = [] if folder is None else [folder, *folder.parents]
+    folders += [path for x in around for path in (x, x / package) if path.name == package]
+    for path in folders:
+        if (path / inside).is_file():
+            return path / inside
     searched = ", ".join(map(str, folders)) or f"no folder, because {' and '.join(PACKAGES)} are not set"
     raise missing(
         f"there is no file {_shown(text)}; searched: {searched}; run the setup script of the ROS workspace, or pass "

@@ -1,10 +1,32 @@
 """Times of calls that take turns, so that a noisy machine is noisy to all."""
 
+import math
 import statistics
 import time
 from collections.abc import Callable, Sequence
 
 TURN = 0.01  # time of one call's turn, long enough that the others' traces in the caches do not matter [s]
+
+
+def digits(x: float, error: float | None = None) -> str:
+    """Number with two digits, or with as many as an error leaves that has two.
+
+    >>> digits(23502.6), digits(0.0155), digits(-1.662771, 0.0094)
+    ('24000', '0.015', '-1.6628')
+    """
+    if error is None or not 0 < error < math.inf:
+        return f"{float(f'{x:.2g}'):g}" if error is None else f"{x:.6g}"
+    return f"{x:.{min(max(0, 1 - math.floor(math.log10(error))), 6)}f}"
+
+
+def duration(nanoseconds: float, spread: float) -> str:
+    """Time with its spread, in a unit that suits it.
+
+    >>> duration(23502.6, 3245.4), duration(50.13, 14.4)
+    ('24 +- 3 us', '50 +- 10 ns')
+    """
+    unit, factor = ("us", 1e-3) if nanoseconds >= 1000 else ("ns", 1.0)
+    return f"{digits(factor * nanoseconds)} +- {float(f'{factor * spread:.1g}'):g} {unit}"
 
 
 def measure(calls: dict[str, Callable[[], object]], batch: int, seconds: float) -> dict[str, list[float]]:

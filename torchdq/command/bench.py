@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdq.base import machine
 from torchdq.base.checks import require_count, require_number
 from torchdq.base.progress import Progress
-from torchdq.base.timing import measure
+from torchdq.base.timing import duration, measure
 from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import SingularInertiaError
@@ -57,9 +57,9 @@ class BenchCommand(RobotCommand):
         header = ("function", *("one call" if batch == 1 else f"{batch} samples" for batch in self.batches))
         rows = {name: [name] for name, *_ in found}
         for name, _, middle, spread in found:
-            rows[name].append(f"{middle:.1f} +- {spread:.1f}")
+            rows[name].append(duration(middle, spread))
         text = (
-            f"{robot.name}: time per sample [ns], median and half of the middle half of the measurements",
+            f"{robot.name}: time per sample, median +- half of the interquartile range",
             Grid(header, [*rows.values()]),
             f"{self.dtype}, {threads} thread{'s' * (threads != 1)}; {machine.words()}",
         )

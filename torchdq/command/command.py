@@ -24,6 +24,7 @@ RobotName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
 Dtype = Literal["float64", "float32"]
 ENDINGS = (".urdf", ".xml", ".xacro", ".mjcf")
 HEAD = 2**20  # bytes in which a file says what it is
+DEFAULTED = tyro.conf.arg(help_behavior_hint=lambda x: "" if x in ("", "None", "False") else f"(default: {x})")
 DESCRIPTION = "_description"  # end of the names in robot_descriptions
 
 
@@ -39,8 +40,12 @@ class NamedRobot(NamedTuple):
 class Command:
     """Command with its options."""
 
-    json: bool = False
+    json: Annotated[bool, DEFAULTED] = False
     """Write one JSON object instead of text."""
+
+    def __init_subclass__(cls) -> None:
+        """Let the help state defaults that are values, and not those that mean absence."""
+        cls.__annotations__ = {name: Annotated[kind, DEFAULTED] for name, kind in cls.__annotations__.items()}
 
     def outcome(self) -> Outcome:
         """Result of the command."""

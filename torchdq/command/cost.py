@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from torchdq.base.progress import Progress
 from torchdq.command.command import Command
-from torchdq.command.outcome import Outcome, Verbatim
+from torchdq.command.outcome import Grid, Outcome
 from torchdq.paper import cost, ladder
 
 JOINTS = 7
@@ -18,14 +18,14 @@ class CostCommand(Command):
     """
 
     def outcome(self) -> Outcome:
-        """Tables in Markdown."""
+        """Tables of operations, and of the steps with their times."""
         with Progress("compiling and timing the steps from Algorithm 1 to the program"):
             times = ladder.times(JOINTS)
-        table = ladder.table(JOINTS, times)
         tables = {
             title: [{"operation": e.operation, "counted": e.counted._asdict()} for e in entries]
             for title, entries in cost.TABLES.items()
         }
         steps = [{"step": form.name, "nanoseconds": t} for form, t in zip(ladder.FORMS, times, strict=True)]
-        text = f"{cost.report()}\n\n## From Algorithm 1 to the program that runs\n\n{table}\n\n{ladder.COUNTED}"
-        return Outcome((Verbatim(text),), {"tables": tables, "steps": steps})
+        shown = {**cost.sections(), "From Algorithm 1 to the program that runs": ladder.rows(JOINTS, times)}
+        text = [part for title, rows in shown.items() for part in (f"{title}:", Grid(rows[0], rows[1:]))]
+        return Outcome((*text, ladder.COUNTED), {"tables": tables, "steps": steps})

@@ -1,4 +1,4 @@
-"""Command `doctor`: what of an installation works, what is slow or broken, and how to mend it."""
+"""Command `doctor`: what of an installation works, what is slow or broken, and how to fix it."""
 
 import math
 import os

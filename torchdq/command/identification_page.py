@@ -1,5 +1,6 @@
 """Page about an identified robot: one HTML file with its picture in it, which opens without a network."""
 
+import base64
 import io
 from collections.abc import Sequence
 from html import escape
@@ -9,13 +10,13 @@ from torchdq.command.trials import HEADER, Trial
 from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.evaluate import MEANING, Evaluation, torques_by
+from torchdq.learning.identification.gains import RESTS
 from torchdq.learning.identification.identified import GAINS, PARAMETERS, Identified
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.plots import plot_torques
 
 BY_FILE = " By the file: of a description with the numbers found, whose friction is viscous and Coulomb alone."
-MOST = 40_000  # numbers that are drawn as lines; more are drawn as points of a picture, which do not grow with them
-DPI = 150  # points per inch of these
+DPI, QUALITY = 120, 50  # points per inch of the picture, and quality of WebP: about 100 kB, however many rows there are
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2733; --paper: #ffffff; --line: #d5dbe2; --soft: #f2f5f8; }
 @media (prefers-color-scheme: dark) { :root { --ink: #dfe6ee; --paper: #14191f; --line: #36414d; --soft: #1e262f; } }
@@ -24,7 +25,7 @@ body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(
 h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
 .verdict { background: var(--soft); border-left: 4px solid #0072b2; padding: .7rem 1rem; }
 .wide { overflow-x: auto; } .picture { background: #ffffff; border-radius: 6px; padding: .5rem; }
-.picture svg { width: 100%; height: auto; display: block; }
+.picture img { width: 100%; height: auto; display: block; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
 th, td { text-align: left; padding: .2rem 1rem .2rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
 pre { background: var(--soft); padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; }
@@ -90,18 +91,13 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _picture(found: Identified, motions: Sequence[Motion]) -> str:
-    """Element <svg> of measured and predicted torques."""
+    """Element <img> of measured and predicted torques."""
     matplotlib = imported("matplotlib", "matplotlib", "the page", "'torchdq[viz]'")
-    file = io.StringIO()
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "torchdq", "font.size": 8}):
-        figure = plot_torques(found, motions)
-        if sum(motion.q.size for motion in motions) > MOST:
-            for panel in figure.axes:
-                for drawn in (*panel.lines, *panel.collections):
-                    drawn.set_rasterized(True)
-        figure.savefig(file, format="svg", dpi=DPI, metadata={"Date": None, "Creator": None})
-    text = file.getvalue()
-    return text[text.index("<svg") :]
+    file = io.BytesIO()
+    with matplotlib.rc_context({"font.size": 8}):
+        plot_torques(found, motions).savefig(file, format="webp", dpi=DPI, pil_kwargs={"quality": QUALITY})
+    data = base64.b64encode(file.getvalue()).decode()
+    return f'<img alt="Torques measured and identified, by joint" src="data:image/webp;base64,{data}">'
 
 
 def _model(found: Identified) -> str:
@@ -112,7 +108,7 @@ def _model(found: Identified) -> str:
     if friction := found.friction_rows():
         parts.append(f"<p>F{STATED[1:]}</p>{_table(COLUMNS, friction)}")
     if found.gains is not None:
-        parts.append(f"<p>Gains of the drives</p>{_table(GAINS, found.gain_rows())}")
+        parts.append(f"<p>Gains of the drives. {RESTS}</p>{_table(GAINS, found.gain_rows())}")
     values = (found.base @ found.parameters).tolist()
     base = zip(found.base_names, values, found.base_errors.tolist(), strict=True)
     rows = [(name, f"{x:.4g}", f"{error:.2g}") for name, x, error in base]

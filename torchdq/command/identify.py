@@ -37,7 +37,8 @@ from torchdq.learning import (
     train_test_split,
 )
 from torchdq.learning.evaluate import MEANING, torques_by
-from torchdq.learning.identification.identified import GAINS
+from torchdq.learning.identification.gains import RESTS
+from torchdq.learning.identification.identified import GAINS, UNITS
 from torchdq.robot import Robot
 
 # module, extra that brings it: looked for before the work, not after it
@@ -58,16 +59,16 @@ class RobotFile(NamedTuple):
 class IdCommand(RobotCommand):
     """A robot identified from logs: errors, a verdict, identifiable parameters, one HTML page, and its URDF.
 
-    A log is a text (CSV), NPZ, MATLAB or MCAP file with columns time [s], q1 ... [rad], qd1 ... [rad/s], tau1 ...
-    [N m], or names by --columns. Files of one log stand together: positions.csv+torques.csv. Tested is the last log, or
-    the last third of the only one.
+    A log is a text (CSV), NPZ, MATLAB or MCAP file with columns time [s], q1 ... [rad], qd1 ... [rad/s] and
+    tau1 ... [N m], or names by --columns. Files of one log stand together: positions.csv+torques.csv. Tested is the
+    last log, or the last third of the only one.
 
     Names in --columns: position_{0} reads position_0, position_1, ... for the joints, position_{1} begins with
     position_1, {2} is the second column of a file without a header; in effort_{joint} {joint} is replaced by the
     joint's own name; a1,b2,c3 are the names of all columns, in the robot's order of joints; torques:tau{1} is in
     torques.csv; none: not recorded.
 
-    Example: torchdq id arm.urdf a.csv b.csv --columns q position_{0} qd velocity_{0} tau effort_{0}
+    Example: torchdq id arm.urdf a.csv --columns q pos_{0} qd vel_{0} tau eff_{0}
     """
 
     logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG")]
@@ -81,6 +82,12 @@ class IdCommand(RobotCommand):
     transmission: tuple[float, ...] = ()
     """Change of the joints' positions per change of the motors' where those were measured: one for each joint, 0.01
     for a gear of 100:1, or the rows of a matrix, one after the other; coupled motors are what is identified then."""
+    degrees: bool = False
+    """Positions, velocities and accelerations are in degrees, as in files of many controllers."""
+    scale: Annotated[dict[str, str], tyro.conf.arg(metavar="SIGNAL FACTORS ...")] = field(default_factory=dict)
+    """Factors that take time, q, qd or qdd to s, rad (m) and so on: a number, or one per joint, 0.001,0.0175,0.0175."""
+    zero: tuple[float, ...] = ()
+    """Positions of the joints where those in the logs are zero, one for each joint, after the scale [rad or m]."""
     rows: tuple[int, int] | None = None
     """First row of each log that is used, and the one after the last, counted from 0."""
     gains: tuple[float, ...] = ()
@@ -140,7 +147,7 @@ class IdCommand(RobotCommand):
         messages = list({str(one.message): one.message for one in said}.values())
         for message in messages:
             warnings.warn(message, stacklevel=2)
-        joined = [log.joined for some in logs for log in some if log.joined]
+        joined = [*dict.fromkeys(log.joined for some in logs for log in some if log.joined)]
         with Progress("drawing the page"):
             words = [x.text(command_line=True) if isinstance(x, LogWarning) else str(x) for x in messages]
             sources = [f"robot: {self.robot}", f"logs: {', '.join(self.logs)}"]
@@ -187,6 +194,11 @@ class IdCommand(RobotCommand):
         """Layout of the logs, as the options say."""
         options: dict[str, Any] = {"columns": {name: _names(x) for name, x in self.columns.items()}}
         options |= {"farthest": self.farthest, "fastest": self.fastest, "rate": self.rate}
+        turns = [kind.turns for kind in robot.joint_types]
+        degrees = [math.pi / 180 if x else 1.0 for x in turns] if not all(turns) else math.pi / 180
+        options["scale"] = dict.fromkeys(("q", "qd", "qdd"), degrees) if self.degrees else {}
+        options["scale"] |= {signal: _factors(signal, x) for signal, x in self.scale.items()}
+        options["zero"] = self.zero
         options["gain"] = self.gains or (None if self.estimate_gains else ())
         n, S = robot.n, self.transmission
         options["transmission"] = [S[i : i + n] for i in range(0, n * n, n)] if n > 1 and len(S) == n * n else S
@@ -243,6 +255,15 @@ def _names(pattern: str) -> str | list[str] | None:
     return None if pattern.lower() == "none" else names if len(names) > 1 else pattern
 
 
+def _factors(signal: str, text: str) -> float | list[float]:
+    """Factor of a signal, or one for each joint."""
+    try:
+        factors = [float(x) for x in text.split(",")]
+    except ValueError as error:
+        raise ArgumentError(f"scale must be numbers such as 0.001, found {text!r} for {signal}") from error
+    return factors if len(factors) > 1 else factors[0]
+
+
 def _outcome(
     found: Identified,
     measured: Evaluation,
@@ -260,14 +281,18 @@ def _outcome(
         title = "not identifiable from these logs, kept near the description:"
         text += [title, Grid((), [("-", line) for line in unidentifiable])]
     if found.gains is not None:
-        text.append(Grid(GAINS, found.gain_rows()))
+        text += [Grid(GAINS, found.gain_rows()), RESTS]
     if payload is not None:
         text.append(str(payload))
     text += [measured.summary, *([Grid(HEADER, [one.cells for one in tried])] if tried else []), MEANING]
     text.append(Grid((), [("wrote", str(path)) for path in files.values()]))
+    text += [one.text(command_line=True) for one in found.findings if one.severity == "note"]
     text += filter(None, notes)
     rows = zip(found.names, found.parameters, found.errors, found.identifiable, strict=True)
-    base = zip(found.base_names, found.base @ found.parameters, found.base_errors, strict=True)
+    slides, links = [not joint.turns for joint in found.robot.joint_types], len(found.robot.link_names)
+    of_each = [*UNITS * links, *(term.units[joint] for term in found.terms for joint in slides)]
+    units = [of_each[int((row == 1).int().argmax())] for row in found.base]  # of the parameter with a factor of one
+    base = zip(found.base_names, found.base @ found.parameters, found.base_errors, units, strict=True)
     data: dict[str, Any] = {
         "robot": found.robot.name,
         "verdict": measured.verdict.value,
@@ -276,7 +301,9 @@ def _outcome(
         "findings": [one._asdict() for one in (*found.findings, *measured.findings)],
         "model": None if selection is None else selection.chosen.name,
         "parameters": [{"name": name, "estimate": x, "error": e, "identifiable": known} for name, x, e, known in rows],
-        "base_parameters": [{"combination": name, "estimate": x, "error": error} for name, x, error in base],
+        "base_parameters": [
+            {"combination": name, "estimate": x, "error": error, "unit": unit} for name, x, error, unit in base
+        ],
         "unidentifiable": unidentifiable,
         "noise": found.noise,
         "gains": None if found.gains is None else found.gains._asdict(),

@@ -3,6 +3,7 @@
 Exit codes: 0 well; 1 a mistake of the user, or a check failed; 2 a command that is not understood; 130 Ctrl-C.
 """
 
+import io
 import os
 import re
 import shutil
@@ -97,16 +98,22 @@ def _parsed(given: Sequence[str]) -> Command:
     kinds: dict[str, Callable[..., Command]] = {
         name: COMMANDS[name] for name in (given[:1] if given and given[0] in COMMANDS else COMMANDS)
     }
-    command: Command = tyro.extras.subcommand_cli_from_dict(
-        kinds, prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
-    )
+    written = io.StringIO()
+    try:
+        with redirect_stdout(written):
+            command: Command = tyro.extras.subcommand_cli_from_dict(
+                kinds, prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
+            )
+    finally:
+        text = written.getvalue()  # tyro's help, each paragraph of it one line, or the script of a shell
+        sys.stdout.write(_filled(text) if {"-h", "--help"} & set(given) else text)
     return command
 
 
 def _apart(given: Sequence[str]) -> list[str]:
     """Arguments in which numbers of an option that stand together, with commas between, stand apart: --q 1,2 or 1 2."""
     options = fields(COMMANDS[given[0]]) if given and given[0] in COMMANDS else ()
-    many = {f"--{one.name.replace('_', '-')}" for one in options if re.match(r"tuple\[(int|float)", str(one.type))}
+    many = {f"--{one.name.replace('_', '-')}" for one in options if re.search(r"tuple\[(int|float)", str(one.type))}
     apart, option = list[str](), ""
     for text in given:
         name, equals, value = text.partition("=")
@@ -157,10 +164,13 @@ def _words(error: Exception | str) -> str:
 
 
 def _say(kind: str, text: str) -> None:
-    """Write a message to stderr, in lines that fit the terminal."""
-    width = max(40, shutil.get_terminal_size().columns - 1)
-    fill = partial(textwrap.wrap, width=width, break_long_words=False, break_on_hyphens=False)
-    said = printable(f"{PROGRAM}: {kind}: {text}", kept="\n")
-    lines = [line for part in said.split("\n") for line in fill(part) or [""]]
-    sys.stderr.write("\n".join(lines) + "\n")
+    """Write a message to stderr."""
+    sys.stderr.write(_filled(printable(f"{PROGRAM}: {kind}: {text}", kept="\n")) + "\n")
     sys.stderr.flush()
+
+
+def _filled(text: str) -> str:
+    """Text whose lines fit the terminal."""
+    width = max(40, shutil.get_terminal_size().columns)
+    fill = partial(textwrap.wrap, width=width, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(line for part in text.split("\n") for line in fill(part) or [""])

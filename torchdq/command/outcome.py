@@ -50,7 +50,8 @@ def write(outcome: Outcome, as_json: bool, warnings: Sequence[str] = ()) -> None
             if isinstance(part, Verbatim):
                 console.print(Text(printable(part.text, kept="\n")), soft_wrap=True)
             else:
-                console.print(_drawn(part) if isinstance(part, Grid) else Text(printable(part, kept="\n")))
+                shown = _drawn(part, console.width) if isinstance(part, Grid) else Text(printable(part, kept="\n"))
+                console.print(shown)
             before = part
     sys.stdout.write("\n".join(line.rstrip() for line in drawn.get().split("\n")))
 
@@ -80,13 +81,14 @@ def plain(x: Any) -> Any:
     return x if x is None or isinstance(x, bool | int | str) else str(x)
 
 
-def _drawn(grid: Grid) -> RichTable:
+def _drawn(grid: Grid, width: int) -> RichTable:
     drawn = RichTable(
         box=None, padding=(0, 2 if grid.header else 1, 0, 0), pad_edge=False, show_header=bool(grid.header)
     )
     names = grid.header or ("",) * max((len(row) for row in grid.rows), default=0)
-    for name in names:
-        drawn.add_column(Text(name), overflow="fold")
+    whole = max((len(row[0]) for row in grid.rows if row), default=0) <= width // 3
+    for k, name in enumerate(names):  # names in the first column stay in one piece, if they leave room for the others
+        drawn.add_column(Text(name), overflow="fold", no_wrap=whole and not k)
     for row in grid.rows:
         drawn.add_row(*(Text(printable(cell)) for cell in row))
     return drawn

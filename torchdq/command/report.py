@@ -28,7 +28,7 @@ UNDEFINED = ("undefined: a joint moves no inertia", *[""] * (len(COUNTED) - 1))
 
 @dataclass(kw_only=True)
 class ReportCommand(RobotCommand):
-    """Content of a robot's file: what is used, what is not, and what is wrong with it.
+    """Contents of a robot's file: what is used, what is not, and what is wrong with it.
 
     Example: torchdq report arm.urdf
     """

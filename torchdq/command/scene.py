@@ -14,9 +14,11 @@ from torchdq import dq, effects
 from torchdq.base import machine
 from torchdq.base.checks import names_of, require_number
 from torchdq.base.files import write_atomically
+from torchdq.base.timing import digits
 from torchdq.command.command import RobotCommand, per_joint
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.dynamics.friction import COLUMNS, STATED
+from torchdq.dynamics.joints import KINDS as JOINTS
 from torchdq.effects.steady import at_speeds
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
@@ -38,7 +40,6 @@ STEPPERS = {
     and all(entry.default is not MISSING for entry in fields(kind))
 }
 DEFAULT = "default"
-MOTION = ("start", "end", "speed at the end", "error")
 
 
 @dataclass(kw_only=True)
@@ -51,7 +52,7 @@ class SceneCommand(RobotCommand):
     first-order-lag=0.02, rotor-inertia=0.1, noise=0.001 and all others of torchdq.effects; a number is the first
     parameter.
 
-    Example: torchdq scene panda --effects gravity viscous=2 --seconds 5 --csv fall.csv
+    Example: torchdq scene panda --effects gravity viscous=2 --csv fall.csv
     """
 
     effects: tuple[str, ...] = (DEFAULT,)
@@ -187,15 +188,19 @@ class _Path(NamedTuple):
         if robot.floating:
             columns = [_place(self.states)[0], _place(self.end), _speed(self.end), self.error(_place)]
             names = ("x [m]", "y [m]", "height [m]", "turned by [rad]")
-            found.append(_grid(("base", *MOTION), names, columns))
+            found.append(_grid(("base", "start", "end", "speed at the end [per s]", "error"), names, columns))
         columns = [self.states.q[0], self.end.q, self.end.qd, self.error(lambda state: state.q)]
-        return [*found, _grid(("joint", *MOTION), robot.joint_names, columns)] if robot.n else found
+        turns = [JOINTS[kind].turns for kind in robot.kinds]
+        unit = "rad" if all(turns) else "rad or m" if any(turns) else "m"
+        head = ("joint", f"start [{unit}]", "end", "speed at the end [per s]", "error")
+        return [*found, _grid(head, robot.joint_names, columns)] if robot.n else found
 
 
 def _grid(header: tuple[str, ...], names: Sequence[str], columns: Sequence[Tensor]) -> Grid:
     """Table of names and numbers, the last column of which are errors."""
     *numbers, errors = [column.tolist() for column in columns]
-    cells = [[f"{x:.6g}" for x in column] for column in numbers] + [[f"{x:.2g}" for x in errors]]
+    cells = [[digits(x, e) for x, e in zip(column, errors, strict=True)] for column in numbers]
+    cells.append([f"{x:.2g}" for x in errors])
     return Grid(header, list(zip(names, *cells, strict=True)))
 
 

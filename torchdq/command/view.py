@@ -55,7 +55,7 @@ class ViewCommand(RobotCommand):
 
 def standing(viewer: Viewer, q: torch.Tensor) -> torch.Tensor:
     """Pose [8] of a floating base that stands upright on the lowest point of the robot."""
-    lowest = float(viewer.skeleton.points(q)[..., 2].min())
+    lowest = float(viewer.skeleton.ends(q)[..., 2].min())
     return dq.from_pose(torch.tensor([1.0, 0.0, 0.0, 0.0]), torch.tensor([0.0, 0.0, -lowest]))
 
 

@@ -130,9 +130,11 @@ class OperationalSpaceControl(FrameLaw):
 
     >>> import torch, torchdq
     >>> from torchdq.scene import Scene, controllers
-    >>> robot, control = torchdq.robots.load("panda"), controllers.OperationalSpaceControl(kp=100.0, kd=20.0)
+    >>> robot = torchdq.robots.load("panda")
+    >>> control = controllers.OperationalSpaceControl(kp=100.0, kd=20.0)
     >>> q = torch.tensor([0.1, 0.4, 0.0, -1.5, 0.2, 1.7, 0.3], dtype=torch.float64)
-    >>> scene, goal = Scene(robot, controller=control, dt=0.01), control.holding(robot, q + 0.05)
+    >>> scene = Scene(robot, controller=control, dt=0.01)
+    >>> goal = control.holding(robot, q + 0.05)
     >>> end = scene.rollout(scene.start(q), reference=goal.expand(200, 20)).q[-1]
     >>> torch.allclose(control.holding(robot, end), goal, atol=1e-3)
     True

@@ -42,7 +42,8 @@ class ComputedTorque(Feedback):
     >>> import torch, torchdq
     >>> from torchdq import effects
     >>> from torchdq.scene import Scene, controllers
-    >>> robot, control = torchdq.robots.load("two_link"), controllers.ComputedTorque(kp=100.0, kd=20.0)
+    >>> robot = torchdq.robots.load("two_link")
+    >>> control = controllers.ComputedTorque(kp=100.0, kd=20.0)
     >>> scene = Scene(robot, (effects.Gravity(),), controller=control, dt=0.01)
     >>> end = scene.rollout(scene.start(torch.ones(2)), reference=torch.zeros(200, 6)).q[-1]
     >>> bool((end.abs() < 1e-3).all())
@@ -74,7 +75,8 @@ class PD(Feedback):
     >>> from torchdq import effects
     >>> from torchdq.scene import Scene, controllers
     >>> robot = torchdq.robots.load("two_link")
-    >>> scene = Scene(robot, (effects.Gravity(),), controller=controllers.PD(kp=50.0, kd=10.0, model=robot))
+    >>> control = controllers.PD(kp=50.0, kd=10.0, model=robot)
+    >>> scene = Scene(robot, (effects.Gravity(),), controller=control)
     """
 
     OPTIONAL: ClassVar[frozenset[str]] = frozenset({"qdd_des"})

@@ -3,27 +3,35 @@
 Ours, as arguments and results of all functions:
 
     X_AB, X_WB      [..., 8]   pose; of the base in the world
-    V_WB_B, A_WB_B  [..., 6]   twist (angular [rad/s], linear [m/s]) of the base in its own axes, and its rate
-    F_B             [..., 6]   wrench (force [N], moment [N m]) on the base in its axes, about its origin
-    q, qd, qdd, tau [..., n]   of our joints in our order; `q[..., order]` is the order of a model, found by names
+    V_WB_B, A_WB_B  [..., 6]   twist (angular [rad/s], linear [m/s]) of the base in its own
+                               axes, and its rate
+    F_B             [..., 6]   wrench (force [N], moment [N m]) on the base in its axes,
+                               about its origin
+    q, qd, qdd, tau [..., n]   of our joints in our order; `q[..., order]` is the order of a
+                               model, found by names
     r               [..., 4]   unit quaternion (w, x, y, z)
     com             [..., 3]   centre of mass in the frame of the base [m]
 
 Theirs, with the joints last in every row:
 
-    scipy      RigidTransform: the same pose; its Rotation writes quaternions (x, y, z, w) by default
-    Pinocchio  SE3: the same pose; Motion (linear, angular); Force (force, moment), our order: `pin.Force(F.numpy())`
+    scipy      RigidTransform: the same pose; its Rotation writes quaternions (x, y, z, w)
+               by default
+    Pinocchio  SE3: the same pose; Motion (linear, angular); Force (force, moment), our
+               order: `pin.Force(F.numpy())`
                configuration [..., 7 + n]  position, quaternion (x, y, z, w), q
-               velocity      [..., 6 + n]  linear, angular in base axes, qd; accelerations are rates of it
+               velocity      [..., 6 + n]  linear, angular in base axes, qd; accelerations
+                                           are rates of it
                forces        [..., 6 + n]  force, moment in base axes, tau
     MuJoCo     pose: position and quaternion (w, x, y, z), as `data.xpos` and `data.xquat`
                qpos [..., 7 + n]  position, quaternion (w, x, y, z), q
-               qvel [..., 6 + n]  velocity of the origin in world axes, angular velocity in base axes, qd
+               qvel [..., 6 + n]  velocity of the origin in world axes, angular velocity
+                                  in base axes, qd
                qacc [..., 6 + n]  rates of qvel
                qfrc [..., 6 + n]  force in world axes, moment in base axes, tau
-    Isaac      root state   [..., 13]  position, quaternion, linear and angular velocity in world axes
+    Isaac      root state   [..., 13]  position, quaternion, linear and angular velocity in
+                                       world axes
                acceleration [..., 6]   linear, angular in world axes
-               wrench                  force and moment about the centre of mass, both in base axes
+               wrench                  force, moment about the centre of mass, in base axes
 
 Arrays of numpy are taken where the row is theirs. scipy and Pinocchio are imported when their converters are called;
 nothing is differentiated through their objects, everything else is differentiable.

@@ -74,7 +74,8 @@ def acceleration_from_isaac(X_WB: Tensor, V_WB_B: Tensor, acceleration: Tensor, 
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
     >>> turning = torch.tensor([0.0, 0, 2, 1, 0, 0])
-    >>> acceleration_from_isaac(X_WB, turning, torch.tensor([-2.0, 0, 0, 0, 0, 0])).abs().max() < 1e-6
+    >>> A_WB_B = acceleration_from_isaac(X_WB, turning, torch.tensor([-2.0, 0, 0, 0, 0, 0]))
+    >>> A_WB_B.abs().max() < 1e-6
     tensor(True)
     """
     w, v = parts("V_WB_B", V_WB_B, 3, 3)[:2]

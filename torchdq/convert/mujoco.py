@@ -35,7 +35,9 @@ def configuration_to_mujoco(X_WB: Tensor, q: Tensor) -> Tensor:
     """`qpos` [..., 7 + n] of MuJoCo.
 
     >>> import torch
-    >>> configuration_to_mujoco(torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]), torch.tensor([0.7]))
+    >>> configuration_to_mujoco(
+    ...     torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]), torch.tensor([0.7])
+    ... )
     tensor([1.0000, 2.0000, 3.0000, 1.0000, 0.0000, 0.0000, 0.0000, 0.7000])
     """
     return row(*to_mujoco(X_WB), q)
@@ -62,7 +64,8 @@ def velocity_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, qd: Tensor) -> Tensor:
 
     >>> import torch
     >>> quarter = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # about z
-    >>> velocity_to_mujoco(quarter, torch.tensor([1.0, 0, 0, 1, 0, 0]), torch.tensor([5.0])).round(decimals=4)
+    >>> V_WB_B = torch.tensor([1.0, 0, 0, 1, 0, 0])
+    >>> velocity_to_mujoco(quarter, V_WB_B, torch.tensor([5.0])).round(decimals=4)
     tensor([0., 1., 0., 1., 0., 0., 5.])
     """
     w, v = parts("V_WB_B", V_WB_B, 3, 3)[:2]
@@ -87,7 +90,8 @@ def acceleration_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, A_WB_B: Tensor, qdd: Te
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
     >>> turning, still = torch.tensor([0.0, 0, 2, 1, 0, 0]), torch.zeros(6)
-    >>> acceleration_to_mujoco(X_WB, turning, still, torch.zeros(1)).round(decimals=4)  # v turns with the base
+    >>> # v turns with the base
+    >>> acceleration_to_mujoco(X_WB, turning, still, torch.zeros(1)).round(decimals=4)
     tensor([-2.,  0.,  0.,  0.,  0.,  0.,  0.])
     """
     (w, v), (wd, vd) = (parts(*x, 3, 3)[:2] for x in (("V_WB_B", V_WB_B), ("A_WB_B", A_WB_B)))
@@ -100,7 +104,8 @@ def acceleration_from_mujoco(X_WB: Tensor, V_WB_B: Tensor, qacc: Tensor) -> tupl
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
     >>> turning = torch.tensor([0.0, 0, 2, 1, 0, 0])
-    >>> acceleration_from_mujoco(X_WB, turning, torch.tensor([-2.0, 0, 0, 0, 0, 0, 0]))[0].abs().max() < 1e-6
+    >>> A_WB_B, qdd = acceleration_from_mujoco(X_WB, turning, torch.tensor([-2.0, *6 * [0]]))
+    >>> A_WB_B.abs().max() < 1e-6
     tensor(True)
     """
     w, v = parts("V_WB_B", V_WB_B, 3, 3)[:2]
@@ -113,7 +118,8 @@ def forces_to_mujoco(X_WB: Tensor, F_B: Tensor, tau: Tensor) -> Tensor:
 
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
-    >>> forces_to_mujoco(X_WB, torch.tensor([1.0, 0, 0, 4, 5, 6]), torch.tensor([7.0])).round(decimals=4)
+    >>> F = torch.tensor([1.0, 0, 0, 4, 5, 6])
+    >>> forces_to_mujoco(X_WB, F, torch.tensor([7.0])).round(decimals=4)
     tensor([0., 1., 0., 4., 5., 6., 7.])
     """
     force, moment = parts("F_B", F_B, 3, 3)[:2]

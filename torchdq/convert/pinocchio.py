@@ -83,7 +83,9 @@ def configuration_to_pinocchio(X_WB: Tensor, q: Tensor) -> Tensor:
     """Configuration [..., 7 + n] of Pinocchio, for joints of one coordinate.
 
     >>> import torch
-    >>> configuration_to_pinocchio(torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]), torch.tensor([0.7]))
+    >>> configuration_to_pinocchio(
+    ...     torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]), torch.tensor([0.7])
+    ... )
     tensor([1.0000, 2.0000, 3.0000, 0.0000, 0.0000, 0.0000, 1.0000, 0.7000])
     """
     return row(dq.translation(X_WB), to_xyzw(dq.rotation(X_WB)), q)

@@ -24,7 +24,8 @@ from torchdq.errors import ArgumentError
 class Pose(TensorValue):
     """Pose X_AB of a frame B in a frame A, a rigid motion, around a tensor [..., 8].
 
-        X_AC = X_AB @ X_BC,   X_BA = X_AB.inverse(),   p_A = X_AB.apply(p_B),   xi = (X.inverse() @ X_des).log()
+        X_AC = X_AB @ X_BC,   X_BA = X_AB.inverse(),   p_A = X_AB.apply(p_B)
+        xi = (X.inverse() @ X_des).log()
 
     Every function of this package that takes poses takes these and plain tensors alike. Results are tensors, of which
     `Pose(torchdq.forward_kinematics(robot, q, "tip"))` makes poses. Leading axes are batch axes and broadcast, and
@@ -38,10 +39,11 @@ class Pose(TensorValue):
     Args:
         parameters: unit dual quaternion r + (eps/2) p r, shape [..., 8]; its negative is the same pose.
 
-    >>> X_AB = Pose.exp(torch.tensor([0.0, 0.0, torch.pi / 2, 0.0, 0.0, 1.0]))  # a quarter turn about z, 1 m up
+    >>> # a quarter turn about z, 1 m up
+    >>> X_AB = Pose.exp(torch.tensor([0.0, 0.0, torch.pi / 2, 0.0, 0.0, 1.0]))
     >>> X_AB.apply(torch.tensor([1.0, 0.0, 0.0])).round(decimals=3) + 0.0
     tensor([0., 1., 1.])
-    >>> torch.allclose((X_AB.inverse() @ X_AB).log(), torch.zeros(6))
+    >>> torch.allclose((X_AB.inverse() @ X_AB).log(), torch.zeros(6), atol=1e-6)
     True
     """
 

@@ -175,7 +175,9 @@ class Contact(BodyEffect):
 
     >>> import torchdq
     >>> from torchdq import effects
-    >>> scene = torchdq.Scene(torchdq.robots.load("panda"), (effects.Contact(height=0.2, friction=0.5),), dt=0.005)
+    >>> scene = torchdq.Scene(
+    ...     torchdq.robots.load("panda"), (effects.Contact(height=0.2, friction=0.5),), dt=0.005
+    ... )
     """
 
     IMPLICIT = "its stiff forces act at the end of a step"

@@ -283,7 +283,7 @@ class LuGre(Friction):
         deflection: b, of the bristles when they slide [rad or m], shape [..., n].
         ratio: r, friction near rest over that of a sliding joint, at least 1, shape [..., n].
         velocity: v, the Stribeck velocity, at which that excess has fallen to 1/e [rad/s or m/s], shape [..., n].
-        settling: s, the time in which bent bristles of a free joint without inertia relax [s], shape [..., n].
+        settling: s, the time in which deflected bristles of a free joint without inertia relax [s], shape [..., n].
         warming: as in `Friction`.
     """
 

@@ -37,7 +37,9 @@ class Residual(JointEffect):
 
     >>> import torch, torchdq
     >>> from torchdq import Scene, effects
-    >>> scene = Scene(torchdq.robots.load("two_link"), (effects.Residual(lambda q, qd: 0.1 * qd),))
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), (effects.Residual(lambda q, qd: 0.1 * qd),)
+    ... )
     >>> scene.step(scene.start(torch.zeros(3, 2), torch.ones(3, 2))).qd.shape
     torch.Size([3, 2])
     """

@@ -33,7 +33,9 @@ class HeightMap:
     >>> import torch
     >>> from torchdq import effects
     >>> stairs = effects.HeightMap(torch.tensor([[0.0, 0.0, 0.2, 0.2]] * 2), spacing=0.5)
-    >>> height, slope_x, slope_y = stairs(torch.tensor([0.25, 0.75, 9.0]), torch.tensor([0.1, 0.1, 0.1]))
+    >>> height, slope_x, slope_y = stairs(
+    ...     torch.tensor([0.25, 0.75, 9.0]), torch.tensor([0.1, 0.1, 0.1])
+    ... )
     >>> height, slope_x
     (tensor([0.0000, 0.1000, 0.2000]), tensor([0.0000, 0.4000, 0.0000]))
     """

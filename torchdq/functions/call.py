@@ -160,6 +160,7 @@ def of_pairs(
     (points, objects, own), q = of, given["q"]
     bodies, ground = [body.shape for body in objects], given["height"] is not None
     templates = tuple(body.template() for body in bodies)
+    points = tuple(points) if isinstance(points, list) else points  # hashable
     options = options_of(require_robot(robot), name, (points, templates, GROUND * ground, "own" * bool(own)))
     names = pairs(robot, *options)
     if not names:

@@ -154,7 +154,8 @@ class CompiledProgram:
         rounding errors are too large the function fails: a call in CasADi raises, a solver takes a shorter step. With
         `knots` it is what `f.map(knots)` is, a column per knot and matrices side by side, in vector instructions:
 
-            cc -shared -fPIC -O2 -ftree-vectorize -march=native -fno-math-errno arm_torques.c -o arm_torques.so -lm
+            cc -shared -fPIC -O2 -ftree-vectorize -march=native -fno-math-errno arm_torques.c \\
+                -o arm_torques.so -lm
 
         Args:
             folder: path of the folder, which is made if it is not there; files of the same names are replaced.
@@ -223,7 +224,9 @@ class CompiledProgram:
             ArgumentError: too few or too many arguments, or one of another shape or dtype; or `out` is not as above.
 
         >>> import torchdq
-        >>> gravity = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics", arguments=("q",))
+        >>> gravity = torchdq.compile(
+        ...     torchdq.robots.load("two_link"), "inverse_dynamics", arguments=("q",)
+        ... )
         >>> tau = torch.empty(2, dtype=torch.float64)
         >>> gravity(torch.zeros(2, dtype=torch.float64), out=tau) is tau
         True

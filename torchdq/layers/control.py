@@ -58,7 +58,9 @@ class Control(RobotModule):
 
     >>> import torch, torchdq
     >>> from torchdq.scene import controllers
-    >>> layer = torchdq.nn.Control(torchdq.robots.load("two_link"), controllers.PD(kp=25.0, kd=10.0), learn="kd")
+    >>> layer = torchdq.nn.Control(
+    ...     torchdq.robots.load("two_link"), controllers.PD(kp=25.0, kd=10.0), learn="kd"
+    ... )
     >>> layer(*torch.zeros(5, 3, 2)).shape
     torch.Size([3, 2])
     """
@@ -179,7 +181,8 @@ class _Named(Control):
 class ComputedTorque(_Named):
     """Computed torque controller: `forward(q, qd, q_des, qd_des, qdd_des, f_tip)` returns tau [..., n].
 
-        tau = M a + c + g + J^T f_tip + friction(q, qd) + offset,   a = qdd_des + kd (qd_des - qd) + kp (q_des - q)
+        tau = M a + c + g + J^T f_tip + friction(q, qd) + offset
+        a = qdd_des + kd (qd_des - qd) + kp (q_des - q)
 
     Those of a `ResidualDynamics`, or of another module, are taken at a.
 
@@ -224,7 +227,9 @@ class OperationalSpaceControl(_Named):
         learn, backend, sign_width, friction: as in `torchdq.nn.Control`.
 
     >>> import torch, torchdq
-    >>> controller = torchdq.nn.OperationalSpaceControl(torchdq.robots.load("panda"), kp=100.0, kd=20.0, learn="kp")
+    >>> controller = torchdq.nn.OperationalSpaceControl(
+    ...     torchdq.robots.load("panda"), kp=100.0, kd=20.0, learn="kp"
+    ... )
     >>> controller(torch.zeros(3, 7), torch.zeros(3, 7), torch.eye(8)[0].expand(3, 8)).shape
     torch.Size([3, 7])
     """

@@ -17,7 +17,7 @@ from torchdq.robot import Robot
 class InverseDynamics(RobotModule):
     """Inverse dynamics as a differentiable layer: `forward(q, qd, qdd, f_tip, f_ext)` returns tau [..., n].
 
-        tau = M(q) qdd + c(q, qd) + g(q) + J^T f_tip - sum of J_i^T f_ext_i + friction(q, qd) + offset
+        tau = M qdd + c + g + J^T f_tip - sum of J_i^T f_ext_i + friction(q, qd) + offset
 
     See `torchdq.inverse_dynamics` for the arguments of a call. dtype and device follow the inputs. Friction and learned
     offset make the torques those of the motors. A layer without `friction` that learns none is the rigid bodies alone,
@@ -69,9 +69,12 @@ class InverseDynamics(RobotModule):
 class DQRNEA(InverseDynamics):
     """Inverse dynamics as a layer, with the arguments of `InverseDynamics`, named after the paper's algorithm.
 
-        layer = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia", "friction"))  # learn=(): no parameters
-        tau = layer(q, qd, qdd)  # joint torques [..., n], differentiable in all inputs and parameters
-        layer.mass, layer.robot  # what has been learned: quantities that stay physical, and the robot with them
+        # learn=(): no parameters
+        layer = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia", "friction"))
+        # joint torques [..., n], differentiable in all inputs and parameters
+        tau = layer(q, qd, qdd)
+        # what has been learned: quantities that stay physical, and the robot with them
+        layer.mass, layer.robot
 
     >>> import torch, torchdq
     >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn="mass")
@@ -145,7 +148,9 @@ class FloatingInverseDynamics(RobotModule):
         ArgumentError: the base is fixed, or `learn` names something else, or a quantity that the robot does not have.
 
     >>> import torch, torchdq
-    >>> layer = torchdq.nn.FloatingInverseDynamics(torchdq.robots.load("go2"), learn="base_mass")
+    >>> layer = torchdq.nn.FloatingInverseDynamics(
+    ...     torchdq.robots.load("go2"), learn="base_mass"
+    ... )
     >>> layer(torch.eye(8)[0], torch.zeros(12)).F_B[:3].detach() / 9.81  # its mass [kg]
     tensor([ 0.0000,  0.0000, 16.0870])
     """

@@ -49,7 +49,8 @@ class Observer(Parametric):
 class MomentumObserver(nn.Module):
     """Observer of external torques: `forward(q, qd, tau, state)` returns the next state, whose `r` is the estimate.
 
-        r' = K (tau_ext - r),   tau_ext = p' - tau - u,   p = M qd,   u = dT/dq - g - friction(q, qd) - offset
+        r' = K (tau_ext - r),   tau_ext = p' - tau - u
+        p = M qd,   u = dT/dq - g - friction(q, qd) - offset
 
     A constant torque shows as tau_ext (1 - exp(-K t)). Neither accelerations nor a Coriolis matrix are needed, since
     C^T qd = dT/dq. The balance over a step takes the mean of u at its ends, so the error falls with dt^2.
@@ -65,9 +66,12 @@ class MomentumObserver(nn.Module):
     Source: De Luca and Mattone, Sensorless robot collision detection and hybrid force/motion control, 2005.
 
     >>> import torch, torchdq
-    >>> observer = torchdq.nn.MomentumObserver(torchdq.robots.load("two_link"), gain=50.0, dt=0.01)
+    >>> observer = torchdq.nn.MomentumObserver(
+    ...     torchdq.robots.load("two_link"), gain=50.0, dt=0.01
+    ... )
     >>> q = torch.tensor([-1.5708, 0.0])  # hanging down
-    >>> state = observer(q, 0 * q, q.new_tensor([0.0, 1.0]), observer.start(q, 0 * q))  # at rest against the motor
+    >>> # at rest against the motor
+    >>> state = observer(q, 0 * q, q.new_tensor([0.0, 1.0]), observer.start(q, 0 * q))
     >>> [round(x, 2) + 0.0 for x in state.r.tolist()]
     [0.0, -0.39]
     """
@@ -190,9 +194,12 @@ class MomentumObserver(nn.Module):
             damping: d of least |J^T F - r|^2 + d^2 |F|^2, where components count by their mean effect on the joints.
 
         >>> import torch, torchdq
-        >>> observer = torchdq.nn.MomentumObserver(torchdq.robots.load("two_link"), gain=50.0, dt=1e-3)
+        >>> observer = torchdq.nn.MomentumObserver(
+        ...     torchdq.robots.load("two_link"), gain=50.0, dt=1e-3
+        ... )
         >>> F, part = observer.force(torch.zeros(2), torch.tensor([2.0, 1.0]), axes="position")
-        >>> [round(x, 3) for x in (*F.tolist(), *part.tolist())]  # a straight arm shows no force along itself
+        >>> # a straight arm shows no force along itself
+        >>> [round(x, 3) for x in (*F.tolist(), *part.tolist())]
         [0.0, 1.0, 0.0, 0.0, 1.0, 0.0]
         """
         given = {"q": q, "r": r, "damping": gain("damping", damping, q)}
@@ -226,7 +233,8 @@ class MomentumObserver(nn.Module):
 
         >>> import torch, torchdq
         >>> scene = torchdq.Scene(torchdq.robots.load("two_link"), dt=1e-3)
-        >>> observer, start = torchdq.nn.MomentumObserver(scene.robot, 50.0, scene.dt), scene.start(torch.zeros(2))
+        >>> observer = torchdq.nn.MomentumObserver(scene.robot, 50.0, scene.dt)
+        >>> start = scene.start(torch.zeros(2))
         >>> carry = torch.cat(observer.start(start.q, start.qd), -1)
         >>> scene.rollout(start, steps=9, task=observer.task(), carry=carry)[1]["r"].shape
         torch.Size([9, 2])

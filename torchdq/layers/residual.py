@@ -146,7 +146,9 @@ class ResidualDynamics(nn.Module):
         network itself is always the present one.
 
         >>> import torchdq
-        >>> model = ResidualDynamics(InverseDynamics(torchdq.robots.load("panda"), learn=("friction",)))
+        >>> model = ResidualDynamics(
+        ...     InverseDynamics(torchdq.robots.load("panda"), learn=("friction",))
+        ... )
         >>> print(*[type(effect).__name__ for effect in model.effects()])
         Gravity Viscous Coulomb Residual
         """

@@ -62,7 +62,10 @@ class Evaluation(NamedTuple):
     @property
     def verdict(self) -> Verdict:
         """Whether to use what was found: the file, if there is one."""
-        used = self.found if self.file is None else self.file
+        return self._verdict(self.found if self.file is None else self.file)
+
+    def _verdict(self, used: Tensor) -> Verdict:
+        """Verdict about errors [n]."""
         before, after = float(self.described.mean()), float(used.mean())
         if after > GAINED * before:
             return Verdict.KEEP_DESCRIPTION
@@ -78,7 +81,8 @@ class Evaluation(NamedTuple):
         change = f"the error of the torques{by} is {after:.1%} of their standard deviation, {before:.1%} as described"
         text = f"{self.verdict.value}: in {self.seconds:.1f} s that were not learned from, {change}."
         if after > whole + SEEN:
-            text += f" With all that was found it is {whole:.1%}: a file cannot hold all of that."
+            both = f"{self._verdict(self.found).value}, {whole:.1%}"
+            text += f" The identified model: {both}; a file cannot represent all of it."
         if self.forecast is not None and whole > UNLIKE * float(self.forecast.mean()):
             unlike = "these motions are unlike those that were learned from, or rest where those moved"
             text += f" The forecast was {float(self.forecast.mean()):.1%}: {unlike}."

@@ -120,7 +120,9 @@ def fit(
     >>> import torchdq
     >>> from torchdq.nn import InverseDynamics
     >>> robot = torchdq.robots.load("two_link")
-    >>> q, qd, qdd = torch.randn(3, 64, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    >>> q, qd, qdd = torch.randn(
+    ...     3, 64, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
+    ... )
     >>> train = Samples(q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd))
     >>> model = InverseDynamics(robot.replace(mass=1.2 * robot.mass), learn=("mass",))
     >>> history = fit(model, train, steps=100, batch=32, rate=0.02)

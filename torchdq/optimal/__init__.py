@@ -19,6 +19,7 @@ from torchdq.optimal.costs import (
     Spheres,
     Torques,
 )
+from torchdq.optimal.derivatives import differentiable
 from torchdq.optimal.ilqr import Receding, solve
 from torchdq.optimal.problem import STATUS, Plan, Problem
 from torchdq.optimal.sampling import CEM, MPPI
@@ -40,5 +41,6 @@ __all__ = [
     "Speeds",
     "Spheres",
     "Torques",
+    "differentiable",
     "solve",
 ]

@@ -81,8 +81,9 @@ class Residuals:
     """Cost 1/2 sum w r^2 of residuals r, numbers of the state at the end of a step and of the torques of the step.
 
     The function is called where programs are recorded, with a view of the state: `view.q`, `view.qd`, `view.torque`
-    (the torques that are planned), `view.X_WB`, `view.V_WB_B`, and `view.posed(view.q)`, the robot, as in tasks of
-    environments. It uses + - * / and `torchdq.numbers.functions`. Programs are known by the function: define it once.
+    (the torques that are planned), `view.X_WB`, `view.V_WB_B`, and `view.frame(name)`, whose `position` and three
+    `axes` are in the base frame, in the world if the base is floating. It uses + - * / and `torchdq.numbers.functions`.
+    Programs are known by the function: define it once.
 
     Args:
         function: function `function(view, *settings, **inputs)` that returns a list of residuals.
@@ -191,7 +192,7 @@ class Spheres(Residuals):
         weight: as in `Residuals`, one number or one for every pair of `torchdq.distances`.
         points, own: the spheres, and whether those on different links are kept apart, as there.
         objects: those of `torchdq.objects` that are kept away from, with numbers as sizes.
-        X_WO: their poses, shape [..., 8 objects], one after the other; None: at the origin.
+        X_WO: their poses, shape [..., objects, 8]; None: at the origin.
         height: height of the ground [m]; None: there is no ground.
         margin: distance at which the cost begins [m].
     """
@@ -207,6 +208,11 @@ class Spheres(Residuals):
         margin: float = 0.02,
     ):
         points = tuple(points) if isinstance(points, list) else points
+        if X_WO is not None and (X_WO.ndim < 2 or X_WO.shape[-2:] != (len(objects), 8)):
+            raise ArgumentError(
+                f"X_WO must have the shape [..., {len(objects)}, 8], a pose for each object, found {tuple(X_WO.shape)}"
+            )
+        X_WO = None if X_WO is None else X_WO.flatten(-2)
         settings = (points, tuple([body.shape.template() for body in objects]), bool(own), float(margin))
         super().__init__(_spheres, weight, settings, X_WO=X_WO, height=height)
 
@@ -233,8 +239,7 @@ def _of_row(view: View, name: str, goal: Row = ()) -> Row:
 
 
 def _point(view: View, name: str, goal: Row) -> Row:
-    at, (link, X_BF) = view.posed(view.q), frame(view.scene.spec.robot, name)
-    return _less(at.position(link, at.point(link, X_BF).position), goal)
+    return _less(view.frame(name).position, goal)
 
 
 def _pose(view: View, name: str | None, goal: Row) -> Row:

@@ -126,8 +126,8 @@ def solve(
     batch, steps = state.q.shape[:-1], problem.steps
     with torch.no_grad(), Progress(f"optimal control of {batch.numel()} problems") as notice:
         u = problem.holding(state) if torque is None else _started("torque", torque, (steps, *state.q.shape))
-        u, passes = _by_rows(u, 1), Passes.of(problem, state.q, inputs)
-        start = {name: _by_rows(x, 0) for name, x in state.rows().items()}
+        u, passes = by_rows(u, 1), Passes.of(problem, state.q, inputs)
+        start = {name: by_rows(x, 0) for name, x in state.rows().items()}
         if isinstance(method, Sampling):
             u = method.improved(passes, start, u, iterations, notice.at)
             found = begun(passes, *passes.forward(start, u))
@@ -138,7 +138,7 @@ def solve(
             found = begun(passes, *passes.forward(start, u))
         else:
             near = {name: _started(name, x, (steps + 1, *batch, x.shape[-1])) for name, x in states.rows().items()}
-            found = begun(passes, {name: _by_rows(x, 1) for name, x in near.items()}, u)
+            found = begun(passes, {name: by_rows(x, 1) for name, x in near.items()}, u)
         if passes.limits is not None and (torque is None or states is None):
             found = _roughly(passes, start, found, iterations, notice.within("without limits"))
         return planned(passes, batch, improved(passes, start, found, iterations, tolerance, notice.at))
@@ -154,7 +154,7 @@ def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
         raise ArgumentError(f"{name} to begin with must have the shape [{expected}], found {tuple(x.shape)}") from error
 
 
-def _by_rows(x: Tensor, axis: int) -> Tensor:
+def by_rows(x: Tensor, axis: int) -> Tensor:
     """Tensor whose batch axes, between an axis and the last, are one of rows."""
     return x.detach().flatten(axis, -2) if x.ndim > axis + 1 else x.detach().unsqueeze(axis)
 
@@ -319,9 +319,9 @@ class Receding:
         """Plan from a state on, that of the step before moved on by one."""
         if self._passes is None or self._passes[0] is not self.problem or self._passes[1] != state.q.shape:
             self._passes = self.problem, state.q.shape, Passes.of(self.problem, state.q, {})
-        passes, start = self._passes[2], {name: _by_rows(x, 0) for name, x in state.rows().items()}
-        states = {name: _by_rows(_moved(x), 1) for name, x in plan.states.rows().items()}
-        found = begun(passes, states, _by_rows(_moved(plan.torque), 1))
+        passes, start = self._passes[2], {name: by_rows(x, 0) for name, x in state.rows().items()}
+        states = {name: by_rows(_moved(x), 1) for name, x in plan.states.rows().items()}
+        found = begun(passes, states, by_rows(_moved(plan.torque), 1))
         found = improved(passes, start, found, self.iterations, None, lambda _: None)
         return planned(passes, state.q.shape[:-1], found)
 

@@ -249,6 +249,11 @@ class Passes(NamedTuple):
         """Torques within the limits."""
         return torque if self.limits is None else torque.clamp(*self.limits)
 
+    def knots(self, states: Mapping[str, Tensor], torque: Tensor) -> dict[str, Tensor]:
+        """Inputs of every knot: states before and after the step, torques, and those of step and costs."""
+        near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
+        return {**near, self.problem.objective.control: torque, **self.stepped}
+
     def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
         problem, scene, width = self.problem, self.problem.scene, self.size + self.problem.scene.n
@@ -275,8 +280,7 @@ class Passes(NamedTuple):
         """Backward pass of one program that is a loop over the knots."""
         problem, sizes = self.problem, {"V": self.size * (self.size + 1) // 2, "v": self.size}
         start = {name: torque.new_zeros(len(damping), size) for name, size in sizes.items()}
-        near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
-        stepped = {**near, problem.objective.control: torque, **self.stepped}
+        stepped = self.knots(states, torque)
         fixed = {"damping": damping[:, None], **self.fixed, **self.shared, **self.bounds()}
         repeated = Repeated(problem.steps, ("V", "v"), tuple(stepped), ("expected",), ends=True, backwards=True)
         found = evaluate(what, {**start, **stepped, **fixed}, problem.scene.backend, repeated=repeated)

@@ -212,25 +212,27 @@ RNEA = (
 # --- text ------------------------------------------------------------------------------------------------------------
 
 
-def table(entries: Sequence[Entry]) -> str:
-    """Table of printed and counted costs, with verdicts, in Markdown."""
+def rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
+    """Table of printed and counted costs, with verdicts; headings first."""
 
     def shown(c: Cost | None) -> str:
         return "" if c is None else f"{c.storage}f {c.multiplications}x {c.additions}+"
 
-    rows = [(e.operation, shown(e.printed), shown(e.counted), e.verdict) for e in entries]
-    return markdown([("operation", "printed", "counted", "verdict"), *rows])
+    found = [(e.operation, shown(e.printed), shown(e.counted), e.verdict) for e in entries]
+    return [("operation", "printed", "counted", "verdict"), *found]
+
+
+def sections() -> dict[str, list[tuple[str, ...]]]:
+    """All tables, and the laws of the algorithms; headings first."""
+    found = {title: rows(entries) for title, entries in TABLES.items()}
+    total = [sum(values) for values in zip(*(e.counted for e in TABLE_4 if e.operation in PER_JOINT), strict=True)]
+    sums = ("321n 273n+", f"{total[0]}n {total[1]}n+")
+    found["Table 4, the algorithm per joint"].append(("sum with screws", *sums, ""))
+    for title, lines in (("Forward kinematics, zeros known", FKM_FOLDED), ("Inverse dynamics with f_EF", RNEA)):
+        found[title] = [("algorithm", "multiplications, additions"), *((line.name, line.law()) for line in lines)]
+    return found
 
 
 def report() -> str:
-    """Report of all tables and the laws of the algorithms."""
-    parts = [f"## {title}\n\n{table(entries)}" for title, entries in TABLES.items()]
-    total = [sum(values) for values in zip(*(e.counted for e in TABLE_4 if e.operation in PER_JOINT), strict=True)]
-    parts.append(
-        f"Sum of the rows of Table 4 with screws: printed 321n multiplications, 273n additions; counted {total[0]}n, "
-        f"{total[1]}n."
-    )
-    for title, lines in (("Forward kinematics, zeros known", FKM_FOLDED), ("Inverse dynamics with f_EF", RNEA)):
-        rows = [("algorithm", "multiplications, additions"), *((line.name, line.law()) for line in lines)]
-        parts.append(f"## {title}\n\n{markdown(rows)}")
-    return "\n\n".join(parts)
+    """All tables in Markdown."""
+    return "\n\n".join(f"## {title}\n\n{markdown(table)}" for title, table in sections().items())

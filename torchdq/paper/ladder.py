@@ -18,7 +18,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add
 from torchdq.backends.choice import choose
 from torchdq.backends.precision import run
-from torchdq.base.timing import medians
+from torchdq.base.timing import digits, medians
 from torchdq.dynamics.aligned import rnea
 from torchdq.dynamics.aligned.placement import Steps
 from torchdq.dynamics.tree import Tree
@@ -147,8 +147,8 @@ def times(n: int, batch: int = 4096, seconds: float = 0.3) -> list[float]:
     return medians(calls, batch, seconds)
 
 
-def table(n: int = 7, taken: Sequence[float] | None = None) -> str:
-    """Operations of every step for a general chain, in Markdown; sines and cosines are the same for all.
+def rows(n: int = 7, taken: Sequence[float] | None = None) -> list[tuple[str, ...]]:
+    """Operations of every step for a general chain, headings first; sines and cosines are the same for all.
 
     Args:
         n: number of joints.
@@ -156,14 +156,19 @@ def table(n: int = 7, taken: Sequence[float] | None = None) -> str:
     """
     robot = example(n)
     whole = cost.dqrnea_as_printed(n, full=True)
-    rows = [
-        [f"step, {n} general revolute joints", "multiplications", "additions"],
-        ["nothing known, every product of the print", str(whole.multiplications), str(whole.additions)],
+    found: list[tuple[str, ...]] = [
+        (f"step, {n} general revolute joints", "multiplications", "additions"),
+        ("nothing known, every product of the print", str(whole.multiplications), str(whole.additions)),
     ]
     for form in FORMS:
         count = form.program(robot).count()
-        rows.append([form.name, str(count.multiplications), str(count.additions)])
+        found.append((form.name, str(count.multiplications), str(count.additions)))
     if taken is not None:
-        column = ["time per sample", "", *(f"{t:.1f} ns" for t in taken)]
-        rows = [[*row, cell] for row, cell in zip(rows, column, strict=True)]
-    return markdown(rows)
+        column = ["time per sample", "", *(f"{digits(t)} ns" for t in taken)]
+        found = [(*row, cell) for row, cell in zip(found, column, strict=True)]
+    return found
+
+
+def table(n: int = 7) -> str:
+    """Table of `rows` in Markdown."""
+    return markdown(rows(n))

@@ -26,7 +26,7 @@ class Link(NamedTuple):
 class Chain:
     """Programs one after the other as the body of a loop, without gradients; at most one has an error growth.
 
-    Each is compiled as it is alone, so that its results are the same to the bit.
+    Each is compiled as it is alone, so that its results are bitwise the same.
     """
 
     name: str

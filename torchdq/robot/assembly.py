@@ -22,7 +22,7 @@ from torchdq.findings import Finding
 from torchdq.robot.arrays import IDENTITY, distinct, double, inertias, matrices, table
 from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.check import consistency
-from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits, RobotDescription, Shape, note
+from torchdq.robot.description import NO_TIP, Drawing, Frame, JointMap, Limits, RobotDescription, Shape, note
 from torchdq.robot.edit.couplings import Follows
 
 APART = -2  # link of what stands still apart from a floating base
@@ -41,6 +41,7 @@ class Segment(NamedTuple):
     body: RigidBody = NOTHING
     X_BC: DualQuaternion = dual_quaternion.ONE  # pose of the frame in which the body is given
     shapes: tuple[Shape, ...] = ()
+    drawing: Drawing = Drawing()
 
 
 class MovingLink(NamedTuple):
@@ -88,7 +89,7 @@ def linked(segments: Sequence[Segment], moves: Sequence[Follows], free: int | No
     links: list[MovingLink] = []
     places: list[tuple[int, DualQuaternion]] = []
     bodies: dict[int, RigidBody] = {}
-    for i, (name, parent, X_PB, joints, body, X_BC, _) in enumerate(segments):
+    for i, (name, parent, X_PB, joints, body, X_BC, *_) in enumerate(segments):
         link, X = (BASE if free is None else APART, dual_quaternion.ONE) if parent is None else places[parent]
         X = _unit(dual_quaternion.mul(X, X_PB))
         moving = [joint for joint in joints if moves[joint.row].leader is not None]
@@ -111,7 +112,9 @@ def linked(segments: Sequence[Segment], moves: Sequence[Follows], free: int | No
         places.append((link, X))
         bodies[link] = merged(bodies.get(link, NOTHING), body.moved(dual_quaternion.mul(X, X_BC)))
     placed = [*zip(segments, places, strict=True)]
-    frames = [Frame(x.name, link, double((*r, *d)), x.shapes) for x, (link, (r, d)) in placed if link != APART]
+    frames = [
+        Frame(x.name, link, double((*r, *d)), x.shapes, x.drawing) for x, (link, (r, d)) in placed if link != APART
+    ]
     parents = {x.parent for x in segments}
     leaves = [x.name for i, (x, (link, _)) in enumerate(placed) if link >= 0 and i not in parents]
     return Links(links, bodies, places, frames, leaves)

@@ -1,7 +1,7 @@
 """Description of a robot, as its sources (`urdf`, `from_screws`, `from_dh`) return it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from torch import Tensor
@@ -45,12 +45,21 @@ class Limits(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """Collision shape S fixed to a frame F; the axis of a capsule or a cylinder is z."""
+    """Shape S fixed to a frame F; the axis of a capsule or a cylinder is z."""
 
     kind: str  # "sphere", "capsule", "cylinder" or "box"; other words say what it is instead
-    size: tuple[float, ...] = ()  # radius; radius and half length; half lengths [m]
+    size: tuple[float, ...] = ()  # radius; radius and half length; half lengths [m]; scale of a mesh
     X_FS: DualQuaternion = dual_quaternion.ONE
-    name: str = ""  # of the collision element
+    name: str = ""  # of the element
+    mesh: str = ""  # path or address of its file
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Shapes by which a frame is drawn; neither programs nor comparisons of robots depend on them."""
+
+    shapes: tuple[Shape, ...] = field(default=(), repr=False, compare=False)  # `repr` is part of the keys of programs
+    folder: str = field(default="", repr=False, compare=False)  # folder around which meshes lie
 
 
 class Frame(NamedTuple):
@@ -60,6 +69,7 @@ class Frame(NamedTuple):
     link: int  # index of the link, -1: the base
     X_BF: Tensor  # [8]
     shapes: tuple[Shape, ...] = ()  # collision shapes that the description has there
+    drawing: Drawing = Drawing()
 
 
 class JointMap(NamedTuple):

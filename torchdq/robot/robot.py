@@ -64,7 +64,8 @@ _ELSEWHERE = {
 class Robot(RobotModel):
     """Robot: links, each carried by a joint of one degree of freedom, and n coordinates that move the joints.
 
-        robot = Robot.from_urdf("arm.urdf")  # or from_mjcf, from_xacro, from_dh, from_screws, torchdq.robots.load
+        # or from_mjcf, from_xacro, from_dh, from_screws, torchdq.robots.load
+        robot = Robot.from_urdf("arm.urdf")
         print(robot.report())  # what the file asks for, what is used, and what looks wrong
         robot = robot.with_payload(mass=2.0)  # a copy; also with_tool, lock, attach, replace
 
@@ -110,10 +111,10 @@ class Robot(RobotModel):
         """Robot from a URDF file.
 
         Links on fixed joints are merged with their parents and stay as frames; the coordinate of a continuous joint is
-        its angle. Meshes are never opened. Joint friction, damping and limits are read but are not part of the
-        rigid-body dynamics. Errors that are not fatal are recorded in `notes`, by code and subject; `report()` lists
-        them. Warnings name what may change the dynamics: elements and attributes that seem misspelt, elements given
-        twice, mimic joints without drivers, and impossible limits ("lower" above "upper"), which are ignored.
+        its angle. Meshes are only opened to be drawn. Joint friction, damping and limits are read but are not part of
+        the rigid-body dynamics. Errors that are not fatal are recorded in `notes`, by code and subject; `report()`
+        lists them. Warnings name what may change the dynamics: elements and attributes that seem misspelt, elements
+        given twice, mimic joints without drivers, and impossible limits ("lower" above "upper"), which are ignored.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
@@ -167,8 +168,8 @@ class Robot(RobotModel):
         NAME is three hinges NAME_x, NAME_y, NAME_z, with a warning, as NAME_y must stay below 70 degrees. Damping,
         friction loss and limits are read but are not part of the rigid-body dynamics; actuators, tendons, contacts and
         springs are noted. `report()` lists them. Armature of a free joint, `gravcomp` of some bodies only or in part,
-        and all other equality constraints are ignored with a warning. Meshes are opened only where a body's mass comes
-        from them.
+        and all other equality constraints are ignored with a warning. Meshes are opened to be drawn, and where a
+        body's mass comes from them.
 
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself, whose

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchdq.base.checks import dtype_of, require_count, require_number
 from torchdq.base.progress import Progress
-from torchdq.base.timing import measure
+from torchdq.base.timing import digits, measure
 from torchdq.effects.effect import Effect
 from torchdq.findings import printable
 from torchdq.robot import Robot
@@ -40,8 +40,8 @@ class EffectCost(NamedTuple):
         if math.isnan(self.nanoseconds):
             return "-"
         if self.nanoseconds > self.spread:
-            return f"{self.nanoseconds:.1f}"
-        return f"< {max(self.nanoseconds + self.spread, 0.1):.1f}"
+            return digits(self.nanoseconds)
+        return f"< {digits(max(self.nanoseconds + self.spread, 0.1))}"
 
 
 class Description(NamedTuple):
@@ -101,7 +101,8 @@ def describe(
         EffectCost(*label, count - before, *_difference(t, t_before))
         for label, count, before, t, t_before in zip(labels, counts, [0, *counts], times, [None, *times], strict=False)
     ]
-    on = f"{batch} samples of {str(dtype).removeprefix('torch.')}, {torch.get_num_threads()} threads"
+    threads = torch.get_num_threads()
+    on = f"{batch} samples of {str(dtype).removeprefix('torch.')}, {threads} thread{'s' * (threads != 1)}"
     total = EffectCost("all", "", counts[-1], *_difference(times[-1], None))
     outside = [f"{type(effect).__name__}: {words}" for effect in scene.effects if (words := effect.outside())]
     return Description(tuple(costs), total, left_out(scene.robot, scene.effects), on, tuple(outside))

@@ -127,7 +127,9 @@ class LinearlyImplicit(Integrator):
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
-    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.LinearlyImplicit(), dt=0.01)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), integrator=integrators.LinearlyImplicit(), dt=0.01
+    ... )
     """
 
     order = 1
@@ -144,7 +146,9 @@ class RungeKutta4(Integrator):
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
-    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.RungeKutta4(), dt=0.01)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), integrator=integrators.RungeKutta4(), dt=0.01
+    ... )
     """
 
     order = 4
@@ -175,7 +179,9 @@ class RungeKutta4(Integrator):
 class StoermerVerlet(Integrator):
     """Generalised leapfrog in positions and momenta p = M(x) v, symplectic and symmetric.
 
-        p1 = p + h/2 f(x, v1),  M(x) v1 = p1;   x' = x + h/2 (v1 + v2),  M(x') v2 = p1;   p' = p1 + h/2 f(x', v2)
+        p1 = p + h/2 f(x, v1),  M(x) v1 = p1
+        x' = x + h/2 (v1 + v2),  M(x') v2 = p1
+        p' = p1 + h/2 f(x', v2)
 
     with f = dL/dx + forces. The two implicit lines are iterated a fixed number of times; each iteration takes a factor
     of order h off their error. For energies over long times; over short ones RungeKutta4 is more accurate at the same
@@ -188,7 +194,9 @@ class StoermerVerlet(Integrator):
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
-    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.StoermerVerlet(), dt=0.01)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), integrator=integrators.StoermerVerlet(), dt=0.01
+    ... )
     """
 
     order = 2
@@ -226,7 +234,9 @@ class DormandPrince(Integrator):
 
     >>> import torchdq
     >>> from torchdq.scene import Scene, integrators
-    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.DormandPrince(), dt=0.1)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), integrator=integrators.DormandPrince(), dt=0.1
+    ... )
     """
 
     order = 5

@@ -157,7 +157,8 @@ class Network:
     >>> scene = torchdq.Scene(torchdq.robots.load("two_link"))
     >>> layers = torch.nn.Linear(4, 16), torch.nn.Tanh(), torch.nn.Linear(16, 2)
     >>> policy = policies.Network(torch.nn.Sequential(*layers))
-    >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=policy).q.square().mean().backward()
+    >>> states = scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=policy)
+    >>> states.q.square().mean().backward()
     >>> layers[0].weight.grad.shape
     torch.Size([16, 4])
     """

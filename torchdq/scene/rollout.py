@@ -71,7 +71,9 @@ def rollout(
 
     >>> import torch, torchdq
     >>> scene = torchdq.Scene(torchdq.robots.load("two_link"))
-    >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s, k: -4 * s.q - s.qd).q.shape
+    >>> scene.rollout(
+    ...     scene.start(torch.ones(3, 2)), steps=50, policy=lambda s, k: -4 * s.q - s.qd
+    ... ).q.shape
     torch.Size([50, 3, 2])
     """
     if task is not None and (isinstance(task, type) or not hasattr(task, "rows")):

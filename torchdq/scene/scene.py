@@ -39,7 +39,9 @@ class Scene(SceneModel):
 
     >>> import torch, torchdq
     >>> from torchdq import Scene, effects
-    >>> scene = Scene(torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.01)
+    >>> scene = Scene(
+    ...     torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.01
+    ... )
     >>> state = scene.start(torch.zeros(3, 2))
     >>> scene.step(state, torque=torch.zeros(2)).q.shape
     torch.Size([3, 2])

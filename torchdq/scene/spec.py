@@ -12,7 +12,7 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.control.law import Law
 from torchdq.dynamics.free_bodies import WithFreeBodies
-from torchdq.dynamics.posed import Posed, Row
+from torchdq.dynamics.posed import Point, Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
 from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.effect import Effect
@@ -22,7 +22,7 @@ from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError
 from torchdq.functions.parametric import Shapes
-from torchdq.functions.posed import Overrides, posed
+from torchdq.functions.posed import Overrides, frame, posed
 from torchdq.functions.posed import field as tensor
 from torchdq.objects import Object
 from torchdq.robot import Robot
@@ -317,6 +317,12 @@ class View(NamedTuple):
         """Robot at joint positions, in the world if its base is floating."""
         return self.scene.posed(q, free_base.as_pose(self.X_WB) if self.X_WB else None)
 
+    def frame(self, name: str) -> Point:
+        """Origin and three axes of a frame in the base frame, or in the world if the base is floating."""
+        at, (link, X_BF) = self.posed(self.q), frame(self.scene.spec.robot, name)
+        found = at.point(link, X_BF)
+        return Point(at.position(link, found.position), tuple([at.to_world(link, e) for e in found.axes]))
+
     @property
     def bodies(self) -> Bodies:
         """Links of the robot and objects, at rest."""
@@ -333,9 +339,9 @@ class View(NamedTuple):
     def pressing(self, name: str) -> dict[str, Number]:
         """Sums of the normal forces on an object, by the frames and objects that touch it [N]."""
         found: dict[str, Number] = {}
-        for (frame, on), contact in zip(self.scene.spec.touching, self.contacts, strict=True):
+        for (by, on), contact in zip(self.scene.spec.touching, self.contacts, strict=True):
             if on == name:
-                found[frame] = found.get(frame, 0.0) + contact.normal_force
+                found[by] = found.get(by, 0.0) + contact.normal_force
         return found
 
 

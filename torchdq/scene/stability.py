@@ -151,7 +151,9 @@ def check(scene: SceneModel, state: State, seconds: float = 1.0, **inputs: Tenso
     >>> from torchdq import effects
     >>> from torchdq.scene import integrators
     >>> parts = (effects.Viscous(500.0),)
-    >>> scene = torchdq.Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.SemiImplicitEuler())
+    >>> scene = torchdq.Scene(
+    ...     torchdq.robots.load("two_link"), parts, integrator=integrators.SemiImplicitEuler()
+    ... )
     >>> print(scene.check(scene.start(torch.zeros(2)), seconds=0.1))  # doctest: +ELLIPSIS
     steps of 0.01 s with SemiImplicitEuler() are unstable...
     """

@@ -190,6 +190,15 @@ def test_a_fit_of_a_model_that_holds_a_robot_has_them_too(residual):
     assert [x.subject for x in wrong if x.code == "torque.constant"] == ["joint2"]
 
 
+@pytest.mark.parametrize("factor", [10.2, 5.0])
+def test_a_factor_of_all_torques_is_a_unit_and_a_payload_is_none(factor):
+    robot, data = recorded("ur10e")
+    assert {one.code for one in found(robot, data._replace(tau=factor * data.tau))} == {"torque.unit"}
+    held = robot.with_payload(3.0, (0.0, 0.0, 0.05))
+    more = torchdq.inverse_dynamics(held, *data[:3]) - torchdq.inverse_dynamics(robot, *data[:3])
+    assert not found(robot, data._replace(tau=data.tau + more))
+
+
 @all_in_one(thinned(ROBOTS, ("two_link", "ur10e")))
 def test_small_motions_in_degrees_have_a_finding(name):
     """A few degrees look like radians, and keep all limits of an arm whose joints turn far."""
@@ -227,7 +236,7 @@ def test_a_joint_that_slides_has_its_own_units():
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd
     (one,) = found(robot, Samples(1000 * q, 1000 * qd, 1000 * qdd, tau))
     assert (one.code, one.subject) == ("position.limits", "rail") and one.value == pytest.approx(1000, rel=1e-3)
-    assert "millimetres (multiply by 0.001)" in one.cure and one.expected.endswith(" m")
+    assert "millimetres" in one.cure and "0.001" in one.cure and one.expected.endswith(" m")
 
 
 def test_rows_that_leap_away_have_a_finding_and_are_not_dropped():

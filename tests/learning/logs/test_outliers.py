@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from recorded_logs import recordings, with_findings
+from recorded_logs import arrays, recordings, with_findings
 from recordings import layout_of
 
 from torchdq.learning import read_log
@@ -63,3 +63,58 @@ def test_recordings_have_none(name):
     files = [path for path in sorted(recordings(name).glob("*.csv*")) if "15harm" not in path.name]
     for path in files[:4]:
         assert read_log(path, layout_of(path)).findings == ()
+
+
+def moved(seconds=10.0, noise=0.01):
+    """Log of three joints at 100 Hz, with noisy torques."""
+    known = arrays(3, np.arange(0, seconds, 0.01))
+    known["tau"] = known["tau"] + noise * np.random.default_rng(0).normal(size=known["tau"].shape)
+    return known
+
+
+def clipped(tau):
+    """Torques of the second joint cut off above 3.5 N m."""
+    return np.where(np.arange(3) == 1, tau.clip(None, 3.5), tau)
+
+
+def frozen(tau, joints):
+    """Torques of some joints that stay the same for a second."""
+    stuck = tau.copy()
+    stuck[300:400, joints] = tau[300, joints]
+    return stuck
+
+
+def coarse(tau):
+    """Torques in steps of 5 % of their range."""
+    return np.round(tau / 0.3) * 0.3
+
+
+SENSORS = [
+    (clipped, "torque.clipped", "column 'tau2'"),
+    (lambda tau: frozen(tau, [1]), "signal.frozen", "column 'tau2'"),
+    (lambda tau: frozen(tau, [0, 1, 2]), "signal.frozen", "column 'tau1', column 'tau2', column 'tau3'"),
+]
+
+
+@pytest.mark.parametrize(("change", "code", "subject"), SENSORS)
+def test_torques_that_are_cut_off_or_stop_to_change_have_a_finding(change, code, subject):
+    known = moved()
+    _, (one,) = with_findings(read_log, known | {"tau": change(known["tau"])})
+    assert (one.code, one.subject) == (code, subject)
+
+
+def test_coarse_sensors_held_values_and_arms_at_rest_have_none():
+    known = moved()
+    for tau in (coarse(known["tau"]), np.repeat(known["tau"][::10], 10, axis=0), known["tau"]):
+        assert not with_findings(read_log, known | {"tau": tau})[1]
+    still = {name: x if name == "time" else np.where(known["time"][:, None] < 5, x[:1], x) for name, x in known.items()}
+    for name in ("qd", "qdd"):
+        still[name] = np.where(known["time"][:, None] < 5, 0.0, known[name])
+    still["q"] = known["q"] * 0 + np.cumsum(still["qd"], axis=0) * 0.01
+    assert not with_findings(read_log, still)[1]
+
+
+def test_a_clock_that_runs_at_another_rate_has_a_finding():
+    known = moved()
+    _, (one,) = with_findings(read_log, known | {"time": 1.1 * known["time"], "qdd": None})
+    assert one.code == "time.scale" and one.value == pytest.approx(1 / 1.1, rel=1e-3)

@@ -188,6 +188,15 @@ def test_wrong_units_are_refused_by_column(tmp_path, columns, factor, code, size
         read_log(written(tmp_path / "log.csv", rows, names(7)))
 
 
+def test_a_log_may_have_ten_rows_a_second():
+    time = np.arange(0, 20, 0.1)
+    known = {"time": time, "q": np.sin(time)[:, None], "qd": np.cos(time)[:, None], "tau": None}
+    assert len(read_log(known).time) == 200
+    late = {name: x if x is None else np.delete(x, [50, 51], axis=0) for name, x in known.items()}
+    with log_refused("time.gap"):
+        read_log(late)
+
+
 def test_positions_that_follow_the_velocity_of_another_joint_are_refused():
     time, rates = np.linspace(0.0, 10.0, 1001), np.arange(1.0, 8.0)
     q, qd = np.sin(np.outer(time, rates)), rates * np.cos(np.outer(time, rates))
@@ -317,7 +326,8 @@ def test_an_archive_cannot_run_anything(tmp_path):
         ({"q": np.full((5000, 3), "a")}, "array.shape"),
         ({"q": 1j * np.ones((5000, 3))}, "array.shape"),
         ({"q": [[1.0], [1.0, 2.0]]}, "array.kind"),
-        ({"q": np.full((5000, 3), np.nan)}, "cell.number"),
+        ({"q": np.full((5000, 3), np.nan)}, "column.empty"),
+        ({"q": np.where(np.arange(15000) % 7, 0.0, np.nan).reshape(5000, 3)}, "cell.number"),
         ({"time": arrays()["time"][::-1]}, "time.backwards"),
         ({"qdd": arrays()["qdd"] * DEGREES}, "columns.rate"),
     ],

@@ -56,6 +56,11 @@ def test_a_xacro_file_is_expanded_with_its_includes(file, folder):
     assert robot.mass.tolist() == [2.0] and robot.com.tolist() == [[0, 0, 0.2]]
 
 
+def test_meshes_lie_around_the_file(folder):
+    robot = torchdq.Robot.from_xacro(folder / "rod.xacro")
+    assert {frame.drawing.folder for frame in robot.frames} == {str(folder)}
+
+
 def test_arguments_are_those_of_the_file(folder):
     robot = torchdq.Robot.from_xacro(folder / "rod.xacro", {"hand": True, "mass": 3}, lock=["shoulder"])
     assert robot.joint_names == ("wrist",)

@@ -79,9 +79,10 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
     >>> from torchdq.learning import Model, Samples, identify
     >>> robot = torchdq.robots.load("two_link")
     >>> q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64)
-    >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.1 * torch.randn(200, 2, dtype=torch.float64)
+    >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.1 * torch.randn_like(q)
     >>> plain = Model(friction=(effects.Viscous(), effects.Coulomb()))
-    >>> drawn = posterior_samples(identify(robot, Samples(q, qd, qdd, tau), plain, prior=1.0), 16)
+    >>> found = identify(robot, Samples(q, qd, qdd, tau), plain, prior=1.0)
+    >>> drawn = posterior_samples(found, 16)
     >>> drawn.robot.mass.shape, bool((drawn.robot.mass > 0).all()), len(drawn.effects())
     (torch.Size([16, 2]), True, 3)
     """

@@ -18,7 +18,7 @@ from torch.nn.functional import normalize
 
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.findings import Finding
-from torchdq.learning.logs.checks import UNITS, beyond_limits
+from torchdq.learning.logs.checks import UNITS, beyond_limits, scales
 from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.robot import Robot
 
@@ -32,6 +32,9 @@ class Thresholds:
     rows: int = 400  # rows that are used
     few: int = 100  # rows below which nothing is reported: five coefficients a joint fit a few rows whatever they are
     unit: float = 45.0  # ratio of measured to described torques from which the unit is wrong; a payload makes one of 31
+    common: float = 3.0  # the same ratio, of all joints that tell, from which no payload makes it
+    spread: float = 3.0  # most ratio of these, as a payload loads the last joints most
+    several: int = 3  # least number of these joints
     current: float = 3.0  # ratio of described to measured torques, at most joints, from which they may be currents
     shared: float = 15.0  # the same ratio, of a joint that is named with one whose unit is wrong
     trusted: float = 0.2  # least part of a joint's torque that only the description explains, to trust its factor
@@ -48,6 +51,8 @@ class Thresholds:
     driven: float = 0.05  # the same, relative to that described: a joint that swings freely has less
     poor: float = 0.5  # part of a joint's torque that a fit leaves unexplained, from which it is named
     shaped: float = 0.9  # part of the residual left by dry friction of other widths, from which the shape is another
+    uneven: float = 4.0  # ratio of the residuals of a quarter of the rows to those of the next from which it is named
+    matters: float = 0.1  # least of these residuals, relative to the joint's torques, to be named
     seen: float = 0.02  # residual that they explain, relative to the joint's torques, below which it does not matter
 
 
@@ -119,6 +124,19 @@ def unexplained(
     claim = "the fit must explain most of the torque's variance"
     cure = "are units, signs, order of joints and the robot itself as described, and torques measured at the joints?"
     return of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))
+
+
+def uneven(names: Sequence[str], residual: Tensor, tau: Tensor) -> list[Finding]:
+    """Findings about joints whose residuals [rows, n] are far larger in a quarter of the rows than in the others."""
+    if len(residual) < AT.few:
+        return []
+    sizes = torch.stack([part.square().mean(0).sqrt() for part in residual.chunk(4)])
+    ratio = sizes.amax(0) / sizes.sort(0).values[-2].clamp_min(1e-30)
+    far = (ratio > AT.uneven) & (sizes.amax(0) > AT.matters * tau.std(0))
+    claim = "residuals must be alike throughout"
+    cure = "did something change there: the load, a contact, a sensor? look at its picture, and leave these rows out"
+    finding = Finding("residual.uneven", "", claim, "{:.2g} times the others in quarter {:.0f} of the rows", cure)
+    return of_joints(names, far, finding, ratio, sizes.argmax(0) + 1)
 
 
 def misshapen(
@@ -221,10 +239,11 @@ def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
     """Findings about joints whose torques are in another unit than those of the description."""
     factor, sure = fit.factor, fit.factor[fit.trusted]
     small = (factor > 0) & (factor * AT.shared <= 1) & (sure * AT.unit <= 1).any()
-    large = (factor >= AT.shared) & (sure >= AT.unit).any()
+    common = len(sure) >= AT.several and bool(sure.min() >= AT.common) and bool(sure.max() <= AT.spread * sure.min())
+    large = (factor >= AT.shared) & (sure >= AT.unit).any() | (fit.trusted & common)
     claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
-    cure = "is the unit right? give tau in N m"
-    return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure), factor)
+    cure, option = (f"is the unit right? {way} multiplies tau" for way in ("Layout(gain=...)", "--gains"))
+    return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure, option), factor)
 
 
 def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
@@ -292,8 +311,9 @@ def _readings(
                 yield _sign(group, name), read(signals, torch.where(same == j, -plain, plain))
         for turn, (_, unit, other, times, factor) in () if "tau" in signals else UNITS.items():
             joints, claim = turns == turn, f"the {group} must be in {unit}"
-            found, cure = f"a far better fit in {other}", f"multiply them by {times}"
-            fault = Finding("motion.unit", ", ".join(compress(names, joints)), claim, found, cure, value=factor)
+            found, (way, option) = f"a far better fit in {other}", scales(signals, turn)
+            cure, subject = f"multiply them by {times}, as {way} does", ", ".join(compress(names, joints))
+            fault = Finding("motion.unit", subject, claim, found, cure, f"{option} reads them", value=factor)
             yield fault, read(signals, torch.where(joints, factor * plain, plain))
 
 

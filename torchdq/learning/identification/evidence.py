@@ -76,6 +76,14 @@ class Evidence(NamedTuple):
         total[self.kept, :bodies, :bodies] = 0
         return total
 
+    def information(self, variance: Tensor) -> Tensor:
+        """Information [k, k] of all rows in the parameters, for noise of this variance [n] per independent row."""
+        k = int(self.at.max()) + 1
+        H = torch.zeros(k, k, dtype=torch.float64)
+        for at, sums in zip(self.at, self.measurements / variance[:, None, None], strict=True):
+            H[at[:, None], at] += sums[:-1, :-1]
+        return H
+
     def near(self, estimated: Tensor, strength: float = 1.0) -> Neighbourhood:
         """Neighbourhood of the description, with those coefficients [terms, n] that are estimated."""
         return Neighbourhood(self.robot, self.terms, estimated, self.squares.sqrt(), self.unit, strength)

@@ -13,16 +13,20 @@ import torch
 from torch import Tensor
 
 from torchdq.findings import Finding
+from torchdq.functional import regressor
 from torchdq.learning.evaluation.blocks import MotionRows
 from torchdq.learning.identification.augmented import SURE, AugmentedFit, AugmentedSolution
 from torchdq.learning.identification.evidence import Evidence
+from torchdq.learning.logs.checks import CLOCK
+from torchdq.robot import Robot
 
 LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; real arms without one leave .59 or more
 TRIED = 0.7  # the same after one linear step, to be searched further
 LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
 STEP = 1e-3  # of differences, in the units of the unknowns
 FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
-FACTOR = 3.0  # most factor of a torque
+FACTOR = 3.0  # most factor of a torque, or of times
+PARTS = 20  # parts of the rows, at whose ends a payload may change
 
 Model = Callable[[Tensor], tuple[Tensor, Tensor]]  # torques per unit of y, and at y = 0, of unknowns x
 
@@ -34,6 +38,8 @@ class _Fault(NamedTuple):
     unknowns: int
     within: Callable[[Tensor], bool]  # whether unknowns are those of this fault
     finding: Callable[[Tensor], Finding]
+    step: float = FARTHEST / 2  # most change of an unknown at a time
+    start: float = 0.0  # of the unknowns
 
 
 def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
@@ -45,7 +51,8 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     size = measured.var(0)
     moved = size > 0
     offsets = torch.eye(len(size)).double().expand(len(fit.rows), -1, -1)
-    besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu())], -1)  # rotors are no fault
+    body = _held(evidence.robot, some)
+    besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu()), body], -1)  # rotors and payloads are no fault
     Z, tau = fit.columns(some.q, some.qd, some.qdd, evidence.own[fit.rows])
     plain = fit.solve(Z, measured - tau, besides, rounds=3)
 
@@ -65,8 +72,8 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     if before < LEAST * int(moved.sum()):
         return []
     best, findings = LEFT * before, list[Finding]()
-    for fault in _faults(fit, some, Z, tau):
-        x = torch.zeros(fault.unknowns).double()
+    for fault in (*_faults(fit, some, Z, tau), *_over_time(fit, some, Z, tau, body)):
+        x = torch.full((fault.unknowns,), fault.start).double()
         found = step(fault, x, plain)
         if not left(found) < TRIED * before:
             continue
@@ -74,7 +81,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
             change = found.x[-fault.unknowns :]
             if not bool(change.isfinite().all()):
                 break
-            x = x + change.clamp(-FARTHEST / 2, FARTHEST / 2)
+            x = x + change.clamp(-fault.step, fault.step)
             found = step(fault, x, found)
             if float(change.abs().max()) < 1e-3:
                 break
@@ -101,7 +108,8 @@ def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iter
         def of_zero(x: Tensor, name: str = name, turns: bool = joint.turns) -> Finding:
             claim = "the zero of q must be that of the description"
             found = f"a far better fit with {float(x):.3g} {'rad' if turns else 'm'} taken from it"
-            return Finding("joint.zero", name, claim, found, "correct q in the log", value=float(x))
+            cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
+            return Finding("joint.zero", name, claim, found, cure, option, value=float(x))
 
         def of_factor(x: Tensor, name: str = name) -> Finding:
             claim = "the torques of all joints must be in one unit"
@@ -126,6 +134,39 @@ def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iter
             return Finding("base.tilt", "", claim, found, f"robot.replace(gravity=[{numbers}]) has it", value=angle)
 
         yield _Fault(tilt, 2, lambda x: float(x.norm()) < FARTHEST, of_tilt)
+
+
+def _held(robot: Robot, rows: MotionRows) -> Tensor:
+    """Torques [rows, n, 4] per unit of mass and first moments of the last link."""
+    last = 10 * len(robot.link_names) - 10
+    return regressor(robot, rows.q, rows.qd, rows.qdd)[..., last : last + 4].cpu()
+
+
+def _over_time(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor, body: Tensor) -> Iterator[_Fault]:
+    """Faults of times: steps of the wrong length, and a payload, of torques `body` per unit, that changes."""
+
+    def steps(x: Tensor) -> tuple[Tensor, Tensor]:
+        s = float(1 + x)
+        return fit.columns(rows.q, s * rows.qd, s * s * rows.qdd, fit.evidence.own[fit.rows])
+
+    def of_steps(x: Tensor) -> Finding:
+        found = f"a far better fit with steps {1 / float(1 + x):.3g} times as long"
+        return Finding("time.scale", "", "times must be in seconds", found, *CLOCK, value=1 / float(1 + x))
+
+    for start in (0.0, 1.0, -0.5):
+        yield _Fault(steps, 1, lambda x: 1 / FACTOR < float(1 + x) < FACTOR, of_steps, start=start)
+    for k in range(1, PARTS):
+        after = body * (torch.arange(len(body)) >= len(body) * k // PARTS)[:, None, None]
+
+        def held(x: Tensor, after: Tensor = after) -> tuple[Tensor, Tensor]:
+            return Z, tau + after @ x
+
+        def of_held(x: Tensor, share: float = k / PARTS) -> Finding:
+            claim, cure = "what the arm holds must stay the same", "use the rows before that, or after it, alone"
+            found = f"a far better fit with {float(x[0]):.3g} kg more at its end after {share:.0%} of the rows"
+            return Finding("payload.changed", "", claim, found, cure, value=float(x[0]))
+
+        yield _Fault(held, 4, lambda x: True, of_held, math.inf)
 
 
 def _tilted(gravity: Tensor, x: Tensor) -> Tensor:

@@ -7,7 +7,8 @@ An effort e of a joint is h times its torque, h being one over the gain,
 with friction in the unit of the effort. Gauss-Newton linearises in pi and h about the last values: the torque Y pi
 there is the column of h. The sums of `regression.gram` suffice, so an iteration reads no samples. A common factor of
 all gains cannot be distinguished from one of all masses, and comes from the description; their ratios come from bodies
-that load several joints.
+that load several joints. Friction and rotors have no described torque: where they make nearly all of a joint's efforts,
+its gain is not identifiable, and stays at its expectation.
 
 Errors of the gains make errors of the parameters (`spread_of_gains`): the parameters of a fit are linear in the
 torques, and the torques of a joint are its gain times its efforts.
@@ -33,6 +34,8 @@ WIDE = 1.0  # the same of one that is not given, relative to a first guess
 STRENGTH = 100.0  # prior of the bodies, whose described masses set the factor of all gains
 TRUST = 0.1  # relative standard error of the described masses together
 FLAT = 0.5  # relative standard error of a first guess, above which the mean of the other joints takes its place
+SHOWN = 0.1  # least effort that only bodies explain, relative to all of the joint's, for its gain to be identifiable
+RESTS = f"Their common factor rests on the described masses, taken to be right within {TRUST:.0%}."
 
 GAIN = Term("gain", ("1", "1"), signed=True)
 
@@ -42,6 +45,7 @@ class Gains(NamedTuple):
 
     value: Tensor  # [n]
     error: Tensor  # [n] standard error
+    identifiable: Tensor  # [n] bool: whether the efforts show the bodies; if not, the value is the expected one
 
 
 def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
@@ -55,9 +59,12 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
     at, start = places(len(robot.link_names), len(terms), n), bodies(robot, p)
     inertial = torch.arange(p) < 10 * len(robot.link_names)
     guessed = sums, start, int(inertial.sum()), evidence.samples
-    opposite = (_guess(*guessed, known) + 1).abs() < 2 * SPREAD
-    centre = torch.where(known, torch.where(opposite, -1.0, 1.0), _guess(*guessed, ~known))
-    scale = torch.where(known, SPREAD, WIDE) * centre.abs()
+    first, shown = _guess(*guessed, known)
+    opposite = (first + 1).abs() < 2 * SPREAD
+    centre = torch.where(known, torch.where(opposite, -1.0, 1.0), _guess(*guessed, ~known)[0])
+    width = torch.where(known, SPREAD, WIDE)
+    scale, estimated = width * centre.abs(), torch.ones(len(terms), n, dtype=torch.bool)
+    estimated[-1] = shown
     h, phi, correlation = centre, start, torch.ones(n, dtype=start.dtype)
     for _ in range(30):
         T = torch.zeros(n, p + 1, p + 2, dtype=start.dtype)
@@ -67,7 +74,7 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
         T[:, -1, -1] = 1
         torque = evidence.squares.sqrt()
         unit = torch.cat([evidence.unit, (torque / scale)[None]])
-        near = Neighbourhood(robot, terms, torch.ones(len(terms), n, dtype=torch.bool), torque, unit, STRENGTH)
+        near = Neighbourhood(robot, terms, estimated, torque, unit, STRENGTH)
         independent = T.mT @ sums @ T / correlation[:, None, None]
         found = solve(near, independent, evidence.squares, evidence.samples / correlation, at)
         change = found.change(at)
@@ -83,15 +90,16 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
         cure = "give Layout(gain=...) for it, or leave the log out"
         raise ArgumentError(Finding("gains.lost", names, claim, "efforts that no torque explains", cure))
     relative = torch.cat([-found.spread(1.0)[at[:, -1]] / h[:, None], torch.full_like(h[:, None], TRUST)], 1)
+    relative = torch.cat([relative, (width * ~shown).diag()], 1)
     spread = torch.linalg.qr(relative.T / h).R.T  # as many columns as gains
-    return Gains(1 / h, spread.norm(dim=1)), spread
+    return Gains(1 / h, spread.norm(dim=1), shown), spread
 
 
 def negative_gains(robot: Robot, gains: Gains) -> list[Finding]:
     """Findings about gains that are clearly negative."""
     claim, cure = "the gain of a drive must be positive", "its efforts are counted against the joint's direction"
     finding = Finding("gain.negative", "", claim, "{:.3g} +- {:.2g}", cure)
-    return of_joints(robot.joint_names, gains.value < -3 * gains.error, finding, *gains)
+    return of_joints(robot.joint_names, gains.value < -3 * gains.error, finding, gains.value, gains.error)
 
 
 def spread_of_gains(
@@ -112,8 +120,11 @@ def spread_of_gains(
     return near.S @ facts.V @ ((facts.V.T @ right) / (facts.e + prior)[:, None]) @ spread
 
 
-def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, estimated: Tensor) -> Tensor:
-    """Efforts per described torque [n], each with friction alone; the mean of the others where a joint shows none."""
+def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, estimated: Tensor) -> tuple[Tensor, Tensor]:
+    """Efforts per described torque [n], each with friction alone; the mean of the others where a joint shows none.
+
+    And whether it shows them [n], which friction and rotors do not explain as well.
+    """
     n, p = start.shape
     M = torch.zeros(n, p, 1 + p - inertial, dtype=start.dtype)
     M[:, :, 0] = start
@@ -124,6 +135,7 @@ def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, estimated: 
     inverse = torch.linalg.pinv(M.mT @ A @ M, rtol=1e-10, hermitian=True)
     x = (inverse @ right[..., None])[..., 0]
     left = (total - (x * right).sum(1)).clamp_min(0) / samples
-    clear = estimated & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0].abs())
+    shown = x[:, 0].square() > SHOWN**2 * total * inverse[:, 0, 0]
+    clear = estimated & shown & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0].abs())
     middle = x[clear, 0].abs().log().mean().exp() if bool(clear.any()) else x.new_ones(())
-    return torch.where(clear, x[:, 0], middle)
+    return torch.where(clear, x[:, 0], middle), shown

@@ -23,7 +23,7 @@ from torchdq.findings import Finding
 from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.identification.base_parameters import base_names
-from torchdq.learning.identification.gains import Gains
+from torchdq.learning.identification.gains import RESTS, Gains
 from torchdq.learning.identification.model_selection import ModelSelection
 from torchdq.learning.identification.regression import by_chunks, parted, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, at_rest, rows_of, unit_torques
@@ -35,7 +35,7 @@ from torchdq.robot import Robot
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # parameters of a link, about its frame
 FORCE = "N m or N"
 PARAMETERS = ("parameter", "estimate", "standard error", "unit", "identifiable")  # heads of tables
-GAINS = ("joint", "torque per unit of effort", "standard error")
+GAINS = ("joint", "torque per unit of effort", "standard error", "identifiable")
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 
 
@@ -161,7 +161,8 @@ class Identified(NamedTuple):
 
         >>> import torch, torchdq, torchdq.envs
         >>> from torchdq.learning import Samples, identify
-        >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 200, 2, dtype=torch.float64)
+        >>> robot = torchdq.robots.load("two_link")
+        >>> q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64)
         >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd
         >>> found = identify(robot, Samples(q, qd, qdd, tau))
         >>> torchdq.Scene(found.robot, found.effects()).robot.name
@@ -200,8 +201,12 @@ class Identified(NamedTuple):
         >>> import torch, torchdq
         >>> from torchdq import effects
         >>> from torchdq.learning import Model, Samples, fit, identify
-        >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 300, 2, dtype=torch.float64)
-        >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * q[..., :1].sin() * q[..., 1:].cos()
+        >>> robot = torchdq.robots.load("two_link")
+        >>> q, qd, qdd = torch.randn(3, 300, 2, dtype=torch.float64)
+        >>> tau = (
+        ...     torchdq.inverse_dynamics(robot, q, qd, qdd)
+        ...     + 0.5 * q[..., :1].sin() * q[..., 1:].cos()
+        ... )
         >>> plain = Model(friction=(effects.Viscous(), effects.Coulomb()))
         >>> found = identify(robot, Samples(q, qd, qdd, tau), plain, prior=1.0)
         >>> network = torchdq.ResidualDynamics(found.layer(), hidden=(8,))
@@ -274,7 +279,7 @@ class Identified(NamedTuple):
             "residual", {"rms": (self.rms, FORCE), "noise": (self.noise, FORCE), "model": (self.model, FORCE)}
         )
         if self.gains is not None:
-            residuals += f"\n\n{table(GAINS, self.gain_rows())}"
+            residuals += f"\n\n{table(GAINS, self.gain_rows())}\n{RESTS}"
         selection = "" if self.selection is None else f"\n\n{self.selection}"
         friction = "".join(f"\n\n{STATED}:\n{table(COLUMNS, rows)}" for rows in [self.friction_rows()] if rows)
         return f"{title}\n\n{parameters}{friction}\n\n{residuals}{selection}"
@@ -293,15 +298,38 @@ class Identified(NamedTuple):
         rows: list[tuple[str, ...]] = [
             (name, f"{x:.4g}", f"{e:.2g}", unit, "yes" if known else "no") for name, unit, x, e, known in numbers
         ]
-        there = ((self.errors != 0) | (self.parameters != 0)).tolist()
-        return rows[:bodies], list(compress(rows[bodies:], there[bodies:]))
+        vague, summed = self._vague()
+        there = ((self.errors != 0) | (self.parameters != 0))[bodies:] & ~vague.flatten()
+        return rows[:bodies], [*compress(rows[bodies:], there.tolist()), *summed]
+
+    def _vague(self) -> tuple[Tensor, list[tuple[str, ...]]]:
+        """Friction that is smaller than its error [terms, n], where a joint has several such terms, and rows of sums.
+
+        A sum is the torque at 1 rad/s or m/s, in which errors that cancel do not count.
+        """
+        robot, phi = self.robot, torch.arange(len(self.names))
+        at, x, error = (parted(robot, x)[1] for x in (phi, self.parameters, self.errors))
+        resists = torch.tensor([term.law is not None and not (term.signed or term.loaded) for term in self.terms])
+        vague = resists[:, None] & (error > x.abs())
+        vague &= vague.sum(0) > 1
+        rows = list[tuple[str, ...]]()
+        for j in vague.any(0).nonzero()[:, 0].tolist():
+            some = vague[:, j].nonzero()[:, 0].tolist()
+            unit = torch.stack([self.terms[k].at_one(robot, self.sign_width)[j] for k in some])
+            where = at[some, j]
+            size, off = float(unit @ self.parameters[where]), float((unit @ self.spread[where]).norm())
+            turns, known = robot.joint_types[j].turns, bool(self.identifiable[where].all())
+            force = f"{COULOMB.units[not turns]} at 1 {'rad' if turns else 'm'}/s"
+            name = f"{robot.joint_names[j]} {len(some)} terms together"
+            rows.append((name, f"{size:.4g}", f"{off:.2g}", force, "yes" if known else "no"))
+        return vague, rows
 
     def gain_rows(self) -> list[tuple[str, ...]]:
         """Rows of a table of the gains of the drives; [] if they were not estimated."""
         if self.gains is None:
             return []
         found = zip(self.robot.joint_names, *(x.tolist() for x in self.gains), strict=True)
-        return [(name, f"{x:.4g}", f"{error:.2g}") for name, x, error in found]
+        return [(name, f"{x:.4g}", f"{error:.2g}", "yes" if shown else "no") for name, x, error, shown in found]
 
     def predict(
         self, motions: Motion | Sequence[Motion] | Tensor, qd: Tensor | None = None, qdd: Tensor | None = None

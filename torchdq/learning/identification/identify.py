@@ -28,7 +28,7 @@ from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, of_motions, too_few
-from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, of_joints, sampled, unexplained
+from torchdq.learning.evaluation.diagnostics import diagnose, misshapen, of_joints, sampled, uneven, unexplained
 from torchdq.learning.identification.augmented import AugmentedFit, offset_findings
 from torchdq.learning.identification.base_parameters import base_parameters
 from torchdq.learning.identification.evidence import Evidence, gather
@@ -56,6 +56,7 @@ from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies, require_single
 
 IDENTIFIABLE = 0.9  # least part of a parameter's variance that the samples take away where they identify it
+CARRIED = 2.0  # most times that its variance would be larger if the prior carried nothing over from other parameters
 FAR = 3.0  # times the described mass from which a note says so
 FEW = 100  # rows below which no effects that the model lacks are reported
 AUTO = Model()
@@ -149,7 +150,8 @@ def identify(
             drives = drive_gains(motors, torch.tensor(rows.known_gains).expand(robot.n))
             rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         data = diagnose(robot, partial(inverse_dynamics, robot), [rows.q, rows.qd, rows.qdd, rows.measured], sign_width)
-        still = [*_still_joints(robot, rows.qd, sign_width), *(negative_gains(robot, drives[0]) if drives else ())]
+        still = _still_joints(robot, rows.qd, sign_width) if bool(rows.qd.any()) else []  # static poses are meant to be
+        still = [*still, *(negative_gains(robot, drives[0]) if drives else ())]
         _warn([*still, *data])
         problem = _problem(robot, rows, model, fixed, prior, sign_width, notice.at)
         problem, found, correlation = _fitted(problem)
@@ -222,8 +224,9 @@ def _identified(
     changes |= {term.described: x for term, x in own if term.described}
     model = _beyond(evidence, spread, facts.noise, problem.validated)
     wide = evidence.half_widths(problem.unseen, spread, facts.noise)
-    alone = near.S.norm(dim=1) * math.sqrt(inflation / weight)  # standard errors by the prior
-    identifiable = _identifiable(spread, alone, fastest > sign_width, terms)
+    alone = near.S.square().sum(1) * inflation / weight  # variances by the prior
+    H = evidence.information(correlation * facts.noise**2)
+    identifiable = _identifiable(spread.square().sum(1), alone, H, fastest > sign_width, terms)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, weight, *drives)], 1)
     return Identified(
@@ -317,6 +320,8 @@ def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) 
     fitted, signs = few[3] - few[4], None if rows.direction is None else few[5]
     if len(residual) >= FEW and (faults := fault_findings(evidence, problem.estimated)):
         return misfits + faults
+    if changed := uneven(robot.joint_names, few[4], few[3]):
+        return misfits + changed
     described = inverse_dynamics(robot, few[0], few[1], few[2])
     if poor := unexplained(robot.joint_names, few[:4], fitted, described, sign_width):
         return misfits + poor
@@ -329,12 +334,17 @@ def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) 
     return misfits
 
 
-def _identifiable(spread: Tensor, prior: Tensor, moves: Tensor, terms: Sequence[Term]) -> Tensor:
-    """Parameters [k] whose variance the samples reduce to a tenth of that by the prior alone, at joints that move.
+def _identifiable(variance: Tensor, alone: Tensor, H: Tensor, moves: Tensor, terms: Sequence[Term]) -> Tensor:
+    """Parameters [k] that the samples decide, at joints that move: none of a link without mass, or that no row moves.
 
-    `prior` [k] are the standard errors without samples: zero for a link without mass, and for what no sample moves.
+    The samples reduce their variances, which are `alone` by the prior, to a tenth. And they do so by themselves, with
+    information H [k, k]: the prior also carries a parameter over from others of its link, such as the mass from the
+    first moment, and would be more certain of it than anyone can be. Priors of the same widths that are independent of
+    each other must leave no more than a tenth, and no more than twice the variance.
     """
-    left = spread.square().sum(1) / prior.square().where(prior > 0, 1.0)
+    width = alone.sqrt()
+    independent = alone * torch.linalg.inv(width[:, None] * H * width + torch.eye(len(H), dtype=H.dtype)).diagonal()
     own = [moves if term is not OFFSET else torch.ones_like(moves) for term in terms]
-    inertial = torch.ones(len(prior) - len(own) * len(moves), dtype=torch.bool)
-    return (prior > 0) & (left < 1 - IDENTIFIABLE) & torch.cat([inertial, *own])
+    inertial = torch.ones(len(alone) - len(own) * len(moves), dtype=torch.bool)
+    decided = (variance.maximum(independent) < (1 - IDENTIFIABLE) * alone) & (independent < CARRIED * variance)
+    return decided & torch.cat([inertial, *own])

@@ -30,7 +30,7 @@ class Model:
         memory: whether friction may have a memory, as `torchdq.effects.LuGre` has: scenes simulate it, layers do not.
 
     Raises:
-        ArgumentError: offset or friction is none of these.
+        ArgumentError: offset or friction has another value than those above.
 
     >>> from torchdq import effects
     >>> Model(friction=(effects.Viscous(), effects.Coulomb()), offset=False).armature

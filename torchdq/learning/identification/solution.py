@@ -72,6 +72,7 @@ def solve(
         say(f"minimum {k + 1} of at most {ROUNDS}")
         facts = information(own, S, squares, floor, independent)
         y, settled = minimum(near, facts, prior, start)
+        start = start if settled else y  # a next round goes on from what took too long
         rms = (squared(own, S @ y) / independent).sqrt()
         # least squares may explain a joint by a robot that cannot exist; what a physical one cannot do is noise
         worse = rms > 2 * facts.noise

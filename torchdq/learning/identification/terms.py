@@ -64,6 +64,14 @@ class Term(NamedTuple):
         torque = columns(rows.robot, effect, q, qd, rows.load if self.loaded else None, backend="eager")[self.parameter]
         return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
 
+    def at_one(self, robot: Robot, width: float) -> Tensor:
+        """Torque per unit of friction that does not depend on the load [n], long after the joints moved at 1 rad/s."""
+        qd = torch.ones(robot.n, dtype=torch.float64)
+        effect = self.effect(width)
+        if self.bristles or effect is None:
+            return qd
+        return columns(robot, effect, 0 * qd, qd, None, backend="eager")[self.parameter]
+
     @property
     def fraction(self) -> bool:
         """Whether the number is below one."""
@@ -147,12 +155,12 @@ VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), effects.Viscous(), "coefficien
 COULOMB = Term("coulomb", FORCE, effects.Coulomb(), "coulomb", "friction", dry=True)
 OFFSET = Term("offset", FORCE, signed=True)
 
-SPEEDS = (0.03, 0.1, 0.3, 1.0)  # [rad/s or m/s]
+SPEEDS, WIDTHS = (0.1, 0.3, 1.0), (0.03, 0.3)  # of Stribeck and of saturating friction [rad/s or m/s]
 BRISTLES = (5e-4, 2e-3, 1e-2)  # [rad or m]
-SHAPES = (  # friction of other shapes
+SHAPES = (  # friction of other shapes, each of which lowers the errors on recordings of real arms
     Term("load", ("1", "1"), effects.LoadDependent(), "coefficient", dry=True, loaded=True),
     *(Term(f"stribeck {v:g}", FORCE, effects.Stribeck(velocity=v), "static", dry=True) for v in SPEEDS),
-    *(Term(f"saturating {v:g}", FORCE, effects.Coulomb(sign_width=v), "coulomb") for v in SPEEDS),
+    *(Term(f"saturating {v:g}", FORCE, effects.Coulomb(sign_width=v), "coulomb") for v in WIDTHS),
     Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), effects.Quadratic(), "coefficient"),
     *(Term(way, FORCE, effects.Directional(), way, dry=True) for way in ("forward", "backward")),
     *(Term(f"lugre {x:g}", FORCE, effects.LuGre(deflection=x), "coulomb", bristles=x) for x in BRISTLES),

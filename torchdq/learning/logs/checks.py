@@ -1,6 +1,7 @@
 """Checks of logs: increasing times, finite numbers, radians, signals that agree with each other and with a robot."""
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -13,8 +14,10 @@ from torchdq.learning.logs.signals import Signals
 from torchdq.learning.logs.tables import rows_option
 from torchdq.robot import Robot
 
-GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
+GAP = 0.1 * (1 + 1e-9)  # [s] longest time between two rows; beyond it the motion in between is unknown
+SLOW = 1.1 * GAP  # [s] median of these times from which they are hardly in seconds
 UNLIKE, ALIKE = 0.5, 0.95  # correlations of signals that have nothing to do with each other, and that follow each other
+FOLLOWS, SLIP = 0.99, 0.02  # correlation of positions with velocities that are compared, and their usual difference
 JUMP = 0.05  # [rad or m] change of a position between two rows that may stay unexplained by the velocities
 FAR = 10.0  # times the usual unexplained change from which one is a jump
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
@@ -25,13 +28,25 @@ UNITS = {  # of joints that turn or slide: symbol, name, the other unit that log
     True: ("rad", "radians", "degrees", "pi/180", math.pi / 180),
     False: ("m", "metres", "millimetres", "0.001", 0.001),
 }
+CLOCK = (  # cures, in Python's words and in options
+    "check their unit, or the rate of the rows, Layout(rate=...); Layout(scale={'time': ...}) corrects it",
+    "check their unit, or the rate of the rows, --rate; --scale time corrects it",
+)
 PARTS = 3  # most parts of a log that are named
 AROUND = "read the rows before it or after it, by "
 ELSEWHERE = f"{AROUND}rows=(first, last)", f"{AROUND}--rows FIRST LAST"  # for Python, and for the command line
 TOO_FAR = (
-    "are these degrees (multiply by pi/180), or millimetres of a joint that slides (by 0.001)? are these motors before "
-    "their gears? give the gears' ratios by {}; if the joint does go there, pass {}"
+    "are these degrees, or millimetres of a joint that slides? {} reads degrees; are these motors before their gears? "
+    "give the gears' ratios by {}; if the joint does go there, pass {}"
 )
+
+
+def scales(signals: Sequence[str], turns: bool = True) -> tuple[str, str]:
+    """Layout and option that read signals in degrees, or in millimetres of joints that slide."""
+    symbol, factor = UNITS[turns][3:]
+    python = ", ".join(f"'{signal}': {symbol}" for signal in signals)
+    option = " ".join(f"{signal} {factor:.6g}" for signal in signals)
+    return f"Layout(scale={{{python}}})", "--degrees" if turns and len(signals) > 1 else f"--scale {option}"
 
 
 def require_numbers(table: Signals) -> None:
@@ -54,14 +69,16 @@ def require_numbers(table: Signals) -> None:
 def require_times(table: Signals) -> None:
     """Raise for decreasing times, gaps, and times that are not in seconds."""
     step = np.diff(table.time)
-    i = int((step < 0 if (step < 0).any() else step > GAP).argmax())
-    late = f"{step[i]:.4g} s after the row above, more than {GAP} s"
+    usual, longest = np.median(step), _longest(step)
+    i = int((step < 0 if (step < 0).any() else step > longest).argmax())
+    late = f"{step[i]:.4g} s after the row above, more than {longest:.3g} s"
     if step[i] < 0:
         fault = Finding("time.backwards", "", f"{-step[i]:.4g} s before the row above", "", *_parts(table))
-    elif np.median(step) > GAP:
-        cure = "times must be in seconds; divide milliseconds by 1000, nanoseconds by 1e9"
-        fault = Finding("time.unit", "", late, "", cure)
-    elif step[i] > GAP:
+    elif usual >= SLOW:
+        words = "times must be in seconds; {} 1e-3{} reads milliseconds, 1e-9 nanoseconds"
+        cure, option = words.format("Layout(scale={'time':", "})"), words.format("--scale time", "")
+        fault = Finding("time.unit", "", late, "", cure, option)
+    elif step[i] > longest:
         fault = Finding("time.gap", "", late, "", *_parts(table))
     elif not step.any():
         fault = Finding("time.still", "", "the same time in all rows")
@@ -70,10 +87,16 @@ def require_times(table: Signals) -> None:
     table.refuse(i + 1, table.names["time"][0], fault._replace(value=float(step[i])))
 
 
+def _longest(step: np.ndarray) -> float:
+    """Longest time between two rows that is no gap [s], in a log of ten rows a second, too."""
+    usual = float(np.median(step))
+    return max(GAP, 1.5 * usual) if usual < SLOW else GAP
+
+
 def _parts(table: Signals) -> tuple[str, str]:
     """Cures: the longest parts of a log with increasing times, at most three."""
     step = np.diff(table.time)
-    ends = [0, *((step < 0) | (step > GAP)).nonzero()[0] + 1, len(table.time)]
+    ends = [0, *((step < 0) | (step > _longest(step))).nonzero()[0] + 1, len(table.time)]
     parts = [(first, last) for first, last in pairwise(ends) if table.time[last - 1] > table.time[first]]
     if not parts:
         return ELSEWHERE
@@ -122,8 +145,9 @@ def require_radians(table: Signals) -> None:
         x, limit = blocks.get(signal, np.zeros((1, n))), getattr(table.layout, field)
         row, joint = divmod(int(abs(x).argmax()), n)
         if abs(x[row, joint]) > limit:
-            cure = TOO_FAR.format("Layout(transmission=...)", f"a Layout that allows it, by {field}")
-            option = TOO_FAR.format("--transmission", f"--{field}")
+            python, degrees = scales([x for x in ("q", "qd", "qdd") if x in blocks and signal in (x, "q")])
+            cure = TOO_FAR.format(python, "Layout(transmission=...)", f"a Layout that allows it, by {field}")
+            option = TOO_FAR.format(degrees, "--transmission", f"--{field}")
             claim = f"{x[row, joint]:.6g} {unit}, more than {limit:.3g}"
             fault = Finding(f"{signal}.unit", "", claim, "", cure, option, value=float(x[row, joint]))
             table.refuse(row, table.names[signal][joint], fault)
@@ -132,14 +156,32 @@ def require_radians(table: Signals) -> None:
             _require_rates(table, signal, rate)
 
 
-def _require_rates(table: Signals, signal: str, rate: str) -> None:
-    """Raise for signals that differ from their integrated rates by a factor, or follow the rate of another joint."""
+def clock_findings(table: Signals) -> list[Finding]:
+    """Finding about positions that all change by one factor more, or less, than the velocities say."""
+    if "qd" not in table.blocks:
+        return []
+    ratios, correlations = (x.diagonal() for x in _rates(table, "q", "qd"))
+    ratios = ratios[correlations > FOLLOWS]
+    if len(ratios) < 2 or np.ptp(ratios) > SLIP * ratios.mean() or abs(ratios - 1).min() < 2 * SLIP:
+        return []
+    factor = float(ratios.mean())
+    found = f"positions that change {factor:.3g} times as much as velocities say"
+    return [Finding("time.scale", "time", "times must be in seconds", found, *CLOCK, value=factor)]
+
+
+def _rates(table: Signals, signal: str, rate: str) -> tuple[np.ndarray, np.ndarray]:
+    """Change of signals per integrated rate [n, n], and their correlations; NaN of what is at rest."""
     n, x, rates = table.layout.joints, table.blocks[signal], table.blocks[rate]
     change = np.diff(table.time)[:, None] * (rates[1:] + rates[:-1]) / 2
     covariance = np.cov(x.T, np.pad(np.cumsum(change, axis=0), ((1, 0), (0, 0))).T, bias=True)
     variance, both = covariance.diagonal(), covariance[:n, n:]
     moving = np.where(variance < FOLLOWED**2, np.nan, variance)  # what is at rest follows nothing
-    ratios, correlations = both / moving[n:], both / np.sqrt(np.outer(moving[:n], moving[n:]))
+    return both / moving[n:], both / np.sqrt(np.outer(moving[:n], moving[n:]))
+
+
+def _require_rates(table: Signals, signal: str, rate: str) -> None:
+    """Raise for signals that differ from their integrated rates by a factor, or follow the rate of another joint."""
+    ratios, correlations = _rates(table, signal, rate)
     others = table.names[rate]
     for j, name in enumerate(table.names[signal]):
         ratio, correlation = float(ratios[j, j]), abs(correlations[j, j])
@@ -149,12 +191,15 @@ def _require_rates(table: Signals, signal: str, rate: str) -> None:
                 cure = "the columns of both signals must be in the same order of joints"
                 raise LogError(Finding("columns.order", f"column {name!r}", claim, "", cure), where=table.path)
         if correlation >= ALIKE and not 0.5 < ratio < 2:
-            cure = "the two must agree in unit, sign and joint"
-            for column, factor in ((name, ratio), (others[j], 1 / ratio)):
+            cure, option = 2 * ("the two must agree in unit, sign and joint",)
+            for column, one, other, factor in ((name, signal, rate, ratio), (others[j], rate, signal, 1 / ratio)):
                 if 0.5 < factor * math.pi / 180 < 2:
-                    cure = f"{column} seems to be in degrees; multiply the column by pi/180"
+                    cure, option = (f"{column} seems to be in degrees; {way} reads it" for way in scales([one]))
+                    if other in table.layout.scale:
+                        cure, option = 2 * (f"{other} seems to be in radians; leave it out of the scales",)
             claim = f"{name} changes {ratio:.3g} times as much as {others[j]} says"
-            raise LogError(Finding("columns.rate", f"column {name!r}", claim, "", cure, value=ratio), where=table.path)
+            fault = Finding("columns.rate", f"column {name!r}", claim, "", cure, option, value=ratio)
+            raise LogError(fault, where=table.path)
 
 
 def beyond_limits(robot: Robot, q: np.ndarray | Tensor, qd: np.ndarray | Tensor | None) -> list[Finding]:
@@ -169,13 +214,14 @@ def beyond_limits(robot: Robot, q: np.ndarray | Tensor, qd: np.ndarray | Tensor 
     fast = ((qd.abs() > FASTER * velocity).double().mean(0) > OFTEN) & (velocity > 0)
     found = []
     for j in (far | fast).nonzero()[:, 0].tolist():
-        unit, _, other, times, _ = UNITS[robot.joint_types[j].turns]
+        unit, _, other, _, _ = UNITS[robot.joint_types[j].turns]
         if far[j]:
             code, x, expected = "position.limits", q[:, j], f"its limits are {lower[j]:.3g} and {upper[j]:.3g} {unit}"
             moves = f"positions from {x.min():.3g} to {x.max():.3g}"
         else:
             code, x, expected = "velocity.limits", qd[:, j], f"its limit is {velocity[j]:.3g} {unit}/s"
             moves = f"speeds up to {x.abs().max():.3g}"
-        cure = f"are these {other} (multiply by {times}), or of other joints?"
-        found.append(Finding(code, robot.joint_names[j], expected, moves, cure, value=float(x.abs().max())))
+        ways = scales(["q"] if far[j] else ["qd"], robot.joint_types[j].turns)
+        cure, option = (f"are these {other} ({way} reads them), or of other joints?" for way in ways)
+        found.append(Finding(code, robot.joint_names[j], expected, moves, cure, option, value=float(x.abs().max())))
     return found

@@ -43,7 +43,8 @@ class LogWarning(_AboutLog, UserWarning):
     Silenced by `warnings.simplefilter("ignore", torchdq.learning.LogWarning)`.
 
     >>> from torchdq.findings import Finding
-    >>> print(LogWarning(Finding("torque.sign", "elbow", "the sign of tau must be that of the description")))
+    >>> claim = "the sign of tau must be that of the description"
+    >>> print(LogWarning(Finding("torque.sign", "elbow", claim)))
     elbow: the sign of tau must be that of the description
     """
 

@@ -59,6 +59,8 @@ def _with_arrays(layout: Layout, arrays: Columns, heads: Collection[str]) -> Lay
         if any(name in arrays for name in names):
             columns = [column for name in names for column in arrays.get(name, [name])]
             expanded[signal] = columns[0] if signal == "time" else columns
+        elif signal not in layout.columns and f"{signal}0" in heads and signal != "time":
+            expanded[signal] = f"{signal}{{0}}"
         elif arrays and signal in NEEDED and signal not in layout.columns and f"{signal}1" not in heads:
             expanded[signal] = signal
     return layout.with_columns(expanded)

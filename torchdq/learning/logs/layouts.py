@@ -15,6 +15,7 @@ from torchdq.findings import Finding
 SIGNALS = ("time", "q", "qd", "tau", "qdd", "command")
 NEEDED = SIGNALS[:4]  # unless a layout says that they were not recorded
 SPARE = SIGNALS[2:]  # signals that a layout may say were not recorded
+SCALED = tuple(x for x in SIGNALS if x != "tau")  # signals with a scale: the scale of the efforts is the gain
 SHOWN = 8  # most names of columns that a message holds
 NUMBER = re.compile(r"\{(\d+)\}")  # place of a joint's number in a pattern, and the number of the first joint
 JOINT = "{joint}"  # place of a joint's name in a pattern
@@ -38,7 +39,8 @@ class Layout:
             {0} is the number of the joint if the first joint has 0, {1} if it has 1, {7} if it has 7, and {joint} the
             name of the robot's joint; a list of names in the robot's order of joints; or the name of an array with a
             column per joint. None: "qd" or "tau" was not recorded. Columns without a header are called 1, 2, 3 ...;
-            those of one of several files also file:name, with the name of the file without its ending.
+            those of one of several files also file:name, with the name of the file without its ending. Where there is a
+            q0, the joints are counted from zero.
         rate: rows per second of a log without times [Hz]; None: it has times.
         transmission: change of the joints' positions per change of the motors', where motors were measured: a number
             per joint, 1/100 for a gear of 100:1, negative where it reverses; or the rows of a matrix S, joints = S
@@ -46,10 +48,15 @@ class Layout:
             positions times the numbers, or the diagonal of S, and torques, which `gain` belongs to, divided by them.
             Where motors are coupled, the log is that of the motors, the coordinates of `robot.couple(coupling, names)`:
             there friction and rotor inertia act. Empty: joints were measured.
-        zero: positions of the joints where the motors' are zero, a number per joint [rad or m]; empty: zero.
+        zero: positions of the joints where those in the log are zero, which are added to them, a number per joint [rad
+            or m]; empty: zero.
         at_motors: signals that were measured at the motors, if there is a transmission; the others were at the joints.
+        scale: factors that take signals to SI units, where they are in others, by "time", "q", "qd", "qdd" and
+            "command": a number, or one per joint. pi/180 reads degrees, pi/30 turns per minute, 0.001 milliseconds or
+            millimetres; that of "tau" is its `gain`.
 
-    >>> ros = Layout(columns={"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}", "tau": ["base", "elbow"]})
+    >>> names = {"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}"}
+    >>> ros = Layout(columns={**names, "tau": ["base", "elbow"]})
     >>> ros.names("q", 2), ros.names("tau", 2)
     (['position_0', 'position_1'], ['base', 'elbow'])
 
@@ -59,7 +66,16 @@ class Layout:
 
     Positions of motors behind gears and their currents, whose gains are not known, without velocities:
 
-    >>> drives = Layout(columns={"qd": None, "tau": "current{1}"}, gain=None, transmission=(1 / 100, -1 / 80))
+    >>> drives = Layout(
+    ...     columns={"qd": None, "tau": "current{1}"},
+    ...     gain=None,
+    ...     transmission=(1 / 100, -1 / 80),
+    ... )
+
+    Positions in degrees, velocities in degrees per second, and a second joint whose zero is a quarter turn away:
+
+    >>> turn = math.pi / 180
+    >>> degrees = Layout(scale={"q": turn, "qd": turn}, zero=(0.0, -math.pi / 2))
     """
 
     joints: int = 0
@@ -73,6 +89,7 @@ class Layout:
     zero: tuple[float, ...] = ()
     at_motors: tuple[str, ...] = ("q", "qd", "qdd", "tau")
     rate: float | None = None  # [Hz]
+    scale: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         require_count("joints", self.joints, 0)
@@ -84,8 +101,16 @@ class Layout:
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
         object.__setattr__(self, "at_motors", names_of("at_motors", self.at_motors, SIGNALS[1:5], "signal"))
         object.__setattr__(self, "transmission", _transmission(self.transmission))
-        if self.zero and not self.transmission:
-            raise ArgumentError(f"zero needs a transmission, e.g. ones, found zero={self.zero} and transmission=()")
+        if not isinstance(self.scale, Mapping):
+            raise ArgumentError(f"scale must be a mapping such as {{'q': 0.0174533}}, found {self.scale!r}")
+        scale: dict[str, float | tuple[float, ...]] = {}
+        for signal in names_of("scale", tuple(self.scale), SCALED, "signal"):
+            x = self.scale[signal]
+            factors = _floats("scale", x if np.ndim(x) else [x], "numbers, one or one per joint")
+            if not all(factors) or (signal == "time" and not factors[0] > 0):
+                raise ArgumentError(f"scale must be numbers other than zero, found {self.scale!r}")
+            scale[signal] = factors if np.ndim(x) and signal != "time" else factors[0]
+        object.__setattr__(self, "scale", scale)
         if not isinstance(self.columns, Mapping):
             expected = "a mapping such as {'q': 'position_{0}'}"
             raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")

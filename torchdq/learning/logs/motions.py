@@ -17,6 +17,7 @@ from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.filters import derivative, even, low_pass
+from torchdq.learning.logs.poses import AT_REST  # rows below are left out: static friction may be anything there
 from torchdq.learning.logs.read import Log
 from torchdq.learning.logs.samples import Samples, signal_table
 
@@ -26,7 +27,6 @@ CUTOFF = 8.0  # [Hz] usual for the filters: arms of a metre hardly move faster
 SETTLED = 1.5  # periods of the cutoff at rest after which the filter has forgotten that the log begins or ends there
 FEWEST = 15  # rows that the filter needs
 TRAIN = 2 / 3  # usual share of a single motion to learn from
-AT_REST = 0.02  # [rad/s] speed of every joint below which a row is left out: static friction may be anything there
 
 
 class Motion(NamedTuple):
@@ -90,7 +90,9 @@ def smooth(
     >>> import numpy as np
     >>> from torchdq.learning import read_log
     >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read_log({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> log = read_log(
+    ...     {"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)}
+    ... )
     >>> smooth(log).qdd.shape
     (886, 1)
     """

@@ -15,12 +15,20 @@ from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
 from torchdq.learning.logs.bags import MAGIC, bag_tables
-from torchdq.learning.logs.checks import beyond_limits, jumps, require_numbers, require_radians, require_times
+from torchdq.learning.logs.checks import (
+    beyond_limits,
+    clock_findings,
+    jumps,
+    require_numbers,
+    require_radians,
+    require_times,
+)
 from torchdq.learning.logs.errors import LogError, LogWarning, MissingLogError
 from torchdq.learning.logs.filters import at_times, fewer_times
 from torchdq.learning.logs.headers import find_columns
 from torchdq.learning.logs.layouts import SPARE, Layout
-from torchdq.learning.logs.outliers import outlier_findings
+from torchdq.learning.logs.outliers import clipped_findings, frozen_findings, outlier_findings
+from torchdq.learning.logs.poses import StaticPoses, poses_at_rest
 from torchdq.learning.logs.samples import signal_table
 from torchdq.learning.logs.signals import Signals, joined, read_signals
 from torchdq.learning.logs.tables import Rows, Table, arrays_table, file_arrays, text_table
@@ -61,6 +69,31 @@ class Log(NamedTuple):
     command: np.ndarray | None = None  # [rows, n], what the drives were asked for, if the file holds it
     findings: tuple[Finding, ...] = ()  # what is probably wrong in it
     joined: str = ""  # what was done to join several files by time
+
+    def static_poses(self, seconds: float = 1.0, near: float = 0.01) -> StaticPoses:
+        """Poses that the arm rests at, approached by every joint from below and from above, as `StaticPoses`.
+
+        A joint that stops is held by any torque within its dry friction. Friction opposes the motion that ended: after
+        an approach from below it adds to the torque what it takes from it after one from above. The mean is without it.
+        Poses follow each other in any order, each visited at least twice, with all joints coming from one side, and
+        from the other.
+
+        Args:
+            seconds: least time at rest [s].
+            near: distance of positions up to which poses are the same [rad or m].
+        Raises:
+            LogError: there are no torques, or no pose is approached from both sides by all joints.
+
+        >>> import numpy as np
+        >>> from torchdq.learning import read_log
+        >>> time = np.arange(0, 20, 0.01)
+        >>> q = np.interp(time, [0, 3, 5, 8, 10, 20], [0.2, 0.5, 0.5, 1, 0.5, 0.5])[:, None]  # from below, from above
+        >>> side = np.where(time < 5, 1.0, -1.0)[:, None]
+        >>> poses = read_log({"time": time, "q": q, "qd": None, "tau": 9.81 * np.cos(q) + 2.0 * side}).static_poses()
+        >>> print(f"{float(poses.tau / poses.q.cos()):.4f}, {float(poses.friction):.4f}")
+        9.8100, 2.0000
+        """
+        return poses_at_rest(self.path, self.time, self.q, self.qd, self.tau, seconds, near)
 
     def __repr__(self) -> str:
         size = f"{self.q.shape[1]} joints, {len(self.time)} rows, {self.repeats} repeated time stamps left out"
@@ -108,7 +141,9 @@ def read_log(
     >>> read_log(path).tau
     array([[2. ],
            [2.1]])
-    >>> read_log({"time": [0.0, 0.01], "q": [[0.1], [0.105]], "qd": None, "tau": [[2.0], [2.1]]}).tau.shape
+    >>> read_log(
+    ...     {"time": [0.0, 0.01], "q": [[0.1], [0.105]], "qd": None, "tau": [[2.0], [2.1]]}
+    ... ).tau.shape
     (2, 1)
     """
     require_object("layout", layout, Layout, "torchdq.learning", "Layout(columns={'q': 'position_{0}'})")
@@ -124,10 +159,12 @@ def read_log(
         joints = () if robot is None else robot.joint_names
         signals = _signals(path, layout.of_joints(joints), rows, joints)
         require_radians(signals)
-    findings = jumps(signals)
+    findings = [*signals.findings, *clock_findings(signals), *jumps(signals)]
     if "tau" in signals.names:
         names = [f"column {x!r}" for x in signals.names["tau"]]
-        findings += outlier_findings(names, signals.blocks["tau"], signals.first)
+        tau = signals.blocks["tau"]
+        findings += [*outlier_findings(names, tau, signals.first), *clipped_findings(names, tau)]
+        findings += frozen_findings(names, tau, signals.blocks["q"], signals.time, signals.first)
     new = signals.distinct()
     repeats = len(signals.time) - len(new.time)
     if rate is not None:
@@ -193,7 +230,9 @@ def _tables(path: Any, layout: Layout, rows: Rows, joints: Sequence[str]) -> lis
 def _scaled(table: Signals) -> Signals:
     """Signals of the joints, or of motors that are coupled; efforts are multiplied by their gains, if known."""
     layout = table.layout
-    for name, given in (("gain", layout.gain), ("transmission", layout.transmission), ("zero", layout.zero)):
+    of_joints = {name: getattr(layout, name) for name in ("gain", "transmission", "zero")}
+    of_joints |= {f"scale of {signal}": x for signal, x in layout.scale.items() if np.ndim(x)}
+    for name, given in of_joints.items():
         if given and len(given) != layout.joints:
             rows = "rows" if isinstance(given[0], tuple) else "numbers"
             raise ArgumentError(f"{name} must have {layout.joints} {rows}, one per joint, found {len(given)}")
@@ -202,12 +241,13 @@ def _scaled(table: Signals) -> Signals:
 
 def _at_motor(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
     """Signal of the motors at the scale of their joints, which are the joints unless they are coupled [rows, n]."""
+    x = x * layout.scale.get(signal, 1.0)
     if signal == "tau" and layout.gain:
         x = x * [1.0 if gain is None else gain for gain in layout.gain]
-    if not layout.transmission or signal == "command":
+    if signal == "command" or (not layout.transmission and not layout.zero):
         return x
     # positions of joints are q = C z + q0, with the motors z at the scale of their joints, and no power is lost
-    ratios, C = layout.ratios, np.array(layout.coupling or np.eye(layout.joints))
+    ratios, C = layout.ratios if layout.transmission else 1.0, np.array(layout.coupling or np.eye(layout.joints))
     if signal == "tau":
         return x / ratios if signal in layout.at_motors else x @ C
     if signal not in layout.at_motors:

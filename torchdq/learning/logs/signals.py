@@ -26,6 +26,7 @@ class Signals(NamedTuple):
     cell: Callable[[int, int], object]  # a value as the source writes it, by row and column, for messages
     before: int = 0  # rows of numbers before the first, which are left out
     joined: str = ""  # what was done to signals of other times
+    findings: tuple[Finding, ...] = ()  # signals that hold no number
 
     def refuse(self, row: int, name: str, fault: Finding) -> NoReturn:
         """Raise for a row and a column of this name."""
@@ -59,28 +60,51 @@ def _of_table(layout: Layout, names: dict[str, list[str]], i: int, tables: Seque
     table, clock, signals = tables[i], names["time"][0], list(names)[1:]
     stamps = {} if layout.rate else dict(places[clock])  # tables that have times, and their place there
     own = [stamps[i]] if i in stamps else []
-    used = [places[name][0][1] for signal in signals for name in names[signal]]
-    if {*own} & {*used}:
+    used = {name: places[name][0][1] for signal in signals for name in names[signal]}
+    if {*own} & {*used.values()}:
         claim = f"{clock!r} would be read for several signals or joints"
         raise LogError(Finding("column.shared", "", claim, "", "see columns", "see --columns"), where=table.path)
-    values = table.read(own + used)
+    values = table.read([*own, *used.values()])
+    empty = [name for name, x in zip(used, values.T[len(own) :], strict=True) if len(x) > 1 and np.isnan(x).all()]
+    if empty and (findings := _without(names, empty, table)):
+        left = {signal: x for signal, x in names.items() if signal not in {one.subject for one in findings}}
+        return _of_table(layout, left, i, tables, places)._replace(findings=tuple(findings))
     if own:
-        time = values[:, 0]
+        time = values[:, 0] * layout.scale.get("time", 1.0)
     elif layout.rate:
         time = (table.before + np.arange(len(values))) / layout.rate
     else:
         other, k = stamps.popitem()
-        time = tables[other].read([k])[:, 0]
+        time = tables[other].read([k])[:, 0] * layout.scale.get("time", 1.0)
         if len(time) != len(values):
             claim = f"there is no column {clock!r}, and {len(time)} times elsewhere for {len(values)} rows"
             cure, option = (f"rows at an even rate need none, but {x}" for x in ("Layout(rate=...)", "--rate"))
             raise LogError(Finding("time.missing", "", claim, "", cure, option), where=table.path)
 
     def cell(row: int, column: int) -> object:
-        return table.cell(row, (own + used)[column - 1 + len(own)]) if own or column else time[row]
+        return table.cell(row, [*own, *used.values()][column - 1 + len(own)]) if own or column else time[row]
 
-    blocks = dict(zip(signals, np.split(values[:, len(own) :], len(signals), axis=1), strict=True))
+    blocks = dict(zip(signals, np.split(values[:, len(own) :], max(1, len(signals)), axis=1), strict=False))
     return Signals(table.path, layout, names, time, blocks, table.first, cell, table.before)
+
+
+def _without(names: dict[str, list[str]], empty: list[str], table: Table) -> list[Finding]:
+    """Findings about signals that a log can do without, and that are NaN throughout; raises for those that it needs."""
+    cures = {"qd": "; smooth differentiates the positions", "qdd": "; smooth differentiates the velocities"}
+    found = []
+    for signal in names:
+        if not {*names[signal]} & {*empty} or signal == "time":
+            continue
+        if signal == "q" or (signal not in cures and not {*names[signal]} <= {*empty}):
+            column = next(name for name in names[signal] if name in empty)
+            cure = "lock this joint of the robot, and leave its columns out, by Layout(columns=...)"
+            option = "leave this joint out, by --joints and --columns"
+            fault = Finding("column.empty", f"column {column!r}", "it holds no number in any row", "", cure, option)
+            raise LogError(fault, where=table.path)
+        columns = ", ".join(name for name in names[signal] if name in empty)
+        claim = f"it was left out: there is no number in {columns}{cures.get(signal, '')}"
+        found.append(Finding("column.empty", signal, claim, severity="note"))
+    return found
 
 
 def joined(parts: Sequence[Signals]) -> Signals:
@@ -89,9 +113,10 @@ def joined(parts: Sequence[Signals]) -> Signals:
     Positions, velocities, accelerations and efforts are interpolated, those of more rows without what is too fast for
     the others; commands keep their last value.
     """
+    findings = tuple(one for part in parts for one in part.findings)
+    parts = [part.distinct() for part in parts if part.blocks] if len(parts) > 1 else parts
     if len(parts) == 1:
-        return parts[0]
-    parts = [part.distinct() for part in parts]
+        return parts[0]._replace(findings=findings)
     steps = [float(np.median(np.diff(part.time))) for part in parts]
     longest, slowest = max(zip(steps, parts, strict=True), key=lambda pair: pair[0])
     first, last = max(part.time[0] for part in parts), min(part.time[-1] for part in parts)
@@ -117,4 +142,4 @@ def joined(parts: Sequence[Signals]) -> Signals:
     held = " (commands are held)" if "command" in names else ""
     done = f"interpolated{held} at the times of {slowest.path} ({1 / longest:.4g} Hz): {'; '.join(said)}"
     path, done = Path(" + ".join(str(part.path) for part in parts)), done if said else "joined row by row"
-    return Signals(path, slowest.layout, names, time, blocks, 0, slowest.cell, joined=done)
+    return Signals(path, slowest.layout, names, time, blocks, 0, slowest.cell, joined=done, findings=findings)

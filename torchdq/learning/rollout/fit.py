@@ -84,14 +84,16 @@ def fit_rollout(
 
     >>> import torchdq
     >>> from torchdq import Scene, effects
-    >>> two_link, t = torchdq.robots.load("two_link"), 0.01 * torch.arange(201.0, dtype=torch.float64)
+    >>> two_link = torchdq.robots.load("two_link")
+    >>> t = 0.01 * torch.arange(201.0, dtype=torch.float64)
     >>> torque = 5 * torch.stack([(5 * t).sin(), (7 * t).cos()], -1)
     >>> scene = Scene(two_link, (effects.Gravity(), effects.Viscous(0.5)), dt=0.01)
     >>> start = scene.start(torch.zeros(2, dtype=torch.float64))
     >>> q = torch.cat([start.q[None], scene.rollout(start, torque[:-1]).q])
     >>> guess = Scene(two_link, (effects.Gravity(), effects.Viscous(0.1)), dt=0.01)
     >>> log = Recording(t, q, {"torque": torque})
-    >>> found = fit_rollout(guess, log, "Viscous.coefficient", integrator=scene.integrator)  # by which it was made
+    >>> # by which it was made
+    >>> found = fit_rollout(guess, log, "Viscous.coefficient", integrator=scene.integrator)
     >>> [round(x, 6) for x in found.values["Viscous.coefficient"].tolist()]
     [0.5, 0.5]
     """

@@ -91,7 +91,9 @@ def with_tool(
         frame: name of the frame that holds the tool; None: the end effector.
 
     >>> import torchdq
-    >>> robot = torchdq.robots.load("two_link").with_tool("pen", [1, 0, 0, 0, 0, 0.1, 0, 0], mass=0.2)
+    >>> robot = torchdq.robots.load("two_link").with_tool(
+    ...     "pen", [1, 0, 0, 0, 0, 0.1, 0, 0], mass=0.2
+    ... )
     >>> robot.tip, robot.mass.tolist()
     ('pen', [1.0, 1.2])
     """
@@ -120,7 +122,11 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
 
     >>> import torchdq
     >>> arm, hand = torchdq.robots.load("panda"), torchdq.robots.load("two_link")
-    >>> palm = {"base_mass": torch.tensor(0.5), "base_com": torch.zeros(3), "base_inertia": torch.zeros(6)}
+    >>> palm = {
+    ...     "base_mass": torch.tensor(0.5),
+    ...     "base_com": torch.zeros(3),
+    ...     "base_inertia": torch.zeros(6),
+    ... }
     >>> both = arm.attach(hand.replace(**palm), "tip", prefix="hand_")
     >>> both.joint_names[-2:], (both.mass[6] - arm.mass[6]).item()
     (('hand_joint1', 'hand_joint2'), 0.5)

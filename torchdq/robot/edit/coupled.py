@@ -53,7 +53,8 @@ def couple(
 
     >>> import torchdq
     >>> robot = torchdq.robots.load("two_link")
-    >>> robot.couple({"joint2": {"joint1": -1.0}}).joint_names  # a forearm that keeps its direction
+    >>> # a forearm that keeps its direction
+    >>> robot.couple({"joint2": {"joint1": -1.0}}).joint_names
     ('joint1',)
     >>> robot.couple([[0.5, 0.5], [0.5, -0.5]], ["left", "right"]).joint_names  # a differential
     ('left', 'right')

@@ -41,7 +41,9 @@ def replace(robot: AnyRobot, *, on_unphysical: OnUnphysical = "error", **changes
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link")
-    >>> heavier = robot.replace(mass=robot.mass * torch.tensor([[1.0], [1.1], [1.2]], dtype=torch.float64))
+    >>> heavier = robot.replace(
+    ...     mass=robot.mass * torch.tensor([[1.0], [1.1], [1.2]], dtype=torch.float64)
+    ... )
     >>> heavier.mass.shape  # three robots
     torch.Size([3, 2])
     """

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import ONE
 from torchdq.algebra.inertia import RigidBody
 from torchdq.robot.arrays import IDENTITY, double
 from torchdq.robot.assembly import APART, Links, Segment, linked
-from torchdq.robot.description import Closure, Frame, Shape
+from torchdq.robot.description import Closure, Drawing, Frame, Shape
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import Equality, MjcfJoint, names_of, pose
 from torchdq.robot.mjcf.source import MjcfModel
 
+UNSEEN = 3  # first group of geoms that MuJoCo's viewer does not show
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3}  # numbers of a geom's size
 
 
@@ -28,12 +30,13 @@ class ModelLinks(NamedTuple):
 
 def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> ModelLinks:
     """Links of a model by the displacements of its joints, on the body that is its floating base, or the world."""
-    m, names, shapes = of.model, names_of(of, "BODY", of.model.nbody), shapes_of(of)
-    segments = [Segment(names[0], None, dual_quaternion.ONE, shapes=tuple(shapes[0]))]
+    m, names, shapes, drawings = of.model, names_of(of, "BODY", of.model.nbody), shapes_of(of), drawings_of(of)
+    segments = [Segment(names[0], None, ONE, shapes=tuple(shapes[0]), drawing=drawings[0])]
     for i in range(1, m.nbody):
         own = [joint for joint in joints if joint.body == i and joint.single]
         X = pose(m.body_quat[i], m.body_pos[i])
-        segments.append(Segment(names[i], int(m.body_parentid[i]), X, own, body_of(of, i), shapes=tuple(shapes[i])))
+        touching, seen = tuple(shapes[i]), drawings[i]
+        segments.append(Segment(names[i], int(m.body_parentid[i]), X, own, body_of(of, i), ONE, touching, seen))
     found = linked(segments, moves, base)
     carried = {link.joint.body for link in found.links} | {base}
     sites = [(name, *found.places[m.site_bodyid[i]], i) for i, name in enumerate(_site_names(of, names))]
@@ -89,15 +92,29 @@ def _site_names(of: MjcfModel, bodies: list[str]) -> list[str]:
 def shapes_of(of: MjcfModel) -> list[list[Shape]]:
     """Shapes of the geoms that take part in contacts, by body."""
     m = of.model
+    return _by_body(of, lambda i: m.geom_contype[i] or m.geom_conaffinity[i])
+
+
+def drawings_of(of: MjcfModel) -> list[Drawing]:
+    """Shapes of the geoms that MuJoCo's viewer shows, or where there are none that touch, by body."""
+    m, folder = of.model, str(of.source.folder.absolute())
+    seen = _by_body(of, lambda i: m.geom_group[i] < UNSEEN and m.geom_rgba[i, 3] > 0)
+    return [Drawing(tuple(own or other), folder) for own, other in zip(seen, shapes_of(of), strict=True)]
+
+
+def _by_body(of: MjcfModel, wanted: Callable[[int], Any]) -> list[list[Shape]]:
+    m = of.model
     found: list[list[Shape]] = [[] for _ in range(m.nbody)]
-    for body, name, mesh in of.meshes:
-        found[body].append(Shape(f"mesh {mesh!r}", name=name))
-    for i in range(m.ngeom):
-        if m.geom_contype[i] or m.geom_conaffinity[i]:
-            kind = of.mujoco.mjtGeom(int(m.geom_type[i])).name.removeprefix("mjGEOM_").lower()
-            geom = m.geom(i)
-            size = m.geom_size[i, : SIZES.get(kind, 0)].tolist()
-            found[m.geom_bodyid[i]].append(Shape(kind, tuple(size), pose(m.geom_quat[i], m.geom_pos[i]), geom.name))
+    for i in filter(wanted, range(m.ngeom)):
+        file, X = "", pose(m.geom_quat[i], m.geom_pos[i])
+        kind = of.mujoco.mjtGeom(int(m.geom_type[i])).name.removeprefix("mjGEOM_").lower()
+        size = tuple(m.geom_size[i, : SIZES.get(kind, 0)].tolist())
+        if i in of.meshes:
+            name, file, size = of.meshes[i]
+            kind = f"mesh {name!r}"
+            if (k := int(m.geom_dataid[i])) >= 0:  # MuJoCo moves a mesh that it has opened to its centre of mass
+                X = dual_quaternion.mul(X, dual_quaternion.conj(pose(m.mesh_quat[k], m.mesh_pos[k])))
+        found[m.geom_bodyid[i]].append(Shape(kind, size, X, m.geom(i).name, file))
     return found
 
 

@@ -34,6 +34,14 @@ class MjcfText(NamedTuple):
     path: Path | None = None  # file that holds the text as it is
 
 
+class Mesh(NamedTuple):
+    """Mesh of a geom, in whose place there is a sphere unless a mass comes from it."""
+
+    name: str
+    file: str  # "": it has none
+    scale: tuple[float, ...]
+
+
 class MjcfModel(NamedTuple):
     """Model as MuJoCo compiled it."""
 
@@ -43,7 +51,7 @@ class MjcfModel(NamedTuple):
     degrees: bool  # whether angles of the file are in degrees
     weighed: bool  # whether masses come from geoms even where the file states them
     collides: bool  # whether geoms of the file take part in contacts
-    meshes: list[tuple[int, str, str]]  # body, name and mesh of geoms that take part in contacts and were left out
+    meshes: dict[int, Mesh]  # meshes of geoms, by number
     balls: list[str]  # names of ball joints that three hinges stand for
     source: MjcfText
 
@@ -59,14 +67,14 @@ def compiled(source: Any) -> MjcfModel:
     spec = _attempt(lambda: _parsed(mujoco, text))
     balls = hinged(mujoco, spec)
     name, collides = spec.modelname, any(x.contype or x.conaffinity for x in spec.geoms) or bool(spec.pairs)
-    needed, left_out = _without_meshes(mujoco, spec)
+    needed, drawn = _without_meshes(mujoco, spec)
     try:
         model = spec.compile()
-        meshes = [(body.id, *names) for body, *names in left_out]
     except (ValueError, mujoco.FatalError):  # whatever was left out was wanted
         spec = _attempt(lambda: _parsed(mujoco, text))
-        balls = hinged(mujoco, spec)
-        model, meshes = _attempt(spec.compile, needed), []
+        balls, drawn = hinged(mujoco, spec), _meshes(spec)
+        model = _attempt(spec.compile, needed)
+    meshes = {geom.id: mesh for geom, mesh in drawn}
     degrees, weighed = bool(spec.compiler.degree), _from_geoms(mujoco, spec)
     return MjcfModel(
         mujoco, model, "robot" if name in ("", UNNAMED) else name, degrees, weighed, collides, meshes, balls, text
@@ -146,14 +154,24 @@ def _from_geoms(mujoco: Any, spec: Any) -> bool:
     return spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
 
 
-def _without_meshes(mujoco: Any, spec: Any) -> tuple[list[str], list[tuple[Any, str, str]]]:
-    """Names of bodies whose mass comes from meshes; body, name and mesh of geoms for contacts that are now removed."""
+def _meshes(spec: Any) -> list[tuple[Any, Mesh]]:
+    """Geoms of a specification that have meshes or height fields, and these."""
+    files = {
+        x.name or Path(x.file).stem: (x.file and str(Path(spec.meshdir) / x.file), tuple(map(float, x.scale)))
+        for x in spec.meshes
+    }
+    names = [(geom, geom.meshname or geom.hfieldname) for geom in spec.geoms]
+    return [(geom, Mesh(name, *files.get(name, ("", ())))) for geom, name in names if name]
+
+
+def _without_meshes(mujoco: Any, spec: Any) -> tuple[list[str], list[tuple[Any, Mesh]]]:
+    """Names of bodies whose mass comes from meshes; geoms and their meshes, most of which are spheres now."""
     always = _from_geoms(mujoco, spec)
     first, last = spec.compiler.inertiagrouprange
     for kind in UNUSED:
         for element in list(getattr(spec, kind)):
             spec.delete(element)
-    needed, left_out = [], []
+    needed, drawn, kinds = [], _meshes(spec), mujoco.mjtGeom
     for body in spec.bodies:
         weighed = body.name != "world" and (always or not body.explicitinertial)
         for geom in list(body.geoms):
@@ -163,9 +181,9 @@ def _without_meshes(mujoco: Any, spec: Any) -> tuple[list[str], list[tuple[Any, 
             if weighed and first <= geom.group <= last and not massless:
                 needed.append(body.name or "a body without name")
             else:
-                if geom.contype or geom.conaffinity:
-                    left_out.append((body, geom.name, geom.meshname or geom.hfieldname))
-                spec.delete(geom)
+                # a sphere without mass has its place, with the frames and default classes of the file resolved
+                geom.type, geom.size, geom.mass = kinds.mjGEOM_SPHERE, (1e-3, 0.0, 0.0), 0.0
+                geom.meshname = geom.hfieldname = ""
     kept = {geom.meshname for geom in spec.geoms} | {flex.name for flex in spec.flexes}
     for mesh in list(spec.meshes):
         if mesh.name not in kept:
@@ -175,4 +193,4 @@ def _without_meshes(mujoco: Any, spec: Any) -> tuple[list[str], list[tuple[Any, 
     for kind in ("hfields", "materials", "textures"):
         for element in list(getattr(spec, kind)):
             spec.delete(element)
-    return list(dict.fromkeys(needed)), left_out
+    return list(dict.fromkeys(needed)), drawn

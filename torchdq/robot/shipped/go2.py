@@ -2,10 +2,12 @@
 
 Numbers: `go2_description.urdf` of Unitree's unitree_ros (BSD 3-Clause, Copyright (c) 2016-2022 HangZhou YuShu
 TECHNOLOGY CO.,LTD. "Unitree Robotics"), whose legs are mirror images but for the ranges of the thighs. Of its collision
-elements, those of trunk, thighs and feet are here; the sensors, which have no mass, are not.
+elements, those of trunk, thighs and feet are here, and the others as visual ones; the sensors, which have no mass, are
+not.
 """
 
 from collections.abc import Sequence
+from math import pi
 from typing import NamedTuple
 
 from torchdq.robot.robot import Robot
@@ -25,13 +27,15 @@ class Part(NamedTuple):
     axis: str = ""  # "": a fixed joint
     limits: tuple[float, ...] = ()  # lower and upper [rad], effort [N m], velocity [rad/s]
     collision: str = ""
+    visual: tuple[str, ...] = ()
 
     def text(self) -> str:
         """Elements of a URDF file."""
         names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         body = f'<origin xyz="{_row(self.com)}"/><mass value="{self.mass}"/><inertia {_named(names, self.inertia)}/>'
         collision = f"<collision>{self.collision}</collision>" if self.collision else ""
-        link = f'<link name="{self.name}"><inertial>{body}</inertial>{collision}</link>'
+        visual = "".join(f"<visual>{shape}</visual>" for shape in self.visual)
+        link = f'<link name="{self.name}"><inertial>{body}</inertial>{visual}{collision}</link>'
         if not self.parent:
             return link
         ends = f'<origin xyz="{_row(self.at)}"/><parent link="{self.parent}"/><child link="{self.name}"/>'
@@ -48,14 +52,21 @@ ROTOR_X, ROTOR_Y = (0.000111842, 0, 0, 5.9647e-5, 0, 5.9647e-5), (5.9647e-5, 0, 
 TRUNK = '<geometry><box size="0.3762 0.0935 0.114"/></geometry>'
 UPPER = '<origin xyz="0 0 -0.1065" rpy="0 1.5707963267948966 0"/><geometry><box size="0.213 0.0245 0.034"/></geometry>'
 SPHERE = '<origin xyz="-0.002 0 0"/><geometry><sphere radius="0.022"/></geometry>'
+ROUND = '<origin xyz="{} {} {}" rpy="{} {} 0"/><geometry><cylinder radius="{}" length="{}"/></geometry>'
+SHIN = (
+    ROUND.format(0.008, 0, -0.06, 0, -0.21, 0.012, 0.12),
+    ROUND.format(0.02, 0, -0.148, 0, 0.05, 0.011, 0.065),
+    ROUND.format(0.008, 0, -0.1875, 0, 0.53, 0.0155, 0.03),
+)
+NOSE = '<geometry><sphere radius="0.047"/></geometry>'
 BODY = [
     Part(
         *("base", "", (0, 0, 0), 6.921, (0.021112, 0, -0.005366)),
         (0.02448, 0.00012166, 0.0014849, 0.098077, -3.12e-5, 0.107),
         collision=TRUNK,
     ),
-    Part("Head_upper", "base", (0.285, 0, 0.01), 0.001),
-    Part("Head_lower", "Head_upper", (0.008, 0, -0.07), 0.001),
+    Part("Head_upper", "base", (0.285, 0, 0.01), 0.001, visual=(ROUND.format(0, 0, 0, 0, 0, 0.05, 0.09),)),
+    Part("Head_lower", "Head_upper", (0.008, 0, -0.07), 0.001, visual=(NOSE,)),
 ]
 
 
@@ -68,12 +79,13 @@ def _leg(name: str, f: int, s: int) -> list[Part]:
     com, at, ahead = (f * -0.0054, s * 0.00194, -0.000105), (f * 0.1934, s * 0.0465, 0), (-1.5708, 3.4907)
     thighs = (*(ahead if f > 0 else (-0.5236, 4.5379)), *MOTOR)
     middle, below = (-0.00374, s * -0.0223, -0.0327), (0.00548, s * -0.000975, -0.115)
+    motor, calf_limits = ROUND.format(0, s * 0.08, 0, pi / 2, 0, 0.046, 0.04), (-2.7227, -0.83776, 45.43, 15.7)
     return [
-        Part(hip, "base", at, 0.678, com, hip_moments, X, (-1.0472, 1.0472, *MOTOR)),
+        Part(hip, "base", at, 0.678, com, hip_moments, X, (-1.0472, 1.0472, *MOTOR), visual=(motor,)),
         Part(f"{hip}_rotor", "base", (f * 0.11215, s * 0.04675, 0), 0.089, inertia=ROTOR_X),
         Part(thigh, hip, (0, s * 0.0955, 0), 1.152, middle, thigh_moments, Y, thighs, UPPER),
         Part(f"{thigh}_rotor", hip, (0, s * -0.00015, 0), 0.089, inertia=ROTOR_Y),
-        Part(calf, thigh, (0, 0, -0.213), 0.154, below, calf_moments, Y, (-2.7227, -0.83776, 45.43, 15.7)),
+        Part(calf, thigh, (0, 0, -0.213), 0.154, below, calf_moments, Y, calf_limits, visual=SHIN),
         Part(f"{calf}_rotor", thigh, (0, s * -0.03235, 0), 0.089, inertia=ROTOR_Y),
         Part(foot, calf, (0, 0, -0.213), 0.04, collision=SPHERE),
     ]

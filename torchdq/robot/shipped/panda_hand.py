@@ -7,7 +7,8 @@ the frame "tcp" between the fingertips; "link8" is the flange.
 Numbers of hand, fingers, rotors and damping: `franka_emika_panda/panda.xml` of Google DeepMind's MuJoCo Menagerie
 (Apache License 2.0, derived from franka_description of Franka Emika GmbH under the same licence), whose arm is that of
 `panda`. The speed of the fingers and the place of "tcp" are franka_description's. The spheres lie in the largest pad of
-panda.xml, and touch what its face would.
+panda.xml, and touch what its face would. The hand is drawn by the box around it, and the fingers by the boxes that they
+have in franka_description.
 """
 
 from math import cos, pi, sin
@@ -25,10 +26,18 @@ BODY = (
     '<inertial><origin xyz="{} 0 {}"/><mass value="{}"/><inertia ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/>'
     "</inertial>"
 )
-FINGER = BODY.format(0, 0, 0.015, 2.375e-6, 2.375e-6, 7.5e-7) + PAD
+BOX = '<visual><origin xyz="0 {}" rpy="{} 0 0"/><geometry><box size="{}"/></geometry></visual>'
+PALM = BOX.format("-0.0018 0.02", 0, "0.0632 0.2044 0.0919")
+FORM = [
+    ("0.0185 0.011", 0, "0.022 0.015 0.02"),
+    ("0.0068 0.0022", 0, "0.022 0.0088 0.0038"),
+    ("0.0159 0.02835", pi / 6, "0.0175 0.007 0.0235"),
+    ("0.00758 0.04525", 0, "0.0175 0.0152 0.0185"),
+]
+FINGER = BODY.format(0, 0, 0.015, 2.375e-6, 2.375e-6, 7.5e-7) + PAD + "".join(BOX.format(*row) for row in FORM)
 SLIDE = '<limit lower="0" upper="0.04" effort="100" velocity="0.2"/>'
 HAND = f"""<robot name="hand">
-<link name="hand">{BODY.format(-0.01, 0.03, 0.73, 0.001, 0.0025, 0.0017)}</link>
+<link name="hand">{BODY.format(-0.01, 0.03, 0.73, 0.001, 0.0025, 0.0017)}{PALM}</link>
 <link name="left_finger">{FINGER}</link><link name="right_finger">{FINGER}</link><link name="tcp"/>
 <joint name="finger_joint1" type="prismatic"><parent link="hand"/><child link="left_finger"/>
 <origin xyz="0 0 0.0584"/><axis xyz="0 1 0"/>{SLIDE}</joint>

@@ -5,16 +5,19 @@ from __future__ import annotations
 import itertools
 import reprlib
 import xml.etree.ElementTree as ET
+from pathlib import Path
 from typing import Any
 
 import torch
 
+from torchdq.base.sources import file_name, located
 from torchdq.dynamics.tree import BASE
+from torchdq.errors import MissingFileError
 from torchdq.findings import Finding
 from torchdq.robot.arrays import SIX, double, matrices
 from torchdq.robot.assembly import described, linked
 from torchdq.robot.check import consistency
-from torchdq.robot.description import Base, RobotDescription, Shape, note, require_usable
+from torchdq.robot.description import Base, Drawing, RobotDescription, Shape, note, require_usable
 from torchdq.robot.urdf.diagnostics import diagnostics
 from torchdq.robot.urdf.document import root_of
 from torchdq.robot.urdf.elements import Elements, Part, elements
@@ -40,8 +43,16 @@ def read(
     require_usable([*unreadable, *found.faults, *faults])
     moves, lock_notes = locked(found, still_free, coupled, kept, lock)
     judged, findings = physical(found, repair)
-    shapes = {x.get("name", ""): tuple(map(_shape, x.findall("collision"))) for x in root.findall("link")}
-    segments = [x._replace(shapes=shapes.get(x.name, ())) for x in segments_of(judged, tree.root, moves)]
+    shapes = {
+        tag: {x.get("name", ""): tuple(map(_shape, x.findall(tag))) for x in root.findall("link")}
+        for tag in ("collision", "visual")
+    }
+    file = file_name(source)
+    folder = str((located(file, MissingFileError) if file else Path("text")).absolute().parent)
+    segments = []
+    for x in segments_of(judged, tree.root, moves):
+        touching, seen = (shapes[tag].get(x.name, ()) for tag in ("collision", "visual"))
+        segments.append(x._replace(shapes=touching, drawing=Drawing(seen or touching, folder)))
     carried = None if tree.free is None else [segment.name for segment in segments].index(tree.free.child)
     links = linked(segments, moves, carried)
     moving = {frame.name for frame in links.frames if floating or frame.link != BASE}
@@ -81,23 +92,25 @@ def physical(file: Elements, repair: bool) -> tuple[Elements, dict[str, list[Fin
 
 
 def _shape(element: ET.Element) -> Shape:
-    """Shape of a <collision> element; one that cannot be read is kept with the reason."""
+    """Shape of a <collision> or <visual> element; one that cannot be read is kept with the reason."""
     faults: list[Finding] = []
     part = Part("", "", element, faults)
     form = element.find("geometry/*")
     name, origin = part.name("name"), part.origin()
-    kind, size = _form(Part("", "", form, faults), "nothing" if form is None else form.tag)
+    kind, size, mesh = _form(Part("", "", form, faults), "nothing" if form is None else form.tag)
     if faults:
-        kind, size = f"a {kind} with a fault, {faults[0]}", ()
-    return Shape(kind, size, pose(origin), name)
+        kind, size, mesh = f"a {kind} with a fault, {faults[0]}", (), ""
+    return Shape(kind, size, pose(origin), name, mesh)
 
 
-def _form(part: Part, tag: str) -> tuple[str, tuple[float, ...]]:
+def _form(part: Part, tag: str) -> tuple[str, tuple[float, ...], str]:
+    """Kind, size and file of a shape."""
     if tag == "box":
-        return tag, tuple(0.5 * x for x in part.numbers("size", None, 3, signed=False))
+        return tag, tuple(0.5 * x for x in part.numbers("size", None, 3, signed=False)), ""
     if tag == "sphere":
-        return tag, (part.number("radius", None, signed=False),)
+        return tag, (part.number("radius", None, signed=False),), ""
     if tag in ("capsule", "cylinder"):
-        return tag, (part.number("radius", None, signed=False), 0.5 * part.number("length", None, signed=False))
+        return tag, (part.number("radius", None, signed=False), 0.5 * part.number("length", None, signed=False)), ""
     file = part.name("filename")
-    return f"{reprlib.repr(tag)[1:-1]} {file!r}" if file else reprlib.repr(tag)[1:-1], ()
+    kind = f"{reprlib.repr(tag)[1:-1]} {file!r}" if file else reprlib.repr(tag)[1:-1]
+    return kind, part.numbers("scale", 1.0, 3) if file else (), file

@@ -44,8 +44,11 @@ def to_urdf(robot: RobotModel, original: Any) -> str:
             fixed joints alone.
 
     >>> import torchdq
-    >>> text = "<robot name='r'><link name='a'/><link name='b'><inertial><mass value='2'/></inertial></link>" + (
-    ...     "<joint name='j' type='prismatic'><parent link='a'/><child link='b'/><limit upper='1'/></joint></robot>")
+    >>> text = (
+    ...     "<robot name='r'><link name='a'/><link name='b'><inertial><mass value='2'/>"
+    ...     "</inertial></link><joint name='j' type='prismatic'><parent link='a'/>"
+    ...     "<child link='b'/><limit upper='1'/></joint></robot>"
+    ... )
     >>> robot = torchdq.Robot.from_urdf(text)
     >>> print(robot.replace(mass=1.5 * robot.mass).to_urdf(text)[33:89])
     <link name="b"><inertial><mass value="3.0" /></inertial>

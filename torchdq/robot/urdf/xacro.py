@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from io import StringIO
 from os import PathLike, fsdecode
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,13 @@ class Arguments(dict[str, str]):
         return super().__getitem__(name)
 
 
-def expanded(path: Any, arguments: Any, packages: Any, defaults: Mapping[str, str] | None = None) -> str:
+class Expanded(StringIO):
+    """URDF text, with the name of the xacro file around which its meshes lie."""
+
+    name = ""
+
+
+def expanded(path: Any, arguments: Any, packages: Any, defaults: Mapping[str, str] | None = None) -> Expanded:
     """URDF text of a xacro file; `Robot.from_xacro` says what is expected.
 
     `defaults` are arguments that go behind the others, and that the file need not ask for.
@@ -58,7 +65,9 @@ def expanded(path: Any, arguments: Any, packages: Any, defaults: Mapping[str, st
             raise UnknownNameError(f"argument of {str(file)!r}", name, given.asked, every=True)
     if not document.getElementsByTagName("link") and b"<xacro:" in source.data:
         raise DescriptionError(f"{str(file)!r} only defines macros, and no link; expand the file that calls them")
-    return document.toxml()
+    found = Expanded(document.toxml())
+    found.name = str(file)
+    return found
 
 
 def _strings(name: str, x: Any) -> dict[str, str]:
