@@ -59,9 +59,11 @@ def of(state, k):
 @pytest.mark.parametrize("limit", [None, 20.0])
 def test_plans_are_those_of_knots_that_are_one_program(limit, large, monkeypatch):
     problem, state = swing(limit), ARM.start(0.5 * random(3, 2))
-    found = optimal.solve(problem, state)
+    straight = ARM.start(torch.linspace(1, 0, STEPS + 1).double()[:, None, None] * state.q)  # which no torques lead to
+    found, led = (optimal.solve(problem, state, states=x, iterations=99 if x is None else 1) for x in (None, straight))
     monkeypatch.undo()
-    plan = optimal.solve(problem, state)
+    plan, other = (optimal.solve(problem, state, states=x, iterations=99 if x is None else 1) for x in (None, straight))
+    assert (led.torque - other.torque).abs().max() <= 1e-9 * other.torque.abs().max()
     assert plan.converged.all() and torch.equal(found.iterations, plan.iterations)
     assert (found.torque - plan.torque).abs().max() <= 1e-9 * plan.torque.abs().max()
     assert (found.gain - plan.gain).abs().max() <= 1e-9 * plan.gain.abs().max()

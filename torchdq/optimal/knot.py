@@ -234,7 +234,7 @@ def _solved(
 
 
 def _room(what: Knot, known: Rows) -> list[Row]:
-    """What the limits leave to a change of the torques."""
+    """Smallest and largest changes of the torques within the limits."""
     control = known[what.objective.control] if what.boxed else ()
     return [_less(known[name], control) for name in ("lower", "upper") if what.boxed]
 
