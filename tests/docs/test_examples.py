@@ -139,6 +139,14 @@ def test_a_plan_leads_around_a_post(tmp_path):
     assert_drawn(tmp_path / "plan.png")
 
 
+def test_an_arm_with_delays_and_a_load_is_controlled_by_plans_and_their_gains(tmp_path):
+    module = import_module("39_receding")
+    found = module.main(module.Args(seconds=1.0, out=tmp_path))
+    near = {name: x.distance.chunk(2)[0][-100:].mean() for name, x in found.items()}
+    assert near["gains"] < 0.025 < near["torques held"] < 0.05
+    assert_drawn(tmp_path / "receding.png")
+
+
 def test_real_time(tmp_path, capsys):
     module = import_module("15_real_time")
     if shutil.which("cc") is None:

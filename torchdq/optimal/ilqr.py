@@ -278,7 +278,7 @@ class Receding:
     Called as `mpc(state)` it returns the torques [..., n] for the step that begins now, and their gains [..., n, s] in
     displacements of the state, for what happens until the next call; the gains are None for a sampling method. The
     first call solves the problem. `mpc.plan` is the latest plan, None before it; `mpc.problem` may be assigned, as with
-    new goals.
+    new goals, and for one that is far away `mpc.plan = None`, so that the next call solves it.
 
     Args:
         problem: costs and limits.
@@ -329,7 +329,10 @@ class Receding:
             self._passes = self.problem, state.q.shape, Passes.of(self.problem, state.q, {})
         passes, start = self._passes[2], {name: by_rows(x, 0) for name, x in state.rows().items()}
         states = {name: by_rows(_moved(x), 1) for name, x in plan.states.rows().items()}
-        found = begun(passes, states, by_rows(_moved(plan.torque), 1))
+        torque, gain = _moved(plan.torque), _moved(plan.gain)  # type: ignore[arg-type]  # as of all solutions
+        follow = gain.reshape(len(gain), -1, *gain.shape[-2:]), joined(states)[:-1]
+        # its gains lead from the state that is measured; a step counts only where it costs less than they do
+        found = begun(passes, *passes.forward(start, by_rows(torque, 1), follow))
         found = improved(passes, start, found, self.iterations, None, lambda _: None)
         return planned(passes, state.q.shape[:-1], found)
 
