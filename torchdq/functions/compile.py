@@ -212,8 +212,8 @@ class CompiledProgram:
     def __call__(self, *inputs: Tensor, out: Tensor | Sequence[Tensor] | None = None) -> Tensor | tuple[Tensor, ...]:
         """Results [..., width] of arguments [..., width]; uniform arguments are [width]; matrices are flat, row by row.
 
-        On the CPU, a call takes two or three microseconds more than its program, from the second of a batch size on, and
-        three times as much with arrays of NumPy: `torch.from_numpy` shares their memory, once before a loop.
+        On the CPU, a call takes two or three microseconds more than its program, from the second of a batch size on,
+        and three times as much with arrays of NumPy: `torch.from_numpy` shares their memory, once before a loop.
 
         Args:
             inputs: the arguments of the program, in its order, tensors or arrays of NumPy; results are alike. Arrays
