@@ -68,7 +68,8 @@ def differentiable(problem: Problem, state: State, plan: Plan, **inputs: Any) ->
     >>> final = [optimal.Posture(goal, 100.0), optimal.Speeds(10.0)]
     >>> problem = optimal.Problem(scene, 20, [optimal.Torques(1e-2)], final)
     >>> state = scene.start(torch.zeros(2, dtype=torch.float64))
-    >>> plan = optimal.differentiable(problem, state, optimal.solve(problem, state, tolerance=1e-14))
+    >>> plan = optimal.solve(problem, state, tolerance=1e-14)
+    >>> plan = optimal.differentiable(problem, state, plan)
     >>> plan.states.q[-1, 0].backward()
     >>> goal.grad
     tensor([ 0.9289, -0.0282], dtype=torch.float64)
