@@ -66,7 +66,7 @@ def controlled(seconds: float, gains: bool) -> Found:
     mpc, state, times, found = optimal.Receding(problem(GOALS[0])), ARM.start(HOME), list[float](), list[Tensor]()
     sent = [torch.zeros_like(HOME)] * (MEASURED + COMMANDED)  # torques that the measurement does not show yet
     for goal in GOALS:
-        mpc.problem, mpc.plan = problem(goal), None  # far from the last goal, so that it is solved anew
+        mpc.problem, mpc.plan = problem(goal), None  # far from the last goal, so that it is solved again
         for cycle in range(round(seconds / FINE.dt)):
             now = FINE.rollout(FINE.start(*state.measured), torch.stack(sent)).last
             share = cycle % INSIDE / INSIDE
