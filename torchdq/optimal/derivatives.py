@@ -54,8 +54,8 @@ def differentiable(problem: Problem, state: State, plan: Plan, **inputs: Any) ->
 
     Args:
         problem: that of the plan, whose tensors may require grad.
-        state: start of the plan.
-        plan: its solution by `solve` or `Receding`.
+        state: start of the plan, shape [...].
+        plan: its solution by `solve` or `Receding`, with torques [steps, ..., n] [N m or N].
         inputs: as in `solve`.
 
     Raises:
