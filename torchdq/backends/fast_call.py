@@ -286,11 +286,12 @@ def _form(x: Tensor) -> Form:
     return (shape, tuple(x.stride()), x.dtype) if x.is_contiguous() else contiguous(shape, x.dtype)
 
 
-def keep(key: Hashable, fast: FastCall | None) -> None:
-    """Let `quick` try a fast call, before those of its key that it knows."""
+def keep(key: Hashable, fast: FastCall | None, last: bool = False) -> None:
+    """Let `quick` try a fast call before those of its key that it knows, or as the last one."""
     known = FAST.get(key, ())
     if fast is not None and fast not in known:
-        FAST[key] = (fast, *known[: SHAPES - 1])
+        known = known[: SHAPES - 1]
+        FAST[key] = (*known, fast) if last else (fast, *known)
 
 
 @remembered(PROGRAMS)

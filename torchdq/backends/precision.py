@@ -84,7 +84,7 @@ def learn_graph(
     rows = [x for x in given if x is not None]
     forms = tuple([(tuple(x.shape), tuple(x.stride()), x.dtype) for x in rows])
     absent, learned = tuple([x is None for x in given]), tuple([x.requires_grad for x in rows])
-    keep(key, _graph_call(program, backend, forms, learned, absent, names))
+    keep(key, _graph_call(program, backend, forms, learned, absent, names), last=True)  # a look takes longer than in C
 
 
 @remembered(LAYOUTS)
