@@ -4,7 +4,7 @@
 # make test-all    both, on all robots and random trees, recordings and sizes
 # make test-for    the tests that hold some files: make test-for FILES="torchdq/scene/state.py envs/walk.py"
 # make regenerate  writes everything anew that is generated: indices, messages, records of operations, pages
-# make prices      measures the tables of times of README and pages anew, one after the other; the machine should be quiet
+# make prices      measures the tables of times of README and pages again, one after the other; the machine should be quiet
 # make mutants     changes a copy of the sources in one place at a time; the suite must notice each mutant
 # make docs        the documentation as static pages, in out/site; open out/site/index.html
 # make dist        wheel and source archive, in dist/, as an index takes them

@@ -5,7 +5,7 @@
 Trajectories by integrator, precision and step; forward dynamics by algorithm, precision and number of joints;
 gradients; effects; energy over a long time; products of poses; exponential and logarithm; backends; a motion and a
 gradient in other packages. Writes the results, six plots and the numbers of docs/accuracy.md. `--again` measures
-nothing: it writes them anew from the results.
+nothing: it writes them again from the results.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ package is called from Python in its quickest way: Pinocchio's `rnea` and `aba` 
 where these are faster; `mj_inverse` and `mj_forward` of MuJoCo sample by sample; frax, if it is installed, under `jit`
 and `vmap`, after the others, which its threads would slow down. Results are compared first. Packages take turns, and
 the least processor time counts; of frax, which works in threads of its own, the least time by the clock. `--again`
-measures nothing, and draws the results anew.
+measures nothing, and draws the results again.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ def reaching(q: Tensor, goal: Tensor, scale: float | None) -> optimal.Problem:
 
 
 class Crocoddyl:
-    """The same problems, one after the other."""
+    """Solutions by Crocoddyl, one problem after the other."""
 
     def __init__(self, q: Tensor, goal: Tensor) -> None:
         full = pin.buildModelFromUrdf(str(PATH))

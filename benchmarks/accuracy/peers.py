@@ -296,7 +296,7 @@ def by_mujoco(x: Array, steps: int, dt: float, epsilon: float) -> Array:
 
 
 def by_pinocchio(x: Array, steps: int, dt: float) -> Array:
-    """The same gradient by analytic derivatives of the accelerations at every step, chained backwards."""
+    """Gradient by analytic derivatives of the accelerations at every step, chained backwards."""
     case = arm7()
     model, n = references.pinocchio_model(case.robot, case.gravity), case.robot.n
     data, damping = model.createData(), -case.forces(np.zeros(n), np.ones(n))

@@ -103,7 +103,7 @@ def test_numbers_of_the_page_on_accuracy_are_those_of_the_results():
 def test_the_numbers_of_the_first_pages_are_those_of_the_page_on_prices():
     assert report.pages("front_page.py") == list(front_page.PAGES)
     for page, text in front_page.PAGES.items():
-        assert report.shown("front_page.py", page) == text(), "benchmarks/front_page.py --page writes them anew"
+        assert report.shown("front_page.py", page) == text(), "benchmarks/front_page.py --page writes them again"
 
 
 PICTURES = {
@@ -117,7 +117,7 @@ def test_pictures_of_speed_are_those_of_the_results(results):
     file, picture = PICTURES[results]
     drawn = picture(json.loads((FOLDER / "results" / f"{results}.json").read_text("utf-8")))
     pairs = zip(curves_of(file.read_text("utf-8")), curves_of(drawn), strict=True)
-    assert all(np.allclose(a, b, rtol=1e-3, atol=0) for a, b in pairs), "the script with --again draws it anew"
+    assert all(np.allclose(a, b, rtol=1e-3, atol=0) for a, b in pairs), "the script with --again draws it again"
 
 
 @pytest.mark.parametrize("script", ["peers.py", "envs.py"])

@@ -142,4 +142,4 @@ def test_intervals_hold_in_the_rest_of_a_recording():
     split = splits.panda(DATA, False)[1]  # identified on less than a third; 0.85 with errors of the parameters alone
     found = identify(split.robot, split.train, Model(armature=True, offset=True))
     predicted, tau = found.predict(split.test), stack_samples(split.test).tau
-    assert float(((tau > predicted.low) & (tau < predicted.high)).double().mean(0).amin()) > 0.92
+    assert 0.93 < float(((tau > predicted.low) & (tau < predicted.high)).double().mean()) < 0.99

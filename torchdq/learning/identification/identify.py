@@ -340,11 +340,12 @@ def _identifiable(variance: Tensor, alone: Tensor, H: Tensor, moves: Tensor, ter
     The samples reduce their variances, which are `alone` by the prior, to a tenth. And they do so by themselves, with
     information H [k, k]: the prior also carries a parameter over from others of its link, such as the mass from the
     first moment, and would be more certain of it than anyone can be. Priors of the same widths that are independent of
-    each other must leave no more than a tenth, and no more than twice the variance.
+    each other must leave no more than a tenth, and no more than twice the variance or a hundredth of the prior's.
     """
     width = alone.sqrt()
     independent = alone * torch.linalg.inv(width[:, None] * H * width + torch.eye(len(H), dtype=H.dtype)).diagonal()
     own = [moves if term is not OFFSET else torch.ones_like(moves) for term in terms]
     inertial = torch.ones(len(alone) - len(own) * len(moves), dtype=torch.bool)
-    decided = (variance.maximum(independent) < (1 - IDENTIFIABLE) * alone) & (independent < CARRIED * variance)
+    least = (CARRIED * variance).maximum((1 - IDENTIFIABLE) ** 2 * alone)
+    decided = (variance.maximum(independent) < (1 - IDENTIFIABLE) * alone) & (independent < least)
     return decided & torch.cat([inertial, *own])
