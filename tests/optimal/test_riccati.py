@@ -71,7 +71,8 @@ def test_plans_are_those_of_knots_that_are_one_program(limit, large, monkeypatch
         assert (plan.torque.abs() == limit).any()
 
 
-def test_a_row_in_contact_has_the_same_plan_in_every_batch_to_the_bit_beside_rows_that_are_lost(large, monkeypatch):
+def test_a_row_in_contact_has_the_same_plan_in_every_batch_beside_rows_that_are_lost(large, monkeypatch):
+    """But for rounding: torch's products of matrices depend on where in memory they are."""
     problem, state = hop(), standing(5)
     state.q[3, 1] = torch.nan
     whole = optimal.solve(problem, state, iterations=5)
@@ -79,8 +80,9 @@ def test_a_row_in_contact_has_the_same_plan_in_every_batch_to_the_bit_beside_row
     monkeypatch.setattr(passes, "TOGETHER", 2 * STEPS * (24 + 2) ** 2)  # two rows at a time
     for rows in ([0, 1, 2, 3, 4], [2]):
         few = optimal.solve(problem, of(state, rows), iterations=5)
-        assert torch.allclose(few.torque, whole.torque[:, rows], 0.0, 0.0, equal_nan=True)
-        assert torch.allclose(few.gain, whole.gain[:, rows], 0.0, 0.0, equal_nan=True)
+        for name in ("torque", "gain"):
+            found, expected = getattr(few, name), getattr(whole, name)[:, rows]
+            assert torch.allclose(found, expected, 0.0, 1e-9 * float(expected.nan_to_num().abs().max()), equal_nan=True)
 
 
 def test_the_expected_change_of_the_cost_is_its_derivative_through_contact(large):

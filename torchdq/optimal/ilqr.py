@@ -85,7 +85,8 @@ def solve(
 ) -> Plan:
     """Plan of torques [steps, ..., n] that cost least from a state on, with states and gains.
 
-    Rows of a batch are problems of their own, and have the same result in every batch; those that have converged leave.
+    Rows of a batch are problems of their own, and have the same result in every batch, of legged robots but for rounding;
+    those that have converged leave.
     Iterative LQR finds the nearest minimum that it comes to. It needs derivatives, which Gauss-Newton takes of the
     costs; a sampling method needs none, and its plan is a start for iterative LQR where contacts must be found.
 
