@@ -85,9 +85,10 @@ def solve(
 ) -> Plan:
     """Plan of torques [steps, ..., n] that cost least from a state on, with states and gains.
 
-    Rows of a batch are problems of their own, and have the same result in every batch (legged robots: but for rounding);
-    those that have converged leave. Iterative LQR finds the nearest minimum that it comes to. It needs derivatives, which Gauss-Newton takes of the
-    costs; a sampling method needs none, and its plan is a start for iterative LQR where contacts must be found.
+    Rows of a batch are problems of their own, and have the same result in every batch, but for rounding if the robot is
+    large; those that have converged leave. Iterative LQR finds the nearest minimum that it comes to. It needs
+    derivatives, which Gauss-Newton takes of the costs; a sampling method needs none, and its plan is a start for
+    iterative LQR where contacts must be found.
 
     Robots on legs are planned for through their contacts. Derivatives of a large step, as that of a quadruped, compile
     for most of a minute, once for a machine.
