@@ -92,7 +92,6 @@ def joined(drawn: Diagram, xs: list[float], top: float, bar: float, x: float, bo
 # --- the step of a scene ---------------------------------------------------------------------------------------------
 
 
-
 class Stage(NamedTuple):
     """Box of a step, and what enters it, or leaves it, at its right."""
 
@@ -113,10 +112,14 @@ BEFORE = (
     Stage("orange", ("Actuators", "delay, lag, limits; held over the step")),
 )
 SUBSTEP = (
-    Stage("orange", ("Forces", "on joints: friction, springs, limits", "on bodies: contact, pushes, drag"), ("`push`, ...",)),
+    Stage(
+        "orange",
+        ("Forces", "on joints: friction, springs, limits", "on bodies: contact, pushes, drag"),
+        ("`push`, ...",),
+    ),
     Stage(
         "blue",
-        ("Accelerations", "`M(q) a = forces − c − g`", "implicit: `M + h D + h² K`, forces at the end"),
+        ("Accelerations", "`M(q) a = forces - c - g`", "implicit: `M + h D + h² K`, forces at the end"),
         ("gravity, payload,", "rotor inertia"),
     ),
     Stage("blue", ("Integrator", "velocities, then positions at `t + h`")),
@@ -130,13 +133,14 @@ AFTER = (
 def step() -> Diagram:
     """The order of computations in a step."""
     x, width, side, gap, inside = 44, 352, 424, 22, 26
-    drawn, top = Diagram(WIDTH, 762), 12.0
+    drawn, top, before = Diagram(WIDTH, 762), 12.0, 0.0
     for stage in (*BEFORE, *SUBSTEP, *AFTER):
         if stage in (SUBSTEP[0], AFTER[0]):
             top += inside - 10
         if stage is SUBSTEP[0]:
             size = sum(one.height + gap for one in SUBSTEP) - gap + 2 * inside - 10
-            drawn.shape("rect", stroke="grey", x=30, y=top - inside, width=538, height=size, rx=8, stroke_dasharray="5 4")
+            frame = {"x": 30, "y": top - inside, "width": 538, "height": size, "rx": 8}
+            drawn.shape("rect", stroke="grey", stroke_dasharray="5 4", **frame)
             drawn.text((556, top - inside + 18), "every substep; `RungeKutta4`: four times", "grey", 12, "end")
         middle, rows, bottom = top + stage.height / 2, len(stage.given), top + stage.height
         if stage is not BEFORE[0]:
@@ -232,9 +236,9 @@ def frames() -> Diagram:
         (seen(B), (112, 52), "start", "`V_WB_B = (ω, v)`: twist of B", "relative to W, in axes of B"),
         (seen(one), (-52, -52), "end", "positive `q` and `tau`:", "right-handed about", "the axis of the joint"),
         (seen(two), (-34, -10), "end", "frame of a link"),
-        ((x, y), (12, -60), "start", "`f_ext = (f, n)`: the environment", "on a link; enters with −"),
+        ((x, y), (12, -60), "start", "`f_ext = (f, n)`: the environment", "on a link; minus sign in `tau`"),
         (seen(tip), (36, -20), "start", "`T`, tip"),
-        (seen(tip), (-58, 92), "start", "`f_tip = (f, n)`: the tip on the", "environment; enters with +"),
+        (seen(tip), (-58, 92), "start", "`f_tip = (f, n)`: the tip on the", "environment; plus sign in `tau`"),
     ):
         for k, words in enumerate(lines):
             drawn.text((p[0] + shift[0], p[1] + shift[1] + 17 * k), words, size=12.5, anchor=anchor)

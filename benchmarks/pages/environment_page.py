@@ -227,7 +227,7 @@ def _learning(task: str) -> list[str]:
         "## Learning",
         f"PPO of Stable-Baselines3 learns the task in {seconds / 60:.0f} minutes on one core:",
         _learning_code(task, found),
-        f"![Median distance from the goal and share of success against the processor time of training, of PPO in two variants]({task}_learning.svg)",
+        f"![Median distance and success against the processor time of training, two kinds of PPO]({task}_learning.svg)",
         f"Of {tests} episodes that training never saw: the median distance from the goal at the end, and the share of "
         f"success. Lines are medians of {len(seeds)} seeds, {len(blocks)} on blocks, and bands their ranges. Seconds "
         f"are processor time of training, {steps / 1e6:.1f} million steps of Stable-Baselines3 in {seconds:.0f} s.",
