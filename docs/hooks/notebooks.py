@@ -2,11 +2,13 @@
 
 import os
 import sys
+import textwrap
 from pathlib import Path
 
 import nbformat
 
 SECONDS = 120.0  # of one cell
+COLUMNS = 88  # of what a cell prints
 
 
 def page(path: Path) -> str:
@@ -32,7 +34,8 @@ def _parts(cell) -> list[str]:
 def _shown(output, metadata) -> str:
     """Text, picture or nothing; the alternative text of a picture is in the metadata of its cell."""
     if output.output_type == "stream":
-        return f"```text\n{output.text.rstrip()}\n```" if output.name == "stdout" else ""
+        lines = "\n".join(textwrap.fill(line, COLUMNS) for line in output.text.rstrip().split("\n"))
+        return f"```text\n{lines}\n```" if output.name == "stdout" else ""
     data = output.get("data", {})
     if svg := data.get("image/svg+xml"):
         return svg[svg.index("<svg") :]
