@@ -44,7 +44,7 @@ class Diagram:
     def text(
         self, at: Point, words: str, colour: str = "ink", size: float = 13, anchor: str = "start", **look: str
     ) -> None:
-        """Words on a base line at a point; parts between backticks are names in code."""
+        """Text on a base line at a point; parts between backticks are names in code."""
         x, y = at
         given = {"fill": _colour(colour), "font_size": size, "text_anchor": anchor, **look}
         attributes = " ".join(f'{name.replace("_", "-")}="{_number(a)}"' for name, a in given.items())
