@@ -11,7 +11,7 @@ from pages.pictures import COLOURS
 PALETTE = COLOURS | {"panel": ("#eef2f6", "#252b35"), "green": ("#007f5f", "#4cc9a0")}
 SANS = "'DejaVu Sans', Verdana, sans-serif"
 MONO = "'DejaVu Sans Mono', Menlo, Consolas, monospace"
-LINE = 1.45  # distance of two lines of text, in sizes of the text
+TITLE, TEXT, LINE = 14, 12.5, 19  # of boxes: sizes of letters, and distance of two lines [pixels]
 Point = tuple[float, float]
 
 
@@ -74,10 +74,10 @@ class Diagram:
         (x, y), (width, height) = at, size
         self.shape("rect", fill="panel", x=x, y=y, width=width, height=height, rx=5)
         self.shape("rect", fill=colour, x=x, y=y, width=4, height=height, rx=2)
-        top = y + (height - 13 * LINE * (len(lines) + 1)) / 2 + 14
-        self.text((x + 16, top), title, size=14, font_weight="bold")
+        top = y + (height - LINE * (len(lines) + 1)) / 2 + TITLE
+        self.text((x + 16, top), title, size=TITLE, font_weight="bold")
         for k, words in enumerate(lines, 1):
-            self.text((x + 16, top + 13 * LINE * k), words, size=12.5)
+            self.text((x + 16, top + LINE * k), words, size=TEXT)
 
 
 def _colour(name: str) -> str:
