@@ -227,9 +227,9 @@ def improved(
 
     Without a tolerance all rows take all iterations.
     """
-    whole, rows = found, torch.arange(len(found.cost), device=found.cost.device)
+    whole, rows = found, None  # positions of the rows that are left; None: of all
     for k in range(iterations):
-        at(f"iteration {k + 1}, {len(rows)} rows are left")
+        at(f"iteration {k + 1}, {len(found.cost)} rows are left")
         gain, change, terms = passes.backward(found.states, found.torque, found.damping)
         found = found._replace(gain=gain)
         if tolerance is not None:
@@ -240,8 +240,10 @@ def improved(
             out = enough | lost | (found.damping > MOST)
             if out.any():
                 status = torch.where(enough, CONVERGED, torch.where(lost, DIVERGED, STALLED))
-                whole = whole.made([x.clone() for x in found.tensors]) if len(rows) == len(whole.cost) else whole
                 done, on = out.nonzero()[:, 0], (~out).nonzero()[:, 0]
+                if rows is None:
+                    whole = whole.made([x.clone() for x in found.tensors])
+                    rows = torch.arange(len(out), device=out.device)
                 whole.put(rows[done], found._replace(status=status).among(done))
                 if not len(on):
                     return whole
@@ -249,7 +251,7 @@ def improved(
                 start = {name: x.index_select(0, on) for name, x in start.items()}
                 change, terms = change.index_select(1, on), terms.index_select(0, on)
         found = _stepped(passes, start, found, change, terms)
-    if len(rows) == len(whole.cost):
+    if rows is None:
         return found
     whole.put(rows, found)
     return whole
@@ -365,8 +367,10 @@ class Receding:
             return found, torch.where(found.cost.isfinite()[:, None], found.torque[0], torch.nan)
         states = {name: _moved(x) for name, x in last.states.items()}
         last = last._replace(states=states, torque=_moved(last.torque), gain=_moved(last.gain))
+        last = last._replace(status=torch.full_like(last.status, STOPPED), damping=torch.zeros_like(last.damping))
         # its gains lead from the state that is measured; a step counts only where it costs less than they do
-        found = begun(passes, *passes.forward(start, last.torque, last.followed))
+        x, u, cost = passes.forward(start, last.torque, last.followed)
+        found = last._replace(states=x, torque=u, cost=cost.nan_to_num(torch.inf, torch.inf))
         found = improved(passes, start, found, self.iterations, None, lambda _: None)
         if math.isfinite(found.cost.sum()):
             return found, found.torque[0]
