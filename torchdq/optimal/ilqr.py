@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from os import PathLike
+from typing import NamedTuple, get_args
 
 import torch
 from torch import Tensor
@@ -21,6 +22,10 @@ from torch import Tensor
 from torchdq.base.checks import require_choice, require_count, require_number, require_object, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
+from torchdq.export.c99 import Library
+from torchdq.export.files import Exported, path_of
+from torchdq.export.names import identifier
+from torchdq.optimal.exported import Horizon
 from torchdq.optimal.problem import CONVERGED, DIVERGED, STALLED, STOPPED, Passes, Plan, Problem, joined
 from torchdq.optimal.sampling import Sampling
 from torchdq.program.transforms import outside_of_graphs
@@ -32,6 +37,7 @@ LEAST = 0.1  # share of the expected decrease that a step must have
 LENGTHS = 10  # lengths of a step that are tried
 TOGETHER = 32  # steps of different lengths that are simulated in one pass
 DAMPED, MOST = 1e-3, 1e6  # damping at first, and where a row is given up
+TICKS = 8  # golden vectors of an export
 
 Method = Sampling | str
 
@@ -322,6 +328,59 @@ class Receding:
         else:
             self.plan = self._improved(state, self.plan)
         return self.plan.torque[0], None if self.plan.gain is None else self.plan.gain[0]
+
+    def export(self, folder: str | PathLike[str], name: str = "mpc", library: Library = "math.h") -> Exported:
+        """Files in strict C99 of a function NAME_tick that does what a call does, without heap and without libraries.
+
+        Goals, weights, limits and parameters of the scene that are tensors are members of a struct, with the plan and
+        all other memory, which NAME_begin fills with those of `problem` and `plan`. Steps and iterations are fixed. The
+        test among the files compares ticks with those of Python. Numbers have the precision of the plan.
+
+        A tick whose results are not finite, as where the measured state is not, returns 1 and writes the torques and
+        gains of the plan as it was expected to go on; the next one goes on from there.
+
+        Args:
+            folder: path of the folder, which is made if it is not there; files of the same names are replaced.
+            name: name of the struct.
+            library: source of sine, cosine and roots, as in `torchdq.compile(...).export`.
+        Raises:
+            ArgumentError: there is no plan yet, or one of a batch or of a sampling method; the robot is too large for a
+                program of a knot; name, folder or library are none that the files can have.
+
+        >>> import tempfile, torch, torchdq
+        >>> from torchdq import Scene, optimal
+        >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.02)
+        >>> costs = [optimal.Torques(1e-3), optimal.Posture(torch.ones(2).double(), 1.0)]
+        >>> mpc = optimal.Receding(optimal.Problem(scene, 20, costs))
+        >>> torque, gain = mpc(scene.start(torch.zeros(2).double()))
+        >>> mpc.export(tempfile.mkdtemp(), "arm_mpc").header.name
+        'arm_mpc.h'
+        """
+        plan = self.plan
+        if plan is None or plan.gain is None or plan.cost.ndim:
+            found = "none" if plan is None else "a batch" if plan.cost.ndim else "one without gains"
+            raise ArgumentError(
+                f"plan must be that of one robot by iterative LQR, found {found}; call mpc(state) first"
+            )
+        require_choice("library", library, get_args(Library))
+        passes = Passes.of(self.problem, plan.states.q[0], {})
+        if not passes.looped:
+            raise ArgumentError("scene must be one whose knots are one program, found a robot too large for it")
+        rules = {"iterations": self.iterations, "lengths": LENGTHS, "least": LEAST, "damped": DAMPED}
+        return Horizon(passes, plan, self._golden(plan), rules, identifier(name, "name"), library).write(
+            path_of(folder)
+        )
+
+    def _golden(self, plan: Plan) -> list[Tensor]:
+        """States, torques and gains of some ticks that begin with a plan, under torques that are not quite applied."""
+        mpc, found, generator = Receding(self.problem, self.iterations), [], torch.Generator().manual_seed(0)
+        mpc.plan, state = plan, State(**{name: x[0] for name, x in plan.states.rows().items()})
+        for _ in range(TICKS):
+            torque, gain = mpc(state)
+            found.append((joined(state.rows()), torque, gain.flatten()))  # type: ignore[union-attr]
+            share = torch.rand(torque.shape, generator=generator, dtype=torque.dtype)
+            state = self.problem.scene.step(state, **{plan.control: (0.5 + share) * torque})
+        return [torch.stack(x) for x in zip(*found, strict=True)]
 
     @torch.no_grad()
     def _improved(self, state: State, plan: Plan) -> Plan:
