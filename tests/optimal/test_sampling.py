@@ -7,6 +7,7 @@ from robots import one_joint
 
 import torchdq
 from torchdq import Scene, effects, optimal
+from torchdq.errors import ArgumentError
 
 BACKEND = "auto"
 ARM = Scene(torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.02)
@@ -74,3 +75,35 @@ def test_a_receding_horizon_may_be_one_of_samples():
         torque, gain = mpc(state)
         state = slide.step(state, torque)
     assert gain is None and abs(state.q - 0.5) < 0.1
+
+
+def test_a_row_that_is_lost_gets_no_torque_and_goes_on_with_its_plan():
+    q = torch.tensor([[0.1, 0.1], [0.1, -0.2], [torch.nan, 0.0]], dtype=torch.float64)
+    mpc, alone = optimal.Receding(PROBLEM), optimal.Receding(PROBLEM)
+    state, other = ARM.start(q.nan_to_num(0.1)), ARM.start(q[:1])
+    for lost in ([2], [1], [], [], []):
+        seen = state.q.clone()
+        seen[lost], before = torch.nan, mpc.plan
+        torque, _ = mpc(ARM.start(seen, state.qd))
+        assert torch.equal(torque.isnan(), seen.isnan().any(-1, keepdim=True).expand(3, 2))
+        if lost == [1]:
+            assert torch.equal(mpc.plan.torque[:-1, 1], before.torque[1:, 1])
+        by_itself, _ = alone(other)
+        assert torch.equal(torque[:1], by_itself)
+        state, other = ARM.step(state, torque.nan_to_num(0.0)), ARM.step(other, by_itself)
+    best = optimal.solve(PROBLEM, ARM.start(seen, mpc.plan.states.qd[0]))
+    assert (mpc.plan.cost <= 1.001 * best.cost).all()
+
+
+def test_a_receding_horizon_goes_on_from_a_plan_that_is_assigned():
+    state, mpc = ARM.start(double(0.1, 0.1)), optimal.Receding(PROBLEM)
+    plan = optimal.solve(PROBLEM, state)
+    mpc.plan = plan
+    state = ARM.step(state, plan.torque[0])
+    other = optimal.Receding(PROBLEM)
+    other(ARM.start(double(0.1, 0.1)))
+    for left, right in zip(mpc(state), other(state), strict=True):
+        assert torch.equal(left, right)
+    mpc.plan = plan._replace(gain=None)
+    with pytest.raises(ArgumentError, match="gains"):
+        mpc(state)

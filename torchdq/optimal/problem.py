@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.call import Repeated, evaluate
-from torchdq.backends.loop_call import repeat
 from torchdq.base.checks import frozen, require_choice, require_count, require_object, tensor_of
 from torchdq.effects.model import Gravity
 from torchdq.errors import ArgumentError
@@ -302,7 +301,7 @@ class Passes(NamedTuple):
     def forward(
         self, start: Mapping[str, Tensor], torque: Tensor, follow: tuple[Tensor, Tensor] | None = None
     ) -> tuple[dict[str, Tensor], Tensor, Tensor]:
-        """States by name [steps + 1, rows, ...], torques and costs [rows], infinite where they are not finite.
+        """States by name [steps + 1, rows, ...], torques and costs [rows].
 
         Torques are those given, within the limits; to `follow` are gains [steps, rows, n, s] and states [steps, rows,
         ...].
@@ -316,6 +315,7 @@ class Passes(NamedTuple):
             stepped |= dict(zip(STEPPED, (follow[0], torque, follow[1]), strict=True))
             given |= {f"{POLICY}.{name}": x for name, x in self.bounds().items()}
         what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)
-        found = repeat(what, problem.steps, start, stepped, given, ("cost",), backend=problem.scene.backend)
+        repeated = Repeated(problem.steps, tuple(start), tuple(stepped), ("cost",))
+        found = evaluate(what, {**start, **stepped, **given}, problem.scene.backend, repeated=repeated)
         planned = found["planned"].view(torque.shape)  # one number of a task has no axis
-        return {name: found[name] for name in start}, planned, found["cost"].nan_to_num(torch.inf, torch.inf)
+        return {name: found[name] for name in start}, planned, found["cost"]
