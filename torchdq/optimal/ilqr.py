@@ -353,8 +353,8 @@ class Receding:
         all other memory, which NAME_begin fills with those of `problem` and `plan`. Steps and iterations are fixed. The
         test among the files compares ticks with those of Python. Numbers have the precision of the plan.
 
-        A tick whose results are not finite, as where the measured state is not, returns 1 and writes the torques and
-        gains of the plan as it was expected to go on; the next one goes on from there.
+        A tick whose results are not finite, as of a measurement that is missing, returns 1 and writes NaN as torques;
+        its plan only moves on.
 
         Args:
             folder: path of the folder, which is made if it is not there; files of the same names are replaced.
@@ -394,7 +394,7 @@ class Receding:
         mpc.plan, state = plan, State(**{name: x[0] for name, x in plan.states.rows().items()})
         for _ in range(TICKS):
             torque, gain = mpc(state)
-            found.append((joined(state.rows()), torque, gain.flatten()))  # type: ignore[union-attr]
+            found.append((joined(state.rows()), mpc.plan.torque.flatten(), gain.flatten()))  # type: ignore[union-attr]
             share = torch.rand(torque.shape, generator=generator, dtype=torque.dtype)
             state = self.problem.scene.step(state, **{plan.control: (0.5 + share) * torque})
         return [torch.stack(x) for x in zip(*found, strict=True)]
