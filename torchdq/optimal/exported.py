@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from string import Template
 from typing import Any, NamedTuple
@@ -31,6 +32,7 @@ from torchdq.scene.recording import Stage
 from torchdq.scene.spec import POLICY
 
 BOUNDS = {False: "1e-9", True: "1e-3f"}  # largest relative differences of the test, by whether numbers are single
+NAMES = ("forward", "backward", "compare", "in_state", "out_torque", "out_gain")  # of the files' own
 
 _ABOUT = """
 $described
@@ -159,6 +161,14 @@ int main(void)
 """
 
 
+class Member(NamedTuple):
+    """Numbers of the problem in its struct."""
+
+    name: str  # in C
+    numbers: Tensor  # [k], or those of every step [steps, k]
+    last: bool  # whether they are zero but at the last step
+
+
 class Horizon(NamedTuple):
     """Receding horizon of one robot as it is exported."""
 
@@ -170,52 +180,42 @@ class Horizon(NamedTuple):
     library: Library
 
     @property
-    def last(self) -> list[str]:
-        """Weights of the last step alone."""
-        of = self.passes.problem
-        return [named("weight", k) for k in range(len(of.costs), len(of.objective.terms))]
-
-    @property
-    def numbers(self) -> dict[str, Tensor]:
-        """Numbers of the problem by name, [k], or those of every step [steps, k]."""
-        of = self.passes
-        found = {name: x[0].flatten() for name, x in (of.fixed | of.bounds()).items()}
+    def members(self) -> dict[str, Member]:
+        """Numbers of the problem, by the names of arguments."""
+        of, first = self.passes, len(self.passes.problem.costs)
+        last = [named("weight", k) for k in range(first, len(of.problem.objective.terms))]
+        found = {name: x[-1, 0] if name in last else x[:, 0].flatten(1) for name, x in of.stepped.items()}
+        found |= {name: x[0].flatten() for name, x in (of.fixed | of.bounds()).items()}
         found |= {name: x.flatten() for name, x in of.shared.items()}
-        return found | {name: (x[-1, 0] if name in self.last else x[:, 0].flatten(1)) for name, x in of.stepped.items()}
+        names = zip(found.items(), distinct(found), strict=True)
+        return {name: Member(own, x, name in last) for (name, x), own in names}
 
-    def places(self, states: str, before: str = "") -> dict[str, str]:
-        """Places of the rows of a state, by their names with something before them."""
-        state, found, at = self.passes.problem.scene.spec.state, dict[str, str](), 0
-        for name in self.passes.problem.scene.spec.displaced:  # in the order of rows that are joined
-            found[before + name], at = f"{states} + {at}", at + state[name]
+    def rows(self, states: str = "", before: str = "") -> dict[str, str]:
+        """Places of the rows of a state, as they are joined, by their names with something before them."""
+        spec, found, at = self.passes.problem.scene.spec, dict[str, str](), 0
+        for name in spec.displaced:
+            found[before + name], at = f"{states} + {at}", at + spec.state[name]
         return found
 
     def write(self, folder: Path) -> Exported:
         """Files in a folder, which is made if it is not there."""
-        problem = self.passes.problem
-        step, knot = self._functions()
+        (step, knot), problem = self.functions(), self.passes.problem
         known = self._words(step) | self._calls(step, knot)
         about, types, loops, test = (Template(x).substitute(known) for x in (_ABOUT, _TYPES, _LOOPS, _TEST))
-        kinds = [f"cost {k}: {type(cost).__name__}" for k, cost in enumerate((*problem.costs, *problem.final))]
-        heading = [*step.program.about, *kinds]
+        costs = [f"cost {k}: {type(cost).__name__}" for k, cost in enumerate((*problem.costs, *problem.final))]
         both = step._replace(program=replace(step.program, ops=step.program.ops + knot.program.ops))
-        before = f'{c99.comment(heading)}#include "{self.name}.h"\n{both.preamble()}'
-        source = "\n".join([before, parts.text(step), parts.text(knot), loops])
+        heading, before = [*step.program.about, *costs], f'#include "{self.name}.h"\n{both.preamble()}'
+        source = "\n".join([c99.comment(heading) + before, parts.text(step), parts.text(knot), loops])
         header = files.header(self.name, [*heading, *about.splitlines()], "", types)
         return files.write_project(folder, step._replace(name=self.name), source, header, test)
 
-    def _functions(self) -> tuple[CFunction, CFunction]:
+    def functions(self) -> tuple[CFunction, CFunction]:
         """Function of a step under gains, and of a knot."""
-        of, spec, objective, rows = (
-            self.passes,
-            self.passes.problem.scene.spec,
-            self.passes.problem.objective,
-            [*self.places("")],
-        )
-        boxed, given = of.limits is not None, [*of.stepped, *of.fixed, *of.shared]
+        of, boxed, rows = self.passes, self.passes.limits is not None, self.rows()
+        spec, objective, given = of.problem.scene.spec, of.problem.objective, [*of.stepped, *of.fixed, *of.shared]
         step = Stage(spec, "step", objective, policy=LinearForm(boxed, objective.control), unguarded=True)
         along = [*rows, *STEPPED, *given, *[f"{POLICY}.{name}" for name in of.bounds()]]
-        at = ["V", "v", *rows, *[NEXT + name for name in rows], objective.control, "damping", *given, *of.bounds()]
+        at = ["V", "v", *rows, *self.rows("", NEXT), objective.control, "damping", *given, *of.bounds()]
 
         def function(name: str, what: Computation, taken: Sequence[str]) -> CFunction:
             arguments = [Argument(x, math.prod(what.axes(x)), x in of.shared) for x in taken]
@@ -228,69 +228,53 @@ class Horizon(NamedTuple):
         """What the texts name, but for calls."""
         plan: Any = self.plan
         number, literal, (steps, n, s) = step.number, step.dialect.literal, plan.gain.shape
-        numbers, rows, tries = self.numbers, plan.states.rows(), self.rules["iterations"] * self.rules["lengths"]
-        taken = [f"{x}[{rows[x].shape[-1]}]" for x in self.places("")]
+        state, first = plan.states.rows(), (joined(plan.states.rows()), plan.torque, plan.gain.flatten(1))
+        rows, members, rules = self.rows(), [*self.members.values()], self.rules
+        taken = {name: f"{name}[{state[name].shape[-1]}]" for name in rows}
         given = {plan.control: f"{plan.control}[{n}]", "gain": f"gain[{n * s}]"}
-        passed = [
-            f"{self.name} *mpc",
-            *[f"const {number} {x}" for x in taken],
-            *[f"{number} {x}" for x in given.values()],
-        ]
-        about = described(taken, [*self.places("")], "in ") + described([*given.values()], [*given], "out")
-        first = joined(rows), plan.torque, plan.gain.flatten(1)
-        measured = [
-            f"for (j = 0; j < {rows[x].shape[-1]}; j++) now->states[0][j{at}] = next->states[0][j{at}] = {x}[j];"
-            for x, at in self.places("").items()
-        ]
+        passed = [f"const {number} {x}" for x in taken.values()] + [f"{number} {x}" for x in given.values()]
+        about = [described([*x.values()], [*x], way) for x, way in ((taken, "in "), (given, "out"))]
+        begun = [(state[name].shape[-1], f"states[0][j{at}] = ", name) for name, at in rows.items()]
+        zeros = max([len(x.numbers) for x in members if x.last], default=0)
         tables = zip(("in_state", "out_torque", "out_gain"), self.ticks, strict=True)
-        zeros = max([len(numbers[name]) for name in self.last], default=0)
         return {
             **{"name": self.name, "S": number, "control": plan.control, "steps": steps, "n": n, "gains": n * s},
-            **{"state": first[0].shape[1], "rows": ", ".join(self.places("")), "V": s * (s + 1) // 2, "v": s},
-            **{"fewest": 1 + self.rules["iterations"], "most": 1 + tries, **self.rules},
-            "tick": f"int {self.name}_tick({', '.join(passed)})",
-            "described": "\n".join(about),
-            "members": c99.indented([self._member(f"{number} {x}", name) for name, x in self._members().items()]),
+            **{"state": first[0].shape[1], "rows": ", ".join(rows), "V": s * (s + 1) // 2, "v": s, **rules},
+            **{"fewest": 1 + rules["iterations"], "most": 1 + rules["iterations"] * rules["lengths"]},
+            "tick": f"int {self.name}_tick({self.name} *mpc, {', '.join(passed)})",
+            "described": "\n".join(chain(*about)),
+            "members": c99.indented([_declared(number, *x) for x in self.members.items()]),
             "zeros": f"static const {number} zeros[{zeros}] = {{0}};\n\n" * bool(zeros),
-            "measured": c99.indented(measured),
-            "problem": c99.indented([f"{_braced(x.tolist(), literal)}," for x in numbers.values()], 8),
+            "measured": c99.indented([f"for (j = 0; j < {k}; j++) now->{x}next->{x}{y}[j];" for k, x, y in begun]),
+            "problem": c99.indented([f"{_braced(x.numbers.tolist(), literal)}," for x in members], 8),
             "plan": c99.indented([f"{_braced(x.tolist(), literal)}," for x in first], 8),
-            **{"ticks": len(self.ticks[0]), "bound": BOUNDS[step.single]},
+            **{"ticks": len(self.ticks[0]), "passed": ", ".join(self.rows("in_state[k]").values())},
             "tables": "".join([golden.table(step, name, x) for name, x in tables]),
             "compare": golden.COMPARE.format(number, "f" * step.single),
-            "passed": ", ".join(self.places("in_state[k]").values()),
+            "bound": BOUNDS[step.single],
         }
-
-    def _members(self) -> dict[str, str]:
-        """Names in C of the numbers of the problem."""
-        return dict(zip(self.numbers, distinct(self.numbers), strict=True))
-
-    def _member(self, declared: str, name: str) -> str:
-        """Member of the struct of the problem."""
-        text = "of the last step" if name in self.last else words(name)
-        axes = "".join([f"[{k}]" for k in self.numbers[name].shape])
-        return f"{declared}{axes};" + f" /* {text} */" * bool(text)
 
     def _calls(self, step: CFunction, knot: CFunction) -> dict[str, str]:
         """What is passed to the functions at step k."""
-        control, (steps, _), found, members = (
-            self.plan.control,
-            self.plan.torque.shape,
-            dict[str, str](),
-            self._members(),
-        )
-        for name, x in self.numbers.items():
-            found[name] = f"k < {steps - 1} ? zeros : " * (name in self.last) + f"problem->{members[name]}"
-            found[name] += "[k]" * (x.ndim > 1)
+        control, last, found = self.plan.control, len(self.plan.torque) - 1, dict[str, str]()
+        for name, x in self.members.items():
+            found[name] = f"k < {last} ? zeros : " * x.last + f"problem->{x.name}" + "[k]" * (x.numbers.ndim > 1)
         found |= {f"{POLICY}.{name}": found[name] for name in self.passes.bounds()}
-        under = dict(zip(STEPPED, ("along->gain[k]", "torque", "along->states[k]"), strict=True))
-        under |= self.places("found->states[k]")
-        moved = {**self.places("found->states[k + 1]"), "cost": "of_step", "planned": f"found->{control}[k]"}
-        at = {**self.places("at->states[k]"), **self.places("at->states[k + 1]", NEXT)}
-        at |= {control: f"at->{control}[k]", "damping": "&damping", "V": "V[(k + 1) % 2]", "v": "v[(k + 1) % 2]"}
-        solved = {"gain": "at->gain[k]", "change": "change[k]", "expected": "of_knot"}
-        solved |= {"V": "V[k % 2]", "v": "v[k % 2]"}
-        return {"step": _passed(step, found | under, moved), "knot": _passed(knot, found | at, solved)}
+        along = dict(zip(STEPPED, ("along->gain[k]", "torque", "along->states[k]"), strict=True))
+        along |= self.rows("found->states[k]")
+        moved = {**self.rows("found->states[k + 1]"), "cost": "of_step", "planned": f"found->{control}[k]"}
+        at = {**self.rows("at->states[k]"), **self.rows("at->states[k + 1]", NEXT), control: f"at->{control}[k]"}
+        at |= {"damping": "&damping", "V": "V[(k + 1) % 2]", "v": "v[(k + 1) % 2]"}
+        solved = {"V": "V[k % 2]", "v": "v[k % 2]", "gain": "at->gain[k]", "change": "change[k]"}
+        knots = _passed(knot, found | at, {**solved, "expected": "of_knot"})
+        return {"step": _passed(step, found | along, moved), "knot": knots}
+
+
+def _declared(number: str, name: str, member: Member) -> str:
+    """Declaration of numbers of the problem."""
+    text = "of the last step" if member.last else words(name)
+    axes = "".join([f"[{k}]" for k in member.numbers.shape])
+    return f"{number} {member.name}{axes};" + f" /* {text} */" * bool(text)
 
 
 def _passed(function: CFunction, taken: Mapping[str, str], given: Mapping[str, str]) -> str:

@@ -25,8 +25,8 @@ from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
 from torchdq.export.files import Exported, path_of
-from torchdq.export.names import identifier
-from torchdq.optimal.exported import Horizon
+from torchdq.export.names import distinct, identifier
+from torchdq.optimal.exported import NAMES, Horizon
 from torchdq.optimal.problem import CONVERGED, DIVERGED, STALLED, STOPPED, Passes, Plan, Problem, joined
 from torchdq.optimal.sampling import Sampling
 from torchdq.program.transforms import outside_of_graphs
@@ -346,23 +346,21 @@ class Receding:
         """Begin with a plan, or with none."""
         self._plan, self._rows = plan, None
 
-    def export(self, folder: str | PathLike[str], name: str = "mpc", library: Library = "math.h") -> Exported:
-        """Files in strict C99 of a function NAME_tick that does what a call does, without heap and without libraries.
+    def export(self, folder: str | PathLike[str], name: str = "", library: Library = "math.h") -> Exported:
+        """Files in strict C99 that need neither Python nor torch: a function NAME_tick that does what a call does.
 
-        Goals, weights, limits and parameters of the scene that are tensors are members of a struct, with the plan and
-        all other memory, which NAME_begin fills with those of `problem` and `plan`. Steps and iterations are fixed. The
-        test among the files compares ticks with those of Python. Numbers have the precision of the plan.
-
-        A tick whose results are not finite, as of a measurement that is missing, returns 1 and writes NaN as torques;
-        its plan only moves on.
+        Goals, weights, limits and tensors of the scene are members of a struct, with the plan and all other memory;
+        NAME_begin fills it with those of `problem` and `plan`. Steps, iterations and precision are those of the plan. A
+        tick that is not finite, as of a measurement that is missing, returns 1, and NaN as torques; its plan only moves
+        on. The test among the files compares ticks with those of Python.
 
         Args:
             folder: path of the folder, which is made if it is not there; files of the same names are replaced.
-            name: name of the struct.
+            name: name of the struct; "": that of the robot, and mpc.
             library: source of sine, cosine and roots, as in `torchdq.compile(...).export`.
         Raises:
-            ArgumentError: there is no plan yet, or one of a batch or of a sampling method; the robot is too large for a
-                program of a knot; name, folder or library are none that the files can have.
+            ArgumentError: there is no plan, or one of a batch or a sampling method; a knot of the robot is too large
+                for one program; name, folder or library are none that the files can have.
 
         >>> import tempfile, torch, torchdq
         >>> from torchdq import Scene, optimal
@@ -377,26 +375,25 @@ class Receding:
         if plan is None or plan.gain is None or plan.cost.ndim:
             found = "none" if plan is None else "a batch" if plan.cost.ndim else "one without gains"
             raise ArgumentError(
-                f"plan must be that of one robot by iterative LQR, found {found}; call mpc(state) first"
+                f"plan must be that of one robot, with gains, found {found}; call mpc(state) of one state"
             )
-        require_choice("library", library, get_args(Library))
         passes = Passes.of(self.problem, plan.states.q[0], {})
         if not passes.looped:
-            raise ArgumentError("scene must be one whose knots are one program, found a robot too large for it")
+            raise ArgumentError("scene must be that of a smaller robot, whose knots are one program, to be exported")
+        require_choice("library", library, get_args(Library))
+        own = identifier(name or distinct([f"{self.problem.scene.robot.name}_mpc"])[0], "name", NAMES)
         rules = {"iterations": self.iterations, "lengths": LENGTHS, "least": LEAST, "damped": DAMPED}
-        return Horizon(passes, plan, self._golden(plan), rules, identifier(name, "name"), library).write(
-            path_of(folder)
-        )
+        return Horizon(passes, plan, self._golden(plan), rules, own, library).write(path_of(folder))
 
     def _golden(self, plan: Plan) -> list[Tensor]:
-        """States, torques and gains of some ticks that begin with a plan, under torques that are not quite applied."""
+        """States, torques and gains of some ticks after a plan, whose torques are not quite those that act."""
         mpc, found, generator = Receding(self.problem, self.iterations), [], torch.Generator().manual_seed(0)
         mpc.plan, state = plan, State(**{name: x[0] for name, x in plan.states.rows().items()})
         for _ in range(TICKS):
             torque, gain = mpc(state)
             found.append((joined(state.rows()), mpc.plan.torque.flatten(), gain.flatten()))  # type: ignore[union-attr]
-            share = torch.rand(torque.shape, generator=generator, dtype=torque.dtype)
-            state = self.problem.scene.step(state, **{plan.control: (0.5 + share) * torque})
+            share = 0.5 + torch.rand(len(torque), generator=generator).to(torque)
+            state = self.problem.scene.step(state, **{plan.control: share * torque})
         return [torch.stack(x) for x in zip(*found, strict=True)]
 
     @torch.no_grad()
