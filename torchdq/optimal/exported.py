@@ -47,7 +47,7 @@ _TYPES = """typedef struct {
 $members} ${name}_problem;
 
 typedef struct {
-    $S states[$steps + 1][$state]; /* $rows, from the start on */
+    $S states[$points][$state]; /* $rows, from the start on */
     $S $control[$steps][$n];
     $S gain[$steps][$gains]; /* row by row */
 } ${name}_plan;
@@ -240,7 +240,11 @@ class Horizon(NamedTuple):
         return {
             **{"name": self.name, "S": number, "control": plan.control, "steps": steps, "n": n, "gains": n * s},
             **{"state": first[0].shape[1], "rows": ", ".join(rows), "V": s * (s + 1) // 2, "v": s, **rules},
-            **{"fewest": 1 + rules["iterations"], "most": 1 + rules["iterations"] * rules["lengths"]},
+            **{
+                "points": steps + 1,
+                "fewest": 1 + rules["iterations"],
+                "most": 1 + rules["iterations"] * rules["lengths"],
+            },
             "tick": f"int {self.name}_tick({self.name} *mpc, {', '.join(passed)})",
             "described": "\n".join(chain(*about)),
             "members": c99.indented([_declared(number, *x) for x in self.members.items()]),
