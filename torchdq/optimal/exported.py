@@ -225,7 +225,7 @@ class Horizon(NamedTuple):
         return function("step", step, along), function("knot", Knot(spec, objective, boxed), at)
 
     def _words(self, step: CFunction) -> dict[str, Any]:
-        """What the texts name, but for calls."""
+        """Words and numbers of the texts, but for calls."""
         plan: Any = self.plan
         number, literal, (steps, n, s) = step.number, step.dialect.literal, plan.gain.shape
         state, first = plan.states.rows(), (joined(plan.states.rows()), plan.torque, plan.gain.flatten(1))
@@ -259,7 +259,7 @@ class Horizon(NamedTuple):
         }
 
     def _calls(self, step: CFunction, knot: CFunction) -> dict[str, str]:
-        """What is passed to the functions at step k."""
+        """Arguments of the calls at step k."""
         control, last, found = self.plan.control, len(self.plan.torque) - 1, dict[str, str]()
         for name, x in self.members.items():
             found[name] = f"k < {last} ? zeros : " * x.last + f"problem->{x.name}" + "[k]" * (x.numbers.ndim > 1)
