@@ -100,7 +100,7 @@ def test_iterations_that_find_no_step_are_damped_as_in_python(tmp_path, monkeypa
     mpc, damped = begun(swing(), iterations=8), list()
     inside, backward = InC(mpc.export(tmp_path, "arm_mpc")), Passes.backward
     monkeypatch.setattr(Passes, "backward", lambda *of: damped.append(float(of[-1])) or backward(*of))
-    goal, state = double(1.03, -0.88, 0.0), ARM.start(double(-0.58, 1.4), double(-9.4, 6.0))
+    goal, state = double(0.2, 0.2, 0.0), ARM.start(double(-0.6, 1.4), double(-9.0, 6.0))
     mpc.problem = swing(final=[optimal.Point("tip", goal, 1e5), optimal.Speeds(10.0)])
     inside.at["goal_of_cost_2"][:], inside.at["weight_of_cost_2"][:] = goal, 1e5
     assert agree(inside, mpc, state) and {0.0, 1e-3, 1e-2} <= {*damped}
