@@ -372,11 +372,9 @@ class Receding:
         'arm_mpc.h'
         """
         plan = self.plan
-        if plan is None or plan.gain is None or plan.cost.ndim:
-            found = "none" if plan is None else "a batch" if plan.cost.ndim else "one without gains"
-            raise ArgumentError(
-                f"plan must be that of one robot, with gains, found {found}; call mpc(state) of one state"
-            )
+        if plan is None or plan.gain is None or plan.cost.ndim or not plan.cost.isfinite():
+            found = "none" if plan is None else "a batch" if plan.cost.ndim else plan.why() if plan.gain is None else ""
+            raise ArgumentError(f"plan must be finite, of one robot and with gains, found {found}; call mpc(state) first")
         passes = Passes.of(self.problem, plan.states.q[0], {})
         if not passes.looped:
             raise ArgumentError("scene must be that of a smaller robot, whose knots are one program, to be exported")
