@@ -165,11 +165,27 @@ def test_every_kind_of_horizon_passes_its_test_within_its_memory(kind, tmp_path)
     run("g++", "-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", str(made.header))
 
 
+def sampled(problem):
+    """Receding horizon of samples, whose plan has no gains."""
+    mpc = optimal.Receding(problem, method=optimal.CEM(8))
+    mpc(ARM.start(double(0.1, 0.2)))
+    return mpc
+
+
+def lost(problem):
+    """Receding horizon whose plan is not finite."""
+    mpc = begun(problem)
+    mpc.plan = mpc.plan._replace(cost=mpc.plan.cost * math.inf)
+    return mpc
+
+
 @pytest.mark.parametrize(
     "call",
     [
         lambda to: optimal.Receding(swing()).export(to),
         lambda to: begun(swing(), ((0.1, 0.2), (0.0, 0.0))).export(to),
+        lambda to: sampled(swing()).export(to),
+        lambda to: lost(swing()).export(to),
         lambda to: begun(swing()).export(to, "forward"),
         lambda to: begun(swing()).export(to, "two words"),
         lambda to: begun(swing()).export(to, library="libm"),

@@ -24,6 +24,7 @@ from torchdq.export.files import Exported
 from torchdq.export.meaning import described, words
 from torchdq.export.names import distinct
 from torchdq.optimal.costs import named
+from torchdq.optimal.ilqr import DAMPED, LEAST, LENGTHS
 from torchdq.optimal.knot import NEXT, Knot
 from torchdq.optimal.problem import Passes, Plan, joined
 from torchdq.program.program import Argument
@@ -175,7 +176,7 @@ class Horizon(NamedTuple):
     passes: Passes
     plan: Plan  # at first
     ticks: Sequence[Tensor]  # golden vectors [ticks, ...]: states, torques of all steps, gains of the first
-    rules: Mapping[str, Any]  # numbers of the solver, by their names in the text
+    iterations: int  # of a tick
     name: str
     library: Library
 
@@ -229,7 +230,7 @@ class Horizon(NamedTuple):
         plan: Any = self.plan
         number, literal, (steps, n, s) = step.number, step.dialect.literal, plan.gain.shape
         state, first = plan.states.rows(), (joined(plan.states.rows()), plan.torque, plan.gain.flatten(1))
-        rows, members, rules = self.rows(), [*self.members.values()], self.rules
+        rows, members = self.rows(), [*self.members.values()]
         taken = {name: f"{name}[{state[name].shape[-1]}]" for name in rows}
         given = {plan.control: f"{plan.control}[{n}]", "gain": f"gain[{n * s}]"}
         passed = [f"const {number} {x}" for x in taken.values()] + [f"{number} {x}" for x in given.values()]
@@ -239,12 +240,9 @@ class Horizon(NamedTuple):
         tables = zip(("in_state", "out_torque", "out_gain"), self.ticks, strict=True)
         return {
             **{"name": self.name, "S": number, "control": plan.control, "steps": steps, "n": n, "gains": n * s},
-            **{"state": first[0].shape[1], "rows": ", ".join(rows), "V": s * (s + 1) // 2, "v": s, **rules},
-            **{
-                "points": steps + 1,
-                "fewest": 1 + rules["iterations"],
-                "most": 1 + rules["iterations"] * rules["lengths"],
-            },
+            **{"state": first[0].shape[1], "rows": ", ".join(rows), "V": s * (s + 1) // 2, "v": s},
+            **{"iterations": self.iterations, "lengths": LENGTHS, "least": LEAST, "damped": DAMPED},
+            **{"fewest": 1 + self.iterations, "most": 1 + self.iterations * LENGTHS, "points": steps + 1},
             "tick": f"int {self.name}_tick({self.name} *mpc, {', '.join(passed)})",
             "described": "\n".join(chain(*about)),
             "members": c99.indented([_declared(number, *x) for x in self.members.items()]),

@@ -214,7 +214,7 @@ class Passes(NamedTuple):
     """Passes over the steps of problems that are rows [rows, ...] of tensors, each without the others."""
 
     problem: Problem
-    stepped: dict[str, Tensor]  # inputs of every step [steps, rows, ...]
+    stepped: dict[str, Tensor]  # inputs of every step [steps, rows, ...] or, of all rows, [steps, 1, ...]
     fixed: dict[str, Tensor]  # those that are the same at all steps [rows, ...]
     shared: dict[str, Tensor]  # parameters of the scene that all rows share
     limits: Limits | None  # of the torques [rows, n]
@@ -235,7 +235,9 @@ class Passes(NamedTuple):
             rest = tuple(x.shape[x.ndim - len(axes) :])
             if name in inputs or (name not in scene.parameters and x.ndim > len(batch) + len(axes)):
                 whole = x.reshape(len(x), *(1,) * (len(batch) + 1 - x.ndim + len(axes)), *x.shape[1:])
-                stepped[name] = whole.expand(problem.steps, *batch, *rest).reshape(problem.steps, count, *rest)
+                if whole.shape[1:] != (*(1,) * len(batch), *rest):
+                    whole = whole.expand(problem.steps, *batch, *rest)
+                stepped[name] = whole.reshape(problem.steps, -1, *rest)  # [steps, 1, ...] of all rows
             elif name in scene.parameters and x.ndim == len(axes):
                 shared[name] = x
             else:
@@ -247,7 +249,7 @@ class Passes(NamedTuple):
 
     def among(self, rows: Tensor) -> Passes:
         """Passes of some of the rows."""
-        stepped = {name: x.index_select(1, rows) for name, x in self.stepped.items()}
+        stepped = {name: x if x.shape[1] == 1 else x.index_select(1, rows) for name, x in self.stepped.items()}
         fixed = {name: x.index_select(0, rows) for name, x in self.fixed.items()}
         limits = None if self.limits is None else tuple([x.index_select(0, rows) for x in self.limits])
         return self._replace(stepped=stepped, fixed=fixed, limits=limits)  # type: ignore[arg-type]
