@@ -226,7 +226,7 @@ class Horizon(NamedTuple):
         return function("step", step, along), function("knot", Knot(spec, objective, boxed), at)
 
     def _words(self, step: CFunction) -> dict[str, Any]:
-        """Words and numbers of the texts, but for calls."""
+        """Names and numbers in the texts, but for calls."""
         plan: Any = self.plan
         number, literal, (steps, n, s) = step.number, step.dialect.literal, plan.gain.shape
         state, first = plan.states.rows(), (joined(plan.states.rows()), plan.torque, plan.gain.flatten(1))
