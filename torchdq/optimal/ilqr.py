@@ -201,7 +201,8 @@ def _roughly(
     passes: Passes, start: Mapping[str, Tensor], found: Found, iterations: int, at: Callable[[str], None]
 ) -> Found:
     """Start of problems with limits: the states of solutions without them, followed under them."""
-    free = improved(passes._replace(limits=None), start, found, iterations, 0.0, at, ROUGH)
+    least = torch.full_like(found.torque[0], -torch.inf)  # the programs are those that have limits
+    free = improved(passes._replace(limits=(least, -least)), start, found, iterations, 0.0, at, ROUGH)
     x, u, cost = passes.forward(start, free.torque, free.followed)
     begin = begun(passes, x, u, cost)._replace(iterations=free.iterations)
     lost = cost.isinf().nonzero()[:, 0]

@@ -308,14 +308,15 @@ class Passes(NamedTuple):
         Torques are those given, within the limits; to `follow` are gains [steps, rows, n, s] and states [steps, rows,
         ...].
         """
-        problem, given, policy = self.problem, {**self.fixed, **self.shared}, None
-        control, stepped = problem.objective.control, {**self.stepped}
+        problem, control, stepped = self.problem, self.problem.objective.control, {**self.stepped}
+        given, (gain, _, states) = {**self.fixed, **self.shared}, STEPPED
+        given |= {f"{POLICY}.{name}": x for name, x in self.bounds().items()}
         if follow is None:
-            stepped[control] = self.within(torque)
+            given |= {gain: torque.new_zeros(*torque.shape[1:], self.size), states: joined(start)}
         else:
-            policy = LinearForm(self.limits is not None, control)
-            stepped |= dict(zip(STEPPED, (follow[0], torque, follow[1]), strict=True))
-            given |= {f"{POLICY}.{name}": x for name, x in self.bounds().items()}
+            stepped |= {gain: follow[0], states: follow[1]}
+        stepped[STEPPED[1]] = torque
+        policy = LinearForm(self.limits is not None, control)
         what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)
         repeated = Repeated(problem.steps, tuple(start), tuple(stepped), ("cost",))
         found = evaluate(what, {**start, **stepped, **given}, problem.scene.backend, repeated=repeated)
