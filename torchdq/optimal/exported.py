@@ -212,18 +212,19 @@ class Horizon(NamedTuple):
 
     def functions(self) -> tuple[CFunction, CFunction]:
         """Function of a step under gains, and of a knot."""
-        of, boxed, rows = self.passes, self.passes.limits is not None, self.rows()
-        spec, objective, given = of.problem.scene.spec, of.problem.objective, [*of.stepped, *of.fixed, *of.shared]
+        of, boxed, rows = self.passes, self.passes.limits is not None, [*self.plan.states.rows()]
+        spec, objective, same = of.problem.scene.spec, of.problem.objective, [*of.fixed, *of.shared]
         step = Stage(spec, "step", objective, policy=LinearForm(boxed, objective.control), unguarded=True)
-        along = [*rows, *STEPPED, *given, *[f"{POLICY}.{name}" for name in of.bounds()]]
-        at = ["V", "v", *rows, *self.rows("", NEXT), objective.control, "damping", *given, *of.bounds()]
+        along = [*rows, *of.stepped, *STEPPED, *same, *[f"{POLICY}.{name}" for name in of.bounds()]]
+        # in the order of `Passes`, for which a knot is recorded already
+        at = ["V", "v", *rows, *[NEXT + name for name in rows], objective.control, *of.stepped, "damping", *same]
 
         def function(name: str, what: Computation, taken: Sequence[str]) -> CFunction:
             arguments = [Argument(x, math.prod(what.axes(x)), x in of.shared) for x in taken]
             single = self.plan.torque.dtype == torch.float32
             return CFunction(what.program(tuple(arguments)), f"{self.name}_{name}", single, self.library)
 
-        return function("step", step, along), function("knot", Knot(spec, objective, boxed), at)
+        return function("step", step, along), function("knot", Knot(spec, objective, boxed), [*at, *of.bounds()])
 
     def _words(self, step: CFunction) -> dict[str, Any]:
         """Names and numbers in the texts, but for calls."""
