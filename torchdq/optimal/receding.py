@@ -154,20 +154,20 @@ class Receding:
         start = {name: by_rows(x, 0) for name, x in state.rows().items()}
         if last is None:
             found = self._solved(passes, state, start, None)
-            return found, torch.where(found.cost.isfinite()[:, None], found.torque[0], torch.nan)
+            return found, torch.where(_known(found)[:, None], found.torque[0], torch.nan)
         states = {name: _moved(x) for name, x in last.states.items()}
         last = last._replace(states=states, torque=_moved(last.torque), gain=_moved(last.gain))
         last = last._replace(status=torch.full_like(last.status, STOPPED), damping=torch.zeros_like(last.damping))
         x, u, cost = passes.forward(start, last.torque, last.followed)
         found = last._replace(states=x, torque=u, cost=cost.nan_to_num(torch.inf, torch.inf))
         found = improved(passes, start, found, self.iterations, None, lambda _: None)
-        if math.isfinite(found.cost.sum()):
+        if math.isfinite(found.cost.sum() + found.gain.sum()):
             return found, found.torque[0]
-        lost = ~found.cost.isfinite()
-        kept, new = ((lost & x).nonzero()[:, 0] for x in (last.cost.isfinite(), ~last.cost.isfinite()))
+        lost, before = ~_known(found), _known(last)
+        kept, new = ((lost & x).nonzero()[:, 0] for x in (before, ~before))
         if len(new):
             found.put(new, self._solved(passes, state, start, new))
-        torque = torch.where(found.cost.isfinite()[:, None], found.torque[0], torch.nan)
+        torque = torch.where(_known(found)[:, None], found.torque[0], torch.nan)
         found.put(kept, last.among(kept))  # the next state finds the plan where it would have been
         return found, torque
 
@@ -180,6 +180,11 @@ class Receding:
         with Progress(f"optimal control of {torque.shape[1]} problems") as notice:
             found = begun(passes, *passes.forward(start, torque))
             return converged(passes, start, found, True, 100, TOLERANCES[torque.dtype], notice)
+
+
+def _known(found: Found) -> Tensor:
+    """Whether the plan of a row is finite [rows]."""
+    return found.cost.isfinite() & found.gain.isfinite().flatten(2).all(2).all(0)
 
 
 def _rows_of(plan: Plan) -> Found:
