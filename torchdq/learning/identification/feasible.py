@@ -56,16 +56,17 @@ class Distance:
         """Distance of the bodies alone, were the strength one."""
         return float(divergence(self._split(y)[0]).sum())
 
-    def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradient [..., t] and Hessian [..., t, t] of the distance, at y [..., t]."""
+    def slopes(self, y: Tensor, V: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Gradient [..., t] and Hessian [..., t, t] of the distance, at y [..., t]; with V [..., t, t], by V^-1 y."""
+        V = torch.eye(y.shape[-1], dtype=y.dtype) if V is None else V
         B, ratio = self._split(y)
         slopes, blocks = divergence_slopes(B)
         x, t, b = torch.where(self.signed, 1.0, ratio), self.fraction, self.inertial
         rest = torch.where(self.signed, 2 * (ratio - 1), 2 - 2 / x + 2 * t / (1 - t * x) - 2 * t / (1 - t))
-        H = torch.diag_embed(torch.cat([y.new_zeros(*y.shape[:-1], b), 2 / x**2 + 2 * (t / (1 - t * x)) ** 2], -1))
-        for i in range(0, b, 10):
-            H[..., i : i + 10, i : i + 10] = blocks[..., i // 10, :, :]
-        return torch.cat([math.sqrt(self.strength) * slopes.flatten(-2), rest], -1), H
+        gradient = torch.cat([math.sqrt(self.strength) * slopes.flatten(-2), rest], -1)
+        of_bodies = (blocks @ V[..., :b, :].unflatten(-2, (-1, 10))).flatten(-3, -2)
+        of_others = (2 / x**2 + 2 * (t / (1 - t * x)) ** 2)[..., None] * V[..., b:, :]
+        return (gradient[..., None, :] @ V)[..., 0, :], V.mT @ torch.cat([of_bodies, of_others], -2)
 
 
 class Neighbourhood(Distance):

@@ -45,7 +45,7 @@ from torchdq.learning.identification.model_selection import (
     UnseenParts,
     select,
 )
-from torchdq.learning.identification.regression import known, parted, shifted
+from torchdq.learning.identification.regression import known, parted
 from torchdq.learning.identification.solution import ITERATIONS, Solution
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
 from torchdq.learning.logs.errors import LogWarning
@@ -204,8 +204,8 @@ def _fitted(problem: _Problem) -> tuple[_Problem, Solution, Tensor]:
     evidence = evidence.with_loads(first.parameters)
     found, at = evidence.fit(*model, correlation, problem.weight, first), evidence.at
     if bool(evidence.kept.any()):  # that a joint keeps the description is no measurement
-        sums = shifted(evidence.measurements, found.near.start_of(at)) / correlation[:, None, None]
-        found = found._replace(facts=known(sums, found.near.S[at], found.facts.noise**2))
+        sums = evidence.measurements / correlation[:, None, None]
+        found = found._replace(facts=known(sums, found.near, found.facts.noise**2, at))
     return problem._replace(evidence=evidence), found, correlation
 
 

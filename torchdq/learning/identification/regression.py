@@ -14,6 +14,7 @@ from torch import Tensor
 from torchdq.functional import regressor
 from torchdq.learning.evaluation.blocks import MotionRows
 from torchdq.learning.identification.base_parameters import inverse_of
+from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.robot import Robot
 
 COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it
@@ -92,8 +93,17 @@ def gram(
     return sums.cpu()
 
 
+def added(sums: Tensor, at: Tensor) -> Tensor:
+    """Sums [..., k + 1, k + 1] of all joints together, in the parameters phi [k], of those of `gram`."""
+    k = int(at.max()) + 1
+    found = sums.new_zeros(*sums.shape[:-3], k + 1, k + 1)
+    for own, places in zip(sums.unbind(-3), torch.nn.functional.pad(at, (0, 1), value=k), strict=True):
+        found[..., places[:, None], places] += own
+    return found
+
+
 def shifted(sums: Tensor, change: Tensor) -> Tensor:
-    """Sums [..., n, p + 1, p + 1] of `gram` about other parameters, which differ by a change [n, p]."""
+    """Sums [..., p + 1, p + 1] about other parameters, which differ by a change [..., p]."""
     found = sums.clone()
     found[..., -1] -= (sums[..., :-1] @ change[..., None])[..., 0]
     found[..., -1, :] -= (change[..., None, :] @ found[..., :-1, :])[..., 0, :]
@@ -148,18 +158,26 @@ def information(
         before, variance = variance, (left / (samples - spent).maximum(FREE * samples)).maximum(least)
         if float((variance / before - 1).abs().max()) < 1e-3:
             break
-    found, none = known(sums, S @ P, variance), e.new_zeros(unknown.shape[1])
-    V = torch.cat([unknown, P @ found.V], 1)
-    return Information(torch.cat([none, found.e]), V, torch.cat([none, found.w]), found.noise)
+    e, V, w = _solved((A / variance[:, None, None]).sum(0), (b / variance[:, None]).sum(0))
+    none = e.new_zeros(unknown.shape[1])
+    return Information(torch.cat([none, e]), torch.cat([unknown, P @ V], 1), torch.cat([none, w]), variance.sqrt())
 
 
-def known(sums: Tensor, S: Tensor, variance: Tensor) -> Information:
-    """Least squares with joints weighted by known noise, in the terms of `information`."""
-    A, b, _ = projected(sums, S)
-    e, V = torch.linalg.eigh((A / variance[:, None, None]).sum(-3))
+def known(sums: Tensor, near: Neighbourhood, variance: Tensor, at: Tensor) -> Information:
+    """Least squares of sums about the description, with joints weighted by known noise."""
+    H = added(sums / variance[:, None, None], at)
+    H = shifted(H, near.described - near.zero)
+    used = near.S.any(1)  # others are not estimated
+    S, used = near.S[used], torch.cat([used, used.new_ones(1)])
+    H = H[..., used, :][..., used]
+    return Information(*_solved(S.T @ H[..., :-1, :-1] @ S, H[..., -1, :-1] @ S), variance.sqrt())
+
+
+def _solved(A: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Eigenvalues e and eigenvectors V of A [..., t, t], and w such that y = V w is a solution of A y = b."""
+    e, V = torch.linalg.eigh(A)
     e = torch.where(e > 1e-15 * e[..., -1:], e, 0.0)
-    w = ((b / variance[:, None]).sum(-2)[..., None, :] @ V)[..., 0, :] * inverse_of(e)
-    return Information(e, V, w, variance.sqrt())
+    return e, V, (b[..., None, :] @ V)[..., 0, :] * inverse_of(e)
 
 
 def projected(sums: Tensor, S: Tensor) -> tuple[Tensor, Tensor, Tensor]:
