@@ -7,6 +7,7 @@ fault that explains most of the squared residual is reported.
 
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -28,13 +29,13 @@ FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
 FACTOR = 3.0  # most factor of a torque, or of times
 PARTS = 20  # parts of the rows, at whose ends a payload may change
 
-Model = Callable[[Tensor], tuple[Tensor, Tensor]]  # torques per unit of y, and at y = 0, of unknowns x
+Torques = Callable[[Tensor, Tensor], Tensor]  # [..., rows, n] of unknowns x, and of changes y [..., t] of the fit
 
 
 class _Fault(NamedTuple):
     """Fault that a few unknowns describe."""
 
-    model: Model
+    torques: Torques
     unknowns: int
     within: Callable[[Tensor], bool]  # whether unknowns are those of this fault
     finding: Callable[[Tensor], Finding]
@@ -53,26 +54,27 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     offsets = torch.eye(len(size)).double().expand(len(fit.rows), -1, -1)
     body = _held(evidence.robot, some)
     besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu()), body], -1)  # rotors and payloads are no fault
-    Z, tau = fit.columns(some.q, some.qd, some.qdd, evidence.own[fit.rows])
+    Z, tau = fit.linear(lambda y: fit.torques(y, some.q, some.qd, some.qdd, evidence.own[fit.rows]))
     plain = fit.solve(Z, measured - tau, besides, rounds=3)
+    settled = fit.solve(Z, measured - tau, besides, rounds=1, left=plain.left)
 
     def left(found: AugmentedSolution) -> float:
         return float((found.left.square().mean(0) / size)[moved].sum())
 
     def step(fault: _Fault, x: Tensor, last: AugmentedSolution) -> AugmentedSolution:
-        Z, tau = fault.model(x)
-        columns = []
-        for unit in STEP * torch.eye(fault.unknowns).double():
-            (A, a), (B, b) = fault.model(x + unit), fault.model(x - unit)
-            columns.append((a + A @ last.y - b - B @ last.y) / (2 * STEP))
-        E = torch.cat([besides, torch.stack(columns, -1)], -1)
-        return fit.solve(Z, measured - tau, E, rounds=1, left=last.left)
+        units = STEP * torch.eye(fault.unknowns).double()
+        changes = [fault.torques(x + unit, last.y) - fault.torques(x - unit, last.y) for unit in units]
+        columns = torch.stack(changes, -1) / (2 * STEP)
+        if last is plain and not fault.start:
+            return settled.with_more(columns)
+        Z, tau = fit.linear(partial(fault.torques, x))
+        return fit.solve(Z, measured - tau, torch.cat([besides, columns], -1), rounds=1, left=last.left)
 
     before = left(plain)
     if before < LEAST * int(moved.sum()):
         return []
     best, findings = LEFT * before, list[Finding]()
-    for fault in (*_faults(fit, some, Z, tau), *_over_time(fit, some, Z, tau, body)):
+    for fault in (*_faults(fit, some), *_over_time(fit, some, body)):
         x = torch.full((fault.unknowns,), fault.start).double()
         found = step(fault, x, plain)
         if not left(found) < TRIED * before:
@@ -91,19 +93,18 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     return findings
 
 
-def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iterator[_Fault]:
+def _faults(fit: AugmentedFit, rows: MotionRows) -> Iterator[_Fault]:
     """Faults that are tried: zero and torque factor of every joint, and the direction of gravity."""
     robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
     q, qd, qdd = rows.q, rows.qd, rows.qdd
-    rigid, load = fit.columns(q, qd, qdd, 0 * own)
     for j, unit in enumerate(torch.eye(robot.n).double()):
         name, joint = robot.joint_names[j], robot.joint_types[j]
 
-        def zero(x: Tensor, unit: Tensor = unit) -> tuple[Tensor, Tensor]:
-            return fit.columns(q - (x * unit).to(q), qd, qdd, own)
+        def zero(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
+            return fit.torques(y, q - (x * unit).to(q), qd, qdd, own)
 
-        def factor(x: Tensor, unit: Tensor = unit) -> tuple[Tensor, Tensor]:
-            return Z + (x * unit)[:, None] * rigid, tau + x * unit * load
+        def factor(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
+            return fit.torques(y, q, qd, qdd, own) + x * unit * fit.torques(y, q, qd, qdd, 0 * own)
 
         def of_zero(x: Tensor, name: str = name, turns: bool = joint.turns) -> Finding:
             claim = "the zero of q must be that of the description"
@@ -124,8 +125,8 @@ def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iter
     if robot.gravity is not None and bool(robot.gravity.any()):
         gravity = robot.gravity.double().cpu()
 
-        def tilt(x: Tensor) -> tuple[Tensor, Tensor]:
-            return fit.columns(q, qd, qdd, own, other=robot.replace(gravity=_tilted(gravity, x).to(robot.mass)))
+        def tilt(x: Tensor, y: Tensor) -> Tensor:
+            return fit.torques(y, q, qd, qdd, own, robot.replace(gravity=_tilted(gravity, x).to(robot.mass)))
 
         def of_tilt(x: Tensor) -> Finding:
             numbers = ", ".join(f"{float(g):.3g}" for g in _tilted(gravity, x))
@@ -142,12 +143,14 @@ def _held(robot: Robot, rows: MotionRows) -> Tensor:
     return regressor(robot, rows.q, rows.qd, rows.qdd)[..., last : last + 4].cpu()
 
 
-def _over_time(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor, body: Tensor) -> Iterator[_Fault]:
+def _over_time(fit: AugmentedFit, rows: MotionRows, body: Tensor) -> Iterator[_Fault]:
     """Faults of times: steps of the wrong length, and a payload, of torques `body` per unit, that changes."""
 
-    def steps(x: Tensor) -> tuple[Tensor, Tensor]:
+    own = fit.evidence.own[fit.rows]
+
+    def steps(x: Tensor, y: Tensor) -> Tensor:
         s = float(1 + x)
-        return fit.columns(rows.q, s * rows.qd, s * s * rows.qdd, fit.evidence.own[fit.rows])
+        return fit.torques(y, rows.q, s * rows.qd, s * s * rows.qdd, own)
 
     def of_steps(x: Tensor) -> Finding:
         found = f"a far better fit with steps {1 / float(1 + x):.3g} times as long"
@@ -158,8 +161,8 @@ def _over_time(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor, body
     for k in range(1, PARTS):
         after = body * (torch.arange(len(body)) >= len(body) * k // PARTS)[:, None, None]
 
-        def held(x: Tensor, after: Tensor = after) -> tuple[Tensor, Tensor]:
-            return Z, tau + after @ x
+        def held(x: Tensor, y: Tensor, after: Tensor = after) -> Tensor:
+            return fit.torques(y, rows.q, rows.qd, rows.qdd, own) + after @ x
 
         def of_held(x: Tensor, share: float = k / PARTS) -> Finding:
             claim, cure = "what the arm holds must stay the same", "use the rows before that, or after it, alone"
