@@ -51,7 +51,7 @@ def gainful(
         """Columns of sums [..., n, p + 1, p + 1] per unit of y, as rows."""
         return torch.cat([sums[..., :inertial] @ near.S[:inertial, :b], sums[..., inertial:] * units], -1).mT
 
-    M = by_coordinates(by_coordinates(torch.cat([evidence.folds, evidence.total[None]]))) / variance[:, None, None]
+    M = by_coordinates(by_coordinates(evidence.folds)) / variance[:, None, None]
     left, sizes = by_coordinates(by_coordinates(evidence.left)), evidence.sizes[..., None]
     own, at = M[:, :, b:-1], torch.tensor(candidates, dtype=torch.long)
     one = torch.eye(len(terms), dtype=M.dtype)

@@ -197,8 +197,7 @@ def _problem(
 
 def _fitted(problem: _Problem) -> tuple[_Problem, Solution, Tensor]:
     """Solution to all rows with the loads that it finds itself, and correlation times [n] of its residuals in rows."""
-    evidence = problem.evidence._replace(blocks=())
-    model = problem.estimated, problem.strength
+    evidence, model = problem.evidence, (problem.estimated, problem.strength)
     first = evidence.fit(*model, torch.ones(evidence.robot.n, dtype=torch.float64), problem.weight)
     correlation = evidence.correlation(first.change(evidence.at))
     evidence = evidence.with_loads(first.parameters)

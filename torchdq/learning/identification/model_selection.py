@@ -157,7 +157,7 @@ def select(
         number = next((k for k, one in enumerate(tried[:2]) if one.score <= (1 + ALONE) * best), number)
     chosen, regions = tried[number], len(evidence.left) - len(blocks)
     what = "motions" if len(recording.lengths) >= 3 else "parts of motions"
-    squares = chosen.scores * evidence.sizes / evidence.counts[:, None]
+    squares = chosen.scores * evidence.sizes / torch.tensor([[len(part)] for part in evidence.parts])
     left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
     tries = torch.stack([one.estimated for one in tried]).any(0).any(1)
     useless = tuple(term.name for term, used in zip(terms, tries.tolist(), strict=True) if not used)
@@ -215,7 +215,8 @@ def _places(robot: Robot, joints: Sequence[str]) -> Tensor:
 
 def _untested(evidence: Evidence) -> Tensor:
     """Joints [n] excited in one block only; they cannot be cross-validated."""
-    speed = torch.stack([evidence.recording.qd[block.rows].square().mean(0) for block in evidence.blocks]).cpu()
+    blocks = evidence.parts[: len(evidence.beside)]
+    speed = torch.stack([evidence.recording.qd[rows].square().mean(0) for rows in blocks]).cpu()
     return (speed > MOVES * speed.amax(0)).sum(0) == 1
 
 
@@ -241,10 +242,10 @@ def _candidate(
     name = ", ".join([name, *_additions(evidence, estimated)])
     evidence.say(name)
     scores, every = list[Tensor](), list[Tensor]()
-    before, start = whole.near, whole.y.expand(len(evidence.folds), -1)
+    before, start = whole.near, whole.y.expand(len(evidence.left), -1)
     for strength in strengths:
         near = evidence.near(estimated, strength)
-        start, found = changes(near, evidence.folds, variance, evidence.at, near.at(before, start))
+        start, found = changes(near, evidence.folds[:-1], variance, evidence.at, near.at(before, start))
         before = near
         every.append(found)
         scores.append(evidence.scores(found))

@@ -38,27 +38,23 @@ def parted(robot: Robot, phi: Tensor) -> tuple[Tensor, Tensor]:
 
 def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor) -> Tensor:
     """Torque per unit of every parameter of each joint [rows, n, p]; `own` [rows, n, terms] is that of its terms."""
-    return torch.cat([regressor(robot, q, qd, qdd), own], -1)
-
-
-def chunks(rows: slice, numbers: int) -> Iterator[slice]:
-    """Slices of rows, each small enough for so many numbers per row."""
-    size = max(1, CHUNK // max(1, numbers))
-    for i in range(rows.start, rows.stop, size):
-        yield slice(i, min(i + size, rows.stop))
+    Y = regressor(robot, q, qd, qdd)
+    return torch.cat([Y, own], -1) if own.shape[-1] else Y
 
 
 def by_chunks(robot: Robot, recording: MotionRows, own: Tensor, numbers: int) -> Iterator[tuple[slice, Tensor]]:
     """Slices of the rows, each small enough for so many numbers per row, with their `columns`."""
-    for part in chunks(slice(0, len(own)), numbers):
+    size = max(1, CHUNK // max(1, numbers))
+    for i in range(0, len(own), size):
+        part = slice(i, min(i + size, len(own)))
         yield part, columns(robot, recording.q[part], recording.qd[part], recording.qdd[part], own[part])
 
 
 def rigid(robot: Robot, recording: MotionRows, pi: Tensor, rotors: Tensor | None) -> Tensor:
     """Torques [rows, n] of bodies with inertial parameters pi [10 links], and of rotors [n]."""
     tau, pi = torch.empty_like(recording.q), pi.to(recording.q)
-    for part in chunks(slice(0, len(tau)), robot.n * len(pi)):
-        tau[part] = regressor(robot, recording.q[part], recording.qd[part], recording.qdd[part]) @ pi
+    for part, Y in by_chunks(robot, recording, tau[..., None][..., :0], robot.n * len(pi)):
+        tau[part] = Y @ pi
     return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
 
 
@@ -66,29 +62,21 @@ def gram(
     robot: Robot,
     recording: MotionRows,
     own: Tensor,
-    described: Tensor,
-    parts: Sequence[slice],
+    parts: Sequence[Tensor],
+    some: Sequence[int],
     say: Callable[[str], None],
 ) -> Tensor:
-    """Sums [parts, n, p + 1, p + 1] of [Z d]^T [Z d] over parts of the rows; `say` is called with the number read.
+    """Sums [parts, n, p, c] of Z^T Z over parts of the rows, and of all columns by some [c]; see `columns`.
 
-    d is the residual of the described bodies [n, p], and rotors.
+    `say` is called with the number of rows that were read.
     """
-    n, p = described.shape
-    sums = recording.q.new_zeros(len(parts), n, p + 1, p + 1)
-    pi, read = described[0, : p - own.shape[-1]].to(recording.q), 0
-    whole = sum(part.stop - part.start for part in parts)
-    for i, rows in enumerate(parts):
-        for part in chunks(rows, n * p):
-            Y = regressor(robot, recording.q[part], recording.qd[part], recording.qdd[part])
-            Z = sums.new_empty(n, len(Y), p + 1)
-            Z[..., : len(pi)], Z[..., len(pi) : -1] = Y.transpose(0, 1), own[part].transpose(0, 1)
-            residual = recording.measured[part] - Y @ pi
-            if robot.armature is not None:
-                residual -= robot.armature.to(Z) * recording.qdd[part]
-            Z[..., -1] = residual.T
-            sums[i] += Z.mT @ Z
-            read += len(Y)
+    p, read, whole = 10 * len(robot.link_names) + own.shape[-1], 0, sum(map(len, parts))
+    sums = recording.q.new_zeros(len(parts), robot.n, p, len(some))
+    for found, rows in zip(sums, parts, strict=True):
+        for part, Z in by_chunks(robot, recording.some(rows), own[rows], robot.n * p):
+            Z = Z.transpose(0, 1)
+            found += Z.mT @ (Z if len(some) == p else Z[..., some])
+            read += part.stop - part.start
             say(f"{read} of {whole} samples")
     return sums.cpu()
 
@@ -96,10 +84,10 @@ def gram(
 def added(sums: Tensor, at: Tensor) -> Tensor:
     """Sums [..., k + 1, k + 1] of all joints together, in the parameters phi [k], of those of `gram`."""
     k = int(at.max()) + 1
-    found = sums.new_zeros(*sums.shape[:-3], k + 1, k + 1)
-    for own, places in zip(sums.unbind(-3), torch.nn.functional.pad(at, (0, 1), value=k), strict=True):
-        found[..., places[:, None], places] += own
-    return found
+    at = torch.nn.functional.pad(at, (0, 1), value=k)
+    found = sums.new_zeros(*sums.shape[:-3], (k + 1) ** 2)
+    places = at[:, :, None] * (k + 1) + at[:, None]
+    return found.index_add_(-1, places.flatten(), sums.flatten(-3)).unflatten(-1, (k + 1, k + 1))
 
 
 def shifted(sums: Tensor, change: Tensor) -> Tensor:
