@@ -31,7 +31,7 @@ import torch
 import tyro
 from devices import OnDevice, fit_on
 from pictures import BLUE, ORANGE, label, panels, prepare, save
-from recordings import LAYOUTS
+from recordings import LAYOUTS, predicted, residual_samples
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor, nn
@@ -50,6 +50,7 @@ from torchdq.learning import (
     stack_samples,
     train_test_split,
 )
+from torchdq.learning.identification.identified import Prediction
 
 BATCH, RATE, DECAY = 256, 1e-2, 1e-2  # rows of a step, learning rate and weight decay of every training
 
@@ -121,10 +122,10 @@ def of_motions(model: Identified) -> Torques:
     return lambda motion: model.predict(motion).tau
 
 
-def covered(model: Identified, test: Motion) -> np.ndarray:
+def covered(told: Prediction, test: Motion) -> np.ndarray:
     """Share of the torques in their 95 % intervals, per joint."""
-    predicted, tau = model.predict(test), stack_samples(test).tau
-    return ((tau >= predicted.low) & (tau <= predicted.high)).double().mean(0).numpy()
+    tau = stack_samples(test).tau
+    return ((tau >= told.low) & (tau <= told.high)).double().mean(0).numpy()
 
 
 def parts_of(args: Args) -> tuple[list[Motion], dict[str, Motion]]:
@@ -200,12 +201,12 @@ def main(args: Args) -> Result:
     for seed in range(seeds):
         torch.manual_seed(seed)
         network = torchdq.ResidualDynamics(found.layer())
-        parts = [found.residual_samples(motion) for motion in motions]
+        parts = [residual_samples(found, network, motion) for motion in motions]
         how = {"steps": steps, "batch": BATCH, "rate": RATE, "decay": DECAY, "seed": seed}
         history = fit_on(args.place, network, parts, **how)
-        model = found.with_residual(network)
-        add("chosen + residual", of_motions(model))
-        inside.append([covered(model, test) for test in tests])
+        both = {id(test): predicted(found, network, test) for test in tests}
+        add("chosen + residual", lambda motion: both[id(motion)].tau)
+        inside.append([covered(both[id(test)], test) for test in tests])
         add("black box", of_states(black_box(args, box, data, steps, seed)))
     console.print(str(history.residual), highlight=False)
 

@@ -17,7 +17,6 @@ from torchdq.base.checks import require_count, require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.effects import Effect
-from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning.identification.identified import Identified, coefficients_of, effects_of, friction_of
 from torchdq.learning.identification.regression import parted
 from torchdq.learning.identification.solution import nearest, of_numbers
@@ -39,7 +38,6 @@ class PosteriorSamples(NamedTuple):
     names: tuple[str, ...]  # [k]
     parameters: Tensor  # [samples, k], as in `Identified`
     sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
-    network: ResidualDynamics | None = None  # that of the identified robot
 
     def __repr__(self) -> str:
         return summary(f"PosteriorSamples {self.robot.name}", {"mass": (self.robot.mass, "kg")})
@@ -49,12 +47,12 @@ class PosteriorSamples(NamedTuple):
         return coefficients_of(self.robot, self.terms, self.parameters, kind)
 
     def effects(self) -> tuple[Effect, ...]:
-        """Gravity, rotor inertia, all friction found, a row per robot, and the residual network, as effects of a scene.
+        """Gravity, rotor inertia and all friction found, a row per robot, as effects of a scene.
 
-        Without a network, constant torques are not among them: add `coefficients("offset")` to the scene's torques.
+        Constant torques are not among them: add `coefficients("offset")` to the scene's torques.
         """
         numbers = parted(self.robot, self.parameters)[1].unbind(1)
-        return effects_of(self.robot, friction_of(self.terms, numbers, self.sign_width), self.network)
+        return effects_of(self.robot, friction_of(self.terms, numbers, self.sign_width))
 
 
 @one_thread()
@@ -106,7 +104,7 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
     if (rotors := coefficients_of(robot, terms, parameters, ROTOR.name)) is not None:
         changes["armature"] = rotors
     drawn = robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()})
-    return PosteriorSamples(drawn, terms, identified.names, parameters, identified.sign_width, identified.network)
+    return PosteriorSamples(drawn, terms, identified.names, parameters, identified.sign_width)
 
 
 class _Space:

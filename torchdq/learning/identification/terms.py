@@ -64,14 +64,6 @@ class Term(NamedTuple):
         torque = columns(rows.robot, effect, q, qd, rows.load if self.loaded else None, backend="eager")[self.parameter]
         return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
 
-    def at_one(self, robot: Robot, width: float) -> Tensor:
-        """Torque per unit of friction that does not depend on the load [n], long after the joints moved at 1 rad/s."""
-        qd = torch.ones(robot.n, dtype=torch.float64)
-        effect = self.effect(width)
-        if self.bristles or effect is None:
-            return qd
-        return columns(robot, effect, 0 * qd, qd, None, backend="eager")[self.parameter]
-
     @property
     def fraction(self) -> bool:
         """Whether the number is below one."""
