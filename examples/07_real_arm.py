@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -204,9 +205,9 @@ def main(args: Args) -> Result:
         parts = [residual_samples(found, network, motion) for motion in motions]
         how = {"steps": steps, "batch": BATCH, "rate": RATE, "decay": DECAY, "seed": seed}
         history = fit_on(args.place, network, parts, **how)
-        both = {id(test): predicted(found, network, test) for test in tests}
-        add("chosen + residual", lambda motion: both[id(motion)].tau)
-        inside.append([covered(both[id(test)], test) for test in tests])
+        both = partial(predicted, found, network)
+        add("chosen + residual", lambda motion, both=both: both(motion).tau)
+        inside.append([covered(both(test), test) for test in tests])
         add("black box", of_states(black_box(args, box, data, steps, seed)))
     console.print(str(history.residual), highlight=False)
 

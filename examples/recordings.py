@@ -85,7 +85,7 @@ def residual_samples(found: Identified, network: ResidualDynamics, motion: Motio
 
 @torch.no_grad()
 def predicted(found: Identified, network: ResidualDynamics, motion: Motion) -> Prediction:
-    """Torques of an identified robot and a network, with errors and intervals that are narrower where it was trained."""
+    """Torques of an identified robot and a network, with errors that are smaller where it was trained."""
     alone, (q, qd, *_) = found.predict(motion), stack_samples(motion)
     more, narrower = network.residual(q, qd), network.narrowing(q, qd)
     low, high = ((x - alone.tau) * narrower for x in (alone.low, alone.high))

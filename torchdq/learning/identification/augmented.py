@@ -82,7 +82,9 @@ class AugmentedFit(NamedTuple):
         """Mean squares of the residuals [n]."""
         return self.residual.square().mean(0).clamp_min(torch.finfo(self.residual.dtype).tiny)
 
-    def torques(self, y: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor, other: Robot | None = None) -> Tensor:
+    def torques(
+        self, y: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor, *, other: Robot | None = None
+    ) -> Tensor:
         """Torques [..., rows, n] of the fit with changes y [..., t], in some states; or of another robot."""
         robot = other or self.evidence.robot
         phi = (self.parameters + y @ self.near.S.T)[..., self.evidence.at].to(q)

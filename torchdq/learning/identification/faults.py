@@ -126,7 +126,7 @@ def _faults(fit: AugmentedFit, rows: MotionRows) -> Iterator[_Fault]:
         gravity = robot.gravity.double().cpu()
 
         def tilt(x: Tensor, y: Tensor) -> Tensor:
-            return fit.torques(y, q, qd, qdd, own, robot.replace(gravity=_tilted(gravity, x).to(robot.mass)))
+            return fit.torques(y, q, qd, qdd, own, other=robot.replace(gravity=_tilted(gravity, x).to(robot.mass)))
 
         def of_tilt(x: Tensor) -> Finding:
             numbers = ", ".join(f"{float(g):.3g}" for g in _tilted(gravity, x))
