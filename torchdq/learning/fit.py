@@ -1,10 +1,4 @@
-"""Fitting a model of joint torques to samples by gradients.
-
-    history = fit(model, train, valid, steps=2000)
-
-A plain loop in one process. A model of torchdq is a `torch.nn.Module`, which any trainer takes where checkpoints,
-several processes or curves are wanted.
-"""
+"""Fitting a model of joint torques to samples by gradients: a plain loop, beside which any trainer of torch will do."""
 
 import copy
 import math

@@ -45,7 +45,7 @@ class HalfSpace:
     least: float
 
     def __post_init__(self) -> None:
-        if len(self.normal) != 3 or not all(map(is_number, self.normal)):
+        if len(self.normal) != 3 or not all(is_number(x) and math.isfinite(x) for x in self.normal):
             raise ArgumentError(f"normal must be three numbers, found {self.normal!r}")
         require_number("least", self.least)
         if not any(self.normal):

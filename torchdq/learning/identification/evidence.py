@@ -21,13 +21,6 @@ STILL = 0.3  # least variance of a joint's torque in a motion, relative to that 
 NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, in standard deviations
 
 
-class Unseen(NamedTuple):
-    """Rows that were left out together, and what a model that was found without them leaves there."""
-
-    rows: Tensor  # [rows]
-    residual: Tensor  # [rows, n] [N m or N]
-
-
 class Evidence(NamedTuple):
     """Sums of `regression.gram` about the described bodies and coefficients of zero."""
 
@@ -137,22 +130,17 @@ class Evidence(NamedTuple):
         pi, coefficients = phi[0, : -len(self.terms) or None], phi[:, phi.shape[1] - len(self.terms) :].to(own)
         return some.measured - rigid(self.robot, some, pi, self.robot.armature) - (own * coefficients).sum(-1)
 
-    def left_out(self, changes: Tensor) -> tuple[list[Unseen], list[Unseen]]:
-        """Residuals of blocks, and of regions, by parameters [n, p] that were found without each."""
-        found = [Unseen(rows, self.residual(change, rows)) for change, rows in zip(changes, self.parts, strict=True)]
-        return found[: len(self.beside)], found[len(self.beside) :]
-
-    def half_widths(self, left_out: Sequence[Sequence[Unseen]], spread: Tensor, noise: Tensor) -> Tensor:
+    def half_widths(self, left_out: Sequence[Tensor], spread: Tensor, noise: Tensor) -> Tensor:
         """Half-widths [n] of intervals that hold 95 % of measured torques, in units of the errors that are predicted.
 
-        Of those that blocks and regions that were left out ask for, the larger ones are taken; where there are neither,
-        errors are assumed to be normal. Errors are those of parameters with the covariance `spread` [k, t] times its
-        transpose, and of noise with these standard deviations [n]. Joints at rest, which friction holds, do not count.
+        Of those that the residuals of blocks and regions that were `left_out` ask for, the larger ones are taken; where
+        there are neither, errors are assumed to be normal. Errors are those of parameters with the covariance `spread`
+        [k, t] times its transpose, and of noise [n]. Joints at rest, which friction holds, do not count.
         """
-        F, found = spread[self.at], list[Tensor]()
-        for kind in filter(None, left_out):
-            ratios, few = [], -(-sum(len(part.rows) for part in kind) // 4096)
-            for rows, residual in ((part.rows[::few], part.residual[::few]) for part in kind):
+        F, found, parts = spread[self.at], list[Tensor](), [*zip(self.parts, left_out, strict=True)]
+        for kind in filter(None, (parts[: len(self.beside)], parts[len(self.beside) :])):
+            ratios, few = [], -(-sum(len(rows) for rows, _ in kind) // 4096)
+            for rows, residual in ((rows[::few], residual[::few]) for rows, residual in kind):
                 some, error = self.recording.some(rows), torch.empty_like(residual)
                 for chunk, Z in by_chunks(self.robot, some, self.own[rows], F.numel()):
                     error[chunk] = torch.einsum("rjp,jpt->rjt", Z, F.to(Z)).norm(dim=-1)
@@ -166,18 +154,16 @@ class Evidence(NamedTuple):
         return correlation_times(self.residual(change), self.recording.lengths)
 
     def only(self, used: Tensor) -> Evidence:
-        """Evidence of all rows together, without terms that are not used [terms]."""
+        """Evidence without terms that are not used [terms]."""
         p = self.at.shape[1]
         keep = torch.ones(p + 1, dtype=torch.bool)
         keep[p - len(used) : p] = used
         terms = tuple(term for term, u in zip(self.terms, used.tolist(), strict=True) if u)
         return self._replace(
             terms=terms,
-            parts=(),
-            beside=(),
             own=self.own[..., used.to(self.own.device)],
-            left=self.left[:0, :, keep][..., keep],
-            folds=self.folds[-1:, :, keep][..., keep],
+            left=self.left[..., keep, :][..., keep],
+            folds=self.folds[..., keep, :][..., keep],
             unit=self.unit[used],
             identifiable=self.identifiable[used],
             at=places(len(self.robot.link_names), len(terms), self.robot.n),

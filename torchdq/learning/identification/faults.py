@@ -37,8 +37,9 @@ class _Fault(NamedTuple):
 
     torques: Torques
     unknowns: int
-    within: Callable[[Tensor], bool]  # whether unknowns are those of this fault
     finding: Callable[[Tensor], Finding]
+    least: float  # value of the finding from which, and up to which, it is this fault
+    most: float
     step: float = FARTHEST / 2  # most change of an unknown at a time
     start: float = 0.0  # of the unknowns
 
@@ -88,17 +89,22 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
             if float(change.abs().max()) < 1e-3:
                 break
         sure = bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
-        if left(found) < best and sure and fault.within(x):
-            best, findings = left(found), [fault.finding(x)]
+        one = fault.finding(x)
+        if left(found) < best and sure and fault.least < (one.value or 0.0) < fault.most:
+            best, findings = left(found), [one]
     return findings
+
+
+def _sized(finding: Finding, size: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Finding]:
+    """Finding with the size of unknowns in its text, and as its value."""
+    return lambda x: finding._replace(found=finding.found.format(float(size(x))), value=float(size(x)))
 
 
 def _faults(fit: AugmentedFit, rows: MotionRows) -> Iterator[_Fault]:
     """Faults that are tried: zero and torque factor of every joint, and the direction of gravity."""
     robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
     q, qd, qdd = rows.q, rows.qd, rows.qdd
-    for j, unit in enumerate(torch.eye(robot.n).double()):
-        name, joint = robot.joint_names[j], robot.joint_types[j]
+    for name, joint, unit in zip(robot.joint_names, robot.joint_types, torch.eye(robot.n).double(), strict=True):
 
         def zero(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
             return fit.torques(y, q - (x * unit).to(q), qd, qdd, own)
@@ -106,22 +112,16 @@ def _faults(fit: AugmentedFit, rows: MotionRows) -> Iterator[_Fault]:
         def factor(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
             return fit.torques(y, q, qd, qdd, own) + x * unit * fit.torques(y, q, qd, qdd, 0 * own)
 
-        def of_zero(x: Tensor, name: str = name, turns: bool = joint.turns) -> Finding:
-            claim = "the zero of q must be that of the description"
-            found = f"a far better fit with {float(x):.3g} {'rad' if turns else 'm'} taken from it"
-            cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
-            return Finding("joint.zero", name, claim, found, cure, option, value=float(x))
-
-        def of_factor(x: Tensor, name: str = name) -> Finding:
-            claim = "the torques of all joints must be in one unit"
-            found = f"a far better fit if those of this one are {1 + float(x):.3g} times what they are to be"
-            cure = "check its torque constant and gear ratio; Model(gains=True) estimates them"
-            option = "check its torque constant and gear ratio; --estimate-gains estimates them"
-            return Finding("torque.factor", name, claim, found, cure, option, value=1 + float(x))
-
-        yield _Fault(zero, 1, lambda x: float(x.abs()) < FARTHEST, of_zero)
+        found = f"a far better fit with {{:.3g}} {'rad' if joint.turns else 'm'} taken from it"
+        cures = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
+        fault = Finding("joint.zero", name, "the zero of q must be that of the description", found, *cures)
+        yield _Fault(zero, 1, _sized(fault, lambda x: x), -FARTHEST, FARTHEST)
         if robot.n > 1:
-            yield _Fault(factor, 1, lambda x: 1 / FACTOR < 1 + float(x) < FACTOR, of_factor)
+            found = "a far better fit if those of this one are {:.3g} times what they are to be"
+            ways = ("Model(gains=True) estimates them", "--estimate-gains estimates them")
+            cures = (f"check its torque constant and gear ratio; {way}" for way in ways)
+            fault = Finding("torque.factor", name, "the torques of all joints must be in one unit", found, *cures)
+            yield _Fault(factor, 1, _sized(fault, lambda x: 1 + x), 1 / FACTOR, FACTOR)
     if robot.gravity is not None and bool(robot.gravity.any()):
         gravity = robot.gravity.double().cpu()
 
@@ -134,7 +134,7 @@ def _faults(fit: AugmentedFit, rows: MotionRows) -> Iterator[_Fault]:
             found = f"a far better fit with the base tilted by {math.degrees(angle):.2g} degrees"
             return Finding("base.tilt", "", claim, found, f"robot.replace(gravity=[{numbers}]) has it", value=angle)
 
-        yield _Fault(tilt, 2, lambda x: float(x.norm()) < FARTHEST, of_tilt)
+        yield _Fault(tilt, 2, of_tilt, -FARTHEST, FARTHEST)
 
 
 def _held(robot: Robot, rows: MotionRows) -> Tensor:
@@ -152,24 +152,20 @@ def _over_time(fit: AugmentedFit, rows: MotionRows, body: Tensor) -> Iterator[_F
         s = float(1 + x)
         return fit.torques(y, rows.q, s * rows.qd, s * s * rows.qdd, own)
 
-    def of_steps(x: Tensor) -> Finding:
-        found = f"a far better fit with steps {1 / float(1 + x):.3g} times as long"
-        return Finding("time.scale", "", "times must be in seconds", found, *CLOCK, value=1 / float(1 + x))
-
+    found = "a far better fit with steps {:.3g} times as long"
+    finding = _sized(Finding("time.scale", "", "times must be in seconds", found, *CLOCK), lambda x: 1 / (1 + x))
     for start in (0.0, 1.0, -0.5):
-        yield _Fault(steps, 1, lambda x: 1 / FACTOR < float(1 + x) < FACTOR, of_steps, start=start)
+        yield _Fault(steps, 1, finding, 1 / FACTOR, FACTOR, start=start)
     for k in range(1, PARTS):
         after = body * (torch.arange(len(body)) >= len(body) * k // PARTS)[:, None, None]
 
         def held(x: Tensor, y: Tensor, after: Tensor = after) -> Tensor:
             return fit.torques(y, rows.q, rows.qd, rows.qdd, own) + after @ x
 
-        def of_held(x: Tensor, share: float = k / PARTS) -> Finding:
-            claim, cure = "what the arm holds must stay the same", "use the rows before that, or after it, alone"
-            found = f"a far better fit with {float(x[0]):.3g} kg more at its end after {share:.0%} of the rows"
-            return Finding("payload.changed", "", claim, found, cure, value=float(x[0]))
-
-        yield _Fault(held, 4, lambda x: True, of_held, math.inf)
+        claim, cure = "what the arm holds must stay the same", "use the rows before that, or after it, alone"
+        found = f"a far better fit with {{:.3g}} kg more at its end after {k / PARTS:.0%} of the rows"
+        fault = Finding("payload.changed", "", claim, found, cure)
+        yield _Fault(held, 4, _sized(fault, lambda x: x[0]), -math.inf, math.inf, step=math.inf)
 
 
 def _tilted(gravity: Tensor, x: Tensor) -> Tensor:

@@ -94,11 +94,9 @@ def gainful(
 
 
 def simple_friction(evidence: Evidence, parameters: Tensor) -> Tensor:
-    """Viscous and Coulomb friction [2, n] nearest to the torque of all friction among parameters [k], for files.
+    """Viscous and Coulomb friction [2, n] nearest to the torque of all friction among parameters [k], neither negative.
 
-    URDF and MJCF files have no other friction. Together with friction of other shapes, the viscous and Coulomb
-    coefficients found are too small by themselves, often zero. These are least squares over the samples, with neither
-    negative; joints without other friction keep theirs.
+    Files have no other friction. Joints without friction of other shapes keep what was found.
     """
     robot, terms = evidence.robot, evidence.terms
     own = parted(robot, parameters)[1]

@@ -130,11 +130,7 @@ class Identified(NamedTuple):
         return self.spread.norm(dim=1)
 
     def by_these_gains(self) -> Identified:
-        """Identified robot with errors as if the gains of the drives were exact.
-
-        These errors suit comparisons with torques that are efforts times the same gains: such torques are wrong by the
-        same factors.
-        """
+        """Identified robot with errors as if gains were exact, for torques that are efforts times the same gains."""
         return self if self.gains is None else self._replace(spread=self.spread[:, : -self.robot.n])
 
     @property

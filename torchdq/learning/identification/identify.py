@@ -4,12 +4,9 @@ Joint torques are linear in all parameters,
 
     tau = Y(q, qd, qdd) pi + rotor qdd + viscous qd + coulomb qd / sqrt(qd^2 + width^2) + ... + offset = Z phi.
 
-The answer minimises
-
-    sum over samples and joints of (residual / noise of the joint)^2  +  prior * distance to the description
-
-over robots that can exist (`feasible`); the samples enter by one small matrix per joint and block (`evidence`). Which
-terms there are, and how strong the prior is, is decided on blocks that were left out (`model_selection`).
+The answer minimises the sum of (residual / noise of the joint)^2 and prior * distance to the description, over robots
+that can exist (`feasible`); the samples enter by one small matrix per joint and block (`evidence`). Which terms there
+are, and how strong the prior is, is decided on blocks that were left out (`model_selection`).
 """
 
 import math
@@ -42,7 +39,6 @@ from torchdq.learning.identification.model_selection import (
     STRENGTHS,
     CandidateModel,
     ModelSelection,
-    UnseenParts,
     select,
 )
 from torchdq.learning.identification.regression import known, parted
@@ -70,7 +66,7 @@ class _Problem(NamedTuple):
     strength: float  # prior of the bodies
     weight: float  # scale of the whole prior
     selection: ModelSelection | None = None
-    unseen: UnseenParts = ([], [])
+    unseen: Sequence[Tensor] = ()  # residuals of the parts that were left out
 
     @property
     def validated(self) -> ModelSelection | None:
@@ -297,12 +293,9 @@ def _notes(problem: _Problem, found: Identified) -> list[Finding]:
 
 
 def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) -> list[Finding]:
-    """Findings about a model that could not be chosen, and torques that it does not explain or explains by wrong terms.
-
-    `explained`: whether the description explains the measurements; if not, no model does. What was tried on blocks that
-    were left out is not asked for.
-    """
+    """Findings about a model that could not be chosen, and torques that it does not explain, or by wrong terms."""
     evidence, misfits = problem.evidence, list[Finding]()
+    # what was tried on blocks that were left out is not asked for
     robot, rows, sign_width, tried = evidence.robot, evidence.recording, evidence.sign_width, problem.validated
     if problem.selection and not tried:
         misfits.append(
@@ -311,7 +304,7 @@ def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) 
     if not found.settled:
         claim = f"the least squares must settle within {ITERATIONS} iterations"
         misfits.append(Finding("fit.unsettled", "", claim, "", "give a stronger prior"))
-    if not explained:
+    if not explained:  # by the description: then no model explains them
         return misfits
     residual = evidence.residual(found.change(evidence.at))
     signals = [rows.q, rows.qd, rows.qdd, rows.measured, residual]

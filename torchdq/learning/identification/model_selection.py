@@ -1,12 +1,10 @@
 """Selection of a model, from the description to the identified robot, on blocks of motions that were left out.
 
-The candidates are the description; the description with friction, rotor inertia and offsets; and all inertial
-parameters with a prior at the description, whose strength is chosen, too; the last two also with friction of other
-shapes and offsets of the joints that gain from them (`friction_selection`). Identified models come with and without
-the constraint that joints which do not gain keep their described torques. The simplest candidate within one standard
-error and `NEAR` of the best is chosen, the error being that of the paired differences over the blocks: what little data
-cannot decide stays as described. Averages of the candidates, by the weights that do best on the blocks, predict
-recordings of real arms no better.
+Candidates are the description; that with friction, rotors and offsets; and all inertial parameters with a prior, with
+and without the constraint that joints which do not gain keep their described torques. The last two also have friction
+of other shapes, at joints that gain from it (`friction_selection`). The simplest one within one standard error and
+`NEAR` of the best is chosen, the error being that of the paired differences over the blocks. Averages of candidates, by
+the weights that do best on the blocks, predict recordings of real arms no better.
 """
 
 import math
@@ -18,7 +16,7 @@ from torch import Tensor
 
 from torchdq.base.tables import table
 from torchdq.learning.evaluation.blocks import REGIONS, Block, MotionRows
-from torchdq.learning.identification.evidence import Evidence, Unseen, gather
+from torchdq.learning.identification.evidence import Evidence, gather
 from torchdq.learning.identification.friction_selection import Gain, gainful
 from torchdq.learning.identification.solution import Solution, changes
 from torchdq.learning.identification.terms import OFFSET, ROTOR, SHAPES, Term
@@ -29,8 +27,6 @@ SURE = 2.0  # standard errors by which a joint gains from a rotor or an offset, 
 ALONE = 0.12  # the same of the best and the plainest models, where parts of a single motion are all the validation
 NEAR = 0.1  # part of the best score by which that of a simpler model may be worse, and by one standard error
 MOVES = 0.01  # least mean square of a joint's velocity in a block, relative to the largest, where it moves
-
-UnseenParts = tuple[list[Unseen], list[Unseen]]  # blocks, and regions of the states
 
 
 class CandidateModel(NamedTuple):
@@ -70,7 +66,7 @@ class ModelSelection(NamedTuple):
 
     @property
     def chosen(self) -> CandidateModel:
-        """CandidateModel that was chosen."""
+        """Candidate that was chosen."""
         return self.candidates[self.choice]
 
     @property
@@ -129,10 +125,10 @@ def select(
     strengths: Sequence[float],  # priors of the bodies to choose from, the strongest first
     blocks: Sequence[Block],
     say: Callable[[str], None],
-) -> tuple[ModelSelection, Evidence, UnseenParts]:
-    """Selection of a model of a recording, the evidence with the terms of the chosen one, and its residuals.
+) -> tuple[ModelSelection, Evidence, list[Tensor]]:
+    """Selection of a model of a recording, the evidence with the terms of the chosen one, and what it leaves of parts.
 
-    The residuals are those of blocks, and of regions, by parameters that were found without each.
+    These residuals are those of blocks and regions, by parameters that were found without each.
     """
     terms, n = (*fixed, *candidates), robot.n
     evidence = identified = gather(robot, recording, terms, sign_width, blocks, say)
@@ -164,15 +160,12 @@ def select(
     validation = f"{len(blocks)} {what} and {regions} regions of the states that were left out in turn"
     selection = ModelSelection(tuple(tried), number, validation, left, useless)
     own = evidence if math.isinf(chosen.strength) else identified.keeping(_places(robot, chosen.kept))
-    return selection, own.only(chosen.estimated.any(1)), own.left_out(chosen.found)
+    unseen = [own.residual(change, rows) for change, rows in zip(chosen.found, own.parts, strict=True)]
+    return selection, own.only(chosen.estimated.any(1)), unseen
 
 
 def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tuple[list[CandidateModel], Evidence]:
-    """Candidates of one kind of bodies, the simplest first, and the evidence with their loads.
-
-    They have coefficients `base` [terms, n]; rotors and offsets of the joints that gain from them; friction of other
-    shapes; and friction with memory, which is for the arm to choose.
-    """
+    """Candidates of one kind of bodies with coefficients `base` [terms, n], and the evidence with their loads."""
     terms, strength, free = evidence.terms, strengths[-1], strengths[-1] < math.inf
     name = "identified" if free else "+ friction"
     optional = [k for k in range(len(terms)) if not bool(base[k].all())]

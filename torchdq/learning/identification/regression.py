@@ -120,11 +120,10 @@ def information(
     floor: Tensor,  # [n] least noise
     samples: Tensor,  # [n] number of independent samples
 ) -> Information:
-    """Least squares with every joint weighted by its noise.
+    """Least squares with joints weighted by their noise, which follow from each other (restricted maximum likelihood).
 
-    Weights and solution follow from each other (restricted maximum likelihood): an estimate of the noise divides by
-    the samples less the parameters they were spent on. A joint's share of those is its part of the trace of the
-    matrix that takes measured torques to fitted ones.
+    The noise divides by the samples less the parameters they were spent on. A joint's share of those is its part of the
+    trace of the matrix that takes measured torques to fitted ones.
     """
     A, b, c = projected(sums, S)
     squares = squares.clamp_min(1e-6 * float(squares.max()))

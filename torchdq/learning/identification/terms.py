@@ -72,20 +72,16 @@ class Term(NamedTuple):
     def size(self, unit: Tensor, torque: Tensor, identifiable: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
 
-        It is the root mean square `unit` over the rows, so that terms that the rows cannot separate share it evenly.
-        But a fraction is expected to be at most one. Where the rows do not identify the term at all, a number that is a
-        torque is expected to be at most the measured torque of its joint, others as if the joint moved at 1 rad/s or
-        1 rad/s^2.
+        It is the root mean square `unit` over the rows, so that terms that they cannot separate share it evenly. But a
+        fraction is at most one, and what no row identifies is as if the joint moved at 1 rad/s or 1 rad/s^2.
         """
         return unit.maximum(torque) if self.fraction else torch.where(identifiable, unit, unit.clamp_min(1.0))
 
     def identifiable(self, rows: TermRows) -> Tensor:
-        """Joints [n] whose rows identify the term: they move, and for a wave through enough of a period.
+        """Joints [n] whose rows identify the term: they move, and for a wave through about a quarter of a period.
 
-        In a small part of a period a wave looks like a constant torque and a slope, as gravity does. In least squares
-        of sine and cosine with a constant, the errors go as one over the least standard deviation of
-        a sin(x) + b cos(x), with a^2 + b^2 = 1. That is 1 / sqrt(2) in whole periods, and must be `WAVE` / sqrt(2) at
-        least, as in about a quarter of a period.
+        In less, a wave looks like a constant torque and a slope, as gravity does: errors go as one over the least
+        standard deviation of a sin(x) + b cos(x), with a^2 + b^2 = 1, which is 1 / sqrt(2) in whole periods.
         """
         q, qd, effect = rows.recording.q, rows.recording.qd, self.effect(rows.width)
         if not self.signed:  # rotors and friction, which resist

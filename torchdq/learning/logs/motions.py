@@ -1,10 +1,4 @@
-"""Motions of robot arms from their logs: on an even time base, filtered, differentiated, split into training and test.
-
-log = read_log("arm.csv")                     # checked, torques in N m, on its own uneven time stamps
-motion = smooth(log)                          # even steps, zero-phase filtered, with accelerations
-train, test = train_test_split(motion, 0.6)   # a part of one motion, or whole ones of several
-data = stack_samples(train)                   # tensors, for `torchdq.learning.fit`
-"""
+"""Motions of robot arms from their logs: in even steps, filtered, differentiated, split into training and test."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
