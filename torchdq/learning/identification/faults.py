@@ -113,14 +113,15 @@ def _faults(fit: AugmentedFit, rows: MotionRows) -> Iterator[_Fault]:
             return fit.torques(y, q, qd, qdd, own) + x * unit * fit.torques(y, q, qd, qdd, 0 * own)
 
         found = f"a far better fit with {{:.3g}} {'rad' if joint.turns else 'm'} taken from it"
-        cures = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
-        fault = Finding("joint.zero", name, "the zero of q must be that of the description", found, *cures)
+        cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
+        fault = Finding("joint.zero", name, "the zero of q must be that of the description", found, cure, option)
         yield _Fault(zero, 1, _sized(fault, lambda x: x), -FARTHEST, FARTHEST)
         if robot.n > 1:
             found = "a far better fit if those of this one are {:.3g} times what they are to be"
             ways = ("Model(gains=True) estimates them", "--estimate-gains estimates them")
-            cures = (f"check its torque constant and gear ratio; {way}" for way in ways)
-            fault = Finding("torque.factor", name, "the torques of all joints must be in one unit", found, *cures)
+            cure, option = (f"check its torque constant and gear ratio; {way}" for way in ways)
+            claim = "the torques of all joints must be in one unit"
+            fault = Finding("torque.factor", name, claim, found, cure, option)
             yield _Fault(factor, 1, _sized(fault, lambda x: 1 + x), 1 / FACTOR, FACTOR)
     if robot.gravity is not None and bool(robot.gravity.any()):
         gravity = robot.gravity.double().cpu()

@@ -162,7 +162,7 @@ def _search(problem: Problem, finer: Sequence[int], iterations: int, notice: Pro
             done = f"iteration {count + 1} of at most {iterations}"
             notice.at(f"{done}, residuals {np.linalg.norm(at.spread):.3g}, defects {at.defect:.2g}")
             step = problem.step(at, linear, 0.0)
-            relative = abs(step.values / problem.unknowns.sizes(at.values)).max()
+            relative = abs(step.values / problem.unknowns.each("sizes", at.values)).max()
             # the next step, much smaller than this one, would not matter
             last = bool(at.defect <= NEARLY and (step.length < SETTLED or relative < STILL))
             if count == iterations:
@@ -198,7 +198,7 @@ def _trials(problem: Problem, at: Iterate, linear: Linear, step: Change) -> Iter
     for k in range(16):
         if k:
             step = problem.step(at, linear, 1e-6 * 10.0 ** (k - 1))
-        values = problem.unknowns.moved(at.values, 0.5**k * step.values)
+        values = problem.unknowns.each("moved", at.values, 0.5**k * step.values)
         after = problem.at(values, at.motions.nodes + 0.5**k * step.nodes)
         yield after
         yield problem.simulated(after)
