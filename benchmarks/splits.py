@@ -51,7 +51,7 @@ from torchdq.learning import (
     train_test_split,
 )
 from torchdq.learning.evaluation.blocks import REGIONS
-from torchdq.learning.evaluation.validation_gain import ValidationGain
+from torchdq.learning.fit import ValidationGain
 from torchdq.learning.identification.evidence import STILL
 from torchdq.learning.identification.identified import Prediction
 

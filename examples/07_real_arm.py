@@ -25,7 +25,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -51,7 +51,6 @@ from torchdq.learning import (
     stack_samples,
     train_test_split,
 )
-from torchdq.learning.identification.identified import Prediction
 
 BATCH, RATE, DECAY = 256, 1e-2, 1e-2  # rows of a step, learning rate and weight decay of every training
 
@@ -123,7 +122,7 @@ def of_motions(model: Identified) -> Torques:
     return lambda motion: model.predict(motion).tau
 
 
-def covered(told: Prediction, test: Motion) -> np.ndarray:
+def covered(told: Any, test: Motion) -> np.ndarray:
     """Share of the torques in their 95 % intervals, per joint."""
     tau = stack_samples(test).tau
     return ((tau >= told.low) & (tau <= told.high)).double().mean(0).numpy()

@@ -4,12 +4,12 @@ import gzip
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from torchdq import ResidualDynamics
 from torchdq.learning import Identified, Layout, Motion, Samples, stack_samples
-from torchdq.learning.identification.identified import Prediction
 
 
 @dataclass(frozen=True)
@@ -84,13 +84,13 @@ def residual_samples(found: Identified, network: ResidualDynamics, motion: Motio
 
 
 @torch.no_grad()
-def predicted(found: Identified, network: ResidualDynamics, motion: Motion) -> Prediction:
+def predicted(found: Identified, network: ResidualDynamics, motion: Motion) -> Any:
     """Torques of an identified robot and a network, with errors that are smaller where it was trained."""
     alone, (q, qd, *_) = found.predict(motion), stack_samples(motion)
     more, narrower = network.residual(q, qd), network.narrowing(q, qd)
     low, high = ((x - alone.tau) * narrower for x in (alone.low, alone.high))
     tau = alone.tau + more
-    return Prediction(tau, narrower * alone.error, tau + low, tau + high)
+    return alone._replace(tau=tau, error=narrower * alone.error, low=tau + low, high=tau + high)
 
 
 def _are_numbers(cells: list[str]) -> bool:
