@@ -116,12 +116,10 @@ def fit(
     goes through all rows in a new order. With `valid`, the model gets the weights of the least error on it, of those
     after every 100 steps.
 
-    Of a `ResidualDynamics` only the network is trained: fit the physics first, by `identify` or by
-    `fit(model.model, ...)`. The network is then validated on blocks of `valid`; or, by copies that are trained without
-    them, on blocks of `train`, and on regions of the states where there are fewer than three motions. A joint keeps the
-    network only if its squared error falls by more than two standard errors on these rows, and if they are as
-    informative as two independent ones for each block. `History.residual` holds the gains, and a `LogWarning` names
-    joints where it does not help.
+    Of a `ResidualDynamics` only the network is trained: fit the physics first. The network is then validated on blocks
+    of `valid`; or, by copies that are trained without them, on blocks of `train`, and on regions of the states where
+    there are fewer than three motions. A joint keeps it only if its squared error falls there by more than two standard
+    errors, on rows as informative as two independent ones for each block. `History.residual` holds the gains.
 
     Args:
         model: called as model(q, qd, qdd), returns tau [N, n] [N m]; lies on the device to compute on.

@@ -1,11 +1,10 @@
 """Robots drawn from what recordings leave open about one: for training on all that it may be.
 
-In the identifiable directions, the base parameters, a draw is one of the normal distribution with the covariance of
-`Identified`. In the others, that distribution knows nothing of bodies: a mass may come out negative. So each link is
-drawn as J' = C exp(s) C^T, with the pseudo-inertia J = C C^T found and s the symmetric matrix that is the drawn change
-of J in its own axes: to first order the same, and positive definite always. Then the robot is found that has the drawn
-base parameters, kappa (base phi - drawn)^T covariance^-1 (base phi - drawn) being small, and is nearest to these bodies
-(`nearest`).
+Base parameters are drawn from the normal distribution with the covariance of `Identified`. In other directions a mass
+might come out negative, so each link is drawn as J' = C exp(s) C^T, with the pseudo-inertia J = C C^T found and s the
+drawn change of J in its own axes: to first order the same, and positive definite always. Then the robot is found that
+has the drawn base parameters, kappa (base phi - drawn)^T covariance^-1 (base phi - drawn) being small, and is nearest
+to these bodies (`nearest`).
 """
 
 from typing import Any, NamedTuple

@@ -87,14 +87,7 @@ def sampled(rows: Sequence[Tensor]) -> list[Tensor]:
 
 
 def diagnose(robot: Robot, torques: Torques, rows: Sequence[Tensor], sign_width: float) -> list[Finding]:
-    """Findings about measurements that the description of the robot does not explain.
-
-    Args:
-        robot: the robot as described.
-        torques: its torques as a function of q, qd and qdd.
-        rows: measured q, qd, qdd and tau, [rows, n] each.
-        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
-    """
+    """Findings about measured q, qd, qdd and tau [rows, n] that the torques of a described robot do not explain."""
     if len(rows[0]) < AT.few:
         return []
     names, few = robot.joint_names, sampled(rows)
@@ -142,10 +135,9 @@ def uneven(names: Sequence[str], residual: Tensor, tau: Tensor) -> list[Finding]
 def misshapen(
     names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, sign_width: float, direction: Tensor | None
 ) -> list[Finding]:
-    """Findings about joints whose dry friction has another shape than was fitted.
+    """Findings about joints whose residuals functions of the velocity explain that are more or less sharp than fitted.
 
-    Functions of the velocity that change their sign more or less sharply explain the residuals there. `direction` is
-    the sign that was fitted; None: that of `sign_width`.
+    `direction` is the sign that was fitted; None: that of `sign_width`.
     """
     _, qd, qdd, tau = (x.cpu() for x in rows)
     if len(tau) < AT.few:

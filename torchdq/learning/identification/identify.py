@@ -84,16 +84,12 @@ def identify(
 ) -> Identified:
     """Physically consistent robot that explains measured torques best, as `Identified`.
 
-    Blocks of the motions are left out in turn, and candidates are validated on them: the description; with friction,
-    and rotors and offsets of the joints that gain from them; with friction of other shapes; and with all inertial
-    parameters and a prior at the description, by which joints that do not gain keep their described torques. The
-    simplest one within one standard error of the best is returned; `selection` says so. Where there are too few
-    samples, that is viscous and Coulomb friction and a prior of 1; a `LogWarning` says how many would do.
+    Blocks of the motions are left out in turn, and models are validated on them, from the description to all inertial
+    parameters with friction of several shapes: the simplest one within one standard error of the best is returned;
+    `selection` says so. Where there are too few samples, that is viscous and Coulomb friction and a prior of 1.
 
-    Joints are weighted by the noise that least squares leave in each. A link without mass stays without; a point, a rod
-    or a plate gets 1 % of its size as thickness. Friction and rotor inertia that the description does not give make
-    10 % of the joint's torques where the samples do not say otherwise. Samples are read in pieces, and solving costs
-    the same for any number of them.
+    A link without mass stays without; a point, a rod or a plate gets 1 % of its size as thickness. Friction and rotor
+    inertia that the description does not give make 10 % of the joint's torques where the samples do not say otherwise.
 
     Args:
         robot: the robot as described, without batch axes.
@@ -114,9 +110,8 @@ def identify(
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
     Warns:
-        LogWarning: measurements that the description cannot explain, joints that hardly move, torques that lag the
-            motion, constant torques that were not estimated, or dry friction of another shape than the model's, which
-            biases the numbers beyond their errors; the same are in `Identified.findings`.
+        LogWarning: measurements that the description cannot explain, joints that hardly move, too few samples, or what
+            biases the numbers beyond their errors, such as a lag; the same are in `Identified.findings`.
 
     >>> import torch, torchdq
     >>> described = torchdq.robots.load("two_link")
@@ -329,10 +324,9 @@ def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) 
 def _identifiable(variance: Tensor, alone: Tensor, H: Tensor, moves: Tensor, terms: Sequence[Term]) -> Tensor:
     """Parameters [k] that the samples decide, at joints that move: none of a link without mass, or that no row moves.
 
-    The samples reduce their variances, which are `alone` by the prior, to a tenth. And they do so by themselves, with
+    The samples reduce their variances, which are `alone` by the prior, to a tenth, and do so by themselves, with their
     information H [k, k]: the prior also carries a parameter over from others of its link, such as the mass from the
-    first moment, and would be more certain of it than anyone can be. Priors of the same widths that are independent of
-    each other must leave no more than a tenth, and no more than twice the variance or a hundredth of the prior's.
+    first moment. Independent priors of the same widths must leave as little, or nearly the same variance.
     """
     width = alone.sqrt()
     independent = alone * torch.linalg.inv(width[:, None] * H * width + torch.eye(len(H), dtype=H.dtype)).diagonal()

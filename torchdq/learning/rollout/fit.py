@@ -1,10 +1,9 @@
 """Parameters of a scene from recorded motions: positions and commands, no torques and no accelerations.
 
 The scene is simulated through the recordings (`shooting`), and its parameters and the states at which the segments
-start are those of the greatest likelihood (`problem`). Iterations are steps of Gauss-Newton. A step is accepted if,
-compared with each of the steps accepted before, it closes the defects between the nodes or raises the likelihood
-(R. Fletcher, S. Leyffer, "Nonlinear programming without a penalty function", Mathematical Programming 91 (2002)).
-Then it is tried whether time steps of a quarter of their length move the parameters; if so, it goes on with those.
+start are those of the greatest likelihood (`problem`), by Gauss-Newton. A step is accepted if, compared with each of
+those accepted before, it closes the defects between the nodes or raises the likelihood (R. Fletcher, S. Leyffer,
+"Nonlinear programming without a penalty function", Mathematical Programming 91 (2002)).
 """
 
 import warnings
