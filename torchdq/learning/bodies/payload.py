@@ -91,7 +91,7 @@ def identify_payload(
     """Body that an arm holds, from a few seconds of motion with it, as `IdentifiedPayload`.
 
     Identify the empty arm first, from motions like this one: what both have wrong, such as a drive's offset, is then
-    no payload. A gain that is off by some part makes mass and inertia wrong by the same part.
+    no payload.
 
     Args:
         empty: the arm without payload, from `identify`.

@@ -19,7 +19,7 @@ from torchdq.effects import Effect
 from torchdq.learning.identification.identified import Identified, coefficients_of, effects_of, friction_of
 from torchdq.learning.identification.regression import parted
 from torchdq.learning.identification.solution import nearest, of_numbers
-from torchdq.learning.identification.terms import ROTOR, Term
+from torchdq.learning.identification.terms import ROTOR
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, pseudo_inertia, relative
@@ -33,17 +33,15 @@ class PosteriorSamples(NamedTuple):
     """Robots drawn from the posterior of an identification, as one robot with a batch axis, and their friction."""
 
     robot: Robot  # [samples] in mass, com, inertia and, if it was estimated, armature
-    terms: tuple[Term, ...]  # kinds of the parameters that are not those of bodies
-    names: tuple[str, ...]  # [k]
     parameters: Tensor  # [samples, k], as in `Identified`
-    sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
+    identified: Identified  # whose posterior they are drawn from
 
     def __repr__(self) -> str:
         return summary(f"PosteriorSamples {self.robot.name}", {"mass": (self.robot.mass, "kg")})
 
     def coefficients(self, kind: str) -> Tensor | None:
         """Coefficients [samples, n] of the joints, of one kind as in `Identified.coefficients`; None: not estimated."""
-        return coefficients_of(self.robot, self.terms, self.parameters, kind)
+        return coefficients_of(self.robot, self.identified.terms, self.parameters, kind)
 
     def effects(self) -> tuple[Effect, ...]:
         """Gravity, rotor inertia and all friction found, a row per robot, as effects of a scene.
@@ -51,7 +49,7 @@ class PosteriorSamples(NamedTuple):
         Constant torques are not among them: add `coefficients("offset")` to the scene's torques.
         """
         numbers = parted(self.robot, self.parameters)[1].unbind(1)
-        return effects_of(self.robot, friction_of(self.terms, numbers, self.sign_width))
+        return effects_of(self.robot, friction_of(self.identified.terms, numbers, self.identified.sign_width))
 
 
 @one_thread()
@@ -103,7 +101,7 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
     if (rotors := coefficients_of(robot, terms, parameters, ROTOR.name)) is not None:
         changes["armature"] = rotors
     drawn = robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()})
-    return PosteriorSamples(drawn, terms, identified.names, parameters, identified.sign_width)
+    return PosteriorSamples(drawn, parameters, identified)
 
 
 class _Space:

@@ -45,7 +45,7 @@ class Series(NamedTuple):
 
 
 class Family:
-    """Motions within bounds of unconstrained numbers [..., n, 2 H]: 2 (H - 1) of a joint's shape, its size and centre."""
+    """Motions within bounds, of free numbers [..., n, 2 H]: 2 (H - 1) of a joint's shape, its size and its centre."""
 
     def __init__(self, bounds: Bounds, harmonics: int):
         self.bounds, self.harmonics = bounds, harmonics

@@ -44,7 +44,7 @@ class BaseParameters(NamedTuple):
         return Z.index_select(-1, self.leading) / self.noise[:, None]
 
     def information(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Mean information [..., rank, rank] of samples [..., samples, n] about beta times the sizes of those leading."""
+        """Mean information [..., rank, rank] of samples [..., samples, n] about sizes times beta."""
         Z = (self.columns(q, qd, qdd) / self.sizes[self.leading]).flatten(-3, -2)
         return Z.mT @ Z / q.shape[-2]
 

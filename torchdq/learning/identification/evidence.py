@@ -12,7 +12,7 @@ from torch import Tensor
 from torchdq.learning.evaluation.blocks import Block, MotionRows, regions
 from torchdq.learning.evaluation.statistics import correlation_times, interval_factors
 from torchdq.learning.identification.feasible import Neighbourhood
-from torchdq.learning.identification.regression import added, by_chunks, gram, parted, places, rigid, squared
+from torchdq.learning.identification.regression import by_chunks, gram, parted, places, rigid, squared
 from torchdq.learning.identification.solution import Solution, solve
 from torchdq.learning.identification.terms import ROTOR, Term, at_rest, rows_of
 from torchdq.robot import Robot
@@ -96,10 +96,6 @@ class Evidence(NamedTuple):
         total, bodies = self.total.clone(), self.at.shape[1] - len(self.terms)
         total[self.kept, :bodies, :bodies] = 0
         return total
-
-    def information(self, variance: Tensor) -> Tensor:
-        """Information [k, k] of all rows in the parameters, for noise of this variance [n] per independent row."""
-        return added(self.measurements / variance[:, None, None], self.at)[:-1, :-1]
 
     def near(self, estimated: Tensor, strength: float = 1.0) -> Neighbourhood:
         """Neighbourhood of the description, with those coefficients [terms, n] that are estimated."""

@@ -250,12 +250,10 @@ class Identified(NamedTuple):
     ) -> Prediction:
         """Torques of the identified robot with friction and offset, [..., n], standard errors and intervals.
 
-        The errors are those of the parameters, and those of the model, `model`. The intervals are `half_width` times
-        the root of the squared errors of the parameters and the squared noise, to either side: as wide as they had to
-        be to hold 95 % of the measured torques of blocks that were left out, and of a block more. Where no model was
-        chosen, errors are taken for normal. A joint at rest may be held by any torque within its dry friction, by which
-        they are wider there; and where a joint is faster than in the samples, by as much as it is. In motions that go
-        elsewhere the intervals hold less.
+        The errors are those of the parameters, and those of the model, `model`. The intervals are as wide as they had
+        to be to hold 95 % of the measured torques of blocks that were left out, and of a block more; where no model was
+        chosen, errors are taken for normal. They are wider at rest, by the dry friction that may hold a joint, and
+        where a joint is faster than in the samples. In motions that go elsewhere they hold less.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]

@@ -41,7 +41,7 @@ from torchdq.learning.identification.model_selection import (
     ModelSelection,
     select,
 )
-from torchdq.learning.identification.regression import known, parted
+from torchdq.learning.identification.regression import added, known, parted
 from torchdq.learning.identification.solution import ITERATIONS, Solution
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
 from torchdq.learning.logs.errors import LogWarning
@@ -215,7 +215,7 @@ def _identified(
     model = _beyond(evidence, spread, facts.noise, problem.validated)
     wide = evidence.half_widths(problem.unseen, spread, facts.noise)
     alone = near.S.square().sum(1) * inflation / weight  # variances by the prior
-    H = evidence.information(correlation * facts.noise**2)
+    H = added(evidence.measurements / (correlation * facts.noise**2)[:, None, None], evidence.at)[:-1, :-1]
     identifiable = _identifiable(spread.square().sum(1), alone, H, fastest > sign_width, terms)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, weight, *drives)], 1)

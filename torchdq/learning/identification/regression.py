@@ -125,7 +125,7 @@ def information(
     The noise divides by the samples less the parameters they were spent on. A joint's share of those is its part of the
     trace of the matrix that takes measured torques to fitted ones.
     """
-    A, b, c = projected(sums, S)
+    A, b, c = S.mT @ sums[:, :-1, :-1] @ S, (sums[:, -1:, :-1] @ S)[:, 0], sums[:, -1, -1]
     squares = squares.clamp_min(1e-6 * float(squares.max()))
     squares = torch.where(squares > 0, squares, 1.0)  # torques that vanish: any weight will do
     # which combinations are identifiable does not depend on the weights, and is clearest where they differ least
@@ -165,9 +165,3 @@ def _solved(A: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     e, V = torch.linalg.eigh(A)
     e = torch.where(e > 1e-15 * e[..., -1:], e, 0.0)
     return e, V, (b[..., None, :] @ V)[..., 0, :] * inverse_of(e)
-
-
-def projected(sums: Tensor, S: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Matrix [..., n, t, t], right-hand side [..., n, t] and constant [..., n] of every joint's squares, by y."""
-    b = (sums[..., -1:, :-1] @ S)[..., 0, :]
-    return S.mT @ sums[..., :-1, :-1] @ S, b, sums[..., -1, -1]

@@ -162,9 +162,8 @@ def train_test_split(
 ) -> tuple[list[Motion], list[Motion]]:
     """Motions to learn from and motions to test on.
 
-    Several motions are split as wholes, because rows of one motion resemble each other: at least one is on each side.
-    A single one is cut; what the filter has mixed with its first part belongs to neither, 0.5 s or three periods of its
-    cutoff.
+    Several motions are split as wholes, at least one on each side. A single one is cut; what the filter has mixed with
+    its first part belongs to neither.
 
     Args:
         motions: one motion from `smooth`, or several.

@@ -56,8 +56,6 @@ def fit_rollout(
 
     A recording is of continuous time, so the scene is simulated by Runge-Kutta steps that are short enough: a quarter
     of their length moves no parameter by a tenth of its standard error. The scene that is returned has this integrator.
-    Controllers and actuators act once per `dt`, as in every scene.
-
     The search starts from the scene as it is, whose parameters are also the scale of what is large: a friction to be
     estimated must be in the scene, and may be ten times too small or too large.
 
@@ -78,8 +76,8 @@ def fit_rollout(
             recordings do not fit the scene.
         LogError: a recording has a number that is not finite, or time that does not increase.
     Warns:
-        LogWarning: it ended before it had found the best parameters, by too few iterations or Ctrl-C; the result has
-            those found until then. Or residuals are correlated over more than two rows, or no step is short enough.
+        LogWarning: it ended before it had found the best parameters, residuals are correlated over more than two rows,
+            or no step is short enough.
 
     >>> import torchdq
     >>> from torchdq import Scene, effects
