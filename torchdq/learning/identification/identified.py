@@ -80,7 +80,7 @@ class Identified(NamedTuple):
     fastest: Tensor  # [n] largest speed in the samples [rad/s or m/s]
     simple: Tensor  # [2, n] viscous and Coulomb friction that come nearest to all friction found, in these samples
     identifiable: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
-    selection: ModelSelection | None  # how the model was chosen; None: it was given
+    selection: ModelSelection | None  # how the model was chosen; None: it was given, or there are too few rows
     gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not estimated
     findings: tuple[Finding, ...] = ()  # what is probably wrong in the motions or missing in the model
 

@@ -35,12 +35,7 @@ from torchdq.learning.identification.gains import Gains, drive_gains, negative_g
 from torchdq.learning.identification.identified import INERTIAL, Identified
 from torchdq.learning.identification.lags import lag_findings
 from torchdq.learning.identification.model import Model
-from torchdq.learning.identification.model_selection import (
-    STRENGTHS,
-    CandidateModel,
-    ModelSelection,
-    select,
-)
+from torchdq.learning.identification.model_selection import STRENGTHS, ModelSelection, select
 from torchdq.learning.identification.regression import added, known, parted
 from torchdq.learning.identification.solution import ITERATIONS, Solution
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
@@ -67,11 +62,7 @@ class _Problem(NamedTuple):
     weight: float  # scale of the whole prior
     selection: ModelSelection | None = None
     unseen: Sequence[Tensor] = ()  # residuals of the parts that were left out
-
-    @property
-    def validated(self) -> ModelSelection | None:
-        """Selection, if the model was chosen on blocks left out."""
-        return self.selection if self.selection is not None and self.selection.validated else None
+    few: tuple[Finding, ...] = ()  # rows that are too few to choose a model by
 
 
 @one_thread()
@@ -86,7 +77,8 @@ def identify(
 
     Blocks of the motions are left out in turn, and models are validated on them, from the description to all inertial
     parameters with friction of several shapes: the simplest one within one standard error of the best is returned;
-    `selection` says so. Where there are too few samples, that is viscous and Coulomb friction and a prior of 1.
+    `selection` says so. Where there are too few samples, that is viscous and Coulomb friction and a prior of 1, and a
+    finding says how many would do.
 
     A link without mass stays without; a point, a rod or a plate gets 1 % of its size as thickness. Friction and rotor
     inertia that the description does not give make 10 % of the joint's torques where the samples do not say otherwise.
@@ -181,9 +173,8 @@ def _problem(
     if not choice:
         return problem
     bodies = "bodies as described" if math.isinf(strength) else f"bodies with a prior of {weight:g}"
-    none = torch.zeros(0, robot.n, dtype=torch.float64)
-    only = CandidateModel(", ".join([*(term.name for term in fixed), bodies]), none, problem.estimated, strength)
-    return problem._replace(selection=ModelSelection((only,), 0, str(too_few(rows)), none.sum(0)))
+    cure = f"the model is {', '.join([*(term.name for term in fixed), bodies])}; record longer motions"
+    return problem._replace(few=(too_few(rows)._replace(cure=cure),))
 
 
 def _fitted(problem: _Problem) -> tuple[_Problem, Solution, Tensor]:
@@ -205,14 +196,14 @@ def _identified(
     """Robot, parameters and errors of a fit."""
     evidence, weight, near, facts = problem.evidence, problem.weight, found.near, found.facts
     robot, terms, sign_width = evidence.robot, evidence.terms, evidence.sign_width
-    inflation = found.inflation(weight) if problem.validated else 1.0  # a strength that was chosen adds no knowledge
+    inflation = found.inflation(weight) if problem.selection else 1.0  # a strength that was chosen adds no knowledge
     spread = found.spread(weight, inflation)
     fastest = evidence.recording.qd.abs().amax(0).cpu()
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
     changes = dict(zip(("mass", "com", "inertia"), near.bodies(found.y), strict=True))
     own = zip(terms, parted(robot, found.parameters)[1], strict=True)
     changes |= {term.described: x for term, x in own if term.described}
-    model = _beyond(evidence, spread, facts.noise, problem.validated)
+    model = _beyond(evidence, spread, facts.noise, problem.selection)
     wide = evidence.half_widths(problem.unseen, spread, facts.noise)
     alone = near.S.square().sum(1) * inflation / weight  # variances by the prior
     H = added(evidence.measurements / (correlation * facts.noise**2)[:, None, None], evidence.at)[:-1, :-1]
@@ -276,7 +267,7 @@ def _still_joints(robot: Robot, qd: Tensor, sign_width: float) -> list[Finding]:
 def _notes(problem: _Problem, found: Identified) -> list[Finding]:
     """Notes about what one motion cannot show, and links whose mass is far from the described one."""
     notes, robot = list[Finding](), problem.evidence.robot
-    if problem.validated and len(problem.evidence.recording.lengths) == 1:
+    if problem.selection and len(problem.evidence.recording.lengths) == 1:
         claim = "motions of several kinds are needed to vouch for others"
         cure = "the model was chosen on parts of it; in motions unlike it errors may be far larger than stated"
         notes.append(Finding("motion.single", "", claim, "one motion", cure, severity="note"))
@@ -289,13 +280,9 @@ def _notes(problem: _Problem, found: Identified) -> list[Finding]:
 
 def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) -> list[Finding]:
     """Findings about a model that could not be chosen, and torques that it does not explain, or by wrong terms."""
-    evidence, misfits = problem.evidence, list[Finding]()
+    evidence, misfits = problem.evidence, [*problem.few]
     # what was tried on blocks that were left out is not asked for
-    robot, rows, sign_width, tried = evidence.robot, evidence.recording, evidence.sign_width, problem.validated
-    if problem.selection and not tried:
-        misfits.append(
-            too_few(rows)._replace(cure=f"the model is {problem.selection.chosen.name}; record longer motions")
-        )
+    robot, rows, sign_width, tried = evidence.robot, evidence.recording, evidence.sign_width, problem.selection
     if not found.settled:
         claim = f"the least squares must settle within {ITERATIONS} iterations"
         misfits.append(Finding("fit.unsettled", "", claim, "", "give a stronger prior"))

@@ -33,7 +33,7 @@ class CandidateModel(NamedTuple):
     """Model, and its validation on the blocks that were left out."""
 
     name: str
-    scores: Tensor  # [blocks, n] mean squared residual over the variance of the joint's torque; none: not validated
+    scores: Tensor  # [blocks, n] mean squared residual over the variance of the joint's torque
     estimated: Tensor  # [terms, n] coefficients that it has
     strength: float  # weight of the bodies' prior; infinite: they stay as described
     gains: tuple[Gain, ...] = ()  # terms that single joints have
@@ -59,35 +59,21 @@ class ModelSelection(NamedTuple):
     """
 
     candidates: tuple[CandidateModel, ...]
-    choice: int  # number of the chosen one
-    validation: str  # the blocks and regions that were left out, or why there are none
+    chosen: CandidateModel
+    validation: str  # the blocks and regions that were left out
     left: Tensor  # [n] mean squared residual of the chosen one on blocks, or on regions where larger [(N m)^2 or N^2]
     useless: tuple[str, ...] = ()  # terms that no joint gained from
 
     @property
-    def chosen(self) -> CandidateModel:
-        """Candidate that was chosen."""
-        return self.candidates[self.choice]
-
-    @property
-    def validated(self) -> bool:
-        """Whether the model was chosen on blocks that were left out; if not, there was no choice."""
-        return len(self.chosen.scores) > 0
-
-    @property
     def summary(self) -> str:
         """The model, and what it was chosen on."""
-        return f"{self.chosen.name}, {'chosen on' if self.validated else 'not chosen:'} {self.validation}"
+        return f"{self.chosen.name}, chosen on {self.validation}"
 
     def __repr__(self) -> str:
-        if not self.validated:
-            return f"ModelSelection({self.chosen.name!r}, not chosen)"
         size, chosen = len(self.candidates), self.chosen
         return f"ModelSelection({size} candidates, {chosen.name!r} chosen, score {chosen.score:.4g})"
 
     def __str__(self) -> str:
-        if not self.validated:
-            return self.summary
         chosen, best = self.chosen, min(self.candidates, key=lambda candidate: candidate.score)
         rows = [
             (
@@ -158,7 +144,7 @@ def select(
     tries = torch.stack([one.estimated for one in tried]).any(0).any(1)
     useless = tuple(term.name for term, used in zip(terms, tries.tolist(), strict=True) if not used)
     validation = f"{len(blocks)} {what} and {regions} regions of the states that were left out in turn"
-    selection = ModelSelection(tuple(tried), number, validation, left, useless)
+    selection = ModelSelection(tuple(tried), chosen, validation, left, useless)
     own = evidence if math.isinf(chosen.strength) else identified.keeping(_places(robot, chosen.kept))
     unseen = [own.residual(change, rows) for change, rows in zip(chosen.found, own.parts, strict=True)]
     return selection, own.only(chosen.estimated.any(1)), unseen
