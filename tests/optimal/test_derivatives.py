@@ -148,6 +148,17 @@ def test_weights_are_found_from_a_motion_that_they_made():
     assert guess.exp().item() == pytest.approx(0.8, rel=1e-4)
 
 
+def test_second_derivatives_and_plans_of_other_starts_are_refused():
+    given = {name: x.clone().requires_grad_() for name, x in PARAMETERS.items()}
+    problem, state = reach(**given)
+    plan = optimal.differentiable(problem, state, optimal.solve(problem, state))
+    for of in (plan.cost, plan.torque.sum(), plan.states.q.sum()):
+        with refused(ArgumentError):
+            torch.autograd.grad(of, given["goal"], create_graph=True)
+    with refused(ArgumentError):
+        optimal.differentiable(problem, problem.scene.start(double(0.3, -0.1)), plan)
+
+
 def test_a_plan_of_samples_is_no_minimum():
     problem, state = reach(**PARAMETERS)
     plan = optimal.solve(problem, state, method=optimal.MPPI(16), iterations=1)

@@ -249,6 +249,32 @@ def test_single_precision_is_enough_for_a_plan():
 # --- misuse ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("how", ["plan", "torque", "torque and states"])
+def test_a_solution_goes_on_from_a_plan_within_the_limits(how):
+    problem, state = swing((-8.0, 8.0)), starts(3)
+    best, plan = optimal.solve(problem, state), optimal.solve(problem, state, iterations=2)
+    assert (plan.cost > 1.01 * best.cost).any()
+    for _ in range(30):
+        given = {"plan": (plan,), "torque": (plan.torque,), "torque and states": (plan.torque, plan.states)}[how]
+        after = optimal.solve(problem, state, *given, iterations=2)
+        assert (after.cost <= plan.cost * (1 + 1e-12)).all() and after.torque.abs().max() <= 8.0
+        plan = after
+    assert (plan.cost - best.cost).abs().max() <= 1e-6 * best.cost.max()
+
+
+def test_a_plan_is_followed_from_another_start():
+    problem, state = swing((-20.0, 20.0)), starts(3)
+    plan, near = optimal.solve(problem, state), ARM.start(state.q + 0.01, state.qd)
+    one, cold = optimal.solve(problem, near, plan, iterations=1), optimal.solve(problem, near)
+    assert (one.cost <= 1.001 * cold.cost).all() and (problem.cost(near, plan.torque) > 1.03 * one.cost).all()
+
+
+def test_torques_that_cost_nothing_leave_what_holds_the_arm():
+    problem, state = swing((-8.0, 8.0), costs=[optimal.Torques(1e-14)]), starts()
+    plan = optimal.solve(problem, state)
+    assert plan.cost <= problem.cost(state, problem.holding(state)) and plan.torque.isfinite().all()
+
+
 @pytest.mark.parametrize(
     "call",
     [
@@ -271,6 +297,14 @@ def test_single_precision_is_enough_for_a_plan():
         lambda: optimal.solve(swing(costs=[optimal.BasePose(torch.zeros(8).double(), 1.0)]), starts()),
         lambda: optimal.solve(swing(final=[optimal.Speeds(torch.zeros(STEPS, 1).double())]), starts()),
         lambda: optimal.solve(swing(final=[optimal.Point("elbow", GOAL, 1.0)]), starts()),
+        lambda: optimal.solve(swing(final=[optimal.Point("tip", GOAL[:2], 1.0)]), starts()),
+        lambda: optimal.solve(swing(costs=[optimal.Residuals(lambda view: view.q[0], 1.0)]), starts()),
+        lambda: optimal.solve(swing(final=[optimal.Point("tip", GOAL.expand(4, 3), 1.0)]), starts()),
+        lambda: optimal.Problem(ARM, 5, optimal.Torques(1.0)),
+        lambda: optimal.Torques(-1.0),
+        lambda: swing(torch.ones(2, 3).double().unbind()),
+        lambda: optimal.CEM(elite=1.0),
+        lambda: optimal.MPPI(temperature=0.0),
         lambda: optimal.Residuals(3.0, 1.0),
         lambda: optimal.solve(swing(), starts(), method=optimal.MPPI(4)).policy,
         lambda: swing(control="target"),

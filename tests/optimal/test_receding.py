@@ -51,6 +51,8 @@ def test_a_receding_horizon_may_be_one_of_samples():
         torque, gain = mpc(state)
         state = slide.step(state, torque)
     assert gain is None and abs(state.q - 0.5) < 0.1
+    torque, _ = mpc(slide.start(double(torch.nan)))
+    assert torque.isnan() and mpc(state)[0].isfinite()
 
 
 def test_a_row_that_is_lost_gets_no_torque_and_goes_on_with_its_plan():

@@ -19,7 +19,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import tensor_of
 from torchdq.dq import pose_error
 from torchdq.dynamics.posed import Row
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.functions import distances
 from torchdq.functions.inverse_kinematics import ranges
 from torchdq.functions.posed import frame
@@ -57,7 +57,7 @@ class Objective(NamedTuple):
         view, weights, found = view._replace(torque=view.inputs[self.control]), list[Number](), list[Number]()
         for k, (function, settings, widths) in enumerate(self.terms):
             given = {name: view.inputs[named(name, k)] for name, _ in widths}
-            weight, row = given.pop("weight"), function(view, *settings, **given)
+            weight, row = given.pop("weight"), _recorded(k, function, view, settings, given)
             if len(weight) not in (1, len(row)):
                 raise ArgumentError(
                     f"weight of {function.__name__.strip('_')} must be one number or {len(row)}, found {len(weight)}"
@@ -70,6 +70,21 @@ class Objective(NamedTuple):
             "cost": [0.5 * sum([w * r * r for w, r in zip(weights, found, strict=True)], 0.0)],
             "planned": view.torque,
         }
+
+
+def _recorded(k: int, function: Callable[..., Row], view: View, settings: Sequence[Any], given: Rows) -> Row:
+    """Residuals of a cost; raises with its name where its inputs or results have another form."""
+    name = f"cost {k}, {function.__name__.strip('_')},"
+    try:
+        found = function(view, *settings, **given)
+    except TorchdqError:
+        raise
+    except (ValueError, IndexError, TypeError) as error:
+        inputs = ", ".join([f"{name} of {len(x)} numbers" for name, x in given.items()]) or "none"
+        raise ArgumentError(f"{name} does not fit its inputs, {inputs}: {error}") from error
+    if not isinstance(found, list | tuple):
+        raise ArgumentError(f"{name} must return a list of residuals, found {type(found).__name__}")
+    return found
 
 
 def named(name: str, k: int) -> str:
@@ -106,6 +121,10 @@ class Residuals:
     tensor([0.5000], dtype=torch.float64)
     """
 
+    def __repr__(self) -> str:
+        inputs = ", ".join([f"{name} {tuple(x.shape)}" for name, x in self.inputs.items()])
+        return f"{type(self).__name__}({self.term.function.__name__.strip('_')}, {inputs})"
+
     def __init__(
         self,
         function: Callable[..., Row],
@@ -117,6 +136,8 @@ class Residuals:
             raise ArgumentError(f"function must be a function function(view, ...) of a cost, found {function!r}")
         tensors = {name: tensor_of(x) for name, x in {"weight": weight, **inputs}.items() if x is not None}
         self.inputs = {name: x if x.ndim else x[None] for name, x in tensors.items()}
+        if bool((self.inputs["weight"] < 0).any()):
+            raise ArgumentError(f"weight must not be negative, found {weight}")
         self.term = Term(function, tuple(settings), tuple([(name, x.shape[-1]) for name, x in self.inputs.items()]))
 
 

@@ -74,6 +74,9 @@ def differentiable(problem: Problem, state: State, plan: Plan, **inputs: Any) ->
     require_state(state)
     require_object("problem", problem, Problem, "torchdq.optimal", "Problem(scene, 50, costs)")
     require_object("plan", plan, Plan, "torchdq.optimal", "solve(problem, state)")
+    for name, x in state.rows().items():
+        if not torch.equal(x.detach().expand(plan.states.rows()[name][0].shape), plan.states.rows()[name][0]):
+            raise ArgumentError("plan must be that of the start, found another first state; solve from this state")
     if plan.gain is None:
         raise ArgumentError("plan must be that of iterative LQR, found one of a sampling method, which is no minimum")
     torque, free = plan.torque.detach(), torch.ones_like(plan.torque)
@@ -91,7 +94,24 @@ def differentiable(problem: Problem, state: State, plan: Plan, **inputs: Any) ->
         rows = {
             name: torch.cat([x.expand(after[name].shape[1:])[None], after[name]]) for name, x in state.rows().items()
         }
-    return plan._replace(torque=torque, states=State(**rows), cost=cost)
+        cost, torque, *states = _Once.apply(cost, torque, *rows.values())
+    return plan._replace(torque=torque, states=State(**dict(zip(rows, states, strict=True))), cost=cost)
+
+
+class _Once(torch.autograd.Function):
+    """Tensors that are differentiable once: second derivatives would be those with the torques held."""
+
+    @staticmethod
+    def forward(ctx: Any, *x: Tensor) -> tuple[Tensor, ...]:
+        """Tensors as they are."""
+        return tuple([y.clone() for y in x])
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, ...]:
+        """Gradients as they are; raises where a graph of them is asked for."""
+        if torch.is_grad_enabled():
+            raise ArgumentError("create_graph must be False, since plans have first derivatives alone")
+        return grads
 
 
 class _Implicit(torch.autograd.Function):

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_choice, require_count, require_number, require_object, require_tensor
+from torchdq.base.checks import require_count, require_number, require_object, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.optimal.problem import CONVERGED, DIVERGED, STALLED, STOPPED, Passes, Plan, Problem, joined
@@ -30,6 +30,7 @@ ROUGH = 0.02  # share of the cost that an iteration without limits may still gai
 LEAST = 0.1  # share of the expected decrease that a step must have
 LENGTHS = 10  # lengths of a step that are tried
 TOGETHER = 32  # steps of different lengths that are simulated in one pass
+NEAR = 1e6  # units in the last place of 1 by which states may differ from those that torques lead to
 DAMPED, MOST = 1e-3, 1e6  # damping at first, and where a row is given up
 
 Method = Sampling | str
@@ -75,7 +76,7 @@ class Found(NamedTuple):
 def solve(
     problem: Problem,
     state: State,
-    torque: Tensor | None = None,
+    torque: Tensor | Plan | None = None,
     states: State | None = None,
     method: Method = "ilqr",
     iterations: int = 100,
@@ -95,11 +96,13 @@ def solve(
     Args:
         problem: costs and limits.
         state: initial states, shape [...].
-        torque: torques to begin with [N m or N], shape [steps, ..., n]; None: those that hold a fixed base's joints.
+        torque: torques to begin with [N m or N], shape [steps, ..., n], or an earlier plan, which is followed by its
+            gains from the state on; None: those that hold a fixed base's joints, and limits hold after some iterations
+            without them.
         states: states to begin with, [steps + 1, ...], that no torques need lead to, such as a straight line; None:
-            those of the torques. With both, as of an earlier plan, limits hold from the first iteration on.
+            those of the torques.
         method: "ilqr", `MPPI(...)` or `CEM(...)`.
-        iterations: largest number of iterations.
+        iterations: largest number of iterations, and of those without limits.
         tolerance: expected decrease of the cost, as a share of it or, below 1, absolute, from which a row has
             converged; None: 1e-9, in float32 1e-5.
         inputs: other inputs of the scene, shape [steps, ..., k].
@@ -121,29 +124,35 @@ def solve(
     """
     require_state(state)
     require_object("problem", problem, Problem, "torchdq.optimal", "Problem(scene, 50, costs)")
-    if not isinstance(method, Sampling):
-        require_choice("method", method, ("ilqr",))
+    if not isinstance(method, Sampling) and method != "ilqr":
+        raise ArgumentError(f'method must be "ilqr", optimal.MPPI(...) or optimal.CEM(...), found {method!r}')
     require_count("iterations", iterations)
     tolerance = TOLERANCES[state.q.dtype] if tolerance is None else tolerance
     require_number("tolerance", tolerance, least=0.0)
     batch, steps = state.q.shape[:-1], problem.steps
-    with torch.no_grad(), Progress(f"optimal control of {batch.numel()} problems") as notice:
+    near = torque if isinstance(torque, Plan) else None
+    torque = torque.torque if isinstance(torque, Plan) else torque
+    with torch.no_grad(), Progress(f"optimal control, {batch.numel()} rows") as notice:
         u = problem.holding(state) if torque is None else _started("torque", torque, (steps, *state.q.shape))
         u, passes = by_rows(u, 1), Passes.of(problem, state.q, inputs)
         start = {name: by_rows(x, 0) for name, x in state.rows().items()}
         if isinstance(method, Sampling):
             u = method.improved(passes, start, u, iterations, notice.at)
-            found = begun(passes, *passes.forward(start, u))
+            found = begun(passes, *passes.forward(start, u))._replace(torque=u)
             status = torch.where(found.cost.isfinite(), STOPPED, DIVERGED)
             found = found._replace(status=status, iterations=found.iterations + iterations)
             return planned(passes, batch, found)._replace(gain=None)
-        if states is None:
-            found = begun(passes, *passes.forward(start, u))
-        else:
-            near = {name: _started(name, x, (steps + 1, *batch, x.shape[-1])) for name, x in states.rows().items()}
-            found = begun(passes, {name: by_rows(x, 1) for name, x in near.items()}, u)
-        cold = torque is None or states is None
-        return planned(passes, batch, converged(passes, start, found, cold, iterations, tolerance, notice))
+        follow = None if near is None or near.gain is None else rows_of(near).followed
+        x, v, cost = passes.forward(start, u, follow)
+        if states is not None:
+            own = {
+                name: by_rows(_started(name, y, (steps + 1, *batch, y.shape[-1])), 1)
+                for name, y in states.rows().items()
+            }
+            far = torch.stack([(y - x[name]).abs().amax((0, 2)) for name, y in own.items()]).amax(0)
+            x, v, cost = own, u, torch.where(far <= NEAR * torch.finfo(u.dtype).eps, cost, torch.inf)
+        found = begun(passes, x, v, cost)
+        return planned(passes, batch, converged(passes, start, found, torque is None, iterations, tolerance, notice))
 
 
 def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
@@ -167,6 +176,17 @@ def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tenso
     count = torch.zeros_like(cost, dtype=torch.int64)
     gain = torque.new_empty(*torque.shape, passes.size)
     return Found(states, torque, gain, cost, torch.zeros_like(cost), count + STOPPED, count)
+
+
+def rows_of(plan: Plan) -> Found:
+    """Rows of a plan that has gains."""
+    states = {name: by_rows(x, 1) for name, x in plan.states.rows().items()}
+    torque, gain, rows = by_rows(plan.torque, 1), plan.gain, plan.cost.numel()
+    if gain is None:
+        raise ArgumentError("plan must have gains, found that of a sampling method; give its torques")
+    gain = gain.reshape(len(gain), rows, *gain.shape[-2:])
+    cost, status, iterations = (x.reshape(rows) for x in (plan.cost, plan.status, plan.iterations))
+    return Found(states, torque, gain, cost, torch.zeros_like(cost), status, iterations)
 
 
 def planned(passes: Passes, batch: torch.Size, found: Found) -> Plan:
@@ -193,7 +213,7 @@ def converged(
 ) -> Found:
     """Rows after iterations of LQR; limits hold from the first one on unless the start is `cold`."""
     if passes.limits is not None and cold:
-        found = _roughly(passes, start, found, iterations, notice.within("without limits"))
+        found = _roughly(passes, start, found, iterations, notice.within("first without limits"))
     return improved(passes, start, found, iterations, tolerance, notice.at)
 
 
@@ -205,7 +225,7 @@ def _roughly(
     free = improved(passes._replace(limits=(least, -least)), start, found, iterations, 0.0, at, ROUGH)
     x, u, cost = passes.forward(start, free.torque, free.followed)
     begin = begun(passes, x, u, cost)._replace(iterations=free.iterations)
-    lost = cost.isinf().nonzero()[:, 0]
+    lost = begin.cost.isinf().nonzero()[:, 0]
     if len(lost):  # the start itself is what is left
         of = passes.among(lost)
         own = {name: x.index_select(0, lost) for name, x in start.items()}
@@ -228,7 +248,7 @@ def improved(
     """
     whole, rows = found, None  # positions of the rows that are left; None: of all
     for k in range(iterations):
-        at(f"iteration {k + 1}, {len(found.cost)} rows are left")
+        at(f"iteration {k + 1}, {len(found.cost)} left")
         gain, change, terms = passes.backward(found.states, found.torque, found.damping)
         found = found._replace(gain=gain)
         if tolerance is not None:

@@ -28,11 +28,11 @@ Limits = tuple[Tensor, Tensor]
 TOGETHER = 2**22  # numbers of matrices of knots that are in memory together
 STATUS = (
     "converged: no step is expected to decrease the cost by more than the tolerance",
-    "stopped at the largest number of iterations; give more, or begin with this plan",
+    "stopped at the largest number of iterations; give more, or begin with this plan: solve(problem, state, plan)",
     "stalled: no step decreases the cost, although one is expected to; costs may have kinks, or the tolerance may be "
     "below their rounding errors",
-    "diverged: the simulation left the finite range from the start on; begin with other torques or states, or take "
-    "shorter steps",
+    "diverged: start, goals, weights or limits are not finite, a weight is negative, torques cost nothing, or the "
+    "simulation leaves the finite range; in the last case begin with other torques or states, or take shorter steps",
 )
 CONVERGED, STOPPED, STALLED, DIVERGED = range(len(STATUS))
 
@@ -98,6 +98,9 @@ class Problem:
                 "scene must have steps of one program, without sensor noise, residuals of torch and height maps; found "
                 f"one with {'noise' if self.scene.noises else 'other steps'}; plan for a simpler one"
             )
+        for name in ("costs", "final"):
+            if not isinstance(getattr(self, name), Sequence):
+                raise ArgumentError(f"{name} must be a list of costs, found {getattr(self, name)!r}")
         for cost in (*self.costs, *self.final):
             require_object("a cost", cost, Residuals, "torchdq.optimal", "Torques(1e-3)")
         if not (self.costs or self.final):
@@ -124,9 +127,11 @@ class Problem:
             bounds = own if bounds == "limits" else ()
         if not isinstance(bounds, tuple | list) or len(bounds) != 2:
             raise ArgumentError(f'torques must be "limits", None or a pair (lower, upper), found {self.torques!r}')
-        lower, upper = (
-            x.to(like).expand(torch.broadcast_shapes(x.shape, like.shape[-1:])) for x in map(tensor_of, bounds)
-        )
+        n, bounds = like.shape[-1], [tensor_of(x).to(like) for x in bounds]
+        for x in bounds:
+            if x.ndim and x.shape[-1] not in (1, n):
+                raise ArgumentError(f"limits of torques must be numbers, or tensors [..., {n}], found {tuple(x.shape)}")
+        lower, upper = (x.expand(torch.broadcast_shapes(x.shape, (n,))) for x in bounds)
         if bool((lower > upper).any()):
             raise ArgumentError("torques must be (lower, upper), found a lower one above the upper")
         return None if bool(torch.isinf(lower).all() & torch.isinf(upper).all()) else (lower, upper)
@@ -143,7 +148,7 @@ class Problem:
                         + (
                             "that of one step, since the cost is final"
                             if last
-                            else f"[{self.steps}, ...], of every step"
+                            else f"[{self.steps}, ...], of every step; goals of many problems need as many states"
                         )
                     )
                 if last:
@@ -210,6 +215,18 @@ def joined(rows: Mapping[str, Tensor]) -> Tensor:
     return found[0] if len(found) == 1 else torch.cat(found, -1)
 
 
+def _expanded(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """Tensor of every row; raises with its name unless its batch axes are those of the states."""
+    try:
+        return x.expand(shape)
+    except RuntimeError as error:
+        expected = ", ".join(map(str, shape))
+        raise ArgumentError(
+            f"{name} must expand to the shape [{expected}] for these states, found {tuple(x.shape)}; a problem of many "
+            "goals starts from as many states"
+        ) from error
+
+
 class Passes(NamedTuple):
     """Passes over the steps of problems that are rows [rows, ...] of tensors, each without the others."""
 
@@ -236,15 +253,16 @@ class Passes(NamedTuple):
             if name in inputs or (name not in scene.parameters and x.ndim > len(batch) + len(axes)):
                 whole = x.reshape(len(x), *(1,) * (len(batch) + 1 - x.ndim + len(axes)), *x.shape[1:])
                 if whole.shape[1:] != (*(1,) * len(batch), *rest):
-                    whole = whole.expand(problem.steps, *batch, *rest)
-                stepped[name] = whole.reshape(problem.steps, -1, *rest)  # [steps, 1, ...] of all rows
+                    whole = _expanded(name, whole, (problem.steps, *batch, *rest))
+                rows = whole.shape[1 : whole.ndim - len(axes)].numel()
+                stepped[name] = whole.reshape(problem.steps, rows, *rest)  # [steps, 1, ...] of all rows
             elif name in scene.parameters and x.ndim == len(axes):
                 shared[name] = x
             else:
-                fixed[name] = x.expand(*batch, *rest).reshape(count, *rest)
+                fixed[name] = _expanded(name, x, (*batch, *rest)).reshape(count, *rest)
         limits = problem.limits(like)
         if limits is not None:
-            limits = tuple([x.expand(like.shape).reshape(count, -1) for x in limits])  # type: ignore[assignment]
+            limits = tuple([_expanded("limits of torques", x, like.shape).reshape(count, -1) for x in limits])  # type: ignore[assignment]
         return cls(problem, stepped, fixed, shared, limits, sum(scene.spec.displaced.values()))
 
     def among(self, rows: Tensor) -> Passes:

@@ -15,17 +15,17 @@ from typing import get_args
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_choice, require_count
+from torchdq.base.checks import require_choice, require_count, require_object
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
 from torchdq.export.files import Exported, path_of
 from torchdq.export.names import distinct, identifier
 from torchdq.optimal.exported import NAMES, Horizon
-from torchdq.optimal.ilqr import TOLERANCES, Found, Method, begun, by_rows, converged, improved, planned, solve
+from torchdq.optimal.ilqr import TOLERANCES, Found, Method, begun, by_rows, converged, improved, planned, rows_of, solve
 from torchdq.optimal.problem import STOPPED, Passes, Plan, Problem, joined
 from torchdq.optimal.sampling import Sampling
-from torchdq.scene.state import State
+from torchdq.scene.state import State, require_state
 
 TICKS = 8  # golden vectors of an export
 
@@ -79,6 +79,8 @@ class Receding:
     @plan.setter
     def plan(self, plan: Plan | None) -> None:
         """Begin with a plan, or with none."""
+        if plan is not None:
+            require_object("plan", plan, Plan, "torchdq.optimal", "solve(problem, state)")
         self._plan, self._rows = plan, None
 
     def export(self, folder: str | PathLike[str], name: str = "", library: Library = "math.h") -> Exported:
@@ -137,14 +139,22 @@ class Receding:
             torque = None if self.plan is None else _moved(self.plan.torque)
             method = replace(self.method, seed=self.method.seed + self._ticks)  # other numbers at every tick
             count, self._ticks = 100 if torque is None else self.iterations, self._ticks + 1
-            self.plan = solve(self.problem, state, torque, method=method, iterations=count)
-            return self.plan.torque[0], None
+            plan = self.plan = solve(self.problem, state, torque, method=method, iterations=count)
+            return torch.where(plan.cost.isfinite()[..., None], plan.torque[0], torch.nan), None
+        require_state(state)
         batch = state.q.shape[:-1]
         last: Found | None
         if self._rows is not None and self._rows[0].problem is self.problem and self._rows[1] == batch:
             passes, _, last = self._rows
         else:
-            passes, last = Passes.of(self.problem, state.q, {}), None if self.plan is None else _rows_of(self.plan)
+            passes, last = Passes.of(self.problem, state.q, {}), None if self.plan is None else rows_of(self.plan)
+            expected = (self.problem.steps, *state.q.shape)
+            if self.plan is not None and self.plan.torque.shape != expected:
+                shape = ", ".join(map(str, expected))
+                raise ArgumentError(
+                    f"torques of the plan must have the shape [{shape}] for this state, found "
+                    f"{tuple(self.plan.torque.shape)}; set plan to None, so that the next call solves the problem"
+                )
         found, torque = self._tick(passes, state, last)
         self._plan, self._rows = None, (passes, batch, found)
         return torque.view(state.q.shape), found.gain[0].view(*batch, *found.gain.shape[-2:])
@@ -177,7 +187,7 @@ class Receding:
         if rows is not None:
             passes, torque = passes.among(rows), torque.index_select(1, rows)
             start = {name: x.index_select(0, rows) for name, x in start.items()}
-        with Progress(f"optimal control of {torque.shape[1]} problems") as notice:
+        with Progress(f"optimal control, {torque.shape[1]} rows") as notice:
             found = begun(passes, *passes.forward(start, torque))
             return converged(passes, start, found, True, 100, TOLERANCES[torque.dtype], notice)
 
@@ -185,17 +195,6 @@ class Receding:
 def _known(found: Found) -> Tensor:
     """Whether the plan of a row is finite [rows]."""
     return found.cost.isfinite() & found.gain.isfinite().flatten(2).all(2).all(0)
-
-
-def _rows_of(plan: Plan) -> Found:
-    """Rows of a plan."""
-    states = {name: by_rows(x, 1) for name, x in plan.states.rows().items()}
-    torque, gain, rows = by_rows(plan.torque, 1), plan.gain, plan.cost.numel()
-    if gain is None:
-        raise ArgumentError("plan must have gains, found that of a sampling method; assign one of method='ilqr'")
-    gain = gain.reshape(len(gain), rows, *gain.shape[-2:])
-    cost, status, iterations = (x.reshape(rows) for x in (plan.cost, plan.status, plan.iterations))
-    return Found(states, torque, gain, cost, torch.zeros_like(cost), status, iterations)
 
 
 def _moved(x: Tensor) -> Tensor:

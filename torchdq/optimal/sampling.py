@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.loop_call import repeat
-from torchdq.base.checks import require_count, require_number
+from torchdq.base.checks import Interval, require, require_count, require_number
 from torchdq.optimal.problem import Passes
 from torchdq.scene.recording import Stage
 
@@ -82,6 +82,10 @@ class MPPI(Sampling):
 
     temperature: float = 1.0
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_number("temperature", self.temperature, positive=True)
+
     def moved(self, spread: Tensor, drawn: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
         """Mean of the samples."""
         weight = torch.softmax((cost.amin(0) - cost) / self.temperature, 0)
@@ -104,6 +108,12 @@ class CEM(Sampling):
 
     elite: float = 0.05
     least: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_count("samples", self.samples, 2)
+        require("elite", self.elite, Interval(0.0, open=True, below=1.0))
+        require_number("least", self.least, least=0.0)
 
     def moved(self, spread: Tensor, drawn: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and spread of the best samples."""
