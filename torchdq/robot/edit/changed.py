@@ -120,14 +120,19 @@ def set_in(parent: ET.Element, tag: str, attribute: str, value: str) -> None:
     (add(parent, tag) if child is None else child).set(attribute, value)
 
 
-def require_same_tree(robot: RobotModel, original: RobotModel) -> None:
-    """Raise unless a robot has the links, joints and frames of the original, and no batch axes."""
+def require_one(robot: RobotModel) -> None:
+    """Raise unless a robot has no batch axes."""
     require_unchanged(robot)
     for name, axes in batches(robot).items():
         raise ArgumentError(
             f"{name} of robot {robot.name!r} must have no batch axes to be written, found {axes}; write "
             "the robots one by one"
         )
+
+
+def require_same_tree(robot: RobotModel, original: RobotModel) -> None:
+    """Raise unless a robot has the links, joints and frames of the original, and no batch axes."""
+    require_one(robot)
     theirs = values(original.to(robot.mass.dtype, robot.mass.device))
     for name, own in values(robot).items():
         if name not in (*WRITTEN, *UNWRITTEN) and not equal(own, theirs[name]):
