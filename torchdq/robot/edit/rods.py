@@ -10,6 +10,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import ZERO, Pure
 from torchdq.base.checks import require_number
 from torchdq.dynamics.joints import KINDS, Along
+from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import SIX, double
 from torchdq.robot.edit.replaced import replace
@@ -17,14 +18,16 @@ from torchdq.robot.model import AnyRobot, RobotModel, batches
 from torchdq.robot.tree import plain
 
 THIN = 1 / 20  # radius of the rods, in lengths of all of them
+NEAR = 1e-12  # length that is rounding [m]
 
 
 def with_rods(robot: AnyRobot, mass: float, radius: float | None = None) -> AnyRobot:
     """Robot whose links are rods of one thickness and density: a guess from the mass of the whole, to identify from.
 
-    At home, a rod goes from the axis of its joint, square to it, to the farthest rod that its link carries; the last
-    one to the end effector, or the farthest frame. Rods are solid cylinders, longer by the radius at either end, so
-    that each link has mass and inertia. All bodies of links are replaced, that of a floating base is not.
+    At home, a rod goes from the axis of its joint, square to it, to the farthest rod that its link carries, the last
+    one to the end effector, or the farthest frame. One without length lies along its axis. Rods are solid cylinders,
+    longer by the radius at either end, so that each link has mass and inertia. All bodies of links are replaced; that
+    of a floating base is not.
 
     `identify` starts from any robot that can exist: masses, centres and inertias that torques determine are found, and
     the others stay as the rods have them.
@@ -43,23 +46,24 @@ def with_rods(robot: AnyRobot, mass: float, radius: float | None = None) -> AnyR
     ...     a=[0.5, 0.3], alpha=[0, 0], d=[0, 0], theta=[0, 0]
     ... )
     >>> rods = arm.with_rods(10.0)
-    >>> rods.mass.tolist(), rods.com[:, 0].tolist()
-    ([6.041666666666668, 3.958333333333333], [-0.25, -0.15])
+    >>> [round(x, 2) for x in rods.mass.tolist()], rods.com[:, 0].tolist()
+    ([6.04, 3.96], [-0.25, -0.15])
     """
     require_number("mass", mass, positive=True)
     for name, axes in batches(robot).items():
         raise ArgumentError(
             f"{name} of robot {robot.name!r} must have no batch axes, found {axes}; give one robot rods"
         )
-    starts, ends = (double(x).reshape(-1, 3) for x in _rods(robot))
+    starts, ends, along = double(_rods(robot)).reshape(-1, 3, 3).unbind(1)
     lengths = (ends - starts).norm(dim=-1)
+    lengths = lengths.where(lengths > NEAR, 0.0)
     if radius is None and not lengths.any():
         raise ArgumentError(f"radius must be given for robot {robot.name!r}, whose rods have no length, found None")
     r = THIN * float(lengths.sum()) if radius is None else radius
     require_number("radius", r, positive=True)
     h = lengths + 2 * r
     m = mass * h / h.sum()
-    along = torch.where(lengths[:, None] > 0, ends - starts, double([0.0, 0.0, 1.0]))
+    along = torch.where(lengths[:, None] > 0, ends - starts, along)
     bodies = {"mass": m, "com": (starts + ends) / 2, "inertia": _cylinders(m, h, r, along)}
     return replace(robot, **{name: x.to(robot.mass) for name, x in bodies.items()})
 
@@ -73,25 +77,22 @@ def _cylinders(mass: Tensor, height: Tensor, radius: float, along: Tensor) -> Te
     return I[:, *SIX]
 
 
-def _rods(robot: RobotModel) -> tuple[list[Pure], list[Pure]]:
-    """Starts and ends of rods in the frames of their links, from the leaves on: each starts at the foot of its end."""
-    placements = [(x[:4], x[4:]) for x in plain(robot, "X_PB_home")]
-    starts, ends = ([ZERO] * len(placements) for _ in range(2))
+def _rods(robot: RobotModel) -> list[tuple[Pure, Pure, Pure]]:
+    """Starts and ends of rods and directions of joints, in the frames of the links: a rod starts at its end's foot."""
+    placements, screws = ([(x[:k], x[k:]) for x in plain(robot, name)] for name, k in (("X_PB_home", 4), ("screw", 3)))
     carried: list[list[Pure]] = [[] for _ in placements]
+    rods = []
     for i in reversed(range(len(placements))):
-        s = plain(robot, "screw")[i]
-        joint = KINDS[robot.kinds[i]]((s[:3], s[3:]))
-        frames = {x.name: tuple(x.X_BF.tolist()) for x in robot.frames if x.link == i}
+        joint, (X, parent) = KINDS[robot.kinds[i]](screws[i]), (placements[i], robot.parents[i])
+        frames = {x.name: x.X_BF.tolist() for x in robot.frames if x.link == i}
         chosen = [frames[robot.tip]] if robot.tip in frames else frames.values()
         places = carried[i] or [dual_quaternion.translation((x[:4], x[4:])) for x in chosen] or [ZERO]
-
-        rods = [(_foot(joint, p), p) for p in places]
-        starts[i], ends[i] = max(rods, key=lambda x: quat.norm2(quat.sub(*x)))
-        if robot.parents[i] >= 0:
-            X = placements[i]
-            p = quat.add(dual_quaternion.translation(X), quat.rotate(X[0], starts[i]))
-            carried[robot.parents[i]].append(p)
-    return starts, ends
+        pairs = [(_foot(joint, p), p) for p in places]
+        start, end = max(pairs, key=lambda x: quat.norm2(quat.sub(*x)))
+        rods.append((start, end, joint.direction))
+        if parent != BASE:
+            carried[parent].append(quat.add(dual_quaternion.translation(X), quat.rotate(X[0], start)))
+    return rods[::-1]
 
 
 def _foot(joint: Along, p: Pure) -> Pure:
