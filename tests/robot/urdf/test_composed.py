@@ -60,6 +60,12 @@ ROBOTS = {
     "coupled": coupled(),
     "table": arm().with_rods(30.0),
     "modified": arm("modified").with_rods(30.0),
+    "turned": arm()
+    .with_rods(30.0)
+    .couple(
+        {"joint2": {"joint2": -1.0}, "joint5": {"joint5": -1.0}, "joint6": {"joint2": 0.5}},
+        offset={"joint2": 0.7, "joint6": 1.0},
+    ),
     "floating": on_free_base(random_screws(7)),
     "cut": SHIPPED["panda"].lock({"panda_joint3": 0.4}),
     "single": arm().with_rods(30.0).to(torch.float32),

@@ -157,8 +157,8 @@ def changed_bodies(robot: RobotModel, original: RobotModel) -> list[ChangedBody]
 
 
 def digits(numbers: Iterable[float]) -> str:
-    """Numbers with all their digits, with spaces between them."""
-    return " ".join(map(repr, numbers))
+    """Numbers with all their digits, with spaces between them; a negative zero is zero."""
+    return " ".join(repr(x + 0.0) for x in numbers)
 
 
 def changed_joints(robot: RobotModel, original: RobotModel) -> dict[str, list[ChangedJoint]]:

@@ -19,7 +19,7 @@ from torchdq.robot.arrays import IDENTITY, unused
 from torchdq.robot.bodies import body_at
 from torchdq.robot.description import Frame, Shape
 from torchdq.robot.edit.changed import digits, require_one
-from torchdq.robot.model import RobotModel, factors, followed, sum_of
+from torchdq.robot.model import RobotModel, followed, sum_of
 from torchdq.robot.tree import plain
 from torchdq.robot.urdf.elements import ENTRIES
 
@@ -53,7 +53,9 @@ def _require_place(robot: RobotModel) -> None:
     joints = {joint: followed(robot, joint) for joint in robot.every_joint}
     found = [f"the helical joint {x!r}" for x, kind in zip(joints, robot.kinds, strict=True) if kind == HELICAL]
     found += [f"joint {x!r}, which is {sum_of(row)}" for x, row in joints.items() if len(row) != 1]
-    found += [f"coordinate {x!r}, which no joint is" for x in robot.joint_names if joints.get(x) != {x: 1.0}]
+    for x in robot.joint_names:
+        if joints.get(x) not in ({x: 1.0}, {x: -1.0}):
+            found.append(f"coordinate {x!r}, which no joint is")
     if robot.armature is not None and bool(robot.armature.any()):
         found.append("armature, which robot.replace(armature=None) leaves out")
     if robot.closures:
@@ -83,7 +85,8 @@ def _add(root: ET.Element, robot: RobotModel, link: int, stems: dict[int, Stem],
         X_PB = dual_quaternion.mul(_pose(robot.X_PB_home[link]), moved)
         X_SL = dual_quaternion.mul(dual_quaternion.conj(parent.X_BS), dual_quaternion.mul(X_PB, X_BL))
         element = _joint(root, robot.every_joint[link], robot.kinds[link], parent.name, first, X_SL)
-        ET.SubElement(element, "axis", xyz=digits(joint.direction))
+        sign = followed(robot, robot.every_joint[link]).get(robot.every_joint[link], 1.0)  # -1: the opposite axis
+        ET.SubElement(element, "axis", xyz=digits(quat.scale(sign, joint.direction)))
         _add_numbers(element, robot, link)
     stem = Stem(first, X_BL)
     for frame in sorted(frames.values(), key=lambda x: x.name != own):
@@ -141,7 +144,9 @@ def _joint(root: ET.Element, name: str, kind: str, parent: str, child: str, X: D
 
 def _add_numbers(joint: ET.Element, robot: RobotModel, link: int) -> None:
     """Add limits, damping and friction of the coordinate of a joint, or the joint that it follows."""
-    ((k, factor),) = ((k, x) for k, x in enumerate(factors(robot)[link].tolist()) if x)
+    ((leader, factor),) = followed(robot, name := robot.every_joint[link]).items()
+    k = robot.joint_index(leader)
+    factor = 1.0 if leader == name else factor  # the sign of its own is that of the axis
     lower, upper, velocity, effort = (float(x[k]) for x in robot.limits)
     low, high = sorted((factor * lower, factor * upper))
     bounds = {"lower": low, "upper": high, "velocity": abs(factor) * velocity, "effort": effort}
@@ -153,8 +158,8 @@ def _add_numbers(joint: ET.Element, robot: RobotModel, link: int) -> None:
         slides = {} if places or joint.get("type") == "continuous" else {"lower": "-inf", "upper": "inf"}
         ET.SubElement(joint, "limit", slides | limit)
     dynamics = {"damping": float(robot.damping[k]), "friction": float(robot.friction[k])}
-    if robot.every_joint[link] != robot.joint_names[k]:
-        ET.SubElement(joint, "mimic", joint=robot.joint_names[k], multiplier=repr(factor))
+    if leader != name:
+        ET.SubElement(joint, "mimic", joint=leader, multiplier=repr(factor))
     elif any(dynamics.values()):
         ET.SubElement(joint, "dynamics", {key: repr(x) for key, x in dynamics.items()})
 
@@ -164,7 +169,7 @@ def _origin(parent: ET.Element, X: DualQuaternion) -> None:
     (x, y, z), b, c = quat.rotation_columns(X[0])
     yaw = math.atan2(y, x) if math.hypot(x, y) > POLE else 0.0
     cos, sin = math.cos(yaw), math.sin(yaw)
-    pitch, roll = math.atan2(0.0 - z, cos * x + sin * y), math.atan2(sin * c[0] - cos * c[1], cos * b[1] - sin * b[0])
+    pitch, roll = math.atan2(-z, cos * x + sin * y), math.atan2(sin * c[0] - cos * c[1], cos * b[1] - sin * b[0])
     ET.SubElement(parent, "origin", xyz=digits(dual_quaternion.translation(X)), rpy=digits((roll, pitch, yaw)))
 
 
