@@ -35,11 +35,13 @@ def to_urdf(robot: RobotModel, original: Any = None) -> str:
     was read with some of them, links beyond the others being carried as on fixed joints at zero. Gravity and the tip
     are not part of a URDF file.
 
-    A new text has every joint, body, frame and shape of the robot, at rounding. Frames are links on fixed joints. Where
-    a joint's axis misses the frame of its link, as in the standard convention of Denavit and Hartenberg, LINK_axis is
-    the link that the joint moves, and the link's own frame is fixed to it. Read again, joints are in the order of
-    `from_urdf`: from the base on, those on one link by their names. A floating base is read with base="floating".
-    Joints without limits of position are continuous; many other readers need limits of velocity and effort with them.
+    A new text has every joint, body, frame and shape of the robot, to rounding. Frames are links on fixed joints. Where
+    a joint's axis misses the frame of its link, as in the standard convention of Denavit and Hartenberg, the joint
+    moves a link NAME_axis without a frame in the robot, and the link itself is fixed to it. A joint whose coordinate
+    turns it backwards (`couple`) has the opposite axis, and zero is that of the coordinates. Read again, joints are in
+    the order of `from_urdf`: from the base on, those on one link by their names. A floating base is read with
+    base="floating". Joints without limits of position are continuous; many other readers need limits of velocity and
+    effort with them.
 
     Args:
         robot: the robot, with all joints of the file, or those that it was read with.
