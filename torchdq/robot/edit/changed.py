@@ -12,12 +12,13 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.inertia import RigidBody, Six
+from torchdq.dynamics.joints import HELICAL
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import fields
 from torchdq.robot.arrays import equal
 from torchdq.robot.bodies import NOTHING, body_at, merged, without
-from torchdq.robot.model import RobotModel, batches, require_unchanged, values
+from torchdq.robot.model import RobotModel, batches, followed, require_unchanged, sum_of, values
 from torchdq.robot.xml_text import add, parsed, written
 
 # fields that a writer writes; gravity, tip, name and notes are not part of a file's bodies and joints
@@ -128,6 +129,20 @@ def require_one(robot: RobotModel) -> None:
             f"{name} of robot {robot.name!r} must have no batch axes to be written, found {axes}; write "
             "the robots one by one"
         )
+
+
+def require_place(robot: RobotModel, file: str, others: Sequence[str] = ()) -> None:
+    """Raise unless a kind of file has a place for the joints of one robot; `others` are things that have none."""
+    require_one(robot)
+    joints = {joint: followed(robot, joint) for joint in robot.every_joint}
+    found = [f"the helical joint {x!r}" for x, kind in zip(joints, robot.kinds, strict=True) if kind == HELICAL]
+    found += [f"joint {x!r}, which is {sum_of(row)}" for x, row in joints.items() if len(row) != 1]
+    for x in robot.joint_names:
+        if joints.get(x) not in ({x: 1.0}, {x: -1.0}):  # a joint that turns the other way has the opposite axis
+            found.append(f"coordinate {x!r}, which no joint is")
+    found += [*others, *(["closures"] if robot.closures else [])]
+    if found:
+        raise ArgumentError(f"robot {robot.name!r} cannot be written: {file} has no place for {'; '.join(found)}")
 
 
 def require_same_tree(robot: RobotModel, original: RobotModel) -> None:

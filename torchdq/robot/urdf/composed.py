@@ -12,14 +12,13 @@ from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import ONE, DualQuaternion
 from torchdq.algebra.quaternion import ZERO, Pure
-from torchdq.dynamics.joints import HELICAL, KINDS, REVOLUTE, Coordinate
+from torchdq.dynamics.joints import KINDS, REVOLUTE, Coordinate
 from torchdq.dynamics.tree import BASE
-from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import IDENTITY, unused
 from torchdq.robot.bodies import body_at
 from torchdq.robot.description import Frame, Shape
-from torchdq.robot.edit.changed import digits, require_one
-from torchdq.robot.model import RobotModel, followed, sum_of
+from torchdq.robot.edit.changed import digits, require_place
+from torchdq.robot.model import RobotModel, followed
 from torchdq.robot.tree import plain
 from torchdq.robot.urdf.elements import ENTRIES
 
@@ -37,8 +36,8 @@ class Stem(NamedTuple):
 
 def composed(robot: RobotModel) -> str:
     """Text of a robot, as `to_urdf` says, with an element for each frame."""
-    require_one(robot)
-    _require_place(robot)
+    turns = robot.armature is not None and bool(robot.armature.any())
+    require_place(robot, "URDF", ["armature, which robot.replace(armature=None) leaves out"] if turns else [])
     robot = robot.to(torch.float64, "cpu")
     root = ET.Element("robot", name=robot.name)
     taken, stems = {*robot.frame_names, *robot.every_joint}, dict[int, Stem]()
@@ -46,22 +45,6 @@ def composed(robot: RobotModel) -> str:
         stems[link] = _add(root, robot, link, stems, taken)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
-
-
-def _require_place(robot: RobotModel) -> None:
-    """Raise unless the format has a place for the joints of a robot."""
-    joints = {joint: followed(robot, joint) for joint in robot.every_joint}
-    found = [f"the helical joint {x!r}" for x, kind in zip(joints, robot.kinds, strict=True) if kind == HELICAL]
-    found += [f"joint {x!r}, which is {sum_of(row)}" for x, row in joints.items() if len(row) != 1]
-    for x in robot.joint_names:
-        if joints.get(x) not in ({x: 1.0}, {x: -1.0}):
-            found.append(f"coordinate {x!r}, which no joint is")
-    if robot.armature is not None and bool(robot.armature.any()):
-        found.append("armature, which robot.replace(armature=None) leaves out")
-    if robot.closures:
-        found.append("closures")
-    if found:
-        raise ArgumentError(f"robot {robot.name!r} cannot be written: a URDF file has no place for {'; '.join(found)}")
 
 
 def _add(root: ET.Element, robot: RobotModel, link: int, stems: dict[int, Stem], taken: set[str]) -> Stem:
