@@ -84,7 +84,7 @@ def _rods(robot: RobotModel) -> list[tuple[Pure, Pure, Pure]]:
     rods = []
     for i in reversed(range(len(placements))):
         joint, (X, parent) = KINDS[robot.kinds[i]](screws[i]), (placements[i], robot.parents[i])
-        frames = {x.name: x.X_BF.tolist() for x in robot.frames if x.link == i}
+        frames = {x.name: tuple(x.X_BF.tolist()) for x in robot.frames if x.link == i}
         chosen = [frames[robot.tip]] if robot.tip in frames else frames.values()
         places = carried[i] or [dual_quaternion.translation((x[:4], x[4:])) for x in chosen] or [ZERO]
         pairs = [(_foot(joint, p), p) for p in places]

@@ -24,7 +24,7 @@ from torchdq.robot.urdf.elements import ENTRIES
 
 NEAR = 1e-12  # distance of an axis from the frame of its link that is rounding [m]
 POLE = 1e-15  # cosine of a pitch whose yaw is rounding
-SIZES = {"sphere": ("radius",), "capsule": ("radius", "length"), "cylinder": ("radius", "length"), "box": ("size",)}
+SIZES = {"sphere": ("radius",), "capsule": ("radius", "length"), "cylinder": ("radius", "length"), "box": ()}
 
 
 class Stem(NamedTuple):
@@ -94,16 +94,20 @@ def _element(root: ET.Element, name: str, frame: Frame | None) -> ET.Element:
 
 def _add_shape(link: ET.Element, tag: str, shape: Shape) -> None:
     """Add a shape; one that the format has no element for is left out."""
-    size = shape.size if shape.kind != "box" else (" ".join(repr(2 * x) for x in shape.size),)
-    if shape.mesh or shape.kind in SIZES:
-        element = ET.SubElement(link, tag, {"name": shape.name} if shape.name else {})
-        _origin(element, shape.X_FS)
-        geometry = ET.SubElement(element, "geometry")
-        if shape.mesh:
-            ET.SubElement(geometry, "mesh", filename=shape.mesh, scale=digits(shape.size))
-        else:
-            lengths = {key: 2 * x if key == "length" else x for key, x in zip(SIZES[shape.kind], size, strict=True)}
-            ET.SubElement(geometry, shape.kind, {key: str(x) for key, x in lengths.items()})
+    if not shape.mesh and shape.kind not in SIZES:
+        return
+    element = ET.SubElement(link, tag, {"name": shape.name} if shape.name else {})
+    _origin(element, shape.X_FS)
+    geometry = ET.SubElement(element, "geometry")
+    if shape.mesh:
+        ET.SubElement(
+            geometry, "mesh", {"filename": shape.mesh} | ({"scale": digits(shape.size)} if shape.size else {})
+        )
+    elif shape.kind == "box":
+        ET.SubElement(geometry, "box", size=digits(2 * x for x in shape.size))
+    else:
+        lengths = zip(SIZES[shape.kind], shape.size, (1, 2), strict=False)
+        ET.SubElement(geometry, shape.kind, {key: repr(factor * x) for key, x, factor in lengths})
 
 
 def _add_body(link: ET.Element, robot: RobotModel, i: int, point: Pure) -> None:
@@ -133,13 +137,12 @@ def _add_numbers(joint: ET.Element, robot: RobotModel, link: int) -> None:
     lower, upper, velocity, effort = (float(x[k]) for x in robot.limits)
     low, high = sorted((factor * lower, factor * upper))
     bounds = {"lower": low, "upper": high, "velocity": abs(factor) * velocity, "effort": effort}
-    if joint.get("type") == REVOLUTE and not math.isfinite(low) and not math.isfinite(high):
+    if joint.get("type") == REVOLUTE and -low == high == math.inf:
         joint.set("type", "continuous")
-    places = () if -low == high == math.inf else ("lower", "upper")
-    limit = {key: repr(x) for key, x in bounds.items() if key in places or math.isfinite(x)}
-    if limit:
-        slides = {} if places or joint.get("type") == "continuous" else {"lower": "-inf", "upper": "inf"}
-        ET.SubElement(joint, "limit", slides | limit)
+        del bounds["lower"], bounds["upper"]
+    if any(map(math.isfinite, bounds.values())):
+        limit = {key: repr(x) for key, x in bounds.items() if math.isfinite(x) or key in ("lower", "upper")}
+        ET.SubElement(joint, "limit", limit)
     dynamics = {"damping": float(robot.damping[k]), "friction": float(robot.friction[k])}
     if leader != name:
         ET.SubElement(joint, "mimic", joint=leader, multiplier=repr(factor))
