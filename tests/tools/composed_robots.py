@@ -48,7 +48,19 @@ def arm(convention="standard", **more):
     return Robot.from_dh(a, alpha, [0.4, 0.0, 0.0, 0.5, 0.0, 0.1], [0, h, 0, 0, 0.3, 0], convention=convention, **more)
 
 
+def poles():
+    """Links that are turned by a quarter about y, or nearly, after turns about x: where yaw is not defined."""
+    robot = Robot.from_dh(*[[0.1] * 4] * 4, convention="modified").with_rods(4.0)
+    turns = (0.3, math.pi / 2), (-2.0, -math.pi / 2), (1.0, math.pi / 2 + 1e-9), (2.0, -math.pi / 2 - 1e-14)
+    x, y = (torch.tensor(angles, dtype=F64) / 2 for angles in zip(*turns, strict=True))
+    none, place = torch.zeros(4, dtype=F64), torch.tensor([[0.1, 0.2, 0.3]] * 4, dtype=F64)
+    X = dq.from_pose(torch.stack([x.cos(), x.sin(), none, none], -1), 0 * place)
+    Y = dq.from_pose(torch.stack([y.cos(), none, y.sin(), none], -1), place)
+    return robot.replace(X_PB_home=dq.mul(Y, X))
+
+
 ROBOTS = {
+    "poles": poles(),
     **SHIPPED,
     **{f"tree {i}": random_screws(i) for i in range(6)},
     **{f"file {i}": Robot.from_urdf(urdf(*random_elements(i)), on_unphysical="ignore") for i in range(3)},
