@@ -74,11 +74,11 @@ def data(capsys, *arguments, code=WELL):
     return json.loads(told(capsys, *arguments, "--json", code=code)[0], parse_constant=pytest.fail)
 
 
-def log(path, names=("q", "qd", "tau"), count=1, held=None, rows=750, seed=0):
-    """Log of the arm, 30 % heavier than described, with viscous friction, and perhaps something in its hand."""
+def log(path, names=("q", "qd", "tau"), count=1, held=None, rows=750, seed=0, real=HEAVIER):
+    """Log of the arm, 30 % heavier than described, or of another, with friction, and perhaps something in its hand."""
     q, qd, qdd = (x[0] for x in states(1, rows, seed))
     noise = 0.05 * torch.randn(q.shape, generator=torch.Generator().manual_seed(0), dtype=q.dtype)
-    tau = torchdq.inverse_dynamics(HEAVIER, q, qd, qdd) + torch.tensor([0.8, 0.4]) * qd + noise
+    tau = torchdq.inverse_dynamics(real, q, qd, qdd) + torch.tensor([0.8, 0.4]) * qd + noise
     if held is not None:
         tau += torchdq.inverse_dynamics(held, q, qd, qdd) - torchdq.inverse_dynamics(ROBOT, q, qd, qdd)
     heads = ["time", *(f"{name}{j + count}" for name in names for j in range(2))]
@@ -436,6 +436,17 @@ def test_the_last_third_of_a_single_log_is_the_test_and_a_payload_is_found(here,
     mass = float(re.search(r"^mass +(\S+)", out, re.MULTILINE)[1])
     assert abs(mass - 0.4) < 0.05, out + errors
     assert here.joinpath("arm_identified.urdf").is_file()
+
+
+@fits
+def test_a_robot_without_a_urdf_gets_one(here, capsys):
+    robot = torchdq.robots.load("two_link")
+    log("log.csv", real=robot.replace(mass=1.2 * robot.mass))
+    found = data(capsys, "id", "two_link", "log.csv", *FEW)
+    written = torchdq.Robot.from_urdf(found["files"]["urdf"], gravity=robot.gravity)
+    q = torch.rand(5, 2, dtype=torch.float64)
+    tau, real = (torchdq.inverse_dynamics(x, q, 0 * q, 0 * q) for x in (written, robot))
+    assert torch.allclose(tau, 1.2 * real, rtol=0.02, atol=0.02)
 
 
 @exhaustive

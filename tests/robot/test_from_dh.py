@@ -3,13 +3,15 @@
 import math
 
 import numpy as np
+import pytest
 import torch
 from helpers import all_in_one
 from messages import refused
 from robots import BALL, F64, homogeneous, matrices, pose, rotation, same, states, torques
 from rotations import about
 
-from torchdq import DescriptionError, Robot
+import torchdq
+from torchdq import DescriptionError, Robot, SingularInertiaError
 
 A, ALPHA = [0.1, -0.3, 0.25, 0.0, 0.4], [0.3, -math.pi / 2, 1.1, math.pi / 2, -0.7]
 D, THETA = [0.5, 0.1, -0.2, 0.35, 0.0], [0.2, -0.4, math.pi, 0.0, 1.3]
@@ -80,11 +82,24 @@ def test_quarter_and_half_turns_of_a_table_are_not_blurred():
     assert torch.equal(matrices(robot, [0.0], "tip"), torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=F64)))
 
 
+def test_a_table_without_masses_has_frames_and_says_what_accelerations_lack(recwarn):
+    robot = Robot.from_dh(A, ALPHA, D, THETA, kinds=KINDS)
+    q = [0.3, -0.2, 0.5, 0.1, 0.4]
+    assert same(matrices(robot, q)[1:6], dh_frames("standard", KINDS, q))
+    assert not recwarn.list and "robot.massless" in {note.code for note in robot.notes}
+    x = torch.tensor(q, dtype=F64)
+    with pytest.raises(SingularInertiaError):
+        torchdq.forward_dynamics(robot, x, x, x)
+    assert "robot.massless" not in {note.code for note in robot.with_rods(5.0).notes}
+
+
 BROKEN = [
     *({"kinds": x} for x in (["revolute"], [["revolute"]] * 5, "prism", ["helical"] * 5)),
     *({"convention": x} for x in (["standard"], "craig")),
     *({"a": x} for x in ([0.1], [])),
     {"d": ["x"] * 5},
+    {"mass": None},
+    {"com": None, "inertia": None},
     {"theta": [math.nan] * 5},
     *({"tip_pose": [0.0] * 8}, {"joint_names": ["a"]}, {"alpha": [0, 90, 0, 0, 0]}, {"theta": [0, 0, 0, 0, -45.0]}),
 ]

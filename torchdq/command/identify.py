@@ -221,29 +221,27 @@ class IdCommand(RobotCommand):
         name = "".join(c if c.isalnum() or c in "-_" else "_" for c in source.robot.name) or "robot"
         texts = {"page": (f"{name}_identified.html", text)}
         if description.text:
-            ending = {"urdf": "urdf", "mjcf": "xml"}[source.format]
-            texts[source.format] = (f"{name}_identified.{ending}", description.text)
+            kind, ending = ("mjcf", "xml") if source.format == "mjcf" else ("urdf", "urdf")
+            texts[kind] = (f"{name}_identified.{ending}", description.text)
         for file, content in texts.values():
             write_atomically({self.out / file: content})
         return {kind: self.out / file for kind, (file, _) in texts.items()}
 
 
 def _described(source: NamedRobot, joints: Robot, found: Identified) -> RobotFile:
-    """File of the robot found: that which it was read from, with other numbers; `joints` has its coordinates."""
-    if source.format not in ("urdf", "mjcf"):
-        return RobotFile("", None, "no description is written: the robot is not from a URDF or MJCF file")
-    robot = found.with_simple_friction()
+    """File of the robot found: its URDF or MJCF with other numbers, or a new URDF; `joints` has its coordinates."""
+    robot, original = found.with_simple_friction(), source.file if source.format in ("urdf", "mjcf") else None
     try:
         if joints is not source.robot:
             bodies = {name: getattr(robot, name) for name in ("mass", "com", "inertia")}
             written = joints.replace(on_unphysical="warn", **bodies)
-            text = written.to_mjcf(source.file) if source.format == "mjcf" else written.to_urdf(source.file)
+            text = written.to_mjcf(original) if source.format == "mjcf" else written.to_urdf(original)
             return RobotFile(text, None, "friction and rotors are those of the coupled motors, which no file describes")
         if source.format == "mjcf":
-            return RobotFile(robot.to_mjcf(source.file), robot, "")
+            return RobotFile(robot.to_mjcf(original), robot, "")
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            text = found.to_urdf(source.file)
+            text = found.to_urdf(original)
         return RobotFile(text, robot.replace(armature=None), "; ".join(str(one.message) for one in said))
     except (ArgumentError, DescriptionError) as error:
         return RobotFile("", None, f"no description is written: {error}")

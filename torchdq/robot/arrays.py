@@ -148,3 +148,11 @@ def distinct(kind: str, names: Sequence[str] | None, n: int) -> tuple[str, ...]:
     if names is None:
         return tuple(f"{kind}{i + 1}" for i in range(n))
     return words(f"{kind}_names", names, n, distinct=True)
+
+
+def unused(name: str, taken: set[str]) -> str:
+    """Name, lengthened until it is not among those that are taken, and added to them."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name

@@ -247,6 +247,11 @@ def assemble(
     links = distinct("link", link_names, n)
     if {"base", "tip"} & set(links):
         raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
+    missing = [key for key, x in (("mass", mass), ("com", com), ("inertia", inertia)) if x is None]
+    if 0 < len(missing) < 3:
+        raise DescriptionError(f"mass, com and inertia must be given together, found no {' and no '.join(missing)}")
+    if missing:
+        mass, com, inertia = ([[0.0] * k] * n if k else [0.0] * n for k in (0, 3, 6))
     mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), inertias(inertia, n)
     zero, infinite = double([0.0] * n), double([math.inf] * n)
     at_links = (Frame(link, i, IDENTITY) for i, link in enumerate(links))

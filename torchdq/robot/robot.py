@@ -32,7 +32,7 @@ from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.constants import Constants
 from torchdq.robot.contact_points import contact_points
 from torchdq.robot.description import Base, RobotDescription
-from torchdq.robot.edit import closed, combined, coupled, reduced, replaced, stacked
+from torchdq.robot.edit import closed, combined, coupled, reduced, replaced, rods, stacked
 from torchdq.robot.mjcf import read as mjcf
 from torchdq.robot.mjcf import writer as mjcf_writer
 from torchdq.robot.model import RobotModel, require_unchanged
@@ -254,9 +254,9 @@ class Robot(RobotModel):
     def from_screws(
         cls,
         joint_screws: Any,
-        mass: Any,
-        com: Any,
-        inertia: Any,
+        mass: Any = None,
+        com: Any = None,
+        inertia: Any = None,
         link_poses: Any = None,
         tip_pose: Any = None,
         parents: Sequence[int] | None = None,
@@ -272,7 +272,8 @@ class Robot(RobotModel):
         Args:
             joint_screws: s_i, shape [n, 6]. A unit line (l | p x l) is a revolute joint, (0 | l) a prismatic one,
                 (l | p x l + h l) a helical one of pitch h [m/rad].
-            mass: [kg], shape [n].
+            mass: [kg], shape [n]; None, with `com` and `inertia`: kinematics only, until `with_rods` or `replace` gives
+                the links bodies.
             com: centres of mass [m], shape [n, 3], in the link frames.
             inertia: about the centres of mass [kg m^2], shape [n, 3, 3] or [n, 6] (xx xy yy xz yz zz), link axes.
             link_poses: delta_i^0, pose of each link frame in the base frame at home, unit dual quaternions, shape [n,
@@ -286,7 +287,7 @@ class Robot(RobotModel):
         """
         bodies = dict(mass=mass, com=com, inertia=inertia, home=home, link_names=link_names, name=name)
         description = screws.read(joint_screws, link_poses, tip_pose, parents, joint_names, **bodies)
-        return cls._of(description, None, gravity, on_unphysical)
+        return cls._of(description, None, gravity, on_unphysical, mass is None)
 
     @classmethod
     def from_dh(
@@ -295,9 +296,9 @@ class Robot(RobotModel):
         alpha: Sequence[float],
         d: Sequence[float],
         theta: Sequence[float],
-        mass: Any,
-        com: Any,
-        inertia: Any,
+        mass: Any = None,
+        com: Any = None,
+        inertia: Any = None,
         convention: Literal["standard", "modified"] = "standard",
         kinds: Sequence[str] | None = None,
         tip_pose: Any = None,
@@ -323,7 +324,7 @@ class Robot(RobotModel):
         """
         bodies = dict(mass=mass, com=com, inertia=inertia, link_names=link_names, name=name)
         description = dh.read(a, alpha, d, theta, convention, kinds, tip_pose, joint_names, **bodies)
-        return cls._of(description, None, gravity, on_unphysical)
+        return cls._of(description, None, gravity, on_unphysical, mass is None)
 
     @classmethod
     def _of(
@@ -332,8 +333,9 @@ class Robot(RobotModel):
         tip: str | None,
         gravity: Sequence[float] | None,
         on_unphysical: OnUnphysical,
+        kinematics: bool = False,
     ) -> Robot:
-        """Robot of a description, whose faults are raised or warned of, and its suspicions warned of."""
+        """Robot of a description, of kinematics only on request; faults are raised or warned of, as suspicions are."""
         g = None if gravity is None else finite("gravity", gravity)
         robot = cls(**vars(description), gravity=g)
         if tip is not None:
@@ -351,7 +353,7 @@ class Robot(RobotModel):
                 what = "elements that are ignored or read differently, which may affect the dynamics"
                 warnings.warn(f"robot {robot.name!r}: the file contains {what}:\n  {ignored}", stacklevel=3)
         inert = trees.inert_joints(robot)  # accelerations raise, and all dynamics where no mass moves
-        if on_unphysical != "ignore" and trees.MASSLESS in inert:
+        if on_unphysical != "ignore" and trees.MASSLESS in inert and not kinematics:
             warnings.warn(f"robot {robot.name!r}: {trees.MASSLESS}", stacklevel=3)
         notes = (*wrong, *inert, *suspicions, *robot.notes)
         return dataclasses.replace(robot, notes=tuple(dict.fromkeys(notes)))
@@ -362,6 +364,7 @@ class Robot(RobotModel):
     lock, subchain, couple = reduced.lock, reduced.subchain, coupled.couple
     with_closures = closed.with_closures
     with_payload, with_tool, attach = combined.with_payload, combined.with_tool, combined.attach
+    with_rods = rods.with_rods
     stack = classmethod(stacked.stack)
 
     report, tree, contact_points = reports.report, trees.tree, contact_points

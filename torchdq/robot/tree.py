@@ -16,7 +16,11 @@ from torchdq.robot.fields import BASE_BODY, INERTIAL, SHAPES
 from torchdq.robot.model import RobotModel, factors, present, require_unchanged
 
 MASSLESS = Finding(
-    NO_MASS, "", "something that moves must have mass", "none: kinematics only", "give links mass, or joints armature"
+    NO_MASS,
+    "",
+    "something that moves must have mass",
+    "none: kinematics only",
+    "give links mass, as robot.with_rods does, or joints armature",
 )
 
 

@@ -12,12 +12,13 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.inertia import RigidBody, Six
+from torchdq.dynamics.joints import HELICAL
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import fields
 from torchdq.robot.arrays import equal
 from torchdq.robot.bodies import NOTHING, body_at, merged, without
-from torchdq.robot.model import RobotModel, batches, require_unchanged, values
+from torchdq.robot.model import RobotModel, batches, followed, require_unchanged, sum_of, values
 from torchdq.robot.xml_text import add, parsed, written
 
 # fields that a writer writes; gravity, tip, name and notes are not part of a file's bodies and joints
@@ -120,14 +121,33 @@ def set_in(parent: ET.Element, tag: str, attribute: str, value: str) -> None:
     (add(parent, tag) if child is None else child).set(attribute, value)
 
 
-def require_same_tree(robot: RobotModel, original: RobotModel) -> None:
-    """Raise unless a robot has the links, joints and frames of the original, and no batch axes."""
+def require_one(robot: RobotModel) -> None:
+    """Raise unless a robot has no batch axes."""
     require_unchanged(robot)
     for name, axes in batches(robot).items():
         raise ArgumentError(
             f"{name} of robot {robot.name!r} must have no batch axes to be written, found {axes}; write "
             "the robots one by one"
         )
+
+
+def require_place(robot: RobotModel, file: str, others: Sequence[str] = ()) -> None:
+    """Raise unless a kind of file has a place for the joints of one robot; `others` are things that have none."""
+    require_one(robot)
+    joints = {joint: followed(robot, joint) for joint in robot.every_joint}
+    found = [f"the helical joint {x!r}" for x, kind in zip(joints, robot.kinds, strict=True) if kind == HELICAL]
+    found += [f"joint {x!r}, which is {sum_of(row)}" for x, row in joints.items() if len(row) != 1]
+    for x in robot.joint_names:
+        if joints.get(x) not in ({x: 1.0}, {x: -1.0}):  # a joint that turns the other way has the opposite axis
+            found.append(f"coordinate {x!r}, which no joint is")
+    found += [*others, *(["closures"] if robot.closures else [])]
+    if found:
+        raise ArgumentError(f"robot {robot.name!r} cannot be written: {file} has no place for {'; '.join(found)}")
+
+
+def require_same_tree(robot: RobotModel, original: RobotModel) -> None:
+    """Raise unless a robot has the links, joints and frames of the original, and no batch axes."""
+    require_one(robot)
     theirs = values(original.to(robot.mass.dtype, robot.mass.device))
     for name, own in values(robot).items():
         if name not in (*WRITTEN, *UNWRITTEN) and not equal(own, theirs[name]):
@@ -152,8 +172,8 @@ def changed_bodies(robot: RobotModel, original: RobotModel) -> list[ChangedBody]
 
 
 def digits(numbers: Iterable[float]) -> str:
-    """Numbers with all their digits, with spaces between them."""
-    return " ".join(map(repr, numbers))
+    """Numbers with all their digits, with spaces between them; a negative zero is zero."""
+    return " ".join(repr(x + 0.0) for x in numbers)
 
 
 def changed_joints(robot: RobotModel, original: RobotModel) -> dict[str, list[ChangedJoint]]:

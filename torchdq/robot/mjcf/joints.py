@@ -11,6 +11,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.joints import KINDS
+from torchdq.robot.arrays import unused
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.source import MjcfModel
 
@@ -55,13 +56,8 @@ def names_of(of: MjcfModel, kind: str, count: int) -> list[str]:
     """Names of all elements of a kind; one without a name is called by its kind and number, as in joint3."""
     kinds = of.mujoco.mjtObj.__members__
     found = [of.mujoco.mj_id2name(of.model, kinds[f"mjOBJ_{kind}"], i) or "" for i in range(count)]
-    return [name or _new(f"{kind.lower()}{i}", found) for i, name in enumerate(found)]
-
-
-def _new(name: str, taken: list[str]) -> str:
-    while name in taken:
-        name += "_"
-    return name
+    taken = {*found}
+    return [name or unused(f"{kind.lower()}{i}", taken) for i, name in enumerate(found)]
 
 
 def _joint(of: MjcfModel, i: int, name: str, kind: str) -> MjcfJoint:

@@ -9,7 +9,7 @@ from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import ONE
 from torchdq.algebra.inertia import RigidBody
-from torchdq.robot.arrays import IDENTITY, double
+from torchdq.robot.arrays import IDENTITY, double, unused
 from torchdq.robot.assembly import APART, Links, Segment, linked
 from torchdq.robot.description import Closure, Drawing, Frame, Shape
 from torchdq.robot.edit.couplings import Follows
@@ -64,19 +64,11 @@ def closures_of(found: Links, equalities: Sequence[Equality]) -> tuple[list[Fram
         if not one.places or one.disabled or APART in (link for link, _ in at):
             others.append(one)
         elif at[0][0] != at[1][0]:  # those between bodies on one link hold anyway
-            a, b = (_new(f"{one.name}_{end}", taken) for end in "ab")
+            a, b = (unused(f"{one.name}_{end}", taken) for end in "ab")
             for name, (link, X), place in zip((a, b), at, one.places, strict=True):
                 frames.append(Frame(name, link, double(sum(dual_quaternion.mul(X, place), ()))))
             closures.append(Closure(a, b, "point" if one.kind == "connect" else "weld"))
     return frames, closures, others
-
-
-def _new(name: str, taken: set[str]) -> str:
-    """Name that no frame has yet."""
-    while name in taken:
-        name += "_"
-    taken.add(name)
-    return name
 
 
 def _site_names(of: MjcfModel, bodies: list[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""MJCF text of a robot: the text that it was read from, with the numbers that were changed since."""
+"""MJCF text of a robot: the text that it was read from with the numbers that were changed since, or a new one."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from torchdq.algebra import quaternion as quat
 from torchdq.algebra.inertia import Six
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
-from torchdq.robot.arrays import double, matrices
 from torchdq.robot.description import Base
 from torchdq.robot.edit.changed import ChangedBody, ChangedJoint, Elements, Place, digits, rewritten
 from torchdq.robot.mjcf import read as mjcf
+from torchdq.robot.mjcf.composed import composed, principal
 from torchdq.robot.mjcf.joints import actuators_at
 from torchdq.robot.mjcf.links import body_of
 from torchdq.robot.mjcf.read import Mjcf
@@ -29,24 +26,32 @@ ATTRIBUTES = {"damping": "damping", "friction": "frictionloss", "armature": "arm
 OTHER_AXES = ("fullinertia", "axisangle", "xyaxes", "zaxis", "euler")  # other ways to say quat and diaginertia
 
 
-def to_mjcf(robot: RobotModel, original: Any) -> str:
-    """Text of the MJCF file that a robot was read from, with the numbers of the robot.
+def to_mjcf(robot: RobotModel, original: Any = None) -> str:
+    """MJCF text of a robot: of the file that it was read from, with the numbers of the robot, or a new one.
 
-    Only masses, centres of mass, inertias, armature, damping, friction loss and ranges that differ from the file's are
-    written, with all their digits, on the elements themselves even where a default class gave the number; all other
-    elements and the comments stay. If nothing differs, the text is the original. A body that got its mass from geoms
-    gets an <inertial>. A body that carries others without joints takes on all that changed of their common body, so
-    that the others stay as they are: read again, the text gives the robot. Needs the package `mujoco`.
+    Of the original, only masses, centres of mass, inertias, armature, damping, friction loss and ranges that differ
+    from the file's are written, with all their digits, on the elements themselves even where a default class gave the
+    number; all other elements and the comments stay. If nothing differs, the text is the original. A body that got its
+    mass from geoms gets an <inertial>. A body that carries others without joints takes on all that changed of their
+    common body, so that the others stay as they are: read again, the text gives the robot. Needs the package `mujoco`.
+
+    A new text has every joint with its rotor inertia, every body and frame, collision shapes but meshes, and gravity,
+    to rounding, and needs no package. Frames are bodies without joints. Read again, joints are those of one branch
+    after the other. Limits of velocity, and of position where one is infinite, have no place and are left out, as is
+    the tip. MuJoCo refuses links that move no mass.
 
     Args:
         robot: the robot, with all joints of the file.
-        original: the file that it was read from, as in `from_mjcf`.
+        original: the file that it was read from, as in `from_mjcf`; None: a new text, as in `to_urdf`.
 
     Raises:
         MissingLibraryError: mujoco is not installed.
         ArgumentError: the robot has other links, joints or frames than the file (it was locked or cut), or numbers that
-            have no place there: limits of velocity and effort, infinite limits, bodies in files that are included.
+            have no place there: limits of velocity and effort, infinite limits, bodies in files that are included. A
+            new text has no place for helical joints, closures, and couplings of joints that are not to one joint.
     """
+    if original is None:
+        return composed(robot)
     base: Base = "fixed" if robot.base_mass is None else "floating"
     first = mjcf.read(original, base)
     source = first.of.source
@@ -86,14 +91,10 @@ class MjcfElements(Elements):
         return [Place(f"body {name!r}", self.bodies[i], body_of(self.of.of, i).moved(X)) for i, X in parts]
 
     def set_inertia(self, place: Place, inertial: ET.Element, moments: Six) -> None:
-        """Write principal axes of an inertia; MuJoCo's own search for those of a full one stops at twelve digits."""
+        """Write principal axes of an inertia."""
         for key in OTHER_AXES:
             inertial.attrib.pop(key, None)
-        values, axes = np.linalg.eigh(matrices(double(moments)).numpy())
-        axes[:, 0] *= np.linalg.det(axes)
-        r = max(quat.from_rotation_rows(tuple(map(tuple, axes.tolist()))), key=quat.norm2)
-        r = quat.scale(1.0 / math.sqrt(quat.norm2(r)), r)
-        inertial.attrib.update(quat=digits(r), diaginertia=digits(values.tolist()))
+        inertial.attrib.update(principal(moments))
 
     def set_joint(self, name: str, changes: Sequence[ChangedJoint]) -> None:
         """Write numbers of a joint; what a coordinate has is the sum over its joints and their actuators."""

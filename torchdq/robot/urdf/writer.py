@@ -1,4 +1,4 @@
-"""URDF text of a robot: the text that it was read from, with the numbers that were changed since."""
+"""URDF text of a robot: the text that it was read from with the numbers that were changed since, or a new one."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from torchdq.robot.check import consistency
 from torchdq.robot.description import Base
 from torchdq.robot.edit.changed import ChangedBody, ChangedJoint, Elements, Place, rewritten, set_in
 from torchdq.robot.model import RobotModel, factors
+from torchdq.robot.urdf.composed import composed
 from torchdq.robot.urdf.document import text_of
 from torchdq.robot.urdf.elements import ENTRIES, Inertial, elements
 from torchdq.robot.urdf.read import physical, read
@@ -23,25 +24,35 @@ from torchdq.robot.urdf.segments import body_of, pose
 from torchdq.robot.xml_text import parsed, written
 
 
-def to_urdf(robot: RobotModel, original: Any) -> str:
-    """Text of the URDF file that a robot was read from, with the numbers of the robot.
+def to_urdf(robot: RobotModel, original: Any = None) -> str:
+    """URDF text of a robot: of the file that it was read from, with the numbers of the robot, or a new one.
 
-    Only masses, centres of mass, inertias, damping, friction and limits that differ from the file's are written, with
-    all their digits; all other elements and the comments stay. If nothing differs, the text is the original. A link
-    that carries others on fixed joints takes on all that changed of their common body, so that the others stay as they
-    are; inertias that were repaired are each written on their own link. Read again, the text gives the robot, with
-    mimic="independent" if it was read so: <mimic> stays in the text; and with the same `joints` if it was read with
-    some of them, links beyond the others being carried as on fixed joints at zero. Gravity and the tip are not part of
-    a URDF file.
+    Of the original, only masses, centres of mass, inertias, damping, friction and limits that differ from the file's
+    are written, with all their digits; all other elements and the comments stay. If nothing differs, the text is the
+    original. A link that carries others on fixed joints takes on all that changed of their common body, so that the
+    others stay as they are; inertias that were repaired are each written on their own link. Read again, the text gives
+    the robot, with mimic="independent" if it was read so: <mimic> stays in the text; and with the same `joints` if it
+    was read with some of them, links beyond the others being carried as on fixed joints at zero. Gravity and the tip
+    are not part of a URDF file.
+
+    A new text has every joint, body, frame and shape of the robot, to rounding. Frames are links on fixed joints. Where
+    a joint's axis misses the frame of its link, as in the standard convention of Denavit and Hartenberg, the joint
+    moves a link NAME_axis without a frame in the robot, and the link itself is fixed to it. A joint whose coordinate
+    turns it backwards (`couple`) has the opposite axis, and zero is that of the coordinates. Read again, joints are in
+    the order of `from_urdf`: from the base on, those on one link by their names. A floating base is read with
+    base="floating". Joints without limits of position are continuous; many other readers need limits of velocity and
+    effort with them.
 
     Args:
         robot: the robot, with all joints of the file, or those that it was read with.
-        original: the file that it was read from, as in `from_urdf`; shipped robots, which are tables, have none.
+        original: the file that it was read from, as in `from_urdf`; None: a new text, for a robot from a table, from
+            screws or from another format, or one that was locked, cut or put together.
 
     Raises:
-        ArgumentError: the robot has other links, joints or frames than the file (it was cut, or locked elsewhere than
-            at zero), or numbers that have no place there: rotor inertia, infinite limits, less mass than the links on
-            fixed joints alone.
+        ArgumentError: the robot has other links, joints or frames than the original (it was cut, or locked elsewhere
+            than at zero), or numbers that have no place there: rotor inertia, infinite limits, less mass than the
+            links on fixed joints alone. A new text has no place for helical joints, rotor inertia, closures, and
+            couplings of joints that are not to one joint.
 
     >>> import torchdq
     >>> text = (
@@ -52,7 +63,12 @@ def to_urdf(robot: RobotModel, original: Any) -> str:
     >>> robot = torchdq.Robot.from_urdf(text)
     >>> print(robot.replace(mass=1.5 * robot.mass).to_urdf(text)[33:89])
     <link name="b"><inertial><mass value="3.0" /></inertial>
+    >>> arm = torchdq.Robot.from_dh(a=[0.4], alpha=[0.0], d=[0.1], theta=[0.0])
+    >>> torchdq.Robot.from_urdf(arm.to_urdf(), on_unphysical="ignore").frame_names
+    ('base', 'link1_axis', 'link1', 'tip')
     """
+    if original is None:
+        return composed(robot)
     text = _with_repairs(robot, text_of(original))
 
     def read_as(text: str, **options: Any) -> RobotModel:
