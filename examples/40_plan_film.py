@@ -46,8 +46,9 @@ LEGS = Scene(GO2, (effects.Gravity(), effects.RotorInertia(0.01), SERVO, effects
 STAND, TUCK = (double([0.0, *leg] * 4) for leg in ([0.8, -1.6], [1.1, -2.2]))
 CROUCH, PUSH, FLIGHT, LANDING = 60, 32, 82, 120  # steps
 LOW, HIGH, FAR, UP = 0.18, 0.32, 0.7, 0.5 * 9.81 * FLIGHT * LEGS.dt  # heights, length [m] and velocity [m/s] of the jump
+OFF, DOWN = slice(CROUCH + PUSH), slice(CROUCH + PUSH, None)
 BAR = Cylinder("bar", mass=1.0, radius=0.012, length=0.5)
-X_WB = dq.from_pose(double([0.5**0.5, 0.5**0.5, 0.0, 0.0]), double([0.32, 0.0, 0.15]))  # across the way
+X_WB = dq.from_pose(double([0.5**0.5, 0.5**0.5, 0.0, 0.0]), double([0.36, 0.0, 0.1]))  # across the way
 FEET = tuple([ContactPoint(name, radius=0.022) for name in GO2.frame_names if name.endswith("_foot")])
 
 # --- the arms --------------------------------------------------------------------------------------------------------
@@ -55,7 +56,7 @@ FEET = tuple([ContactPoint(name, radius=0.022) for name in GO2.frame_names if na
 PANDA = torchdq.robots.load("panda")
 ARM = Scene(PANDA, (effects.Gravity(), effects.Viscous(1.0), effects.RotorInertia(0.1)), dt=0.02)
 HOME, TURN, SWING = double([-1.57, 0.5, 0.0, -1.6, 0.0, 2.1, 0.8]), 0.9, 55  # posture and half a swing [rad]; steps
-POST = Cylinder("post", mass=1.0, radius=0.06, length=0.9)
+POST = Cylinder("post", mass=1.0, radius=0.05, length=0.55)
 BALLS = (
     ContactPoint("tip", radius=0.06),
     ContactPoint("panda_link7", radius=0.09),
@@ -71,7 +72,7 @@ class Args:
     """Films that are made."""
     arms: int = 8
     """Number of arms."""
-    iterations: int = 150
+    iterations: int = 60
     """Largest number of iterations of a plan."""
     frames: int | None = None
     """Images of a film; None: all of the motion."""
@@ -95,12 +96,12 @@ class View(NamedTuple):
 
     zoom: float
     middle: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in the middle of the picture [m]
-    left: float = 0.0  # by which the picture is moved [pixels]
+    by: tuple[float, float] = (0.0, 0.0)  # of the picture [pixels]
 
     def project(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels [..., 2] and distances of places [m]."""
         pixels, depth = walk.project(x - np.array(self.middle), self.zoom)
-        return pixels - np.array([self.left, 0.0]), depth
+        return pixels + np.array(self.by), depth
 
     def bodies(self, figure: Figure, spacing: float) -> films.Bodies:
         """Bodies of a figure, above lines on the ground."""
@@ -142,33 +143,37 @@ def path_of(state: State) -> tuple[Tensor, Tensor]:
     return dq.from_pose(UPRIGHT.expand(len(places), 4), places), double([0.0, 0.0, 0.0, ahead, 0.0, UP])
 
 
-def jumping(state: State, steps: int) -> optimal.Problem:
-    """Problem of the first steps of a jump."""
-    path, leaving = path_of(state)
-    phase = torch.arange(4).repeat_interleave(torch.tensor([CROUCH, PUSH, FLIGHT, LANDING]))[:steps]
-    off = (torch.arange(steps) == CROUCH + PUSH - 1).double()[:, None]
+def jumping(standing: State, of: slice) -> optimal.Problem:
+    """Problem of some of the steps of a jump."""
+    path, leaving = path_of(standing)
+    phase = torch.arange(4).repeat_interleave(torch.tensor([CROUCH, PUSH, FLIGHT, LANDING]))
+    off = (torch.arange(len(path)) == CROUCH + PUSH - 1).double()[:, None]
     pose = double([[5, 5, 5, 1, 5, 5], [5, 5, 5, 20, 20, 50], [20, 20, 20, 20, 20, 100], [5, 5, 5, 2, 5, 5]])
     legs = double([[0.02] * 12, [0.02] * 12, [4.0, 0.5, 0.5] * 4, [0.1] * 12])
+    calm = double([[0.01], [0.01], [0.01], [0.04]])[phase[of]]
     costs = [
-        optimal.BasePose(path[:steps], pose[phase]),
-        optimal.BaseVelocity(0.1 + off * double([10, 10, 10, 100, 10, 100]), off * leaving),
-        optimal.Posture(torch.stack([STAND, STAND, TUCK, STAND])[phase], legs[phase]),
-        optimal.Speeds(1e-3),
-        optimal.Torques(1e-2, STAND),  # which are targets here
+        optimal.BasePose(path[of], pose[phase[of]]),
+        optimal.BaseVelocity(0.1 + off[of] * double([10, 10, 10, 100, 10, 100]), off[of] * leaving),
+        optimal.Posture(torch.stack([STAND, STAND, TUCK, STAND])[phase[of]], legs[phase[of]]),
+        optimal.Speeds(0.1 * calm),
+        optimal.Torques(calm, STAND),  # which are targets here
         optimal.Spheres(1e3, FEET, (BAR,), X_WB[None], margin=0.03),
     ]
     rest = [optimal.BasePose(path[-1], double([100.0] * 6)), optimal.Posture(STAND, 10.0), optimal.BaseVelocity(10.0)]
-    return optimal.Problem(LEGS, steps, costs, rest if steps == len(path) else (), control="target")
+    return optimal.Problem(LEGS, len(calm), costs, () if of == OFF else rest, control="target")
 
 
 def jump(iterations: int) -> tuple[optimal.Plan, float]:
     """Plan of the jump, and the time that it takes [s]."""
-    state, steps = standing(), CROUCH + PUSH + FLIGHT + LANDING
+    start = standing()
+    hold, rest = (STAND.expand(k, 12) for k in (CROUCH + PUSH, FLIGHT // 2 + LANDING))
 
     def plan() -> optimal.Plan:
-        off = optimal.solve(jumping(state, CROUCH + PUSH), state, STAND.expand(CROUCH + PUSH, 12), iterations=iterations)
-        rest = TUCK.expand(FLIGHT // 2, 12), STAND.expand(FLIGHT - FLIGHT // 2 + LANDING, 12)
-        return optimal.solve(jumping(state, steps), state, torch.cat([off.torque, *rest]), iterations=iterations)
+        off = optimal.solve(jumping(start, OFF), start, hold, iterations=iterations)
+        above = torch.cat([TUCK.expand(FLIGHT - FLIGHT // 2, 12), rest])
+        down = optimal.solve(jumping(start, DOWN), off.states.last, above, iterations=iterations)
+        states = State(*[None if x is None else torch.cat([x, y[1:]]) for x, y in zip(off.states, down.states, strict=True)])
+        return down._replace(torque=torch.cat([off.torque, down.torque]), states=states)
 
     return timed(plan)
 
@@ -195,7 +200,7 @@ def curves(figure: Figure, duration: float, rows: dict[str, Tensor]) -> Iterator
 
 def jump_moves(figure: Figure, plan: optimal.Plan, shown: list[int]) -> Iterator[None]:
     """Draw the quadruped, the bar, and what is of interest; every time it is asked, they move on."""
-    states, view = plan.states, View(4.7, (0.5 * FAR, 0.0, 0.0), 135.0)
+    states, view = plan.states, View(4.6, (0.5 * FAR, 0.0, 0.0), (-135.0, 60.0))
     drawn, skeleton = view.bodies(figure, 0.2), Skeleton(GO2)
     force = LEGS.contacts(states).normal_force.sum(-1) / (9.81 * float(GO2.mass.sum() + GO2.base_mass))
     torque = SERVO.kp * (plan.torque - states.q[:-1]) - SERVO.kd * states.qd[:-1]
@@ -246,10 +251,10 @@ def swing(count: int, iterations: int) -> tuple[optimal.Plan, float, Tensor, Ten
 
 def swing_moves(figure: Figure, q: Tensor, X_WO: Tensor) -> Iterator[None]:
     """Draw arms at joint positions [frame, arm, 7] and their posts; every time it is asked, they move on."""
-    view = View(1.9)
+    view = View(2.2, by=(0.0, 20.0))
     drawn, skeleton, count = view.bodies(figure, 0.5 * ALONG), Skeleton(PANDA), len(X_WO)
     x, y = np.meshgrid(np.arange(-8, 9.0), np.arange(9.0))
-    lattice = np.stack([ALONG * (x + y % 2 / 2), ACROSS * y + 0.4, 0 * x], -1).reshape(-1, 3)
+    lattice = np.stack([ALONG * (x + y % 2 / 2), ACROSS * y + 0.5, 0 * x], -1).reshape(-1, 3)
     across = view.project(lattice)[0][:, 0]
     inside = lattice[(across > 100) & (across < WIDTH - 100)]
     at = inside[np.argsort(inside[:, 1] + 0.01 * np.abs(inside[:, 0]), kind="stable")[:count]][::-1].copy()
