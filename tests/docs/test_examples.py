@@ -274,7 +274,7 @@ def test_a_film_of_arms_that_pick(tmp_path):
 
 
 def test_films_of_plans(tmp_path, monkeypatch):
-    """Drawn without derivatives, which compile for a minute; that plans through contact hold is held by tests/optimal."""
+    """Drawn without derivatives, which compile for a minute; plans through contact are tested in tests/optimal."""
     module = import_module("40_plan_film")
     monkeypatch.setattr(module, "METHOD", module.optimal.MPPI(2))
     found = module.main(module.Args(arms=2, iterations=1, frames=2, out=tmp_path))
