@@ -18,8 +18,7 @@ from torchdq.functional import inverse_dynamics
 from torchdq.optimal import riccati
 from torchdq.optimal.costs import Objective, Residuals, named
 from torchdq.optimal.knot import LARGEST, NEXT, Knot
-from torchdq.scene import Scene
-from torchdq.scene.linearize import length
+from torchdq.scene import Scene, linearize
 from torchdq.scene.policies import STEPPED, Linear, LinearForm
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import ORDER, POLICY
@@ -266,12 +265,12 @@ class Passes(NamedTuple):
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
         problem, scene, width = self.problem, self.problem.scene, self.size + self.problem.scene.n
         what = Knot(scene.spec, problem.objective, self.limits is not None)
-        if length(scene) + 2 * width**3 <= LARGEST:
+        if linearize.length(scene) + 2 * width**3 <= LARGEST:
             return self._by_loop(what, states, torque, damping)
         parts = []
         for at in torch.arange(len(damping), device=damping.device).split(TOGETHER // (problem.steps * width**2) or 1):
             of, near = self.among(at), {name: x[:, at] for name, x in states.items()}
-            given, whole = {**of.stepped, **of.fixed, **of.shared}, length(scene) <= riccati.COLUMNS
+            given, whole = {**of.stepped, **of.fixed, **of.shared}, linearize.length(scene) <= linearize.LARGEST
             u, limits = torque[:, at], of.bounds()
             derivatives = riccati.derived(what, whole, near, u, given, scene.backend)
             parts.append(riccati.backward(what, derivatives, u, damping[at, None], limits, scene.backend))
