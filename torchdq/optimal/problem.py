@@ -302,14 +302,11 @@ class Passes(NamedTuple):
         Torques are those given, within the limits; to `follow` are gains [steps, rows, n, s] and states [steps, rows,
         ...].
         """
-        problem, control, stepped = self.problem, self.problem.objective.control, {**self.stepped}
-        given, (gain, _, states) = {**self.fixed, **self.shared}, STEPPED
-        given |= {f"{POLICY}.{name}": x for name, x in self.bounds().items()}
-        if follow is None:
-            given |= {gain: torque.new_zeros(*torque.shape[1:], self.size), states: joined(start)}
-        else:
-            stepped |= {gain: follow[0], states: follow[1]}
-        stepped[STEPPED[1]] = torque
+        problem, control = self.problem, self.problem.objective.control
+        given = {**self.fixed, **self.shared, **{f"{POLICY}.{name}": x for name, x in self.bounds().items()}}
+        if follow is None:  # by the same program
+            follow = torque.new_zeros(*torque.shape, self.size), joined(start).expand(problem.steps, -1, -1)
+        stepped = {**self.stepped, **dict(zip(STEPPED, (follow[0], torque, follow[1]), strict=True))}
         policy = LinearForm(self.limits is not None, control)
         what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)
         repeated = Repeated(problem.steps, tuple(start), tuple(stepped), ("cost",))
