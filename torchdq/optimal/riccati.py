@@ -58,7 +58,7 @@ def derived(
     rows = [cost[f"M{i}"] for i in range(s + m)]
     i, j = torch.tensor([(i, j) for i, row in enumerate(rows) for j in range(i + 1 - row.shape[-1], i + 1)]).mT
     M[..., i, j] = M[..., j, i] = torch.cat(rows, -1)
-    return Derivatives(torch.cat([A, B, gap[..., None]], -1), M[..., :s].contiguous(), M[..., s:])
+    return Derivatives(torch.cat([A, B, gap[..., None]], -1), *M.split([s, m + 1], -1))
 
 
 def backward(
@@ -78,7 +78,7 @@ def backward(
         T, left, right = of.step[k], of.left[k], of.right[k]
         left[:, :s].add_(V)
         right[:, :s, -1:].add_(v)
-        moved = left @ T
+        moved = torch.bmm(left, T)
         moved[..., s:] += right
         Q = T[..., :-1].mT @ moved[:, :s]
         Q[:, s:].add_(moved[:, s:])
