@@ -164,8 +164,13 @@ def jumping(standing: State, of: slice) -> optimal.Problem:
         optimal.Torques(calm, STAND),  # which are targets here
         optimal.Spheres(1e3, HEAD_AND_FEET, (BAR,), X_WB[None], margin=0.03),
     ]
-    rest = [optimal.BasePose(path[-1], double([100.0] * 6)), optimal.Posture(STAND, 10.0), optimal.BaseVelocity(10.0)]
-    return optimal.Problem(LEGS, len(calm), costs, () if of == OFF else rest, control="target")
+    end = float(of != OFF)  # whether it is rest that the last step leads to
+    rest = [
+        optimal.BasePose(path[-1], end * double([100.0] * 6)),
+        optimal.Posture(STAND, 10.0 * end),
+        optimal.BaseVelocity(10.0 * end),
+    ]
+    return optimal.Problem(LEGS, len(calm), costs, rest, control="target")
 
 
 def jump(iterations: int) -> tuple[optimal.Plan, float]:

@@ -99,10 +99,10 @@ def derivatives(
         units[range(len(branch)), branch] = 1.0
     units = units.unflatten(0, (-1, *(1,) * len(batch_of(what._replace(wrt=None), given))))
     found = evaluate(what, {**given, "direction": units}, backend, double)
-    along, whole = found["A"].movedim(-1, 0), q.new_empty(*found["A"].shape[1:-2], sum(sizes), sizes[0])
+    along, both = found["A"].movedim(-1, 0), q.new_empty(*found["A"].shape[1:-2], sum(sizes), sizes[0])
     for k, branch in enumerate(columns):
-        whole[..., branch, :] = along[k, : len(branch)].movedim(0, -2)
-    return found["after"][0], *whole.mT.split(sizes, -1)
+        both[..., branch, :] = along[k, : len(branch)].movedim(0, -2)
+    return found["after"][0], *both.mT.split(sizes, -1)
 
 
 def _by_reverse_mode(
