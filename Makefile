@@ -56,6 +56,8 @@ regenerate: $(VENV)/test.installed
 	$(RUN) benchmarks/effects.py --write
 	$(RUN) benchmarks/environments.py --write
 	$(RUN) benchmarks/front_page.py --page
+	$(RUN) benchmarks/diagrams.py --write
+	$(RUN) benchmarks/terminals.py --write
 	$(PYTEST) --update-messages
 
 prices: $(VENV)/test.installed

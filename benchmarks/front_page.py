@@ -92,9 +92,9 @@ def tiles() -> str:
             without = f"; {row.ratios[1]} x if MuJoCo has no dry friction" if row.ratios[1:] else ""
             lines += [f"-   **{row.ratios[0]} x** as fast as {row.package}", ""]
             lines += [f"    {name}: {row.ours} ns per arm against {row.theirs} ns{without}.", ""]
-    return "\n".join(
-        [*lines, "</div>", "", machine(), "", batches("pictures/batches.svg"), "", precision("pictures/precision.svg")]
-    )
+    pictures = [batches("pictures/batches.svg"), precision("pictures/precision.svg")]
+    pair = "\n\n".join(f"<div markdown>\n\n{picture}\n\n</div>" for picture in pictures)
+    return "\n".join([*lines, "</div>", "", machine(), "", f'<div class="grid pair" markdown>\n\n{pair}\n\n</div>'])
 
 
 def machine() -> str:

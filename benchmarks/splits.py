@@ -35,7 +35,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
 import report
 import torch
-from recordings import LAYOUTS
+from recordings import LAYOUTS, predicted, residual_samples
 
 from torchdq import DQRNEA, ResidualDynamics, Robot, effects
 from torchdq.learning import (
@@ -51,7 +51,7 @@ from torchdq.learning import (
     train_test_split,
 )
 from torchdq.learning.evaluation.blocks import REGIONS
-from torchdq.learning.evaluation.validation_gain import ValidationGain
+from torchdq.learning.fit import ValidationGain
 from torchdq.learning.identification.evidence import STILL
 from torchdq.learning.identification.identified import Prediction
 
@@ -104,7 +104,7 @@ class Models(NamedTuple):
 class Trained(NamedTuple):
     """What was chosen with a network, what that gains on held-out rows, and how long it took [s]."""
 
-    whole: Identified
+    network: ResidualDynamics
     gain: ValidationGain
     seconds: float
 
@@ -285,16 +285,17 @@ def trained(split: Split, found: Identified) -> Trained:
     start = time.perf_counter()
     torch.manual_seed(0)
     network = ResidualDynamics(found.layer())
-    gain = fit(network, [found.residual_samples(motion) for motion in split.train], **TRAINING).residual
+    gain = fit(network, [residual_samples(found, network, motion) for motion in split.train], **TRAINING).residual
     assert gain is not None
-    return Trained(found.with_residual(network), gain, time.perf_counter() - start)
+    return Trained(network, gain, time.perf_counter() - start)
 
 
-def with_network(split: Split, network: Trained) -> Network:
+def with_network(split: Split, found: Identified, trained: Trained) -> Network:
     """Scores with the network beside what was chosen."""
-    whole, gain, seconds = network
-    tau, told = stack_samples(split.test).tau, whole.predict(split.test)
-    left = [whole._replace(network=None).predict(split.test).tau - tau, told.tau - tau]
+    network, gain, seconds = trained
+    parts = [predicted(found, network, motion) for motion in split.test]
+    tau, told = stack_samples(split.test).tau, Prediction(*map(torch.cat, zip(*parts, strict=True)))
+    left = [found.predict(split.test).tau - tau, told.tau - tau]
     without, error = (x.square().mean(0).sqrt() for x in left)
     return Network(
         *(scores(x, split.test) for x in left),
@@ -343,7 +344,7 @@ def main() -> None:
             models = learned(split)
             known[motions] = models, trained(split, models.chosen)
         models, residual = known[motions]
-        row, network = measured(split, models), with_network(split, residual)
+        row, network = measured(split, models), with_network(split, models.chosen, residual)
         rows.append((row, network))
         every = (row.description, row.friction, row.identified, row.chosen, network.residual)
         five = " ".join(f"{a:8.4f} ({b:.3f})" for a, b in every)

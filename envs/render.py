@@ -356,7 +356,7 @@ class Viewer:
         scene = self._server.scene
         scene.set_up_direction("+z")
         camera = self._server.initial_camera
-        camera.look_at, camera.position = tuple(middle), tuple(middle + radius * np.array([1.6, -2.2, 1.0]))
+        camera.look_at, camera.position = tuple(middle), tuple(middle + radius * np.array([1.1, -1.5, 0.7]))
         self.ground = scene.add_line_segments("/ground", np.zeros((1, 2, 3)), colors=_rgb(SHADOW))
         self.base = scene.add_box("/base", color=_rgb(INK), dimensions=(0.18 * radius, 0.18 * radius, 0.02 * radius))
         self.base.visible = all(self.skeleton.robot.frames[i].link != BASE for i, _ in self.skeleton.bodies)

@@ -35,6 +35,7 @@ import tyro
 from devices import OnDevice, fit_on
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
 from pictures import BLUE, GREY, ORANGE, prepare, save
 from rich.console import Console
 from rich.progress import Progress
@@ -486,14 +487,15 @@ def plain(found: Study) -> dict:
 def draw(found: Study, path: Path) -> None:
     """Torque errors by number of samples, near and far, and tracking errors."""
     prepare()
-    figure, (near, far, bars) = plt.subplots(1, 3, figsize=(14, 4.8), layout="constrained")
+    figure = plt.figure(figsize=(9, 8), layout="constrained")
+    upper, lower = figure.subfigures(2, 1)
+    near, far = upper.subplots(1, 2, sharey=True)
     draw_curves(near, found, "near")
     draw_curves(far, found, "far")
-    far.sharey(near)
-    near.set_title("motions like those learned from")
-    far.set_title("faster and elsewhere")
-    figure.legend(*near.get_legend_handles_labels(), loc="outside lower left", ncols=6, fontsize=10)
-    draw_tracking(bars, found[max(found)])
+    near.set(title="Motions like those learned from", ylabel="torque error, MSE / variance")
+    far.set_title("Faster and elsewhere")
+    upper.legend(*near.get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    draw_tracking(lower.subplots(), found[max(found)])
     save(figure, path)
 
 
@@ -505,7 +507,8 @@ def draw_curves(axis: Axes, found: Study, field: str) -> None:
         axis.fill_between(list(found), *np.transpose([interval(x) for x in values]), color=colour, alpha=0.15, lw=0)
     for name, line in ((FRICTION, "k:"), (TRUE, "k--")):
         axis.loglog(list(found), [np.mean(numbers(arms, name, field)) for arms in found.values()], line, label=name)
-    axis.set(xlabel="samples", ylabel="torque error, MSE / variance")
+    axis.set_xlabel("samples")
+    axis.xaxis.set_minor_formatter(NullFormatter())
 
 
 def draw_tracking(axis: Axes, arms: Arms) -> None:
@@ -522,9 +525,12 @@ def draw_tracking(axis: Axes, arms: Arms) -> None:
         axis.barh(np.arange(len(names)) + shift, means, 0.38, xerr=spread, **style)
     axis.set_yticks(range(len(names)), names)
     axis.invert_yaxis()
-    axis.set(xscale="log", xlabel="tracking error, RMS [mrad]", title="the same feedback for all")
+    axis.set(xscale="log", xlabel="tracking error, RMS [mrad]", title="Control with the same feedback")
+    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
     axis.grid(visible=False, axis="y")
-    axis.legend(fontsize=9)
+    axis.legend()
 
 
 if __name__ == "__main__":

@@ -23,15 +23,16 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 import tyro
 from devices import OnDevice, fit_on
 from pictures import BLUE, ORANGE, label, panels, prepare, save
-from recordings import LAYOUTS
+from recordings import LAYOUTS, predicted, residual_samples
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor, nn
@@ -121,10 +122,10 @@ def of_motions(model: Identified) -> Torques:
     return lambda motion: model.predict(motion).tau
 
 
-def covered(model: Identified, test: Motion) -> np.ndarray:
+def covered(found: Any, test: Motion) -> np.ndarray:
     """Share of the torques in their 95 % intervals, per joint."""
-    predicted, tau = model.predict(test), stack_samples(test).tau
-    return ((tau >= predicted.low) & (tau <= predicted.high)).double().mean(0).numpy()
+    tau = stack_samples(test).tau
+    return ((tau >= found.low) & (tau <= found.high)).double().mean(0).numpy()
 
 
 def parts_of(args: Args) -> tuple[list[Motion], dict[str, Motion]]:
@@ -200,12 +201,12 @@ def main(args: Args) -> Result:
     for seed in range(seeds):
         torch.manual_seed(seed)
         network = torchdq.ResidualDynamics(found.layer())
-        parts = [found.residual_samples(motion) for motion in motions]
+        parts = [residual_samples(found, network, motion) for motion in motions]
         how = {"steps": steps, "batch": BATCH, "rate": RATE, "decay": DECAY, "seed": seed}
         history = fit_on(args.place, network, parts, **how)
-        model = found.with_residual(network)
-        add("chosen + residual", of_motions(model))
-        inside.append([covered(model, test) for test in tests])
+        both = partial(predicted, found, network)
+        add("chosen + residual", lambda motion, both=both: both(motion).tau)
+        inside.append([covered(both(test), test) for test in tests])
         add("black box", of_states(black_box(args, box, data, steps, seed)))
     console.print(str(history.residual), highlight=False)
 

@@ -153,7 +153,7 @@ def main(args: Args) -> Result:
     after = found.predict(test.q, test.qd, test.qdd)
     before_rms, after_rms = ((x - test.tau).square().mean(0).sqrt() for x in (plain, after.tau))
     table = Table("joint", *(str(j + 1) for j in range(n)), title="torque error in the test motion [N m]")
-    rows = {"as described": before_rms, "as found": after_rms, "noise": found.noise}
+    rows = {"nominal": before_rms, "identified": after_rms, "noise": found.noise}
     rows["error of the prediction"] = after.error.square().mean(0).sqrt()
     for name, row in rows.items():
         table.add_row(name, *(f"{float(x):.3f}" for x in row))

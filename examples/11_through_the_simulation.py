@@ -159,10 +159,10 @@ def main(args: Args) -> list[float]:
 def draw(medians: list[float], policies: list[Policy], task: Task, args: Args) -> None:
     """Learning, and the ways of some new arms before and after it."""
     prepare()
-    figure, (learning, ways, time) = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
+    figure, (learning, ways, time) = plt.subplots(1, 3, figsize=(9, 3.6), layout="constrained")
     done = [min(EVERY * k, args.iterations) for k in range(len(medians))]
     learning.semilogy(done, [1e3 * x for x in medians], color=BLUE)
-    learning.set(xlabel="optimiser step", ylabel="median distance at the end [mm]", title="Learning")
+    learning.set(xlabel="optimiser step", ylabel="distance from the goal [mm]", title="Median at the end")
     for policy, colour, name in zip(policies, (ORANGE, BLUE), ("before", "after"), strict=True):
         with torch.no_grad():
             p = tips(torch.cat([task.start[None], rolled_out(policy, task, args.steps).q]))
@@ -171,9 +171,9 @@ def draw(medians: list[float], policies: list[Policy], task: Task, args: Args) -
         time.plot([], color=colour, label=f"{name} learning")
     ways.plot(*p[..., 1:].cpu().unbind(-1), color=BLUE, linewidth=0.8)
     ways.plot(*task.goal[:, 1:].cpu().unbind(-1), "o", color=ORANGE, markersize=4)
-    ways.set(xlabel="y [m]", ylabel="z [m]", title="Twenty new arms and their goals", aspect="equal")
-    time.set(xlabel="time [s]", ylabel="distance from the goal [mm]", title="The same arms")
-    time.legend()
+    ways.set(xlabel="y [m]", ylabel="z [m]", title="Twenty new arms", aspect="equal")
+    time.set(xlabel="time [s]", ylabel="distance from the goal [mm]", title="The same arms", ylim=(None, 1e4))
+    time.legend(loc="upper right")  # above the curves
     save(figure, args.out / "through_the_simulation.png")
 
 

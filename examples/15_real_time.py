@@ -157,8 +157,8 @@ def main(args: Args) -> Result:
     error, error_described = (float((q - wanted).abs().max()) for q in in_python)
     deviation = float((positions - in_python[0]).abs().max())
     print(f"{len(late)} cycles of {1e3 * args.period:g} ms; positions differ by {deviation:.1e} rad from Python's loop")
-    print(f"largest tracking error: {error:.1e} rad as identified, {error_described:.1e} rad as described")
-    rows = {"woken late by": late, "controller took": computed}
+    print(f"largest tracking error: {error:.1e} rad identified, {error_described:.1e} rad nominal")
+    rows = {"wake-up latency": late, "computation time": computed}
     for name, x in rows.items():
         parts = ", ".join(f"{label} {np.quantile(x, part) / 1e3:.2f}" for label, part in QUANTILES.items())
         print(f"{name} [us]: {parts}")
@@ -171,17 +171,16 @@ def draw(
 ) -> None:
     """Tracking errors over time, and the distribution of both latencies."""
     prepare()
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    for q, color, name in zip(followed, (BLUE, ORANGE), ("as identified", "as described"), strict=True):
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    for q, color, name in zip(followed, (BLUE, ORANGE), ("identified model", "nominal model"), strict=True):
         left.semilogy(times, (q - wanted).abs().amax(1).clamp(min=1e-9), color=color, label=name)
-    left.set(
-        xlabel="time [s]", ylabel="largest tracking error of a joint [rad]", title="What identification is good for"
-    )
+    left.set(xlabel="time [s]", ylabel="largest error of a joint [rad]", title="Tracking error")
     left.legend()
-    for x, color, name in ((computed, BLUE, "controller took"), (late, GREY, "loop woke late by")):
+    for x, color, name in ((computed, BLUE, "computation time"), (late, GREY, "wake-up latency")):
         right.semilogx(np.sort(x) / 1e3, 1 - np.arange(len(x)) / len(x), color=color, label=name)
-    right.set(xlabel="time [us]", ylabel="part of the cycles above", yscale="log", title="Latency of the loop in C")
-    right.legend()
+    right.set(xlabel="time [us]", ylabel="fraction of cycles exceeding", title=f"Loop of {1e3 * args.period:g} ms in C")
+    right.set(yscale="log", ylim=(0.02 / len(x), 1.5))  # the legend below the curves
+    right.legend(loc="lower left")
     save(figure, args.out / "real_time.png")
 
 

@@ -107,7 +107,7 @@ def main(args: Args) -> Result:
 
     with torch.no_grad():
         described = torchdq.inverse_dynamics(robot, *stack_samples(test)[:3])
-    torques = {"as described": described.numpy(), "as found": found.predict(test).tau.numpy()}
+    torques = {"nominal": described.numpy(), "identified": found.predict(test).tau.numpy()}
     errors = shares(test, torques)
     console.print(errors_table(errors))
     draw(robot.joint_names, test, torques, args.out / "log_with_torques.png", 12.0)

@@ -14,6 +14,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import torch
 import tyro
+from pictures import BLUE, prepare, save
 from torch import Tensor
 
 import torchdq
@@ -82,20 +83,22 @@ def followed(name: str, seconds: float) -> dict[str, Tensor]:
 def main(args: Args) -> dict[str, dict[str, Tensor]]:
     """Motions by robot."""
     found = {name: followed(name, args.seconds) for name in STARTS}
-    figure, rows = plt.subplots(3, 2, figsize=(11, 7), sharex=True, layout="constrained")
+    prepare()
+    figure, rows = plt.subplots(3, 2, figsize=(9, 7), sharex=True, sharey="row", layout="constrained")
     for (name, x), column in zip(found.items(), rows.T, strict=True):
         late = x["time"] > 0.5
         rms, most = x["position"][late].square().mean().sqrt(), x["position"][late].max()
         print(f"{name}: tip {1e3 * rms:.4f} mm rms, {1e3 * most:.3f} mm at most, {x['torque'].abs().max():.0f} N m")
-        column[0].semilogy(x["time"], 1e3 * x["position"] + 1e-6)
-        column[1].semilogy(x["time"], x["manipulability"])
-        column[2].plot(x["time"], x["torque"])
-        column[0].set(title=name, ylabel="error of the tip [mm]")
-        column[1].set(ylabel="manipulability")
-        column[2].set(xlabel="time [s]", ylabel="torques [N m]")
-    args.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out / "circle.png", dpi=100)
-    plt.close(figure)
+        column[0].semilogy(x["time"], 1e3 * x["position"] + 1e-6, color=BLUE)
+        column[1].semilogy(x["time"], x["manipulability"], color=BLUE)
+        for k, row in enumerate(x["torque"].T):
+            column[2].plot(x["time"], row, color=plt.cm.turbo(0.1 + 0.13 * k), label=f"joint {k + 1}")
+        column[0].set_title({"panda": "Panda, regular wrist", "ur10e": "UR10e, through a singular wrist"}[name])
+        column[2].set_xlabel("time [s]")
+    for panel, label in zip(rows[:, 0], ("tip error [mm]", "manipulability", "torque [N m]"), strict=True):
+        panel.set_ylabel(label)
+    figure.legend(*rows[2, 0].get_legend_handles_labels(), loc="outside lower center", ncols=7, columnspacing=1.2)
+    save(figure, args.out / "circle.png")
     return found
 
 

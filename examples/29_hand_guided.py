@@ -12,6 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import torch
 import tyro
+from pictures import BLUE, GREY, ORANGE, prepare, save
 from torch import Tensor
 
 import torchdq
@@ -48,18 +49,17 @@ def main(args: Args) -> tuple[Tensor, Tensor, Tensor]:
     X = torchdq.forward_kinematics(ROBOT, path.q, ROBOT.tip)
     moved = dq.translation(X) - dq.translation(torchdq.forward_kinematics(ROBOT, START, ROBOT.tip))
     found = observer.force(path.q, rows["r"], expressed="world")[0][:, 3:]
-    figure, axes = plt.subplots(2, 1, figsize=(11, 6), sharex=True, layout="constrained")
-    axes[0].plot(t, 1e3 * moved, label=("x", "y", "z"))
-    axes[0].axhline(1e3 * FORCE / args.stiffness, color="grey", linestyle=":")
-    axes[0].set(ylabel="displacement [mm]")
-    axes[1].plot(t, found, label=("x", "y", "z"))
-    axes[1].plot(t, FORCE * pushed, "k:", label="hand")
-    axes[1].set(xlabel="time [s]", ylabel="force that is found [N]")
-    for one in axes:
-        one.legend()
-    args.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out / "hand_guided.png", dpi=100)
-    plt.close(figure)
+    prepare({"axes.prop_cycle": plt.cycler(color=(BLUE, ORANGE, GREY))})  # of x, y and z
+    figure, (upper, lower) = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
+    upper.plot(t, 1e3 * moved, label=("x", "y", "z"))
+    upper.axhline(1e3 * FORCE / args.stiffness, color="black", linestyle=":", label="force / stiffness")
+    upper.set(ylabel="displacement [mm]", title="The tip yields as a spring does")
+    lower.plot(t, found, label=("x", "y", "z"))
+    lower.plot(t, FORCE * pushed, "k:", label="applied by the hand, along y")
+    lower.set(xlabel="time [s]", ylabel="force [N]", title="Estimated force, without a sensor")
+    for panel in (upper, lower):
+        panel.legend(loc="upper right")
+    save(figure, args.out / "hand_guided.png")
     return t, moved, found
 
 

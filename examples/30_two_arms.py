@@ -16,6 +16,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import torch
 import tyro
+from pictures import BLUE, GREY, ORANGE, prepare, save
 from torch import Tensor
 
 import torchdq
@@ -63,20 +64,22 @@ def main(args: Args) -> tuple[Tensor, Tensor]:
     reached = dq.mul(BASES, torchdq.forward_kinematics(ARM, path.q, ARM.tip))
     pairs = zip(relative_and_absolute(reached), relative_and_absolute(wanted), strict=True)
     errors = [(dq.Pose(found).inverse() @ dq.Pose(goal)).log() for found, goal in pairs]
-    figure, axes = plt.subplots(1, 2, figsize=(11, 6), layout="constrained")
+    prepare()
+    figure, (above, over_time) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     p = dq.translation(reached)
-    for k, name in enumerate(("left", "right")):
-        axes[0].plot(p[:, k, 0], p[:, k, 1], label=f"{name} hand")
-    axes[0].set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="hands, from above")
-    axes[0].legend()
-    for e, name in zip(errors, ("relative", "absolute"), strict=True):
+    for k in torch.linspace(0, len(t) // 2, 5).long().clamp(max=len(t) - 1):
+        above.plot(p[k, :, 1], p[k, :, 0], color=GREY, linewidth=1.0, label=None if k else "object")
+    for k, (name, colour) in enumerate((("right hand", BLUE), ("left hand", ORANGE))):
+        above.plot(p[:, k, 1], p[:, k, 0], color=colour, linewidth=2.5, label=name)
+    above.set(xlabel="y [m]", ylabel="x [m]", title="Hands from above", aspect="equal", ylim=(0.35, 0.7))
+    above.invert_xaxis()  # seen from above, y is to the left of x
+    above.legend(loc="lower left", ncols=3, columnspacing=1.0, handlelength=1.2)
+    for e, name, colour in zip(errors, ("relative", "absolute"), (BLUE, ORANGE), strict=True):
         print(f"{name} pose: {1e3 * e[:, 3:].norm(dim=-1).max():.2f} mm, {1e3 * e[:, :3].norm(dim=-1).max():.2f} mrad")
-        axes[1].plot(t, 1e3 * e[:, 3:].norm(dim=-1), label=name)
-    axes[1].set(xlabel="time [s]", ylabel="error [mm]", title="poses that the hands hold together")
-    axes[1].legend()
-    args.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out / "two_arms.png", dpi=100)
-    plt.close(figure)
+        over_time.plot(t, 1e3 * e[:, 3:].norm(dim=-1), color=colour, label=f"{name} pose")
+    over_time.set(xlabel="time [s]", ylabel="error [mm]", title="Errors of the two poses", ylim=(0, 7))
+    over_time.legend(loc="upper left", ncols=2)
+    save(figure, args.out / "two_arms.png")
     return errors[0], errors[1]
 
 

@@ -72,7 +72,7 @@ def pictures(path: Path, robot: torchdq.Robot, found: dict[str, tuple[State, Ten
         panels[2].semilogy(time, gap.clamp_min(1e-16), color=METHODS[name][1])
     panels[1].set(xlabel="time [s]", title="energy [J]")
     panels[2].set(xlabel="time [s]", title="gap of the loop [m]")
-    panels[1].legend()
+    figure.legend(*panels[1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     save(figure, path)
 
 

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from torchdq.learning import Motion
 
-COLORS = {"as described": ORANGE, "as found": BLUE}
+COLORS = {"nominal": ORANGE, "identified": BLUE}
 
 
 def shares(motion: Motion, torques: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -4,8 +4,12 @@ import gzip
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
-from torchdq.learning import Layout
+import torch
+
+from torchdq import ResidualDynamics
+from torchdq.learning import Identified, Layout, Motion, Samples, stack_samples
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,23 @@ def layout_of(path: Path) -> Arm:
         if needed <= {*heads} if layout.width is None else len(heads) == layout.width and _are_numbers(heads):
             return layout
     return LAYOUTS["csv"]
+
+
+@torch.no_grad()
+def residual_samples(found: Identified, network: ResidualDynamics, motion: Motion) -> Samples:
+    """Samples of a network around `found.layer()`: it learns what predictions leave, not the memory of friction."""
+    q, qd, qdd, tau = stack_samples(motion)
+    return Samples(q, qd, qdd, tau - found.predict(motion).tau + network.model(q, qd, qdd))
+
+
+@torch.no_grad()
+def predicted(found: Identified, network: ResidualDynamics, motion: Motion) -> Any:
+    """Torques of an identified robot and a network, with errors that are smaller where it was trained."""
+    alone, (q, qd, *_) = found.predict(motion), stack_samples(motion)
+    more, narrower = network.residual(q, qd), network.narrowing(q, qd)
+    low, high = ((x - alone.tau) * narrower for x in (alone.low, alone.high))
+    tau = alone.tau + more
+    return alone._replace(tau=tau, error=narrower * alone.error, low=tau + low, high=tau + high)
 
 
 def _are_numbers(cells: list[str]) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 
 from pages import contact_tables
 from pages.cases import CASES, START, built
+from pages.characteristics import CHARACTERISTICS
 from pages.docstrings import ArgumentText, documented
 from pages.effect_facts import allowed, arm, facts, kinds, operations, required
 from pages.formulas import tex
@@ -92,8 +93,10 @@ def page(name: str) -> str:
 
 
 def shown(name: str) -> str:
-    """Caption of the picture of an effect."""
-    return {"model": "Change of the model", "sensor": "Measurements"}.get(getattr(effects, name).SLOT, "Characteristic")
+    """Alternative text of the picture of an effect: its axes, without units, and its curves."""
+    drawn = CHARACTERISTICS[name]()
+    x, y = (re.sub(r" \[.*\]", "", label) for label in (drawn.x, drawn.y))
+    return f"{y[0].upper()}{y[1:]} against {x}, with {name}: {'; '.join(drawn.curves)}"
 
 
 def signature(kind: type[Effect]) -> str:

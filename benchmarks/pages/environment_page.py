@@ -88,7 +88,7 @@ def page(task: str) -> str:
         sentence(said.summary),
         f'`gymnasium.make("{spec.id}")` creates one environment, `gymnasium.make_vec` many, and '
         f'`torchdq.envs.RobotVectorEnv(4096, "{task}")` many on tensors.',
-        f"![One arm at five moments of an episode]({task}.png)",
+        f"![{robot.name} at {len(case.moments)} moments: {said.summary[0].lower()}{said.summary[1:-1]}]({task}.png)",
         f"One episode, after {', '.join(f'{k * dt:g}' for k in case.moments)} s.",
         "## Task",
         *case.about,
@@ -227,7 +227,7 @@ def _learning(task: str) -> list[str]:
         "## Learning",
         f"PPO of Stable-Baselines3 learns the task in {seconds / 60:.0f} minutes on one core:",
         _learning_code(task, found),
-        f"![Median distance and success against time]({task}_learning.svg)",
+        f"![Median distance and success against the processor time of training, two kinds of PPO]({task}_learning.svg)",
         f"Of {tests} episodes that training never saw: the median distance from the goal at the end, and the share of "
         f"success. Lines are medians of {len(seeds)} seeds, {len(blocks)} on blocks, and bands their ranges. Seconds "
         f"are processor time of training, {steps / 1e6:.1f} million steps of Stable-Baselines3 in {seconds:.0f} s.",
@@ -257,7 +257,7 @@ def learning_picture(task: str) -> str:
     """SVG of the learning curves of an environment: medians and ranges of the seeds."""
     found = learned(task) or {}
 
-    def panel(label: str, column: int, factor: float, log: bool) -> Picture:
+    def panel(label: str, column: int, factor: float, log: str = "") -> Picture:
         curves = {}
         for words, name in {"PPO of Stable-Baselines3": "seeds", "PPO on blocks": "blocks"}.items():
             tests = [list(zip(*at, strict=True)) for at in zip(*found[name], strict=False)]  # of all seeds at a time
@@ -266,7 +266,7 @@ def learning_picture(task: str) -> str:
             curves[words] = Curve([median(test[0]) for test in tests], [median(row) for row in rows], ends)
         return Picture("processor time [s]", label, curves, log)
 
-    return svg(panel("median distance at the end [mm]", 2, 1e3, True), panel("success [%]", 3, 100.0, False))
+    return svg(panel("median distance at the end [mm]", 2, 1e3, "y"), panel("success [%]", 3, 100.0))
 
 
 def _rates(task: str) -> str:

@@ -2,11 +2,13 @@
 
 import os
 import sys
+import textwrap
 from pathlib import Path
 
 import nbformat
 
 SECONDS = 120.0  # of one cell
+COLUMNS = 88  # of what a cell prints
 
 
 def page(path: Path) -> str:
@@ -25,18 +27,19 @@ def page(path: Path) -> str:
 def _parts(cell) -> list[str]:
     if cell.cell_type == "markdown":
         return [cell.source]
-    shown = [_shown(output) for output in cell.get("outputs", [])]
+    shown = [_shown(output, cell.metadata) for output in cell.get("outputs", [])]
     return [f"```python\n{cell.source}\n```", *filter(None, shown)]
 
 
-def _shown(output) -> str:
-    """Text, picture or nothing."""
+def _shown(output, metadata) -> str:
+    """Text, picture or nothing; the alternative text of a picture is in the metadata of its cell."""
     if output.output_type == "stream":
-        return f"```text\n{output.text.rstrip()}\n```" if output.name == "stdout" else ""
+        lines = "\n".join(textwrap.fill(line, COLUMNS) for line in output.text.rstrip().split("\n"))
+        return f"```text\n{lines}\n```" if output.name == "stdout" else ""
     data = output.get("data", {})
     if svg := data.get("image/svg+xml"):
         return svg[svg.index("<svg") :]
     if png := data.get("image/png"):
-        return f"![picture](data:image/png;base64,{png.strip().replace(chr(10), '')})"
+        return f"![{metadata['alt']}](data:image/png;base64,{png.strip().replace(chr(10), '')})"
     text = data.get("text/plain", "")
     return f"```text\n{text}\n```" if text else ""

@@ -82,7 +82,7 @@ def test_a_name_means_one_thing_but_for_laws_and_their_layers_and_functions_of_b
         for name in opened(module).__all__:
             meanings.setdefault(name, set()).add(id(getattr(opened(module), name)))
     laws = {"CartesianImpedance", "ComputedTorque", "OperationalSpaceControl"}
-    others = {"Box", "Push"}  # a range of positions and an object, a wrench and a task
+    others = {"Push"}  # a wrench and a task
     others |= {"Pose", "JointLimits"}  # and costs of them
     assert {name for name, of in meanings.items() if len(of) > 1} == laws | others
 

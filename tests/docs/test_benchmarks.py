@@ -8,14 +8,17 @@ import sys
 from collections import Counter
 
 import batches
+import diagrams
 import front_page
 import numpy as np
 import oracles
 import pytest
 import report
+import terminals
 import torch
 from accuracy import findings, peers
 from compared import READ_BY_MUJOCO, TOLERANCE
+from helpers import thinned
 from pages.pictures import curves_of
 from places import ROOT
 
@@ -118,6 +121,25 @@ def test_pictures_of_speed_are_those_of_the_results(results):
     drawn = picture(json.loads((FOLDER / "results" / f"{results}.json").read_text("utf-8")))
     pairs = zip(curves_of(file.read_text("utf-8")), curves_of(drawn), strict=True)
     assert all(np.allclose(a, b, rtol=1e-3, atol=0) for a, b in pairs), "the script with --again draws it again"
+
+
+@pytest.mark.parametrize("name", diagrams.DIAGRAMS)
+def test_a_diagram_is_that_of_its_script(name):
+    """Up to how processors round places."""
+    texts = [(diagrams.FOLDER / f"{name}.svg").read_text("utf-8"), diagrams.DIAGRAMS[name]().svg()]
+    kept, drawn = (re.split(r"(-?\d+\.\d+)", text) for text in texts)
+    assert kept[::2] == drawn[::2], "benchmarks/diagrams.py --write"
+    assert np.allclose(*(np.array(x[1::2], float) for x in (kept, drawn)), rtol=0, atol=0.2)
+    assert "prefers-color-scheme: dark" in texts[0]
+
+
+@pytest.mark.parametrize("name", thinned(terminals.COMMANDS, ("report",)))
+def test_a_terminal_shows_what_the_command_prints(name):
+    """Words and lines; the digits of an identification depend on the processor."""
+    kept = (terminals.FOLDER / f"terminal_{name}.svg").read_text("utf-8")
+    drawn = terminals.picture(name, terminals.printed(name))
+    kept, drawn = ([re.sub(r"\d", "0", x) for x in re.findall(r">([^<\n]+)<", text)] for text in (kept, drawn))
+    assert len(kept) > 20 and kept == drawn, "benchmarks/terminals.py --write"
 
 
 @pytest.mark.parametrize("script", ["peers.py", "envs.py"])

@@ -152,6 +152,14 @@ def test_every_link_of_a_document_leads_somewhere(path):
             assert anchor in anchors(file.read_text(encoding="utf-8")), f"{path.name} links to {target}#{anchor}"
 
 
+def test_a_picture_has_an_alternative_text_that_says_what_is_drawn():
+    texts = {path.relative_to(ROOT): CODE.sub("", path.read_text(encoding="utf-8")) for path in DOCUMENTS}
+    found = [(path, words) for path, text in texts.items() for words in re.findall(r"!\[([^\]]*)\]\(", text)]
+    assert len(found) > 60
+    short = [f"{path}: {words!r}" for path, words in found if len(words.split()) < 6]
+    assert not short, "say what a reader would see: " + "; ".join(short)
+
+
 def test_a_heading_has_the_anchor_of_its_words():
     text = '# What `read` takes\n\n## C, and [C++](x.md)\n\n```sh\n# no heading\n```\n<a id="own"></a>\n## Done {#end}'
     assert {"what-read-takes", "c-and-c", "own", "end"} <= anchors(text)

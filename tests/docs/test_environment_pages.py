@@ -11,7 +11,18 @@ import pytest
 import torch
 from pages.docstrings import documented
 from pages.environment_cases import ENVIRONMENTS, towards
-from pages.environment_page import DATA, learned, newest, picture, rates, registered, robot_of, situation
+from pages.environment_page import (
+    DATA,
+    learned,
+    learning_picture,
+    newest,
+    picture,
+    rates,
+    registered,
+    robot_of,
+    situation,
+)
+from pages.pictures import curves_of
 
 from torchdq.envs import RobotVectorEnv
 from torchdq.envs.walk import WEIGHTS
@@ -147,3 +158,10 @@ def test_a_picture_shows_the_positions_of_the_episode(task):
     assert kept.size == drawn.size and (FOLDER / f"{task}.png").stat().st_size < 150_000
     positions = [torch.tensor(json.loads(x.info[DATA])) for x in (kept, drawn)]
     assert torch.allclose(*positions, rtol=0, atol=1e-3), REMEDY
+
+
+def test_a_picture_of_learning_shows_the_stored_results():
+    for task in filter(learned, ENVIRONMENTS):
+        kept, drawn = map(curves_of, ((FOLDER / f"{task}_learning.svg").read_text("utf-8"), learning_picture(task)))
+        assert len(kept) == len(drawn) == 4
+        assert all((a == b).all() for a, b in zip(kept, drawn, strict=True)), REMEDY

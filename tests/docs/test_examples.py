@@ -155,7 +155,7 @@ def test_real_time(tmp_path, capsys):
     assert found.deviation < 1e-7
     assert found.error < found.error_described / 30
     assert len(found.late) == len(found.computed) == 500 and (found.late >= 0).all() and (found.computed > 0).all()
-    assert "controller took [us]: median" in capsys.readouterr().out
+    assert "computation time [us]: median" in capsys.readouterr().out
     assert_drawn(tmp_path / "real_time.png")
 
 

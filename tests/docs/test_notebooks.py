@@ -1,5 +1,7 @@
 """The notebooks run from the first cell to the last, and are kept without what they print."""
 
+import re
+
 import pytest
 from places import ROOT
 
@@ -30,6 +32,14 @@ def test_a_notebook_runs(notebook, tmp_path, monkeypatch):
     assert plt.get_fignums()
     plt.close("all")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_cell_that_draws_has_an_alternative_text_for_its_picture(notebook):
+    """It is in the metadata of the cell, and the page needs it."""
+    for cell in notebook.cells:
+        drawn = cell.cell_type == "code" and re.search(r"plt\.(figure|subplots)\(|plot_torques\(", cell.source)
+        assert bool(drawn) == ("alt" in cell.metadata)
+        assert not drawn or len(cell.metadata["alt"].split()) > 5
 
 
 def test_a_notebook_is_kept_without_outputs(notebook):

@@ -65,7 +65,7 @@ def page(
             "Torques in motions that were not learned from",
             "<p>Errors are root mean squares over the standard deviation of the measured torque."
             f"{BY_FILE if measured.file is not None else ''} The picture shows what was identified, with bands that "
-            f"should hold 95 % of the measurements.</p>{_table(measured.header, measured.rows())}"
+            f"should hold 95 % of the measurements.</p>{_table(*measured.table())}"
             f'<div class="picture">{_picture(found.by_these_gains(), torques_by(found, test))}</div>',
         ),
         _section("What may be missing", _table(HEADER, [one.cells for one in tried])) if tried else "",

@@ -274,7 +274,7 @@ def _outcome(
     """Text and data of what was found, a payload, what was tried besides, and notes, the last about the files."""
     payload, tried = besides
     selection, unidentifiable = found.selection, found.unidentifiable
-    text: list[str | Grid | Verbatim] = [Grid(measured.header, measured.rows())]
+    text: list[str | Grid | Verbatim] = [Grid(*measured.table())]
     if selection is not None:
         text.append(f"model: {selection.summary}")
     if unidentifiable:

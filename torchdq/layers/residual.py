@@ -45,7 +45,8 @@ class ResidualDynamics(nn.Module):
       for a controller, a network that failed to train is a bounded disturbance;
     * a joint where it does not help has the weight zero.
 
-    With an identified robot (`Identified.with_residual`), friction keeps its memory, and predictions have errors.
+    Around the layer of an identified robot, train it on what `Identified.predict` leaves, so that friction keeps its
+    memory: predictions are the sum of both, with errors times `narrowing`.
 
     Args:
         model: the dynamics.

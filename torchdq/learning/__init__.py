@@ -15,7 +15,7 @@ Nothing here is imported by `import torchdq`; scipy is imported by the functions
 from torchdq.learning.bodies.payload import IdentifiedPayload, identify_payload
 from torchdq.learning.bodies.posterior import PosteriorSamples, posterior_samples
 from torchdq.learning.evaluate import Evaluation, Verdict, evaluate
-from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
+from torchdq.learning.excitation.limits import HalfSpace, MotionLimits
 from torchdq.learning.excitation.trajectory import Excitation, excitation_trajectory
 from torchdq.learning.fit import History, TrainingError, fit
 from torchdq.learning.identification.identified import Identified
@@ -32,7 +32,6 @@ from torchdq.learning.rollout.recordings import Recording
 from torchdq.learning.rollout.result import RolloutFit
 
 __all__ = [
-    "Box",
     "Evaluation",
     "Excitation",
     "HalfSpace",

@@ -99,21 +99,17 @@ class Evaluation(NamedTuple):
             text += " Something is missing: gains of the drives, a payload, rotor inertia, or another time base."
         return text
 
-    @property
-    def header(self) -> tuple[str, ...]:
-        """Names of the columns of `rows`."""
-        forecast = () if self.forecast is None else ("forecast",)
-        found = ("identified",) if self.file is None else ("identified", "by the file")
-        return ("joint", "error as described", *forecast, *found, "in 95 % intervals")
-
-    def rows(self) -> list[tuple[str, ...]]:
-        """Cells of the table of errors, a row for each joint."""
-        errors = [x for x in (self.described, self.forecast, self.found, self.file) if x is not None]
-        numbers = zip(self.joints, *(x.tolist() for x in errors), self.within.tolist(), strict=True)
-        return [(name, *(f"{x:.3f}" for x in some), f"{share:.0%}") for name, *some, share in numbers]
+    def table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Heads of the table of errors, and a row of cells for each joint."""
+        heads = ("error as described", "forecast", "identified", "by the file")
+        columns = dict(zip(heads, (self.described, self.forecast, self.found, self.file), strict=True))
+        errors = {head: x.tolist() for head, x in columns.items() if x is not None}
+        numbers = zip(self.joints, *errors.values(), self.within.tolist(), strict=True)
+        rows = [(name, *(f"{x:.3f}" for x in some), f"{share:.0%}") for name, *some, share in numbers]
+        return ("joint", *errors, "in 95 % intervals"), rows
 
     def __str__(self) -> str:
-        return f"{table(self.header, self.rows())}\n\n{self.summary}"
+        return f"{table(*self.table())}\n\n{self.summary}"
 
 
 def evaluate(
@@ -161,7 +157,7 @@ def evaluate(
     seconds = float(sum(motion.time[-1] - motion.time[0] for motion in known))
     within = ((tau >= predicted.low) & (tau <= predicted.high)).double().mean(0)
     chosen = found.selection
-    forecast = chosen.chosen.scores.mean(0).sqrt() if chosen is not None and chosen.validated else None
+    forecast = chosen.chosen.scores.mean(0).sqrt() if chosen is not None else None
     return Evaluation(described.joint_names, seconds, before, after, within, of_file, findings, forecast)
 
 

@@ -1,10 +1,4 @@
-"""Fitting a model of joint torques to samples by gradients.
-
-    history = fit(model, train, valid, steps=2000)
-
-A plain loop in one process. A model of torchdq is a `torch.nn.Module`, which any trainer takes where checkpoints,
-several processes or curves are wanted.
-"""
+"""Fitting a model of joint torques to samples by gradients: a plain loop, beside which any trainer of torch will do."""
 
 import copy
 import math
@@ -26,7 +20,7 @@ from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, regions
 from torchdq.learning.evaluation.diagnostics import diagnose
-from torchdq.learning.evaluation.validation_gain import HeldOut, ValidationGain, validation_gain
+from torchdq.learning.evaluation.statistics import COVERED, correlation_times
 from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.samples import Samples, of_motions, torque_variance, validated
 from torchdq.nn import ComputedTorque, ForwardDynamics, InverseDynamics
@@ -36,6 +30,8 @@ from torchdq.robot.model import batches
 LOOK = 100  # steps between two entries of a history
 ROWS = 4096  # rows that are evaluated at a time
 GROUPS = 5  # groups of blocks, each held out from one copy of a network
+CLEAR = 2.0  # standard errors that the squared error must fall by on held-out rows, for a network to be kept
+LEAST = 2  # fewest independent rows of a block, on average
 Rows = Sequence[Tensor]  # what a function of torques takes, and the torques [rows, n] that it should return
 
 
@@ -46,6 +42,33 @@ class _Settings(NamedTuple):
     rate: float  # learning rate of the first step
     decay: float  # weight decay
     seed: int
+
+
+class ValidationGain(NamedTuple):
+    """Gain of a residual on held-out rows; errors are root mean squares in units of the torque's spread, [n]."""
+
+    joints: tuple[str, ...]
+    without: Tensor  # [n] error of the model alone
+    error: Tensor  # [n] error with the residual, at its weight
+    weight: Tensor  # [n] from 0 to 1
+    gains: Tensor  # [n] decrease of the squared error, over blocks or regions, the smaller; in units of the variance
+    standard_errors: Tensor  # [n] standard errors of these gains; infinite if there are fewer than two blocks
+
+    def __str__(self) -> str:
+        rows = [
+            (name, f"{a:.3f}", f"{b:.3f}", f"{g:.2g} +- {e:.1g}", f"{w:.2f}")
+            for name, a, b, w, g, e in zip(self.joints, *(x.tolist() for x in self[1:]), strict=True)
+        ]
+        heads = ("joint", "without", "with", "decrease of squares", "weight")
+        return f"residual on held-out rows\n\n{table(heads, rows)}"
+
+
+class HeldOut(NamedTuple):
+    """Rows that a network was not trained on, in float64."""
+
+    torque: Tensor  # [rows, n] of the network, with weight one [N m or N]
+    gate: Tensor  # [rows, n]
+    residual: Tensor  # [rows, n] measured torque less the model's [N m or N]
 
 
 class TrainingError(TorchdqError, ArithmeticError):
@@ -93,12 +116,10 @@ def fit(
     goes through all rows in a new order. With `valid`, the model gets the weights of the least error on it, of those
     after every 100 steps.
 
-    Of a `ResidualDynamics` only the network is trained: fit the physics first, by `identify` or by
-    `fit(model.model, ...)`. The network is then validated on blocks of `valid`; or, by copies that are trained without
-    them, on blocks of `train`, and on regions of the states where there are fewer than three motions. A joint keeps the
-    network only if its squared error falls by more than two standard errors on these rows, and if they are as
-    informative as two independent ones for each block. `History.residual` holds the gains, and a `LogWarning` names
-    joints where it does not help.
+    Of a `ResidualDynamics` only the network is trained: fit the physics first. The network is then validated on blocks
+    of `valid`; or, by copies that are trained without them, on blocks of `train`, and on regions of the states where
+    there are fewer than three motions. A joint keeps it only if its squared error falls there by more than two standard
+    errors, on rows as informative as two independent ones for each block. `History.residual` holds the gains.
 
     Args:
         model: called as model(q, qd, qdd), returns tau [N, n] [N m]; lies on the device to compute on.
@@ -334,3 +355,39 @@ def _residuals(model: ResidualDynamics, samples: Samples) -> Rows:
     q, qd, qdd, tau = samples
     x = model.features(q, qd)
     return x, (tau - _by_parts(model.model, q, qd, qdd)).to(x)
+
+
+@torch.no_grad()
+def validation_gain(
+    model: ResidualDynamics, blocks: Sequence[HeldOut], regions: Sequence[HeldOut], variance: Tensor
+) -> ValidationGain:
+    """Gain of the residual on blocks of the motions and regions of the states, for torques of a variance [n].
+
+    It sets the weights of the joints, from 0 to 1, to those that are best on these rows, or to zero, and the remaining
+    errors. Blocks and regions count separately: blocks of a motion that repeats itself say nothing about others. Blocks
+    that are short resemble their neighbours: a network that was trained on those shows nothing about other times.
+    """
+    joints, none = tuple(model.robot.joint_names), torch.zeros_like(variance)
+    model.weight.zero_()
+    model.remaining.fill_(1.0)
+    if len(blocks) < 2:
+        return ValidationGain(joints, none + math.nan, none + math.nan, none, none, none + math.inf)
+    y, _, r = (torch.cat(x) for x in zip(*blocks, *regions, strict=True))
+    weight = ((y * r).sum(0) / y.square().sum(0).clamp_min(1e-300)).clamp(0.0, 1.0)
+    means, errors = none.new_empty(2, 1 + bool(regions), len(none))  # of blocks, and of regions
+    for k, parts in enumerate(filter(None, (blocks, regions))):
+        falls = torch.stack([(weight * x.torque * (2 * x.residual - weight * x.torque)).mean(0) for x in parts])
+        means[k], errors[k] = falls.mean(0) / variance, falls.std(0) / len(parts) ** 0.5 / variance
+
+    y, gate, r = (torch.cat(x) for x in zip(*blocks, strict=True))
+    independent = len(r) / correlation_times(r - weight * y, [len(x.residual) for x in blocks]).to(r)
+    weight = weight * ((means > CLEAR * errors).all(0) & (independent >= LEAST * len(blocks)))
+    left, inside = r - weight * y, gate >= 1
+    rows = inside | ~inside.any(0)
+    width, alone = (x.abs().where(rows, torch.nan).nanquantile(COVERED, 0) for x in (left, r))
+    model.weight.copy_(weight)
+    model.remaining.copy_((width / alone.clamp_min(1e-300)).clamp(max=1.0))
+    without, error = ((x.square().mean(0) / variance).sqrt() for x in (r, left))
+    poorest = (means - CLEAR * errors).argmin(0, keepdim=True)
+    gains, errors = (x.gather(0, poorest)[0] for x in (means, errors))
+    return ValidationGain(joints, without, error, weight, gains, errors)

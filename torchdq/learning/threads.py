@@ -15,10 +15,8 @@ def one_thread() -> Iterator[None]:
     """Context, also a decorator, in which torch computes on one thread; that holds for the whole process.
 
     Factors of matrices of a hundred rows take torch's linear algebra 3 to 60 times as long on two threads that other
-    processes keep busy: each factor waits for both. The programs of a robot take few of the seconds of a fit.
-
-    Several threads of Python may be inside at once. Each one that leaves, also by an error or by Ctrl-C, sets the
-    number of before the first one entered; those that are still inside are slower then, and find the same numbers.
+    processes keep busy. Several threads of Python may be inside at once: each one that leaves sets the number of before
+    the first one entered; those that are still inside are slower then, and find the same numbers.
     """
     global _inside, _usual
     with _lock:

@@ -185,9 +185,16 @@ def _solved(
 
 
 def _room(what: Knot, known: Rows) -> list[Row]:
-    """Smallest and largest changes of the torques within the limits."""
+    """Smallest and largest changes of the torques within the limits, zero where they are rounding errors of torques."""
     control = known[what.objective.control] if what.boxed else ()
-    return [_less(known[name], control) for name in ("lower", "upper") if what.boxed]
+    return [[*map(_rounded, _less(known[name], control), control)] for name in ("lower", "upper") if what.boxed]
+
+
+def _rounded(change: Number, x: Number) -> Number:
+    """Change of a number; zero if it is a few units in the last place, by which a number at a limit may miss it."""
+    near = 8.0 * x
+    moved = near + change
+    return select(at_least(moved, near) * at_least(near, moved), 0.0, change)
 
 
 def box_qp(

@@ -262,11 +262,16 @@ class Passes(NamedTuple):
         near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
         return {**near, self.problem.objective.control: torque, **self.stepped}
 
+    @property
+    def looped(self) -> bool:
+        """Whether a knot is one program, over which the backward pass is a loop."""
+        return linearize.length(self.problem.scene) + 2 * (self.size + self.problem.scene.n) ** 3 <= LARGEST
+
     def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
         problem, scene, width = self.problem, self.problem.scene, self.size + self.problem.scene.n
         what = Knot(scene.spec, problem.objective, self.limits is not None)
-        if linearize.length(scene) + 2 * width**3 <= LARGEST:
+        if self.looped:
             return self._by_loop(what, states, torque, damping)
         parts = []
         for at in torch.arange(len(damping), device=damping.device).split(TOGETHER // (problem.steps * width**2) or 1):

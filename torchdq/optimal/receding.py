@@ -9,17 +9,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from os import PathLike
+from typing import get_args
 
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_count
+from torchdq.base.checks import require_choice, require_count
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
+from torchdq.export.c99 import Library
+from torchdq.export.files import Exported, path_of
+from torchdq.export.names import distinct, identifier
+from torchdq.optimal.exported import NAMES, Horizon
 from torchdq.optimal.ilqr import TOLERANCES, Found, Method, begun, by_rows, converged, improved, planned, solve
-from torchdq.optimal.problem import STOPPED, Passes, Plan, Problem
+from torchdq.optimal.problem import STOPPED, Passes, Plan, Problem, joined
 from torchdq.optimal.sampling import Sampling
 from torchdq.scene.state import State
+
+TICKS = 8  # golden vectors of an export
 
 
 class Receding:
@@ -73,6 +81,55 @@ class Receding:
         """Begin with a plan, or with none."""
         self._plan, self._rows = plan, None
 
+    def export(self, folder: str | PathLike[str], name: str = "", library: Library = "math.h") -> Exported:
+        """Files in strict C99 that need neither Python nor torch: a function NAME_tick that does what a call does.
+
+        Goals, weights, limits and tensors of the scene are members of a struct, with the plan and all other memory;
+        NAME_begin fills it with those of `problem` and `plan`. Steps, iterations and precision are those of the plan. A
+        tick that is not finite, as of a measurement that is missing, returns 1, and NaN as torques; its plan only moves
+        on. The test among the files compares ticks with those of Python.
+
+        Args:
+            folder: path of the folder, which is made if it is not there; files of the same names are replaced.
+            name: name of the struct; "": that of the robot, and mpc.
+            library: source of sine, cosine and roots, as in `torchdq.compile(...).export`.
+        Raises:
+            ArgumentError: there is no plan, or one of a batch or a sampling method; a knot of the robot is too large
+                for one program; name, folder or library are none that the files can have.
+
+        >>> import tempfile, torch, torchdq
+        >>> from torchdq import Scene, optimal
+        >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.02)
+        >>> costs = [optimal.Torques(1e-3), optimal.Posture(torch.ones(2).double(), 1.0)]
+        >>> mpc = optimal.Receding(optimal.Problem(scene, 20, costs))
+        >>> torque, gain = mpc(scene.start(torch.zeros(2).double()))
+        >>> mpc.export(tempfile.mkdtemp(), "arm_mpc").header.name
+        'arm_mpc.h'
+        """
+        plan = self.plan
+        if plan is None:
+            raise ArgumentError("plan must be known for an export, found None; call mpc(state) first")
+        if plan.gain is None or plan.cost.ndim or not plan.cost.isfinite():
+            found = "a batch" if plan.cost.ndim else "one without gains" if plan.gain is None else plan.why()
+            raise ArgumentError(f"plan must be that of one robot, with gains and a finite cost, found {found}")
+        passes = Passes.of(self.problem, plan.states.q[0], {})
+        if not passes.looped:
+            raise ArgumentError("scene must be that of a smaller robot, whose knots are one program, to be exported")
+        require_choice("library", library, get_args(Library))
+        own = identifier(name or distinct([f"{self.problem.scene.robot.name}_mpc"])[0], "name", NAMES)
+        return Horizon(passes, plan, self._golden(plan), self.iterations, own, library).write(path_of(folder))
+
+    def _golden(self, plan: Plan) -> list[Tensor]:
+        """States, torques and gains of some ticks after a plan, whose torques are not quite those that act."""
+        mpc, found, generator = Receding(self.problem, self.iterations), [], torch.Generator().manual_seed(0)
+        mpc.plan, state = plan, State(**{name: x[0] for name, x in plan.states.rows().items()})
+        for _ in range(TICKS):
+            torque, gain = mpc(state)
+            found.append((joined(state.rows()), mpc.plan.torque.flatten(), gain.flatten()))  # type: ignore[union-attr]
+            share = 0.5 + torch.rand(len(torque), generator=generator).to(torque)
+            state = self.problem.scene.step(state, **{plan.control: share * torque})
+        return [torch.stack(x) for x in zip(*found, strict=True)]
+
     @torch.no_grad()
     def __call__(self, state: State) -> tuple[Tensor, Tensor | None]:
         """Torques [..., n] for the step that begins now, and their gains [..., n, s]."""
@@ -97,20 +154,20 @@ class Receding:
         start = {name: by_rows(x, 0) for name, x in state.rows().items()}
         if last is None:
             found = self._solved(passes, state, start, None)
-            return found, torch.where(found.cost.isfinite()[:, None], found.torque[0], torch.nan)
+            return found, torch.where(_known(found)[:, None], found.torque[0], torch.nan)
         states = {name: _moved(x) for name, x in last.states.items()}
         last = last._replace(states=states, torque=_moved(last.torque), gain=_moved(last.gain))
         last = last._replace(status=torch.full_like(last.status, STOPPED), damping=torch.zeros_like(last.damping))
         x, u, cost = passes.forward(start, last.torque, last.followed)
         found = last._replace(states=x, torque=u, cost=cost.nan_to_num(torch.inf, torch.inf))
         found = improved(passes, start, found, self.iterations, None, lambda _: None)
-        if math.isfinite(found.cost.sum()):
+        if math.isfinite(found.cost.sum() + found.gain.sum()):
             return found, found.torque[0]
-        lost = ~found.cost.isfinite()
-        kept, new = ((lost & x).nonzero()[:, 0] for x in (last.cost.isfinite(), ~last.cost.isfinite()))
+        lost, before = ~_known(found), _known(last)
+        kept, new = ((lost & x).nonzero()[:, 0] for x in (before, ~before))
         if len(new):
             found.put(new, self._solved(passes, state, start, new))
-        torque = torch.where(found.cost.isfinite()[:, None], found.torque[0], torch.nan)
+        torque = torch.where(_known(found)[:, None], found.torque[0], torch.nan)
         found.put(kept, last.among(kept))  # the next state finds the plan where it would have been
         return found, torque
 
@@ -123,6 +180,11 @@ class Receding:
         with Progress(f"optimal control of {torque.shape[1]} problems") as notice:
             found = begun(passes, *passes.forward(start, torque))
             return converged(passes, start, found, True, 100, TOLERANCES[torque.dtype], notice)
+
+
+def _known(found: Found) -> Tensor:
+    """Whether the plan of a row is finite [rows]."""
+    return found.cost.isfinite() & found.gain.isfinite().flatten(2).all(2).all(0)
 
 
 def _rows_of(plan: Plan) -> Found:

@@ -67,7 +67,7 @@ def moved(X_BF: Tensor) -> Tensor:
 
 def relative(y: Tensor) -> Tensor:
     """Matrices B [..., 4, 4] of the entries [..., 10] of B - 1 in an orthonormal basis of the symmetric matrices."""
-    return torch.eye(4, dtype=y.dtype) + torch.einsum("...e,eij->...ij", y, BASIS)
+    return torch.eye(4, dtype=y.dtype) + (y @ BASIS.flatten(1)).unflatten(-1, (4, 4))
 
 
 def divergence(B: Tensor) -> Tensor:
@@ -81,5 +81,5 @@ def divergence_slopes(B: Tensor) -> tuple[Tensor, Tensor]:
     """Gradient [..., 10] and Hessian [..., 10, 10] of the divergence by the entries of B [..., 4, 4]."""
     inverse = torch.cholesky_inverse(torch.linalg.cholesky(B))
     products = inverse[..., None, :, :] @ BASIS
-    gradient = 2 * torch.einsum("...ij,eij->...e", torch.eye(4, dtype=B.dtype) - inverse, BASIS)
-    return gradient, 2 * torch.einsum("...eij,...fji->...ef", products, products)
+    gradient = 2 * (torch.eye(4, dtype=B.dtype) - inverse).flatten(-2) @ BASIS.flatten(1).T
+    return gradient, 2 * products.flatten(-2) @ products.mT.flatten(-2).mT

@@ -157,7 +157,7 @@ def test_a_scene_simulates_all_of_them_at_once():
     state = rolled(scene, scene.start(q, q), 20, tau)
     bodies = {name: getattr(some.robot, name)[2] for name in ("mass", "com", "inertia", "armature")}
     viscous, coulomb = (some.coefficients(kind)[2] for kind in ("viscous", "coulomb"))
-    friction = effects.Viscous(viscous), effects.Coulomb(coulomb, some.sign_width)
+    friction = effects.Viscous(viscous), effects.Coulomb(coulomb, some.identified.sign_width)
     third = (effects.Gravity(), effects.RotorInertia(), *friction)
     alone = scene.replace(robot=some.robot.replace(**bodies), effects=third)
     other = rolled(alone, alone.start(q[2], q[2]), 20, tau[2])

@@ -20,7 +20,7 @@ from messages import refused, warned
 import torchdq
 from torchdq import effects
 from torchdq.errors import ArgumentError, MissingLibraryError
-from torchdq.learning import Box, HalfSpace, Model, Motion, MotionLimits, Samples, excitation_trajectory, identify
+from torchdq.learning import HalfSpace, Model, Motion, MotionLimits, Samples, excitation_trajectory, identify
 from torchdq.learning.excitation import search
 from torchdq.learning.excitation.fourier import Family, grid
 from torchdq.learning.excitation.information import BaseParameters
@@ -52,9 +52,8 @@ def panda():
 
 @pytest.fixture(scope="module")
 def exciting(panda):
-    limits = MotionLimits(
-        workspace=(HalfSpace("tip", (0, 0, 2), 0.3), Box("panda_link5", (-0.4,) * 3, (math.inf,) * 3))
-    )
+    walls = [HalfSpace("panda_link5", axis, -0.4) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1))]
+    limits = MotionLimits(workspace=(HalfSpace("tip", (0, 0, 2), 0.3), *walls))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "STAGES", (*search.STAGES[:-1], (64, 240 if EVERYTHING else 100)))
         return excitation_trajectory(panda, 10.0, limits, restarts=2), limits
@@ -134,11 +133,9 @@ def test_torques_that_bind_are_kept_between_the_rows():
     assert bool((used <= 1).all()) and float(used.max()) > 0.93
 
 
-def test_half_spaces_and_boxes_measure_lengths():
+def test_half_spaces_measure_lengths():
     q = torch.zeros(2, dtype=torch.float64)  # the tip is at (2, 0, 0)
     assert torch.allclose(HalfSpace("tip", (-3, 0, 4), -2.0)(ARM, q), double(-1.2 + 2.0))
-    assert torch.allclose(Box("tip", (0, -1, -math.inf), (2.5, math.inf, math.inf))(ARM, q), double(2.0, 1.0, 0.5))
-    assert Box("tip", (-math.inf,) * 3, (math.inf,) * 3)(ARM, q).shape == (0,)
 
 
 def test_own_functions_keep_the_arm_where_they_say(short):
@@ -179,7 +176,6 @@ def excited(limits=LIMITS, seconds=5.0, **options):
         lambda: excited(seconds=0.0),
         lambda: HalfSpace("tip", (0, 0, 0), 1.0),
         lambda: HalfSpace("tip", (0, 0), 1.0),
-        lambda: Box("tip", (0, 0, 0), (1, 0, 1)),
         lambda: MotionLimits(share=1.2),
         lambda: MotionLimits(workspace=HalfSpace("tip", (0, 0, 1), 0.0)),
     ]

@@ -358,20 +358,20 @@ def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd)
     states, seen = moving(2, 200), []
     monkeypatch.setattr(progress, "FIRST", 0.01)
     monkeypatch.setattr(progress, "EVERY", 0.01)
-    monkeypatch.setattr(regression, "CHUNK", 2 * 22 * 50)
+    monkeypatch.setattr(regression, "CHUNK", 2 * 23 * 50)
     plain = regression.regressor
 
     def slow(*arguments):
         time.sleep(0.1)
         seen.append(len(arguments[1]))
-        if len(seen) == 3:
+        if len(seen) == 7:
             raise KeyboardInterrupt  # as Ctrl-C does
         return plain(*arguments)
 
     monkeypatch.setattr(regression, "regressor", slow)
     with pytest.raises(KeyboardInterrupt):
         fitted(ROBOT, *states, states[0])
-    assert seen == [50, 50, 50]
+    assert seen == [57, 57, 57, 29, 50, 50, 50]  # described torques, and least squares
     told = capfd.readouterr().err
     assert re.search(r"torchdq: identifying two_link, 50 of 200 samples, \d+ s", told)
     time.sleep(0.1)

@@ -205,11 +205,10 @@ def test_too_few_rows_to_choose_by_have_a_finding():
     chosen, findings = with_findings(fitted, ROBOT, q, qd, qdd, tau)
     assert not findings and chosen.selection is None and torch.equal(found.parameters, chosen.parameters)
     assert torch.equal(found.errors, chosen.errors) and not bool(found.model.any())
-    assert not found.selection.validated and "not chosen" in repr(found.selection)
-    assert str(found.selection).startswith("viscous, coulomb, bodies with a prior of 1, not chosen: 120 rows")
+    assert found.selection is None and one.cure.startswith("the model is viscous, coulomb, bodies with a prior of 1;")
     found, (one,) = with_findings(identify, ROBOT, motion_of(q, qd, qdd, tau), Model(friction=None))
     assert one.code == "rows.few" and one.found == "60 rows (1.2 s)" and "120 rows (2.4 s)" in one.expected
-    assert found.selection.chosen.name.startswith("bodies with a prior")
+    assert one.cure.startswith("the model is bodies with a prior")
 
 
 # --- errors ----------------------------------------------------------------------------------------------------------

@@ -2,12 +2,13 @@
 
 import copy
 
+import numpy as np
 import pytest
 import torch
-from helpers import EVERYTHING, exhaustive, thinned
-from messages import refused
+from helpers import EVERYTHING, thinned
 from recorded_logs import ROBOT as TWO
 from recorded_logs import motion_of, waves
+from recordings import predicted, residual_samples
 
 import torchdq
 from torchdq import Scene, effects
@@ -48,31 +49,33 @@ def nothing(q, qd):
 
 
 def trained(found, train, inputs="joint"):
-    """The robot that was found with a network, trained on what both leave."""
+    """A network around the layer of a robot that was found, trained on what its predictions leave."""
     torch.manual_seed(0)
     network = torchdq.ResidualDynamics(found.layer(), inputs=inputs, hidden=(16,))
-    fit(network, [found.residual_samples(*part) for part in train], steps=STEPS, **OPTIONS)
-    return found.with_residual(network)
+    fit(network, [residual_samples(found, network, motion_of(*part)) for part in train], steps=STEPS, **OPTIONS)
+    return network
 
 
 @pytest.fixture(scope="module")
 def bumpy():
-    """An identified robot, the same with a network, and the motions both were made from."""
+    """An identified robot, a network for what it leaves, and the motions both were made from."""
     parts = [motion(k, stribeck) for k in range(3)]
     found = identify(TWO, Samples(*map(torch.stack, zip(*parts, strict=True))), Model(REMEMBERS), prior=1.0)
     return found, trained(found, parts), parts
 
 
-def error(found, test):
+def error(found, test, network=None):
     """Root mean square of what predictions of a motion are off by, at each joint."""
-    return (found.predict(*test[:3]).tau - test.tau).square().mean(0).sqrt()
+    motion = motion_of(*test)
+    known = found.predict(motion) if network is None else predicted(found, network, motion)
+    return (known.tau - test.tau).square().mean(0).sqrt()
 
 
 def test_the_network_adds_to_friction_that_remembers(bumpy):
-    found, whole, parts = bumpy
+    found, network, parts = bumpy
     test = motion(99, stribeck)
-    both = error(whole, test)
-    assert (whole.network.weight > 0.8).all()
+    both = error(found, test, network)
+    assert (network.weight > 0.8).all()
     assert (both < 0.4 * error(found, test)).all()
     if not EVERYTHING:
         return
@@ -93,10 +96,10 @@ def test_unseen_motions_gain_by_what_no_friction_explains_and_never_lose(rest, m
     its friction says all."""
     parts = [plain_motion(k, rest) for k in range(4)]
     found = identify(TWO, parts, Model((effects.Viscous(), effects.Coulomb()), offset=False))
-    whole = trained(found, parts, "all")
+    network = trained(found, parts, "all")
     for seed, (speed, bar) in enumerate(((0.5, most), (1.0, most), (2.0, min(1.01, 1.5 * most))), start=90):
         test = plain_motion(seed, rest, speed)
-        assert (error(whole, test) < bar * error(found, test)).all(), speed
+        assert (error(found, test, network) < bar * error(found, test)).all(), speed
 
 
 def plain_motion(seed, rest, speed=1.0):
@@ -108,38 +111,28 @@ def plain_motion(seed, rest, speed=1.0):
 
 
 def test_intervals_hold_their_share(bumpy):
-    whole = bumpy[1]
     inside = []
     for seed in range(50, 56):
         test = motion(seed, stribeck)
-        predicted = whole.predict(*test[:3])
-        inside.append(((predicted.low <= test.tau) & (test.tau <= predicted.high)).double().mean())
+        told = predicted(*bumpy[:2], motion_of(*test))
+        inside.append(((told.low <= test.tau) & (test.tau <= told.high)).double().mean())
     assert 0.92 < float(torch.stack(inside).mean()) < 0.98
 
 
 def test_errors_and_intervals_are_those_identified_narrowed_where_the_network_was_trained(bumpy):
-    found, whole, parts = copy.deepcopy(bumpy)
-    whole.network.weight[1], whole.network.remaining[1] = 0, 1
-    predicted, alone = whole.predict(*parts[0][:3]), found.predict(*parts[0][:3])
-    assert torch.equal(predicted.tau[:, 1], alone.tau[:, 1]) and (predicted.tau != alone.tau)[:, 0].any()
-    assert torch.equal(predicted.low[:, 1], alone.low[:, 1]) and torch.equal(predicted.high[:, 1], alone.high[:, 1])
-    factor = whole.network.remaining
+    found, network, parts = copy.deepcopy(bumpy)
+    network.weight[1], network.remaining[1] = 0, 1
+    part = motion_of(*parts[0])
+    told, alone = predicted(found, network, part), found.predict(part)
+    assert torch.equal(told.tau[:, 1], alone.tau[:, 1]) and (told.tau != alone.tau)[:, 0].any()
+    assert torch.allclose(told.low[:, 1], alone.low[:, 1]) and torch.allclose(told.high[:, 1], alone.high[:, 1])
+    factor = network.remaining
     assert 0.1 < float(factor[0]) < 0.6
-    assert torch.allclose(predicted.error, factor * alone.error)
-    assert torch.allclose(predicted.high - predicted.low, factor * (alone.high - alone.low))
-    q, qd, qdd, _ = parts[0]
-    wide, far = whole.predict(q, 100 * qd.sign(), qdd), found.predict(q, 100 * qd.sign(), qdd)
-    assert torch.equal(wide.tau, far.tau) and torch.allclose(wide.high, far.high)
-
-
-def test_samples_are_what_the_layer_explains_as_well_as_the_robot_that_remembers(bumpy):
-    found, whole, parts = bumpy
-    with torch.no_grad():
-        steady = found.layer()(*parts[0][:3])
-    left = whole.residual_samples(*parts[0])
-    assert torch.equal(left.q, parts[0].q)
-    assert torch.allclose(left.tau - steady, parts[0].tau - found.predict(*parts[0][:3]).tau, atol=1e-12)
-    assert float((left.tau - parts[0].tau).abs().max()) > 1.0  # bristles that are bent back
+    assert torch.allclose(told.error, factor * alone.error)
+    assert torch.allclose(told.high - told.low, factor * (alone.high - alone.low))
+    far = part._replace(qd=100 * np.sign(part.qd))
+    told, alone = predicted(found, network, far), found.predict(far)
+    assert torch.equal(told.tau, alone.tau) and torch.allclose(told.high, alone.high)
 
 
 def test_trials_and_pictures_predict_motion_by_motion(bumpy):
@@ -157,59 +150,19 @@ def test_trials_and_pictures_predict_motion_by_motion(bumpy):
         assert torch.equal(drawn[drawn.isfinite()], apart[:, j])
 
 
-def test_motions_and_tensors_are_alike_and_rows_of_motions_follow_each_other(bumpy):
-    whole, parts = bumpy[1:]
-    several = [motion_of(*part) for part in parts[:2]]
-    found = whole.residual_samples(several)
-    assert torch.equal(found.tau, torch.cat([whole.residual_samples(*part).tau for part in parts[:2]]))
-    predicted = whole.predict(several)
-    assert torch.equal(predicted.low, torch.cat([whole.predict(*part[:3]).low for part in parts[:2]]))
-    stacked = whole.predict(*(torch.stack(x) for x in zip(*(part[:3] for part in parts[:2]), strict=True)))
-    assert stacked.tau.shape == (2, len(parts[0].q), 2) and torch.equal(stacked.tau.reshape(-1, 2), predicted.tau)
-
-
 def test_a_scene_moves_as_it_predicts(bumpy):
     """Torques that were applied are those predicted of the motion that followed, to first order in the step."""
-    whole, dt = bumpy[1], 2e-3
-    scene = Scene(whole.robot, whole.effects(), dt=dt)
-    assert [type(effect).__name__ for effect in scene.effects].count("Residual") == 1
+    (found, network, _), dt = bumpy, 2e-3
+    scene = Scene(found.robot, (*found.effects(), effects.Residual(network)), dt=dt)
     t = dt * torch.arange(200, dtype=F64)[:, None]
-    held = torchdq.inverse_dynamics(whole.robot, torch.zeros(2, dtype=F64))
+    held = torchdq.inverse_dynamics(found.robot, torch.zeros(2, dtype=F64))
     torque = held + torch.cat([12 * (12 * t).sin(), 6 * (15 * t).cos()], 1)
     states = scene.rollout(scene.start(torch.zeros(2, dtype=F64)), torque)
     q, qd = states.q.detach(), states.qd.detach()
     qdd = torch.diff(qd, dim=0) / dt
-    predicted = whole.predict(q[1:], qd[1:], qdd)
+    told = predicted(found, network, motion_of(q[1:], qd[1:], qdd, torque[1:]))
     assert (qd.amax(0) > 0.2).all() and (qd.amin(0) < -0.2).all()  # both joints turn round
-    off = (predicted.tau - torque[1:]).square().mean(0).sqrt()
+    off = (told.tau - torque[1:]).square().mean(0).sqrt()
     with torch.no_grad():
-        steady = whole.network(q[1:], qd[1:], qdd)
+        steady = network(q[1:], qd[1:], qdd)
     assert (off < 0.3).all() and (off < 0.3 * (steady - torque[1:]).square().mean(0).sqrt()).all()
-
-
-@exhaustive
-def test_gains_that_were_identified_scale_the_torques():
-    parts = [motion(k, nothing, 10.0) for k in range(3)]
-    drives = torch.tensor([4.0, 0.5], dtype=F64)
-    motions = [motion_of(*part[:3], part.tau / drives, known_gains=False) for part in parts]
-    found = identify(TWO, motions, Model(REMEMBERS, gains=True), prior=1.0)
-    steady = found.layer()(*parts[0][:3]).detach()
-    ratio = found.residual_samples(motions[0]).tau + found.predict(motions[0]).tau - steady
-    assert torch.allclose(ratio, torch.as_tensor(motions[0].tau) * found.gains.value)
-    plain = identify(TWO, parts[0], Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
-    for measured in (motions[0], motion_of(*parts[0])._replace(tau=None)):
-        with refused(torchdq.ArgumentError):
-            plain.residual_samples(measured)
-
-
-def test_what_it_does_not_take(bumpy):
-    found, whole, parts = bumpy
-    heavier = torchdq.ResidualDynamics(torchdq.DQRNEA(TWO.replace(mass=2 * TWO.mass)))
-    for call in (
-        lambda: found.with_residual(found.layer()),
-        lambda: found.with_residual(heavier),
-        lambda: found.residual_samples(*parts[0][:3]),
-    ):
-        with refused(torchdq.ArgumentError):
-            call()
-    assert torch.equal(whole.residual_samples(*parts[0]).tau, found.residual_samples(*parts[0]).tau)

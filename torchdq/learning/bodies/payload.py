@@ -1,12 +1,9 @@
 """Mass, centre of mass and inertia of what an arm holds, from seconds of motion with it.
 
-What a payload adds to the torques is linear in its ten inertial parameters about the frame that holds it,
-
-    tau - torques of the empty arm = Y(q, qd, qdd) pi + changes of friction and offset,
-
-Y being the columns of the link that carries the frame, moved there. The empty arm is an identified one: its torques
-bring their own errors. Minimised is the sum of squares over the noise, with the distance to a body of the size that is
-expected as prior (`nearest`), so that the payload can exist, however little is identifiable from the motion.
+What a payload adds to the torques of an identified arm is Y(q, qd, qdd) pi and changes of friction and offset, with its
+ten inertial parameters pi about the frame that holds it, and the columns Y of the link that carries the frame, moved
+there. Minimised is the sum of squares over the noise, with the distance to a body of the size that is expected as prior
+(`nearest`), so that the payload can exist, however little is identifiable from the motion.
 """
 
 import warnings
@@ -94,7 +91,7 @@ def identify_payload(
     """Body that an arm holds, from a few seconds of motion with it, as `IdentifiedPayload`.
 
     Identify the empty arm first, from motions like this one: what both have wrong, such as a drive's offset, is then
-    no payload. A gain that is off by some part makes mass and inertia wrong by the same part.
+    no payload.
 
     Args:
         empty: the arm without payload, from `identify`.

@@ -1,11 +1,10 @@
 """Robots drawn from what recordings leave open about one: for training on all that it may be.
 
-In the identifiable directions, the base parameters, a draw is one of the normal distribution with the covariance of
-`Identified`. In the others, that distribution knows nothing of bodies: a mass may come out negative. So each link is
-drawn as J' = C exp(s) C^T, with the pseudo-inertia J = C C^T found and s the symmetric matrix that is the drawn change
-of J in its own axes: to first order the same, and positive definite always. Then the robot is found that has the drawn
-base parameters, kappa (base phi - drawn)^T covariance^-1 (base phi - drawn) being small, and is nearest to these bodies
-(`nearest`).
+Base parameters are drawn from the normal distribution with the covariance of `Identified`. In other directions a mass
+might come out negative, so each link is drawn as J' = C exp(s) C^T, with the pseudo-inertia J = C C^T found and s the
+drawn change of J in its own axes: to first order the same, and positive definite always. Then the robot is found that
+has the drawn base parameters, kappa (base phi - drawn)^T covariance^-1 (base phi - drawn) being small, and is nearest
+to these bodies (`nearest`).
 """
 
 from typing import Any, NamedTuple
@@ -17,11 +16,10 @@ from torchdq.base.checks import require_count, require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.effects import Effect
-from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning.identification.identified import Identified, coefficients_of, effects_of, friction_of
 from torchdq.learning.identification.regression import parted
 from torchdq.learning.identification.solution import nearest, of_numbers
-from torchdq.learning.identification.terms import ROTOR, Term
+from torchdq.learning.identification.terms import ROTOR
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, pseudo_inertia, relative
@@ -35,26 +33,23 @@ class PosteriorSamples(NamedTuple):
     """Robots drawn from the posterior of an identification, as one robot with a batch axis, and their friction."""
 
     robot: Robot  # [samples] in mass, com, inertia and, if it was estimated, armature
-    terms: tuple[Term, ...]  # kinds of the parameters that are not those of bodies
-    names: tuple[str, ...]  # [k]
     parameters: Tensor  # [samples, k], as in `Identified`
-    sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
-    network: ResidualDynamics | None = None  # that of the identified robot
+    identified: Identified  # whose posterior they are drawn from
 
     def __repr__(self) -> str:
         return summary(f"PosteriorSamples {self.robot.name}", {"mass": (self.robot.mass, "kg")})
 
     def coefficients(self, kind: str) -> Tensor | None:
         """Coefficients [samples, n] of the joints, of one kind as in `Identified.coefficients`; None: not estimated."""
-        return coefficients_of(self.robot, self.terms, self.parameters, kind)
+        return coefficients_of(self.robot, self.identified.terms, self.parameters, kind)
 
     def effects(self) -> tuple[Effect, ...]:
-        """Gravity, rotor inertia, all friction found, a row per robot, and the residual network, as effects of a scene.
+        """Gravity, rotor inertia and all friction found, a row per robot, as effects of a scene.
 
-        Without a network, constant torques are not among them: add `coefficients("offset")` to the scene's torques.
+        Constant torques are not among them: add `coefficients("offset")` to the scene's torques.
         """
         numbers = parted(self.robot, self.parameters)[1].unbind(1)
-        return effects_of(self.robot, friction_of(self.terms, numbers, self.sign_width), self.network)
+        return effects_of(self.robot, friction_of(self.identified.terms, numbers, self.identified.sign_width))
 
 
 @one_thread()
@@ -106,7 +101,7 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
     if (rotors := coefficients_of(robot, terms, parameters, ROTOR.name)) is not None:
         changes["armature"] = rotors
     drawn = robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()})
-    return PosteriorSamples(drawn, terms, identified.names, parameters, identified.sign_width, identified.network)
+    return PosteriorSamples(drawn, parameters, identified)
 
 
 class _Space:

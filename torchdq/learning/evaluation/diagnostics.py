@@ -87,14 +87,7 @@ def sampled(rows: Sequence[Tensor]) -> list[Tensor]:
 
 
 def diagnose(robot: Robot, torques: Torques, rows: Sequence[Tensor], sign_width: float) -> list[Finding]:
-    """Findings about measurements that the description of the robot does not explain.
-
-    Args:
-        robot: the robot as described.
-        torques: its torques as a function of q, qd and qdd.
-        rows: measured q, qd, qdd and tau, [rows, n] each.
-        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
-    """
+    """Findings about measured q, qd, qdd and tau [rows, n] that the torques of a described robot do not explain."""
     if len(rows[0]) < AT.few:
         return []
     names, few = robot.joint_names, sampled(rows)
@@ -103,7 +96,7 @@ def diagnose(robot: Robot, torques: Torques, rows: Sequence[Tensor], sign_width:
         return [*leaps, *far]
     described = torques(*few[:3])
     fit = _compared(described, few, sign_width)
-    found = _units(names, fit) or _currents(names, fit)
+    found = _units(names, fit)
     weightless = [] if found else _weightless(torques, few, sign_width, fit.left)
     if not weightless and bool((fit.left > AT.unexplained).any()):
         found += _misread(torques, robot, few, sign_width, fit.left)
@@ -142,10 +135,9 @@ def uneven(names: Sequence[str], residual: Tensor, tau: Tensor) -> list[Finding]
 def misshapen(
     names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, sign_width: float, direction: Tensor | None
 ) -> list[Finding]:
-    """Findings about joints whose dry friction has another shape than was fitted.
+    """Findings about joints whose residuals functions of the velocity explain that are more or less sharp than fitted.
 
-    Functions of the velocity that change their sign more or less sharply explain the residuals there. `direction` is
-    the sign that was fitted; None: that of `sign_width`.
+    `direction` is the sign that was fitted; None: that of `sign_width`.
     """
     _, qd, qdd, tau = (x.cpu() for x in rows)
     if len(tau) < AT.few:
@@ -236,25 +228,22 @@ def _compared(described: Tensor, rows: Sequence[Tensor], sign_width: float) -> _
 
 
 def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
-    """Findings about joints whose torques are in another unit than those of the description."""
+    """Findings about joints whose torques are in another unit than described, or small at most joints, as currents."""
     factor, sure = fit.factor, fit.factor[fit.trusted]
     small = (factor > 0) & (factor * AT.shared <= 1) & (sure * AT.unit <= 1).any()
     common = len(sure) >= AT.several and bool(sure.min() >= AT.common) and bool(sure.max() <= AT.spread * sure.min())
     large = (factor >= AT.shared) & (sure >= AT.unit).any() | (fit.trusted & common)
-    claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
-    cure, option = (f"is the unit right? {way} multiplies tau" for way in ("Layout(gain=...)", "--gains"))
-    return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure, option), factor)
-
-
-def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
-    """Findings about torques that are small parts of the described ones at most joints, as currents are."""
-    small = fit.trusted & (fit.factor * AT.current <= 1)
+    if bool((small | large).any()):
+        claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
+        cure, option = (f"is the unit right? {way} multiplies tau" for way in ("Layout(gain=...)", "--gains"))
+        return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure, option), factor)
+    small = fit.trusted & (factor * AT.current <= 1)
     if not 2 * int(small.sum()) > int(fit.trusted.sum()):
         return []
     claim = "tau must be a torque, not a current of a drive whose gain is missing"
     cure = "give Layout(gain=...), torque per ampere at the joints, or gain=None and Model(gains=True) to identify"
     option = "give --gains, torque per ampere at the joints, or --estimate-gains"
-    return of_joints(names, small, Finding("torque.current", "", claim, TIMES, cure, option), fit.factor)
+    return of_joints(names, small, Finding("torque.current", "", claim, TIMES, cure, option), factor)
 
 
 def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:

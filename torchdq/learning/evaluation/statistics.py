@@ -14,11 +14,6 @@ def correlation_times(residual: Tensor, lengths: Sequence[int], clear: float = C
 
     Residuals [rows, n] are those of motions of these lengths, one after the other. `clear` is in standard errors of no
     correlation; 0 is for seconds of motion, where few are.
-
-    >>> white = torch.randn(1000, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    >>> held = white.repeat_interleave(4, 0)  # in runs of four equal rows
-    >>> bool(correlation_times(white, [1000]) < 1.2), bool((correlation_times(held, [4000]) - 4).abs() < 0.5)
-    (True, True)
     """
     size = 1 << (2 * max(lengths) - 1).bit_length()
     power = torch.zeros(size // 2 + 1, residual.shape[1], dtype=torch.float64)
@@ -39,12 +34,7 @@ def interval_factors(ratios: Sequence[Tensor]) -> Tensor:
     others hold 95 % of all rows (a cross-conformal prediction, V. Vovk, Annals of Mathematics and Artificial
     Intelligence 74, 2015, of blocks instead of rows).
 
-    Args:
-        ratios: of each block that was left out, the residuals in units of the predicted errors [rows, n]; NaN: no row.
-
-    >>> alike = torch.randn(6, 2000, 1, generator=torch.Generator().manual_seed(0)).double()
-    >>> bool((interval_factors(list(alike)) - 1.96).abs() < 0.1)
-    True
+    `ratios` of each block that was left out are the residuals in units of the predicted errors [rows, n]; NaN: no row.
     """
     sizes = [ratio.abs() for ratio in ratios]
     quantile = torch.cat(sizes).nanquantile(COVERED, 0)

@@ -28,11 +28,6 @@ class Series(NamedTuple):
     cosine: Tensor  # [..., n, H] [rad or m]
     rate: Tensor  # [...] w [rad/s]
 
-    @property
-    def period(self) -> Tensor:
-        """Period [...] [s]."""
-        return 2 * math.pi / self.rate
-
     def at(self, phase: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Positions, velocities and accelerations [..., points, n] at phases w t [points]."""
         k = torch.arange(1, self.sine.shape[-1] + 1, dtype=DTYPE)
@@ -50,11 +45,7 @@ class Series(NamedTuple):
 
 
 class Family:
-    """Motions within bounds, one for every choice of unconstrained numbers [..., n, 2 H].
-
-    The numbers of a joint are 2 (H - 1) that make its shape, one that makes its size, between none and the largest
-    that fits, and one that makes its centre.
-    """
+    """Motions within bounds, of free numbers [..., n, 2 H]: 2 (H - 1) of a joint's shape, its size and its centre."""
 
     def __init__(self, bounds: Bounds, harmonics: int):
         self.bounds, self.harmonics = bounds, harmonics

@@ -38,19 +38,14 @@ class BaseParameters(NamedTuple):
         alone = (base == 1) & ((base != 0).sum(0) == 1)
         return cls(robot, tuple(coefficients), sign_width, noise, base, alone.int().argmax(1), size)
 
-    @property
-    def typical(self) -> Tensor:
-        """Sizes [rank] of the leading parameters."""
-        return self.sizes[self.leading]
-
     def columns(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         """Torques per unit of each, over the noise, [..., n, rank]."""
         Z = _columns(self.robot, (q, qd, qdd), self.coefficients, self.sign_width)
         return Z.index_select(-1, self.leading) / self.noise[:, None]
 
     def information(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Mean information [..., rank, rank] of samples [..., samples, n] about `typical` * beta."""
-        Z = (self.columns(q, qd, qdd) / self.typical).flatten(-3, -2)
+        """Mean information [..., rank, rank] of samples [..., samples, n] about sizes times beta."""
+        Z = (self.columns(q, qd, qdd) / self.sizes[self.leading]).flatten(-3, -2)
         return Z.mT @ Z / q.shape[-2]
 
     def errors(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
@@ -61,7 +56,7 @@ class BaseParameters(NamedTuple):
         identifiable = e > SEPARATE * e[-1]
         variance = V.square() @ inverse_of(e * identifiable)
         unknown = (V.square()[:, ~identifiable] > 1e-6).any(1)
-        return torch.where(unknown, torch.inf, variance.sqrt() / size / self.typical)
+        return torch.where(unknown, torch.inf, variance.sqrt() / size / self.sizes[self.leading])
 
     def condition(self, q: Tensor, qd: Tensor, qdd: Tensor) -> float:
         """Condition number of the matrix of all torques per unit of the base parameters, over the noise."""

@@ -45,7 +45,8 @@ class HalfSpace:
     least: float
 
     def __post_init__(self) -> None:
-        _require_three("normal", self.normal)
+        if len(self.normal) != 3 or not all(is_number(x) and math.isfinite(x) for x in self.normal):
+            raise ArgumentError(f"normal must be three numbers, found {self.normal!r}")
         require_number("least", self.least)
         if not any(self.normal):
             raise ArgumentError(f"normal of the half-space of frame {self.frame!r} must be a direction, found zero")
@@ -55,42 +56,6 @@ class HalfSpace:
         p = dq.translation(forward_kinematics(robot, q, self.frame))
         normal = torch.tensor(self.normal, dtype=q.dtype) / math.hypot(*self.normal)
         return p @ normal[:, None] - self.least
-
-
-@dataclass(frozen=True)
-class Box:
-    """Box in the axes of the base, for the origin of a frame: lower <= p <= upper; infinite where it is open.
-
-    Called, it is how far the frame is inside [m].
-
-    Args:
-        frame: name of the frame.
-        lower, upper: corners in the base frame [m]; `math.inf` where there is no wall.
-
-    >>> import torch, torchdq
-    >>> box = Box("tip", (-1.0, -2.5, -1.0), (3.0, 2.5, 1.0))
-    >>> bool((box(torchdq.robots.load("two_link"), torch.zeros(2)) > 0).all())
-    True
-    """
-
-    frame: str
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        for name in ("lower", "upper"):
-            _require_three(name, getattr(self, name), finite=False)
-        if not all(a < b for a, b in zip(self.lower, self.upper, strict=True)):
-            raise ArgumentError(
-                f"lower of the box of frame {self.frame!r} must be below upper, found {self.lower} and {self.upper}"
-            )
-
-    def __call__(self, robot: Robot, q: Tensor) -> Tensor:
-        """Distances [..., walls] of the frame from the walls [m], negative outside."""
-        p = dq.translation(forward_kinematics(robot, q, self.frame))
-        walls = [p[..., i] - x for i, x in enumerate(self.lower) if math.isfinite(x)]
-        walls += [x - p[..., i] for i, x in enumerate(self.upper) if math.isfinite(x)]
-        return torch.stack(walls, -1) if walls else p[..., :0]
 
 
 class Bounds(NamedTuple):
@@ -119,8 +84,8 @@ class MotionLimits(Parametric):
         effort: greatest torque, gravity and described friction included [N m or N]; None: the robot's.
         share: part of these that is used: of velocities, accelerations and torques, and of the range about its middle.
             The description's torques may be off, and a controller overshoots.
-        workspace: `HalfSpace`, `Box`, or functions (robot, q [..., n]) that return numbers [..., c], differentiable in
-            q and not negative where the arm may be. A half-space holds for the origin of a frame: leave room for the
+        workspace: `HalfSpace`, or functions (robot, q [..., n]) that return numbers [..., c], differentiable in q and
+            not negative where the arm may be. A half-space holds for the origin of a frame: leave room for the
             body around it. Nothing here knows whether links collide with each other.
 
     >>> MotionLimits(velocity=1.0, workspace=(HalfSpace("tip", (0, 0, 1), 0.05),)).share
@@ -140,7 +105,7 @@ class MotionLimits(Parametric):
         if self.share > 1:
             raise ArgumentError(f"share must be at most 1, the limits themselves, found {self.share}")
         if not isinstance(self.workspace, Sequence) or not all(map(callable, self.workspace)):
-            expected = "a sequence of HalfSpace, Box or functions (robot, q)"
+            expected = "a sequence of HalfSpace or functions (robot, q)"
             raise ArgumentError(f"workspace must be {expected}, found {self.workspace!r}")
 
     def bounds(self, robot: Robot) -> Bounds:
@@ -194,10 +159,3 @@ def _warn_of_wider(robot: Robot, found: Bounds) -> None:
         cure = "are they in degrees? give radians and metres, or the robot's own limits, by None"
         claim = f"limits are wider than those of the description: {', '.join(wide)}"
         warnings.warn(f"{claim}; {cure}", stacklevel=5)
-
-
-def _require_three(name: str, x: Any, finite: bool = True) -> None:
-    if not isinstance(x, Sequence) or len(x) != 3 or not all(is_number(one) for one in x):
-        raise ArgumentError(f"{name} must be three numbers, found {x!r}")
-    if any(math.isnan(one) or (finite and math.isinf(one)) for one in x):
-        raise ArgumentError(f"{name} must be three finite numbers, found {x!r}")

@@ -1,14 +1,10 @@
 """Excitation trajectories: motions whose torques have the most information about the parameters of an arm.
 
-Torques are linear in the base parameters, tau = Z(q, qd, qdd) beta (`base`), so that the information of a motion about
-them is known before it is recorded:
-
-    I = sum over samples and joints of z z^T / noise^2,   z: row of Z.
-
-log det I is maximised: it measures the region that beta is then known to lie in, and the best motion does not depend on
-units (J. Swevers et al., "Optimal robot excitation and identification", IEEE Transactions on Robotics and Automation 13
-(1997)). Motions are Fourier series that keep position, velocity and acceleration by construction (`fourier`); torques
-and workspace are limited in the search (`search`).
+Torques are linear in the base parameters, tau = Z(q, qd, qdd) beta, so that the information I of a motion about them,
+the sum of z z^T / noise^2 over the rows z of Z, is known before it is recorded. log det I is maximised: the best motion
+does not depend on units (J. Swevers et al., "Optimal robot excitation and identification", IEEE Transactions on
+Robotics and Automation 13 (1997)). Motions are Fourier series that keep position, velocity and acceleration by
+construction (`fourier`); torques and workspace are limited in the search (`search`).
 """
 
 import math
@@ -86,7 +82,7 @@ class Excitation(NamedTuple):
         rows = [(name, f"{e:.2g}") for name, e in zip(self.base_names, self.base_errors.tolist(), strict=True)]
         used = (("velocity", self.qd, self.bounds.velocity), ("torque", self.tau, self.bounds.effort))
         parts = ", ".join(f"{name} {float((x.abs() / most).max()):.0%}" for name, x, most in used)
-        facts = f"period {float(self.series.period):.4g} s, condition number {self.condition:.3g}"
+        facts = f"period {2 * math.pi / float(self.series.rate):.4g} s, condition number {self.condition:.3g}"
         return f"{self!r}\n{facts}, most that is used: {parts}\n\n{table(('parameter', 'standard error'), rows)}"
 
     def sampled(self, rate: float) -> Motion:

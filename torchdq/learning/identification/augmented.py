@@ -7,6 +7,7 @@ above all friction, have taken its place.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -32,6 +33,19 @@ class AugmentedSolution(NamedTuple):
     x: Tensor  # [e]
     error: Tensor  # [e] standard errors of x
     left: Tensor  # [rows, n] residuals
+    A: Tensor  # [rows n, t + e] torques per unit of y and x
+    weight: Tensor  # [rows n, 1]
+    covariance: Tensor  # [t + e, t + e]
+
+    def with_more(self, E: Tensor) -> AugmentedSolution:
+        """Solution with unknowns of torques per unit E [rows, n, e] alone as x, by elimination of all others."""
+        columns = E.flatten(0, 1)
+        others = self.covariance @ (self.A.T @ (self.weight * columns))
+        own = columns - self.A @ others  # what the others do not explain
+        inverse = _inverse(columns.T @ (self.weight * own))
+        x = inverse @ (columns.T @ (self.weight * self.left.reshape(-1, 1)))[:, 0]
+        left, y = self.left - (own @ x).reshape(self.left.shape), self.y - (others @ x)[: len(self.y)]
+        return self._replace(y=y, x=x, error=inverse.diagonal().clamp_min(0).sqrt(), left=left)
 
 
 class AugmentedFit(NamedTuple):
@@ -68,16 +82,22 @@ class AugmentedFit(NamedTuple):
         """Mean squares of the residuals [n]."""
         return self.residual.square().mean(0).clamp_min(torch.finfo(self.residual.dtype).tiny)
 
-    def columns(
-        self, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor, *, other: Robot | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Torques per unit of y [rows, n, t], and torques of the fit [rows, n], in some states; or of another robot."""
-        robot, at = other or self.evidence.robot, self.evidence.at
-        Z = columns(robot, q, qd, qdd, own)
-        tau = torch.einsum("rjp,jp->rj", Z, self.parameters[at].to(q))
+    def torques(
+        self, y: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor, *, other: Robot | None = None
+    ) -> Tensor:
+        """Torques [..., rows, n] of the fit with changes y [..., t], in some states; or of another robot."""
+        robot = other or self.evidence.robot
+        phi = (self.parameters + y @ self.near.S.T)[..., self.evidence.at].to(q)
+        tau = torch.einsum("rjp,...jp->...rj", columns(robot, q, qd, qdd, own), phi)
         if ROTOR not in self.evidence.terms and robot.armature is not None:
             tau = tau + robot.armature.to(q) * qdd
-        return torch.einsum("rjp,jpt->rjt", Z, self.near.S[at].to(q)).cpu(), tau.cpu()
+        return tau.cpu()
+
+    def linear(self, torques: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor]:
+        """Torques per unit of y [rows, n, t] of a linear function of y, and its torques [rows, n] at zero."""
+        zero = torch.zeros_like(self.slope)
+        found = torques(torch.cat([zero[None], torch.eye(len(zero), dtype=zero.dtype)]))
+        return (found[1:] - found[0]).movedim(0, -1).contiguous(), found[0]
 
     def solve(self, Z: Tensor, r: Tensor, E: Tensor, rounds: int = 2, left: Tensor | None = None) -> AugmentedSolution:
         """Unknowns of torques per unit [rows, n, e] that explain residuals [rows, n], with a change of the fit.
@@ -88,16 +108,21 @@ class AugmentedFit(NamedTuple):
         step = len(self.evidence.own) / len(self.rows)
         for _ in range(rounds):  # what is noise depends on the unknowns
             variance = left.square().mean(0).maximum(1e-6 * self.square)  # beyond rounding
-            weight = 1 / (variance * correlation_times(left, self.lengths))
-            weighted = A * weight.repeat(len(r))[:, None]
+            weight = (1 / (variance * correlation_times(left, self.lengths))).repeat(len(r))[:, None]
+            weighted = A * weight
             b, H = weighted.T @ r.flatten(), weighted.T @ A
             H[:t, :t] += self.curvature / step
             b[:t] -= self.slope / step
-            size = H.diagonal().clamp_min(torch.finfo(H.dtype).tiny).sqrt()
-            inverse = torch.linalg.pinv(H / size / size[:, None], rtol=1e-12, hermitian=True) / size / size[:, None]
+            inverse = _inverse(H)
             x = inverse @ b
             left = r - (A @ x).reshape(r.shape)
-        return AugmentedSolution(x[:t], x[t:], inverse.diagonal()[t:].clamp_min(0).sqrt(), left)
+        return AugmentedSolution(x[:t], x[t:], inverse.diagonal()[t:].clamp_min(0).sqrt(), left, A, weight, inverse)
+
+
+def _inverse(H: Tensor) -> Tensor:
+    """Pseudo-inverse of an information matrix."""
+    size = H.diagonal().clamp_min(torch.finfo(H.dtype).tiny).sqrt()
+    return torch.linalg.pinv(H / size / size[:, None], rtol=1e-12, hermitian=True) / size / size[:, None]
 
 
 def offset_findings(fit: AugmentedFit) -> list[Finding]:
@@ -105,7 +130,8 @@ def offset_findings(fit: AugmentedFit) -> list[Finding]:
     if OFFSET in fit.evidence.terms:
         return []
     rows, robot, evidence = fit.evidence.recording, fit.evidence.robot, fit.evidence
-    Z, _ = fit.columns(*(x[fit.rows] for x in (rows.q, rows.qd, rows.qdd, evidence.own)))
+    states = [x[fit.rows] for x in (rows.q, rows.qd, rows.qdd, evidence.own)]
+    Z, _ = fit.linear(lambda y: fit.torques(y, *states))
     found = fit.solve(Z, fit.residual, torch.eye(robot.n, dtype=Z.dtype).expand(len(Z), robot.n, robot.n))
     less = found.left.square().mean(0) < (1 - MATTERS) * fit.square
     clear = (found.x.abs() > SURE * found.error) & less & (found.error > 0)

@@ -14,18 +14,11 @@ from torchdq.learning.evaluation.statistics import correlation_times, interval_f
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import by_chunks, gram, parted, places, rigid, squared
 from torchdq.learning.identification.solution import Solution, solve
-from torchdq.learning.identification.terms import ROTOR, Term, at_rest, rows_of, unit_torques
+from torchdq.learning.identification.terms import ROTOR, Term, at_rest, rows_of
 from torchdq.robot import Robot
 
 STILL = 0.3  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
 NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, in standard deviations
-
-
-class Unseen(NamedTuple):
-    """Rows that were left out together, and what a model that was found without them leaves there."""
-
-    rows: Tensor  # [rows]
-    residual: Tensor  # [rows, n] [N m or N]
 
 
 class Evidence(NamedTuple):
@@ -35,14 +28,14 @@ class Evidence(NamedTuple):
     recording: MotionRows
     terms: tuple[Term, ...]
     sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
-    blocks: Sequence[Block]  # parts that are left out in turn; none: nothing is left out
+    parts: tuple[Tensor, ...]  # rows that are left out in turn: of blocks, and then of pairs of regions
+    margins: tuple[Tensor, ...]  # rows next to each block
     say: Callable[[str], None]  # is called with the progress
+    load: Tensor  # [rows, n] torques of the described bodies and rotors
     own: Tensor  # [rows, n, terms] torques per unit of the terms
-    total: Tensor  # [n, p + 1, p + 1] of all rows
-    left: Tensor  # [blocks, n, p + 1, p + 1] of the rows of each block, and region
-    folds: Tensor  # [blocks, n, p + 1, p + 1] of all rows without those and their neighbours
-    counts: Tensor  # [blocks] rows
-    sizes: Tensor  # [blocks, n] number of rows times the variance of the torques of their motion
+    left: Tensor  # [parts, n, p + 1, p + 1] of the rows of each part
+    folds: Tensor  # [parts + 1, n, p + 1, p + 1] of the rows neither in a part nor next to it; the last of all
+    sizes: Tensor  # [parts, n] number of rows times the variance of the torques of their motion
     squares: Tensor  # [n] mean squares of the torques
     unit: Tensor  # [terms, n] torques per unit that set the width of the prior: `Term.size`
     identifiable: Tensor  # [terms, n] bool: whether the rows can separate a term from others
@@ -54,20 +47,48 @@ class Evidence(NamedTuple):
         """Number of rows."""
         return len(self.own)
 
+    @property
+    def total(self) -> Tensor:
+        """Sums [n, p + 1, p + 1] of all rows."""
+        return self.folds[-1]
+
     def with_loads(self, parameters: Tensor) -> Evidence:
         """Evidence with the loads that the bodies and rotors of a fit make, which found these parameters [k]."""
         pi, own = parted(self.robot, parameters)
         rotors = own[self.terms.index(ROTOR)] if ROTOR in self.terms else self.robot.armature
-        again = any(term.loaded for term in self.terms)
-        return gather(*self[:6], pi, rotors).keeping(self.kept) if again else self
+        some = [k for k, term in enumerate(self.terms) if term.loaded]
+        return self._summed(some, rigid(self.robot, self.recording, pi, rotors)) if some else self
+
+    def _summed(self, some: Sequence[int], load: Tensor) -> Evidence:
+        """Evidence with the torques per unit of some terms, and their sums, under loads [rows, n]."""
+        states = rows_of(self.robot, self.recording, self.sign_width, load)
+        new = self._replace(**{x: getattr(self, x).clone() for x in ("own", "left", "folds", "unit", "identifiable")})
+        for k in some:
+            term, unit = self.terms[k], self.terms[k].unit(states)
+            new.own[..., k], new.identifiable[k] = unit, term.identifiable(states)
+            rms = unit.expand_as(load).square().mean(0).sqrt().cpu()
+            new.unit[k] = term.size(rms, self.squares.sqrt(), new.identifiable[k])
+        blocks, rows = len(self.margins), torch.arange(self.samples, device=load.device)
+        first, halves = self.parts[:blocks] or (rows,), self.parts[blocks::2]
+        columns = torch.cat([new.own, (self.recording.measured - self.load)[..., None]], -1)
+        p = self.at.shape[1]
+        at = [p - len(self.terms) + k for k in some] if len(some) < len(self.terms) else list(range(p + 1))
+        sums = gram(self.robot, self.recording, columns, (*first, *self.margins, *halves), at, self.say)
+        left, margins, inside = sums.split([len(first), blocks, len(halves)])
+        total = left.sum(0, keepdim=True)
+        left = torch.cat([left, torch.stack([inside, total - inside], 1).flatten(0, 1)])[: len(self.parts)]
+        folds = torch.cat([total - left, total])
+        folds[:blocks] -= margins
+        for known, found in ((new.left, left), (new.folds, folds)):
+            known[..., at], known[..., at, :] = found, found.mT
+        return new.keeping(self.kept)
 
     def keeping(self, kept: Tensor) -> Evidence:
         """Evidence in which some joints [n] keep the description: changes of bodies only add torques there."""
-        total, folds, bodies = self.total.clone(), self.folds.clone(), self.at.shape[1] - len(self.terms)
-        for sums in (total, folds):
-            sums[..., kept, :bodies, bodies:] = 0
-            sums[..., kept, bodies:, :bodies] = 0
-        return self._replace(total=total, folds=folds, kept=kept)
+        folds, bodies = self.folds.clone(), self.at.shape[1] - len(self.terms)
+        folds[..., kept, :bodies, bodies:] = 0
+        folds[..., kept, bodies:, :bodies] = 0
+        return self._replace(folds=folds, kept=kept)
 
     @property
     def measurements(self) -> Tensor:
@@ -75,14 +96,6 @@ class Evidence(NamedTuple):
         total, bodies = self.total.clone(), self.at.shape[1] - len(self.terms)
         total[self.kept, :bodies, :bodies] = 0
         return total
-
-    def information(self, variance: Tensor) -> Tensor:
-        """Information [k, k] of all rows in the parameters, for noise of this variance [n] per independent row."""
-        k = int(self.at.max()) + 1
-        H = torch.zeros(k, k, dtype=torch.float64)
-        for at, sums in zip(self.at, self.measurements / variance[:, None, None], strict=True):
-            H[at[:, None], at] += sums[:-1, :-1]
-        return H
 
     def near(self, estimated: Tensor, strength: float = 1.0) -> Neighbourhood:
         """Neighbourhood of the description, with those coefficients [terms, n] that are estimated."""
@@ -113,25 +126,17 @@ class Evidence(NamedTuple):
         pi, coefficients = phi[0, : -len(self.terms) or None], phi[:, phi.shape[1] - len(self.terms) :].to(own)
         return some.measured - rigid(self.robot, some, pi, self.robot.armature) - (own * coefficients).sum(-1)
 
-    def left_out(self, changes: Tensor) -> tuple[list[Unseen], list[Unseen]]:
-        """Residuals of blocks, and of regions, by parameters [n, p] that were found without each."""
-        device = self.recording.q.device
-        parts = [torch.arange(block.rows.start, block.rows.stop, device=device) for block in self.blocks]
-        parts += [half for pair in regions(self.recording) for half in pair]
-        found = [Unseen(rows, self.residual(change, rows)) for change, rows in zip(changes, parts, strict=True)]
-        return found[: len(self.blocks)], found[len(self.blocks) :]
-
-    def half_widths(self, left_out: Sequence[Sequence[Unseen]], spread: Tensor, noise: Tensor) -> Tensor:
+    def half_widths(self, left_out: Sequence[Tensor], spread: Tensor, noise: Tensor) -> Tensor:
         """Half-widths [n] of intervals that hold 95 % of measured torques, in units of the errors that are predicted.
 
-        Of those that blocks and regions that were left out ask for, the larger ones are taken; where there are neither,
-        errors are assumed to be normal. Errors are those of parameters with the covariance `spread` [k, t] times its
-        transpose, and of noise with these standard deviations [n]. Joints at rest, which friction holds, do not count.
+        Of those that the residuals of blocks and regions that were `left_out` ask for, the larger ones are taken; where
+        there are neither, errors are assumed to be normal. Errors are those of parameters with the covariance `spread`
+        [k, t] times its transpose, and of noise [n]. Joints at rest, which friction holds, do not count.
         """
-        F, found = spread[self.at], list[Tensor]()
-        for kind in filter(None, left_out):
-            ratios, few = [], -(-sum(len(part.rows) for part in kind) // 4096)
-            for rows, residual in ((part.rows[::few], part.residual[::few]) for part in kind):
+        F, found, parts = spread[self.at], list[Tensor](), [*zip(self.parts, left_out, strict=True)]
+        for kind in filter(None, (parts[: len(self.margins)], parts[len(self.margins) :])):
+            ratios, few = [], -(-sum(len(rows) for rows, _ in kind) // 4096)
+            for rows, residual in ((rows[::few], residual[::few]) for rows, residual in kind):
                 some, error = self.recording.some(rows), torch.empty_like(residual)
                 for chunk, Z in by_chunks(self.robot, some, self.own[rows], F.numel()):
                     error[chunk] = torch.einsum("rjp,jpt->rjt", Z, F.to(Z)).norm(dim=-1)
@@ -150,13 +155,11 @@ class Evidence(NamedTuple):
         keep = torch.ones(p + 1, dtype=torch.bool)
         keep[p - len(used) : p] = used
         terms = tuple(term for term, u in zip(self.terms, used.tolist(), strict=True) if u)
-        total, left, folds = (sums[..., keep, :][..., keep] for sums in (self.total, self.left, self.folds))
         return self._replace(
             terms=terms,
             own=self.own[..., used.to(self.own.device)],
-            total=total,
-            left=left,
-            folds=folds,
+            left=self.left[..., keep, :][..., keep],
+            folds=self.folds[..., keep, :][..., keep],
             unit=self.unit[used],
             identifiable=self.identifiable[used],
             at=places(len(self.robot.link_names), len(terms), self.robot.n),
@@ -170,47 +173,37 @@ def gather(
     sign_width: float,
     blocks: Sequence[Block] = (),
     say: Callable[[str], None] = lambda _: None,
-    pi: Tensor | None = None,
-    rotors: Tensor | None = None,
 ) -> Evidence:
-    """Evidence of a recording; loads are those of bodies [10 links] and rotors [n], or of the described ones."""
-    if pi is None:
-        pi, rotors = described(robot), robot.armature
-    load = rigid(robot, recording, pi, rotors) if any(term.loaded for term in terms) else None
-    states = rows_of(robot, recording, sign_width, load)
-    own = unit_torques(terms, states)
-    at = places(len(robot.link_names), len(terms), robot.n)
-    start = bodies(robot, at.shape[1])
-    rows = [block.rows for block in blocks] or [slice(0, len(own))]
-    margins = [part for block in blocks for part in block.margins]
-    sums = gram(robot, recording, own, start, [*rows, *margins], say)
-    left, total, first = sums[: len(rows)], sums[: len(rows)].sum(0), len(rows)
-    folds = total - left
-    for k, block in enumerate(blocks):
-        folds[k] -= sums[first : first + len(block.margins)].sum(0)
-        first += len(block.margins)
-    tau = recording.measured.cpu()
-    motions = [block.motion for block in blocks] or rows
-    variance = torch.stack([tau[motion].var(0, correction=0) for motion in motions])
-    variance = variance.maximum(STILL * variance.amax(0))
-    counts = [part.stop - part.start for part in rows]
-    for pair in regions(recording) if blocks else ():
-        whole = [slice(0, len(pair[0]))]
-        half = gram(robot, recording.some(pair[0]), own[pair[0]], start, whole, say)
-        left, folds = torch.cat([left, half, total - half]), torch.cat([folds, total - half, half])
-        variance = torch.cat([variance, tau.var(0, correction=0).expand(2, -1)])
-        counts += [len(part) for part in pair]
-    each = torch.tensor(counts)
-    sizes = each[:, None] * torch.where(variance > 0, variance, 1.0)
-    squares = tau.square().mean(0)
-    rms = own.square().mean(0).sqrt().T.cpu()
-    unit, identifiable = torch.zeros_like(rms), torch.zeros_like(rms, dtype=torch.bool)
-    for k, term in enumerate(terms):
-        identifiable[k] = term.identifiable(states)
-        unit[k] = term.size(rms[k], squares.sqrt(), identifiable[k])
-    given = robot, recording, tuple(terms), sign_width, blocks, say
-    kept = torch.zeros(robot.n, dtype=torch.bool)
-    return Evidence(*given, own, total, left, folds, each, sizes, squares, unit, identifiable, at, kept)
+    """Evidence of a recording; loads are those of the description."""
+    tau, rows = recording.measured.cpu(), torch.arange(len(recording.q), device=recording.q.device)
+    parts = [rows[block.rows] for block in blocks]
+    parts += [half for pair in regions(recording) for half in pair] if blocks else []
+    whole, *variances = (x.var(0, correction=0) for x in (tau, *(tau[block.motion] for block in blocks)))
+    least = STILL * torch.stack(variances or [whole]).amax(0)
+    variances = [*(x.maximum(least) for x in variances), *[whole] * (len(parts) - len(blocks))]
+    sizes = [len(part) * x.where(x > 0, 1.0)[None] for part, x in zip(parts, variances, strict=True)]
+    load = rigid(robot, recording, described(robot), robot.armature)
+    at, none = places(len(robot.link_names), len(terms), robot.n), tau.new_zeros(len(terms), robot.n)
+    sums = tau.new_zeros(len(parts) + 1, robot.n, at.shape[1] + 1, at.shape[1] + 1)
+    return Evidence(
+        robot=robot,
+        recording=recording,
+        terms=tuple(terms),
+        sign_width=sign_width,
+        parts=tuple(parts),
+        margins=tuple(torch.cat([rows[:0], *(rows[margin] for margin in block.margins)]) for block in blocks),
+        say=say,
+        load=load,
+        own=load.new_zeros(*load.shape, len(terms)),
+        left=sums[:-1],
+        folds=sums,
+        sizes=torch.cat([tau[:0], *sizes]),
+        squares=tau.square().mean(0),
+        unit=none,
+        identifiable=none > 0,
+        at=at,
+        kept=torch.zeros(robot.n, dtype=torch.bool),
+    )._summed(range(len(terms)), load)
 
 
 def described(robot: Robot) -> Tensor:

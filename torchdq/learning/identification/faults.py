@@ -7,6 +7,7 @@ fault that explains most of the squared residual is reported.
 
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -28,16 +29,18 @@ FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
 FACTOR = 3.0  # most factor of a torque, or of times
 PARTS = 20  # parts of the rows, at whose ends a payload may change
 
-Model = Callable[[Tensor], tuple[Tensor, Tensor]]  # torques per unit of y, and at y = 0, of unknowns x
+Torques = Callable[[Tensor, Tensor], Tensor]  # [..., rows, n] of unknowns x, and of changes y [..., t] of the fit
 
 
 class _Fault(NamedTuple):
     """Fault that a few unknowns describe."""
 
-    model: Model
+    torques: Torques
     unknowns: int
-    within: Callable[[Tensor], bool]  # whether unknowns are those of this fault
     finding: Callable[[Tensor], Finding]
+    least: float  # value of the finding from which, and up to which, it is this fault
+    most: float
+    added: bool = False  # whether its torques do not depend on the fit
     step: float = FARTHEST / 2  # most change of an unknown at a time
     start: float = 0.0  # of the unknowns
 
@@ -53,26 +56,27 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     offsets = torch.eye(len(size)).double().expand(len(fit.rows), -1, -1)
     body = _held(evidence.robot, some)
     besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu()), body], -1)  # rotors and payloads are no fault
-    Z, tau = fit.columns(some.q, some.qd, some.qdd, evidence.own[fit.rows])
+    Z, tau = fit.linear(lambda y: fit.torques(y, some.q, some.qd, some.qdd, evidence.own[fit.rows]))
     plain = fit.solve(Z, measured - tau, besides, rounds=3)
+    settled = fit.solve(Z, measured - tau, besides, rounds=1, left=plain.left)
 
     def left(found: AugmentedSolution) -> float:
         return float((found.left.square().mean(0) / size)[moved].sum())
 
     def step(fault: _Fault, x: Tensor, last: AugmentedSolution) -> AugmentedSolution:
-        Z, tau = fault.model(x)
-        columns = []
-        for unit in STEP * torch.eye(fault.unknowns).double():
-            (A, a), (B, b) = fault.model(x + unit), fault.model(x - unit)
-            columns.append((a + A @ last.y - b - B @ last.y) / (2 * STEP))
-        E = torch.cat([besides, torch.stack(columns, -1)], -1)
-        return fit.solve(Z, measured - tau, E, rounds=1, left=last.left)
+        units = STEP * torch.eye(fault.unknowns).double()
+        changes = [fault.torques(x + unit, last.y) - fault.torques(x - unit, last.y) for unit in units]
+        columns = torch.stack(changes, -1) / (2 * STEP)
+        if last is plain and not fault.start:
+            return settled.with_more(columns)
+        of_x, at_zero = (Z, fault.torques(x, 0 * last.y)) if fault.added else fit.linear(partial(fault.torques, x))
+        return fit.solve(of_x, measured - at_zero, torch.cat([besides, columns], -1), rounds=1, left=last.left)
 
     before = left(plain)
     if before < LEAST * int(moved.sum()):
         return []
     best, findings = LEFT * before, list[Finding]()
-    for fault in (*_faults(fit, some, Z, tau), *_over_time(fit, some, Z, tau, body)):
+    for fault in (*_faults(fit, some, _affine(Z, tau)), *_over_time(fit, some, _affine(Z, tau), body)):
         x = torch.full((fault.unknowns,), fault.start).double()
         found = step(fault, x, plain)
         if not left(found) < TRIED * before:
@@ -86,46 +90,51 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
             if float(change.abs().max()) < 1e-3:
                 break
         sure = bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
-        if left(found) < best and sure and fault.within(x):
-            best, findings = left(found), [fault.finding(x)]
+        one = fault.finding(x)
+        if left(found) < best and sure and fault.least < (one.value or 0.0) < fault.most:
+            best, findings = left(found), [one]
     return findings
 
 
-def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iterator[_Fault]:
+def _sized(finding: Finding, size: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Finding]:
+    """Finding with the size of unknowns in its text, and as its value."""
+    return lambda x: finding._replace(found=finding.found.format(float(size(x))), value=float(size(x)))
+
+
+def _affine(Z: Tensor, tau: Tensor) -> Callable[[Tensor], Tensor]:
+    """Torques tau + Z y as a function of y [..., t]."""
+    return lambda y: tau + torch.einsum("rjt,...t->...rj", Z, y)
+
+
+def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tensor]) -> Iterator[_Fault]:
     """Faults that are tried: zero and torque factor of every joint, and the direction of gravity."""
     robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
     q, qd, qdd = rows.q, rows.qd, rows.qdd
-    rigid, load = fit.columns(q, qd, qdd, 0 * own)
-    for j, unit in enumerate(torch.eye(robot.n).double()):
-        name, joint = robot.joint_names[j], robot.joint_types[j]
+    bodies = _affine(*fit.linear(lambda y: fit.torques(y, q, qd, qdd, 0 * own)))
+    for name, joint, unit in zip(robot.joint_names, robot.joint_types, torch.eye(robot.n).double(), strict=True):
 
-        def zero(x: Tensor, unit: Tensor = unit) -> tuple[Tensor, Tensor]:
-            return fit.columns(q - (x * unit).to(q), qd, qdd, own)
+        def zero(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
+            return fit.torques(y, q - (x * unit).to(q), qd, qdd, own)
 
-        def factor(x: Tensor, unit: Tensor = unit) -> tuple[Tensor, Tensor]:
-            return Z + (x * unit)[:, None] * rigid, tau + x * unit * load
+        def factor(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
+            return whole(y) + x * unit * bodies(y)
 
-        def of_zero(x: Tensor, name: str = name, turns: bool = joint.turns) -> Finding:
-            claim = "the zero of q must be that of the description"
-            found = f"a far better fit with {float(x):.3g} {'rad' if turns else 'm'} taken from it"
-            cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
-            return Finding("joint.zero", name, claim, found, cure, option, value=float(x))
-
-        def of_factor(x: Tensor, name: str = name) -> Finding:
-            claim = "the torques of all joints must be in one unit"
-            found = f"a far better fit if those of this one are {1 + float(x):.3g} times what they are to be"
-            cure = "check its torque constant and gear ratio; Model(gains=True) estimates them"
-            option = "check its torque constant and gear ratio; --estimate-gains estimates them"
-            return Finding("torque.factor", name, claim, found, cure, option, value=1 + float(x))
-
-        yield _Fault(zero, 1, lambda x: float(x.abs()) < FARTHEST, of_zero)
+        found = f"a far better fit with {{:.3g}} {'rad' if joint.turns else 'm'} taken from it"
+        cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
+        fault = Finding("joint.zero", name, "the zero of q must be that of the description", found, cure, option)
+        yield _Fault(zero, 1, _sized(fault, lambda x: x), -FARTHEST, FARTHEST)
         if robot.n > 1:
-            yield _Fault(factor, 1, lambda x: 1 / FACTOR < 1 + float(x) < FACTOR, of_factor)
+            found = "a far better fit if those of this one are {:.3g} times what they are to be"
+            ways = ("Model(gains=True) estimates them", "--estimate-gains estimates them")
+            cure, option = (f"check its torque constant and gear ratio; {way}" for way in ways)
+            claim = "the torques of all joints must be in one unit"
+            fault = Finding("torque.factor", name, claim, found, cure, option)
+            yield _Fault(factor, 1, _sized(fault, lambda x: 1 + x), 1 / FACTOR, FACTOR)
     if robot.gravity is not None and bool(robot.gravity.any()):
         gravity = robot.gravity.double().cpu()
 
-        def tilt(x: Tensor) -> tuple[Tensor, Tensor]:
-            return fit.columns(q, qd, qdd, own, other=robot.replace(gravity=_tilted(gravity, x).to(robot.mass)))
+        def tilt(x: Tensor, y: Tensor) -> Tensor:
+            return fit.torques(y, q, qd, qdd, own, other=robot.replace(gravity=_tilted(gravity, x).to(robot.mass)))
 
         def of_tilt(x: Tensor) -> Finding:
             numbers = ", ".join(f"{float(g):.3g}" for g in _tilted(gravity, x))
@@ -133,7 +142,7 @@ def _faults(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor) -> Iter
             found = f"a far better fit with the base tilted by {math.degrees(angle):.2g} degrees"
             return Finding("base.tilt", "", claim, found, f"robot.replace(gravity=[{numbers}]) has it", value=angle)
 
-        yield _Fault(tilt, 2, lambda x: float(x.norm()) < FARTHEST, of_tilt)
+        yield _Fault(tilt, 2, of_tilt, -FARTHEST, FARTHEST)
 
 
 def _held(robot: Robot, rows: MotionRows) -> Tensor:
@@ -142,31 +151,31 @@ def _held(robot: Robot, rows: MotionRows) -> Tensor:
     return regressor(robot, rows.q, rows.qd, rows.qdd)[..., last : last + 4].cpu()
 
 
-def _over_time(fit: AugmentedFit, rows: MotionRows, Z: Tensor, tau: Tensor, body: Tensor) -> Iterator[_Fault]:
+def _over_time(
+    fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tensor], body: Tensor
+) -> Iterator[_Fault]:
     """Faults of times: steps of the wrong length, and a payload, of torques `body` per unit, that changes."""
 
-    def steps(x: Tensor) -> tuple[Tensor, Tensor]:
+    own = fit.evidence.own[fit.rows]
+
+    def steps(x: Tensor, y: Tensor) -> Tensor:
         s = float(1 + x)
-        return fit.columns(rows.q, s * rows.qd, s * s * rows.qdd, fit.evidence.own[fit.rows])
+        return fit.torques(y, rows.q, s * rows.qd, s * s * rows.qdd, own)
 
-    def of_steps(x: Tensor) -> Finding:
-        found = f"a far better fit with steps {1 / float(1 + x):.3g} times as long"
-        return Finding("time.scale", "", "times must be in seconds", found, *CLOCK, value=1 / float(1 + x))
-
+    found = "a far better fit with steps {:.3g} times as long"
+    finding = _sized(Finding("time.scale", "", "times must be in seconds", found, *CLOCK), lambda x: 1 / (1 + x))
     for start in (0.0, 1.0, -0.5):
-        yield _Fault(steps, 1, lambda x: 1 / FACTOR < float(1 + x) < FACTOR, of_steps, start=start)
+        yield _Fault(steps, 1, finding, 1 / FACTOR, FACTOR, start=start)
     for k in range(1, PARTS):
         after = body * (torch.arange(len(body)) >= len(body) * k // PARTS)[:, None, None]
 
-        def held(x: Tensor, after: Tensor = after) -> tuple[Tensor, Tensor]:
-            return Z, tau + after @ x
+        def held(x: Tensor, y: Tensor, after: Tensor = after) -> Tensor:
+            return whole(y) + after @ x
 
-        def of_held(x: Tensor, share: float = k / PARTS) -> Finding:
-            claim, cure = "what the arm holds must stay the same", "use the rows before that, or after it, alone"
-            found = f"a far better fit with {float(x[0]):.3g} kg more at its end after {share:.0%} of the rows"
-            return Finding("payload.changed", "", claim, found, cure, value=float(x[0]))
-
-        yield _Fault(held, 4, lambda x: True, of_held, math.inf)
+        claim, cure = "what the arm holds must stay the same", "use the rows before that, or after it, alone"
+        found = f"a far better fit with {{:.3g}} kg more at its end after {k / PARTS:.0%} of the rows"
+        fault = Finding("payload.changed", "", claim, found, cure)
+        yield _Fault(held, 4, _sized(fault, lambda x: x[0]), -math.inf, math.inf, added=True, step=math.inf)
 
 
 def _tilted(gravity: Tensor, x: Tensor) -> Tensor:

@@ -24,15 +24,9 @@ SMALL = 0.1  # prior scale of an undescribed effect, relative to the joint's RMS
 
 
 class Distance:
-    """Distance of y [..., t] from bodies and coefficients.
+    """Distance of y [..., t]: ten entries of (B - 1) sqrt(strength) per link, and changes of coefficients per size.
 
-    Ten numbers of y are the entries of (B - 1) sqrt(strength) of a link, one the change of a coefficient over its size.
-
-    Args:
-        links: number of links.
-        signed: coefficients that may have either sign [coefficients].
-        fraction: t of those that must be below one, zero of others [coefficients].
-        strength: weight of the distance of bodies.
+    Coefficients may have either sign (`signed`), or must be below one, t being their size then (`fraction`, else zero).
     """
 
     def __init__(self, links: int, signed: Tensor, fraction: Tensor, strength: float = 1.0):
@@ -56,38 +50,30 @@ class Distance:
         """Distance of the bodies alone, were the strength one."""
         return float(divergence(self._split(y)[0]).sum())
 
-    def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradient [..., t] and Hessian [..., t, t] of the distance, at y [..., t]."""
+    def slopes(self, y: Tensor, V: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Gradient [..., t] and Hessian [..., t, t] of the distance, at y [..., t]; with V [..., t, t], by V^-1 y."""
+        V = torch.eye(y.shape[-1], dtype=y.dtype) if V is None else V
         B, ratio = self._split(y)
         slopes, blocks = divergence_slopes(B)
         x, t, b = torch.where(self.signed, 1.0, ratio), self.fraction, self.inertial
         rest = torch.where(self.signed, 2 * (ratio - 1), 2 - 2 / x + 2 * t / (1 - t * x) - 2 * t / (1 - t))
-        H = torch.diag_embed(torch.cat([y.new_zeros(*y.shape[:-1], b), 2 / x**2 + 2 * (t / (1 - t * x)) ** 2], -1))
-        for i in range(0, b, 10):
-            H[..., i : i + 10, i : i + 10] = blocks[..., i // 10, :, :]
-        return torch.cat([math.sqrt(self.strength) * slopes.flatten(-2), rest], -1), H
+        gradient = torch.cat([math.sqrt(self.strength) * slopes.flatten(-2), rest], -1)
+        of_bodies = (blocks @ V[..., :b, :].unflatten(-2, (-1, 10))).flatten(-3, -2)
+        of_others = (2 / x**2 + 2 * (t / (1 - t * x)) ** 2)[..., None] * V[..., b:, :]
+        return (gradient[..., None, :] @ V)[..., 0, :], V.mT @ torch.cat([of_bodies, of_others], -2)
 
 
 class Neighbourhood(Distance):
-    """Parameters phi = phi_0 + S y around those of a described robot, and the distance of y [t] from it.
-
-    Args:
-        robot: the robot as described.
-        terms: terms that have coefficients.
-        estimated: coefficients that are estimated [terms, n], the others being zero.
-        torque: root mean squares of the torques [n].
-        unit: those of the torques per unit of the coefficients [terms, n].
-        strength: weight of the distance of bodies; infinite: they stay as described.
-    """
+    """Parameters phi = phi_0 + S y around those of a described robot, and the distance of y [t] from it."""
 
     def __init__(
         self,
         robot: Robot,
         terms: Sequence[Term],
-        estimated: Tensor,
-        torque: Tensor,
-        unit: Tensor,
-        strength: float = 1.0,
+        estimated: Tensor,  # [terms, n] coefficients that are estimated, the others being zero
+        torque: Tensor,  # [n] root mean squares of the torques
+        unit: Tensor,  # [terms, n] those of the torques per unit of the coefficients
+        strength: float = 1.0,  # weight of the distance of bodies; infinite: they stay as described
     ):
         mass, com, inertia = (getattr(robot, name).detach().double().cpu() for name in ("mass", "com", "inertia"))
         if not bool((mass >= 0).all()):

@@ -51,7 +51,7 @@ def gainful(
         """Columns of sums [..., n, p + 1, p + 1] per unit of y, as rows."""
         return torch.cat([sums[..., :inertial] @ near.S[:inertial, :b], sums[..., inertial:] * units], -1).mT
 
-    M = by_coordinates(by_coordinates(torch.cat([evidence.folds, evidence.total[None]]))) / variance[:, None, None]
+    M = by_coordinates(by_coordinates(evidence.folds)) / variance[:, None, None]
     left, sizes = by_coordinates(by_coordinates(evidence.left)), evidence.sizes[..., None]
     own, at = M[:, :, b:-1], torch.tensor(candidates, dtype=torch.long)
     one = torch.eye(len(terms), dtype=M.dtype)
@@ -94,11 +94,9 @@ def gainful(
 
 
 def simple_friction(evidence: Evidence, parameters: Tensor) -> Tensor:
-    """Viscous and Coulomb friction [2, n] nearest to the torque of all friction among parameters [k], for files.
+    """Viscous and Coulomb friction [2, n] nearest to the torque of all friction among parameters [k], neither negative.
 
-    URDF and MJCF files have no other friction. Together with friction of other shapes, the viscous and Coulomb
-    coefficients found are too small by themselves, often zero. These are least squares over the samples, with neither
-    negative; joints without other friction keep theirs.
+    Files have no other friction. Joints without friction of other shapes keep what was found.
     """
     robot, terms = evidence.robot, evidence.terms
     own = parted(robot, parameters)[1]

@@ -1,17 +1,10 @@
 """Torques per unit of effort, where drives give currents: found with the inertial parameters.
 
-An effort e of a joint is h times its torque, h being one over the gain,
-
-    e = h Y pi + friction + noise,
-
-with friction in the unit of the effort. Gauss-Newton linearises in pi and h about the last values: the torque Y pi
-there is the column of h. The sums of `regression.gram` suffice, so an iteration reads no samples. A common factor of
-all gains cannot be distinguished from one of all masses, and comes from the description; their ratios come from bodies
-that load several joints. Friction and rotors have no described torque: where they make nearly all of a joint's efforts,
-its gain is not identifiable, and stays at its expectation.
-
-Errors of the gains make errors of the parameters (`spread_of_gains`): the parameters of a fit are linear in the
-torques, and the torques of a joint are its gain times its efforts.
+An effort is e = h Y pi + friction + noise, with h one over the gain, and friction in the unit of the effort.
+Gauss-Newton linearises in pi and h about the last values: the torque Y pi there is the column of h, and the sums of
+`regression.gram` suffice. A common factor of all gains cannot be distinguished from one of all masses, and comes from
+the description; their ratios come from bodies that load several joints. Friction and rotors have no described torque:
+where they make nearly all of a joint's efforts, its gain is not identifiable, and stays at its expectation.
 """
 
 from typing import NamedTuple

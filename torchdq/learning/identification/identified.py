@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchdq import effects
-from torchdq.base.checks import require_object, tensor_of
+from torchdq.base.checks import tensor_of
 from torchdq.base.tables import summary, table
 from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.effects.effect import Effect
@@ -20,7 +20,6 @@ from torchdq.effects.friction import Friction
 from torchdq.effects.steady import at_speeds
 from torchdq.errors import ArgumentError
 from torchdq.findings import Finding
-from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.identification.base_parameters import base_names
 from torchdq.learning.identification.gains import RESTS, Gains
@@ -28,7 +27,6 @@ from torchdq.learning.identification.model_selection import ModelSelection
 from torchdq.learning.identification.regression import by_chunks, parted, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, at_rest, rows_of, unit_torques
 from torchdq.learning.logs.motions import Motion
-from torchdq.learning.logs.samples import Samples
 from torchdq.nn import InverseDynamics
 from torchdq.robot import Robot
 
@@ -82,10 +80,9 @@ class Identified(NamedTuple):
     fastest: Tensor  # [n] largest speed in the samples [rad/s or m/s]
     simple: Tensor  # [2, n] viscous and Coulomb friction that come nearest to all friction found, in these samples
     identifiable: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
-    selection: ModelSelection | None  # how the model was chosen; None: it was given
+    selection: ModelSelection | None  # how the model was chosen; None: it was given, or there are too few rows
     gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not estimated
     findings: tuple[Finding, ...] = ()  # what is probably wrong in the motions or missing in the model
-    network: ResidualDynamics | None = None  # torques of the state that no term has; None: none
 
     def coefficients(self, name: str) -> Tensor | None:
         """Parameters [n] of the joints of one kind: "rotor", "viscous", "coulomb", "offset"; None: not estimated."""
@@ -133,11 +130,7 @@ class Identified(NamedTuple):
         return self.spread.norm(dim=1)
 
     def by_these_gains(self) -> Identified:
-        """Identified robot with errors as if the gains of the drives were exact.
-
-        These errors suit comparisons with torques that are efforts times the same gains: such torques are wrong by the
-        same factors.
-        """
+        """Identified robot with errors as if gains were exact, for torques that are efforts times the same gains."""
         return self if self.gains is None else self._replace(spread=self.spread[:, : -self.robot.n])
 
     @property
@@ -157,7 +150,8 @@ class Identified(NamedTuple):
     def effects(self) -> tuple[Effect, ...]:
         """Effects of a scene of the identified robot: gravity, rotor inertia if there is any, and friction.
 
-        A scene simulates the offset only with a residual network; otherwise add `offset` to its torques.
+        A scene simulates no offset: add `offset` to its torques. A residual network around `layer()` is a further
+        effect, `torchdq.effects.Residual`, which brings the offset.
 
         >>> import torch, torchdq, torchdq.envs
         >>> from torchdq.learning import Samples, identify
@@ -168,13 +162,13 @@ class Identified(NamedTuple):
         >>> torchdq.Scene(found.robot, found.effects()).robot.name
         'two_link'
         """
-        return effects_of(self.robot, self.friction(), self.network)
+        return effects_of(self.robot, self.friction())
 
     def layer(self, learn: Sequence[str] = ()) -> InverseDynamics:
         """Torques as a module: the robot found, with its friction, the width of dry friction, and the offset.
 
         A layer has no memory, so it uses the steady-state friction. `Model(memory=False)` selects the best friction
-        without memory. A residual network is not part of the layer.
+        without memory.
 
         Args:
             learn: quantities that the layer goes on learning, as in `torchdq.InverseDynamics`; "friction" only if no
@@ -186,63 +180,6 @@ class Identified(NamedTuple):
         if self.offset is not None:
             layer.offset = self.offset
         return layer
-
-    def with_residual(self, network: ResidualDynamics) -> Identified:
-        """Identified robot with a residual network, in predictions and scenes.
-
-        Train the network on `residual_samples`. Errors and intervals are narrowed near the training states by the
-        validation gain.
-
-        Args:
-            network: network around `layer()`.
-        Raises:
-            ArgumentError: its model is another robot.
-
-        >>> import torch, torchdq
-        >>> from torchdq import effects
-        >>> from torchdq.learning import Model, Samples, fit, identify
-        >>> robot = torchdq.robots.load("two_link")
-        >>> q, qd, qdd = torch.randn(3, 300, 2, dtype=torch.float64)
-        >>> tau = (
-        ...     torchdq.inverse_dynamics(robot, q, qd, qdd)
-        ...     + 0.5 * q[..., :1].sin() * q[..., 1:].cos()
-        ... )
-        >>> plain = Model(friction=(effects.Viscous(), effects.Coulomb()))
-        >>> found = identify(robot, Samples(q, qd, qdd, tau), plain, prior=1.0)
-        >>> network = torchdq.ResidualDynamics(found.layer(), hidden=(8,))
-        >>> history = fit(network, found.residual_samples(q, qd, qdd, tau), steps=20)
-        >>> found.with_residual(network).predict(q, qd, qdd).tau.shape
-        torch.Size([300, 2])
-        """
-        require_object("network", network, ResidualDynamics, "torchdq.nn", "ResidualDynamics(identified.layer())")
-        pairs = [(getattr(self.robot, name), getattr(network.robot, name)) for name in ("mass", "com", "inertia")]
-        if not all(a.shape == b.shape and torch.equal(a, b.to(a)) for a, b in pairs):
-            raise ArgumentError("network must be around identified.layer(), found one around another robot")
-        return self._replace(network=network)
-
-    @torch.no_grad()
-    def residual_samples(
-        self,
-        motions: Motion | Sequence[Motion] | Tensor,
-        qd: Tensor | None = None,
-        qdd: Tensor | None = None,
-        tau: Tensor | None = None,
-    ) -> Samples:
-        """Training samples of a residual network: measured torques without the part of `predict` that `layer()` lacks.
-
-        That part is the memory of friction, and the effect of the log's filter on the steps of dry friction.
-
-        Args:
-            motions, qd, qdd: as in `predict`.
-            tau: measured torques [..., n] [N m or N], with positions; in the unit of the identification, where gains
-                were estimated.
-        Raises:
-            ArgumentError: there are no torques, or efforts of unknown gains that were not identified.
-        """
-        _, rows = recorded(self.robot, motions, qd, qdd, tau=tau)
-        measured = rows.torques if self.gains is None else rows.measured * self.gains.value.to(rows.q)
-        known = self._replace(network=None).predict(motions, qd, qdd).tau.reshape(rows.q.shape)
-        return Samples(rows.q, rows.qd, rows.qdd, measured - known + self.layer()(rows.q, rows.qd, rows.qdd))
 
     def with_simple_friction(self) -> Robot:
         """Identified robot with the viscous and Coulomb friction nearest to all friction found."""
@@ -298,31 +235,8 @@ class Identified(NamedTuple):
         rows: list[tuple[str, ...]] = [
             (name, f"{x:.4g}", f"{e:.2g}", unit, "yes" if known else "no") for name, unit, x, e, known in numbers
         ]
-        vague, summed = self._vague()
-        there = ((self.errors != 0) | (self.parameters != 0))[bodies:] & ~vague.flatten()
-        return rows[:bodies], [*compress(rows[bodies:], there.tolist()), *summed]
-
-    def _vague(self) -> tuple[Tensor, list[tuple[str, ...]]]:
-        """Friction that is smaller than its error [terms, n], where a joint has several such terms, and rows of sums.
-
-        A sum is the torque at 1 rad/s or m/s, in which errors that cancel do not count.
-        """
-        robot, phi = self.robot, torch.arange(len(self.names))
-        at, x, error = (parted(robot, x)[1] for x in (phi, self.parameters, self.errors))
-        resists = torch.tensor([term.law is not None and not (term.signed or term.loaded) for term in self.terms])
-        vague = resists[:, None] & (error > x.abs())
-        vague &= vague.sum(0) > 1
-        rows = list[tuple[str, ...]]()
-        for j in vague.any(0).nonzero()[:, 0].tolist():
-            some = vague[:, j].nonzero()[:, 0].tolist()
-            unit = torch.stack([self.terms[k].at_one(robot, self.sign_width)[j] for k in some])
-            where = at[some, j]
-            size, off = float(unit @ self.parameters[where]), float((unit @ self.spread[where]).norm())
-            turns, known = robot.joint_types[j].turns, bool(self.identifiable[where].all())
-            force = f"{COULOMB.units[not turns]} at 1 {'rad' if turns else 'm'}/s"
-            name = f"{robot.joint_names[j]} {len(some)} terms together"
-            rows.append((name, f"{size:.4g}", f"{off:.2g}", force, "yes" if known else "no"))
-        return vague, rows
+        there = ((self.errors != 0) | (self.parameters != 0))[bodies:]
+        return rows[:bodies], [*compress(rows[bodies:], there.tolist())]
 
     def gain_rows(self) -> list[tuple[str, ...]]:
         """Rows of a table of the gains of the drives; [] if they were not estimated."""
@@ -334,14 +248,12 @@ class Identified(NamedTuple):
     def predict(
         self, motions: Motion | Sequence[Motion] | Tensor, qd: Tensor | None = None, qdd: Tensor | None = None
     ) -> Prediction:
-        """Torques of the identified robot with friction, offset and network, [..., n], standard errors and intervals.
+        """Torques of the identified robot with friction and offset, [..., n], standard errors and intervals.
 
-        The errors are those of the parameters, and those of the model, `model`. The intervals are `half_width` times
-        the root of the squared errors of the parameters and the squared noise, to either side: as wide as they had to
-        be to hold 95 % of the measured torques of blocks that were left out, and of a block more. Where no model was
-        chosen, errors are taken for normal. A joint at rest may be held by any torque within its dry friction, by which
-        they are wider there; and where a joint is faster than in the samples, by as much as it is. In motions that go
-        elsewhere the intervals hold less.
+        The errors are those of the parameters, and those of the model, `model`. The intervals are as wide as they had
+        to be to hold 95 % of the measured torques of blocks that were left out, and of a block more; where no model was
+        chosen, errors are taken for normal. They are wider at rest, by the dry friction that may hold a joint, and
+        where a joint is faster than in the samples. In motions that go elsewhere they hold less.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]
@@ -366,10 +278,6 @@ class Identified(NamedTuple):
             fastest = self.fastest.where(self.fastest > self.sign_width, torch.inf).to(error)  # inf: it never moved
             margin *= (recording.qd.abs() / fastest).amax(-1, keepdim=True).clamp_min(1)
             error = torch.hypot(error, self.model.to(error))
-            if self.network is not None:
-                tau += self.network.residual(recording.q, recording.qd)
-                narrower = self.network.narrowing(recording.q, recording.qd).to(error)
-                error, margin = narrower * error, narrower * margin
         return Prediction(*(x.reshape(*batch, n) for x in (tau, error, tau - margin, tau + margin)))
 
 
@@ -378,10 +286,9 @@ def friction_of(terms: Sequence[Term], numbers: Iterable[Any], width: float) -> 
     return tuple(effect for term, own in zip(terms, numbers, strict=True) for effect in term.found(own, width))
 
 
-def effects_of(robot: Robot, friction: Sequence[Friction], network: ResidualDynamics | None) -> tuple[Effect, ...]:
-    """Effects of a scene: gravity, rotor inertia if there is any, friction, and a residual network."""
-    rotors = () if robot.armature is None else (effects.RotorInertia(),)
-    return (effects.Gravity(), *rotors, *friction, *(() if network is None else [effects.Residual(network)]))
+def effects_of(robot: Robot, friction: Sequence[Friction]) -> tuple[Effect, ...]:
+    """Effects of a scene: gravity, rotor inertia if there is any, and friction."""
+    return (effects.Gravity(), *(() if robot.armature is None else [effects.RotorInertia()]), *friction)
 
 
 def coefficients_of(robot: Robot, terms: Sequence[Term], parameters: Tensor, name: str) -> Tensor | None:

@@ -4,12 +4,9 @@ Joint torques are linear in all parameters,
 
     tau = Y(q, qd, qdd) pi + rotor qdd + viscous qd + coulomb qd / sqrt(qd^2 + width^2) + ... + offset = Z phi.
 
-The answer minimises
-
-    sum over samples and joints of (residual / noise of the joint)^2  +  prior * distance to the description
-
-over robots that can exist (`feasible`); the samples enter by one small matrix per joint and block (`evidence`). Which
-terms there are, and how strong the prior is, is decided on blocks that were left out (`model_selection`).
+The answer minimises the sum of (residual / noise of the joint)^2 and prior * distance to the description, over robots
+that can exist (`feasible`); the samples enter by one small matrix per joint and block (`evidence`). Which terms there
+are, and how strong the prior is, is decided on blocks that were left out (`model_selection`).
 """
 
 import math
@@ -38,14 +35,8 @@ from torchdq.learning.identification.gains import Gains, drive_gains, negative_g
 from torchdq.learning.identification.identified import INERTIAL, Identified
 from torchdq.learning.identification.lags import lag_findings
 from torchdq.learning.identification.model import Model
-from torchdq.learning.identification.model_selection import (
-    STRENGTHS,
-    CandidateModel,
-    ModelSelection,
-    UnseenParts,
-    select,
-)
-from torchdq.learning.identification.regression import known, parted, shifted
+from torchdq.learning.identification.model_selection import STRENGTHS, ModelSelection, select
+from torchdq.learning.identification.regression import added, known, parted
 from torchdq.learning.identification.solution import ITERATIONS, Solution
 from torchdq.learning.identification.terms import COULOMB, OFFSET, SHAPES, Term
 from torchdq.learning.logs.errors import LogWarning
@@ -70,12 +61,8 @@ class _Problem(NamedTuple):
     strength: float  # prior of the bodies
     weight: float  # scale of the whole prior
     selection: ModelSelection | None = None
-    unseen: UnseenParts = ([], [])
-
-    @property
-    def validated(self) -> ModelSelection | None:
-        """Selection, if the model was chosen on blocks left out."""
-        return self.selection if self.selection is not None and self.selection.validated else None
+    unseen: Sequence[Tensor] = ()  # residuals of the parts that were left out
+    few: tuple[Finding, ...] = ()  # rows that are too few to choose a model by
 
 
 @one_thread()
@@ -88,16 +75,13 @@ def identify(
 ) -> Identified:
     """Physically consistent robot that explains measured torques best, as `Identified`.
 
-    Blocks of the motions are left out in turn, and candidates are validated on them: the description; with friction,
-    and rotors and offsets of the joints that gain from them; with friction of other shapes; and with all inertial
-    parameters and a prior at the description, by which joints that do not gain keep their described torques. The
-    simplest one within one standard error of the best is returned; `selection` says so. Where there are too few
-    samples, that is viscous and Coulomb friction and a prior of 1; a `LogWarning` says how many would do.
+    Blocks of the motions are left out in turn, and models are validated on them, from the description to all inertial
+    parameters with friction of several shapes: the simplest one within one standard error of the best is returned;
+    `selection` says so. Where there are too few samples, that is viscous and Coulomb friction and a prior of 1, and a
+    finding says how many would do.
 
-    Joints are weighted by the noise that least squares leave in each. A link without mass stays without; a point, a rod
-    or a plate gets 1 % of its size as thickness. Friction and rotor inertia that the description does not give make
-    10 % of the joint's torques where the samples do not say otherwise. Samples are read in pieces, and solving costs
-    the same for any number of them.
+    A link without mass stays without; a point, a rod or a plate gets 1 % of its size as thickness. Friction and rotor
+    inertia that the description does not give make 10 % of the joint's torques where the samples do not say otherwise.
 
     Args:
         robot: the robot as described, without batch axes.
@@ -118,9 +102,8 @@ def identify(
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
     Warns:
-        LogWarning: measurements that the description cannot explain, joints that hardly move, torques that lag the
-            motion, constant torques that were not estimated, or dry friction of another shape than the model's, which
-            biases the numbers beyond their errors; the same are in `Identified.findings`.
+        LogWarning: measurements that the description cannot explain, joints that hardly move, too few samples, or what
+            biases the numbers beyond their errors, such as a lag; the same are in `Identified.findings`.
 
     >>> import torch, torchdq
     >>> described = torchdq.robots.load("two_link")
@@ -190,22 +173,20 @@ def _problem(
     if not choice:
         return problem
     bodies = "bodies as described" if math.isinf(strength) else f"bodies with a prior of {weight:g}"
-    none = torch.zeros(0, robot.n, dtype=torch.float64)
-    only = CandidateModel(", ".join([*(term.name for term in fixed), bodies]), none, problem.estimated, strength)
-    return problem._replace(selection=ModelSelection((only,), 0, str(too_few(rows)), none.sum(0)))
+    cure = f"the model is {', '.join([*(term.name for term in fixed), bodies])}; record longer motions"
+    return problem._replace(few=(too_few(rows)._replace(cure=cure),))
 
 
 def _fitted(problem: _Problem) -> tuple[_Problem, Solution, Tensor]:
     """Solution to all rows with the loads that it finds itself, and correlation times [n] of its residuals in rows."""
-    evidence = problem.evidence._replace(blocks=())
-    model = problem.estimated, problem.strength
+    evidence, model = problem.evidence, (problem.estimated, problem.strength)
     first = evidence.fit(*model, torch.ones(evidence.robot.n, dtype=torch.float64), problem.weight)
     correlation = evidence.correlation(first.change(evidence.at))
     evidence = evidence.with_loads(first.parameters)
     found, at = evidence.fit(*model, correlation, problem.weight, first), evidence.at
     if bool(evidence.kept.any()):  # that a joint keeps the description is no measurement
-        sums = shifted(evidence.measurements, found.near.start_of(at)) / correlation[:, None, None]
-        found = found._replace(facts=known(sums, found.near.S[at], found.facts.noise**2))
+        sums = evidence.measurements / correlation[:, None, None]
+        found = found._replace(facts=known(sums, found.near, found.facts.noise**2, at))
     return problem._replace(evidence=evidence), found, correlation
 
 
@@ -215,17 +196,17 @@ def _identified(
     """Robot, parameters and errors of a fit."""
     evidence, weight, near, facts = problem.evidence, problem.weight, found.near, found.facts
     robot, terms, sign_width = evidence.robot, evidence.terms, evidence.sign_width
-    inflation = found.inflation(weight) if problem.validated else 1.0  # a strength that was chosen adds no knowledge
+    inflation = found.inflation(weight) if problem.selection else 1.0  # a strength that was chosen adds no knowledge
     spread = found.spread(weight, inflation)
     fastest = evidence.recording.qd.abs().amax(0).cpu()
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
     changes = dict(zip(("mass", "com", "inertia"), near.bodies(found.y), strict=True))
     own = zip(terms, parted(robot, found.parameters)[1], strict=True)
     changes |= {term.described: x for term, x in own if term.described}
-    model = _beyond(evidence, spread, facts.noise, problem.validated)
+    model = _beyond(evidence, spread, facts.noise, problem.selection)
     wide = evidence.half_widths(problem.unseen, spread, facts.noise)
     alone = near.S.square().sum(1) * inflation / weight  # variances by the prior
-    H = evidence.information(correlation * facts.noise**2)
+    H = added(evidence.measurements / (correlation * facts.noise**2)[:, None, None], evidence.at)[:-1, :-1]
     identifiable = _identifiable(spread.square().sum(1), alone, H, fastest > sign_width, terms)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, weight, *drives)], 1)
@@ -286,7 +267,7 @@ def _still_joints(robot: Robot, qd: Tensor, sign_width: float) -> list[Finding]:
 def _notes(problem: _Problem, found: Identified) -> list[Finding]:
     """Notes about what one motion cannot show, and links whose mass is far from the described one."""
     notes, robot = list[Finding](), problem.evidence.robot
-    if problem.validated and len(problem.evidence.recording.lengths) == 1:
+    if problem.selection and len(problem.evidence.recording.lengths) == 1:
         claim = "motions of several kinds are needed to vouch for others"
         cure = "the model was chosen on parts of it; in motions unlike it errors may be far larger than stated"
         notes.append(Finding("motion.single", "", claim, "one motion", cure, severity="note"))
@@ -298,21 +279,14 @@ def _notes(problem: _Problem, found: Identified) -> list[Finding]:
 
 
 def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) -> list[Finding]:
-    """Findings about a model that could not be chosen, and torques that it does not explain or explains by wrong terms.
-
-    `explained`: whether the description explains the measurements; if not, no model does. What was tried on blocks that
-    were left out is not asked for.
-    """
-    evidence, misfits = problem.evidence, list[Finding]()
-    robot, rows, sign_width, tried = evidence.robot, evidence.recording, evidence.sign_width, problem.validated
-    if problem.selection and not tried:
-        misfits.append(
-            too_few(rows)._replace(cure=f"the model is {problem.selection.chosen.name}; record longer motions")
-        )
+    """Findings about a model that could not be chosen, and torques that it does not explain, or by wrong terms."""
+    evidence, misfits = problem.evidence, [*problem.few]
+    # what was tried on blocks that were left out is not asked for
+    robot, rows, sign_width, tried = evidence.robot, evidence.recording, evidence.sign_width, problem.selection
     if not found.settled:
         claim = f"the least squares must settle within {ITERATIONS} iterations"
         misfits.append(Finding("fit.unsettled", "", claim, "", "give a stronger prior"))
-    if not explained:
+    if not explained:  # by the description: then no model explains them
         return misfits
     residual = evidence.residual(found.change(evidence.at))
     signals = [rows.q, rows.qd, rows.qdd, rows.measured, residual]
@@ -337,10 +311,9 @@ def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) 
 def _identifiable(variance: Tensor, alone: Tensor, H: Tensor, moves: Tensor, terms: Sequence[Term]) -> Tensor:
     """Parameters [k] that the samples decide, at joints that move: none of a link without mass, or that no row moves.
 
-    The samples reduce their variances, which are `alone` by the prior, to a tenth. And they do so by themselves, with
+    The samples reduce their variances, which are `alone` by the prior, to a tenth, and do so by themselves, with their
     information H [k, k]: the prior also carries a parameter over from others of its link, such as the mass from the
-    first moment, and would be more certain of it than anyone can be. Priors of the same widths that are independent of
-    each other must leave no more than a tenth, and no more than twice the variance or a hundredth of the prior's.
+    first moment. Independent priors of the same widths must leave as little, or nearly the same variance.
     """
     width = alone.sqrt()
     independent = alone * torch.linalg.inv(width[:, None] * H * width + torch.eye(len(H), dtype=H.dtype)).diagonal()

@@ -100,9 +100,10 @@ def _moved(fit: AugmentedFit, run: Tensor, late: Tensor, y: Tensor) -> tuple[Ten
         share = (at - first).to(x).reshape(-1, *[1] * (x.ndim - 1))
         return torch.lerp(x[first], x[second], share)
 
-    Z, tau = fit.columns(*(drawn(x) for x in (recording.q, recording.qd, recording.qdd, fit.evidence.own)))
-    near = (tau + Z @ y).reshape(3, len(late), -1)
-    return Z[: len(late)], tau[: len(late)], near[2] - near[1], inside[:, None].to(tau)
+    states = [drawn(x) for x in (recording.q, recording.qd, recording.qdd, fit.evidence.own)]
+    Z, tau = fit.linear(lambda y: fit.torques(y, *(x[: len(late)] for x in states)))
+    before, after = fit.torques(y, *(x[len(late) :] for x in states)).chunk(2)
+    return Z, tau, after - before, inside[:, None].to(tau)
 
 
 def _runs(evidence: Evidence) -> tuple[Tensor | None, float]:

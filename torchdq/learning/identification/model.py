@@ -25,8 +25,7 @@ class Model:
             leave that of others as described; True: of every joint; False: of none.
         gains: estimate the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains
             that are not trusted: 1 with a standard deviation of 0.3 before the samples, and unknown at joints for which
-            the layout of the log has no gain. One factor of all gains comes from the described masses. Gains are found
-            first, with viscous and Coulomb friction, all else from the torques that they make.
+            the layout of the log has no gain. One factor of all gains comes from the described masses.
         memory: whether friction may have a memory, as `torchdq.effects.LuGre` has: scenes simulate it, layers do not.
 
     Raises:

@@ -1,12 +1,10 @@
 """Selection of a model, from the description to the identified robot, on blocks of motions that were left out.
 
-The candidates are the description; the description with friction, rotor inertia and offsets; and all inertial
-parameters with a prior at the description, whose strength is chosen, too; the last two also with friction of other
-shapes and offsets of the joints that gain from them (`friction_selection`). Identified models come with and without
-the constraint that joints which do not gain keep their described torques. The simplest candidate within one standard
-error and `NEAR` of the best is chosen, the error being that of the paired differences over the blocks: what little data
-cannot decide stays as described. Averages of the candidates, by the weights that do best on the blocks, predict
-recordings of real arms no better.
+Candidates are the description; that with friction, rotors and offsets; and all inertial parameters with a prior, with
+and without the constraint that joints which do not gain keep their described torques. The last two also have friction
+of other shapes, at joints that gain from it (`friction_selection`). The simplest one within one standard error and
+`NEAR` of the best is chosen, the error being that of the paired differences over the blocks. Averages of candidates, by
+the weights that do best on the blocks, predict recordings of real arms no better.
 """
 
 import math
@@ -18,7 +16,7 @@ from torch import Tensor
 
 from torchdq.base.tables import table
 from torchdq.learning.evaluation.blocks import REGIONS, Block, MotionRows
-from torchdq.learning.identification.evidence import Evidence, Unseen, gather
+from torchdq.learning.identification.evidence import Evidence, gather
 from torchdq.learning.identification.friction_selection import Gain, gainful
 from torchdq.learning.identification.solution import Solution, changes
 from torchdq.learning.identification.terms import OFFSET, ROTOR, SHAPES, Term
@@ -30,14 +28,12 @@ ALONE = 0.12  # the same of the best and the plainest models, where parts of a s
 NEAR = 0.1  # part of the best score by which that of a simpler model may be worse, and by one standard error
 MOVES = 0.01  # least mean square of a joint's velocity in a block, relative to the largest, where it moves
 
-UnseenParts = tuple[list[Unseen], list[Unseen]]  # blocks, and regions of the states
-
 
 class CandidateModel(NamedTuple):
     """Model, and its validation on the blocks that were left out."""
 
     name: str
-    scores: Tensor  # [blocks, n] mean squared residual over the variance of the joint's torque; none: not validated
+    scores: Tensor  # [blocks, n] mean squared residual over the variance of the joint's torque
     estimated: Tensor  # [terms, n] coefficients that it has
     strength: float  # weight of the bodies' prior; infinite: they stay as described
     gains: tuple[Gain, ...] = ()  # terms that single joints have
@@ -63,35 +59,21 @@ class ModelSelection(NamedTuple):
     """
 
     candidates: tuple[CandidateModel, ...]
-    choice: int  # number of the chosen one
-    validation: str  # the blocks and regions that were left out, or why there are none
+    chosen: CandidateModel
+    validation: str  # the blocks and regions that were left out
     left: Tensor  # [n] mean squared residual of the chosen one on blocks, or on regions where larger [(N m)^2 or N^2]
     useless: tuple[str, ...] = ()  # terms that no joint gained from
 
     @property
-    def chosen(self) -> CandidateModel:
-        """CandidateModel that was chosen."""
-        return self.candidates[self.choice]
-
-    @property
-    def validated(self) -> bool:
-        """Whether the model was chosen on blocks that were left out; if not, there was no choice."""
-        return len(self.chosen.scores) > 0
-
-    @property
     def summary(self) -> str:
         """The model, and what it was chosen on."""
-        return f"{self.chosen.name}, {'chosen on' if self.validated else 'not chosen:'} {self.validation}"
+        return f"{self.chosen.name}, chosen on {self.validation}"
 
     def __repr__(self) -> str:
-        if not self.validated:
-            return f"ModelSelection({self.chosen.name!r}, not chosen)"
         size, chosen = len(self.candidates), self.chosen
         return f"ModelSelection({size} candidates, {chosen.name!r} chosen, score {chosen.score:.4g})"
 
     def __str__(self) -> str:
-        if not self.validated:
-            return self.summary
         chosen, best = self.chosen, min(self.candidates, key=lambda candidate: candidate.score)
         rows = [
             (
@@ -129,10 +111,10 @@ def select(
     strengths: Sequence[float],  # priors of the bodies to choose from, the strongest first
     blocks: Sequence[Block],
     say: Callable[[str], None],
-) -> tuple[ModelSelection, Evidence, UnseenParts]:
-    """Selection of a model of a recording, the evidence with the terms of the chosen one, and its residuals.
+) -> tuple[ModelSelection, Evidence, list[Tensor]]:
+    """Selection of a model of a recording, the evidence with the terms of the chosen one, and what it leaves of parts.
 
-    The residuals are those of blocks, and of regions, by parameters that were found without each.
+    These residuals are those of blocks and regions, by parameters that were found without each.
     """
     terms, n = (*fixed, *candidates), robot.n
     evidence = identified = gather(robot, recording, terms, sign_width, blocks, say)
@@ -157,22 +139,19 @@ def select(
         number = next((k for k, one in enumerate(tried[:2]) if one.score <= (1 + ALONE) * best), number)
     chosen, regions = tried[number], len(evidence.left) - len(blocks)
     what = "motions" if len(recording.lengths) >= 3 else "parts of motions"
-    squares = chosen.scores * evidence.sizes / evidence.counts[:, None]
+    squares = chosen.scores * evidence.sizes / torch.tensor([[len(part)] for part in evidence.parts])
     left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
     tries = torch.stack([one.estimated for one in tried]).any(0).any(1)
     useless = tuple(term.name for term, used in zip(terms, tries.tolist(), strict=True) if not used)
     validation = f"{len(blocks)} {what} and {regions} regions of the states that were left out in turn"
-    selection = ModelSelection(tuple(tried), number, validation, left, useless)
+    selection = ModelSelection(tuple(tried), chosen, validation, left, useless)
     own = evidence if math.isinf(chosen.strength) else identified.keeping(_places(robot, chosen.kept))
-    return selection, own.only(chosen.estimated.any(1)), own.left_out(chosen.found)
+    unseen = [own.residual(change, rows) for change, rows in zip(chosen.found, own.parts, strict=True)]
+    return selection, own.only(chosen.estimated.any(1)), unseen
 
 
 def _family(evidence: Evidence, strengths: Sequence[float], base: Tensor) -> tuple[list[CandidateModel], Evidence]:
-    """Candidates of one kind of bodies, the simplest first, and the evidence with their loads.
-
-    They have coefficients `base` [terms, n]; rotors and offsets of the joints that gain from them; friction of other
-    shapes; and friction with memory, which is for the arm to choose.
-    """
+    """Candidates of one kind of bodies with coefficients `base` [terms, n], and the evidence with their loads."""
     terms, strength, free = evidence.terms, strengths[-1], strengths[-1] < math.inf
     name = "identified" if free else "+ friction"
     optional = [k for k in range(len(terms)) if not bool(base[k].all())]
@@ -215,7 +194,8 @@ def _places(robot: Robot, joints: Sequence[str]) -> Tensor:
 
 def _untested(evidence: Evidence) -> Tensor:
     """Joints [n] excited in one block only; they cannot be cross-validated."""
-    speed = torch.stack([evidence.recording.qd[block.rows].square().mean(0) for block in evidence.blocks]).cpu()
+    blocks = evidence.parts[: len(evidence.margins)]
+    speed = torch.stack([evidence.recording.qd[rows].square().mean(0) for rows in blocks]).cpu()
     return (speed > MOVES * speed.amax(0)).sum(0) == 1
 
 
@@ -241,10 +221,10 @@ def _candidate(
     name = ", ".join([name, *_additions(evidence, estimated)])
     evidence.say(name)
     scores, every = list[Tensor](), list[Tensor]()
-    before, start = whole.near, whole.y.expand(len(evidence.folds), -1)
+    before, start = whole.near, whole.y.expand(len(evidence.left), -1)
     for strength in strengths:
         near = evidence.near(estimated, strength)
-        start, found = changes(near, evidence.folds, variance, evidence.at, near.at(before, start))
+        start, found = changes(near, evidence.folds[:-1], variance, evidence.at, near.at(before, start))
         before = near
         every.append(found)
         scores.append(evidence.scores(found))

@@ -14,6 +14,7 @@ from torch import Tensor
 from torchdq.functional import regressor
 from torchdq.learning.evaluation.blocks import MotionRows
 from torchdq.learning.identification.base_parameters import inverse_of
+from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.robot import Robot
 
 COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it
@@ -37,27 +38,23 @@ def parted(robot: Robot, phi: Tensor) -> tuple[Tensor, Tensor]:
 
 def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor) -> Tensor:
     """Torque per unit of every parameter of each joint [rows, n, p]; `own` [rows, n, terms] is that of its terms."""
-    return torch.cat([regressor(robot, q, qd, qdd), own], -1)
-
-
-def chunks(rows: slice, numbers: int) -> Iterator[slice]:
-    """Slices of rows, each small enough for so many numbers per row."""
-    size = max(1, CHUNK // max(1, numbers))
-    for i in range(rows.start, rows.stop, size):
-        yield slice(i, min(i + size, rows.stop))
+    Y = regressor(robot, q, qd, qdd)
+    return torch.cat([Y, own], -1) if own.shape[-1] else Y
 
 
 def by_chunks(robot: Robot, recording: MotionRows, own: Tensor, numbers: int) -> Iterator[tuple[slice, Tensor]]:
     """Slices of the rows, each small enough for so many numbers per row, with their `columns`."""
-    for part in chunks(slice(0, len(own)), numbers):
+    size = max(1, CHUNK // max(1, numbers))
+    for i in range(0, len(own), size):
+        part = slice(i, min(i + size, len(own)))
         yield part, columns(robot, recording.q[part], recording.qd[part], recording.qdd[part], own[part])
 
 
 def rigid(robot: Robot, recording: MotionRows, pi: Tensor, rotors: Tensor | None) -> Tensor:
     """Torques [rows, n] of bodies with inertial parameters pi [10 links], and of rotors [n]."""
     tau, pi = torch.empty_like(recording.q), pi.to(recording.q)
-    for part in chunks(slice(0, len(tau)), robot.n * len(pi)):
-        tau[part] = regressor(robot, recording.q[part], recording.qd[part], recording.qdd[part]) @ pi
+    for part, Y in by_chunks(robot, recording, tau[..., None][..., :0], robot.n * len(pi)):
+        tau[part] = Y @ pi
     return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
 
 
@@ -65,35 +62,36 @@ def gram(
     robot: Robot,
     recording: MotionRows,
     own: Tensor,
-    described: Tensor,
-    parts: Sequence[slice],
+    parts: Sequence[Tensor],
+    some: Sequence[int],
     say: Callable[[str], None],
 ) -> Tensor:
-    """Sums [parts, n, p + 1, p + 1] of [Z d]^T [Z d] over parts of the rows; `say` is called with the number read.
+    """Sums [parts, n, p, c] of Z^T Z over parts of the rows, and of all columns by some [c]; see `columns`.
 
-    d is the residual of the described bodies [n, p], and rotors.
+    `say` is called with the number of rows that were read.
     """
-    n, p = described.shape
-    sums = recording.q.new_zeros(len(parts), n, p + 1, p + 1)
-    pi, read = described[0, : p - own.shape[-1]].to(recording.q), 0
-    whole = sum(part.stop - part.start for part in parts)
-    for i, rows in enumerate(parts):
-        for part in chunks(rows, n * p):
-            Y = regressor(robot, recording.q[part], recording.qd[part], recording.qdd[part])
-            Z = sums.new_empty(n, len(Y), p + 1)
-            Z[..., : len(pi)], Z[..., len(pi) : -1] = Y.transpose(0, 1), own[part].transpose(0, 1)
-            residual = recording.measured[part] - Y @ pi
-            if robot.armature is not None:
-                residual -= robot.armature.to(Z) * recording.qdd[part]
-            Z[..., -1] = residual.T
-            sums[i] += Z.mT @ Z
-            read += len(Y)
+    p, read, whole = 10 * len(robot.link_names) + own.shape[-1], 0, sum(map(len, parts))
+    sums = recording.q.new_zeros(len(parts), robot.n, p, len(some))
+    for found, rows in zip(sums, parts, strict=True):
+        for part, Z in by_chunks(robot, recording.some(rows), own[rows], robot.n * p):
+            Z = Z.transpose(0, 1)
+            found += Z.mT @ (Z if len(some) == p else Z[..., some])
+            read += part.stop - part.start
             say(f"{read} of {whole} samples")
     return sums.cpu()
 
 
+def added(sums: Tensor, at: Tensor) -> Tensor:
+    """Sums [..., k + 1, k + 1] of all joints together, in the parameters phi [k], of those of `gram`."""
+    k = int(at.max()) + 1
+    at = torch.nn.functional.pad(at, (0, 1), value=k)
+    found = sums.new_zeros(*sums.shape[:-3], (k + 1) ** 2)
+    places = at[:, :, None] * (k + 1) + at[:, None]
+    return found.index_add_(-1, places.flatten(), sums.flatten(-3)).unflatten(-1, (k + 1, k + 1))
+
+
 def shifted(sums: Tensor, change: Tensor) -> Tensor:
-    """Sums [..., n, p + 1, p + 1] of `gram` about other parameters, which differ by a change [n, p]."""
+    """Sums [..., p + 1, p + 1] about other parameters, which differ by a change [..., p]."""
     found = sums.clone()
     found[..., -1] -= (sums[..., :-1] @ change[..., None])[..., 0]
     found[..., -1, :] -= (change[..., None, :] @ found[..., :-1, :])[..., 0, :]
@@ -122,13 +120,12 @@ def information(
     floor: Tensor,  # [n] least noise
     samples: Tensor,  # [n] number of independent samples
 ) -> Information:
-    """Least squares with every joint weighted by its noise.
+    """Least squares with joints weighted by their noise, which follow from each other (restricted maximum likelihood).
 
-    Weights and solution follow from each other (restricted maximum likelihood): an estimate of the noise divides by
-    the samples less the parameters they were spent on. A joint's share of those is its part of the trace of the
-    matrix that takes measured torques to fitted ones.
+    The noise divides by the samples less the parameters they were spent on. A joint's share of those is its part of the
+    trace of the matrix that takes measured torques to fitted ones.
     """
-    A, b, c = projected(sums, S)
+    A, b, c = S.mT @ sums[:, :-1, :-1] @ S, (sums[:, -1:, :-1] @ S)[:, 0], sums[:, -1, -1]
     squares = squares.clamp_min(1e-6 * float(squares.max()))
     squares = torch.where(squares > 0, squares, 1.0)  # torques that vanish: any weight will do
     # which combinations are identifiable does not depend on the weights, and is clearest where they differ least
@@ -148,21 +145,23 @@ def information(
         before, variance = variance, (left / (samples - spent).maximum(FREE * samples)).maximum(least)
         if float((variance / before - 1).abs().max()) < 1e-3:
             break
-    found, none = known(sums, S @ P, variance), e.new_zeros(unknown.shape[1])
-    V = torch.cat([unknown, P @ found.V], 1)
-    return Information(torch.cat([none, found.e]), V, torch.cat([none, found.w]), found.noise)
+    e, V, w = _solved((A / variance[:, None, None]).sum(0), (b / variance[:, None]).sum(0))
+    none = e.new_zeros(unknown.shape[1])
+    return Information(torch.cat([none, e]), torch.cat([unknown, P @ V], 1), torch.cat([none, w]), variance.sqrt())
 
 
-def known(sums: Tensor, S: Tensor, variance: Tensor) -> Information:
-    """Least squares with joints weighted by known noise, in the terms of `information`."""
-    A, b, _ = projected(sums, S)
-    e, V = torch.linalg.eigh((A / variance[:, None, None]).sum(-3))
+def known(sums: Tensor, near: Neighbourhood, variance: Tensor, at: Tensor) -> Information:
+    """Least squares of sums about the description, with joints weighted by known noise."""
+    H = added(sums / variance[:, None, None], at)
+    H = shifted(H, near.described - near.zero)
+    used = near.S.any(1)  # others are not estimated
+    S, used = near.S[used], torch.cat([used, used.new_ones(1)])
+    H = H[..., used, :][..., used]
+    return Information(*_solved(S.T @ H[..., :-1, :-1] @ S, H[..., -1, :-1] @ S), variance.sqrt())
+
+
+def _solved(A: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Eigenvalues e and eigenvectors V of A [..., t, t], and w such that y = V w is a solution of A y = b."""
+    e, V = torch.linalg.eigh(A)
     e = torch.where(e > 1e-15 * e[..., -1:], e, 0.0)
-    w = ((b / variance[:, None]).sum(-2)[..., None, :] @ V)[..., 0, :] * inverse_of(e)
-    return Information(e, V, w, variance.sqrt())
-
-
-def projected(sums: Tensor, S: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Matrix [..., n, t, t], right-hand side [..., n, t] and constant [..., n] of every joint's squares, by y."""
-    b = (sums[..., -1:, :-1] @ S)[..., 0, :]
-    return S.mT @ sums[..., :-1, :-1] @ S, b, sums[..., -1, -1]
+    return e, V, (b[..., None, :] @ V)[..., 0, :] * inverse_of(e)

@@ -95,9 +95,8 @@ def changes(
     near: Neighbourhood, sums: Tensor, variance: Tensor, at: Tensor, start: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
     """Minima y [..., t] of sums [..., n, p + 1, p + 1] and a known variance [n], and the parameters less the zero."""
-    zero = near.start_of(at)
-    y, _ = minimum(near, known(shifted(sums, zero), near.S[at], variance), 1.0, start, ROUGH)
-    return y, zero + (y @ near.S.T)[..., at]
+    y, _ = minimum(near, known(sums, near, variance, at), 1.0, start, ROUGH)
+    return y, near.start_of(at) + (y @ near.S.T)[..., at]
 
 
 def minimum(
@@ -119,9 +118,9 @@ def minimum(
 
     squares, distance = parts(w)
     for _ in range(ITERATIONS):
-        slope, curvature = near.slopes((V @ w[..., None])[..., 0])
-        gradient = 2 * e * (w - w_0) + weight[..., None] * (slope[..., None, :] @ V)[..., 0, :]
-        H = torch.diag_embed(2 * e) + weight[..., None, None] * (V.mT @ curvature @ V)
+        slope, curvature = near.slopes((V @ w[..., None])[..., 0], V)
+        gradient = 2 * e * (w - w_0) + weight[..., None] * slope
+        H = torch.diag_embed(2 * e) + weight[..., None, None] * curvature
         scale = H.diagonal(dim1=-2, dim2=-1).rsqrt()  # the samples' part may be 1e20 times the prior's
         factor = _factor(scale[..., None] * H * scale[..., None, :])
         step = -scale * torch.cholesky_solve((scale * gradient)[..., None], factor)[..., 0]

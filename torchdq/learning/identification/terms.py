@@ -59,18 +59,11 @@ class Term(NamedTuple):
         if effect is None:
             return rows.recording.qdd if self.name == "rotor" else torch.ones_like(qd)
         if self.bristles:
-            return deflection(q, rows.recording.starts(), self.bristles)
+            starts = torch.tensor([0, *rows.recording.lengths[:-1]], device=q.device).cumsum(0)
+            return deflection(q, starts, self.bristles)
         qd = qd.where(qd.abs() > STILL, STILL) if self.dry else qd
         torque = columns(rows.robot, effect, q, qd, rows.load if self.loaded else None, backend="eager")[self.parameter]
         return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
-
-    def at_one(self, robot: Robot, width: float) -> Tensor:
-        """Torque per unit of friction that does not depend on the load [n], long after the joints moved at 1 rad/s."""
-        qd = torch.ones(robot.n, dtype=torch.float64)
-        effect = self.effect(width)
-        if self.bristles or effect is None:
-            return qd
-        return columns(robot, effect, 0 * qd, qd, None, backend="eager")[self.parameter]
 
     @property
     def fraction(self) -> bool:
@@ -80,20 +73,16 @@ class Term(NamedTuple):
     def size(self, unit: Tensor, torque: Tensor, identifiable: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
 
-        It is the root mean square `unit` over the rows, so that terms that the rows cannot separate share it evenly.
-        But a fraction is expected to be at most one. Where the rows do not identify the term at all, a number that is a
-        torque is expected to be at most the measured torque of its joint, others as if the joint moved at 1 rad/s or
-        1 rad/s^2.
+        It is the root mean square `unit` over the rows, so that terms that they cannot separate share it evenly. But a
+        fraction is at most one, and what no row identifies is as if the joint moved at 1 rad/s or 1 rad/s^2.
         """
         return unit.maximum(torque) if self.fraction else torch.where(identifiable, unit, unit.clamp_min(1.0))
 
     def identifiable(self, rows: TermRows) -> Tensor:
-        """Joints [n] whose rows identify the term: they move, and for a wave through enough of a period.
+        """Joints [n] whose rows identify the term: they move, and for a wave through about a quarter of a period.
 
-        In a small part of a period a wave looks like a constant torque and a slope, as gravity does. In least squares
-        of sine and cosine with a constant, the errors go as one over the least standard deviation of
-        a sin(x) + b cos(x), with a^2 + b^2 = 1. That is 1 / sqrt(2) in whole periods, and must be `WAVE` / sqrt(2) at
-        least, as in about a quarter of a period.
+        In less, a wave looks like a constant torque and a slope, as gravity does: errors go as one over the least
+        standard deviation of a sin(x) + b cos(x), with a^2 + b^2 = 1, which is 1 / sqrt(2) in whole periods.
         """
         q, qd, effect = rows.recording.q, rows.recording.qd, self.effect(rows.width)
         if not self.signed:  # rotors and friction, which resist

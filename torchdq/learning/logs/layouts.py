@@ -46,8 +46,7 @@ class Layout:
             per joint, 1/100 for a gear of 100:1, negative where it reverses; or the rows of a matrix S, joints = S
             motors, where a motor turns several joints, as in wrists. Motors are read at the scale of their joints:
             positions times the numbers, or the diagonal of S, and torques, which `gain` belongs to, divided by them.
-            Where motors are coupled, the log is that of the motors, the coordinates of `robot.couple(coupling, names)`:
-            there friction and rotor inertia act. Empty: joints were measured.
+            Where they are coupled, the log is in the coordinates of `robot.couple(coupling, names)`. Empty: joints.
         zero: positions of the joints where those in the log are zero, which are added to them, a number per joint [rad
             or m]; empty: zero.
         at_motors: signals that were measured at the motors, if there is a transmission; the others were at the joints.
@@ -64,18 +63,12 @@ class Layout:
 
     >>> bare = Layout(columns={"q": "{1}", "qd": None, "tau": "{3}"}, rate=500.0)
 
-    Positions of motors behind gears and their currents, whose gains are not known, without velocities:
+    Motors behind gears, their positions in degrees, with currents of unknown gains, and a second joint whose zero is a
+    quarter turn away:
 
-    >>> drives = Layout(
-    ...     columns={"qd": None, "tau": "current{1}"},
-    ...     gain=None,
-    ...     transmission=(1 / 100, -1 / 80),
-    ... )
-
-    Positions in degrees, velocities in degrees per second, and a second joint whose zero is a quarter turn away:
-
-    >>> turn = math.pi / 180
-    >>> degrees = Layout(scale={"q": turn, "qd": turn}, zero=(0.0, -math.pi / 2))
+    >>> gears = {"transmission": (1 / 100, -1 / 80), "zero": (0.0, -math.pi / 2)}
+    >>> names = {"qd": None, "tau": "current{1}"}
+    >>> drives = Layout(columns=names, gain=None, scale={"q": math.pi / 180}, **gears)
     """
 
     joints: int = 0

@@ -1,10 +1,4 @@
-"""Motions of robot arms from their logs: on an even time base, filtered, differentiated, split into training and test.
-
-log = read_log("arm.csv")                     # checked, torques in N m, on its own uneven time stamps
-motion = smooth(log)                          # even steps, zero-phase filtered, with accelerations
-train, test = train_test_split(motion, 0.6)   # a part of one motion, or whole ones of several
-data = stack_samples(train)                   # tensors, for `torchdq.learning.fit`
-"""
+"""Motions of robot arms from their logs: in even steps, filtered, differentiated, split into training and test."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -64,8 +58,7 @@ def smooth(
 
     Signals are interpolated at the median step of the log and pass a Butterworth filter of fourth order forwards and
     backwards, so that none lags behind another. Velocities that were not recorded are derivatives of the filtered
-    positions, accelerations of the filtered velocities. Rows at rest are left out, and so are ends that the filter
-    spoils; an end at rest is continued at rest, so that nothing of the motion is cut off there.
+    positions, accelerations of the filtered velocities. Rows at rest and ends that the filter spoils are left out.
 
     The filter rounds the step that dry friction makes in the torque where a velocity changes its sign. `direction` is
     that sign, filtered in the same way: with it `identify` finds the friction without bias, if its shape is right.
@@ -77,9 +70,8 @@ def smooth(
         cutoff_tau: low-pass frequency of torques [Hz]; None: likewise.
         rate: rows per second that are kept [Hz], rounded to every so many of the log; None: all. Twice the cutoff are
             independent, as `identify` takes them to be for its standard errors.
-        sign_width: velocity below which dry friction is viscous [rad/s or m/s], the width of `torchdq.effects.Coulomb`,
-            whose default is 0.01: the default here is a sharp step, for logs of real arms. Only `direction` depends on
-            it.
+        sign_width: velocity below which dry friction is viscous [rad/s or m/s], in `direction` alone: the default is a
+            sharp step, for logs of real arms; a simulation has the width of its friction.
         delay: time by which the torques lag the positions in the log, which they are moved back by [s]; `identify`
             warns where it finds one.
     Raises:
@@ -170,9 +162,8 @@ def train_test_split(
 ) -> tuple[list[Motion], list[Motion]]:
     """Motions to learn from and motions to test on.
 
-    Several motions are split as wholes, because rows of one motion resemble each other: at least one is on each side.
-    A single one is cut; what the filter has mixed with its first part belongs to neither, 0.5 s or three periods of its
-    cutoff.
+    Several motions are split as wholes, at least one on each side. A single one is cut; what the filter has mixed with
+    its first part belongs to neither.
 
     Args:
         motions: one motion from `smooth`, or several.

@@ -25,11 +25,6 @@ def outliers(x: np.ndarray) -> np.ndarray:
     An outlier is far from both neighbours in the same direction, which steps such as those of dry friction are not. It
     is also outside the usual range of the signal by three times the size of that range. Both follow from the median of
     all distances and the range of most rows, which a few outliers do not change.
-
-    >>> x = np.sin(np.linspace(0, 6, 200))[:, None]
-    >>> x[[50, 120]] = 1000.0
-    >>> np.flatnonzero(outliers(x)[:, 0]).tolist()
-    [50, 120]
     """
     found = np.zeros(x.shape, dtype=bool)
     if len(x) <= 4 * REACH:

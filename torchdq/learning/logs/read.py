@@ -73,10 +73,9 @@ class Log(NamedTuple):
     def static_poses(self, seconds: float = 1.0, near: float = 0.01) -> StaticPoses:
         """Poses that the arm rests at, approached by every joint from below and from above, as `StaticPoses`.
 
-        A joint that stops is held by any torque within its dry friction. Friction opposes the motion that ended: after
-        an approach from below it adds to the torque what it takes from it after one from above. The mean is without it.
-        Poses follow each other in any order, each visited at least twice, with all joints coming from one side, and
-        from the other.
+        Dry friction opposes the motion that ended: after an approach from below it adds to the torque what it takes
+        from it after one from above, and the mean is without it. Poses follow each other in any order, each visited
+        with all joints coming from one side, and from the other.
 
         Args:
             seconds: least time at rest [s].

@@ -43,12 +43,10 @@ def validated(name: str, samples: Samples) -> Samples:
     samples = Samples(*samples)
     for field, x in samples._asdict().items():
         require_tensor(f"{name}.{field}", x)
-    shape, dtype = samples.q.shape, samples.q.dtype
-    if len(shape) != 2 or not shape[0] or not dtype.is_floating_point:
-        raise ArgumentError(f"{name}.q must be real numbers [N, n] with N > 0, found {dtype} {list(shape)}")
     for field, x in samples._asdict().items():
-        if x.shape != shape or x.dtype != dtype:
-            expected = f"{dtype} {list(shape)} as {name}.q"
+        alike = x.shape == samples.q.shape and x.dtype == samples.q.dtype
+        if not alike or x.ndim != 2 or not len(x) or not x.dtype.is_floating_point:
+            expected = f"real numbers [N, n] with N > 0, all {samples.q.dtype} {list(samples.q.shape)} as {name}.q"
             raise ArgumentError(f"{name}.{field} must be {expected}, found {x.dtype} {list(x.shape)}")
         for row, joint in (~x.isfinite()).nonzero()[:1].tolist():
             found = f"{float(x[row, joint])} in row {row}, joint {joint + 1}"
@@ -62,10 +60,9 @@ def of_motions(name: str, motions: Any) -> tuple[Samples, tuple[int, ...]]:
         rows = validated(name, motions)
         return rows, (len(rows.q),)
     parts = [validated(f"{name}[{k}]", motion) for k, motion in enumerate(motions)]
-    for k, part in enumerate(parts):
-        if part.q.shape[1] != parts[0].q.shape[1] or part.q.dtype != parts[0].q.dtype:
-            expected = f"{parts[0].q.dtype} of {parts[0].q.shape[1]} joints as {name}[0]"
-            raise ArgumentError(f"{name}[{k}] must be {expected}, found {part.q.dtype} of {part.q.shape[1]}")
+    if len(kinds := {(part.q.shape[1], part.q.dtype) for part in parts}) > 1:
+        found = " and ".join(f"{dtype} of {n} joints" for n, dtype in sorted(kinds, key=str))
+        raise ArgumentError(f"{name} must be motions of the same joints and dtype, found {found}")
     return Samples(*(torch.cat(rows) for rows in zip(*parts, strict=True))), tuple(len(part.q) for part in parts)
 
 

@@ -1,10 +1,9 @@
 """Parameters of a scene from recorded motions: positions and commands, no torques and no accelerations.
 
 The scene is simulated through the recordings (`shooting`), and its parameters and the states at which the segments
-start are those of the greatest likelihood (`problem`). Iterations are steps of Gauss-Newton. A step is accepted if,
-compared with each of the steps accepted before, it closes the defects between the nodes or raises the likelihood
-(R. Fletcher, S. Leyffer, "Nonlinear programming without a penalty function", Mathematical Programming 91 (2002)).
-Then it is tried whether time steps of a quarter of their length move the parameters; if so, it goes on with those.
+start are those of the greatest likelihood (`problem`), by Gauss-Newton. A step is accepted if, compared with each of
+those accepted before, it closes the defects between the nodes or raises the likelihood (R. Fletcher, S. Leyffer,
+"Nonlinear programming without a penalty function", Mathematical Programming 91 (2002)).
 """
 
 import warnings
@@ -57,8 +56,6 @@ def fit_rollout(
 
     A recording is of continuous time, so the scene is simulated by Runge-Kutta steps that are short enough: a quarter
     of their length moves no parameter by a tenth of its standard error. The scene that is returned has this integrator.
-    Controllers and actuators act once per `dt`, as in every scene.
-
     The search starts from the scene as it is, whose parameters are also the scale of what is large: a friction to be
     estimated must be in the scene, and may be ten times too small or too large.
 
@@ -79,8 +76,8 @@ def fit_rollout(
             recordings do not fit the scene.
         LogError: a recording has a number that is not finite, or time that does not increase.
     Warns:
-        LogWarning: it ended before it had found the best parameters, by too few iterations or Ctrl-C; the result has
-            those found until then. Or residuals are correlated over more than two rows, or no step is short enough.
+        LogWarning: it ended before it had found the best parameters, residuals are correlated over more than two rows,
+            or no step is short enough.
 
     >>> import torchdq
     >>> from torchdq import Scene, effects
@@ -162,7 +159,7 @@ def _search(problem: Problem, finer: Sequence[int], iterations: int, notice: Pro
             done = f"iteration {count + 1} of at most {iterations}"
             notice.at(f"{done}, residuals {np.linalg.norm(at.spread):.3g}, defects {at.defect:.2g}")
             step = problem.step(at, linear, 0.0)
-            relative = abs(step.values / problem.unknowns.sizes(at.values)).max()
+            relative = abs(step.values / problem.unknowns.each("sizes", at.values)).max()
             # the next step, much smaller than this one, would not matter
             last = bool(at.defect <= NEARLY and (step.length < SETTLED or relative < STILL))
             if count == iterations:
@@ -198,7 +195,7 @@ def _trials(problem: Problem, at: Iterate, linear: Linear, step: Change) -> Iter
     for k in range(16):
         if k:
             step = problem.step(at, linear, 1e-6 * 10.0 ** (k - 1))
-        values = problem.unknowns.moved(at.values, 0.5**k * step.values)
+        values = problem.unknowns.each("moved", at.values, 0.5**k * step.values)
         after = problem.at(values, at.motions.nodes + 0.5**k * step.nodes)
         yield after
         yield problem.simulated(after)

@@ -94,7 +94,7 @@ class Problem:
         moved = shooting.motions(self.pieces, nodes, self._after(values, nodes, self._inputs(values)))
         defect = float(np.linalg.norm(moved.defects / self._sizes)) / math.sqrt(nodes.size)
         spread = np.sqrt(np.square(moved.residual).sum((0, 1)) / self.rows)
-        prior = np.square(self.unknowns.offset(values) / (PRIOR * self.unknowns.sizes(values))).sum()
+        prior = np.square(self.unknowns.each("offset", values) / (PRIOR * self.unknowns.each("sizes", values))).sum()
         cost = self.rows * np.log(self._least(spread)).sum() + 0.5 * prior
         return Iterate(values, moved, defect, float(cost), spread)
 
@@ -215,11 +215,11 @@ class Problem:
             if close:
                 break
             B = self._linear_steps(values, before, inputs, late)[1][:, n:]
-            sizes, rows = unknowns.sizes(values), math.sqrt(len(gaps)) / np.maximum(norms, 1e-300)
+            sizes, rows = unknowns.each("sizes", values), math.sqrt(len(gaps)) / np.maximum(norms, 1e-300)
             Z = (B * rows[:, None] * sizes).reshape(-1, len(sizes))
-            right = Z.T @ (gaps * rows).ravel() - unknowns.offset(values) / sizes
+            right = Z.T @ (gaps * rows).ravel() - unknowns.each("offset", values) / sizes
             change = sizes * np.linalg.solve(Z.T @ Z + np.eye(len(sizes)), right)
-            trial, close = unknowns.moved(values, change), bool(abs(change / sizes).max() < 0.1)
+            trial, close = unknowns.each("moved", values, change), bool(abs(change / sizes).max() < 0.1)
         return values
 
     # --- steps ---
@@ -281,8 +281,8 @@ class Problem:
     def information(self, at: Iterate, linear: Linear) -> np.ndarray:
         """Triangular factor [p + 1, p + 1] of measurements and prior, in the step and the right-hand side."""
         p, s = len(at.values), at.motions.nodes.shape[-1]
-        sizes = PRIOR * self.unknowns.sizes(at.values)
-        prior = np.column_stack([np.diag(1 / sizes), -self.unknowns.offset(at.values) / sizes])
+        sizes = PRIOR * self.unknowns.each("sizes", at.values)
+        prior = np.column_stack([np.diag(1 / sizes), -self.unknowns.each("offset", at.values) / sizes])
         rows = linear.factor[:, s : s + p + 1, s:].reshape(-1, p + 1)
         return shooting.triangular(np.concatenate([rows, prior]))
 

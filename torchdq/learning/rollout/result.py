@@ -68,7 +68,7 @@ def result(end: End, warning: str, followed: bool) -> RolloutFit:
     """Result of a search; `followed`: whether the scene moves from state to state at its end."""
     problem, at, linear = end.problem, end.at, end.linear
     unknowns, p = problem.unknowns, len(at.values)
-    sizes = unknowns.sizes(at.values)
+    sizes = unknowns.each("sizes", at.values)
     R = problem.information(at, linear)[:p, :p] * sizes  # in changes relative to the sizes
     _, e, V = np.linalg.svd(R)
     identifiable = (e > 1 / IDENTIFIABLE) & (e > 1e-10 * e[0])
@@ -76,7 +76,7 @@ def result(end: End, warning: str, followed: bool) -> RolloutFit:
     spread = math.sqrt(1 + end.shift**2) * sizes[:, None] * V[identifiable].T / e[identifiable]
     slopes = unknowns.slopes(at.values)
     covariance = slopes @ spread @ spread.T @ slopes.T
-    hidden = (V[~identifiable] * sizes) @ slopes.T / unknowns.scales(at.values)
+    hidden = (V[~identifiable] * sizes) @ slopes.T / unknowns.each("scales", at.values)
     known = (np.square(hidden).sum(0) < PART**2) & followed
     values, errors = (np.where(known, x, np.nan) for x in (at.values, np.sqrt(covariance.diagonal())))
     n, pieces = problem.pieces.n, problem.pieces

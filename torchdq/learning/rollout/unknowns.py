@@ -155,29 +155,13 @@ class Unknowns:
         """Delay of the inputs [s]."""
         return float(self.by_name(values).get(DELAY, 0.0))
 
-    def moved(self, values: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Numbers [p] after a step [p]."""
-        return self._each("moved", values, step)
-
     def slopes(self, values: np.ndarray) -> np.ndarray:
         """Derivatives [p, p] of the numbers by a step."""
         own = zip(self.parts, self.split(values), strict=True)
         return torch.block_diag(*(torch.from_numpy(part.slopes(v)) for part, v in own)).numpy()
 
-    def sizes(self, values: np.ndarray) -> np.ndarray:
-        """Steps [p] as large as the numbers or their starting values."""
-        return self._each("sizes", values)
-
-    def scales(self, values: np.ndarray) -> np.ndarray:
-        """Sizes [p] of the numbers."""
-        return self._each("scales", values)
-
-    def offset(self, values: np.ndarray) -> np.ndarray:
-        """Step [p] from the start to the numbers."""
-        return self._each("offset", values)
-
-    def _each(self, method: str, *numbers: np.ndarray) -> np.ndarray:
-        """Results of a method of every unknown, on its part of some numbers [p]."""
+    def each(self, method: str, *numbers: np.ndarray) -> np.ndarray:
+        """Results [p] of a method of every unknown, such as "sizes", on its part of some numbers [p]."""
         own = zip(self.parts, *map(self.split, numbers), strict=True)
         return np.concatenate([getattr(part, method)(*x) for part, *x in own])
 

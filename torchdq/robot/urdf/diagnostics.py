@@ -189,7 +189,7 @@ def _bodies(root: ET.Element, file: Elements, tree: Rooted, links: Links) -> lis
     empty = [x.get("name", "") for x in root.findall("link") if x.find("inertial") is not None]
     empty = [name for name in empty if file.links.get(name) is None and name not in file.unreadable]
     points = [name for name, body in bodies.items() if body and body.mass and not body.stated]
-    fixed = [joint for joint in file.joints.values() if joint.kind == "fixed"]
+    fixed = sum(joint.kind == "fixed" for joint in file.joints.values())
     return [
         ("frame.left_out", tree.frames, "nothing carries it and it has neither body nor joint, left out"),
         ("frame.left_out", world, "left out, because it stands still and the base is floating"),
@@ -198,7 +198,7 @@ def _bodies(root: ET.Element, file: Elements, tree: Rooted, links: Links) -> lis
         ("inertial.no_mass", empty, "<inertial> gives no <mass>, taken as massless"),
         ("link.massless", [name for name, x in bodies.items() if x is None or x.mass == 0], "no mass"),
         ("inertial.point", points, "mass without <inertia>, taken as a point at its centre of mass"),
-        ("joint.fixed", [f"{len(fixed)} fixed joints"] * bool(fixed), "lumped; their links are frames"),
+        ("joint.fixed", [f"{fixed} fixed joint" + "s" * (fixed > 1)] * bool(fixed), "lumped; their links are frames"),
     ]
 
 

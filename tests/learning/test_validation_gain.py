@@ -9,7 +9,7 @@ from recorded_logs import waves
 
 import torchdq
 from torchdq.learning import LogWarning, Samples, fit
-from torchdq.learning.evaluation.validation_gain import HeldOut, validation_gain
+from torchdq.learning.fit import HeldOut, validation_gain
 
 F64, BACKEND = torch.float64, "auto"  # one arm, whose programs all tests share
 OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2}
