@@ -6,6 +6,8 @@ The tip goes to a point and to rest in 50 steps of 20 ms, from 64 starts to as m
 within those of the description, and within 0.3 of them. Solvers take turns, to a tolerance of 1e-9, and the least
 processor time of a problem counts. Crocoddyl is optional: `pip install crocoddyl==3.2.1 pin==4.0.0`, in an environment
 of its own, since it needs that Pinocchio. It is refused if its costs of given torques are others.
+
+A quadruped is planned for through its contacts: back from a push, take-off, landing, and a step of a foot.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -38,6 +41,7 @@ except ImportError:
     crocoddyl = None
 
 STEPS, DT, TIP = 50, 0.02, "panda_hand_tcp"
+FEET = 80  # steps of 5 ms of a robot on legs
 TORQUE, SPEED, POSTURE = 1e-4, 1e-2, 1e-2  # weights of a second
 REACHED, STOPPED = 1e3, 10.0  # and of the end
 PATH = urdf("example-robot-data", "panda.urdf")
@@ -46,6 +50,7 @@ ROBOT = torchdq.Robot.from_urdf(PATH, joints=JOINTS, tip=TIP)
 SCENE = Scene(ROBOT, (effects.Gravity(),), integrator=SemiImplicitEuler(), dt=DT)
 HOME = torch.tensor([0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.8], dtype=torch.float64)
 EFFORT = ROBOT.limits.effort
+double = partial(torch.tensor, dtype=torch.float64)
 
 
 def starts(count: int) -> tuple[Tensor, Tensor]:
@@ -180,6 +185,60 @@ def sampled(count: int) -> float:
     return 1e3 * min(solve(11) - solve(1) for _ in range(count)) / 10
 
 
+class Motion(NamedTuple):
+    """Motion of a quadruped on its feet."""
+
+    name: str
+    raised: float = 0.0  # height from which it falls [m]
+    pushed: float = 0.0  # velocity to the side at the start [m/s]
+    leaving: float = 0.0  # velocity upwards at the end [m/s]
+    ahead: float = 0.0  # length of a step of a foot [m]
+
+
+MOTIONS = (
+    Motion("back from a push to the side, 0.6 m/s", pushed=0.6),
+    Motion("take-off at 1.5 m/s", leaving=1.5),
+    Motion("landing from 0.2 m", raised=0.2),
+    Motion("step of a foot from standing, 0.1 m", ahead=0.1),
+)
+
+
+def on_legs(turns: int) -> list[tuple[str, ...]]:
+    """Rows of motions of a quadruped, by torques that add to servos which hold its stand."""
+    robot, stand, still = torchdq.robots.load("go2"), double([0.0, 0.8, -1.6] * 4), double([1.0, 0.0, 0.0, 0.0])
+    servo = effects.Servo(torch.full((12,), 40.0), torch.full((12,), 1.0), robot.limits.effort)
+    scene = Scene(robot, (effects.Gravity(), effects.RotorInertia(0.01), servo, effects.Contact("*_foot")), dt=0.005)
+    hold, up = stand.expand(200, 12), double([0.0, 0.0, 1.0])
+    rest = scene.rollout(scene.start(stand, X_WB=dq.from_pose(still, 0.3 * up)), steps=200, target=hold).last
+    foot = dq.translation(torchdq.floating.forward_kinematics(robot, rest.X_WB, rest.q, "FL_foot"))
+    share = (torch.arange(FEET, dtype=torch.float64) / (0.6 * FEET)).clamp(max=1.0)[:, None]
+    arc = foot + 0.1 * share * up.roll(1) + 0.05 * (torch.pi * share).sin() * up
+    rows = []
+    for motion in MOTIONS:
+        pushed, leaving = double([0.0, 0.0, 0.0, 0.0, motion.pushed, 0.0]), motion.leaving * double([0.0] * 5 + [1.0])
+        lifted = dq.mul(dq.from_pose(still, motion.raised * up), rest.X_WB)
+        start = rest._replace(V_WB_B=rest.V_WB_B + pushed, X_WB=lifted)
+        free = 0.0 if motion.leaving else 1.0  # whether the place of the base is asked for
+        costs = [
+            optimal.BasePose(rest.X_WB, double([2.0] * 3 + [2.0 * free] * 3)),
+            optimal.BaseVelocity(0.1),
+            optimal.Posture(stand, 0.05),
+            optimal.Speeds(1e-3),
+            optimal.Torques(1e-4),
+            optimal.Point("FL_foot", arc, 500.0 if motion.ahead else 0.0),
+        ]
+        final = [
+            optimal.BasePose(rest.X_WB, double([400.0] * 3 + [400.0 * free] * 3)),
+            optimal.BaseVelocity(double([40.0] * 5 + [100.0]), leaving),
+        ]
+        problem, target = optimal.Problem(scene, FEET, costs, final), hold[:FEET]
+        solve = partial(optimal.solve, problem, start, tolerance=1e-4, target=target)
+        plan, held = solve(), problem.cost(start, torch.zeros(FEET, 12, dtype=torch.float64), target=target)
+        ns = report.least({motion.name: (solve, int(plan.iterations))}, turns)[motion.name]
+        rows.append((motion.name, f"{held:.2f}", f"{plan.cost:.3f}", str(int(plan.iterations)), f"{ns / 1e6:.1f}"))
+    return rows
+
+
 def main() -> None:
     """Measure, print, and write where the options ask for it."""
     arguments = report.parser(__doc__, "fewer problems and turns").parse_args()
@@ -224,7 +283,14 @@ def main() -> None:
         ("its C, by -O3 -march=native", f"{inside.size:.1f} MB, compiled in {inside.built:.1f} s"),
         ("iteration of MPPI, 4096 samples of 30 steps, float32", f"{sampling:.1f} ms"),
     ]
-    text = "\n\n".join([table(header, rows), report.table("Optimal control, Panda, 50 steps", lines)])
+    walking = ("quadruped, 80 steps of 5 ms", "cost of standing", "cost of the plan", "iterations", "ms an iteration")
+    text = "\n\n".join(
+        [
+            table(header, rows),
+            report.table("Optimal control, Panda, 50 steps", lines),
+            table(walking, on_legs(turns)),
+        ]
+    )
     print(text)
     packages = () if crocoddyl is None else ("crocoddyl",)
     report.finish(arguments, __file__, text, report.machine(*packages), rows=rows, lines=lines)

@@ -273,6 +273,21 @@ def test_a_film_of_arms_that_pick(tmp_path):
     assert success == 0  # after a tenth of a second
 
 
+def test_films_of_plans(tmp_path, monkeypatch):
+    """Drawn without derivatives, which compile for a minute; plans through contact are tested in tests/optimal."""
+    module = import_module("40_plan_film")
+    monkeypatch.setattr(module, "METHOD", module.optimal.MPPI(2))
+    found = module.main(module.Args(arms=2, iterations=1, frames=2, out=tmp_path))
+    assert [film.path.name for film in found] == ["jump.webp", "swing.webp"]
+    for film in found:
+        with Image.open(film.path) as images:
+            assert images.n_frames == 2 and images.size == (960, 400)
+            assert np.asarray(images.convert("RGB")).std() > 8
+    (jump, swing) = (film.plan for film in found)
+    assert len(jump.states.q) == 1 + len(jump.torque) == 295  # both parts
+    assert swing.torque.shape == (module.SWING, 2, 2, 7)
+
+
 def test_walk_shac(tmp_path):
     module = import_module("22_walk_shac")
     walkers = module.Walkers(8, 5e3, module.ppo.Walker())

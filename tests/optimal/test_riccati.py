@@ -13,7 +13,7 @@ from robots import on_free_base
 import torchdq
 from torchdq import Scene, dq, effects, optimal
 from torchdq.optimal import problem as passes
-from torchdq.optimal import riccati
+from torchdq.scene import linearize
 
 BACKEND = "auto"
 ARM = Scene(torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.02)
@@ -28,7 +28,7 @@ STEPS = 20
 def large(request, monkeypatch):
     """Every knot is too large for one program."""
     monkeypatch.setattr(passes, "LARGEST", 0)
-    monkeypatch.setattr(riccati, "COLUMNS", request.param)
+    monkeypatch.setattr(linearize, "LARGEST", request.param)
 
 
 def swing(limit, scene=ARM):
@@ -120,7 +120,7 @@ def test_gains_of_a_free_body_are_those_of_the_riccati_recursion_of_its_lineariz
 def test_targets_of_servos_are_planned(backend, monkeypatch):
     if backend == "torch products":
         monkeypatch.setattr(passes, "LARGEST", 0)
-        monkeypatch.setattr(riccati, "COLUMNS", 0)
+        monkeypatch.setattr(linearize, "LARGEST", 0)
     robot = ARM.robot.replace(limits=ARM.robot.limits._replace(lower=double(-0.5, -1.5), upper=double(0.35, 1.5)))
     scene = Scene(robot, (effects.Gravity(), effects.Servo(double(200.0, 80.0), double(20.0, 8.0))), dt=0.02)
     problem = swing(None, scene).replace(torques="limits", control="target")
@@ -140,9 +140,8 @@ def test_targets_of_servos_are_planned(backend, monkeypatch):
     assert (followed - plan.states.q[-1]).abs().max() < (blind - plan.states.q[-1]).abs().max()
 
 
-def test_a_quadruped_recovers_from_a_push_and_takes_off(monkeypatch):
+def test_a_quadruped_recovers_from_a_push_and_takes_off():
     """A row each; their torques are beside servos that hold the stand."""
-    monkeypatch.setattr(riccati, "COLUMNS", 0)  # which is compiled sooner
     robot, stand, steps = torchdq.robots.load("go2"), double(0.0, 0.8, -1.6).repeat(4), 60
     servo = effects.Servo(torch.full((12,), 40.0).double(), torch.ones(12).double(), robot.limits.effort)
     scene = Scene(robot, (effects.Gravity(), effects.RotorInertia(0.01), servo, effects.Contact("*_foot")), dt=0.005)

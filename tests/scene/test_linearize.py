@@ -17,6 +17,7 @@ from torchdq import Scene, dq, effects
 from torchdq.scene import State, linearize
 from torchdq.scene.controllers import PD
 from torchdq.scene.integrators import ExplicitEuler, RungeKutta4
+from torchdq.scene.recording import branches
 from torchdq.scene.spec import ORDER
 
 EPS = torch.finfo(torch.float64).eps
@@ -179,7 +180,7 @@ def test_a_program_of_derivatives_has_none_that_vanish():
 @pytest.mark.parametrize(
     "kind", thinned(["of its own in every sample", "floating, in contact", "of every slot"], ("floating, in contact",))
 )
-def test_a_program_of_one_column_finds_all(kind, monkeypatch):
+def test_a_program_of_one_column_of_every_branch_finds_all(kind, monkeypatch):
     """Where one of all columns would be too long."""
     scene, inputs = LINEARIZED[kind]
     given = start(scene), random(4, scene.n, seed=3)
@@ -187,6 +188,18 @@ def test_a_program_of_one_column_finds_all(kind, monkeypatch):
     monkeypatch.setattr(linearize, "LARGEST", 0)
     found = torch.cat(scene.linearize(*given, **inputs), -1)
     assert (found - expected).abs().max() <= 1e3 * EPS * expected.abs().max()
+
+
+def test_branches_of_a_quadruped_are_its_base_and_legs():
+    """Three positions, velocities and torques of a leg, and what its foot remembers."""
+    scene = Scene(torchdq.robots.load("go2"), (effects.Contact("*_foot"),))
+    base, *legs = branches(scene.spec)
+    assert sorted(j for branch in (base, *legs) for j in branch) == [*range(6 + 12 + 6 + 12 + 4 * 8 + 12)]
+    assert base == [*range(6), *range(18, 24)] and [len(leg) for leg in legs] == [3 * 3 + 8] * 4
+    names = scene.robot.joint_names
+    for leg in legs:
+        assert len({names[j - 6].split("_")[0] for j in leg[:3]}) == 1
+        assert [j - 6 for j in leg[:3]] == [j - 24 for j in leg[3:6]] == [j - 68 for j in leg[-3:]]
 
 
 def test_a_linearization_of_one_state_is_a_pair_of_matrices():

@@ -91,7 +91,7 @@ def solve(
     iterative LQR where contacts must be found.
 
     Robots on legs are planned for through their contacts. Derivatives of a large step, as that of a quadruped, compile
-    for most of a minute, once for a machine.
+    for half a minute, once for a machine.
 
     Args:
         problem: costs and limits.

@@ -17,8 +17,7 @@ from torchdq.functional import inverse_dynamics
 from torchdq.optimal import riccati
 from torchdq.optimal.costs import Objective, Residuals, named
 from torchdq.optimal.knot import LARGEST, NEXT, Knot
-from torchdq.scene import Scene
-from torchdq.scene.linearize import length
+from torchdq.scene import Scene, linearize
 from torchdq.scene.policies import STEPPED, Linear, LinearForm
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import ORDER, POLICY
@@ -284,7 +283,7 @@ class Passes(NamedTuple):
     @property
     def looped(self) -> bool:
         """Whether a knot is one program, over which the backward pass is a loop."""
-        return length(self.problem.scene) + 2 * (self.size + self.problem.scene.n) ** 3 <= LARGEST
+        return linearize.length(self.problem.scene) + 2 * (self.size + self.problem.scene.n) ** 3 <= LARGEST
 
     def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
@@ -295,7 +294,7 @@ class Passes(NamedTuple):
         parts = []
         for at in torch.arange(len(damping), device=damping.device).split(TOGETHER // (problem.steps * width**2) or 1):
             of, near = self.among(at), {name: x[:, at] for name, x in states.items()}
-            given, whole = {**of.stepped, **of.fixed, **of.shared}, length(scene) <= riccati.COLUMNS
+            given, whole = {**of.stepped, **of.fixed, **of.shared}, linearize.length(scene) <= linearize.LARGEST
             u, limits = torque[:, at], of.bounds()
             derivatives = riccati.derived(what, whole, near, u, given, scene.backend)
             parts.append(riccati.backward(what, derivatives, u, damping[at, None], limits, scene.backend))
@@ -326,14 +325,11 @@ class Passes(NamedTuple):
         Torques are those given, within the limits; to `follow` are gains [steps, rows, n, s] and states [steps, rows,
         ...].
         """
-        problem, control, stepped = self.problem, self.problem.objective.control, {**self.stepped}
-        given, (gain, _, states) = {**self.fixed, **self.shared}, STEPPED
-        given |= {f"{POLICY}.{name}": x for name, x in self.bounds().items()}
-        if follow is None:
-            given |= {gain: torque.new_zeros(*torque.shape[1:], self.size), states: joined(start)}
-        else:
-            stepped |= {gain: follow[0], states: follow[1]}
-        stepped[STEPPED[1]] = torque
+        problem, control = self.problem, self.problem.objective.control
+        given = {**self.fixed, **self.shared, **{f"{POLICY}.{name}": x for name, x in self.bounds().items()}}
+        if follow is None:  # by the same program
+            follow = torque.new_zeros(*torque.shape, self.size), joined(start).expand(problem.steps, -1, -1)
+        stepped = {**self.stepped, **dict(zip(STEPPED, (follow[0], torque, follow[1]), strict=True))}
         policy = LinearForm(self.limits is not None, control)
         what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)
         repeated = Repeated(problem.steps, tuple(start), tuple(stepped), ("cost",))

@@ -25,15 +25,13 @@ from torchdq.scene.policies import apart
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import ORDER
 
-COLUMNS = 600_000  # operations of a step times columns, up to which a program of all columns compiles within a minute
-
 
 class Derivatives(NamedTuple):
     """Derivatives of all knots [steps, rows, ...], of s numbers of a displacement of the state and m of the control."""
 
     step: Tensor  # [s, s + m + 1] A, B and gap
     left: Tensor  # [s + m, s] columns of the state of the costs' quadratic form
-    right: Tensor  # [s + m, s + m + 1] the others: zeros, columns of the control, and gradient
+    right: Tensor  # [s + m, m + 1] the others: columns of the control, and gradient
 
 
 def derived(
@@ -57,13 +55,10 @@ def derived(
     cost = evaluate(what._replace(part=costs), judged, backend)
     M = A.new_zeros(*A.shape[:-2], s + m, s + m + 1)
     M[..., -1] = cost["g"]
-    for i in range(s + m):
-        row = cost[f"M{i}"]
-        at = slice(i + 1 - row.shape[-1], i + 1)
-        M[..., i, at] = M[..., at, i] = row
-    left = M[..., :s].contiguous()
-    M[..., :s] = 0.0
-    return Derivatives(torch.cat([A, B, gap[..., None]], -1), left, M)
+    rows = [cost[f"M{i}"] for i in range(s + m)]
+    i, j = torch.tensor([(i, j) for i, row in enumerate(rows) for j in range(i + 1 - row.shape[-1], i + 1)]).mT
+    M[..., i, j] = M[..., j, i] = torch.cat(rows, -1)
+    return Derivatives(torch.cat([A, B, gap[..., None]], -1), *M.split([s, m + 1], -1))
 
 
 def backward(
@@ -83,7 +78,8 @@ def backward(
         T, left, right = of.step[k], of.left[k], of.right[k]
         left[:, :s].add_(V)
         right[:, :s, -1:].add_(v)
-        moved = torch.baddbmm(right, left, T)
+        moved = torch.bmm(left, T)
+        moved[..., s:] += right
         Q = T[..., :-1].mT @ moved[:, :s]
         Q[:, s:].add_(moved[:, s:])
         G, H[k], slope[k] = Q[:, s:, :s], Q[:, s:, s:-1], Q[:, s:, -1]

@@ -1,7 +1,8 @@
 """Linearization of a step: a compiled program of its derivatives, or reverse mode through what torch computes in it.
 
 The program has all columns of the matrices, which share their common terms, and the many numbers that vanish cost
-nothing; or, where that would be too long to compile, one column, and every column is a sample of its own.
+nothing; or, where that would be too long to compile, one column for each branch of the robot, such as a leg, and the
+columns of a branch are samples.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from torchdq.program.transforms import constant_in_graphs
 from torchdq.robot.robot import constants
 from torchdq.scene.free_base import POSE
 from torchdq.scene.model import SceneModel
-from torchdq.scene.recording import Stage
+from torchdq.scene.recording import Stage, branches
 from torchdq.scene.spec import POSES, SceneSpec
 from torchdq.scene.state import State, require_state
 
@@ -48,9 +49,9 @@ def linearize(
 
     A is larger than [2 n, 2 n] if effects have memory, as elastic joints, or there are sensors, whose numbers are part
     of the state: see `Linearization`. `(dq.Pose(X).inverse() @ dq.Pose(X_WB)).log()` is the displacement xi of a
-    floating base from a pose X. The first call compiles a program of all columns of A and B, or of one where that would
-    take longer than 20 s; where torch computes a part of a step (`HeightMap`, `Residual`) or it is a loop (of many
-    substeps, or of `DormandPrince`), there are gradients instead.
+    floating base from a pose X. The first call compiles a program of all columns of A and B, or, where that would take
+    longer than 20 s, of one for each branch of the robot; where torch computes a part of a step (`HeightMap`,
+    `Residual`) or it is a loop (of many substeps, or of `DormandPrince`), there are gradients instead.
 
     Args:
         state: states, shape [..., n]; derivatives are those of every row by itself.
@@ -86,16 +87,22 @@ def length(scene: SceneModel) -> int:
 def derivatives(
     what: Stage, given: Mapping[str, Tensor], whole: bool, backend: BackendName | None, double: bool = False
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """State after a step and its derivatives A, B in the state and `what.wrt`, by a program of all columns or one."""
+    """State after a step and its derivatives A, B in the state and `what.wrt`, by all columns or one of a branch."""
     (control,) = what.wrt or ()
     if whole:
         found = evaluate(what, given, backend, double)
         return found["after"], found["A"], found[control]
     q, sizes = given["q"], (sum(what.spec.displaced.values()), given[control].shape[-1])
-    units = torch.eye(sum(sizes), dtype=q.dtype, device=q.device)
+    columns = branches(what.spec)
+    units = torch.zeros(max(map(len, columns)), sum(sizes), dtype=q.dtype, device=q.device)
+    for branch in columns:
+        units[range(len(branch)), branch] = 1.0
     units = units.unflatten(0, (-1, *(1,) * len(batch_of(what._replace(wrt=None), given))))
     found = evaluate(what, {**given, "direction": units}, backend, double)
-    return found["after"][0], *found["A"].squeeze(-1).movedim(0, -1).split(sizes, -1)
+    along, both = found["A"].movedim(-1, 0), q.new_empty(*found["A"].shape[1:-2], sum(sizes), sizes[0])
+    for k, branch in enumerate(columns):
+        both[..., branch, :] = along[k, : len(branch)].movedim(0, -2)
+    return found["after"][0], *both.mT.split(sizes, -1)
 
 
 def _by_reverse_mode(

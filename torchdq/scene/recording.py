@@ -8,7 +8,7 @@ integrator, an attempt of one: see `substeps`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Any, NamedTuple, NoReturn
@@ -17,9 +17,10 @@ from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import Named
 from torchdq.dynamics.posed import Row
+from torchdq.dynamics.tree import BASE
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
-from torchdq.effects.contact import Contacts
+from torchdq.effects.contact import Contact, Contacts
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.steady import lines
 from torchdq.errors import ArgumentError
@@ -238,8 +239,8 @@ class _StageFields(NamedTuple):
     stage: str  # one of STAGES
     task: Task | None = None
     # names of inputs and parameters: the results are then the state "after" [s], in the order of a linearization, its
-    # derivatives "A" [t, t] in the state, and those in each of these, by its name; or the one "A" [t, 1] along an input
-    # "direction" [t + n], a displacement of state and of that one
+    # derivatives "A" [t, t] in the state, and those in each of these, by its name; or those "A" [t, branches] along an
+    # input "direction" [t + n], a displacement of state and of that one, as far as it is of a branch
     wrt: tuple[str, ...] | None = None
     policy: Formula | None = None  # of a step, which adds its torques to those given
     unguarded: bool = False  # whether rows with a singular mass matrix have any numbers, without a look at them
@@ -385,6 +386,28 @@ def _commanded(what: Stage, policy: Formula, given: Rows, tensors: Mapping[tuple
 
 
 @remembered(PROGRAMS)
+def branches(spec: SceneSpec) -> list[list[int]]:
+    """Columns of a linearization in state and torques, by the branch of the robot that they belong to, or to none.
+
+    A program of derivatives along a displacement of one branch does not have those of the others.
+    """
+    robot, n, roots = spec.robot, spec.robot.n, {BASE: BASE}
+    for i, parent in enumerate(robot.parents):
+        roots[i] = i if parent == BASE else roots[parent]
+    joints, memory = [roots[i] for i in range(n)], list[int]()
+    touching = {i: [point.frame for point, _ in contact.touching] for i, contact in spec.of(Contact)}
+    for i, effect in enumerate(spec.effects):
+        size, of = effect.memory(n), joints or [BASE]
+        if i in touching:
+            links = [robot.frame(name).link if name in robot.frame_names else BASE for name in touching[i]]
+            of = [roots[link] for link in links for _ in range(size // len(links))]
+        memory += (of * (1 + size))[:size]
+    own = {"q": joints, "qd": joints, "reading": 2 * joints, "memory": memory}
+    columns = [k for name, width in spec.displaced.items() for k in own.get(name, width * [BASE])] + joints
+    return [[j for j, k in enumerate(columns) if k == branch] for branch in dict.fromkeys(columns)]
+
+
+@remembered(PROGRAMS)
 def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     """Program of the state after a step and its derivatives by forward mode, whose columns share their common terms."""
     given, parts = tuple([a for a in arguments if a.name != "direction"]), what.spec.displaced
@@ -406,9 +429,13 @@ def _linearized(what: Stage, arguments: tuple[Argument, ...]) -> Program:
             width = parts.get(of, given[at[of]].width)
             return [moved({of: [float(j == k) for j in range(width)]}) for k in range(width)]
 
+        def along(branch: Sequence[int]) -> Row:
+            row = iter([x if j in branch else 0.0 for j, x in enumerate(known["direction"])])
+            widths = {**parts, **dict.fromkeys(what.wrt or ())}
+            return moved({of: [*islice(row, width)] for of, width in widths.items()})
+
         if "direction" in known:
-            row, widths = iter(known["direction"]), {**parts, **dict.fromkeys(what.wrt or ())}
-            blocks = {"A": [moved({of: [*islice(row, width)] for of, width in widths.items()})]}
+            blocks = {"A": [*map(along, branches(what.spec))]}
         else:
             blocks = {"A": [x for part in parts for x in columns(part)], **{of: columns(of) for of in what.wrt or ()}}
         matrices = {of: [x for row in zip(*block, strict=True) for x in row] for of, block in blocks.items()}
