@@ -49,10 +49,18 @@ def turned(view):
     return [x for e in view.frame("tip").axes for x in e[:2]]
 
 
+def velocity(view):
+    return view.velocity("tip")
+
+
 COSTS = {
     "axes": (
         optimal.Residuals(turned, 2.0),
         lambda s, u: dq.to_matrix(at(s.q))[..., :2, :3].mT.flatten(-2),
+    ),
+    "velocity": (
+        optimal.Residuals(velocity, 2.0),
+        lambda s, u: torch.autograd.functional.jvp(lambda q: dq.translation(at(q)), s.q, s.qd)[1],
     ),
     "torques": (optimal.Torques(2.0, GOAL), lambda s, u: u - GOAL),
     "speeds": (optimal.Speeds(2.0), lambda s, u: s.qd),
@@ -88,9 +96,15 @@ def test_costs_of_a_floating_base_are_their_formulas():
     V, torque = double(0.1, 0.2, 0.3, -0.1, 0.0, 0.2), random(STEPS, 2, seed=1)
     state = scene.start(GOAL, V_WB_B=V)
     states = scene.rollout(state, torque)
-    costs = [optimal.BasePose(X_D, 2.0), optimal.BaseVelocity(2.0, V / 2)]
+    costs = [optimal.BasePose(X_D, 2.0), optimal.BaseVelocity(2.0, V / 2), optimal.Residuals(velocity, 2.0)]
     found = optimal.Problem(scene, STEPS, costs).cost(state, torque)
-    expected = squares(error(X_D, states.X_WB)) + squares(states.V_WB_B - V / 2)
+
+    def tip(t):
+        moved = dq.mul(states.X_WB, dq.exp(t * states.V_WB_B / 2))
+        return dq.translation(dq.mul(moved, at(states.q + t * states.qd)))
+
+    of_tip = torch.autograd.functional.jvp(tip, double(0.0), double(1.0))[1]
+    expected = squares(error(X_D, states.X_WB)) + squares(states.V_WB_B - V / 2) + squares(of_tip)
     assert torch.allclose(found, expected, rtol=1e-12)
 
 

@@ -96,9 +96,10 @@ class Residuals:
     """Cost 1/2 sum w r^2 of residuals r, numbers of the state at the end of a step and of the torques of the step.
 
     The function is called where programs are recorded, with a view of the state: `view.q`, `view.qd`, `view.torque`
-    (the torques that are planned), `view.X_WB`, `view.V_WB_B`, and `view.frame(name)`, whose `position` and three
-    `axes` are in the base frame, in the world if the base is floating. It uses + - * / and `torchdq.numbers.functions`.
-    Programs are known by the function: define it once.
+    (the torques that are planned), `view.X_WB`, `view.V_WB_B`, `view.frame(name)` with the `position` and the three
+    `axes` of a frame, and `view.velocity(name)`, that of its origin; these are in the base frame, or in the world if
+    the base is floating. It uses + - * / and `torchdq.numbers.functions`. Programs are known by the function: define it
+    once.
 
     Args:
         function: function `function(view, *settings, **inputs)` that returns a list of residuals.

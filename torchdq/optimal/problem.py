@@ -93,9 +93,11 @@ class Problem:
         require_object("scene", self.scene, Scene, "torchdq", "Scene(robot)")
         require_count("steps", self.steps)
         if self.scene.looped or self.scene.computed or self.scene.noises:
+            found = "noise" if self.scene.noises else ", ".join(self.scene.computed)
+            found = f"{self.scene.integrator} and substeps={self.scene.substeps}" if self.scene.looped else found
             raise ArgumentError(
-                "scene must have steps of one program, without sensor noise, residuals of torch and height maps; found "
-                f"one with {'noise' if self.scene.noises else 'other steps'}; plan for a simpler one"
+                "scene must have steps of one program, without sensor noise, residuals of torch, height maps and loops "
+                f"of substeps; found one with {found}; plan for a simpler one"
             )
         for name in ("costs", "final"):
             if not isinstance(getattr(self, name), Sequence):

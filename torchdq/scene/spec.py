@@ -323,6 +323,12 @@ class View(NamedTuple):
         found = at.point(link, X_BF)
         return Point(at.position(link, found.position), tuple([at.to_world(link, e) for e in found.axes]))
 
+    def velocity(self, name: str) -> Pure:
+        """Velocity of the origin of a frame in the base frame, or in the world if the base is floating [m/s]."""
+        at, (link, X_BF) = self.posed(self.q), frame(self.scene.spec.robot, name)
+        bodies = Bodies(self.scene.spec.robot, at).moving([*self.V_WB_B, *self.qd])
+        return at.to_world(link, bodies.velocity(link, at.point(link, X_BF).position))
+
     @property
     def bodies(self) -> Bodies:
         """Links of the robot and objects, at rest."""
