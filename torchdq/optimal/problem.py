@@ -27,7 +27,7 @@ Limits = tuple[Tensor, Tensor]
 TOGETHER = 2**22  # numbers of matrices of knots that are in memory together
 STATUS = (
     "converged: no step is expected to decrease the cost by more than the tolerance",
-    "stopped at the largest number of iterations; give more, or begin with this plan: solve(problem, state, plan)",
+    "stopped after all iterations; give more, or go on by solve(problem, state, plan)",
     "stalled: no step decreases the cost, although one is expected to; costs may have kinks, or the tolerance may be "
     "below their rounding errors",
     "diverged: start, goals, weights or limits are not finite, a weight is negative, torques cost nothing, or the "
