@@ -208,7 +208,7 @@ def test_a_policy_follows_the_plan_from_another_start_within_the_limits():
 def test_what_is_not_solved_says_why():
     state = starts(4)
     plan = optimal.solve(swing(), state, iterations=2)
-    assert plan.status.tolist() == [1] * 4 and "largest number of iterations" in plan.why()
+    assert plan.status.tolist() == [1] * 4 and "all iterations" in plan.why()
 
 
 # --- scenes ----------------------------------------------------------------------------------------------------------
