@@ -31,7 +31,7 @@ import numpy as np
 import pinocchio as pin
 import report
 import torch
-from pages.pictures import Curve, Picture, svg
+from pages.pictures import SMALL, Curve, Picture, svg
 from pages.text import table
 from peers import bare, urdf
 
@@ -41,12 +41,12 @@ TASKS = ("inverse_dynamics", "forward_dynamics")
 SIZES = tuple(4**k for k in range(9))
 SHOWN = (1, 16, 256, 4096, 65536)  # of the table
 FUNCTION, COMPILED, PARALLEL = "torchdq, function", "torchdq, compiled object", "Pinocchio, loop in C++"
-LOOKS = {
-    FUNCTION: ("blue", "-"),
-    COMPILED: ("blue", "--"),
-    "Pinocchio": ("ink", "-"),
-    "MuJoCo": ("orange", "-"),
-    "frax": ("grey", "-"),
+LOOKS = {  # of the lines, words, and their places
+    COMPILED: (("blue", "--"), ("torchdq,\ncompiled object", 1.2, 2e7)),
+    FUNCTION: (("blue", "-"), ("torchdq,\nfunction", 100, 6e6)),
+    "Pinocchio": (("ink", "-"), ("Pinocchio", 600, 1.5e6)),
+    "MuJoCo": (("orange", "-"), ("MuJoCo", 1.5, 2.4e5)),
+    "frax": (("grey", "-"), ("frax", 15, 1.1e5)),
 }
 JAX = {  # settings that frax asks for on a processor
     "JAX_ENABLE_X64": "1",
@@ -188,8 +188,12 @@ def measured(quick: bool) -> dict[str, dict[str, list[float]]]:
 
 def picture(times: dict[str, list[float]]) -> str:
     """Samples a second over the size of the batch, as SVG."""
-    curves = {name: Curve(SIZES, [1e9 / t for t in row], look=LOOKS[name], marker="o") for name, row in times.items()}
-    return svg(Picture("batch size", "inverse dynamics per second", curves, log="xy"))
+    curves = {
+        name: Curve(SIZES, [1e9 / t for t in row], look=look, marker="o", label=label)
+        for name, row in times.items()
+        for look, label in [LOOKS[name]]
+    }
+    return svg(Picture("batch size", "inverse dynamics per second", curves, "xy", SMALL))
 
 
 def rows(times: dict[str, dict[str, list[float]]]) -> str:

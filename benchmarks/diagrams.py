@@ -30,7 +30,7 @@ def columns(count: int) -> tuple[list[float], float]:
 
 SOURCES = ("URDF", "xacro", "MJCF", "shipped robots")
 DESCRIBED = (
-    ("blue", "`Robot`", "joints, links, masses, limits;", "constants, or tensors to learn"),
+    ("orange", "`Robot`", "joints, links, masses, limits;", "constants, or tensors to learn"),
     ("orange", "Effects, controllers, tasks", "friction, contact, motors, delays,", "sensors, rewards: in scenes only"),
 )
 PROGRAM = (
@@ -53,40 +53,41 @@ USES = (
 )
 
 
+STAGES = (  # and their heights [pixels]
+    (26, "1  You describe a robot, and what acts on it"),
+    (208, "2  You call, for one state or for millions"),
+    (428, "3  At the first call: the formula is recorded for this robot"),
+    (552, "4  Its program is compiled, cached and run; later calls begin here"),
+)
+
+
 def architecture() -> Diagram:
-    """From a description to a program, its compiled forms, and what is made of them."""
-    drawn = Diagram(WIDTH, 604)
+    """From a description and a call to a recorded program, and its compiled forms; orange is what users write."""
+    drawn = Diagram(WIDTH, 662)
+    for y, words in STAGES:
+        drawn.text((MARGIN, y), words, "grey", 12.5, font_weight="bold")
     xs, width = columns(len(SOURCES))
     halves, half = columns(2)
     for x, name in zip(xs, SOURCES, strict=True):
-        drawn.shape("rect", stroke="grey", x=x, y=12, width=width, height=32, rx=16, stroke_width=1.2)
-        drawn.text((x + width / 2, 33), name, anchor="middle")
-    joined(drawn, [x + width / 2 for x in xs], 44, 58, halves[0] + half / 2, 80)
+        drawn.shape("rect", stroke="grey", x=x, y=38, width=width, height=32, rx=16, stroke_width=1.2)
+        drawn.text((x + width / 2, 59), name, anchor="middle")
     for x, (colour, *words) in zip(halves, DESCRIBED, strict=True):
-        drawn.box((x, 80), (half, 80), *words, colour=colour)
-    for x in (halves[0] + half / 2, halves[1] + 54):
-        drawn.arrow([(x, 160), (x, 188)])
-    drawn.box((MARGIN, 188), (394, 86), *PROGRAM)
-    x, width = WIDTH - MARGIN - 134, 134
-    drawn.box((x, 188), (width, 86), "Derivatives", "programs as well")
-    drawn.arrow([(x - 28, 219), (x, 219)])
-    drawn.arrow([(x, 243), (x - 28, 243)])
+        drawn.box((x, 94), (half, 80), *words, colour=colour)
+    for x in xs[:2]:
+        drawn.arrow([(x + width / 2, 70), (x + width / 2, 94)])
     xs, width = columns(3)
-    for x, target in zip(xs, TARGETS, strict=True):
-        drawn.arrow([(x + width / 2, 274), (x + width / 2, 302)])
-        drawn.box((x, 302), (width, 80), *target, colour="green")
-    joined(drawn, [x + width / 2 for x in xs], 382, 396, WIDTH / 2, 420)
     for k, use in enumerate(USES):
-        drawn.box((xs[k % 3], 420 + 92 * (k // 3)), (width, 80), *use, colour="ink")
+        drawn.box((xs[k % 3], 220 + 88 * (k // 3)), (width, 80), *use, colour="orange")
+    drawn.box((MARGIN, 440), (394, 86), *PROGRAM)
+    x, side = WIDTH - MARGIN - 134, 134
+    drawn.box((x, 440), (side, 86), "Derivatives", "programs as well")
+    drawn.arrow([(x - 28, 471), (x, 471)])
+    drawn.arrow([(x, 495), (x - 28, 495)])
+    for x, target in zip(xs, TARGETS, strict=True):
+        drawn.box((x, 564), (width, 80), *target)
+    for top in (174, 388, 526):
+        drawn.arrow([(WIDTH - 36, top), (WIDTH - 36, top + 44 if top < 526 else 562)], width=2)
     return drawn
-
-
-def joined(drawn: Diagram, xs: list[float], top: float, bar: float, x: float, bottom: float) -> None:
-    """Lines from a row of boxes that meet in one arrow."""
-    drawn.line([(xs[0], top), (xs[0], bar), (xs[-1], bar), (xs[-1], top)])
-    for inner in xs[1:-1]:
-        drawn.line([(inner, top), (inner, bar)])
-    drawn.arrow([(x, bar), (x, bottom)])
 
 
 # --- the step of a scene ---------------------------------------------------------------------------------------------

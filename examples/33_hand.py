@@ -70,10 +70,13 @@ def pictures(path: Path, found: dict[float, tuple[Scene, State, Tensor]]) -> Non
     figure = plt.figure(figsize=(9, 6.2), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1.1, 1))
     shown, states, _ = found[5e-3]
-    painter = Painter(shown, (1600, 1600))
+    size = 2400  # of an image, which is cut to the hand [pixels]
+    painter = Painter(shown, (size, size))
     for axes, seconds in zip(above.subplots(1, 3), (shown.dt, CLOSES, CLOSES + LIFTS), strict=True):
         k = round(seconds / shown.dt) - 1
-        axes.imshow(painter.frame(states.q[k], X_WO=states.X_WO[k])[660:1260, 560:1360])
+        image = painter.frame(states.q[k], X_WO=states.X_WO[k])
+        right, up = painter.project(dq.translation(states.X_WO[k])[None].numpy())[0].ravel().astype(int)
+        axes.imshow(image[size - up - 330 : size - up + 120, right - 300 : right + 300])
         axes.set_axis_off()
         axes.set_title(f"{seconds:.3g} s")
     for axes, words in zip(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 import tyro
 from matplotlib import pyplot as plt
-from pictures import BLUE, GREY, ORANGE, prepare, save
+from pictures import BLUE, GREY, INK, ORANGE, prepare, save
 from torch import Tensor
 
 import torchdq
@@ -32,6 +32,7 @@ SPHERES = (
     ContactPoint("wrist_1", radius=0.08),
     ContactPoint("forearm", center=(0.0, 0.02, 0.19), radius=0.08),
 )
+JOINTS = (("1", BLUE), ("2", ORANGE), ("3", INK), ("4", GREY), ("5, 6", GREY), ("", GREY))  # words and colours
 PAYLOAD = 0.5  # that the plan does not know of [kg]
 
 
@@ -91,8 +92,11 @@ def picture(path: Path, found: Found) -> None:
     panels[1].axhline(0.0, color=ORANGE, linewidth=1.0)
     panels[1].set(xlabel="time [s]", title="distance from the post [m]")
     panels[1].legend()
-    panels[2].plot(time[:-1], found.plan.torque / ROBOT.limits.effort)
-    panels[2].set(xlabel="time [s]", ylim=(-1.05, 1.05), title="torques, of their limits")
+    share = found.plan.torque / ROBOT.limits.effort
+    for k, (words, colour) in enumerate(JOINTS):
+        panels[2].plot(time[:-1], share[:, k], color=colour)
+        panels[2].text(-0.015, share[0, k], words, color=colour, ha="right", va="center")
+    panels[2].set(xlabel="time [s]", xlim=(-0.13, 0.6), ylim=(-1.05, 1.05), title="torques of joints 1 to 6 / limits")
     save(figure, path)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#8A8A8A"  # distinguishable by everyone
+BLUE, ORANGE, GREY, INK = "#0072B2", "#D55E00", "#8A8A8A", "#24292F"  # distinguishable by everyone
 DATA, POINTS = "curves", 20  # entry of a PNG file with the data of its lines, and points of a line
 STYLE = {
     "font.size": 11,

@@ -31,6 +31,7 @@ def price(rows: Rows) -> str:
                 f"{row['ratio']:.0f} x",
             )
             for row in rows
+            if row["points"] >= row["in contact"]
         ],
     )
 

@@ -17,7 +17,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-SIZE = (6.4, 3.4)  # [inches]
+SIZE, SMALL = (6.4, 3.4), (4.8, 3.6)  # [inches]; the second is readable on a telephone
 # light and dark colour of every part, by the colour that stands for it while a picture is drawn
 COLOURS = {
     "ink": ("#24292f", "#d5dbe2"),
@@ -68,6 +68,7 @@ class Curve(NamedTuple):
     range: tuple[Sequence[float], Sequence[float]] | None = None  # lowest and highest y
     look: tuple[str, str] | None = None  # colour and line; None: those of its place in `LOOKS`
     marker: str = ""  # of its points
+    label: tuple[str, float, float] | None = None  # words, and the place of their left end; None: in the legend
 
 
 class Picture(NamedTuple):
@@ -77,13 +78,14 @@ class Picture(NamedTuple):
     y: str
     curves: Mapping[str, Curve]
     log: str = ""  # axes with a logarithmic scale: "y", "xy"
+    size: tuple[float, float] = SIZE
 
 
 def svg(picture: Picture, *others: Picture) -> str:
     """Text of an SVG file; others are below, with the same legend."""
     pictures = (picture, *others)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(SIZE[0], len(pictures) * SIZE[1]), layout="constrained")
+        figure = Figure(figsize=(picture.size[0], len(pictures) * picture.size[1]), layout="constrained")
         for k, one in enumerate(pictures):
             scales = {f"{axis}scale": "log" if axis in one.log else "linear" for axis in "xy"}
             axes = figure.add_subplot(len(pictures), 1, k + 1, xlabel=one.x, ylabel=one.y, **scales)
@@ -91,9 +93,12 @@ def svg(picture: Picture, *others: Picture) -> str:
                 colour, line = curve.look or (OTHER if words in REFERENCES else look)
                 style = {"color": LIGHT[colour], "marker": curve.marker, "markersize": 5}
                 axes.plot(curve.x, curve.y, line, **style, label=words if k == 0 else None)
+                if curve.label is not None:
+                    name, *place = curve.label
+                    axes.text(*place, name, color=LIGHT[colour], fontsize=10, va="center")
                 if curve.range is not None:
                     axes.fill_between(curve.x, *curve.range, color=LIGHT[colour], alpha=0.2, linewidth=0)
-        if len(picture.curves) > 1:
+        if len(picture.curves) > 1 and not any(curve.label for curve in picture.curves.values()):
             crowded = {"fontsize": 10, "columnspacing": 1.2, "handlelength": 2.6} if len(picture.curves) > 3 else {}
             figure.legend(loc="outside upper left", ncols=3, **crowded)
         file = io.StringIO()
