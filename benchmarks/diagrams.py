@@ -62,8 +62,8 @@ STAGES = (  # and their heights [pixels]
 
 
 def architecture() -> Diagram:
-    """From a description and a call to a recorded program, and its compiled forms; orange is what users write."""
-    drawn = Diagram(WIDTH, 662)
+    """From a description and a call to a recorded program, and its compiled forms."""
+    drawn = Diagram(WIDTH, 684)
     for y, words in STAGES:
         drawn.text((MARGIN, y), words, "grey", 12.5, font_weight="bold")
     xs, width = columns(len(SOURCES))
@@ -71,10 +71,11 @@ def architecture() -> Diagram:
     for x, name in zip(xs, SOURCES, strict=True):
         drawn.shape("rect", stroke="grey", x=x, y=38, width=width, height=32, rx=16, stroke_width=1.2)
         drawn.text((x + width / 2, 59), name, anchor="middle")
+        drawn.line([(x + width / 2, 70), (x + width / 2, 80)])
     for x, (colour, *words) in zip(halves, DESCRIBED, strict=True):
         drawn.box((x, 94), (half, 80), *words, colour=colour)
-    for x in xs[:2]:
-        drawn.arrow([(x + width / 2, 70), (x + width / 2, 94)])
+    drawn.line([(x + width / 2, 80) for x in (xs[0], xs[-1])])
+    drawn.arrow([(halves[0] + half / 2, 80), (halves[0] + half / 2, 94)])
     xs, width = columns(3)
     for k, use in enumerate(USES):
         drawn.box((xs[k % 3], 220 + 88 * (k // 3)), (width, 80), *use, colour="orange")
@@ -87,6 +88,7 @@ def architecture() -> Diagram:
         drawn.box((x, 564), (width, 80), *target)
     for top in (174, 388, 526):
         drawn.arrow([(WIDTH - 36, top), (WIDTH - 36, top + 44 if top < 526 else 562)], width=2)
+    drawn.text((MARGIN, 668), "Orange: what you write. Blue: what torchdq makes of it.", "grey", 12)
     return drawn
 
 
