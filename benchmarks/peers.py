@@ -395,7 +395,7 @@ def main() -> None:
     arm = urdf("example-robot-data", "xarm7.urdf")
     seconds = 0.5 if arguments.quick else SECONDS
     compared, lines = comparisons(arm, seconds), summary(arm, seconds)
-    text = report.comparison("seven-joint arm", compared)
+    text = report.comparison("xArm7", compared)
     text += "\n\n" + report.table("torchdq alone", lines)
     print(text)
     rows: list[Row] = []

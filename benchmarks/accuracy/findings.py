@@ -76,7 +76,8 @@ def _chains(points: list[dict[str, Any]]) -> list[str]:
         f"Accelerations of a chain of {longest} joints are off by {single[longest]['error_max']:.0%} in float32, "
         f"although the torques that belong to them are met to {single[longest]['residual']:.0e}. With "
         f'`precision="double"` the error is {mixed[longest]["error_max"]:.0e}.',
-        f'`precision="double"` takes {min(ratios):.1f} to {max(ratios):.1f} times the time of float32.',
+        f'`precision="double"` takes {" to ".join(dict.fromkeys(f"{x:.1f}" for x in (min(ratios), max(ratios))))} '
+        "times the time of float32.",
     ]
 
 

@@ -31,8 +31,8 @@ from torchdq.scene import integrators
 
 PICTURE = report.ROOT / "docs/pictures/precision.svg"
 ALTERNATIVE = (
-    "Error of one second of motion of a seven-joint arm against its time on one thread, in torchdq, MuJoCo, Pinocchio "
-    "and torchdiffeq"
+    "Error of one second of motion of a Panda against the time of its simulation on one thread, in torchdq, MuJoCo, "
+    "Pinocchio and torchdiffeq"
 )
 BATCH, STEPS = 4096, 8  # arms, and steps of a timed rollout of them: the time of a step does not depend on its size
 OURS, ONE, ADAPTIVE = "torchdq RK4", "torchdq RK4, one arm", "torchdq DormandPrince"
