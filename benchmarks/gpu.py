@@ -132,7 +132,7 @@ def computed_table(quick: bool) -> tuple[str, list[Computed]]:
             rows.append(computed(task, several, single, compiler, tool))
             print(rows[-1], flush=True)
     lines = [
-        "| H200, computed, not yet measured | precision | registers | spilled [B] | instructions | bound [1e9/s] |",
+        "| H200, computed, not yet measured | precision | registers | spilled [B] | instructions | at most [1e9/s] |",
         "|" + "---|" * 6,
     ]
     for row in rows:

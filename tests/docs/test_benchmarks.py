@@ -156,3 +156,18 @@ def test_the_first_page_repeats_what_the_guide_says_of_a_policy():
     )
     millimetres, seconds = re.search(r"to ([\d.]+) mm in the median after (\d+) s on one core", first).groups()
     assert f"a median distance of {millimetres} mm after {seconds} s on one core" in guide
+
+
+FACTS = {  # of the README, by the page that has them
+    "docs/guides/legs.md": r"for (90 s) on one core, stay upright in MuJoCo in (120 of 120 runs of 10 s)",
+    "docs/environments/walk.md": r"makes ([\d.]+ thousand) steps per second",
+    "docs/learning.md": r"from ([\d.]+) to ([\d.]+) standard deviations",
+    "docs/prices.md": r"exported as C takes (\d+ us) per tick",
+    "docs/guides/hands.md": r"from (\d+ %) of 64 starts with the same contact spheres, and from (\d+ %) with",
+}
+
+
+@pytest.mark.parametrize("page", FACTS)
+def test_the_readme_repeats_what_pages_measured(page):
+    readme, text = (" ".join((report.ROOT / x).read_text("utf-8").split()) for x in ("README.md", page))
+    assert all(number in text for number in re.search(FACTS[page], readme).groups())
