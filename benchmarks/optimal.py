@@ -10,10 +10,13 @@ of its own, since it needs that Pinocchio. It is refused if its costs of given t
 
 from __future__ import annotations
 
+import ctypes
 import os
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -131,6 +134,38 @@ def ticks(q: Tensor, goal: Tensor, count: int) -> Tensor:
     return torch.tensor(times[1:]).sort().values
 
 
+class TicksInC(NamedTuple):
+    """Times of ticks of the same horizon in C [us], the least first, size of its text [MB] and time to compile [s]."""
+
+    times: Tensor
+    size: float
+    built: float
+
+
+def ticks_in_c(q: Tensor, goal: Tensor, count: int) -> TicksInC:
+    """Ticks of an exported receding horizon, in the states of those from Python."""
+    mpc, state = optimal.Receding(reaching(q, goal, 1.0)), SCENE.start(q)
+    mpc(state)
+    with tempfile.TemporaryDirectory() as folder:
+        made, library = mpc.export(folder, "panda_mpc"), f"{folder}/panda_mpc.so"
+        size, begin = made.source.stat().st_size / 1e6, sum(os.times()[2:4])
+        flags = ["-std=c99", "-O3", "-march=native", "-shared", "-fPIC"]
+        subprocess.run(["cc", *flags, made.source, "-o", library, "-lm"], check=True)
+        built, called = sum(os.times()[2:4]) - begin, ctypes.CDLL(library)
+    memory, times = (ctypes.c_double * 100_000)(), []
+    called.panda_mpc_begin(memory)
+    torque, gain = torch.zeros_like(q), torch.zeros(7 * 14, dtype=q.dtype)
+    for _ in range(count):
+        pointers = [ctypes.c_void_p(x.data_ptr()) for x in (state.q, state.qd, torque, gain)]
+        begin = time.perf_counter()
+        status = called.panda_mpc_tick(memory, *pointers)
+        times.append(1e6 * (time.perf_counter() - begin))
+        if status or not torch.allclose(torque, mpc(state)[0], rtol=1e-6, atol=1e-6):
+            raise SystemExit("ticks in C are not those of Python")
+        state = SCENE.step(state, torque)
+    return TicksInC(torch.tensor(times).sort().values, size, built)
+
+
 def sampled(count: int) -> float:
     """Least time of an iteration of MPPI with 4096 samples of 30 steps, float32 [ms]."""
     q, goal = (x[0].float() for x in starts(1))
@@ -178,13 +213,15 @@ def main() -> None:
             within = f"{(plan.cost.numpy() <= 1.01 * costs[kind]).sum()} of {count}" if same else "-"
             rows.append((name, kind, f"{ns / 1e6:.2f}", f"{mean:.7f}", within))
     header = ("limits", "solver", "ms a problem", "mean cost", "where ours is within 1 %")
-    times, sampling = ticks(q[0], goal[0], 1000), sampled(turns)
+    times, inside, sampling = ticks(q[0], goal[0], 1000), ticks_in_c(q[0], goal[0], 1000), sampled(turns)
     lines = [
         ("first solution with limits of a new process", f"{first:.1f} s"),
         (
             "tick of a receding horizon from Python, one arm",
             f"{times.median():.0f} us, 99 % {times.quantile(0.99):.0f}",
         ),
+        ("tick of the same exported to C", f"{inside.times.median():.0f} us"),
+        ("its C, by -O3 -march=native", f"{inside.size:.1f} MB, compiled in {inside.built:.1f} s"),
         ("iteration of MPPI, 4096 samples of 30 steps, float32", f"{sampling:.1f} ms"),
     ]
     text = "\n\n".join([table(header, rows), report.table("Optimal control, Panda, 50 steps", lines)])

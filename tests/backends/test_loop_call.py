@@ -94,9 +94,23 @@ def test_tensors_of_every_step_broadcast_over_the_batch_as_those_of_one_do(case)
     assert equal(looped(SMALL, steps, given), one_by_one(SMALL, steps, given, "c"))
 
 
-@pytest.mark.parametrize("kind", ["values", "gradients"])
+@every_backend
+@pytest.mark.parametrize("grad", [False, True])
+def test_tensors_that_all_samples_of_a_step_share_are_those_of_each(grad, backend):
+    """Also where errors grow too much."""
+    given = tensors(40, 5, dtype=F32)
+    given["x"][::7, 0], shared = 1.1, given["u"][:, :1].clone().requires_grad_(grad)
+    found = looped(GROWING, 5, {**given, "u": shared}, backend=backend)
+    assert equal(found, looped(GROWING, 5, {**given, "u": shared.expand(5, 40, 3).clone()}, backend=backend))
+    if grad:
+        stepped = one_by_one(GROWING, 5, {**given, "u": shared}, backend)
+        agree(*([torch.autograd.grad(y["x"].sum() + y["z"].sum(), shared)[0]] for y in (found, stepped)), 1e3)
+
+
+@pytest.mark.parametrize("kind", ["values", "gradients", "shared"])
 def test_threads_change_no_bit(kind, threads):  # noqa: F811
     given = tensors(3 * pool.PART // 2 + 5, 3, grad=kind == "gradients")
+    given["u"] = given["u"][:, :1] if kind == "shared" else given["u"]
     found = []
     for number in (1, 2):
         threads(number)

@@ -49,7 +49,7 @@ STOREYS = {
         """| logs excitation.limits | evaluation | identification fit rollout | bodies evaluate
         | plots | excitation | .""",
     ),
-    **rows("torchdq.optimal", "| knot | riccati | problem | sampling | ilqr | derivatives | ."),
+    **rows("torchdq.optimal", "| knot | riccati | problem | sampling | ilqr | derivatives exported | receding | ."),
     # outcomes, options that commands share, the commands, the command line
     **rows("torchdq.command", "|| command | report bench identify scene accuracy export view cost doctor | main | ."),
 }

@@ -112,6 +112,18 @@ def test_the_box_qp_is_that_of_scipy():
     assert np.mean(exact) >= 0.9  # of the three Newton steps that are recorded
 
 
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_torques_that_miss_their_limits_by_rounding_are_at_them(dtype):
+    problem, state = swing((-6.0, 2.0)), starts(50).to(dtype)
+    at = torch.where(random(STEPS, 50, 2, seed=1, dtype=dtype) > 0, 2.0, -6.0).to(dtype)
+    inside = torch.nextafter(at, torch.zeros_like(at))
+    path = ARM.rollout(state, at)
+    path = state._make(None if x is None else torch.cat([y[None], x]) for x, y in zip(path, state, strict=True))
+    left, right = (optimal.solve(problem, state, x, path, iterations=1) for x in (at, inside))
+    far = (left.torque - right.torque).abs().amax((0, 2))
+    assert (far <= 1e3 * torch.finfo(dtype).eps * 6.0).all()
+
+
 def test_gains_are_those_of_the_optimal_torques_of_other_starts():
     problem = swing((-200.0, 200.0))
     state = starts()

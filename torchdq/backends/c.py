@@ -87,7 +87,10 @@ class CompiledKernel:
         self.operations, self.grows = program.count().total, program.growth is not None
         self.summed = [r.summed for r in results]
         # bytes between the rows of two samples, for arguments and outputs; a summed output has one row per part
-        self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in what.arguments]
+        shared = [a.uniform or (isinstance(what, Loop) and k in what.common) for k, a in enumerate(what.arguments)]
+        self.strides = [
+            (0 if x else a.width * dtype.itemsize, False) for x, a in zip(shared, what.arguments, strict=True)
+        ]
         self.strides += [(len(r.values) * dtype.itemsize, r.summed) for r in results]
         self.states: list[tuple[int, int]] = []  # those of `starts`
         if isinstance(what, Loop):

@@ -17,7 +17,8 @@ from torchdq.program.loop import Chain, Loop
 from torchdq.program.program import GROWTH, Program, outputs
 
 NOINLINE = "static __attribute__((noinline))"
-CONSTANT, OF_EVERY_STEP, CARRIED, TOTAL = range(4)  # how a call takes an argument; a result is the last if constant
+# how a call takes an argument; a result is the last if constant
+CONSTANT, OF_EVERY_STEP, CARRIED, TOTAL, COMMON = range(5)
 
 
 class Body(NamedTuple):
@@ -43,10 +44,8 @@ def body_of(what: Program | Loop) -> Body:
 def taken_as(loop: Loop) -> tuple[int, ...]:
     """How the arguments and outputs of the body are taken by a loop, as its plan has it."""
     states = {r: k for k, r in loop.carried}
-    found = [
-        CARRIED if k in states.values() else OF_EVERY_STEP if k in loop.stepped else CONSTANT
-        for k, _ in enumerate(loop.body.arguments)
-    ]
+    kinds = ((CARRIED, states.values()), (COMMON, loop.common), (OF_EVERY_STEP, loop.stepped))
+    found = [next((how for how, among in kinds if k in among), CONSTANT) for k, _ in enumerate(loop.body.arguments)]
     for r, _ in enumerate(outputs(loop.body)):
         found.append(OF_EVERY_STEP if r in loop.kept else CONSTANT if r in states else TOTAL)
     return tuple(found)
@@ -56,11 +55,11 @@ def source(what: Program | Loop | Body, single: bool, few: bool = False) -> str:
     """C source of a program or a loop in double or single precision, for few samples or any number.
 
     It defines `run`, which takes the number of samples, a plan, and a pointer per argument and per output: dense arrays
-    [samples, width], [steps, samples, width] or [width]. The plan holds the number of steps, that of the samples in the
-    arrays, and how each argument and output is taken, which is as of every step where the plan is null; then for each
-    long link of a chain the addresses in `parts` of its library. `parts` are the functions of what is the same for all
-    samples, and of the values of a step. The last output is the largest error growth of every sample, if the body has
-    one.
+    [samples, width], [steps, samples, width], [steps, 1, width] or [width]. The plan holds the number of steps, that of
+    the samples in the arrays, and how each argument and output is taken, which is as of every step where the plan is
+    null; then for each long link of a chain the addresses in `parts` of its library. `parts` are the functions of what
+    is the same for all samples, and of the values of a step. The last output is the largest error growth of every
+    sample, if the body has one.
     """
     body = what if isinstance(what, Body) else body_of(what)
     program, results = body.program, outputs(body.program)
@@ -72,8 +71,9 @@ def source(what: Program | Loop | Body, single: bool, few: bool = False) -> str:
     functions, parts, prelude, calls = _printed(program, single, places)
     once = list[str]()
     for k, w in inputs.items():
-        each = f"how[{k}]=={OF_EVERY_STEP}"
-        once.append(f"if(!s||{each})read{w}(I{k},in{k}+(b+({each})*row)*{w},left);")
+        each, common = f"how[{k}]=={OF_EVERY_STEP}", f"how[{k}]=={COMMON}"
+        once.append(f"if({common})read{w}(I{k},in{k}+now*{w},1);")
+        once.append(f"else if(!s||{each})read{w}(I{k},in{k}+(b+({each})*row)*{w},left);")
     for i, k in enumerate(body.added, first):
         w = inputs.get(k, 0)
         once.append(f"{{T J[{w}];read{w}(J,in{i}+at*{w},left);for(int j=0;j<{w};j++)I{k}[j]+=J[j];}}" if w else "")
@@ -102,7 +102,8 @@ def source(what: Program | Loop | Body, single: bool, few: bool = False) -> str:
         *(f"T I{k}[{w}];" for k, w in inputs.items()),
         *(f"T O{r}[{w}];" for r, w in enumerate(widths)),
         *(f"T Q{r}[{widths[r]}];" for r in rows),
-        f"for(word s=0;s<steps;s++){{const word row=({'steps-1-s' if body.backwards else 's'})*stride,at=b+row;",
+        f"for(word s=0;s<steps;s++){{const word now={'steps-1-s' if body.backwards else 's'};",
+        "const word row=now*stride,at=b+row;",
         *once,
         "}}",
         *(

@@ -314,7 +314,7 @@ def rows_of(layout: CallLayout, given: Sequence[Tensor]) -> list[Tensor]:
 def _layout(
     what: Computation, tensors: Tensors, backend: BackendName | None, double: bool, repeated: Repeated | None
 ) -> CallLayout:
-    arguments, rows, batch = _arranged(what, tensors, repeated)
+    arguments, rows, batch, common = _arranged(what, tensors, repeated)
     like = next(x for x in tensors.values() if x is not None)
     dtype, device = torch.float64 if double else like.dtype, like.device
     program, chosen = _recorded(what, arguments), choose(backend, device)
@@ -323,7 +323,7 @@ def _layout(
     results, loop = _shapes(what, program), None
     lead: list[Shape] = [()] * len(program.results)
     if repeated is not None:
-        loop = _loop(program, repeated)
+        loop = _loop(program, repeated, common)
         of_all = (repeated.steps, repeated.steps + 1)
         lead = [(of_all[r.name in repeated.carried],) * (k in loop.kept) for k, r in enumerate(program.results)]
     shapes = [(*n, *(axes if summed else batch + axes)) for n, (_, summed, axes) in zip(lead, results, strict=True)]
@@ -342,14 +342,14 @@ def _layout(
     return CallLayout(rows, dtype, device, program, loop, chosen, names, tuple(shapes), math.prod(batch), direct)
 
 
-def _loop(program: Program, repeated: Repeated) -> Loop:
+def _loop(program: Program, repeated: Repeated, common: tuple[int, ...]) -> Loop:
     """Loop over a program."""
     arguments, results = ([x.name for x in part] for part in (program.arguments, program.results))
     carried = tuple([(arguments.index(name), results.index(name)) for name in repeated.carried])
     left_out = {*repeated.total, *(repeated.carried if repeated.ends else ())}
     kept = tuple([k for k, name in enumerate(results) if name not in left_out])
     stepped = tuple([arguments.index(name) for name in repeated.stepped])
-    return _loop_of(program, carried, stepped, kept, repeated.backwards)
+    return _loop_of(program, carried, stepped, kept, repeated.backwards, (), common)
 
 
 def _recorded(what: Computation, arguments: tuple[Argument, ...]) -> Program:
@@ -374,18 +374,23 @@ def _of_one_step(tensors: Tensors, repeated: Repeated | None) -> Tensors:
 
 def _arranged(
     what: Computation, tensors: Tensors, repeated: Repeated | None = None
-) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
-    """Arguments of the program, arrangement of the tensors in rows, and batch axes."""
+) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape, tuple[int, ...]]:
+    """Arguments of the program, arrangement of the tensors in rows, batch axes, and arguments common to all samples."""
     tensors = _of_one_step(tensors, repeated)
     batch = batch_of(what, tensors)
     samples = math.prod(batch)
-    arguments, rows = [], []
+    arguments, rows, common = list[Argument](), list[Arrangement](), list[int]()
     for name, x in tensors.items():
         if x is None:
             continue
         lead = (repeated.steps,) if repeated is not None and name in repeated.stepped else ()
         axes = what.axes(name)
         width, uniform = math.prod(axes), what.shared(name) and x.ndim == len(axes) and not lead
+        if lead and samples > 1 and x.numel() == width:  # [steps, 1, width] of all samples
+            common.append(len(arguments))
+            arguments.append(Argument(name, width, False))
+            rows.append(Arrangement(None, None, (*lead, 1, width)))
+            continue
         arguments.append(Argument(name, width, uniform))
         expanded, flat = (axes, (width,)) if uniform else (lead + batch + axes, (*lead, samples, width))
         whole = (1,) * (len(expanded) - len(lead) - x.ndim)
@@ -396,7 +401,7 @@ def _arranged(
                 None if expanded == flat else flat,
             )
         )
-    return tuple(arguments), tuple(rows), batch
+    return tuple(arguments), tuple(rows), batch, tuple(common)
 
 
 def _row_of(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement) -> Tensor:
@@ -488,7 +493,7 @@ def _known(
                 name: torch.empty(((1,) * ndim + what.axes(name))[len(what.axes(name)) :], dtype=dtype, device=device)
                 for name, ndim, dtype, device in looks
             }
-            arguments, _, _ = _arranged(what, one)
+            arguments, *_ = _arranged(what, one)
     except TorchdqError:
         return None
     _, _, dtype, device = looks[0]

@@ -135,12 +135,15 @@ def run_loop(
         return loop_autograd.differentiable(partial(_loop_outputs, backend, among), loop, rows, number, steps)
 
     count = len(loop.body.results)
+    if not isinstance(backend, C) or transforming() or in_a_graph(inputs):
+        loop, inputs = loop_autograd.apart(loop, inputs, samples)
     if backend.differentiable or transforming():
         return one_by_one(inputs, samples)[:count]
     found = at_once(inputs, samples)
     growth = found[count].detach() if len(found) > count and samples else None
     if growth is None or within_limit(growth, samples):
         return found[:count]
+    loop, inputs = loop_autograd.apart(loop, inputs, samples)
     over = ~(growth[:, 0] <= largest_growth(growth.dtype))
     at, others = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,6 +37,13 @@ class Exported(NamedTuple):
     spans: Path | None = None
     test: Path | None = None
     cmake: Path | None = None
+
+
+def path_of(folder: str | PathLike[str]) -> Path:
+    """Path of a folder to write to."""
+    if not isinstance(folder, str | PathLike):
+        raise ArgumentError(f"folder must be a path, found {type(folder).__name__}")
+    return Path(folder)
 
 
 def write(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
@@ -115,14 +123,9 @@ class Export(NamedTuple):
             *(rollout.about(self.steps, self.name) if self.steps else ()),
             *(self._about_batches() if self.batch else ()),
         ]
-        guard = f"{self.name.upper()}_H"
         many = ["rollout"] * bool(self.steps) + ["batch"] * self.batch
         declared = "\n".join(f"{self.function.declaration(kind)};" for kind in ("", *many))
-        included = "#include <stddef.h>\n\n" if many else ""
-        return (
-            f"{c99.comment(about)}#ifndef {guard}\n#define {guard}\n\n{included}"
-            f'#ifdef __cplusplus\nextern "C" {{\n#endif\n\n{declared}\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n'
-        )
+        return header(self.name, about, "#include <stddef.h>\n\n" * bool(many), declared)
 
     def _about_batches(self) -> list[str]:
         """Lines about the function for batches."""
@@ -178,40 +181,58 @@ class Export(NamedTuple):
             f'#include "{self.name}.h"\n\nnamespace torchdq {{\n\n{text}}}\n\n#endif\n'
         )
 
-    def cmake(self) -> str:
-        """CMake file with the function as a library, and its test."""
-        name, math = self.name, " m" if self.function.functions == "math.h" else ""
-        library, test = f"exported_{name}", f"test_exported_{name}"  # a bare name may be one that CMake reserves
-        vectors = (
-            'if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")\n'
-            f"  target_compile_options({library} PRIVATE -O3 -fno-math-errno)\nendif()\n"
-            if self.batch
-            else ""
-        )
-        return (
-            f"add_library({library} ${{CMAKE_CURRENT_LIST_DIR}}/{name}.c)\n"
-            f"add_executable({test} ${{CMAKE_CURRENT_LIST_DIR}}/test_{name}.c)\n"
-            f"set_target_properties({library} PROPERTIES OUTPUT_NAME {name})\n"
-            f"set_target_properties({library} {test} PROPERTIES\n"
-            "  C_STANDARD 99 C_EXTENSIONS OFF C_STANDARD_REQUIRED ON)\n"
-            f"target_include_directories({library} PUBLIC ${{CMAKE_CURRENT_LIST_DIR}})\n"
-            f"target_link_libraries({test} {library})\n"
-            f"if(UNIX)\n  target_link_libraries({library} PUBLIC{math})\n  target_link_libraries({test} m)\nendif()\n"
-            f"{vectors}add_test(NAME {name} COMMAND {test})\n"
-        )
-
     def write(self, folder: Path, examples: Mapping[str, Tensor]) -> Exported:
         """Files in a folder, which is made if it is not there."""
-        texts = {
-            f"{self.name}.c": self.source(),
-            f"{self.name}.h": self.header(),
-            f"{self.name}.hpp": self.spans(),
-            f"test_{self.name}.c": golden.test(self.function, self.batch, examples),
-            "CMakeLists.txt": _CMAKE,
-            f"exported_{self.name}.cmake": self.cmake(),
-        }
-        return Exported(self.name, *write(folder, texts)[:-1])
+        test = golden.test(self.function, self.batch, examples)
+        return write_project(folder, self.function, self.source(), self.header(), test, self.spans(), self.batch)
 
 
 def _shown(array: Array) -> str:
     return f"{array.name}[{array.size}]"
+
+
+def header(name: str, about: Iterable[str], included: str, declared: str) -> str:
+    """Header in C99, which C++ can include."""
+    guard = f"{name.upper()}_H"
+    return (
+        f"{c99.comment(about)}#ifndef {guard}\n#define {guard}\n\n{included}"
+        f'#ifdef __cplusplus\nextern "C" {{\n#endif\n\n{declared}\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n'
+    )
+
+
+def write_project(
+    folder: Path, function: CFunction, source: str, header: str, test: str, spans: str = "", vectors: bool = False
+) -> Exported:
+    """Files of a function, and of those beside it, in a folder with a CMake project of all that are there.
+
+    `spans`: header for C++, "" if there is none; `vectors`: whether compilers shall make vector instructions of it.
+    """
+    name = function.name
+    texts = {f"{name}.c": source, f"{name}.h": header, f"{name}.hpp": spans, f"test_{name}.c": test}
+    texts |= {"CMakeLists.txt": _CMAKE, f"exported_{name}.cmake": _cmake(function, vectors)}
+    there = {file: text for file, text in texts.items() if text}
+    paths = dict(zip(there, write(folder, there), strict=True))
+    return Exported(name, *[paths.get(file) for file in [*texts][:-1]])  # type: ignore[arg-type]  # source is there
+
+
+def _cmake(function: CFunction, vectors: bool) -> str:
+    """CMake file with the function as a library, and its test."""
+    name, math = function.name, " m" if function.functions == "math.h" else ""
+    library, test = f"exported_{name}", f"test_exported_{name}"  # a bare name may be one that CMake reserves
+    optimised = (
+        'if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")\n'
+        f"  target_compile_options({library} PRIVATE -O3 -fno-math-errno)\nendif()\n"
+        if vectors
+        else ""
+    )
+    return (
+        f"add_library({library} ${{CMAKE_CURRENT_LIST_DIR}}/{name}.c)\n"
+        f"add_executable({test} ${{CMAKE_CURRENT_LIST_DIR}}/test_{name}.c)\n"
+        f"set_target_properties({library} PROPERTIES OUTPUT_NAME {name})\n"
+        f"set_target_properties({library} {test} PROPERTIES\n"
+        "  C_STANDARD 99 C_EXTENSIONS OFF C_STANDARD_REQUIRED ON)\n"
+        f"target_include_directories({library} PUBLIC ${{CMAKE_CURRENT_LIST_DIR}})\n"
+        f"target_link_libraries({test} {library})\n"
+        f"if(UNIX)\n  target_link_libraries({library} PUBLIC{math})\n  target_link_libraries({test} m)\nendif()\n"
+        f"{optimised}add_test(NAME {name} COMMAND {test})\n"
+    )

@@ -21,7 +21,7 @@ CPU = torch.device("cpu")
 # names of arguments that cannot be negative
 POSITIVE = ("mass", "base_mass", "armature", "viscous", "coulomb", "kp", "kd")
 
-_COMPARE = """
+COMPARE = """
 static void compare(const {0} *found, const {0} *expected, int size, {0} *worst)
 {{
     {0} largest = 0;
@@ -56,7 +56,7 @@ def test(function: CFunction, batches: bool, examples: Mapping[str, Tensor]) -> 
     known = {"in": (taken, inputs), "out": (given, _results(program, inputs))}
     known |= {"after": (given, _rolled(over, inputs))} if over else {}
     tables = [
-        _table(function, f"{kind}_{a.name}", x)
+        table(function, f"{kind}_{a.name}", x)
         for kind, (arrays, rows) in known.items()
         for a, x in zip(arrays, [x for x in rows if x.shape[1]], strict=True)
     ]
@@ -67,7 +67,7 @@ def test(function: CFunction, batches: bool, examples: Mapping[str, Tensor]) -> 
     return (
         f"/* {name} against golden vectors; returns 0 if they agree to {bound} */\n"
         f'#include <math.h>\n#include <stdio.h>\n#include "{name}.h"\n\n{"".join(tables)}'
-        f"{_COMPARE.format(number, 'f' * function.single)}"
+        f"{COMPARE.format(number, 'f' * function.single)}"
         f"{_rollout(function) if over else ''}{_batch(function) if batches else ''}\n"
         f"int main(void)\n{{\n    {number} worst = 0;\n    int k;\n    for (k = 0; k < {CASES}; k++) {{\n"
         f"        {locals_}\n        (void){name}({passed});\n{checks}\n    }}\n"
@@ -123,7 +123,7 @@ def _rolled(over: Loop, inputs: Sequence[Tensor]) -> list[Tensor]:
     return [torch.cat(rows) for rows in zip(*steps, strict=True)]
 
 
-def _table(function: CFunction, name: str, rows: Tensor) -> str:
+def table(function: CFunction, name: str, rows: Tensor) -> str:
     """Constant array of rows."""
     lines = [", ".join(map(function.dialect.literal, row)) for row in rows.tolist()]
     listed = ",\n".join(f"    {{{line}}}" for line in lines)

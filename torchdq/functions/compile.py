@@ -6,7 +6,6 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
-from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -23,7 +22,7 @@ from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.export import casadi, golden, graph
 from torchdq.export.c99 import CFunction, Library
 from torchdq.export.casadi import CasadiExport
-from torchdq.export.files import Export, Exported
+from torchdq.export.files import Export, Exported, path_of
 from torchdq.export.meaning import heading
 from torchdq.export.names import distinct, identifier
 from torchdq.functions import arrays
@@ -181,21 +180,20 @@ class CompiledProgram:
         """
         require_choice("library", library, get_args(Library))
         require_choice("language", language, get_args(ExportLanguage))
-        if not isinstance(folder, str | PathLike):
-            raise ArgumentError(f"folder must be a path, found {type(folder).__name__}")
+        path = path_of(folder)
         named = identifier(name or distinct([self.program.name])[0], "name", golden.variables(self.program))
         if language == "casadi":
             if batch:
                 raise ArgumentError("batch must be False for language 'casadi', which has knots, or f.map(n)")
-            return self._casadi(named, library, knots, derivatives).write(Path(folder))
+            return self._casadi(named, library, knots, derivatives).write(path)
         if language == "torch":
-            return graph.write(Path(folder), named, self.program, self.dtype, self)
+            return graph.write(path, named, self.program, self.dtype, self)
         if knots:
             raise ArgumentError(
                 f"knots are for language 'casadi', found {knots!r}; in 'c', batch=True takes any number"
             )
         function = CFunction(self.program, named, self.dtype == torch.float32, library)
-        return Export(function, self.about, batch).write(Path(folder), self.examples)
+        return Export(function, self.about, batch).write(path, self.examples)
 
     def _casadi(self, name: str, library: Library, knots: int, derivatives: int) -> CasadiExport:
         """Source for CasADi; raises unless the program and the options have one."""

@@ -20,8 +20,9 @@ from torchdq.optimal.costs import (
     Torques,
 )
 from torchdq.optimal.derivatives import differentiable
-from torchdq.optimal.ilqr import Receding, solve
+from torchdq.optimal.ilqr import solve
 from torchdq.optimal.problem import STATUS, Plan, Problem
+from torchdq.optimal.receding import Receding
 from torchdq.optimal.sampling import CEM, MPPI
 
 __all__ = [

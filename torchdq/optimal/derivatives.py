@@ -13,32 +13,29 @@ of every step f: exact ones, with second derivatives of step and costs, which it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from torchdq.backends.call import Computation, Repeated, evaluate
-from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.backends.call import Repeated, evaluate
 from torchdq.base.checks import require_object
 from torchdq.dynamics.posed import Row, dot
 from torchdq.errors import ArgumentError
-from torchdq.optimal.costs import Objective
 from torchdq.optimal.ilqr import by_rows
-from torchdq.optimal.knot import NEXT
+from torchdq.optimal.knot import COSTATE, NEXT, Knot, named_rows
 from torchdq.optimal.problem import Passes, Plan, Problem
 from torchdq.program.autodiff import vjp_jacobian
-from torchdq.program.program import Argument, Program, record, replay, results
+from torchdq.program.program import Argument, record, replay, results
 from torchdq.program.transforms import outside_of_graphs
 from torchdq.scene.free_base import displacements, rates_of
 from torchdq.scene.recording import Stage
-from torchdq.scene.spec import POSES, Rows, SceneSpec
+from torchdq.scene.spec import POSES, Rows
 from torchdq.scene.state import State, require_state
 
-COSTATE = "costate"
 ROUNDING = 8.0  # units in the last place by which a torque that is held may differ from its limit
 
 
@@ -123,12 +120,13 @@ def _inverse(
     @cache
     def curvatures() -> tuple[Tensor, Tensor]:
         """Hessians [steps, rows, s + n, s + n] of every step, and derivatives [steps, rows, s, s + n] of its state."""
-        what, last = Curvature(problem.scene.spec, problem.objective), {COSTATE: torque.new_zeros(torque.shape[1], s)}
+        what = Knot(problem.scene.spec, problem.objective, part=curvature)
+        last = {COSTATE: torque.new_zeros(torque.shape[1], s)}
         stepped = passes.knots(passes.forward(start, torque)[0], torque)
         repeated = Repeated(problem.steps, (COSTATE,), tuple(stepped), ends=True, backwards=True)
         given = {**last, **stepped, **passes.fixed, **passes.shared}
         found = evaluate(what, given, problem.scene.backend, repeated=repeated)
-        return found["H"], found["T"]
+        return found["hessian"], found["T"]
 
     def solved(right: Tensor) -> Tensor:
         b, (H, T) = by_rows(right, 1), curvatures()
@@ -151,43 +149,8 @@ def _inverse(
     return solved
 
 
-class _CurvatureFields(NamedTuple):
-    """Fields of `Curvature`."""
-
-    spec: SceneSpec
-    objective: Objective
-
-
-class Curvature(_CurvatureFields, Computation):
-    """Exact Hessian of a step of a problem about its states, its derivatives, and the costate before it."""
-
-    @property
-    def own(self) -> dict[str, tuple[int, ...]]:
-        """Axes of results, and of arguments that a step has not."""
-        s, m = sum(self.spec.displaced.values()), Stage(self.spec, "step", self.objective).widths()
-        size = s + m[self.objective.control]
-        found = {COSTATE: (s,), "H": (size, size), "T": (s, size)}
-        return found | {NEXT + name: (width,) for name, width in self.spec.state.items()}
-
-    def axes(self, name: str) -> tuple[int, ...]:
-        """Trailing axes of an argument."""
-        return self.own[name] if name in self.own else Stage(self.spec, "step", self.objective).axes(name)
-
-    def shared(self, name: str) -> bool:
-        """True for a parameter of the scene."""
-        return "." in name
-
-    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
-        """Trailing axes of the results."""
-        return tuple([self.own[r.name] for r in program.results])
-
-    def program(self, arguments: tuple[Argument, ...]) -> Program:
-        """Program, recorded once."""
-        return _program(self, arguments)
-
-
-@remembered(PROGRAMS)
-def _program(what: Curvature, arguments: tuple[Argument, ...]) -> Program:
+def curvature(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
+    """Formula of the exact Hessian of a step about its states, of its derivatives, and of the costate before it."""
     spec, (control, asked) = what.spec, (what.objective.control, what.objective.inputs(what.spec.robot.n))
     taken = tuple([a for a in arguments if a.name not in (*asked, *what.own)])
     step, s = Stage(spec, "step", unguarded=True).program(taken), what.own[COSTATE][0]
@@ -197,7 +160,7 @@ def _program(what: Curvature, arguments: tuple[Argument, ...]) -> Program:
 
     def about(*rows: Row) -> Rows:
         """Cost, and displacement of the state after the step, of a displaced state."""
-        known, used = {a.name: row for a, row in zip(whole, rows, strict=True)}, 0
+        known, used = named_rows(whole, rows), 0
         moved = dict(known)
         for name, width in spec.displaced.items():
             moved[name], used = _displaced(name, known[name], known["by"][used : used + width]), used + width
@@ -210,9 +173,9 @@ def _program(what: Curvature, arguments: tuple[Argument, ...]) -> Program:
     at = [k for k, a in enumerate(whole) if a.name == control]
     second = vjp_jacobian(along, [len(whole) - 1, *at])
 
-    def algorithm(*rows: Row) -> Rows:
-        known = {a.name: row for a, row in zip(arguments, rows, strict=True)}
+    def algorithm(known: Rows) -> Rows:
         costate = known[COSTATE]
+        rows = [known[a.name] for a in arguments]
         found = results(second, replay(second, [*rows, [0.0] * s, [1.0], costate]))
         ss, us, su, uu, cs, _, ts, tu = found.values()  # blocks of Hessian, slope and T^T, each row by row
         n = len(known[control])
@@ -222,12 +185,13 @@ def _program(what: Curvature, arguments: tuple[Argument, ...]) -> Program:
             zip(*[ts[s * i : s * i + s] for i in range(s)], *[tu[s * i : s * i + s] for i in range(n)], strict=True)
         )
         before = [a + dot([row[i] for row in T], costate) for i, a in enumerate(cs)]
-        return {"H": [x for row in (*upper, *lower) for x in row], "T": [x for row in T for x in row], COSTATE: before}
+        hessian = [x for row in (*upper, *lower) for x in row]
+        return {"hessian": hessian, "T": [x for row in T for x in row], COSTATE: before}
 
-    return record(f"curvature_{spec.robot.name}", arguments, algorithm)
+    return algorithm
 
 
-def _judged(a: Argument, what: Curvature, asked: dict[str, int]) -> bool:
+def _judged(a: Argument, what: Knot, asked: dict[str, int]) -> bool:
     """Whether the cost of a step has an argument."""
     return a.name.startswith(NEXT) or "." in a.name or a.name in (*asked, what.objective.control)
 

@@ -1,4 +1,4 @@
-"""Solutions of problems of optimal control: iterative LQR of batches, with limits, and receding horizons.
+"""Solutions of problems of optimal control: iterative LQR of batches, with limits.
 
 An iteration takes two loops over the steps. Backward, every knot has its change and gain of the torques; forward, steps
 are simulated under them, by lengths 1, 1/2, 1/4 ... of the change until the cost falls by a tenth of what is expected.
@@ -12,7 +12,6 @@ box QP (Y. Tassa, N. Mansard, E. Todorov, "Control-limited differential dynamic 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -136,16 +135,15 @@ def solve(
             u = method.improved(passes, start, u, iterations, notice.at)
             found = begun(passes, *passes.forward(start, u))
             status = torch.where(found.cost.isfinite(), STOPPED, DIVERGED)
-            plan = planned(passes, batch, found._replace(status=status, iterations=found.iterations + iterations))
-            return plan._replace(gain=None)
+            found = found._replace(status=status, iterations=found.iterations + iterations)
+            return planned(passes, batch, found)._replace(gain=None)
         if states is None:
             found = begun(passes, *passes.forward(start, u))
         else:
             near = {name: _started(name, x, (steps + 1, *batch, x.shape[-1])) for name, x in states.rows().items()}
             found = begun(passes, {name: by_rows(x, 1) for name, x in near.items()}, u)
-        if passes.limits is not None and (torque is None or states is None):
-            found = _roughly(passes, start, found, iterations, notice.within("without limits"))
-        return planned(passes, batch, improved(passes, start, found, iterations, tolerance, notice.at))
+        cold = torque is None or states is None
+        return planned(passes, batch, converged(passes, start, found, cold, iterations, tolerance, notice))
 
 
 def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
@@ -165,7 +163,7 @@ def by_rows(x: Tensor, axis: int) -> Tensor:
 
 def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tensor | None = None) -> Found:
     """Rows to be solved of states, torques and their costs; None: infinite, since torques do not lead to the states."""
-    cost = torch.full_like(torque[0, :, 0], torch.inf) if cost is None else cost
+    cost = torch.full_like(torque[0, :, 0], torch.inf) if cost is None else cost.nan_to_num(torch.inf, torch.inf)
     count = torch.zeros_like(cost, dtype=torch.int64)
     gain = torque.new_empty(*torque.shape, passes.size)
     return Found(states, torque, gain, cost, torch.zeros_like(cost), count + STOPPED, count)
@@ -184,11 +182,27 @@ def planned(passes: Passes, batch: torch.Size, found: Found) -> Plan:
     return plan._replace(control=passes.problem.control)
 
 
+def converged(
+    passes: Passes,
+    start: Mapping[str, Tensor],
+    found: Found,
+    cold: bool,
+    iterations: int,
+    tolerance: float,
+    notice: Progress,
+) -> Found:
+    """Rows after iterations of LQR; limits hold from the first one on unless the start is `cold`."""
+    if passes.limits is not None and cold:
+        found = _roughly(passes, start, found, iterations, notice.within("without limits"))
+    return improved(passes, start, found, iterations, tolerance, notice.at)
+
+
 def _roughly(
     passes: Passes, start: Mapping[str, Tensor], found: Found, iterations: int, at: Callable[[str], None]
 ) -> Found:
     """Start of problems with limits: the states of solutions without them, followed under them."""
-    free = improved(passes._replace(limits=None), start, found, iterations, 0.0, at, ROUGH)
+    least = torch.full_like(found.torque[0], -torch.inf)  # the programs are those that have limits
+    free = improved(passes._replace(limits=(least, -least)), start, found, iterations, 0.0, at, ROUGH)
     x, u, cost = passes.forward(start, free.torque, free.followed)
     begin = begun(passes, x, u, cost)._replace(iterations=free.iterations)
     lost = cost.isinf().nonzero()[:, 0]
@@ -212,21 +226,23 @@ def improved(
 
     Without a tolerance all rows take all iterations.
     """
-    whole, rows = found, torch.arange(len(found.cost), device=found.cost.device)
+    whole, rows = found, None  # positions of the rows that are left; None: of all
     for k in range(iterations):
-        at(f"iteration {k + 1}, {len(rows)} rows are left")
+        at(f"iteration {k + 1}, {len(found.cost)} rows are left")
         gain, change, terms = passes.backward(found.states, found.torque, found.damping)
         found = found._replace(gain=gain)
         if tolerance is not None:
-            expected = -(terms[:, 0] + 0.5 * terms[:, 1])
+            expected = _expected(terms)
             least = torch.maximum(tolerance * found.cost.clamp(min=1.0), share * found.cost)
-            enough = (expected.abs() * (1.0 + found.damping) <= least) & found.cost.isfinite()
+            enough = (expected * (1.0 + found.damping) <= least) & found.cost.isfinite()
             lost = ~expected.isfinite()
             out = enough | lost | (found.damping > MOST)
             if out.any():
                 status = torch.where(enough, CONVERGED, torch.where(lost, DIVERGED, STALLED))
-                whole = whole.made([x.clone() for x in found.tensors]) if len(rows) == len(whole.cost) else whole
                 done, on = out.nonzero()[:, 0], (~out).nonzero()[:, 0]
+                if rows is None:
+                    whole = whole.made([x.clone() for x in found.tensors])
+                    rows = torch.arange(len(out), device=out.device)
                 whole.put(rows[done], found._replace(status=status).among(done))
                 if not len(on):
                     return whole
@@ -234,7 +250,7 @@ def improved(
                 start = {name: x.index_select(0, on) for name, x in start.items()}
                 change, terms = change.index_select(1, on), terms.index_select(0, on)
         found = _stepped(passes, start, found, change, terms)
-    if len(rows) == len(whole.cost):
+    if rows is None:
         return found
     whole.put(rows, found)
     return whole
@@ -243,8 +259,8 @@ def improved(
 def _stepped(passes: Passes, start: Mapping[str, Tensor], found: Found, change: Tensor, terms: Tensor) -> Found:
     """Rows after a step, the longest of some lengths that decreases the cost enough; damped more if there is none."""
     x, u, cost = passes.forward(start, found.torque + change, found.followed)
-    good = _accepted(found.cost, cost, terms, 1.0)
-    eased = torch.where(found.damping > DAMPED, 0.1 * found.damping, 0.0)
+    good = found.cost - cost >= LEAST * _expected(terms)  # false of what is not a number
+    eased = torch.threshold(0.1 * found.damping, 0.1 * DAMPED, 0.0)
     moved = Found(x, u, found.gain, cost, eased, found.status, found.iterations + 1)
     if good.all():
         return moved
@@ -258,7 +274,7 @@ def _stepped(passes: Passes, start: Mapping[str, Tensor], found: Found, change: 
         of, begin = moved.among(each), {name: y.index_select(0, each) for name, y in start.items()}
         u = torch.addcmul(of.torque, length[:, None], change.index_select(1, each))
         x, u, cost = passes.among(each).forward(begin, u, of.followed)
-        good = _accepted(of.cost, cost, terms[each], length).view(number, -1)
+        good = (of.cost - cost >= LEAST * _expected(terms[each], length)).view(number, -1)
         some = good.any(0)
         best = (good.int().argmax(0) * len(wait) + torch.arange(len(wait), device=wait.device))[some]
         moved.put(wait[some], of._replace(states=x, torque=u, cost=cost, damping=eased[each]).among(best))
@@ -267,77 +283,6 @@ def _stepped(passes: Passes, start: Mapping[str, Tensor], found: Found, change: 
     return moved
 
 
-def _accepted(before: Tensor, after: Tensor, terms: Tensor, length: Tensor | float) -> Tensor:
-    """Whether costs fall by enough of what is expected of steps of some length."""
-    expected = -length * (terms[:, 0] + 0.5 * length * terms[:, 1])
-    return (before - after >= LEAST * expected) & after.isfinite() & ((expected >= 0.0) | before.isinf())
-
-
-class Receding:
-    """Receding horizon: the plan moves on by a step at every call, and is improved from the state that is measured.
-
-    Called as `mpc(state)` it returns the torques [..., n] for the step that begins now, and their gains [..., n, s] in
-    displacements of the state, for what happens until the next call; the gains are None for a sampling method. The
-    first call solves the problem. `mpc.plan` is the latest plan, None before it; `mpc.problem` may be assigned, as with
-    new goals, and for one that is far away `mpc.plan = None`, so that the next call solves it.
-
-    Args:
-        problem: costs and limits.
-        iterations: iterations of a call.
-        method: as in `solve`.
-
-    >>> import torch, torchdq
-    >>> from torchdq import Scene, optimal
-    >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.02)
-    >>> costs = [
-    ...     optimal.Torques(1e-3),
-    ...     optimal.Posture(torch.tensor([0.5, -0.3]).double(), 1.0),
-    ...     optimal.Speeds(0.1),
-    ... ]
-    >>> mpc = optimal.Receding(optimal.Problem(scene, 20, costs))
-    >>> state = scene.start(torch.zeros(2).double())
-    >>> for _ in range(100):
-    ...     torque, gain = mpc(state)
-    ...     state = scene.step(state, torque)
-    >>> (state.q - torch.tensor([0.5, -0.3])).abs().max() < 0.01
-    tensor(True)
-    """
-
-    def __init__(self, problem: Problem, iterations: int = 1, method: Method = "ilqr"):
-        require_count("iterations", iterations)
-        self.problem, self.iterations, self.method = problem, iterations, method
-        self.plan: Plan | None = None
-        self._ticks = 0
-        self._passes: tuple[Problem, torch.Size, Passes] | None = None
-
-    def __call__(self, state: State) -> tuple[Tensor, Tensor | None]:
-        """Torques [..., n] for the step that begins now, and their gains [..., n, s]."""
-        if self.plan is None or isinstance(self.method, Sampling):
-            moved = None if self.plan is None else _moved(self.plan.torque)
-            method, count = self.method, 100
-            if isinstance(method, Sampling):  # other numbers at every tick
-                method, count = replace(method, seed=method.seed + self._ticks), self.iterations
-                self._ticks += 1
-            self.plan = solve(self.problem, state, moved, method=method, iterations=count)
-        else:
-            self.plan = self._improved(state, self.plan)
-        return self.plan.torque[0], None if self.plan.gain is None else self.plan.gain[0]
-
-    @torch.no_grad()
-    def _improved(self, state: State, plan: Plan) -> Plan:
-        """Plan from a state on, that of the step before moved on by one."""
-        if self._passes is None or self._passes[0] is not self.problem or self._passes[1] != state.q.shape:
-            self._passes = self.problem, state.q.shape, Passes.of(self.problem, state.q, {})
-        passes, start = self._passes[2], {name: by_rows(x, 0) for name, x in state.rows().items()}
-        states = {name: by_rows(_moved(x), 1) for name, x in plan.states.rows().items()}
-        torque, gain = _moved(plan.torque), _moved(plan.gain)  # type: ignore[arg-type]  # as of all solutions
-        follow = gain.reshape(len(gain), -1, *gain.shape[-2:]), joined(states)[:-1]
-        # its gains lead from the state that is measured; a step counts only where it costs less than they do
-        found = begun(passes, *passes.forward(start, by_rows(torque, 1), follow))
-        found = improved(passes, start, found, self.iterations, None, lambda _: None)
-        return planned(passes, state.q.shape[:-1], found)
-
-
-def _moved(x: Tensor) -> Tensor:
-    """Rows of steps, moved on by one, the last twice."""
-    return torch.cat([x[1:], x[-1:]])
+def _expected(terms: Tensor, length: Tensor | float = 1.0) -> Tensor:
+    """Expected change of the costs, by steps of some length along the changes of the torques."""
+    return (terms[:, 0] + 0.5 * length * terms[:, 1]).mul(length).abs()

@@ -10,6 +10,7 @@ and minimised over du within the limits: du = change + gain ds. What Q is then, 
 Where positions follow velocities, q' = q + dt qd', only rows of T for qd' are products; V is moved to (q, qd') first.
 
 A knot whose products are too many for a program has programs of its parts, the costs and the minimum; see `riccati`.
+Another, of exact second derivatives, is in `derivatives`.
 """
 
 from __future__ import annotations
@@ -34,62 +35,15 @@ from torchdq.scene.policies import displacement
 from torchdq.scene.recording import Stage
 from torchdq.scene.spec import POSES, Rows, SceneSpec
 
+COSTATE = "costate"
 NEXT = "next "  # before the names of the rows of the state after a step
 ROUNDS = 3  # Newton steps of a box QP
 LARGEST = 400_000  # operations of a program that compiles within a minute
 TINY = 1e-30  # least pivot
 
 
-class _KnotFields(NamedTuple):
-    """Fields of `Knot`."""
-
-    spec: SceneSpec
-    objective: Objective
-    boxed: bool = False  # whether torques have limits
-    part: str = "knot"  # one of PARTS
-
-
-class Knot(_KnotFields, Computation):
-    """Knot as a computation of `torchdq.backends.call`."""
-
-    @property
-    def step(self) -> Stage:
-        """Step whose derivatives are taken."""
-        return Stage(self.spec, "step", self.objective)
-
-    @property
-    def own(self) -> dict[str, tuple[int, ...]]:
-        """Axes of arguments and results that a step has not."""
-        s, m = sum(self.spec.displaced.values()), self.step.widths()[self.objective.control]
-        found = {"V": (s * (s + 1) // 2,), "v": (s,), "gain": (m, s), "change": (m,), "expected": (2,)}
-        found |= {"damping": (1,), "lower": (m,), "upper": (m,)}
-        found |= {"H": (m, m), "slope": (m,), "response": (m, m)}
-        return found | {NEXT + name: (width,) for name, width in self.spec.state.items()}
-
-    def axes(self, name: str) -> tuple[int, ...]:
-        """Trailing axes of an argument."""
-        return self.own[name] if name in self.own else self.step.axes(name)
-
-    def shared(self, name: str) -> bool:
-        """True for a parameter of the scene."""
-        return self.step.shared(name)
-
-    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
-        """Trailing axes of the results."""
-        return tuple([self.own.get(r.name, (len(r.values),)) for r in program.results])
-
-    def program(self, arguments: tuple[Argument, ...]) -> Program:
-        """Program, recorded once."""
-        return _program(self, arguments)
-
-
-@remembered(PROGRAMS)
-def _program(what: Knot, arguments: tuple[Argument, ...]) -> Program:
-    algorithm = PARTS[what.part](what, arguments)
-    return record(f"{what.part}_{what.spec.robot.name}", arguments, lambda *rows: algorithm(_named(arguments, rows)))
-
-
-def _named(arguments: Sequence[Argument], rows: Sequence[Row]) -> Rows:
+def named_rows(arguments: Sequence[Argument], rows: Sequence[Row]) -> Rows:
+    """Rows by the names of arguments."""
     return {a.name: row for a, row in zip(arguments, rows, strict=True)}
 
 
@@ -131,19 +85,19 @@ def _costs(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], tuple[
     return algorithm
 
 
-def _profile(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
+def costs(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
     """Formula of the costs alone, of every row of their matrix the numbers from the first not zero to the diagonal."""
-    costs = _costs(what, arguments)
+    formula = _costs(what, arguments)
 
     def algorithm(known: Rows) -> Rows:
-        M, g = costs(known)
+        M, g = formula(known)
         first = [[isinstance(x, Recorded) or x != 0.0 for x in row[:i]] + [True] for i, row in enumerate(M)]
         return {"g": g, **{f"M{i}": row[first[i].index(True) : i + 1] for i, row in enumerate(M)}}
 
     return algorithm
 
 
-def _minimum(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
+def smallest(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows]:
     """Formula of the change of the torques, and of its derivatives in their gradient, among those that may follow."""
     (m,) = what.own["change"]
 
@@ -152,9 +106,6 @@ def _minimum(what: Knot, arguments: Sequence[Argument]) -> Callable[[Rows], Rows
         return {"change": change, "response": [-x for i in range(m) for x in solved(_unit(i, m))]}
 
     return algorithm
-
-
-PARTS = {"knot": _knot, "costs": _profile, "minimum": _minimum}
 
 
 class _Derived:
@@ -234,9 +185,16 @@ def _solved(
 
 
 def _room(what: Knot, known: Rows) -> list[Row]:
-    """Smallest and largest changes of the torques within the limits."""
+    """Smallest and largest changes of the torques within the limits, zero where they are rounding errors of torques."""
     control = known[what.objective.control] if what.boxed else ()
-    return [_less(known[name], control) for name in ("lower", "upper") if what.boxed]
+    return [[*map(_rounded, _less(known[name], control), control)] for name in ("lower", "upper") if what.boxed]
+
+
+def _rounded(change: Number, x: Number) -> Number:
+    """Change of a number; zero if it is a few units in the last place, by which a number at a limit may miss it."""
+    near = 8.0 * x
+    moved = near + change
+    return select(at_least(moved, near) * at_least(near, moved), 0.0, change)
 
 
 def box_qp(
@@ -299,3 +257,58 @@ def _half(row: Row, size: int) -> Matrix:
     """Symmetric matrix of the numbers of its lower half, row by row."""
     at = lambda i, j: row[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)]  # noqa: E731
     return tuple(tuple([at(i, j) for j in range(size)]) for i in range(size))
+
+
+# --- the computation -------------------------------------------------------------------------------------------------
+
+Part = Callable[[Any, Sequence[Argument]], Callable[[Rows], Rows]]
+
+
+class _KnotFields(NamedTuple):
+    """Fields of `Knot`."""
+
+    spec: SceneSpec
+    objective: Objective
+    boxed: bool = False  # whether torques have limits
+    part: Part = _knot  # formula of its results
+
+
+class Knot(_KnotFields, Computation):
+    """Knot as a computation of `torchdq.backends.call`."""
+
+    @property
+    def step(self) -> Stage:
+        """Step whose derivatives are taken."""
+        return Stage(self.spec, "step", self.objective)
+
+    @property
+    def own(self) -> dict[str, tuple[int, ...]]:
+        """Axes of arguments and results that a step has not."""
+        s, m = sum(self.spec.displaced.values()), self.step.widths()[self.objective.control]
+        found = {"V": (s * (s + 1) // 2,), "v": (s,), "gain": (m, s), "change": (m,), "expected": (2,)}
+        found |= {"damping": (1,), "lower": (m,), "upper": (m,)}
+        found |= {"H": (m, m), "slope": (m,), "response": (m, m)}
+        found |= {COSTATE: (s,), "hessian": (s + m, s + m), "T": (s, s + m)}
+        return found | {NEXT + name: (width,) for name, width in self.spec.state.items()}
+
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of an argument."""
+        return self.own[name] if name in self.own else self.step.axes(name)
+
+    def shared(self, name: str) -> bool:
+        """True for a parameter of the scene."""
+        return self.step.shared(name)
+
+    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
+        """Trailing axes of the results."""
+        return tuple([self.own.get(r.name, (len(r.values),)) for r in program.results])
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """Program, recorded once."""
+        return _program(self, arguments)
+
+
+@remembered(PROGRAMS)
+def _program(what: Knot, arguments: tuple[Argument, ...]) -> Program:
+    algorithm, name = what.part(what, arguments), what.part.__name__.strip("_")
+    return record(f"{name}_{what.spec.robot.name}", arguments, lambda *rows: algorithm(named_rows(arguments, rows)))

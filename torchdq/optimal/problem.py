@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.call import Repeated, evaluate
-from torchdq.backends.loop_call import repeat
 from torchdq.base.checks import frozen, require_choice, require_count, require_object, tensor_of
 from torchdq.effects.model import Gravity
 from torchdq.errors import ArgumentError
@@ -215,7 +214,7 @@ class Passes(NamedTuple):
     """Passes over the steps of problems that are rows [rows, ...] of tensors, each without the others."""
 
     problem: Problem
-    stepped: dict[str, Tensor]  # inputs of every step [steps, rows, ...]
+    stepped: dict[str, Tensor]  # inputs of every step [steps, rows, ...] or, of all rows, [steps, 1, ...]
     fixed: dict[str, Tensor]  # those that are the same at all steps [rows, ...]
     shared: dict[str, Tensor]  # parameters of the scene that all rows share
     limits: Limits | None  # of the torques [rows, n]
@@ -236,7 +235,9 @@ class Passes(NamedTuple):
             rest = tuple(x.shape[x.ndim - len(axes) :])
             if name in inputs or (name not in scene.parameters and x.ndim > len(batch) + len(axes)):
                 whole = x.reshape(len(x), *(1,) * (len(batch) + 1 - x.ndim + len(axes)), *x.shape[1:])
-                stepped[name] = whole.expand(problem.steps, *batch, *rest).reshape(problem.steps, count, *rest)
+                if whole.shape[1:] != (*(1,) * len(batch), *rest):
+                    whole = whole.expand(problem.steps, *batch, *rest)
+                stepped[name] = whole.reshape(problem.steps, -1, *rest)  # [steps, 1, ...] of all rows
             elif name in scene.parameters and x.ndim == len(axes):
                 shared[name] = x
             else:
@@ -248,7 +249,7 @@ class Passes(NamedTuple):
 
     def among(self, rows: Tensor) -> Passes:
         """Passes of some of the rows."""
-        stepped = {name: x.index_select(1, rows) for name, x in self.stepped.items()}
+        stepped = {name: x if x.shape[1] == 1 else x.index_select(1, rows) for name, x in self.stepped.items()}
         fixed = {name: x.index_select(0, rows) for name, x in self.fixed.items()}
         limits = None if self.limits is None else tuple([x.index_select(0, rows) for x in self.limits])
         return self._replace(stepped=stepped, fixed=fixed, limits=limits)  # type: ignore[arg-type]
@@ -262,11 +263,16 @@ class Passes(NamedTuple):
         near = {name: x[:-1] for name, x in states.items()} | {NEXT + name: x[1:] for name, x in states.items()}
         return {**near, self.problem.objective.control: torque, **self.stepped}
 
+    @property
+    def looped(self) -> bool:
+        """Whether a knot is one program, over which the backward pass is a loop."""
+        return length(self.problem.scene) + 2 * (self.size + self.problem.scene.n) ** 3 <= LARGEST
+
     def backward(self, states: Mapping[str, Tensor], torque: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
         problem, scene, width = self.problem, self.problem.scene, self.size + self.problem.scene.n
         what = Knot(scene.spec, problem.objective, self.limits is not None)
-        if length(scene) + 2 * width**3 <= LARGEST:
+        if self.looped:
             return self._by_loop(what, states, torque, damping)
         parts = []
         for at in torch.arange(len(damping), device=damping.device).split(TOGETHER // (problem.steps * width**2) or 1):
@@ -297,20 +303,22 @@ class Passes(NamedTuple):
     def forward(
         self, start: Mapping[str, Tensor], torque: Tensor, follow: tuple[Tensor, Tensor] | None = None
     ) -> tuple[dict[str, Tensor], Tensor, Tensor]:
-        """States by name [steps + 1, rows, ...], torques and costs [rows], infinite where they are not finite.
+        """States by name [steps + 1, rows, ...], torques and costs [rows].
 
         Torques are those given, within the limits; to `follow` are gains [steps, rows, n, s] and states [steps, rows,
         ...].
         """
-        problem, given, policy = self.problem, {**self.fixed, **self.shared}, None
-        control, stepped = problem.objective.control, {**self.stepped}
+        problem, control, stepped = self.problem, self.problem.objective.control, {**self.stepped}
+        given, (gain, _, states) = {**self.fixed, **self.shared}, STEPPED
+        given |= {f"{POLICY}.{name}": x for name, x in self.bounds().items()}
         if follow is None:
-            stepped[control] = self.within(torque)
+            given |= {gain: torque.new_zeros(*torque.shape[1:], self.size), states: joined(start)}
         else:
-            policy = LinearForm(self.limits is not None, control)
-            stepped |= dict(zip(STEPPED, (follow[0], torque, follow[1]), strict=True))
-            given |= {f"{POLICY}.{name}": x for name, x in self.bounds().items()}
+            stepped |= {gain: follow[0], states: follow[1]}
+        stepped[STEPPED[1]] = torque
+        policy = LinearForm(self.limits is not None, control)
         what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)
-        found = repeat(what, problem.steps, start, stepped, given, ("cost",), backend=problem.scene.backend)
+        repeated = Repeated(problem.steps, tuple(start), tuple(stepped), ("cost",))
+        found = evaluate(what, {**start, **stepped, **given}, problem.scene.backend, repeated=repeated)
         planned = found["planned"].view(torque.shape)  # one number of a task has no axis
-        return {name: found[name] for name in start}, planned, found["cost"].nan_to_num(torch.inf, torch.inf)
+        return {name: found[name] for name in start}, planned, found["cost"]

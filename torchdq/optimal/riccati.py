@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
-from torchdq.optimal.knot import NEXT, Knot
+from torchdq.optimal.knot import NEXT, Knot, costs, smallest
 from torchdq.scene.linearize import derivatives
 from torchdq.scene.policies import apart
 from torchdq.scene.recording import Stage
@@ -54,7 +54,7 @@ def derived(
     gap = torch.cat([apart(name, x, states[name][1:]) for name, x in reached], -1)
     judged = {**{NEXT + name: x[1:] for name, x in states.items()}, control: torque}
     judged |= {name: x for name, x in given.items() if name in asked or "." in name}
-    cost = evaluate(what._replace(part="costs"), judged, backend)
+    cost = evaluate(what._replace(part=costs), judged, backend)
     M = A.new_zeros(*A.shape[:-2], s + m, s + m + 1)
     M[..., -1] = cost["g"]
     for i in range(s + m):
@@ -76,7 +76,7 @@ def backward(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Gains [steps, rows, n, s], changes [steps, rows, n], and the two terms of the expected change of the cost."""
     (steps, rows, m), s, control = torque.shape, of.step.shape[-2], what.objective.control
-    what, V, v = what._replace(part="minimum"), torque.new_zeros(rows, s, s), torque.new_zeros(rows, s, 1)
+    what, V, v = what._replace(part=smallest), torque.new_zeros(rows, s, s), torque.new_zeros(rows, s, 1)
     gain, change, slope = torque.new_empty(*torque.shape, s), torch.empty_like(torque), torch.empty_like(torque)
     H = torque.new_empty(*torque.shape, m)
     for k in reversed(range(steps)):

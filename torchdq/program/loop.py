@@ -54,9 +54,10 @@ class Chain:
 class Loop:
     """A program whose results are arguments of the next step; samples do not depend on each other.
 
-    An argument is carried from step to step, given for every step, or, like a uniform one, the same at all. A result is
-    carried, kept for every step, or the total over the steps, which is that over the samples, too, where the program
-    sums it. Of a carried result there is the last, or, if it is kept, all including the start: a row more than steps.
+    An argument is carried from step to step, given for every step, by sample or for all of them, or, as a uniform one,
+    the same at all. A result is carried, kept for every step, or the total over the steps, which is that over the
+    samples, too, where the program sums it. Of a carried result there is the last, or, if it is kept, all including the
+    start: a row more than steps.
     """
 
     body: Any  # a program; or a `Chain`, on the CPU and without gradients
@@ -65,6 +66,7 @@ class Loop:
     kept: tuple[int, ...] = ()  # results that are returned of every step
     backwards: bool = False  # whether the last step comes first
     added: tuple[int, ...] = ()  # carried arguments that more is added to before every step, given after the body's own
+    common: tuple[int, ...] = ()  # arguments of every step that all samples share, [steps, 1, width]
 
     @property
     def name(self) -> str:

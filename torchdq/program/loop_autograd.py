@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import torch
@@ -15,6 +16,15 @@ from torchdq.program.loop import Loop
 
 adjoint = remembered(PROGRAMS)(loops.adjoint)
 with_states = remembered(PROGRAMS)(loops.with_states)
+_apart = remembered(PROGRAMS)(lambda loop: replace(loop, common=()))
+
+
+def apart(loop: Loop, inputs: Sequence[Tensor], samples: int) -> tuple[Loop, Sequence[Tensor]]:
+    """Loop and arguments of which samples share none of a step."""
+    if not loop.common:
+        return loop, inputs
+    rows = [x.expand(len(x), samples, -1) if k in loop.common else x for k, x in enumerate(inputs)]
+    return _apart(loop), rows
 
 
 class Execute(Protocol):

@@ -26,7 +26,18 @@ from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
 from torchdq.functions.recipe import alternatives_to_record
 from torchdq.program.autodiff import rates
-from torchdq.program.program import Argument, Program, finish, growths, inputs, record, recording, replay, results
+from torchdq.program.program import (
+    GROWTH,
+    Argument,
+    Program,
+    finish,
+    growths,
+    inputs,
+    record,
+    recording,
+    replay,
+    results,
+)
 from torchdq.robot.fields import trailing
 from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.equations_of_motion import SceneSystem, with_growths
@@ -349,7 +360,8 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
             tensors = {owner: row for owner, row in zip(owners, rows, strict=True) if owner}
             if what.policy is not None:
                 inputs[what.policy.control] = _commanded(what, what.policy, inputs, tensors)
-            return STAGES[what.stage](recorded(spec, linear, inputs, tensors, per_sample), what.task)
+            found = STAGES[what.stage](recorded(spec, linear, inputs, tensors, per_sample), what.task)
+            return {name: row for name, row in found.items() if name != GROWTH} if what.unguarded else found
 
         return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
 
@@ -360,7 +372,6 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     acting = [(k, effect) for k, effect in enumerate(spec.effects) if not effect.idle() or effect.memory(n)]
     about = [*[f"effect {k}: {part(effect)}" for k, effect in acting], *lines(spec.effects, n)]
     about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]
-    best = replace(best, growth=None) if what.unguarded else best
     return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *about))
 
 
