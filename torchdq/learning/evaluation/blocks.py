@@ -1,12 +1,9 @@
 """Rows of recorded motions, and the blocks of them that are left out to validate a model.
 
 A block is a whole motion, or a contiguous part of one where there are fewer than three: rows of one moment resemble
-each other, so that rows left out at random would show nothing. A filter mixes neighbours, so the rows next to a part
-that is left out are left out of the fit, too.
-
-Motions that repeat themselves or each other show the same states again and again, and a model that is right in these
-alone would pass for a good one. So regions of the states are left out, too: slow and fast rows, and those on either
-side along the direction in which the positions vary most.
+each other, so that rows left out at random would show nothing. A filter mixes neighbours, so the rows next to it are
+left out of the fit, too. Motions that repeat themselves show the same states again and again, so regions of the states
+are left out, too: slow and fast rows, and those on either side along the direction in which positions vary most.
 """
 
 import math
@@ -70,10 +67,6 @@ class MotionRows(NamedTuple):
         """Rows with these numbers, as one motion, without times."""
         tau = None if self.tau is None else self.tau[rows]
         return MotionRows(self.q[rows], self.qd[rows], self.qdd[rows], (len(rows),), tau)
-
-    def starts(self) -> Tensor:
-        """Rows at which motions begin [motions]."""
-        return torch.tensor([0, *self.lengths[:-1]], device=self.q.device).cumsum(0)
 
 
 class Block(NamedTuple):

@@ -40,6 +40,7 @@ class _Fault(NamedTuple):
     finding: Callable[[Tensor], Finding]
     least: float  # value of the finding from which, and up to which, it is this fault
     most: float
+    added: bool = False  # whether its torques do not depend on the fit
     step: float = FARTHEST / 2  # most change of an unknown at a time
     start: float = 0.0  # of the unknowns
 
@@ -68,14 +69,14 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         columns = torch.stack(changes, -1) / (2 * STEP)
         if last is plain and not fault.start:
             return settled.with_more(columns)
-        Z, tau = fit.linear(partial(fault.torques, x))
-        return fit.solve(Z, measured - tau, torch.cat([besides, columns], -1), rounds=1, left=last.left)
+        of_x, at_zero = (Z, fault.torques(x, 0 * last.y)) if fault.added else fit.linear(partial(fault.torques, x))
+        return fit.solve(of_x, measured - at_zero, torch.cat([besides, columns], -1), rounds=1, left=last.left)
 
     before = left(plain)
     if before < LEAST * int(moved.sum()):
         return []
     best, findings = LEFT * before, list[Finding]()
-    for fault in (*_faults(fit, some), *_over_time(fit, some, body)):
+    for fault in (*_faults(fit, some, _affine(Z, tau)), *_over_time(fit, some, _affine(Z, tau), body)):
         x = torch.full((fault.unknowns,), fault.start).double()
         found = step(fault, x, plain)
         if not left(found) < TRIED * before:
@@ -100,17 +101,23 @@ def _sized(finding: Finding, size: Callable[[Tensor], Tensor]) -> Callable[[Tens
     return lambda x: finding._replace(found=finding.found.format(float(size(x))), value=float(size(x)))
 
 
-def _faults(fit: AugmentedFit, rows: MotionRows) -> Iterator[_Fault]:
+def _affine(Z: Tensor, tau: Tensor) -> Callable[[Tensor], Tensor]:
+    """Torques tau + Z y as a function of y [..., t]."""
+    return lambda y: tau + torch.einsum("rjt,...t->...rj", Z, y)
+
+
+def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tensor]) -> Iterator[_Fault]:
     """Faults that are tried: zero and torque factor of every joint, and the direction of gravity."""
     robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
     q, qd, qdd = rows.q, rows.qd, rows.qdd
+    bodies = _affine(*fit.linear(lambda y: fit.torques(y, q, qd, qdd, 0 * own)))
     for name, joint, unit in zip(robot.joint_names, robot.joint_types, torch.eye(robot.n).double(), strict=True):
 
         def zero(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
             return fit.torques(y, q - (x * unit).to(q), qd, qdd, own)
 
         def factor(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
-            return fit.torques(y, q, qd, qdd, own) + x * unit * fit.torques(y, q, qd, qdd, 0 * own)
+            return whole(y) + x * unit * bodies(y)
 
         found = f"a far better fit with {{:.3g}} {'rad' if joint.turns else 'm'} taken from it"
         cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
@@ -144,7 +151,9 @@ def _held(robot: Robot, rows: MotionRows) -> Tensor:
     return regressor(robot, rows.q, rows.qd, rows.qdd)[..., last : last + 4].cpu()
 
 
-def _over_time(fit: AugmentedFit, rows: MotionRows, body: Tensor) -> Iterator[_Fault]:
+def _over_time(
+    fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tensor], body: Tensor
+) -> Iterator[_Fault]:
     """Faults of times: steps of the wrong length, and a payload, of torques `body` per unit, that changes."""
 
     own = fit.evidence.own[fit.rows]
@@ -161,12 +170,12 @@ def _over_time(fit: AugmentedFit, rows: MotionRows, body: Tensor) -> Iterator[_F
         after = body * (torch.arange(len(body)) >= len(body) * k // PARTS)[:, None, None]
 
         def held(x: Tensor, y: Tensor, after: Tensor = after) -> Tensor:
-            return fit.torques(y, rows.q, rows.qd, rows.qdd, own) + after @ x
+            return whole(y) + after @ x
 
         claim, cure = "what the arm holds must stay the same", "use the rows before that, or after it, alone"
         found = f"a far better fit with {{:.3g}} kg more at its end after {k / PARTS:.0%} of the rows"
         fault = Finding("payload.changed", "", claim, found, cure)
-        yield _Fault(held, 4, _sized(fault, lambda x: x[0]), -math.inf, math.inf, step=math.inf)
+        yield _Fault(held, 4, _sized(fault, lambda x: x[0]), -math.inf, math.inf, added=True, step=math.inf)
 
 
 def _tilted(gravity: Tensor, x: Tensor) -> Tensor:

@@ -59,7 +59,8 @@ class Term(NamedTuple):
         if effect is None:
             return rows.recording.qdd if self.name == "rotor" else torch.ones_like(qd)
         if self.bristles:
-            return deflection(q, rows.recording.starts(), self.bristles)
+            starts = torch.tensor([0, *rows.recording.lengths[:-1]], device=q.device).cumsum(0)
+            return deflection(q, starts, self.bristles)
         qd = qd.where(qd.abs() > STILL, STILL) if self.dry else qd
         torque = columns(rows.robot, effect, q, qd, rows.load if self.loaded else None, backend="eager")[self.parameter]
         return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
