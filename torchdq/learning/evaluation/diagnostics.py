@@ -7,6 +7,7 @@ is reported. Other faults are checked first: outliers, motions beyond the limits
 wrong units, currents without a gain, and torques from which the drives have removed gravity.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, compress, product
@@ -279,7 +280,7 @@ def _readings(
     flipped = (left - _left(torques, [*rows[:3], -rows[3]], sign_width, left) > AT.gain / 2).to(device)
     if bool(flipped.any()):
         of = ", ".join(compress(names, flipped))
-        yield _sign("torques", of), read(("tau",), torch.where(flipped, -plain, plain))
+        yield sign_finding("torques", of), read(("tau",), torch.where(flipped, -plain, plain))
     by_name = torch.tensor(sorted(same.tolist(), key=lambda j: names[j]), device=device).argsort()
     orders = [
         ("columns.reversed", ", ".join(names), "with all joints in reverse", same.flip(0)),
@@ -297,7 +298,7 @@ def _readings(
             yield fault, read(signals, plain, order)
         if signals != ("tau",):
             for j, name in compress(enumerate(names), bad):
-                yield _sign(group, name), read(signals, torch.where(same == j, -plain, plain))
+                yield sign_finding(group, name), read(signals, torch.where(same == j, -plain, plain))
         for turn, (_, unit, other, times, factor) in () if "tau" in signals else UNITS.items():
             joints, claim = turns == turn, f"the {group} must be in {unit}"
             found, (way, option) = f"a far better fit in {other}", scales(signals, turn)
@@ -306,7 +307,17 @@ def _readings(
             yield fault, read(signals, torch.where(joints, factor * plain, plain))
 
 
-def _sign(group: str, of: str) -> Finding:
+def zero_finding(of: str, off: float, turns: bool) -> Finding:
+    """Finding about the zero of a joint that turns, or slides."""
+    off = math.remainder(off, 2 * math.pi) if turns else off
+    found = f"a far better fit with {off:.3g} {'rad' if turns else 'm'} taken from it"
+    cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
+    claim = "the zero of q must be that of the description"
+    return Finding("joint.zero", of, claim, found, cure, option, value=off)
+
+
+def sign_finding(group: str, of: str) -> Finding:
+    """Finding about joints whose signals of a group have the wrong sign."""
     claim = f"the {group} must have the signs of the description"
     code = "torque.sign" if group == "torques" else "motion.sign"
     return Finding(code, of, claim, "a far better fit with the opposite", "reverse them in the log")

@@ -8,6 +8,7 @@ fault that explains most of the squared residual is reported.
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -16,16 +17,20 @@ from torch import Tensor
 from torchdq.findings import Finding
 from torchdq.functional import regressor
 from torchdq.learning.evaluation.blocks import MotionRows
+from torchdq.learning.evaluation.diagnostics import sign_finding, zero_finding
 from torchdq.learning.identification.augmented import SURE, AugmentedFit, AugmentedSolution
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.logs.checks import CLOCK
 from torchdq.robot import Robot
 
 LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; real arms without one leave .59 or more
+ALIKE = 0.9  # most of what one fault leaves that another one leaves, to be named instead
 TRIED = 0.7  # the same after one linear step, to be searched further
 LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
 STEP = 1e-3  # of differences, in the units of the unknowns
 FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
+TURNS = (None, math.pi / 2, -math.pi / 2, math.pi)  # zeros from which a joint's is searched
+ROUND = 4.0  # most offset of a zero [rad or m]
 FACTOR = 3.0  # most factor of a torque, or of times
 PARTS = 20  # parts of the rows, at whose ends a payload may change
 
@@ -42,7 +47,8 @@ class _Fault(NamedTuple):
     most: float
     added: bool = False  # whether its torques do not depend on the fit
     step: float = FARTHEST / 2  # most change of an unknown at a time
-    start: float = 0.0  # of the unknowns
+    start: float | None = None  # of the unknowns, if they are not near zero
+    held: Callable[[Tensor], Tensor] | None = None  # torques per unit of a payload, where they depend on unknowns
 
 
 def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
@@ -55,10 +61,10 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     moved = size > 0
     offsets = torch.eye(len(size)).double().expand(len(fit.rows), -1, -1)
     body = _held(evidence.robot, some)
-    besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu()), body], -1)  # rotors and payloads are no fault
+    besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu())], -1)  # rotors and payloads are no fault
     Z, tau = fit.linear(lambda y: fit.torques(y, some.q, some.qd, some.qdd, evidence.own[fit.rows]))
-    plain = fit.solve(Z, measured - tau, besides, rounds=3)
-    settled = fit.solve(Z, measured - tau, besides, rounds=1, left=plain.left)
+    plain = fit.solve(Z, measured - tau, torch.cat([besides, body], -1), rounds=3)
+    settled = fit.solve(Z, measured - tau, torch.cat([besides, body], -1), rounds=1, left=plain.left)
 
     def left(found: AugmentedSolution) -> float:
         return float((found.left.square().mean(0) / size)[moved].sum())
@@ -67,17 +73,18 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         units = STEP * torch.eye(fault.unknowns).double()
         changes = [fault.torques(x + unit, last.y) - fault.torques(x - unit, last.y) for unit in units]
         columns = torch.stack(changes, -1) / (2 * STEP)
-        if last is plain and not fault.start:
+        if last is plain and fault.start is None:
             return settled.with_more(columns)
         of_x, at_zero = (Z, fault.torques(x, 0 * last.y)) if fault.added else fit.linear(partial(fault.torques, x))
-        return fit.solve(of_x, measured - at_zero, torch.cat([besides, columns], -1), rounds=1, left=last.left)
+        E = torch.cat([besides, body if fault.held is None else fault.held(x), columns], -1)
+        return fit.solve(of_x, measured - at_zero, E, rounds=1, left=last.left)
 
     before = left(plain)
     if before < LEAST * int(moved.sum()):
         return []
     best, findings = LEFT * before, list[Finding]()
     for fault in (*_faults(fit, some, _affine(Z, tau)), *_over_time(fit, some, _affine(Z, tau), body)):
-        x = torch.full((fault.unknowns,), fault.start).double()
+        x = torch.full((fault.unknowns,), fault.start or 0.0).double()
         found = step(fault, x, plain)
         if not left(found) < TRIED * before:
             continue
@@ -89,10 +96,10 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
             found = step(fault, x, found)
             if float(change.abs().max()) < 1e-3:
                 break
-        sure = bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
         one = fault.finding(x)
+        sure = one.value is None or bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
         if left(found) < best and sure and fault.least < (one.value or 0.0) < fault.most:
-            best, findings = left(found), [one]
+            best, findings = ALIKE * left(found), [one]
     return findings
 
 
@@ -111,25 +118,34 @@ def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tenso
     robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
     q, qd, qdd = rows.q, rows.qd, rows.qdd
     bodies = _affine(*fit.linear(lambda y: fit.torques(y, q, qd, qdd, 0 * own)))
-    for name, joint, unit in zip(robot.joint_names, robot.joint_types, torch.eye(robot.n).double(), strict=True):
+    joints = [*zip(robot.joint_names, robot.joint_types, torch.eye(robot.n).double(), strict=True)]
+    for sign, (name, joint, unit) in product((-1.0, 1.0), joints):  # of all signals of the joint
+        s = torch.where(unit > 0, sign, 1.0)
 
-        def zero(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
-            return fit.torques(y, q - (x * unit).to(q), qd, qdd, own)
+        def read(x: Tensor, s: Tensor = s.to(q), unit: Tensor = unit) -> MotionRows:
+            return rows._replace(q=s * q - (x * unit).to(q), qd=s * qd, qdd=s * qdd)
+
+        def torques(x: Tensor, y: Tensor, s: Tensor = s, read: Callable[[Tensor], MotionRows] = read) -> Tensor:
+            return s * fit.torques(y, *read(x)[:3], s.to(own)[:, None] * own)
+
+        def held(x: Tensor, s: Tensor = s, read: Callable[[Tensor], MotionRows] = read) -> Tensor:
+            return s[:, None] * _held(robot, read(x))
+
+        def named(x: Tensor, name: str = name, turns: bool = joint.turns, negated: bool = sign < 0) -> Finding:
+            return sign_finding("columns of all signals", name) if negated else zero_finding(name, float(x), turns)
+
+        for start in (0.0,) if sign < 0 else TURNS if joint.turns else TURNS[:1]:
+            yield _Fault(torques, 1, named, -ROUND, ROUND, start=start, held=held)
+    for name, _, unit in joints if robot.n > 1 else ():
 
         def factor(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
             return whole(y) + x * unit * bodies(y)
 
-        found = f"a far better fit with {{:.3g}} {'rad' if joint.turns else 'm'} taken from it"
-        cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
-        fault = Finding("joint.zero", name, "the zero of q must be that of the description", found, cure, option)
-        yield _Fault(zero, 1, _sized(fault, lambda x: x), -FARTHEST, FARTHEST)
-        if robot.n > 1:
-            found = "a far better fit if those of this one are {:.3g} times what they are to be"
-            ways = ("Model(gains=True) estimates them", "--estimate-gains estimates them")
-            cure, option = (f"check its torque constant and gear ratio; {way}" for way in ways)
-            claim = "the torques of all joints must be in one unit"
-            fault = Finding("torque.factor", name, claim, found, cure, option)
-            yield _Fault(factor, 1, _sized(fault, lambda x: 1 + x), 1 / FACTOR, FACTOR)
+        found = "a far better fit if those of this one are {:.3g} times what they are to be"
+        ways = ("Model(gains=True) estimates them", "--estimate-gains estimates them")
+        cure, option = (f"check its torque constant and gear ratio; {way}" for way in ways)
+        fault = Finding("torque.factor", name, "the torques of all joints must be in one unit", found, cure, option)
+        yield _Fault(factor, 1, _sized(fault, lambda x: 1 + x), 1 / FACTOR, FACTOR)
     if robot.gravity is not None and bool(robot.gravity.any()):
         gravity = robot.gravity.double().cpu()
 
@@ -164,7 +180,7 @@ def _over_time(
 
     found = "a far better fit with steps {:.3g} times as long"
     finding = _sized(Finding("time.scale", "", "times must be in seconds", found, *CLOCK), lambda x: 1 / (1 + x))
-    for start in (0.0, 1.0, -0.5):
+    for start in (None, 1.0, -0.5):
         yield _Fault(steps, 1, finding, 1 / FACTOR, FACTOR, start=start)
     for k in range(1, PARTS):
         after = body * (torch.arange(len(body)) >= len(body) * k // PARTS)[:, None, None]
