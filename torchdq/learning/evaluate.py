@@ -84,7 +84,7 @@ class Evaluation(NamedTuple):
             both = f"{self._verdict(self.found).value}, {whole:.1%}"
             text += f" The identified model: {both}; a file cannot represent all of it."
         if self.forecast is not None and whole > UNLIKE * float(self.forecast.mean()):
-            unlike = "these motions are unlike those that were learned from, or rest where those moved"
+            unlike = "these motions, or their pauses, are unlike those that it was identified from"
             text += f" The forecast was {float(self.forecast.mean()):.1%}: {unlike}."
         if self.verdict is Verdict.KEEP_DESCRIPTION:
             return text

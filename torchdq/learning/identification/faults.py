@@ -2,7 +2,7 @@
 
 A fit that lacks such a fault biases masses and friction. So the search starts from the description: each fault adds one
 or two unknowns x to the model tau = Z(x) phi, which Gauss-Newton estimates together with phi and constant torques. The
-fault that explains most of the squared residual is reported.
+fault that explains most of the squared residual is reported, with others that explain as much.
 """
 
 import math
@@ -17,19 +17,18 @@ from torch import Tensor
 from torchdq.findings import Finding
 from torchdq.functional import regressor
 from torchdq.learning.evaluation.blocks import MotionRows
-from torchdq.learning.evaluation.diagnostics import sign_finding, zero_finding
+from torchdq.learning.evaluation.diagnostics import QUARTERS, sign_finding, zero_finding
 from torchdq.learning.identification.augmented import SURE, AugmentedFit, AugmentedSolution
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.logs.checks import CLOCK
 from torchdq.robot import Robot
 
 LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; real arms without one leave .59 or more
-ALIKE = 0.9  # most of what one fault leaves that another one leaves, to be named instead
+ALIKE = 0.9  # part of what one fault leaves from which another one explains as much
 TRIED = 0.7  # the same after one linear step, to be searched further
 LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
 STEP = 1e-3  # of differences, in the units of the unknowns
 FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
-TURNS = (None, math.pi / 2, -math.pi / 2, math.pi)  # zeros from which a joint's is searched
 ROUND = 4.0  # most offset of a zero [rad or m]
 FACTOR = 3.0  # most factor of a torque, or of times
 PARTS = 20  # parts of the rows, at whose ends a payload may change
@@ -82,7 +81,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     before = left(plain)
     if before < LEAST * int(moved.sum()):
         return []
-    best, findings = LEFT * before, list[Finding]()
+    named = list[tuple[float, Finding]]()
     for fault in (*_faults(fit, some, _affine(Z, tau)), *_over_time(fit, some, _affine(Z, tau), body)):
         x = torch.full((fault.unknowns,), fault.start or 0.0).double()
         found = step(fault, x, plain)
@@ -98,9 +97,15 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
                 break
         one = fault.finding(x)
         sure = one.value is None or bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
-        if left(found) < best and sure and fault.least < (one.value or 0.0) < fault.most:
-            best, findings = ALIKE * left(found), [one]
-    return findings
+        if left(found) < LEFT * before and sure and fault.least < (one.value or 0.0) < fault.most:
+            named.append((left(found), one))
+    alike = [one for some, one in named if ALIKE * some <= min(named)[0]]
+    if not alike:
+        return []
+    others = {(one.code, one.subject): one for one in reversed(alike) if one.code != alike[0].code}.values()
+    found = ", ".join([alike[0].found, *(f"or at {one.subject or 'it'} {one.found}" for one in others)])
+    smaller = math.sqrt(before / min(named)[0])
+    return [alike[0]._replace(found=f"residuals {smaller:.2g} times smaller {found}")]
 
 
 def _sized(finding: Finding, size: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Finding]:
@@ -119,32 +124,23 @@ def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tenso
     q, qd, qdd = rows.q, rows.qd, rows.qdd
     bodies = _affine(*fit.linear(lambda y: fit.torques(y, q, qd, qdd, 0 * own)))
     joints = [*zip(robot.joint_names, robot.joint_types, torch.eye(robot.n).double(), strict=True)]
-    for sign, (name, joint, unit) in product((-1.0, 1.0), joints):  # of all signals of the joint
-        s = torch.where(unit > 0, sign, 1.0)
-
-        def read(x: Tensor, s: Tensor = s.to(q), unit: Tensor = unit) -> MotionRows:
-            return rows._replace(q=s * q - (x * unit).to(q), qd=s * qd, qdd=s * qdd)
-
-        def torques(x: Tensor, y: Tensor, s: Tensor = s, read: Callable[[Tensor], MotionRows] = read) -> Tensor:
-            return s * fit.torques(y, *read(x)[:3], s.to(own)[:, None] * own)
-
-        def held(x: Tensor, s: Tensor = s, read: Callable[[Tensor], MotionRows] = read) -> Tensor:
-            return s[:, None] * _held(robot, read(x))
+    for sign, (name, joint, unit) in product((-1.0, 1.0), joints):
+        torques, held = _misread(fit, rows, unit, sign)
 
         def named(x: Tensor, name: str = name, turns: bool = joint.turns, negated: bool = sign < 0) -> Finding:
             return sign_finding("columns of all signals", name) if negated else zero_finding(name, float(x), turns)
 
-        for start in (0.0,) if sign < 0 else TURNS if joint.turns else TURNS[:1]:
+        for start in (0.0,) if sign < 0 else (None, *QUARTERS) if joint.turns else (None,):
             yield _Fault(torques, 1, named, -ROUND, ROUND, start=start, held=held)
     for name, _, unit in joints if robot.n > 1 else ():
 
         def factor(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
             return whole(y) + x * unit * bodies(y)
 
-        found = "a far better fit if those of this one are {:.3g} times what they are to be"
+        found = "with those of this one divided by {:.3g}"
         ways = ("Model(gains=True) estimates them", "--estimate-gains estimates them")
         cure, option = (f"check its torque constant and gear ratio; {way}" for way in ways)
-        fault = Finding("torque.factor", name, "the torques of all joints must be in one unit", found, cure, option)
+        fault = Finding("torque.factor", name, "the torques of all joints should be in one unit", found, cure, option)
         yield _Fault(factor, 1, _sized(fault, lambda x: 1 + x), 1 / FACTOR, FACTOR)
     if robot.gravity is not None and bool(robot.gravity.any()):
         gravity = robot.gravity.double().cpu()
@@ -154,11 +150,26 @@ def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tenso
 
         def of_tilt(x: Tensor) -> Finding:
             numbers = ", ".join(f"{float(g):.3g}" for g in _tilted(gravity, x))
-            claim, angle = "gravity must have the direction of the description", float(x.norm())
-            found = f"a far better fit with the base tilted by {math.degrees(angle):.2g} degrees"
+            claim, angle = "gravity should have the direction of the description", float(x.norm())
+            found = f"with the base tilted by {math.degrees(angle):.2g} degrees"
             return Finding("base.tilt", "", claim, found, f"robot.replace(gravity=[{numbers}]) has it", value=angle)
 
         yield _Fault(tilt, 2, of_tilt, -FARTHEST, FARTHEST)
+
+
+def _misread(
+    fit: AugmentedFit, rows: MotionRows, unit: Tensor, sign: float
+) -> tuple[Torques, Callable[[Tensor], Tensor]]:
+    """Torques of a fit, and of a payload per unit, where a joint [n] has another zero and this sign in all signals."""
+    s, own = torch.where(unit > 0, sign, 1.0).to(rows.q), fit.evidence.own[fit.rows]
+
+    def read(x: Tensor) -> MotionRows:
+        return rows._replace(q=s * rows.q - (x * unit).to(rows.q), qd=s * rows.qd, qdd=s * rows.qdd)
+
+    return (
+        lambda x, y: s.cpu() * fit.torques(y, *read(x)[:3], s[:, None] * own),
+        lambda x: s[:, None].cpu() * _held(fit.evidence.robot, read(x)),
+    )
 
 
 def _held(robot: Robot, rows: MotionRows) -> Tensor:
@@ -178,8 +189,8 @@ def _over_time(
         s = float(1 + x)
         return fit.torques(y, rows.q, s * rows.qd, s * s * rows.qdd, own)
 
-    found = "a far better fit with steps {:.3g} times as long"
-    finding = _sized(Finding("time.scale", "", "times must be in seconds", found, *CLOCK), lambda x: 1 / (1 + x))
+    found = "with steps {:.3g} times as long"
+    finding = _sized(Finding("time.scale", "", "times should be in seconds", found, *CLOCK), lambda x: 1 / (1 + x))
     for start in (None, 1.0, -0.5):
         yield _Fault(steps, 1, finding, 1 / FACTOR, FACTOR, start=start)
     for k in range(1, PARTS):
@@ -188,8 +199,8 @@ def _over_time(
         def held(x: Tensor, y: Tensor, after: Tensor = after) -> Tensor:
             return whole(y) + after @ x
 
-        claim, cure = "what the arm holds must stay the same", "use the rows before that, or after it, alone"
-        found = f"a far better fit with {{:.3g}} kg more at its end after {k / PARTS:.0%} of the rows"
+        claim, cure = "what the arm holds should stay the same", "use the rows before that, or after it, alone"
+        found = f"with {{:.3g}} kg more at its end after {k / PARTS:.0%} of the rows"
         fault = Finding("payload.changed", "", claim, found, cure)
         yield _Fault(held, 4, _sized(fault, lambda x: x[0]), -math.inf, math.inf, added=True, step=math.inf)
 

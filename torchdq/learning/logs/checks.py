@@ -166,7 +166,7 @@ def clock_findings(table: Signals) -> list[Finding]:
         return []
     factor = float(ratios.mean())
     found = f"positions that change {factor:.3g} times as much as velocities say"
-    return [Finding("time.scale", "time", "times must be in seconds", found, *CLOCK, value=factor)]
+    return [Finding("time.scale", "time", "times should be in seconds", found, *CLOCK, value=factor)]
 
 
 def _rates(table: Signals, signal: str, rate: str) -> tuple[np.ndarray, np.ndarray]:
