@@ -46,6 +46,7 @@ class Thresholds:
     unexplained: float = 0.08  # part of a joint's torque left unexplained, from which other readings are tried
     gain: float = 0.15  # least sum of these parts that another reading must explain
     better: float = 3.0  # times less that it must leave unexplained
+    equal: float = 0.7  # part of what it leaves from which another one explains as much
     still: float = 1e-6  # change of a torque, relative to its size, that is none
     moving: float = 0.1  # least part of the rows in which a joint must move to be judged by a fit
     faint: float = 1e-4  # variance of a torque, relative to the largest, below which it may be noise alone
@@ -258,16 +259,21 @@ def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
 
 def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:
     """Finding about another reading of the measurements that explains them far better."""
-    bad, best, found = left > AT.unexplained, float(left.sum()) - AT.gain, list[Finding]()
+    bad, most, found = left > AT.unexplained, float(left.sum()) - AT.gain, list[tuple[float, Finding]]()
     for finding, reading in _readings(torques, robot, rows, sign_width, left):
         parts = _left(torques, reading, sign_width, left)
         tried = float(parts.sum())
-        if tried < best and AT.better * float(parts[bad].sum()) < float(left[bad].sum()):
-            best, found = (
-                0.9 * tried,
-                [finding._replace(found=f"a far better fit {finding.found}")],
-            )  # the first of equals
-    return found
+        if tried < most and AT.better * float(parts[bad].sum()) < float(left[bad].sum()):
+            found.append((tried, finding))
+    return first_of_equals(found, AT.equal, "a far better fit")
+
+
+def first_of_equals(found: Sequence[tuple[float, Finding]], equal: float, better: str) -> list[Finding]:
+    """First finding of those that leave least unexplained, or that over `equal`; it names a sign or zero among them."""
+    equals = [one for left, one in found if equal * left <= min(left for left, _ in found)]
+    others = {one.code: one for one in reversed(equals) if one.code in ("joint.zero", "motion.sign")}
+    also = [f"or at {one.subject} {one.found}" for one in others.values() if one.code != equals[0].code]
+    return [one._replace(found=f"{better} {', '.join([one.found, *also])}") for one in equals[:1]]
 
 
 def _left(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> Tensor:
@@ -303,9 +309,6 @@ def _readings(
             order = same.clone()
             order[[i, j]] = order[[j, i]]
             orders.append(("columns.swapped", f"{names[i]}, {names[j]}", "with both exchanged", order))
-    for j, off in product(compress(range(n), torch.tensor(bad) & turns.cpu()), QUARTERS):
-        q = rows[0] - off * (same == j)
-        yield zero_finding(names[j], off, True), [q, *rows[1:]]
     for group, signals in GROUPS.items():
         for code, subject, other, order in orders:
             claim = f"the {group} should be in the order of the robot's joints"
@@ -320,6 +323,9 @@ def _readings(
             cure, subject = f"multiply them by {times}, as {way} does", ", ".join(compress(names, joints))
             fault = Finding("motion.unit", subject, claim, found, cure, f"{option} reads them", value=factor)
             yield fault, read(signals, torch.where(joints, factor * plain, plain))
+    for j, off in product(compress(range(n), torch.tensor(bad) & turns.cpu()), QUARTERS):
+        q = rows[0] - off * (same == j)
+        yield zero_finding(names[j], off, True), [q, *rows[1:]]
 
 
 def zero_finding(of: str, off: float, turns: bool) -> Finding:
@@ -335,4 +341,4 @@ def sign_finding(group: str, of: str) -> Finding:
     """Finding about joints whose signals of a group have the wrong sign."""
     claim = f"the {group} should have the signs of the description"
     code = "torque.sign" if group == "torques" else "motion.sign"
-    return Finding(code, of, claim, "with the opposite ones", "negate them in the log")
+    return Finding(code, of, claim, "with opposite signs", "negate them in the log")

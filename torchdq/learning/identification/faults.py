@@ -17,14 +17,14 @@ from torch import Tensor
 from torchdq.findings import Finding
 from torchdq.functional import regressor
 from torchdq.learning.evaluation.blocks import MotionRows
-from torchdq.learning.evaluation.diagnostics import QUARTERS, sign_finding, zero_finding
+from torchdq.learning.evaluation.diagnostics import QUARTERS, first_of_equals, sign_finding, zero_finding
 from torchdq.learning.identification.augmented import SURE, AugmentedFit, AugmentedSolution
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.logs.checks import CLOCK
 from torchdq.robot import Robot
 
 LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; real arms without one leave .59 or more
-ALIKE = 0.9  # part of what one fault leaves from which another one explains as much
+EQUAL = 0.9  # part of what one fault leaves from which another one explains as much
 TRIED = 0.7  # the same after one linear step, to be searched further
 LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
 STEP = 1e-3  # of differences, in the units of the unknowns
@@ -99,13 +99,8 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         sure = one.value is None or bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
         if left(found) < LEFT * before and sure and fault.least < (one.value or 0.0) < fault.most:
             named.append((left(found), one))
-    alike = [one for some, one in named if ALIKE * some <= min(named)[0]]
-    if not alike:
-        return []
-    others = {(one.code, one.subject): one for one in reversed(alike) if one.code != alike[0].code}.values()
-    found = ", ".join([alike[0].found, *(f"or at {one.subject or 'it'} {one.found}" for one in others)])
-    smaller = math.sqrt(before / min(named)[0])
-    return [alike[0]._replace(found=f"residuals {smaller:.2g} times smaller {found}")]
+    smaller = math.sqrt(before / min((some for some, _ in named), default=before))
+    return first_of_equals(named, EQUAL, f"residuals {smaller:.2g} times smaller")
 
 
 def _sized(finding: Finding, size: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Finding]:
