@@ -122,10 +122,10 @@ def of_motions(model: Identified) -> Torques:
     return lambda motion: model.predict(motion).tau
 
 
-def covered(told: Any, test: Motion) -> np.ndarray:
+def covered(found: Any, test: Motion) -> np.ndarray:
     """Share of the torques in their 95 % intervals, per joint."""
     tau = stack_samples(test).tau
-    return ((tau >= told.low) & (tau <= told.high)).double().mean(0).numpy()
+    return ((tau >= found.low) & (tau <= found.high)).double().mean(0).numpy()
 
 
 def parts_of(args: Args) -> tuple[list[Motion], dict[str, Motion]]:

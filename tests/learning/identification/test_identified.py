@@ -63,8 +63,8 @@ def test_the_forecast_is_the_error_in_motions_like_those_that_were_learned_from(
 
     found = identify(robot, moved(several[0], heavier), Model(friction=None, offset=False))
     like = evaluate(robot, found, moved(several[1], heavier))
-    assert torch.allclose(like.forecast, like.found, rtol=0.15) and like.header[2] == "forecast"
-    assert like.rows()[0][2] == f"{float(like.forecast[0]):.3f}" and "The forecast was" not in like.summary
+    assert torch.allclose(like.forecast, like.found, rtol=0.15) and like.table()[0][2] == "forecast"
+    assert like.table()[1][0][2] == f"{float(like.forecast[0]):.3f}" and "The forecast was" not in like.summary
     loaded = evaluate(robot, found, moved(several[1], heavier.with_payload(3.0)))
     assert torch.equal(loaded.forecast, like.forecast) and "The forecast was 5." in loaded.summary
 

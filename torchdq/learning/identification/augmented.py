@@ -96,8 +96,8 @@ class AugmentedFit(NamedTuple):
     def linear(self, torques: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor]:
         """Torques per unit of y [rows, n, t] of a linear function of y, and its torques [rows, n] at zero."""
         zero = torch.zeros_like(self.slope)
-        tau, *columns = torques(torch.cat([zero[None], torch.eye(len(zero), dtype=zero.dtype)]))
-        return torch.stack(columns, -1) - tau[..., None], tau
+        found = torques(torch.cat([zero[None], torch.eye(len(zero), dtype=zero.dtype)]))
+        return (found[1:] - found[0]).movedim(0, -1).contiguous(), found[0]
 
     def solve(self, Z: Tensor, r: Tensor, E: Tensor, rounds: int = 2, left: Tensor | None = None) -> AugmentedSolution:
         """Unknowns of torques per unit [rows, n, e] that explain residuals [rows, n], with a change of the fit.

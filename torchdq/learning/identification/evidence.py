@@ -29,12 +29,12 @@ class Evidence(NamedTuple):
     terms: tuple[Term, ...]
     sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
     parts: tuple[Tensor, ...]  # rows that are left out in turn: of blocks, and then of pairs of regions
-    beside: tuple[Tensor, ...]  # rows next to each block
+    margins: tuple[Tensor, ...]  # rows next to each block
     say: Callable[[str], None]  # is called with the progress
     load: Tensor  # [rows, n] torques of the described bodies and rotors
     own: Tensor  # [rows, n, terms] torques per unit of the terms
     left: Tensor  # [parts, n, p + 1, p + 1] of the rows of each part
-    folds: Tensor  # [parts + 1, n, p + 1, p + 1] of the rows neither in a part nor beside it; the last of all rows
+    folds: Tensor  # [parts + 1, n, p + 1, p + 1] of the rows neither in a part nor next to it; the last of all
     sizes: Tensor  # [parts, n] number of rows times the variance of the torques of their motion
     squares: Tensor  # [n] mean squares of the torques
     unit: Tensor  # [terms, n] torques per unit that set the width of the prior: `Term.size`
@@ -68,17 +68,17 @@ class Evidence(NamedTuple):
             new.own[..., k], new.identifiable[k] = unit, term.identifiable(states)
             rms = unit.expand_as(load).square().mean(0).sqrt().cpu()
             new.unit[k] = term.size(rms, self.squares.sqrt(), new.identifiable[k])
-        blocks, rows = len(self.beside), torch.arange(self.samples, device=load.device)
+        blocks, rows = len(self.margins), torch.arange(self.samples, device=load.device)
         first, halves = self.parts[:blocks] or (rows,), self.parts[blocks::2]
         columns = torch.cat([new.own, (self.recording.measured - self.load)[..., None]], -1)
         p = self.at.shape[1]
         at = [p - len(self.terms) + k for k in some] if len(some) < len(self.terms) else list(range(p + 1))
-        sums = gram(self.robot, self.recording, columns, (*first, *self.beside, *halves), at, self.say)
-        left, beside, inside = sums.split([len(first), blocks, len(halves)])
+        sums = gram(self.robot, self.recording, columns, (*first, *self.margins, *halves), at, self.say)
+        left, margins, inside = sums.split([len(first), blocks, len(halves)])
         total = left.sum(0, keepdim=True)
         left = torch.cat([left, torch.stack([inside, total - inside], 1).flatten(0, 1)])[: len(self.parts)]
         folds = torch.cat([total - left, total])
-        folds[:blocks] -= beside
+        folds[:blocks] -= margins
         for known, found in ((new.left, left), (new.folds, folds)):
             known[..., at], known[..., at, :] = found, found.mT
         return new.keeping(self.kept)
@@ -134,7 +134,7 @@ class Evidence(NamedTuple):
         [k, t] times its transpose, and of noise [n]. Joints at rest, which friction holds, do not count.
         """
         F, found, parts = spread[self.at], list[Tensor](), [*zip(self.parts, left_out, strict=True)]
-        for kind in filter(None, (parts[: len(self.beside)], parts[len(self.beside) :])):
+        for kind in filter(None, (parts[: len(self.margins)], parts[len(self.margins) :])):
             ratios, few = [], -(-sum(len(rows) for rows, _ in kind) // 4096)
             for rows, residual in ((rows[::few], residual[::few]) for rows, residual in kind):
                 some, error = self.recording.some(rows), torch.empty_like(residual)
@@ -191,7 +191,7 @@ def gather(
         terms=tuple(terms),
         sign_width=sign_width,
         parts=tuple(parts),
-        beside=tuple(torch.cat([rows[:0], *(rows[margin] for margin in block.margins)]) for block in blocks),
+        margins=tuple(torch.cat([rows[:0], *(rows[margin] for margin in block.margins)]) for block in blocks),
         say=say,
         load=load,
         own=load.new_zeros(*load.shape, len(terms)),

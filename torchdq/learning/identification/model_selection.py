@@ -194,7 +194,7 @@ def _places(robot: Robot, joints: Sequence[str]) -> Tensor:
 
 def _untested(evidence: Evidence) -> Tensor:
     """Joints [n] excited in one block only; they cannot be cross-validated."""
-    blocks = evidence.parts[: len(evidence.beside)]
+    blocks = evidence.parts[: len(evidence.margins)]
     speed = torch.stack([evidence.recording.qd[rows].square().mean(0) for rows in blocks]).cpu()
     return (speed > MOVES * speed.amax(0)).sum(0) == 1
 
