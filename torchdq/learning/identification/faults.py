@@ -62,7 +62,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     body = _held(evidence.robot, some)
     besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu())], -1)  # rotors and payloads are no fault
     Z, tau = fit.linear(lambda y: fit.torques(y, some.q, some.qd, some.qdd, evidence.own[fit.rows]))
-    plain = fit.solve(Z, measured - tau, torch.cat([besides, body], -1), rounds=3)
+    plain = fit.solve(Z, measured - tau, torch.cat([besides, body], -1), rounds=10)
     settled = fit.solve(Z, measured - tau, torch.cat([besides, body], -1), rounds=1, left=plain.left)
 
     def left(found: AugmentedSolution) -> float:
