@@ -133,12 +133,12 @@ def test_a_threshold_does_not_see_rows_that_are_missing():
     q, qd, tau = (x[:, 0] for x in pushed(TWO, 1e-2))
     signals = {"q": q, "qd": qd, "tau": torch.cat((tau, tau[-1:]))}
     half, observer = len(q) // 2, MomentumObserver(TWO, GAIN, 1e-2)
-    kept = [*range(half - 20), *range(half, len(q))]
+    kept = [*range(half - 3), *range(half, len(q))]
     log = recorded(**{name: x.numpy() for name, x in signals.items()})
     some = log._replace(time=log.time[kept], **{name: getattr(log, name)[kept] for name in signals})
     parts = [
         log._replace(time=log.time[part], **{name: getattr(log, name)[part] for name in signals})
-        for part in (slice(0, half - 20), slice(half, None))
+        for part in (slice(0, half - 3), slice(half, None))
     ]
     largest = torch.maximum(*(observer.threshold(part) for part in parts))
     torch.testing.assert_close(observer.threshold(some), largest)
