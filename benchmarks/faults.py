@@ -269,7 +269,7 @@ ATTACKS = {
     "currents as torques": Fault("torque.current torque.unit", scaled(tau=[1 / x for x in GAINS])),
     "currents without gains": Fault("gains.unknown", scaled(tau=[1 / x for x in GAINS]), layout=CURRENTS),
     "currents, gains estimated": Fault(
-        "gains.lost", scaled(tau=[1 / x for x in GAINS]), layout=CURRENTS, model=Model(gains=True)
+        "", scaled(tau=[1 / x for x in GAINS]), layout=CURRENTS, model=Model(gains=True)
     ),
     "torques without gravity": Fault("torque.weightless", weightless),
     "sign of all torques": Fault("torque.sign", scaled(tau=-1.0)),
@@ -338,7 +338,7 @@ def told(name: str, fault: Fault, arm: str) -> Told:
         identified = identify(robot, smooth(log, rate=50.0), fault.model)
         found += identified.findings
         motion = smooth(read_log(test))
-        predicted = identified.by_these_gains().predict(motion)
+        predicted = identified.predict(motion)  # in N m, so errors of gains count
         tau = torch.from_numpy(motion.tau)
         error = float(((predicted.tau - tau).std(0) / tau.std(0)).mean())
         within = float(((tau >= predicted.low) & (tau <= predicted.high)).double().mean())

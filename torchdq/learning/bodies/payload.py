@@ -195,13 +195,11 @@ def _unexplained(empty: Identified, rows: Sequence[Tensor], left: Tensor, usual:
     rms = ((weight * left.square()).sum(0) / weight.sum(0)).sqrt()
     far = (rms > WORSE * usual) & (rms > MATTERS * rows[-1].square().mean(0).sqrt())
     claim = "residual torques should be like those of the empty arm"
-    held = "dry friction at rest may be anything: approach each pose from both sides, for Log.static_poses"
-    option = "dry friction at rest may be anything: give motions in which this joint moves"
     cure = "is a sign, gain or column another than then, or the body elsewhere?"
     finding = Finding("payload.unexplained", "", claim, "{:.1f} times as large", cure)
     names, ratio = empty.robot.joint_names, rms / usual
-    at_stops = finding._replace(cure=held, option=option)
-    findings = (*of_joints(names, far & ~still, finding, ratio), *of_joints(names, far & still, at_stops, ratio))
+    held = finding._replace(cure="dry friction at rest may be anything: approach each pose from both sides")
+    findings = (*of_joints(names, far & ~still, finding, ratio), *of_joints(names, far & still, held, ratio))
     if findings:
         robot = empty.robot.to(DTYPE, "cpu")
         joints = ", ".join(f"{finding.subject} ({finding.value:.1f} times)" for finding in findings)

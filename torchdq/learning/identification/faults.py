@@ -28,8 +28,7 @@ EQUAL = 0.9  # part of what one fault leaves from which another one explains as 
 TRIED = 0.7  # the same after one linear step, to be searched further
 LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
 STEP = 1e-3  # of differences, in the units of the unknowns
-FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
-ROUND = 4.0  # most offset of a zero [rad or m]
+FARTHEST = 0.8  # most tilt, and twice the most change of a zero at a time [rad or m]
 FACTOR = 3.0  # most factor of a torque, or of times
 PARTS = 20  # parts of the rows, at whose ends a payload may change
 
@@ -63,7 +62,6 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu())], -1)  # rotors and payloads are no fault
     Z, tau = fit.linear(lambda y: fit.torques(y, some.q, some.qd, some.qdd, evidence.own[fit.rows]))
     plain = fit.solve(Z, measured - tau, torch.cat([besides, body], -1), rounds=10)
-    settled = fit.solve(Z, measured - tau, torch.cat([besides, body], -1), rounds=1, left=plain.left)
 
     def left(found: AugmentedSolution) -> float:
         return float((found.left.square().mean(0) / size)[moved].sum())
@@ -73,7 +71,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         changes = [fault.torques(x + unit, last.y) - fault.torques(x - unit, last.y) for unit in units]
         columns = torch.stack(changes, -1) / (2 * STEP)
         if last is plain and fault.start is None:
-            return settled.with_more(columns)
+            return plain.with_more(columns)
         of_x, at_zero = (Z, fault.torques(x, 0 * last.y)) if fault.added else fit.linear(partial(fault.torques, x))
         E = torch.cat([besides, body if fault.held is None else fault.held(x), columns], -1)
         return fit.solve(of_x, measured - at_zero, E, rounds=1, left=last.left)
@@ -126,7 +124,7 @@ def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tenso
             return sign_finding("columns of all signals", name) if negated else zero_finding(name, float(x), turns)
 
         for start in (0.0,) if sign < 0 else (None, *QUARTERS) if joint.turns else (None,):
-            yield _Fault(torques, 1, named, -ROUND, ROUND, start=start, held=held)
+            yield _Fault(torques, 1, named, -math.inf, math.inf, start=start, held=held)
     for name, _, unit in joints if robot.n > 1 else ():
 
         def factor(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
