@@ -61,7 +61,9 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     body = _held(evidence.robot, some)
     besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu())], -1)  # rotors and payloads are no fault
     Z, tau = fit.linear(lambda y: fit.torques(y, some.q, some.qd, some.qdd, evidence.own[fit.rows]))
-    plain = fit.solve(Z, measured - tau, torch.cat([besides, body], -1), rounds=10)
+    known = torch.cat([besides, body], -1)
+    plain = fit.solve(Z, measured - tau, known, rounds=3)
+    further, settled = (fit.solve(Z, measured - tau, known, rounds=k, left=plain.left) for k in (1, 7))
 
     def left(found: AugmentedSolution) -> float:
         return float((found.left.square().mean(0) / size)[moved].sum())
@@ -71,12 +73,12 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         changes = [fault.torques(x + unit, last.y) - fault.torques(x - unit, last.y) for unit in units]
         columns = torch.stack(changes, -1) / (2 * STEP)
         if last is plain and fault.start is None:
-            return plain.with_more(columns)
+            return further.with_more(columns)
         of_x, at_zero = (Z, fault.torques(x, 0 * last.y)) if fault.added else fit.linear(partial(fault.torques, x))
         E = torch.cat([besides, body if fault.held is None else fault.held(x), columns], -1)
         return fit.solve(of_x, measured - at_zero, E, rounds=1, left=last.left)
 
-    before = left(plain)
+    before = min(left(plain), left(settled))  # weights that settle may give up joints that a fault explains
     if before < LEAST * int(moved.sum()):
         return []
     named = list[tuple[float, Finding]]()
