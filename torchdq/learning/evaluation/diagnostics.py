@@ -265,12 +265,12 @@ def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width:
         tried = float(parts.sum())
         if tried < most and AT.better * float(parts[bad].sum()) < float(left[bad].sum()):
             found.append((tried, finding))
-    return first_of_equals(found, AT.equal, "a far better fit")
+    return first_of_equals(found, "a far better fit")
 
 
-def first_of_equals(found: Sequence[tuple[float, Finding]], equal: float, better: str) -> list[Finding]:
-    """First finding of those that leave least unexplained, or that over `equal`; it names a sign or zero among them."""
-    equals = [one for left, one in found if equal * left <= min(left for left, _ in found)]
+def first_of_equals(found: Sequence[tuple[float, Finding]], better: str) -> list[Finding]:
+    """First finding of those that leave least unexplained, or nearly; it names a sign or zero among the others."""
+    equals = [one for left, one in found if AT.equal * left <= min(left for left, _ in found)]
     others = {one.code: one for one in reversed(equals) if one.code in ("joint.zero", "motion.sign")}
     also = [f"or at {one.subject} {one.found}" for one in others.values() if one.code != equals[0].code]
     return [one._replace(found=f"{better} {', '.join([one.found, *also])}") for one in equals[:1]]

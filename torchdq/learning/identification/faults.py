@@ -24,7 +24,6 @@ from torchdq.learning.logs.checks import CLOCK
 from torchdq.robot import Robot
 
 LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; real arms without one leave .59 or more
-EQUAL = 0.9  # part of what one fault leaves from which another one explains as much
 TRIED = 0.7  # the same after one linear step, to be searched further
 LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
 STEP = 1e-3  # of differences, in the units of the unknowns
@@ -46,7 +45,6 @@ class _Fault(NamedTuple):
     added: bool = False  # whether its torques do not depend on the fit
     step: float = FARTHEST / 2  # most change of an unknown at a time
     start: float | None = None  # of the unknowns, if they are not near zero
-    held: Callable[[Tensor], Tensor] | None = None  # torques per unit of a payload, where they depend on unknowns
 
 
 def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
@@ -59,11 +57,10 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     moved = size > 0
     offsets = torch.eye(len(size)).double().expand(len(fit.rows), -1, -1)
     body = _held(evidence.robot, some)
-    besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu())], -1)  # rotors and payloads are no fault
+    besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu()), body], -1)  # rotors and payloads are no fault
     Z, tau = fit.linear(lambda y: fit.torques(y, some.q, some.qd, some.qdd, evidence.own[fit.rows]))
-    known = torch.cat([besides, body], -1)
-    plain = fit.solve(Z, measured - tau, known, rounds=3)
-    further, settled = (fit.solve(Z, measured - tau, known, rounds=k, left=plain.left) for k in (1, 7))
+    plain = fit.solve(Z, measured - tau, besides, rounds=3)
+    further, settled = (fit.solve(Z, measured - tau, besides, rounds=k, left=plain.left) for k in (1, 7))
 
     def left(found: AugmentedSolution) -> float:
         return float((found.left.square().mean(0) / size)[moved].sum())
@@ -75,8 +72,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         if last is plain and fault.start is None:
             return further.with_more(columns)
         of_x, at_zero = (Z, fault.torques(x, 0 * last.y)) if fault.added else fit.linear(partial(fault.torques, x))
-        E = torch.cat([besides, body if fault.held is None else fault.held(x), columns], -1)
-        return fit.solve(of_x, measured - at_zero, E, rounds=1, left=last.left)
+        return fit.solve(of_x, measured - at_zero, torch.cat([besides, columns], -1), rounds=1, left=last.left)
 
     before = min(left(plain), left(settled))  # weights that settle may give up joints that a fault explains
     if before < LEAST * int(moved.sum()):
@@ -100,7 +96,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         if left(found) < LEFT * before and sure and fault.least < (one.value or 0.0) < fault.most:
             named.append((left(found), one))
     smaller = math.sqrt(before / min((some for some, _ in named), default=before))
-    return first_of_equals(named, EQUAL, f"residuals {smaller:.2g} times smaller")
+    return first_of_equals(named, f"residuals {smaller:.2g} times smaller")
 
 
 def _sized(finding: Finding, size: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Finding]:
@@ -120,13 +116,12 @@ def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tenso
     bodies = _affine(*fit.linear(lambda y: fit.torques(y, q, qd, qdd, 0 * own)))
     joints = [*zip(robot.joint_names, robot.joint_types, torch.eye(robot.n).double(), strict=True)]
     for sign, (name, joint, unit) in product((-1.0, 1.0), joints):
-        torques, held = _misread(fit, rows, unit, sign)
 
         def named(x: Tensor, name: str = name, turns: bool = joint.turns, negated: bool = sign < 0) -> Finding:
             return sign_finding("columns of all signals", name) if negated else zero_finding(name, float(x), turns)
 
         for start in (0.0,) if sign < 0 else (None, *QUARTERS) if joint.turns else (None,):
-            yield _Fault(torques, 1, named, -math.inf, math.inf, start=start, held=held)
+            yield _Fault(_misread(fit, rows, unit, sign), 1, named, -math.inf, math.inf, start=start)
     for name, _, unit in joints if robot.n > 1 else ():
 
         def factor(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
@@ -152,19 +147,15 @@ def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tenso
         yield _Fault(tilt, 2, of_tilt, -FARTHEST, FARTHEST)
 
 
-def _misread(
-    fit: AugmentedFit, rows: MotionRows, unit: Tensor, sign: float
-) -> tuple[Torques, Callable[[Tensor], Tensor]]:
-    """Torques of a fit, and of a payload per unit, where a joint [n] has another zero and this sign in all signals."""
+def _misread(fit: AugmentedFit, rows: MotionRows, unit: Tensor, sign: float) -> Torques:
+    """Torques of a fit where a joint [n] has another zero, and this sign in all signals."""
     s, own = torch.where(unit > 0, sign, 1.0).to(rows.q), fit.evidence.own[fit.rows]
 
-    def read(x: Tensor) -> MotionRows:
-        return rows._replace(q=s * rows.q - (x * unit).to(rows.q), qd=s * rows.qd, qdd=s * rows.qdd)
+    def torques(x: Tensor, y: Tensor) -> Tensor:
+        q = s * rows.q - (x * unit).to(rows.q)
+        return s.cpu() * fit.torques(y, q, s * rows.qd, s * rows.qdd, s[:, None] * own)
 
-    return (
-        lambda x, y: s.cpu() * fit.torques(y, *read(x)[:3], s[:, None] * own),
-        lambda x: s[:, None].cpu() * _held(fit.evidence.robot, read(x)),
-    )
+    return torques
 
 
 def _held(robot: Robot, rows: MotionRows) -> Tensor:

@@ -112,7 +112,7 @@ def minimum(
     w, weight = torch.zeros_like(w_0), e.amax(-1).clamp_min(prior)
     if start is not None:
         by = (V.mT @ start[..., None])[..., 0]
-        exists = near.distance((V @ by[..., None])[..., 0]).isfinite()  # at the edge of what can exist, rounding decides
+        exists = near.distance((V @ by[..., None])[..., 0]).isfinite()  # rounding may take it beyond
         w, weight = by.where(exists[..., None], 0.0), torch.where(exists, prior, weight)
 
     def parts(w: Tensor) -> tuple[Tensor, Tensor]:
