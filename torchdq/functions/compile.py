@@ -23,6 +23,7 @@ from torchdq.export import casadi, golden, graph
 from torchdq.export.c99 import CFunction, Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported, path_of
+from torchdq.export.meaning import constants as constants_of
 from torchdq.export.meaning import heading
 from torchdq.export.names import distinct, identifier
 from torchdq.functions import arrays
@@ -41,6 +42,7 @@ from torchdq.robot.robot import constants
 CPU = torch.device("cpu")
 Language = Literal["c", "cuda"]
 ExportLanguage = Literal["c", "casadi", "torch"]
+OF_FORCES = {"tau", "g", "p", "Y", "H", "U", "F_B", "rate"}  # arguments and results that depend on gravity or friction
 
 
 class _RecordedFields(NamedTuple):
@@ -375,4 +377,15 @@ def compile(
     taken += [Argument(name, math.prod(what.axes(name)), x.ndim == len(SHAPES[name])) for name, x in parameters.items()]
     recorded = what.program(tuple(taken))
     found = _ready(recorded, dtype_of("dtype", dtype), what.results(recorded))
-    return replace(found, about=heading(function, robot.name, robot.joint_names), examples=parameters)
+    about = (*heading(function, robot.name, robot.joint_names), *_forces(robot, recorded))
+    return replace(found, about=about, examples=parameters)
+
+
+def _forces(robot: Robot, program: Program) -> tuple[str, ...]:
+    """Lines on gravity and friction of a function of rigid bodies; none where these mean nothing to it."""
+    names = {x.name for x in (*program.arguments, *program.results)}
+    if names.isdisjoint(OF_FORCES) and not any(name.startswith("dtau/") for name in names):
+        return ()
+    weight = [] if robot.gravity is None or "gravity" in names else constants_of({"gravity": robot.gravity.tolist()})
+    described = bool((robot.damping != 0).any() or (robot.friction != 0).any())
+    return (*weight, f"friction: none{'; that of the description is left out' * described}")
