@@ -94,13 +94,16 @@ def log(path, names=("q", "qd", "tau"), count=1, held=None, rows=750, seed=0, re
         ((), ""),
         (("teach",), ", ".join(COMMANDS)),
         (("bnech", "panda"), "there is no command 'bnech'; did you mean 'bench'?"),
-        (("report",), "ROBOT"),
-        (("report", "panda", "--no-such-option"), "--no-such-option"),
+        (("report",), "Missing from torchdq report: ROBOT; see torchdq report --help"),
+        (("report", "panda", "--no-such-option"), "Unrecognized options: --no-such-option; see torchdq report --help"),
+        (("doctor", "FILE"), "Unrecognized options: FILE; see torchdq doctor --help"),
+        (("scene", "panda", "--dt", "x"), "could not convert string to float: 'x'; see torchdq scene --help"),
     ],
 )
 def test_what_is_not_understood_is_told_and_is_exit_code_2(here, capsys, arguments, words):
     out, errors = told(capsys, *arguments, code=USAGE)
-    assert not out and "torchdq" in errors and "Traceback" not in errors and words in " ".join(errors.split())
+    assert not out and errors.startswith("torchdq: error: ") and words in " ".join(errors.split())
+    assert all(line == line.rstrip() for line in errors.splitlines())
 
 
 def test_numbers_of_an_option_stand_apart_or_with_commas():
@@ -534,6 +537,15 @@ def test_a_scene_that_leaves_all_bounds_has_failed(here, capsys):
     assert found["failure"].startswith("The simulation has failed: from ") and found["energies"]["end"] == [None, None]
 
 
+def test_a_scene_says_what_it_assumes_and_that_its_steps_are_coarse(here, capsys):
+    """The arm has neither rotors nor damping; ten steps of its fall are few."""
+    out = " ".join(told(capsys, "scene", "arm.urdf", *SHORT)[0].split())
+    assert "RotorInertia 0.1 kg m^2 or kg, Viscous 1 N m s/rad or N s/m." in out and "coarse" not in out
+    fall = ("--effects", "gravity", "--dt", "0.1", "--seconds", "1", "--price", "0")
+    found = data(capsys, "scene", "arm.urdf", *fall)
+    assert found["assumed"] == "" and "The steps are coarse: the error of " in found["coarse"]
+
+
 def test_a_scene_has_the_effects_that_are_named(here, capsys):
     out, _ = told(capsys, "scene", "arm.urdf", "--effects", "gravity", "viscous=2", "joint-limits", *SHORT)
     assert "Gravity, Viscous, JointLimits" in " ".join(out.split()) and max(map(len, out.splitlines())) <= WIDE
@@ -544,7 +556,7 @@ def test_a_scene_has_the_effects_that_are_named(here, capsys):
 
 def test_every_effect_and_every_integrator_can_be_named():
     offered = set(torchdq.effects.__all__) if hasattr(torchdq, "effects") else set()
-    assert {"gravity", "coulomb", "lugre", "elastic", "noise"} <= set(KINDS) and len(KINDS) >= len(offered) - 3
+    assert {"gravity", "joint-limits", "lugre", "first-order-lag", "noise"} <= set(KINDS) and len(KINDS) >= len(offered) - 3
     assert {"LinearlyImplicit", "RungeKutta4", "StoermerVerlet"} <= set(STEPPERS)
 
 
