@@ -21,6 +21,7 @@ WORDS = {
     "k_null": "gain of the errors from q_null [1/s^2]",
     "damping": "of a control law: share of a diagonal below which a pivot is singular, or coefficients of a damper",
     "stiffness": "stiffness of the spring at the frame, axis by axis [N m/rad, N/m]",
+    "gain": "change of the torques or targets by displacements of the state, row by row; see below",
     "best": "joint positions of the smallest error so far [rad or m]",
     "state": "number of the start, 1 if it has converged, mean of the squared error, best squares [rad^2, m^2]",
     "settings": "largest angle [rad], largest distance [m], number of starts",
