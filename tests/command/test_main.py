@@ -556,7 +556,9 @@ def test_a_scene_has_the_effects_that_are_named(here, capsys):
 
 def test_every_effect_and_every_integrator_can_be_named():
     offered = set(torchdq.effects.__all__) if hasattr(torchdq, "effects") else set()
-    assert {"gravity", "joint-limits", "lugre", "first-order-lag", "noise"} <= set(KINDS) and len(KINDS) >= len(offered) - 3
+    assert {"gravity", "joint-limits", "lugre", "first-order-lag", "noise"} <= set(KINDS) and len(KINDS) >= len(
+        offered
+    ) - 3
     assert {"LinearlyImplicit", "RungeKutta4", "StoermerVerlet"} <= set(STEPPERS)
 
 

@@ -23,7 +23,9 @@ from torchdq.robot import Robot
 MEASURED = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "regressor")
 GRADIENT = "gradient of inverse_dynamics"
 POSE = "X_WB"
-NOISY = "noisy: half of the interquartile range exceeds half of the time; other programs run here, or --seconds is short"
+NOISY = (
+    "noisy: half of the interquartile range exceeds half of the time; other programs run here, or --seconds is short"
+)
 
 
 @dataclass(kw_only=True)

@@ -52,9 +52,9 @@ class SceneCommand(RobotCommand):
 
     Errors are of the end, by the length of the steps; a second run with steps half as long estimates them.
 
-    Effects: default (those of the description, and rotors and damping where it has none), gravity, viscous=0.5, coulomb=2, joint-limits, saturation,
-    first-order-lag=0.02, rotor-inertia=0.1, noise=0.001 and all others of torchdq.effects; a number is the first
-    parameter.
+    Effects: default (those of the description, and rotors and damping where it has none), gravity, viscous=0.5,
+    coulomb=2, joint-limits, saturation, first-order-lag=0.02, rotor-inertia=0.1, noise=0.001 and all others of
+    torchdq.effects; a number is the first parameter.
 
     Example: torchdq scene panda --effects gravity viscous=2 --csv fall.csv
     """

@@ -383,7 +383,7 @@ def compile(
 
 def _forces(robot: Robot, program: Program) -> tuple[str, ...]:
     """Lines on gravity and friction of a function of rigid bodies; none where these mean nothing to it."""
-    names = {x.name for x in (*program.arguments, *program.results)}
+    names = {x.name for x in program.arguments} | {x.name for x in program.results}
     if names.isdisjoint(OF_FORCES) and not any(name.startswith("dtau/") for name in names):
         return ()
     weight = [] if robot.gravity is None or "gravity" in names else constants_of({"gravity": robot.gravity.tolist()})
