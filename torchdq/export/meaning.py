@@ -123,6 +123,11 @@ def constants(numbers: Mapping[str, Sequence[float]]) -> list[str]:
     return [f"{name} = {_row(row)}: {words(name)}" for name, row in numbers.items()]
 
 
+def rigid(described: bool) -> str:
+    """Line about a program of rigid bodies, of a robot that may have friction in its description."""
+    return f"friction: none{'; that of the description is left out' * described}"
+
+
 def part(x: object) -> str:
     """Effect or controller of a program with its numbers [SI], joint by joint; one number is that of all joints.
 

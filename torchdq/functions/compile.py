@@ -24,7 +24,7 @@ from torchdq.export.c99 import CFunction, Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported, path_of
 from torchdq.export.meaning import constants as constants_of
-from torchdq.export.meaning import heading
+from torchdq.export.meaning import heading, rigid
 from torchdq.export.names import distinct, identifier
 from torchdq.functions import arrays
 from torchdq.functions.catalogue import RECIPES, Function
@@ -331,7 +331,8 @@ def compile(
             "inverse_kinematics_newton" (parts of the solver); of a robot with a floating base,
             "floating.inverse_dynamics" and so on. Or a control law: "computed_torque", "operational_space_control" or
             "cartesian_impedance", whose gains are arguments then; or an object of `torchdq.scene.controllers`, whose
-            gains are constants where they are numbers, and arguments where they are tensors.
+            gains are constants where they are numbers, and arguments where they are tensors. All are of the rigid
+            bodies alone: the programs of layers, such as `torchdq.ComputedTorque`, have friction.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
@@ -387,5 +388,4 @@ def _forces(robot: Robot, program: Program) -> tuple[str, ...]:
     if names.isdisjoint(OF_FORCES) and not any(name.startswith("dtau/") for name in names):
         return ()
     weight = [] if robot.gravity is None or "gravity" in names else constants_of({"gravity": robot.gravity.tolist()})
-    described = bool((robot.damping != 0).any() or (robot.friction != 0).any())
-    return (*weight, f"friction: none{'; that of the description is left out' * described}")
+    return (*weight, rigid(bool((robot.damping != 0).any() or (robot.friction != 0).any())))
