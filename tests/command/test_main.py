@@ -94,13 +94,16 @@ def log(path, names=("q", "qd", "tau"), count=1, held=None, rows=750, seed=0, re
         ((), ""),
         (("teach",), ", ".join(COMMANDS)),
         (("bnech", "panda"), "there is no command 'bnech'; did you mean 'bench'?"),
-        (("report",), "ROBOT"),
-        (("report", "panda", "--no-such-option"), "--no-such-option"),
+        (("report",), "Missing from torchdq report: ROBOT; see torchdq report --help"),
+        (("report", "panda", "--no-such-option"), "Unrecognized options: --no-such-option; see torchdq report --help"),
+        (("doctor", "FILE"), "Unrecognized options: FILE; see torchdq doctor --help"),
+        (("scene", "panda", "--dt", "x"), "could not convert string to float: 'x'; see torchdq scene --help"),
     ],
 )
 def test_what_is_not_understood_is_told_and_is_exit_code_2(here, capsys, arguments, words):
     out, errors = told(capsys, *arguments, code=USAGE)
-    assert not out and "torchdq" in errors and "Traceback" not in errors and words in " ".join(errors.split())
+    assert not out and errors.startswith("torchdq: error: ") and words in " ".join(errors.split())
+    assert all(line == line.rstrip() for line in errors.splitlines())
 
 
 def test_numbers_of_an_option_stand_apart_or_with_commas():
@@ -534,6 +537,15 @@ def test_a_scene_that_leaves_all_bounds_has_failed(here, capsys):
     assert found["failure"].startswith("The simulation has failed: from ") and found["energies"]["end"] == [None, None]
 
 
+def test_a_scene_says_what_it_assumes_and_that_its_steps_are_coarse(here, capsys):
+    """The arm has neither rotors nor damping; ten steps of its fall are few."""
+    out = " ".join(told(capsys, "scene", "arm.urdf", *SHORT)[0].split())
+    assert "RotorInertia 0.1 kg m^2 or kg, Viscous 1 N m s/rad or N s/m." in out and "coarse" not in out
+    fall = ("--effects", "gravity", "--dt", "0.1", "--seconds", "1", "--price", "0")
+    found = data(capsys, "scene", "arm.urdf", *fall)
+    assert found["assumed"] == "" and "The steps are coarse: the error of " in found["coarse"]
+
+
 def test_a_scene_has_the_effects_that_are_named(here, capsys):
     out, _ = told(capsys, "scene", "arm.urdf", "--effects", "gravity", "viscous=2", "joint-limits", *SHORT)
     assert "Gravity, Viscous, JointLimits" in " ".join(out.split()) and max(map(len, out.splitlines())) <= WIDE
@@ -544,7 +556,9 @@ def test_a_scene_has_the_effects_that_are_named(here, capsys):
 
 def test_every_effect_and_every_integrator_can_be_named():
     offered = set(torchdq.effects.__all__) if hasattr(torchdq, "effects") else set()
-    assert {"gravity", "coulomb", "lugre", "elastic", "noise"} <= set(KINDS) and len(KINDS) >= len(offered) - 3
+    assert {"gravity", "joint-limits", "lugre", "first-order-lag", "noise"} <= set(KINDS) and len(KINDS) >= len(
+        offered
+    ) - 3
     assert {"LinearlyImplicit", "RungeKutta4", "StoermerVerlet"} <= set(STEPPERS)
 
 
@@ -574,6 +588,59 @@ def test_c_casadi_and_graphs_of_torch_are_exported(here, capsys):
     graph = torch.export.load(found["files"][0]).module()
     x = torch.rand(3, 5, 2, dtype=torch.float64)
     assert torch.allclose(graph(*x), torchdq.inverse_dynamics(ROBOT, *x))
+
+
+FRICTION = re.sub(r'(<axis xyz="0 1 0"/>)', r'\1<dynamics damping="0.7" friction="1.5"/>', ARM)
+LAW = ("--options", "lower", "body", "z")
+
+
+@pytest.mark.parametrize(
+    ("name", "layer", "options"),
+    [
+        ("computed_torque", torchdq.ComputedTorque, ()),
+        ("cartesian_impedance", torchdq.nn.CartesianImpedance, LAW),
+        ("operational_space_control", torchdq.nn.OperationalSpaceControl, LAW),
+    ],
+)
+def test_an_exported_law_has_the_torques_of_its_layer(here, capsys, name, layer, options):
+    """Friction of the description included, whose sum at 1 rad/s the header states: 1.5 + 0.7 N m."""
+    here.joinpath("arm.urdf").write_text(FRICTION)
+    found = data(capsys, "export", "arm.urdf", name, *options, "--language", "torch")
+    robot = torchdq.Robot.from_urdf("arm.urdf")
+    law = layer(robot, 20.0, 5.0, **dict(zip(("frame", "expressed", "axes"), options[1:], strict=False)))
+    q, qd, *goal = torch.rand(5, 6, 2, dtype=torch.float64)
+    if options:
+        goal = [torchdq.forward_kinematics(robot, q + 0.1, "lower"), 0.1 * torch.ones(6, 6, dtype=q.dtype)]
+        goal += [0 * goal[1]] if name == "operational_space_control" else []
+    gains = [torch.full((1 if options else 2,), x, dtype=q.dtype) for x in (20.0, 5.0)]
+    tau = torch.export.load(found["files"][0]).module()(q, qd, *goal, *gains)
+    assert torch.allclose(tau if isinstance(tau, torch.Tensor) else tau[0], law(q, qd, *goal), rtol=1e-10)
+    files = data(capsys, "export", "arm.urdf", name, *options)["files"]
+    header = next(Path(file) for file in files if file.endswith(".h")).read_text()
+    assert "friction at 1 rad/s or m/s = 2.2" in header and "gravity = 0, 0, -9.81" in header
+
+
+def test_gravity_torques_are_exported_and_wrenches_may_be_arguments(here, capsys):
+    here.joinpath("arm.urdf").write_text(FRICTION)
+    _, errors = told(capsys, "export", "arm.urdf", "gravity", code=MISTAKE)
+    (words,) = re.findall("gravity torques are (.*)", " ".join(errors.split()))
+    found = data(capsys, "export", "arm.urdf", *words.split(), "--language", "torch")
+    q = torch.rand(5, 2, dtype=torch.float64)
+    tau = torch.export.load(found["files"][0]).module()(q)
+    assert torch.allclose(tau, torchdq.closed_form(ROBOT, q, 0 * q).g)
+    files = data(capsys, "export", "arm.urdf", *words.split())["files"]
+    header = next(Path(file) for file in files if file.endswith(".h")).read_text()
+    assert "friction: none; that of the description is left out" in header and "gravity = 0, 0, -9.81" in header
+    goal = ("q", "qd", "q_des", "qd_des", "qdd_des", "kp", "kd", "f_tip")
+    files = data(capsys, "export", "arm.urdf", "computed_torque", "--arguments", *goal)["files"]
+    assert "f_tip[6]" in next(Path(file) for file in files if file.endswith(".h")).read_text()
+
+
+def test_the_help_and_the_error_list_the_same_functions(here, capsys):
+    out, _ = told(capsys, "export", "--help")
+    _, errors = told(capsys, "export", "arm.urdf", "zzz", code=MISTAKE)
+    listed = re.search("known: (.*)", " ".join(errors.split()))[1]
+    assert f"Functions: {listed}." in " ".join(out.split())
 
 
 def test_a_cure_in_options_can_be_given_to_a_shell(here, capsys):

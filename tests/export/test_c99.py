@@ -226,8 +226,19 @@ def test_a_header_has_the_numbers_of_controller_and_friction(tmp_path):
     assert "coefficient=argument)" in text["arguments"] and "in   viscous[2]  viscous friction" in text["arguments"]
     assert "effect 0: Viscous(coefficient=(0.1, 0.2))" in text["step"]
     assert "coulomb=argument" in text["step"] and "controller: PD(kp=9, kd=1.5)" in text["step"]
-    assert "PD(kp=9, kd=(1.5, 2))" in text["pd"]
+    assert "PD(kp=9, kd=(1.5, 2))\n * friction: none\n" in text["pd"]
     assert all("joints in the order of q: joint1, joint2" in x for x in text.values())
+
+
+def test_a_header_of_rigid_bodies_has_their_gravity_and_says_that_friction_is_left_out(tmp_path):
+    robot = TWO.replace(damping=torch.tensor([0.1, 0.2], dtype=F64)).bake()
+    functions = ["inverse_dynamics", "regressor", "computed_torque", "mass_matrix"]
+    made = {name: torchdq.compile(robot, name).export(tmp_path / name, "f") for name in functions}
+    text = {name: one.header.read_text() for name, one in made.items()}
+    left = "friction: none; that of the description is left out"
+    assert all((left in x) == (name != "mass_matrix") for name, x in text.items())
+    gravity = "gravity = 0, -9.81, 0: gravitational acceleration in the base frame [m/s^2]"
+    assert gravity in text["inverse_dynamics"] and gravity in text["regressor"] and "gravity" not in text["mass_matrix"]
 
 
 def test_a_full_disk_leaves_the_files_of_before(tmp_path, monkeypatch):

@@ -96,6 +96,21 @@ def test_ticks_are_those_of_python_with_disturbances_and_goals_that_jump(tmp_pat
     assert bound > 20 and len(passes) > 20 * 2 + 3
 
 
+def test_the_header_says_how_gains_are_used_and_the_plan_in_the_struct_starts_at_the_measured_state(tmp_path):
+    """torque + gain (x - x_plan), row by row, against the policy of the plan in Python, which follows it likewise."""
+    mpc = begun(swing())
+    made = mpc.export(tmp_path, "arm_mpc")
+    inside, state = InC(made), ARM.start(double(0.1, 0.2))
+    assert agree(inside, mpc, state)
+    words = " ".join(made.header.read_text().replace("*", " ").split())
+    assert "torque + gain (x - x_plan)" in words and "gain[2][4] is row by row" in words and "q[2], qd[2], in" in words
+    x, x_plan = double(0.11, 0.19, 0.02, -0.03), inside.at["states"][0]
+    assert x_plan.tolist() == [0.1, 0.2, 0.0, 0.0]
+    tau = inside.at["torque"][0] + inside.at["gain"][0].view(2, 4) @ (x - x_plan)
+    expected = mpc.plan.policy(ARM.start(x[:2], x[2:]), 0)
+    assert torch.allclose(tau, expected, rtol=1e-9)
+
+
 def test_iterations_that_find_no_step_are_damped_as_in_python(tmp_path, monkeypatch):
     mpc, damped = begun(swing(), iterations=8), list()
     inside, backward = InC(mpc.export(tmp_path, "arm_mpc")), Passes.backward

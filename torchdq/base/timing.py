@@ -20,12 +20,14 @@ def digits(x: float, error: float | None = None) -> str:
 
 
 def duration(nanoseconds: float, spread: float) -> str:
-    """Time with its spread, in a unit that suits it.
+    """Time with its spread, in a unit that suits it; one whose spread exceeds half of it is noisy.
 
-    >>> duration(23502.6, 3245.4), duration(50.13, 14.4)
-    ('24 +- 3 us', '50 +- 10 ns')
+    >>> duration(23502.6, 3245.4), duration(50.13, 14.4), duration(271.0, 500.0)
+    ('24 +- 3 us', '50 +- 10 ns', '270 ns, noisy')
     """
     unit, factor = ("us", 1e-3) if nanoseconds >= 1000 else ("ns", 1.0)
+    if spread > nanoseconds / 2:
+        return f"{digits(factor * nanoseconds)} {unit}, noisy"
     return f"{digits(factor * nanoseconds)} +- {float(f'{factor * spread:.1g}'):g} {unit}"
 
 

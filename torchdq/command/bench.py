@@ -23,6 +23,9 @@ from torchdq.robot import Robot
 MEASURED = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "regressor")
 GRADIENT = "gradient of inverse_dynamics"
 POSE = "X_WB"
+NOISY = (
+    "noisy: half of the interquartile range exceeds half of the time; other programs run here, or --seconds is short"
+)
 
 
 @dataclass(kw_only=True)
@@ -61,6 +64,7 @@ class BenchCommand(RobotCommand):
         text = (
             f"{robot.name}: time per sample, median +- half of the interquartile range",
             Grid(header, [*rows.values()]),
+            *((NOISY,) if any(cell.endswith("noisy") for row in rows.values() for cell in row) else ()),
             f"{self.dtype}, {threads} thread{'s' * (threads != 1)}; {machine.words()}",
         )
         data = {

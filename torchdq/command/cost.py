@@ -12,7 +12,9 @@ JOINTS = 7
 
 @dataclass(kw_only=True)
 class CostCommand(Command):
-    """The paper's Tables 2, 3 and 4, counted, and the steps from Algorithm 1 to the program that runs.
+    """Operations in the paper's Tables 2, 3 and 4, not those of a robot, and the steps from Algorithm 1 to the program.
+
+    Operations of a robot's functions are in report, and their times in bench.
 
     Example: torchdq cost
     """

@@ -11,9 +11,10 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import fields
 from functools import partial
+from itertools import takewhile
 from pkgutil import resolve_name
 from typing import Any
 
@@ -63,6 +64,7 @@ ABOUT = (
 )
 WELL, MISTAKE, USAGE, INTERRUPTED = 0, 1, 2, 130
 CONFIGURATION = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
+DEEP = 10 * " "  # before the help of an argument that is missing
 NUMBERS = re.compile(r"[-+.\de]+(,[-+.\de]+)+", re.IGNORECASE)  # with commas between
 
 
@@ -98,16 +100,25 @@ def _parsed(given: Sequence[str]) -> Command:
     kinds: dict[str, Callable[..., Command]] = {
         name: COMMANDS[name] for name in (given[:1] if given and given[0] in COMMANDS else COMMANDS)
     }
-    written = io.StringIO()
+    written, wrong = io.StringIO(), io.StringIO()
     try:
-        with redirect_stdout(written):
+        with redirect_stdout(written), redirect_stderr(wrong):
             command: Command = tyro.extras.subcommand_cli_from_dict(
                 kinds, prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
             )
     finally:
         text = written.getvalue()  # tyro's help, each paragraph of it one line, or the script of a shell
         sys.stdout.write(_filled(text) if {"-h", "--help"} & set(given) else text)
+        if fault := _of_usage(wrong.getvalue()):
+            command_help = " ".join([PROGRAM, *(given[:1] if given and given[0] in COMMANDS else ()), "--help"])
+            _say("error", f"{fault}; see {command_help}")
     return command
+
+
+def _of_usage(text: str) -> str:
+    """One sentence of tyro's page about arguments that are not understood: without its title, rules and helps."""
+    rows = takewhile(lambda row: set(row.strip()) != {"-"}, text.splitlines()[2:])
+    return " ".join(row.strip() for row in rows if not row.startswith(DEEP)).strip().rstrip(".")
 
 
 def _apart(given: Sequence[str]) -> list[str]:

@@ -17,7 +17,7 @@ from torchdq.numbers.ops import Count
 from torchdq.program.program import Argument
 from torchdq.robot import Robot
 from torchdq.robot.check.consistency import OnUnphysical
-from torchdq.robot.check.report import HEADER
+from torchdq.robot.check.report import BOUNDED, HEADER, MOTORS
 from torchdq.robot.robot import constants
 
 SHOWN = ("inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor")
@@ -57,9 +57,9 @@ class ReportCommand(RobotCommand):
         text = (
             report.summary,
             Grid(HEADER, report.joints),
+            *((f"{BOUNDED}:", Grid(MOTORS, report.motors)) if report.motors else ()),
             *((f"{STATED}:", Grid(COLUMNS, report.friction)) if report.friction else ()),
-            "notes:",
-            Grid((), [("-", note) for note in notes or ("nothing else in the description",)]),
+            *(("notes:", Grid((), [("-", note) for note in notes])) if notes else ()),
             "operations per sample:",
             Grid(
                 ("function", *COUNTED),

@@ -1,6 +1,7 @@
 """Command `scene`: a robot simulated with the effects that are asked for."""
 
 import io
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -23,13 +24,15 @@ from torchdq.effects.steady import at_speeds
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.scene import controllers, integrators
-from torchdq.scene.defaults import default_effects
+from torchdq.scene.defaults import DAMPING, ROTOR, default_effects
 from torchdq.scene.integrators import DormandPrince, Integrator
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
-KINDS = {
-    name.lower(): getattr(effects, name) for name in effects.__all__ if name not in ("Effect", "HeightMap", "Residual")
+KINDS = {  # JointLimits is joint-limits, and LuGre lugre
+    re.sub("(?<=[a-z]{3})(?=[A-Z])", "-", name).lower(): getattr(effects, name)
+    for name in effects.__all__
+    if name not in ("Effect", "HeightMap", "Residual")
 }
 STEPPERS = {
     name: kind
@@ -40,6 +43,7 @@ STEPPERS = {
     and all(entry.default is not MISSING for entry in fields(kind))
 }
 DEFAULT = "default"
+COARSE = 0.1  # error by the steps from which a motion is called coarse, as a share of it
 
 
 @dataclass(kw_only=True)
@@ -48,9 +52,9 @@ class SceneCommand(RobotCommand):
 
     Errors are of the end, by the length of the steps; a second run with steps half as long estimates them.
 
-    Effects: default (those of the description), gravity, viscous=0.5, coulomb=2, joint-limits, saturation,
-    first-order-lag=0.02, rotor-inertia=0.1, noise=0.001 and all others of torchdq.effects; a number is the first
-    parameter.
+    Effects: default (those of the description, and rotors and damping where it has none), gravity, viscous=0.5,
+    coulomb=2, joint-limits, saturation, first-order-lag=0.02, rotor-inertia=0.1, noise=0.001 and all others of
+    torchdq.effects; a number is the first parameter.
 
     Example: torchdq scene panda --effects gravity viscous=2 --csv fall.csv
     """
@@ -100,7 +104,9 @@ class SceneCommand(RobotCommand):
         steps = len(energies) - 1
         many = f"{steps} step{'s' * (steps != 1)}"
         about = f"{robot.name}, {many} of {self.dt:g} s with {type(scene.integrator).__name__}: {names}"
-        text: list[str | Grid] = [about, *path.tables()]
+        assumed = _assumed(robot) if DEFAULT in self.effects else ""
+        coarse = path.coarse()
+        text: list[str | Grid] = [about, *path.tables(), *[x for x in (coarse, assumed) if x]]
         if friction := at_speeds(scene.effects, robot.n):
             text += [f"{STATED}:", Grid(COLUMNS, list(zip(robot.joint_names, *friction, strict=True)))]
         text += ["price of a step:", str(price)]
@@ -111,6 +117,7 @@ class SceneCommand(RobotCommand):
             "robot": robot.name,
             "machine": machine.words(),
             "effects": [repr(effect) for effect in scene.effects],
+            "assumed": assumed,
             "steps": steps,
             "dt": self.dt,
             "start": start.rows(),
@@ -122,6 +129,7 @@ class SceneCommand(RobotCommand):
             "costs": [cost._asdict() for cost in price.costs],
             "left_out": price.left_out,
             "files": {} if self.csv is None else {"csv": self.csv},
+            "coarse": coarse,
             "failure": failure,
         }
         return Outcome(tuple(text), data, bool(failure))
@@ -180,6 +188,17 @@ class _Path(NamedTuple):
         """Errors of what is computed from the end, of which steps half as long take off the share of their order."""
         return (of(self.end) - of(self.finer)).abs() / (1 - 0.5**self.scene.integrator.order)
 
+    def coarse(self) -> str:
+        """Sentence where the largest error of a joint is more than a share of its motion; "" where it is not."""
+        q, errors, robot = self.states.q, self.error(lambda state: state.q), self.scene.robot
+        joint = int(errors.argmax()) if robot.n else 0
+        if not robot.n or not float(errors[joint]) > COARSE * (motion := float((q - q[0])[:, joint].abs().max())):
+            return ""
+        return (
+            f"The steps are coarse: the error of {robot.joint_names[joint]} is {float(errors[joint]) / motion:.0%} of "
+            "its motion. A smaller --dt or an --integrator of higher order reduces it."
+        )
+
     def tables(self) -> list[Grid]:
         """Energies, motion of a floating base, and joints."""
         e, robot = self.energy(self.states), self.scene.robot
@@ -218,12 +237,24 @@ def _speed(state: State) -> Tensor:
     return torch.cat([dq.rotate(dq.rotation(rows["X_WB"]), v), w.norm(dim=-1, keepdim=True)], -1)
 
 
+def _plain(name: str) -> str:
+    """Name of an effect, however it is spelled."""
+    return name.lower().replace("_", "").replace("-", "")
+
+
+def _assumed(robot: Robot) -> str:
+    """Sentence on the defaults that stand for what a description lacks; "" where it lacks nothing."""
+    rotors = [f"RotorInertia {ROTOR:g} kg m^2 or kg"] if robot.armature is None else []
+    damping = [f"Viscous {DAMPING:g} N m s/rad or N s/m"] if bool((robot.damping <= 0).any()) else []
+    return f"Assumed where the description has none: {', '.join(rotors + damping)}." if rotors or damping else ""
+
+
 def effects_of(text: str, robot: Robot) -> list[effects.Effect]:
     """Effects that an option names: NAME, or NAME=NUMBER for the first parameter."""
     name, equals, value = text.partition("=")
     if name == DEFAULT and not equals:
         return list(default_effects(robot))
-    key = name.lower().replace("_", "").replace("-", "")
+    key = {_plain(one): one for one in KINDS}.get(_plain(name), name)
     names_of("effects", key, (*KINDS, DEFAULT), "effect")
     given: list[Any] = []
     try:

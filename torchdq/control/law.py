@@ -22,7 +22,7 @@ from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import require_tensor, tensor_in
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.errors import ArgumentError
-from torchdq.export.meaning import heading, part
+from torchdq.export.meaning import heading, part, rigid
 from torchdq.functions.call import gain, with_tensors
 from torchdq.functions.catalogue import Function
 from torchdq.functions.parametric import TENSOR, Parametric, Shapes, undefined
@@ -229,7 +229,8 @@ class Law(Parametric):
         for name, axes, *_ in what.recipe.present(kind, present):
             uniform = name in tensors and tensors[name].ndim == len(axes)
             taken.append(Argument(name, _size(axes, robot), uniform))
-        about = (*heading(kind, robot.name, robot.joint_names), part(whole.template()))
+        friction = rigid(bool((robot.damping != 0).any() or (robot.friction != 0).any()))
+        about = (*heading(kind, robot.name, robot.joint_names), part(whole.template()), friction)
         return replace(what.program(tuple(taken)), about=about)
 
 

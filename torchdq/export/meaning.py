@@ -21,6 +21,7 @@ WORDS = {
     "k_null": "gain of the errors from q_null [1/s^2]",
     "damping": "of a control law: share of a diagonal below which a pivot is singular, or coefficients of a damper",
     "stiffness": "stiffness of the spring at the frame, axis by axis [N m/rad, N/m]",
+    "gain": "change of the torques or targets by displacements of the state, row by row; see below",
     "best": "joint positions of the smallest error so far [rad or m]",
     "state": "number of the start, 1 if it has converged, mean of the squared error, best squares [rad^2, m^2]",
     "settings": "largest angle [rad], largest distance [m], number of starts",
@@ -120,6 +121,11 @@ def constants(numbers: Mapping[str, Sequence[float]]) -> list[str]:
     ['kp = 25: gains of the position errors [1/s^2]', 'kd = 10, 8: gains of the velocity errors [1/s]']
     """
     return [f"{name} = {_row(row)}: {words(name)}" for name, row in numbers.items()]
+
+
+def rigid(described: bool) -> str:
+    """Line about a program of rigid bodies, of a robot that may have friction in its description."""
+    return f"friction: none{'; that of the description is left out' * described}"
 
 
 def part(x: object) -> str:

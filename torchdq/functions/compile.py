@@ -23,7 +23,8 @@ from torchdq.export import casadi, golden, graph
 from torchdq.export.c99 import CFunction, Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported, path_of
-from torchdq.export.meaning import heading
+from torchdq.export.meaning import constants as constants_of
+from torchdq.export.meaning import heading, rigid
 from torchdq.export.names import distinct, identifier
 from torchdq.functions import arrays
 from torchdq.functions.catalogue import RECIPES, Function
@@ -41,6 +42,7 @@ from torchdq.robot.robot import constants
 CPU = torch.device("cpu")
 Language = Literal["c", "cuda"]
 ExportLanguage = Literal["c", "casadi", "torch"]
+OF_FORCES = {"tau", "g", "p", "Y", "H", "U", "F_B", "rate"}  # arguments and results that depend on gravity or friction
 
 
 class _RecordedFields(NamedTuple):
@@ -329,7 +331,8 @@ def compile(
             "inverse_kinematics_newton" (parts of the solver); of a robot with a floating base,
             "floating.inverse_dynamics" and so on. Or a control law: "computed_torque", "operational_space_control" or
             "cartesian_impedance", whose gains are arguments then; or an object of `torchdq.scene.controllers`, whose
-            gains are constants where they are numbers, and arguments where they are tensors.
+            gains are constants where they are numbers, and arguments where they are tensors. All are of the rigid
+            bodies alone: the programs of layers, such as `torchdq.ComputedTorque`, have friction.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
@@ -375,4 +378,14 @@ def compile(
     taken += [Argument(name, math.prod(what.axes(name)), x.ndim == len(SHAPES[name])) for name, x in parameters.items()]
     recorded = what.program(tuple(taken))
     found = _ready(recorded, dtype_of("dtype", dtype), what.results(recorded))
-    return replace(found, about=heading(function, robot.name, robot.joint_names), examples=parameters)
+    about = (*heading(function, robot.name, robot.joint_names), *_forces(robot, recorded))
+    return replace(found, about=about, examples=parameters)
+
+
+def _forces(robot: Robot, program: Program) -> tuple[str, ...]:
+    """Lines on gravity and friction of a function of rigid bodies; none where these mean nothing to it."""
+    names = {x.name for x in program.arguments} | {x.name for x in program.results}
+    if names.isdisjoint(OF_FORCES) and not any(name.startswith("dtau/") for name in names):
+        return ()
+    weight = [] if robot.gravity is None or "gravity" in names else constants_of({"gravity": robot.gravity.tolist()})
+    return (*weight, rigid(bool((robot.damping != 0).any() or (robot.friction != 0).any())))

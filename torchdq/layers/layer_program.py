@@ -75,7 +75,11 @@ def program(
     written = {name: x for name, x in numbers.items() if name not in friction.learned}
     if robot.gravity is not None and "gravity" not in arguments(robot):
         written["gravity"] = _numbers("gravity", robot.gravity)
-    about = (*heading(f"{what.name}{motors}", robot.name, robot.joint_names), *constants_of(written))
+    about = [*heading(f"{what.name}{motors}", robot.name, robot.joint_names)]
+    if law := what.law:  # its options, since its gains have lines of their own
+        options = part(replace(law, **dict.fromkeys(name for name in own if name in law.PARAMETERS)))
+        about += [] if options.endswith("()") else [options]
+    about += constants_of(written)
     acting = [one for effect in effects if not (one := _of_numbers(effect)).idle()]
     said = [f"friction: {part(effect)}" for effect in acting] or ["friction: none"]
     return replace(record(rigid.name, taken, algorithm), about=(*about, *said, *lines(acting, robot.n)))

@@ -30,7 +30,7 @@ from torchdq.optimal.problem import Passes, Plan, joined
 from torchdq.program.program import Argument
 from torchdq.scene.policies import STEPPED, LinearForm
 from torchdq.scene.recording import Stage
-from torchdq.scene.spec import POLICY
+from torchdq.scene.spec import POLICY, POSES
 
 BOUNDS = {False: "1e-9", True: "1e-3f"}  # largest relative differences of the test, by whether numbers are single
 NAMES = ("forward", "backward", "compare", "in_state", "out_torque", "out_gain")  # of the files' own
@@ -40,9 +40,13 @@ $described
 
 ${name}_begin writes the problem and the plan of the export; goals, weights and limits may change between ticks.
 ${name}_tick moves the plan on by a step, and improves it from the state that is measured. It writes the
-$control of the step that begins now, and gains in displacements of the state, for what happens until the next tick.
+$control of the step that begins now, and gains for a loop that is faster than the ticks:
+$control + gain (x - x_plan), where x is measured, and x_plan the plan at that time, from plan.states[0], the state of
+the tick, to plan.states[1], that of the next. gain[$n][$s] is row by row, in SI units; its columns are
+$displaced, in this order. Keep the sum within the limits: no rate of $control is limited.
 It simulates the $steps steps $fewest times, up to $most where costs do not fall at once, as where a goal jumps.
 Returns 1 where a result is not finite, else 0. What is written as $control is NaN then, and the plan only moves on.
+All memory is the struct, of which every thread or robot has its own; nothing is allocated.
 """
 _TYPES = """typedef struct {
 $members} ${name}_problem;
@@ -50,7 +54,7 @@ $members} ${name}_problem;
 typedef struct {
     $S states[$points][$state]; /* $rows, from the start on */
     $S $control[$steps][$n];
-    $S gain[$steps][$gains]; /* row by row */
+    $S gain[$steps][$gains]; /* of every step [$n][$s], row by row */
 } ${name}_plan;
 
 typedef struct {
@@ -240,7 +244,8 @@ class Horizon(NamedTuple):
         zeros = max([len(x.numbers) for x in members if x.last], default=0)
         tables = zip(("in_state", "out_torque", "out_gain"), self.ticks, strict=True)
         return {
-            **{"name": self.name, "S": number, "control": plan.control, "steps": steps, "n": n, "gains": n * s},
+            **{"name": self.name, "S": number, "control": plan.control, "steps": steps, "n": n, "gains": n * s, "s": s},
+            "displaced": ", ".join([_column(*x) for x in self.passes.problem.scene.spec.displaced.items()]),
             **{"state": first[0].shape[1], "rows": ", ".join(rows), "V": s * (s + 1) // 2, "v": s},
             **{"iterations": self.iterations, "lengths": LENGTHS, "least": LEAST, "damped": DAMPED},
             **{"fewest": 1 + self.iterations, "most": 1 + self.iterations * LENGTHS, "points": steps + 1},
@@ -271,6 +276,11 @@ class Horizon(NamedTuple):
         solved = {"V": "V[k % 2]", "v": "v[k % 2]", "gain": "at->gain[k]", "change": "change[k]"}
         knots = _passed(knot, found | at, {**solved, "expected": "of_knot"})
         return {"step": _passed(step, found | along, moved), "knot": knots}
+
+
+def _column(name: str, width: int) -> str:
+    """Columns of a gain that belong to a row of the state."""
+    return f"{name}[{width}]{' (xi of X_plan exp(xi/2): a twist of each pose)' * (name in POSES)}"
 
 
 def _declared(number: str, name: str, member: Member) -> str:

@@ -18,7 +18,14 @@ def test_the_report_says_what_is_used_and_that_limits_are_not_enforced_and_nothi
         assert part in text
     assert "limits (not enforced)" in text
     text = str(panda().replace(gravity=None).report())
-    assert "gravity" not in text and "rotor" not in text and "nothing else in the description" in text
+    assert "gravity" not in text and "rotor" not in text and "notes" not in text
+
+
+def test_the_report_has_limits_of_velocity_and_torque_where_there_are_any():
+    report = torchdq.robots.load("ur10e").report()
+    assert report.motors[0] == ("shoulder_pan_joint", "3.14", "330") and len(report.motors) == 6
+    assert "limits of velocity and torque (not enforced):\njoint" in str(report)
+    assert not torchdq.robots.load("two_link").report().motors
 
 
 def test_a_name_forges_no_row_of_the_report():

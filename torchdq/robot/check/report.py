@@ -10,6 +10,8 @@ from torchdq.findings import Finding
 from torchdq.robot.model import RobotModel, followed, require_unchanged, sum_of
 
 HEADER = ("joint", "kind", "link", "mass", "limits (not enforced)")
+MOTORS = ("joint", "velocity [rad/s or m/s]", "torque [N m or N]")
+BOUNDED = "limits of velocity and torque (not enforced)"
 
 
 class Report(NamedTuple):
@@ -19,11 +21,13 @@ class Report(NamedTuple):
     joints: tuple[tuple[str, ...], ...]
     notes: tuple[Finding, ...]
     friction: tuple[tuple[str, ...], ...] = ()  # rows of `COLUMNS`, if any joint has friction
+    motors: tuple[tuple[str, ...], ...] = ()  # rows of `MOTORS`, if a velocity or a torque is limited
 
     def __str__(self) -> str:
+        motors = f"\n\n{BOUNDED}:\n{table(MOTORS, self.motors)}" if self.motors else ""
         friction = f"\n\n{STATED}:\n{table(COLUMNS, self.friction)}" if self.friction else ""
-        notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else in the description"
-        return f"{self.summary}\n\n{table(HEADER, self.joints)}{friction}\n\nnotes:\n{notes}"
+        notes = "".join(["\n\nnotes:"] * bool(self.notes) + [f"\n- {note}" for note in self.notes])
+        return f"{self.summary}\n\n{table(HEADER, self.joints)}{motors}{friction}{notes}"
 
 
 def report(robot: RobotModel) -> Report:
@@ -40,7 +44,16 @@ def report(robot: RobotModel) -> Report:
         (name, kind, link, f"{float(robot.mass.detach()[..., i].mean()):.4g} kg", _range(robot, name))
         for i, (name, kind, link) in enumerate(zip(robot.every_joint, robot.kinds, robot.link_names, strict=True))
     )
-    return Report(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes, _friction(robot))
+    return Report(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes, _friction(robot), _motors(robot))
+
+
+def _motors(robot: RobotModel) -> tuple[tuple[str, ...], ...]:
+    limits = (robot.limits.velocity, robot.limits.effort)
+    if not any(bool(x.isfinite().any()) for x in limits):
+        return ()
+    return tuple(
+        (name, *(f"{float(x.detach()[..., i].max()):.4g}" for x in limits)) for i, name in enumerate(robot.joint_names)
+    )
 
 
 def _friction(robot: RobotModel) -> tuple[tuple[str, ...], ...]:

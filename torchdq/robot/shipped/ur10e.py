@@ -1,7 +1,8 @@
 """Universal Robots UR10e, six joints.
 
 Numbers: `ur_e_description/urdf/ur10e.urdf` of ROS-Industrial's universal_robot (BSD), whose zero position is the
-controller's zero position; links are modelled there as cylinders. Limits: the same file.
+controller's zero position; links are modelled there as cylinders. Limits: the same file. Masses and velocity limits are
+not those of the manufacturer's later description, which is the one to load for a real arm.
 """
 
 from math import pi, sqrt
