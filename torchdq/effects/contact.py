@@ -134,7 +134,7 @@ class _Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Contact(BodyEffect):
-    """Compliant contact, with Coulomb friction, of points of the robot or of objects with the ground or objects.
+    """Compliant contact with Coulomb friction, of points of the robot or of objects with the ground or objects.
 
         f_n = k d (1 + c dd) >= 0,   |f_t| <= mu f_n
 
