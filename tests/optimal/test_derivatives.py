@@ -9,6 +9,7 @@ from robots import on_free_base
 import torchdq
 from torchdq import Scene, effects, optimal
 from torchdq.errors import ArgumentError
+from torchdq.optimal import derivatives
 from torchdq.scene.integrators import RungeKutta4
 
 BACKEND = "auto"
@@ -146,6 +147,14 @@ def test_weights_are_found_from_a_motion_that_they_made():
 
     optimiser.step(loss)
     assert guess.exp().item() == pytest.approx(0.8, rel=1e-4)
+
+
+def test_the_gradient_of_a_cost_needs_no_second_derivatives(monkeypatch):
+    monkeypatch.setattr(derivatives, "curvature", None)
+    given = {name: x.clone().requires_grad_() for name, x in PARAMETERS.items()}
+    problem, state = reach(**given)
+    optimal.differentiable(problem, state, optimal.solve(problem, state)).cost.backward()
+    assert given["weight"].grad > 0
 
 
 def test_second_derivatives_and_plans_of_other_starts_are_refused():

@@ -94,24 +94,25 @@ def differentiable(problem: Problem, state: State, plan: Plan, **inputs: Any) ->
         rows = {
             name: torch.cat([x.expand(after[name].shape[1:])[None], after[name]]) for name, x in state.rows().items()
         }
-        cost, torque, *states = _Once.apply(cost, torque, *rows.values())
-    return plan._replace(torque=torque, states=State(**dict(zip(rows, states, strict=True))), cost=cost)
+        cost, torque = _Once.apply(cost), _Once.apply(torque)
+        states = State(**{name: _Once.apply(x) for name, x in rows.items()})
+    return plan._replace(torque=torque, states=states, cost=cost)
 
 
 class _Once(torch.autograd.Function):
-    """Tensors that are differentiable once: second derivatives would be those with the torques held."""
+    """Tensor that is differentiable once: second derivatives would be those with the torques held."""
 
     @staticmethod
-    def forward(ctx: Any, *x: Tensor) -> tuple[Tensor, ...]:
-        """Tensors as they are."""
-        return tuple([y.clone() for y in x])
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        """Tensor as it is."""
+        return x.clone()
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, ...]:
-        """Gradients as they are; raises where a graph of them is asked for."""
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
+        """Gradient as it is; raises where a graph of it is asked for."""
         if torch.is_grad_enabled():
             raise ArgumentError("create_graph must be False, since plans have first derivatives alone")
-        return grads
+        return grad
 
 
 class _Implicit(torch.autograd.Function):
