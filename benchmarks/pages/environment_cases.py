@@ -378,7 +378,8 @@ ENVIRONMENTS: dict[str, Environment] = {
         about=(
             "[A robot with feet](../guides/legs.md#learn-to-walk) learns it, and tests the policy in MuJoCo.",
             "The observation has the linear velocity of the base, which no sensor of a real Go2 measures: on hardware "
-            'it comes from a state estimator. `TorchTask("walk", observation=..., bounds=...)` is the task with another.',
+            "it comes from a state estimator. "
+            '`TorchTask("walk", observation=..., bounds=...)` is the task with another observation.',
         ),
     ),
     "wipe": Environment(
